@@ -4,20 +4,47 @@ from __future__ import annotations
 
 import signal
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from zendsp.cli import main
 from zendsp.reference import load_machine
 
-sys.path.insert(0, str(Path(__file__).parent))  # waiting.py
+# helpers beside the tests, and waiting.py
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE), *(str(room) for room in HERE.iterdir() if room.is_dir())]
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # Started in the background of a shell: what the tests start would inherit it, and not end at
     # Ctrl-C.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture
+def own_registry(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tests neither see nor disturb targets that really run here."""
+    monkeypatch.setenv("ZENDSP_RUNTIME_DIR", str(tmp_path_factory.mktemp("registry")))
+    for name in ("ZENDSP_CONNECT", "ZENDSP_TARGET"):
+        monkeypatch.delenv(name, raising=False)
+
+
+@pytest.fixture
+def typed(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., tuple[object, str, str]]:
+    """Type a command of `zendsp`: exit status, standard output, standard error."""
+
+    def give(*words: object) -> tuple[object, str, str]:
+        monkeypatch.setattr(sys, "argv", ["zendsp", *map(str, words)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        return ended.value.code, *capsys.readouterr()
+
+    return give
 
 
 @pytest.fixture

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,31 +12,25 @@ import pytest
 import reality
 from click.testing import CliRunner
 
-from zendsp.cli import main
 from zendsp.cli.model import check
 from zendsp.diagnosis.data.checks import check_excitation, check_motion, check_signals
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.sampling import resample_held
-from zendsp.diagnosis.decide.findings import kernel_model
 from zendsp.physics.model_file import load_model
+from zendsp.physics.term_numbers import kernel_model
 
 RATE = 500.0
 Columns = dict[str, np.ndarray]
 
 
 @pytest.fixture
-def refuse(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Callable[..., str]:
+def refuse(typed: Callable[..., tuple[object, str, str]]) -> Callable[..., str]:
     """Run `zendsp diagnose` and give the one sentence that it ends with."""
 
     def run(*args: object) -> str:
-        monkeypatch.setattr(sys, "argv", ["zendsp", "diagnose", *map(str, args)])
-        with pytest.raises(SystemExit) as stop:
-            main()
-        out, err = capsys.readouterr()
-        assert stop.value.code == 2, out + err
+        status, out, err = typed("diagnose", *args)
+        assert status == 2, out + err
         assert "Traceback" not in err and out == ""
         lines = err.strip().splitlines()
         assert len(lines) == 1 and lines[0].startswith("zendsp: "), err
@@ -311,24 +304,10 @@ def test_missing_model_file_is_refused(
 
 
 def test_scheduler_without_each_is_refused(
-    model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    model: Path, tmp_path: Path, refuse: Callable[..., str]
 ) -> None:
-    monkeypatch.setattr(
-        sys,
-        "argv",
-        [
-            "zendsp",
-            "diagnose",
-            str(tmp_path / "a.csv"),
-            "--model",
-            str(model),
-            "--scheduler",
-            "tcp://127.0.0.1:1",
-        ],
-    )
-    with pytest.raises(SystemExit) as stop:
-        main()
-    assert stop.value.code == 2 and "--each" in capsys.readouterr().err
+    words = (tmp_path / "a.csv", "--model", model, "--scheduler", "tcp://127.0.0.1:1")
+    assert "--each" in refuse(*words)
 
 
 # the other side: what is unusual and right is not refused

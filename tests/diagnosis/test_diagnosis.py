@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,6 @@ import numpy as np
 import pytest
 import reality
 
-from zendsp.cli import main
 from zendsp.diagnosis import Diagnosis, diagnose
 
 RATE = 500.0
@@ -246,22 +246,9 @@ def test_user_effect_is_named(tmp_path: Path) -> None:
 
 
 def test_file_that_defines_no_effect_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, typed: Callable[..., tuple[object, str, str]]
 ) -> None:
     (tmp_path / "none.py").write_text("x = 1\n")
-    monkeypatch.setattr(
-        sys,
-        "argv",
-        [
-            "zendsp",
-            "diagnose",
-            "a.csv",
-            "--model",
-            "m.toml",
-            "--effects",
-            str(tmp_path / "none.py"),
-        ],
-    )
-    with pytest.raises(SystemExit) as stop:
-        main()
-    assert stop.value.code == 2 and "none.py" in capsys.readouterr().err
+    words = ("a.csv", "--model", "m.toml", "--effects", tmp_path / "none.py")
+    status, _, err = typed("diagnose", *words)
+    assert status == 2 and "none.py" in err

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import reality
 
-from zendsp.cli import main
 from zendsp.diagnosis.fleet import diagnose_each, stems, table
 from zendsp.errors import LinkError, ZendspError
 
@@ -37,30 +37,13 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_each_recording_gets_its_own_diagnosis_in_its_own_process(
-    fleet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    fleet: Path, tmp_path: Path, typed: Callable[..., tuple[object, str, str]]
 ) -> None:
-    runs = [str(fleet / f"{n}.csv") for n in ("one", "two", "three")]
-    monkeypatch.setattr(
-        sys,
-        "argv",
-        [
-            "zendsp",
-            "diagnose",
-            *runs,
-            "--model",
-            str(fleet / "model.toml"),
-            "--each",
-            "--jobs",
-            "2",
-            "--out",
-            str(tmp_path),
-            "--json",
-        ],
-    )
-    with pytest.raises(SystemExit) as stop:
-        main()
-    assert stop.value.code == 0
-    rows = json.loads(capsys.readouterr().out)
+    runs = [fleet / f"{n}.csv" for n in ("one", "two", "three")]
+    options = ("--each", "--jobs", 2, "--out", tmp_path, "--json")
+    status, out, _ = typed("diagnose", *runs, "--model", fleet / "model.toml", *options)
+    assert status == 0
+    rows = json.loads(out)
     assert [Path(r["recording"]).name for r in rows] == ["one.csv", "two.csv", "three.csv"]
     assert [r["report"] and r["report"]["verdict"] for r in rows] == ["complete", "missing", None]
     assert rows[1]["report"]["findings"][0]["effect"] == "quadratic_drag"
@@ -84,23 +67,11 @@ def test_recordings_of_the_same_name_get_folders_of_their_own() -> None:
 
 
 def test_all_recordings_unusable_is_an_error(
-    fleet: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    fleet: Path, typed: Callable[..., tuple[object, str, str]]
 ) -> None:
-    monkeypatch.setattr(
-        sys,
-        "argv",
-        [
-            "zendsp",
-            "diagnose",
-            str(fleet / "three.csv"),
-            "--model",
-            str(fleet / "model.toml"),
-            "--each",
-        ],
-    )
-    with pytest.raises(SystemExit) as stop:
-        main()
-    assert stop.value.code == 2 and "three.csv" in capsys.readouterr().err
+    words = ("--model", fleet / "model.toml", "--each")
+    status, _, err = typed("diagnose", fleet / "three.csv", *words)
+    assert status == 2 and "three.csv" in err
 
 
 def test_without_dask_the_scheduler_option_says_what_to_install(

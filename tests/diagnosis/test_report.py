@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import sys
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -177,29 +178,12 @@ def test_compensation_compiles_for_the_isr(folder: Path, tmp_path: Path) -> None
 
 
 def test_json_on_the_terminal_is_the_report(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    folder: Path, typed: Callable[..., tuple[object, str, str]]
 ) -> None:
-    monkeypatch.setattr(
-        sys,
-        "argv",
-        [
-            "zendsp",
-            "diagnose",
-            str(folder / "train.csv"),
-            "--model",
-            str(folder / "model.toml"),
-            "--heldout",
-            str(folder / "heldout.csv"),
-            "--json",
-            "--out",
-            str(folder / "plain"),
-            "--no-figures",
-        ],
-    )
-    with pytest.raises(SystemExit) as stop:
-        main()
-    out, err = capsys.readouterr()
-    assert stop.value.code == 0 and err == ""
+    words = ("--model", folder / "model.toml", "--heldout", folder / "heldout.csv")
+    plain = ("--json", "--out", folder / "plain", "--no-figures")
+    status, out, err = typed("diagnose", folder / "train.csv", *words, *plain)
+    assert status == 0 and err == ""
     printed = json.loads(out)
     filed = json.loads((folder / "out" / "report.json").read_text())
     for value in (printed, filed):
@@ -211,7 +195,7 @@ def test_json_on_the_terminal_is_the_report(
 
 
 def test_a_report_that_the_disk_takes_no_more_of_is_written_elsewhere(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, typed: Callable[..., tuple[object, str, str]]
 ) -> None:
     def write(result: object, out: Path, *, pictures: bool) -> Path:
         if out == tmp_path / "out":
@@ -224,13 +208,8 @@ def test_a_report_that_the_disk_takes_no_more_of_is_written_elsewhere(
     monkeypatch.setattr("zendsp.diagnosis.diagnose", lambda *_, **__: "a diagnosis")
     monkeypatch.setattr("zendsp.diagnosis.report.files.write_report", write)
     monkeypatch.setattr("zendsp.diagnosis.report.files.report_text", lambda result: "{}")
-    words = ("run.csv", "--model", tmp_path / "model.toml", "--out", tmp_path / "out", "--json")
-    monkeypatch.setattr(
-        sys, "argv", ["zendsp", "diagnose", str(tmp_path / words[0]), *map(str, words[1:])]
-    )
-    with pytest.raises(SystemExit) as ended:
-        main()
-    said = capsys.readouterr().err
-    assert ended.value.code == 1 and "No space left" in said, said
+    words = ("--model", tmp_path / "model.toml", "--out", tmp_path / "out", "--json")
+    status, _, said = typed("diagnose", tmp_path / "run.csv", *words)
+    assert status == 1 and "No space left" in said, said
     elsewhere = Path(said.split("it is in ", 1)[1].split()[0])
     assert (elsewhere / "report.html").read_text() == "written"

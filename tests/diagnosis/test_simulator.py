@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import reality
 
-from zendsp.cli import main
 from zendsp.diagnosis import diagnose
 from zendsp.diagnosis.report.files import write_report
 from zendsp.errors import ModelError
@@ -134,15 +133,11 @@ def test_failing_simulators_are_refused_with_their_own_words(
     entry: str,
     words: str,
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    typed: Callable[..., tuple[object, str, str]],
 ) -> None:
     train, _, model = files(tmp_path, reality.Machine(gravity=0.2))
     model.write_text(model.read_text().replace("pendulum_sim:simulate", entry))
-    monkeypatch.setattr(sys, "argv", ["zendsp", "diagnose", str(train), "--model", str(model)])
-    with pytest.raises(SystemExit) as stop:
-        main()
-    err = capsys.readouterr().err
-    assert stop.value.code == 2 and words in err and len(err.strip().splitlines()) == 1
+    status, _, err = typed("diagnose", train, "--model", model)
+    assert status == 2 and words in err and len(err.strip().splitlines()) == 1
     with pytest.raises(ModelError):
         diagnose(train, model)

@@ -2,27 +2,17 @@
 
 from __future__ import annotations
 
-import os
-import sys
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import pytest
 
 import zendsp
 from zendsp.link import Target
 
-sys.path.insert(0, str(Path(__file__).parent))
-
 
 @pytest.fixture(autouse=True)
-def _own_registry(
-    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def _alone(own_registry: None) -> None:
     """Tests neither see nor disturb targets that really run here."""
-    monkeypatch.setenv("ZENDSP_RUNTIME_DIR", str(tmp_path_factory.mktemp("registry")))
-    for name in ("ZENDSP_CONNECT", "ZENDSP_TARGET"):
-        monkeypatch.delenv(name, raising=False)
 
 
 @pytest.fixture
@@ -51,8 +41,3 @@ def real(start: Callable[..., Target]) -> Target:
     target.download("pd.c")
     target.start()
     return target
-
-
-def environment() -> dict[str, str]:
-    """Environment for helper processes."""
-    return {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}

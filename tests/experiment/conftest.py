@@ -6,10 +6,5 @@ import pytest
 
 
 @pytest.fixture(autouse=True)
-def _own_registry(
-    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def _alone(own_registry: None) -> None:
     """Tests neither see nor disturb targets that really run here."""
-    monkeypatch.setenv("ZENDSP_RUNTIME_DIR", str(tmp_path_factory.mktemp("registry")))
-    for name in ("ZENDSP_CONNECT", "ZENDSP_TARGET"):
-        monkeypatch.delenv(name, raising=False)

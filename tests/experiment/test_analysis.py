@@ -15,7 +15,12 @@ from zendsp.errors import ModelError, RecordingError
 from zendsp.experiment import EXPERIMENTS, Estimate, Result, fit_model, put_into
 from zendsp.experiment.estimates import line_fit, mean_of
 from zendsp.experiment.imi_fit import fit_curve
-from zendsp.experiment.imi_friction import breakaway_torque, bristle_stiffness, inertia_torque
+from zendsp.experiment.imi_friction import (
+    breakaway_torque,
+    bristle_stiffness,
+    inertia_torque,
+    pushed_way,
+)
 from zendsp.experiment.pendulum_motor import fit_parameters, pendulum_model, steady_means
 from zendsp.experiment.report import table, wrapped, write_report
 from zendsp.experiment.wam_friction import Sliding, cannot_separate, fit_friction
@@ -69,9 +74,9 @@ def test_a_joint_that_only_creeps_has_not_broken_away() -> None:
 
 def test_the_stiffness_of_bristles_is_found_with_a_noisy_encoder() -> None:
     fast = pushed(2.0, 20000)
-    assert bristle_stiffness(fast, 1, 6.0) == pytest.approx(5000, rel=0.01)
+    assert bristle_stiffness(pushed_way(fast, 1, 31), 1, 6.0) == pytest.approx(5000, rel=0.01)
     # the first 30 % of the torque are eighteen times the encoder's noise
-    assert bristle_stiffness(fast, 1, 6.0, 0.3) == pytest.approx(5000, rel=0.06)
+    assert bristle_stiffness(pushed_way(fast, 1, 31), 1, 6.0, 0.3) == pytest.approx(5000, rel=0.06)
 
 
 def test_intervals_of_few_measurements_hold_the_truth() -> None:

@@ -4,26 +4,18 @@ sessions.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
+from fake_runtime import FakeRuntime
 
 from zendsp.link import Target, connect
 from zendsp_target.monitor import Monitor, Options
 
-sys.path.insert(0, str(Path(__file__).parent))
-from fake_runtime import FakeRuntime
-
 
 @pytest.fixture(autouse=True)
-def _own_registry(
-    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def _alone(own_registry: None) -> None:
     """Tests neither see nor disturb targets that really run here."""
-    monkeypatch.setenv("ZENDSP_RUNTIME_DIR", str(tmp_path_factory.mktemp("registry")))
-    monkeypatch.delenv("ZENDSP_CONNECT", raising=False)
 
 
 @pytest.fixture

@@ -2,7 +2,7 @@
 folder.
 
 What a page takes for granted (a recording, a model, a target) is prepared by its `Plan`. What
-cannot run here stands in `NOT_RUN` with its reason. A block that is neither run, nor a file that
+cannot run here stands in `not_run.py` with its reason. A block that is neither run, nor a file that
 the page's commands use, nor listed, fails.
 """
 
@@ -20,153 +20,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from journey import PATIENCE_S, Installed
+from not_run import HOURS, NOT_RUN
 from pages import PAGES, ROOT, Block, blocks
 
-NETWORK = "fetches packages: tests/whole/test_wheel.py builds and installs the wheel"
-TERMINAL = "is an application in a terminal: test_stop_banner.py and test_slim_install.py open it"
-BROWSER = "serves a browser until Ctrl-C: tests/tui/test_web.py"
-# `zendsp prove` takes minutes to hours, wherever it stands: `.ci/run` has `--quick`,
-# tests/journeys/test_prove.py the others in small, tests/proof/test_real.py the recordings.
-HOURS = "zendsp prove"
-DRAWING = "is a drawing"
-CLONE = "is of a clone, or takes half an hour: tests/whole/test_mutations.py, test_endurance.py"
-SYNTAX = "shows how a file or a message looks"
-EXPERIMENT = "takes up to a minute: tests/experiment/ makes each experiment"
-
-# (page, first line of the block or the command) -> why it is not run
-NOT_RUN: dict[tuple[str, str], str] = {
-    ("README.md", "python3 -m venv .venv"): NETWORK,
-    ("README.md", ".venv/bin/pip install ."): NETWORK,
-    ("README.md", ".venv/bin/pip install '.[test]'"): NETWORK,
-    ("README.md", ".venv/bin/pytest"): "is what runs this",
-    (
-        "README.md",
-        ".venv/bin/pip install eclipse-zenoh numpy msgpack msgspec cffi pyelftools",
-    ): NETWORK,
-    ("README.md", ".venv/bin/pip install --no-deps ."): NETWORK,
-    (
-        "README.md",
-        "zendsp demo --effect ripple --seed 1",
-    ): "is what `zendsp demo` of this page runs as, here",
-    ("README.md", "pip install 'zendsp[zig]'"): NETWORK,
-    ("README.md", "pip install ."): NETWORK,
-    (
-        "docs/code_overview.md",
-        (
-            "protocol/zendsp_protocol/  the wire contract: keys, messages, verbs, codec, errors."
-            " No I/O."
-        ),
-    ): DRAWING,
-    (
-        "docs/code_overview.md",
-        (
-            "host process                target: monitor process (Python)       "
-            "runner process (native)"
-        ),
-    ): DRAWING,
-    ("docs/code_overview.md", "python -m tests.mutations"): CLONE,
-    ("docs/diagnosis.md", "pip install 'zendsp[fleet]'"): NETWORK,
-    ("docs/diagnosis.md", "python benchmarks/confidence.py CASES"): CLONE,
-    (
-        "docs/experiments.md",
-        "zendsp experiment wam-friction -t wam --connect tls/robot.lab:7447",
-    ): EXPERIMENT,
-    ("docs/experiments.md", "zendsp experiment imi-static"): (
-        "the page's Python makes it again; test_full_disk.py types it"
-    ),
-    ("docs/experiments.md", "zendsp experiment friction -t arm"): EXPERIMENT,
-    ("docs/experiments.md", "zendsp experiment imi-fit --into my_imi.toml"): EXPERIMENT,
-    ("docs/experiments.md", "zendsp experiment all --report docs/results.md"): EXPERIMENT,
-    ("docs/experiments.md", "[[effect]]"): SYNTAX,
-    (
-        "docs/experiments.md",
-        (
-            "ModelTorque(q, qd, a, tau);      /* inverse dynamics: the torque for accelerations a, "
-            "friction and all */"
-        ),
-    ): "names the functions that model2c writes: tests/physics/test_codegen.py compiles them",
-    (
-        "docs/machines.md",
-        "static void axis_keep_alive(void *h) { ((axis *)h)->registers[WATCHDOG] = 1; }",
-    ): SYNTAX,
-    ("docs/measurements/endurance.md", "python benchmarks/endurance.py --minutes 3"): CLONE,
-    (
-        "docs/measurements/endurance.md",
-        "python benchmarks/endurance.py --only signals --rounds 100",
-    ): CLONE,
-    ("docs/measurements/mutations.md", "python -m tests.mutations"): CLONE,
-    ("docs/measurements/structure.md", "python docs/measure_structure.py e89b9aa"): CLONE,
-    (
-        "docs/measurements/terminal.md",
-        "python benchmarks/tui.py --only terminal --soak 3700 --trace soak.csv",
-    ): "takes an hour, of a clone",
-    ("docs/machines_simulated.md", "zendsp demo --machine wam7 --seed 1"): (
-        "test_slim_install.py runs it"
-    ),
-    ("docs/models.md", "[mechanism]"): SYNTAX,
-    ("docs/models.md", "zendsp target --machine arm.xml"): "tests/journeys/test_any_robot.py",
-    ("docs/machines_mujoco.md", "pip install 'zendsp[mujoco]'"): NETWORK,
-    ("docs/proof.md", "emps: missing in 35.8 s"): "is an output",
-    ("docs/proof.md", "NO   stiffness x1: said unknown"): "is an output",
-    ("docs/prove.md", "pip install 'zendsp[mujoco]'"): NETWORK,
-    (
-        "docs/troubleshooting/recording.md",
-        "zendsp salvage -t imi -o run.mat",
-    ): "needs a killed target: test_salvage.py",
-    ("docs/protocol.md", '{"v": 1, "ok": true,  "result": …}'): SYNTAX,
-    (
-        "docs/realtime.md",
-        (
-            "target/zendsp_target/runtime/  monitor side, Python"
-            "                c_isr/zendsp_isr/runtime/      runner side, C"
-        ),
-    ): DRAWING,
-    ("docs/security.md", "pip install 'zendsp[keys]'"): NETWORK,
-    ("docs/tour.md", "pip install 'zendsp[foxglove]'"): NETWORK,
-    ("docs/tour.md", "zendsp tui --web"): BROWSER,
-    (
-        "docs/tour.md",
-        "zendsp tui --screenshots docs/screens",
-    ): "draws every screen for a minute: tests/tui/test_coverage.py",
-    ("docs/troubleshooting/installing.md", "pip install 'zendsp[zig]'"): NETWORK,
-    ("docs/troubleshooting/installing.md", "python3 -m venv"): "names what fails, not what to type",
-    (
-        "docs/troubleshooting/link.md",
-        "zendsp info -t imi --connect tls/robot.lab:7447",
-    ): "needs a target elsewhere: docs/security.md and README.md connect to one over TLS",
-    ("docs/tui.md", "zendsp tui"): TERMINAL,
-    ("docs/tui.md", "zendsp tui imi"): TERMINAL,
-    ("docs/tui.md", "zendsp tui --local imi_planar --source pd.c"): TERMINAL,
-    ("docs/tui.md", "zendsp tui --web --port 8000 imi"): BROWSER,
-    ("docs/tui.md", "zendsp tui --frames 10 imi"): TERMINAL,
-    (
-        "docs/tui.md",
-        "zendsp tui --screenshots docs/screens",
-    ): "draws every screen for a minute: tests/tui/test_coverage.py",
-    ("docs/tui.md", "off → ready → homed → enabled → running → stopped | tripped"): DRAWING,
-    (
-        "docs/tui.md",
-        "app.py            the four screens over one session      actions.py     the table",
-    ): DRAWING,
-    **{
-        ("docs/results.md", f"zendsp experiment {name}"): EXPERIMENT
-        for name in (
-            "all --report docs/results.md",
-            "imi-static",
-            "imi-viscous",
-            "imi-low-speed",
-            "imi-fit",
-            "imi-circle",
-            "pendulum-electrical",
-            "pendulum-mechanical",
-            "pendulum-swing",
-            "wam-friction",
-            "wam-tracking",
-        )
-    },
-}
 FOREVER = {"watch": 3, "bridge": 1}  # subcommands that run until Ctrl-C: lines that they say first
+
+
 SERVERS = ("zendsp target", "-m zendsp_target")
+
+
 LIMIT_S = 250.0  # of one command, beside all else that CI computes
 
 
@@ -198,10 +60,6 @@ class Plan:
     stands_for: Mapping[str, str] = field(default_factory=dict)
     prelude: str = ""
     arguments: Callable[[Installed], list[str]] = lambda _: []
-
-
-# -- what is prepared
-# --------------------------------------------------------------------------------------------------
 
 
 def bench(user: Installed) -> None:
@@ -344,6 +202,8 @@ def first_target(user: Installed) -> list[str]:
 
 
 ROBOT = {"robot.lab:7447": "localhost:PORT", "0.0.0.0:7447": "127.0.0.1:PORT"}
+
+
 PLANS: dict[str, Plan] = {
     # what is drawn differs from time to time; a test draws the same each time
     "README.md": Plan(
@@ -377,10 +237,6 @@ PLANS: dict[str, Plan] = {
     "docs/troubleshooting/loop.md": Plan(saved_parameters, stands_for={"FILE": "kept.json"}),
     "docs/tui.md": Plan(loaded),
 }
-
-
-# -- run them
-# --------------------------------------------------------------------------------------------------
 
 
 def kept(page: Path) -> list[Block]:

@@ -11,101 +11,27 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.optimize import brentq
+from integrated import (
+    STIFF,
+    J,
+    N,
+    T,
+    Torque,
+    command,
+    dry,
+    integrate,
+    kernel,
+    recorded,
+    rigid,
+    warmth,
+)
 
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.signals import Signals
 from zendsp.physics.effects import library
-from zendsp.physics.joint import JointRecord
 from zendsp.physics.model import Model, Quantity, Term
 from zendsp.physics.model_file import parse_model
 from zendsp.physics.predict import RAN_AWAY, run, run_many
-
-J, T, N = 0.01, 0.002, 1000
-STIFF = 40  # Runge-Kutta steps a sample where friction has a steep step
-TANH = 2e-4  # rad/s: width of the reference's friction step
-Torque = Callable[[float, float, float, float], float]
-
-
-def command() -> np.ndarray:
-    """Torque that starts at rest and reverses, N m."""
-    t = np.arange(N) * T
-    ramp = 1 - np.exp(-((t / 0.3) ** 2))
-    u: np.ndarray = (
-        0.15 * ramp * (np.sin(2 * np.pi * 1.1 * t) + 0.7 * np.sin(2 * np.pi * 2.7 * t + 1))
-    )
-    return u
-
-
-def warmth(t: float) -> float:
-    """Of the machine while it is recorded, °C."""
-    return 20 + 8 * t
-
-
-def integrate(
-    derivative: Callable[[np.ndarray, float, float], np.ndarray],
-    states: int,
-    sub: int = 10,
-    start: float = 0.0,
-) -> np.ndarray:
-    """Trajectory (N, states) from rest under the held command; ``start``: of the first state."""
-    u, x, out, h = command(), np.zeros(states), [], T / sub
-    x[0] = start
-    for k in range(N):
-        out.append(x.copy())
-        for i in range(sub):
-            t = k * T + i * h
-            a = derivative(x, t, u[k])
-            b = derivative(x + 0.5 * h * a, t + 0.5 * h, u[k])
-            c = derivative(x + 0.5 * h * b, t + 0.5 * h, u[k])
-            d = derivative(x + h * c, t + h, u[k])
-            x = x + h / 6 * (a + 2 * b + 2 * c + d)
-    return np.array(out)
-
-
-def rigid(
-    resist: Torque, drive: Callable[[float], float] = lambda u: u, inertia: float = J, sub: int = 10
-) -> np.ndarray:
-    """Position of one inertia against a resisting torque."""
-
-    def derivative(x: np.ndarray, t: float, u: float) -> np.ndarray:
-        return np.array([x[1], (drive(u) - resist(x[0], x[1], t, u)) / inertia])
-
-    return integrate(derivative, 2, sub)[:, 0]
-
-
-def recorded(
-    position: np.ndarray,
-    terms: list[dict[str, Any]],
-    inertia: float = J,
-    gravity: float = 0.0,
-    **tables: Any,
-) -> tuple[Model, JointRecord]:
-    """A model with these terms, and the recording of a position under the command."""
-    mechanism = {"kind": "rotary", "parameters": {"inertia": inertia, "gravity": gravity}}
-    model = parse_model({"mechanism": mechanism, "effect": terms, "sample_time": T, **tables})
-    one = np.ascontiguousarray(position)[:, None]
-    extra = {"temperature": np.array([[warmth(k * T)] for k in range(N)])}
-    signals = Signals(
-        "reference", np.arange(N) * T, T, one, command()[:, None], None, np.zeros(1), extra=extra
-    )
-    return model, prepare([signals], model).records[0][0]
-
-
-def kernel(
-    position: np.ndarray, terms: list[dict[str, Any]], inner: int, inertia: float = J, **more: Any
-) -> np.ndarray:
-    """The kernel's free simulation of the whole recording from its first sample."""
-    model, record = recorded(position, terms, inertia, **more)
-    # the reference rests at first; the smoother's guess of that is not what is tested here
-    record.motion.states[:, 0] = position[0], 0.0, 0.0
-    r = run(record, model, 16.0, inner=inner, free_every=N).innovations
-    return record.position - r
-
-
-def dry(level: float) -> Callable[[float], float]:
-    return lambda v: level * math.tanh(v / TANH)
-
 
 SMOOTH: dict[str, tuple[dict[str, float], Torque]] = {
     "viscous": ({"coefficient": 0.02}, lambda q, v, t, u: 0.02 * v),
@@ -250,22 +176,6 @@ def test_delay_of_a_fraction_of_a_sample_is_exact() -> None:
     )
 
 
-def test_elastic_joint_is_two_inertias() -> None:
-    k, c, load = 30.0, 0.05, 0.004
-
-    def derivative(x: np.ndarray, _t: float, u: float) -> np.ndarray:
-        spring = k * (x[0] - x[2]) + c * (x[1] - x[3])
-        return np.array([x[1], (u - spring) / (J - load), x[3], spring / load])
-
-    true, without = integrate(derivative, 4)[:, 0], rigid(lambda *_: 0.0)
-    got = kernel(
-        true,
-        [{"kind": "elasticity", "joint": 1, "stiffness": k, "damping": c, "load_inertia": load}],
-        8,
-    )
-    assert np.max(np.abs(got - true)) < 0.05 * np.max(np.abs(true - without))
-
-
 def test_bristles_bend_as_lugre_says() -> None:
     level, s0, s1 = 0.05, 60.0, 0.1
 
@@ -365,115 +275,6 @@ def test_a_shifted_command_column_acts_at_another_time_either_way(late: float) -
     )
 
 
-def test_a_stiffening_spring_is_harder_the_more_it_is_bent() -> None:
-    k, k3, load = 8.0, 2.0e4, 0.004  # bent by 11 mrad: a quarter of the torque is the cubic term's
-    c = 0.1 * math.sqrt(k * load)
-
-    def derivative(k3: float) -> Callable[[np.ndarray, float, float], np.ndarray]:
-        def rate(x: np.ndarray, _t: float, u: float) -> np.ndarray:
-            d = x[0] - x[2]
-            spring = k * d + k3 * d**3 + c * (x[1] - x[3])
-            return np.array([x[1], (u - spring) / (J - load), x[3], spring / load])
-
-        return rate
-
-    true, straight = integrate(derivative(k3), 4)[:, 0], integrate(derivative(0.0), 4)[:, 0]
-    term = {
-        "kind": "stiffening",
-        "joint": 1,
-        "stiffness": k,
-        "stiffness3": k3,
-        "load_inertia": load,
-    }
-    size = np.max(np.abs(true - straight))
-    # what is left is how far the spring is thought to be bent when the recording begins
-    assert np.max(np.abs(kernel(true, [term], 8) - true)) < 0.03 * size
-
-
-ORDER, ERROR, PHASE, WEIGHT, ROTOR = 3.0, 0.02, 0.4, 0.2, 0.003
-
-
-def uneven(x: float) -> tuple[float, float, float]:
-    """Load position behind a motor at x, and its first two derivatives by it."""
-    at = ORDER * x + PHASE
-    return (
-        x + ERROR * math.sin(at),
-        1 + ERROR * ORDER * math.cos(at),
-        -ERROR * ORDER**2 * math.sin(at),
-    )
-
-
-@pytest.mark.parametrize("side", ["motor", "load"])
-@pytest.mark.parametrize("elastic", [False, True])
-def test_the_load_turns_unevenly_behind_a_transmission_with_an_error(
-    side: str, elastic: bool
-) -> None:
-    k, c, load = 60.0, 0.08, 0.006
-    terms: list[dict[str, Any]] = [
-        {"kind": "transmission_error", "order": ORDER, "amplitude": ERROR, "phase": PHASE}
-    ]
-    if elastic:
-        terms.append({"kind": "elasticity", "stiffness": k, "damping": c, "load_inertia": load})
-    else:
-        terms.append({"kind": "inertia", "amount": ROTOR})
-
-    def stiff(x: np.ndarray, _t: float, u: float) -> np.ndarray:  # by Lagrange, one coordinate
-        at, slope, bend = uneven(x[0])
-        inert = J * slope * slope + ROTOR
-        return np.array(
-            [x[1], (u - J * slope * bend * x[1] ** 2 - slope * WEIGHT * math.sin(at)) / inert]
-        )
-
-    def springy(x: np.ndarray, _t: float, u: float) -> np.ndarray:
-        at, slope, _ = uneven(x[0])
-        pull = k * (at - x[2]) + c * (slope * x[1] - x[3])
-        return np.array(
-            [x[1], (u - slope * pull) / (J - load), x[3], (pull - WEIGHT * math.sin(x[2])) / load]
-        )
-
-    if elastic:
-        # of the motor where the load hangs down
-        hanging = float(brentq(lambda x: uneven(x)[0], -0.1, 0.1))
-        true = integrate(springy, 4, start=hanging)[:, 0 if side == "motor" else 2]
-        even = integrate(lambda x, t, u: springy_even(x, u, k, c, load), 4)[
-            :, 0 if side == "motor" else 2
-        ]
-    else:
-        motor = integrate(stiff, 2)[:, 0]
-        true = motor if side == "motor" else motor + ERROR * np.sin(ORDER * motor + PHASE)
-        even = rigid(lambda q, v, t, u: WEIGHT * math.sin(q), inertia=J + ROTOR)
-    got = kernel(true, terms, 16, gravity=WEIGHT, sensor={"side": side})
-    size = np.max(np.abs(true - even))
-    assert np.max(np.abs(got - true)) < 0.05 * size
-
-
-def springy_even(x: np.ndarray, u: float, k: float, c: float, load: float) -> np.ndarray:
-    """Two inertias and a pendulum's weight on the second, without an error between them."""
-    pull = k * (x[0] - x[2]) + c * (x[1] - x[3])
-    return np.array([x[1], (u - pull) / (J - load), x[3], (pull - WEIGHT * math.sin(x[2])) / load])
-
-
-def test_gap_lets_the_motor_move_alone() -> None:
-    k, load, gap = 40.0, 0.004, 0.05
-    c = 0.1 * math.sqrt(k * load)
-
-    def derivative(x: np.ndarray, _t: float, u: float) -> np.ndarray:
-        d = x[0] - x[2]
-        over = d - 0.5 * gap if d > 0.5 * gap else d + 0.5 * gap if d < -0.5 * gap else 0.0
-        force = k * over + (c * (x[1] - x[3]) if over else 0.0)
-        return np.array([x[1], (u - force) / (J - load), x[3], force / load])
-
-    true, without = integrate(derivative, 4)[:, 0], rigid(lambda *_: 0.0)
-    got = kernel(
-        true,
-        [{"kind": "backlash", "joint": 1, "gap": gap, "stiffness": k, "load_inertia": load}],
-        16,
-    )
-    # impacts spread small differences: what must agree is the motion up to the third reversal
-    early = slice(0, 500)
-    assert np.max(np.abs(got - true)[early]) < 0.15 * np.max(np.abs(true - without)[early])
-
-
 def test_what_another_joint_pushes_adds_up_to_what_its_velocity_says() -> None:
     terms = [{"kind": "viscous", "joint": j, "coefficient": 0.1} for j in (1, 2)]
     arm = {"kind": "planar2r", "parameters": {"p1": 0.3, "p2": 0.05, "p3": 0.04}}
@@ -494,45 +295,6 @@ def test_what_another_joint_pushes_adds_up_to_what_its_velocity_says() -> None:
     push = np.cumsum(second.basis["p2"].bias) * T
     moved = first.motion.states[1] - first.motion.states[1][0]
     assert np.max(np.abs(push[:-1] - moved[1:])) < 1e-9
-
-
-def test_a_spring_is_bent_already_when_a_recording_begins_in_the_middle() -> None:
-    k, c, load = 15.0, 0.2, 0.004  # damped, so that its own ringing is over
-
-    def derivative(x: np.ndarray, _t: float, u: float) -> np.ndarray:
-        force = k * (x[0] - x[2]) + c * (x[1] - x[3])
-        return np.array([x[1], (u - force) / (J - load), x[3], force / load])
-
-    true, begin = integrate(derivative, 4), 200
-    term = {"kind": "elasticity", "joint": 1, "stiffness": k, "damping": c, "load_inertia": load}
-    model = parse_model(
-        {
-            "mechanism": {"kind": "rotary", "parameters": {"inertia": J}},
-            "effect": [term],
-            "sample_time": T,
-        }
-    )
-    later = np.ascontiguousarray(true[begin:, :1])
-    record = prepare(
-        [
-            Signals(
-                "later",
-                np.arange(N - begin) * T,
-                T,
-                later,
-                command()[begin:, None],
-                None,
-                np.zeros(1),
-            )
-        ],
-        model,
-    ).records[0][0]
-    # the smoother's guess of the first speed is not what is tested here
-    record.motion.states[:2] = true[begin:, :2].T
-    early = slice(0, 100)
-    off = np.abs(run(record, model, 16.0, inner=8, free_every=N).innovations[early])
-    bend = np.abs(true[begin, 0] - true[begin, 2])
-    assert np.max(off) < 0.15 * bend
 
 
 def varied(model: Model, factor: float) -> Model:

@@ -10,16 +10,8 @@ import pytest
 from zendsp.proof import shipped
 from zendsp.proof.case import Request
 from zendsp.proof.mechanisms import LAWS, MECHANISM
-from zendsp.proof.shipped import (
-    EFFECTS,
-    FOREIGN,
-    FOREIGN_MECHANISMS,
-    PERIOD,
-    RIGS,
-    Rig,
-    record,
-    scale_of,
-)
+from zendsp.proof.shipped import record, scale_of
+from zendsp.proof.shipped_laws import EFFECTS, FOREIGN, FOREIGN_MECHANISMS, PERIOD, RIGS, Rig
 
 
 def rig(machine: str, seconds: float) -> Rig:

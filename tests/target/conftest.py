@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
 from waiting import until
 
 from zendsp_target.runtime import Runtime
-
-sys.path.insert(0, str(Path(__file__).parent))  # desk.py
 
 
 def _load(runtime: Runtime, code: str) -> None:

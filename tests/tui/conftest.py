@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import sys
 import time
 from collections.abc import Awaitable, Callable, Iterator
 from pathlib import Path
@@ -22,8 +21,6 @@ from zendsp.tui.link_port import find_targets, open_port, start_machine
 
 if TYPE_CHECKING:
     from steps import Until
-
-sys.path.insert(0, str(Path(__file__).parent))  # helpers beside the tests
 
 
 @pytest.fixture(autouse=True)

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable
 from typing import TypeVar
 
+import numpy as np
 from textual.pilot import Pilot
 
+from zendsp.recording import Recording
 from zendsp.tui.actions import SCREENS
 from zendsp.tui.app import ZendspApp
 from zendsp.tui.screens.base import LabScreen
@@ -27,3 +29,16 @@ async def opened(
     screen = app.screen
     assert isinstance(screen, kind)
     return screen
+
+
+def short_run(gain: float) -> Recording:
+    """Half a second of a run with this ``Kp1``."""
+    t = np.arange(500) * 1e-3
+    columns = {
+        "q": np.stack((np.sin(t), np.cos(t)), axis=1),
+        "e": np.stack((0.01 * t, 0.02 * t), axis=1),
+    }
+    return Recording.from_columns(
+        columns, 1e-3, units={"q": "rad", "e": "rad"}, parameters={"Kp1": gain, "Kd1": 5.0},
+        sources={"pd.c": f"/* {gain} */"}, machine="imi_planar", note="n",
+    )  # fmt: skip

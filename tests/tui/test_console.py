@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import time
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
+from console_steps import console_of, events_of, mark_variable, type_first
 from steps import Step, Until
-from textual.pilot import Pilot
 from textual.widgets import Input, OptionList, TextArea
 
 from zendsp.errors import Refused
@@ -19,39 +16,8 @@ from zendsp.tui.dialogs import Choose, Form, Message, Sliders
 from zendsp.tui.dialogs.sliders import NAME, Slider
 from zendsp.tui.dialogs.source import SourceView
 from zendsp.tui.runs import list_runs
-from zendsp.tui.scope import Scale
 from zendsp.tui.screens.analysis import ProcessView
-from zendsp.tui.screens.console import ConsoleScreen
 from zendsp.tui.screens.diagnose import DiagnoseScreen
-
-
-def _console(app: ZendspApp) -> ConsoleScreen:
-    assert isinstance(app.screen, ConsoleScreen)
-    return app.screen
-
-
-def _events(app: ZendspApp) -> str:
-    return "\n".join(e.text for e in app.session.events.since(0)[1])
-
-
-async def _mark(app: ZendspApp, pilot: Pilot[None], name: str) -> None:
-    """Put the cursor of the table on a variable, as soon as it is listed."""
-    table, last = _console(app).variables.table, time.monotonic() + 30.0
-    while name not in table._keys and time.monotonic() < last:
-        await pilot.pause(0.02)
-    table.focus()
-    table.mark(name)
-    await pilot.pause()
-    assert _console(app).variables.marked == name
-
-
-async def _type(pilot: Pilot[None], text: str) -> None:
-    """Replace what a form's first field holds."""
-    field = pilot.app.screen.query(Input).first()
-    field.value = text
-    await pilot.pause()
-    await pilot.press("enter")
-    await pilot.pause()
 
 
 @pytest.mark.covers(
@@ -76,13 +42,13 @@ async def test_the_safe_sequence_by_keys(
         await pilot.press("s")
         await until(
             pilot,
-            lambda: "starting is refused: enabled" in _events(lab),
+            lambda: "starting is refused: enabled" in events_of(lab),
             "start without enable is refused by name",
         )
         await pilot.press("h")
         await until(
             pilot,
-            lambda: "home: homed" in _events(lab) or "homed" in _events(lab).split("\n")[-1],
+            lambda: "home: homed" in events_of(lab) or "homed" in events_of(lab).split("\n")[-1],
             "homed",
         )
         assert target.status().homed
@@ -106,7 +72,7 @@ async def test_the_safe_sequence_by_keys(
         await until(pilot, lambda: snap().commander and not snap().mine, "somebody else commands")
         await pilot.press("e")
         await until(
-            pilot, lambda: "exclusive right" in _events(lab), "refused, and it says who commands"
+            pilot, lambda: "exclusive right" in events_of(lab), "refused, and it says who commands"
         )
         await pilot.press("ctrl+r")
         await pilot.pause()
@@ -129,8 +95,8 @@ async def test_a_refused_enable_names_each_condition(
         await pilot.press("o")
         await until(pilot, lambda: lab.session.snapshot.explicit, "powered")
         await pilot.press("e")
-        await until(pilot, lambda: "enabling is refused" in _events(lab), "refused")
-        text = _events(lab)
+        await until(pilot, lambda: "enabling is refused" in events_of(lab), "refused")
+        text = events_of(lab)
         assert (
             "program: no code is loaded" in text and "homed: known once a program is loaded" in text
         )
@@ -151,16 +117,16 @@ async def test_variables_edit_stage_update_undo(
 ) -> None:
     async with lab.run_test(size=(100, 30)) as pilot:
         await built(lab, pilot)
-        console = _console(lab)
-        await _mark(lab, pilot, "Kp1")
+        console = console_of(lab)
+        await mark_variable(lab, pilot, "Kp1")
         await pilot.press("enter")
         await pilot.pause()
         assert isinstance(lab.screen, Form)
-        await _type(pilot, "99999")
+        await type_first(pilot, "99999")
         assert isinstance(lab.screen, Form) and "outside" in str(
             lab.screen.query_one("#problem").render()
         )
-        await _type(pilot, "1500")
+        await type_first(pilot, "1500")
         await until(pilot, lambda: target["Kp1"] == 1500.0, "written at once")
         await until(
             pilot,
@@ -169,9 +135,9 @@ async def test_variables_edit_stage_update_undo(
         )
 
         for name, value in (("Kp2", "250"), ("Kd2", "10")):
-            await _mark(lab, pilot, name)
+            await mark_variable(lab, pilot, name)
             await pilot.press("t")
-            await _type(pilot, value)
+            await type_first(pilot, value)
         assert console.staged == {"Kp2": 250.0, "Kd2": 10.0}
         assert target["Kp2"] == 300.0, "staged is not applied"
         await pilot.press("u")
@@ -191,7 +157,7 @@ async def test_variables_edit_stage_update_undo(
         await until(pilot, lambda: target["Kp1"] == 2000.0, "and the one before")
         target["Kd1"] = 77.0
         await until(pilot, lambda: lab.session.snapshot.values["Kd1"] == 77.0, "seen")
-        await _mark(lab, pilot, "Kd1")
+        await mark_variable(lab, pilot, "Kd1")
         await pilot.press("i")
         assert console.staged == {"Kd1": 120.0}
         await pilot.press("z")
@@ -217,10 +183,10 @@ async def test_a_signal_cannot_be_written_and_units_stay_whole(
 ) -> None:
     async with lab.run_test(size=(100, 30)) as pilot:
         await built(lab, pilot)
-        await _mark(lab, pilot, "q1")
+        await mark_variable(lab, pilot, "q1")
         await pilot.press("enter")
-        await until(pilot, lambda: "q1 is a signal" in _events(lab), "refused in words")
-        assert _console(lab).variables.table.row_text("Kp1")[3] == "N m/rad"
+        await until(pilot, lambda: "q1 is a signal" in events_of(lab), "refused in words")
+        assert console_of(lab).variables.table.row_text("Kp1")[3] == "N m/rad"
 
 
 @pytest.mark.covers("console.sets")
@@ -235,7 +201,7 @@ async def test_parameter_sets_save_diff_and_stage(
         assert isinstance(lab.screen, Choose)
         await pilot.press("enter")
         await pilot.pause()
-        await _type(pilot, "calm")
+        await type_first(pilot, "calm")
         await until(pilot, lambda: (folder / "sets" / "calm.json").is_file(), "saved")
         assert ParameterSet.load(folder / "sets" / "calm.json").values["Kp1"] == 2000.0
         target.update(Kp1=900.0, Kd1=50.0)
@@ -247,7 +213,7 @@ async def test_parameter_sets_save_diff_and_stage(
         assert "Kp1" in shown and "Kd1" in shown and "Kp2" not in shown
         await pilot.press("enter")
         await pilot.pause()
-        assert _console(lab).staged == {"Kp1": 2000.0, "Kd1": 120.0}
+        assert console_of(lab).staged == {"Kp1": 2000.0, "Kd1": 120.0}
         ParameterSet({"Kp1": 700.0}).save(folder / "sets" / "stiff.json")
         await pilot.press("w", "down", "space", "down", "space", "enter")
         await pilot.pause()
@@ -276,7 +242,7 @@ async def test_a_matrix_has_a_slider_for_each_element_and_says_where_the_scope_i
     target.download({"matrix.c": MATRIX})
     async with lab.run_test(size=(140, 50)) as pilot:
         await until(pilot, lambda: "r" in lab.session.snapshot.values, "values")
-        await _mark(lab, pilot, "K")
+        await mark_variable(lab, pilot, "K")
         await pilot.press("k")
         await pilot.pause()
         dialog = lab.screen
@@ -293,13 +259,13 @@ async def test_a_matrix_has_a_slider_for_each_element_and_says_where_the_scope_i
         await until(pilot, lambda: target["K[0,0]"] == 2.0, "written")
         await pilot.press("z")
         await until(pilot, lambda: target["K[0,0]"] == 1.0, "undone")
-        console = _console(lab)
+        console = console_of(lab)
         console.plot_names(["r[0]", "r[1]", "q[0]"])
-        await _mark(lab, pilot, "K")
+        await mark_variable(lab, pilot, "K")
         await pilot.press("space")
-        assert "K has 8 curves, 5 of 8 are free: K[5], K[6], K[7] are left out" in _events(lab)
+        assert "K has 8 curves, 5 of 8 are free: K[5], K[6], K[7] are left out" in events_of(lab)
         await pilot.press("l", "l")
-        assert "over one another: the axis is that of r[0], y chooses another" in _events(lab)
+        assert "over one another: the axis is that of r[0], y chooses another" in events_of(lab)
 
 
 @pytest.mark.covers("console.sliders")
@@ -309,7 +275,7 @@ async def test_sliders_move_parameters_by_key_and_mouse(
     async with lab.run_test(size=(140, 40)) as pilot:
         await built(lab, pilot)
         await until(pilot, lambda: "Kd1" in lab.session.snapshot.values, "values")
-        await _mark(lab, pilot, "Kd1")
+        await mark_variable(lab, pilot, "Kd1")
         await pilot.press("k")
         await pilot.pause()
         dialog = lab.screen
@@ -360,7 +326,7 @@ async def test_a_compile_error_is_shown_at_its_line_and_mended_in_place(
         await pilot.press("enter")  # bad.c is the first by name
         await until(pilot, lambda: lab.source == bad, "chosen")
         await pilot.press("b")
-        await until(pilot, lambda: "bad.c:3:" in _events(lab), "file and line are in the event log")
+        await until(pilot, lambda: "bad.c:3:" in events_of(lab), "file and line in the log")
         assert target.status().program == before, "the running program is not touched"
         await pilot.press("g")
         await pilot.pause()
@@ -374,159 +340,6 @@ async def test_a_compile_error_is_shown_at_its_line_and_mended_in_place(
         assert "a = 1.0; }" in bad.read_text()
 
 
-@pytest.mark.covers(
-    "console.plot",
-    "console.channels",
-    "console.mode",
-    "console.trigger",
-    "console.single",
-    "console.freeze",
-    "console.autoscale",
-    "console.lanes",
-    "console.cursors",
-    "console.swap_cursor",
-    "console.next_curve",
-    "console.zoom(-1)",
-    "console.zoom(1)",
-    "console.pan(0.25)",
-    "console.pan(-0.25)",
-    "console.events",
-)
-async def test_every_key_of_the_scope(
-    lab: ZendspApp, target: Target, built: Step, until: Until
-) -> None:
-    async with lab.run_test(size=(100, 30)) as pilot:
-        await built(lab, pilot)
-        target.start()
-        console = _console(lab)
-        scope = console.scope
-        await until(pilot, lambda: scope.history.count > 2000, "live curves")
-        names = lambda: [c.name for c in scope.channels]  # noqa: E731
-        assert names()[:2] == ["q[0]", "q[1]"]
-        await _mark(lab, pilot, "r1")
-        await pilot.press("space")
-        assert names()[-1] == "r1"
-        await pilot.press("space")
-        assert "r1" not in names()
-        await pilot.press("c")
-        await pilot.pause()
-        assert isinstance(lab.screen, Choose)
-        await pilot.press("space", "escape")
-        await pilot.pause()
-        console.plot_names(["q1", "e1"])
-        await until(pilot, lambda: scope.history.count > 500, "live after the change")
-        console.variables.table.focus()
-        await pilot.press("m")
-        assert scope.settings.mode == "trigger"
-        await pilot.press("T")
-        await pilot.pause()
-        assert isinstance(lab.screen, Form)
-        lab.screen.query_one("#f-level", Input).value = "0.2"
-        lab.screen.query_one("#f-level", Input).focus()
-        await pilot.press("enter")
-        await pilot.pause()
-        assert scope.settings.level == 0.2 and scope.settings.mode == "trigger"
-        await pilot.press("n")
-        await until(pilot, lambda: scope.paused, "the circle crosses 0.2 rad: one shot, frozen")
-        t, y = scope.history.newest()
-        assert scope.picture is not None
-        assert float(np.interp(scope.picture.zero, t, y[:, 0])) == pytest.approx(0.2, abs=0.05)
-        await pilot.press("m")
-        assert scope.settings.mode == "roll" and not scope.paused
-        await pilot.press("f")
-        assert scope.paused
-        await pilot.pause()
-        end = scope.picture.end
-        await pilot.press("left_square_bracket")
-        await pilot.pause()
-        assert scope.picture.end < end
-        await pilot.press("right_square_bracket", "f")
-        assert not scope.paused
-        window = scope.settings.window
-        await pilot.press("plus")
-        assert scope.settings.window < window
-        await pilot.press("minus")
-        assert scope.settings.window == window
-        await pilot.press("a")
-        assert not scope.settings.auto
-        await pilot.press("a", "l")
-        assert scope.settings.auto and scope.settings.lanes == "curve"
-        await pilot.press("l")
-        assert scope.settings.lanes == "over"
-        assert "scope: over one another" in _events(lab)
-        await pilot.press("y")
-        assert scope.settings.selected == 1
-        await pilot.press("x")
-        assert scope.settings.cursors
-        a, b = scope.settings.cursor_a, scope.settings.cursor_b
-        await pilot.press("right", "v", "left")
-        assert scope.settings.cursor_a > a and scope.settings.cursor_b < b
-        await pilot.press("E")
-        assert console.has_class("-events")
-
-
-@pytest.mark.covers(
-    "console.view", "console.formula", "console.scale", "console.export", "console.layouts"
-)
-async def test_a_computed_curve_its_scale_its_files_and_its_layout(
-    lab: ZendspApp,
-    target: Target,
-    built: Step,
-    until: Until,
-    folder: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setenv("XDG_CONFIG_HOME", str(folder / "config"))
-    async with lab.run_test(size=(100, 30)) as pilot:
-        await built(lab, pilot)
-        target.start()
-        console = _console(lab)
-        scope = console.scope
-        console.plot_names(["r1", "q1", "e1"])
-        await pilot.press("F")
-        await pilot.pause()
-        await _type(pilot, "err = r1 - nobody")
-        assert isinstance(lab.screen, Form), "refused where it was typed"
-        await _type(pilot, "err = r1 - q1")
-        assert [c.name for c in scope.channels] == ["r1", "q1", "e1", "err"]
-        assert scope.channels[3].unit == "rad" and console.curve_names() == ["r1", "q1", "e1"]
-        await until(pilot, lambda: scope.history.count > 500, "live, with the computed curve")
-        _, y = scope.history.newest(500)
-        assert np.array_equal(y[:, 3], y[:, 0] - y[:, 1]) and np.ptp(y[:, 3]) > 0.0
-        scope.set(replace(scope.settings, selected=3))
-        await pilot.press("L")
-        await pilot.pause()
-        lab.screen.query_one("#f-low", Input).value = "-0.5"
-        await pilot.press("tab", "tab", "enter")
-        await pilot.pause()
-        assert scope.settings.scales == {"err": Scale(0, -0.5, None)}
-        await pilot.press("W")
-        await pilot.pause()
-        await pilot.press("enter")
-        await pilot.pause()
-        await _type(pilot, "my tuning")
-        assert (folder / "config/zendsp/layouts/my_tuning.json").is_file()
-        saved = (scope.channels, scope.settings)
-        for view in ("xy", "spectrum"):
-            await pilot.press("V")
-            assert scope.settings.view == view
-            await pilot.press("X")
-            await pilot.pause()
-            await _type(pilot, f"{view}.csv")
-            await until(pilot, lambda view=view: (folder / f"{view}.csv").is_file(), "written")
-        await pilot.press("F")
-        await pilot.pause()
-        await _type(pilot, "")
-        assert [c.name for c in scope.channels] == ["r1", "q1", "e1"], "an empty line takes away"
-        await pilot.press("W")
-        await pilot.pause()
-        await pilot.press("down", "enter")
-        await until(pilot, lambda: (scope.channels, scope.settings) == saved, "as it was saved")
-        assert await pilot.click(scope, offset=(2, 3))
-        await pilot.pause()
-        assert isinstance(lab.screen, Form), "a click on the axis asks for its scale"
-
-
 @pytest.mark.covers("console.record", "console.simulate", "console.diagnose")
 async def test_record_then_open_simulation_and_diagnosis(
     lab: ZendspApp, target: Target, built: Step, until: Until, folder: Path
@@ -537,7 +350,7 @@ async def test_record_then_open_simulation_and_diagnosis(
         await until(pilot, lambda: lab.session.snapshot.state == "running", "running")
         await pilot.press("r")
         await pilot.pause()
-        await _type(pilot, "1.5")
+        await type_first(pilot, "1.5")
         await until(pilot, lambda: list_runs(folder / "runs"), "the run is kept")
         run = list_runs(folder / "runs")[0]
         recording = run.recording()
@@ -545,7 +358,7 @@ async def test_record_then_open_simulation_and_diagnosis(
         (folder / "arm.toml").write_text('name = "arm"\n')
         await pilot.press("S")
         await pilot.pause()
-        await _type(pilot, str(folder / "arm.toml"))
+        await type_first(pilot, str(folder / "arm.toml"))
         view = lab.screen
         assert isinstance(view, ProcessView)
         await until(

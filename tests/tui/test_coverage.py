@@ -12,6 +12,7 @@ def test_every_action_is_carried_out_by_some_test(request: pytest.FixtureRequest
     modules = {item.nodeid.split("::")[0].rsplit("/", 1)[-1] for item in items}
     needed = {
         "test_console.py",
+        "test_console_scope.py",
         "test_diagnose_screen.py",
         "test_execute.py",
         "test_execute_measure.py",

@@ -13,10 +13,8 @@ MOST = 7  # parameters
 
 # file:function: why it is longer
 LONG = {
-    "host/zendsp/tui/actions.py:_table": "the table of actions",
     "target/zendsp_target/__main__.py:parser": "the table of options",
     "host/zendsp/proof/scoreboard.py:headline": "the sentences of a page, in their order",
-    "host/zendsp/proof/page.py:proof_page": "the parts of a page, in their order",
     "host/zendsp/proof/rivals.py:rivals": "a table of rivals and what each is given",
     "host/zendsp/experiment/imi_fit.py:_draw": "the panels of a figure, in their order",
     "host/zendsp/reference/kinds/swing.py:_collocate": "one optimal control problem, stated whole",
@@ -31,7 +29,7 @@ PLANNED = "the fields of its form, one keyword each"
 TOLD = {
     "host/zendsp/reference/kinds/": PLANNED,
     "host/zendsp/physics/simulate_run.py:simulate": PUBLIC,
-    "host/zendsp/physics/simulate_run.py:simulate_loop": PUBLIC,
+    "host/zendsp/physics/simulate_control.py:simulate_loop": PUBLIC,
     "host/zendsp/physics/loop.py:simulate_joint_loop": PUBLIC,
     "host/zendsp/physics/fit.py:fit": PUBLIC,
     "host/zendsp/link/acquire.py:acquire": PUBLIC,

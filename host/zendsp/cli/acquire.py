@@ -65,7 +65,7 @@ def command(
     connect: str | None,
     as_json: bool,
 ) -> None:
-    """Record CHANNELS (variables, elements, built-in signals) and save them with all circumstances.
+    """Record CHANNELS (variables, elements, built-in signals) and save them with their metadata.
 
     Exit status 1 where the program stopped or crashed before the end, 130 after Ctrl-C; what was
     recorded until then is saved all the same. Where it cannot be written there, it is written to

@@ -12,16 +12,16 @@ import numpy as np
 
 from zendsp.physics.bodies import body_terms
 from zendsp.physics.codegen import compensation, model_code
-from zendsp.physics.codegen_terms import compensable, kernel_terms, why_not
+from zendsp.physics.codegen_terms import compensable, why_not
 from zendsp.physics.effects import library
 from zendsp.physics.joint import own_terms
 from zendsp.physics.model import TREES, Model, Quantity, Term
 from zendsp.physics.model_torque import inverse_dynamics
 from zendsp.physics.simulate_plant import tree_of
+from zendsp.physics.term_numbers import kernel_model
 from zendsp.reference import Reference
 
 BEARS = 0.2  # of the largest error that a body makes
-LAWS = range(4)  # of a coupling
 # Numbers that give an effect its shape, not its size: 1 is harmless for all of them, while 0 would
 # divide by zero.
 SHAPES = ("speed", "position", "order", "number", "time")
@@ -51,16 +51,16 @@ def slots(joints: int) -> tuple[Term, ...]:
     for joint in range(1, joints + 1):
         for effect in library().values():
             zero = {p.name: Quantity(1.0 if p.size in SHAPES else 0.0) for p in effect.parameters}
-            if effect.name == "coupling":
+            if effect.coupled:
                 others = [other for other in (1, 2) if joints == 2 and other != joint]
                 made += [
                     Term(
-                        "coupling",
+                        effect.name,
                         joint,
                         {**zero, "from_joint": Quantity(float(other)), "law": Quantity(float(law))},
                     )
                     for other in others
-                    for law in LAWS
+                    for law in range(len(effect.across))
                 ]
             elif effect.name not in BLOCKS and compensable(Term(effect.name, joint, zero)):
                 made.append(Term(effect.name, joint, zero))
@@ -137,7 +137,7 @@ def plan_update(given: Model, improved: Model, variables: Collection[str]) -> Up
     room = _labelled(slots(given.joints), "comp")
     for label in had:
         values |= {f"{label}_{name}": 0.0 for name in SIZES if f"{label}_{name}" in variables}
-    for label, term in _labelled(own_terms(kernel_terms(improved)), "model").items():
+    for label, term in _labelled(own_terms(kernel_model(improved).terms), "model").items():
         place = label if label in had else _slot(room, term)
         if place is None:
             left_out.append(

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from zendsp.diagnosis import Diagnosis, Finding
 from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model
+from zendsp.physics.term_numbers import summed
 from zendsp.recording import Recording
 from zendsp.reference import Machine
 
@@ -24,10 +25,6 @@ HIDDEN = 0.02  # of its travel: a joint that differs by less agrees with its sim
 SURE = 0.9  # confidence at which a wrong claim is no longer a doubt
 PART = 0.05  # of the mismatch: what a wrong claim may explain at most
 LEAST_FALL = 0.9  # of the error before: what counts as fallen
-# Effects that are of the same kind as a term of the given model: the machine has the sum of what it
-# had and what it conceals, and only the sum can be found. Effect: the term, and the parameter of it
-# that adds.
-ADDED = {"viscous_asymmetry": ("viscous", "coefficient"), "coulomb_asymmetry": ("coulomb", "level")}
 
 
 def rms(values: Array) -> Array:
@@ -251,5 +248,5 @@ def judge(diagnosis: Diagnosis, effects: Sequence[Mapping[str, Any]]) -> Judged:
 
 def _added(model: Model, finding: Finding) -> float:
     """What a model has itself of that to which a finding adds."""
-    term, parameter = ADDED.get(finding.effect, ("", ""))
-    return sum(t.value(parameter) for t in model.at(finding.joint) if t.effect == term)
+    symmetric = get_effect(finding.effect).symmetric
+    return summed(model, finding.joint, symmetric) if symmetric else 0.0

@@ -28,7 +28,6 @@ from zendsp.diagnosis.decide.decide import decide
 from zendsp.diagnosis.decide.decide_bodies import BodyClaim, decide_bodies, rejected_bodies, settled
 from zendsp.diagnosis.decide.detectable import detectable
 from zendsp.diagnosis.decide.fast_ripple import FineRipple, fine_ripples, fixed
-from zendsp.diagnosis.decide.findings import file_model, kernel_model
 from zendsp.diagnosis.decide.naming import left_over, name_findings
 from zendsp.diagnosis.decide.propose import propose
 from zendsp.diagnosis.decide.remember import remembered
@@ -50,6 +49,7 @@ from zendsp.errors import RecordingError
 from zendsp.physics.fit import Data
 from zendsp.physics.model import CALLED, Model
 from zendsp.physics.model_file import load_model, parse_model
+from zendsp.physics.term_numbers import file_model, kernel_model
 from zendsp.recording import Recording, Table
 
 Source = str | Path | Recording | Table

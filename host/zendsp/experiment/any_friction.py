@@ -32,6 +32,7 @@ SPEED = 0.4  # of the largest speed
 SPREAD = 6.0  # fastest over slowest speed: slower ones are those of Stribeck and bristles
 CRUISE = 0.6  # s, at the fastest
 REST = 0.3  # s, after each move
+NO_CHANCE = 0.99  # of the F distribution: what chance explains once in a hundred
 
 
 def friction(lab: Lab, speeds: int = 6, joints: tuple[int, ...] = ()) -> Result:
@@ -110,7 +111,7 @@ def _weighs(sliding: Sliding, found: Friction) -> bool:
     plain = fit_friction(sliding, False, unknown=True)
     free = len(np.unique(sliding.part)) - 7
     without, within = plain.squares, found.squares
-    return free > 0 and bool((without - within) / 2 > fdtri(2, free, 0.99) * within / free)
+    return free > 0 and bool((without - within) / 2 > fdtri(2, free, NO_CHANCE) * within / free)
 
 
 def _report(result: Result, joint: int, unit: str, found: Friction) -> None:

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 INK, GREY = "#1a1a1a", "#8a8a8a"
-BLUE, RED, GREEN, AMBER, VIOLET = "#1f5fa8", "#c23b22", "#2f7d4f", "#c98a1b", "#6b4fa0"
+BLUE, RED, GREEN, AMBER = "#1f5fa8", "#c23b22", "#2f7d4f", "#c98a1b"
 
 
 def make_figure(

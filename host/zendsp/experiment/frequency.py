@@ -34,6 +34,7 @@ Floats = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
 KEPT = "frequency_response"  # where a recording carries it
 SURE = 0.9  # coherence below which a line is shown, and not believed
+REACH = 0.4  # of the sample rate: a line above is too near to half of it
 
 
 @dataclass(frozen=True, repr=False)
@@ -327,10 +328,10 @@ def choose_lines(samples: int, ratio: float, most: int, rate: float) -> npt.NDAr
         raise AcquisitionError(
             "the band is empty: f_min below f_max, both above 0, and at least two lines"
         )
-    if ratio >= 0.4 * samples:
+    if ratio >= REACH * samples:
         raise AcquisitionError(
             f"f_max reaches {ratio * rate / samples:g} Hz; at {rate:g} Hz at most"
-            f" {0.4 * rate:g} Hz"
+            f" {REACH * rate:g} Hz"
         )
     spaced = np.geomspace(1.0, math.floor(ratio + 1e-9), most)
     return np.unique(np.rint(spaced).astype(np.int64))

@@ -19,6 +19,7 @@ Array = npt.NDArray[np.float64]
 
 SPLITS = np.arange(0.15, 0.81, 0.05)  # rad/s
 SLOWEST = 0.03  # rad/s: below it the smoothing mixes both directions
+PEAK = 0.95  # of the largest speed: faster is where the acceleration jumps
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,7 @@ def fit(lab: Lab) -> Result:
             v, f = stored["speed"], stored["friction"]
             # at the peaks the acceleration jumps, which the smoothing smears: they are left out
             sliding = (
-                (np.abs(v) > SLOWEST) & (np.abs(v) < 0.95 * np.abs(v).max()) & stored["slowing"]
+                (np.abs(v) > SLOWEST) & (np.abs(v) < PEAK * np.abs(v).max()) & stored["slowing"]
             )
         fast = np.array(
             [

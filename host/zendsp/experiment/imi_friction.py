@@ -32,6 +32,7 @@ CUTOFF = 25.0  # Hz, of the speed: what holds one joint must not shake the other
 AWAY = 0.02  # rad/s: a joint that is faster has broken away
 REACH = 1.5  # rad, of start positions
 VISCOUS = {1: 5.3, 2: 1.1}  # N m s/rad, of the arm's published model
+NEAR = 0.02  # rad/s: speeds of the curve that one row of its table is the mean of
 P1, P2, P3 = 3.473, 0.196, 0.242  # kg m^2, of the arm's published model
 DELAY = 1  # samples from a command to its effect
 
@@ -117,8 +118,8 @@ def _break_away(
     slow = _push(bench, word, joint, direction, position, STEP[joint], HOLD)
     torque = breakaway_torque(slow, joint)
     fast = _push(bench, f"{word}_fast", joint, direction, position, FAST[joint], FAST_HOLD)
-    pushed = _pushed(fast, joint, 31)
-    wide, narrow = (_stiffness(pushed, joint, torque, part) for part in (0.7, 0.3))
+    pushed = pushed_way(fast, joint, 31)
+    wide, narrow = (bristle_stiffness(pushed, joint, torque, part) for part in (0.7, 0.3))
     return torque, wide, 0.5 * (wide - narrow)
 
 
@@ -151,7 +152,7 @@ def _push(
     )
 
 
-def _pushed(rec: Recording, joint: int, window: int) -> tuple[Array, Array, Array]:
+def pushed_way(rec: Recording, joint: int, window: int) -> tuple[Array, Array, Array]:
     """Way, speed and friction torque of a pushed joint, smoothed by a local parabola, its sign
     taken off: friction is the torque less what accelerates the joint.
     """
@@ -182,7 +183,7 @@ def breakaway_torque(rec: Recording, joint: int, window: int = 101) -> float:
     """
     if len(np.flatnonzero(rec["phase"] == 2)) < 2 * window:
         raise RecordingError(f"joint {joint} was pushed for less than {2 * window} samples")
-    _, speed, friction = _pushed(rec, joint, window)
+    _, speed, friction = pushed_way(rec, joint, window)
     edge = window // 2
     held = (friction - VISCOUS[joint] * speed)[edge:-edge]
     most = int(np.argmax(held))
@@ -194,19 +195,15 @@ def breakaway_torque(rec: Recording, joint: int, window: int = 101) -> float:
     return float(held[most])
 
 
-def bristle_stiffness(rec: Recording, joint: int, level: float, part: float = 0.7) -> float:
+def bristle_stiffness(
+    pushed: tuple[Array, Array, Array], joint: int, level: float, part: float = 0.7
+) -> float:
     """Stiffness of the spring that friction is before it slides, N m/rad, from a fast push.
 
     friction = level (1 - exp(-stiffness way / level)) + damping speed (Dahl 1968), for the first
     ``part`` of the breakaway torque. A slow push measures creep instead: what shakes the joint, the
     noise of its drive, lets a bristle slip.
     """
-    return _stiffness(_pushed(rec, joint, 31), joint, level, part)
-
-
-def _stiffness(
-    pushed: tuple[Array, Array, Array], joint: int, level: float, part: float
-) -> float:
     from scipy.optimize import least_squares
 
     way, speed, friction = pushed
@@ -364,7 +361,7 @@ def low_speed(lab: Lab, cycles: int = 6, rise: float = 1.0) -> Result:
         rows = []
         for joint, (v, f, slowing) in curves.items():
             for at in (-0.9, -0.5, -0.2, -0.1, 0.1, 0.2, 0.5, 0.9):
-                near = (np.abs(v - at) < 0.02) & slowing
+                near = (np.abs(v - at) < NEAR) & slowing
                 rows.append(
                     {
                         "joint": joint,

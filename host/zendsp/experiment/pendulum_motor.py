@@ -20,11 +20,11 @@ from zendsp.recording import Recording
 Array = npt.NDArray[np.float64]
 
 MACHINE = "pendulum"
-COUNT = 2 * np.pi / 4096  # rad
 PARAMETERS = ("theta1", "theta2", "theta3", "viscous")
 UNITS = {"theta1": "kg m^2", "theta2": "kg m", "theta3": "N m", "viscous": "N m s/rad"}
 G = 9.81
 EARLY = 1.0  # s
+DRAWN = 60.0  # rad: a simulation that is further away has left the figure
 
 
 def electrical(
@@ -155,7 +155,7 @@ def mechanical(lab: Lab, seconds: float = 6.0, brake: float = 0.08) -> Result:
         extended = fit_parameters(train, np.full(4, 1e-3))
         paper = fit_parameters(_first(train, EARLY), extended[0][:3])
         for theta, std, names in ((*paper[:2], PARAMETERS[:3]), (*extended[:2], PARAMETERS)):
-            tail = "" if len(names) == 4 else "_paper"
+            tail = "" if names == PARAMETERS else "_paper"
             for name, value, s in zip(names, theta, std, strict=True):
                 result.values[f"{name}{tail}"] = Estimate(float(value), float(s), UNITS[name])
         for rec, where in ((train, "fitted"), (test, "held_out")):
@@ -199,7 +199,7 @@ def _mechanical_figure(train: Recording, test: Recording, paper: Array, extended
         three = simulated(paper, rec)
         top.plot(
             rec.t,
-            np.where(np.abs(three - rec["q"]) < 60, three, np.nan),
+            np.where(np.abs(three - rec["q"]) < DRAWN, three, np.nan),
             "--",
             color=RED,
             linewidth=1.0,

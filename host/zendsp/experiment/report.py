@@ -17,6 +17,8 @@ from zendsp.experiment.truth import TRUTH
 
 Rows = Sequence[Sequence[str]]
 WIDTH = 100  # columns of the page's prose
+FALLEN = 0.8  # of the error of the fastest circle: slower ones above do not show it falling
+REACHED = 0.1  # rad at the end: nearer than that is at the goal
 
 
 def write_report(folder: Path, path: Path) -> Path:
@@ -235,7 +237,7 @@ def _judge_circle(r: Result) -> str:
     least, published = min(improved), min(both("published_improvement"))
     differs = max(both("simulation_differs_without"))
     slow = [row["rms joint 1 rad"] for row in r.tables["slower circles, compensated"]]
-    falls = "no longer falls" if min(slow[1:]) >= 0.8 * slow[0] else "still falls"
+    falls = "no longer falls" if min(slow[1:]) >= FALLEN * slow[0] else "still falls"
     return (
         f"Without compensation {agree} the paper's order of magnitude, and the simulation is within"
         f" {differs:.0f} % of the machine. Compensation with the measured curves takes {least:.0f}"
@@ -308,10 +310,10 @@ def _swing(r: Result) -> str:
     )
     error = {n: v[f"{n}_final_error"].value for n in ("open_loop", "closed_loop", "feedback_level")}
     swings = v["feedback_level_torque_activity"].value > 2 * v["closed_loop_torque_activity"].value
-    reached = [n.replace("_", " ") for n, e in error.items() if e < 0.1]
+    reached = [n.replace("_", " ") for n, e in error.items() if e < REACHED]
     return text + (
-        f"\nThe goal is reached within 0.1 rad by: {', '.join(reached) or 'none'} (the paper: with"
-        " friction in the model even in open loop). Compensation at the feedback level"
+        f"\nThe goal is reached within {REACHED:g} rad by: {', '.join(reached) or 'none'} (the"
+        " paper: with friction in the model even in open loop). Compensation at the feedback level"
         f" {'makes' if swings else 'does not make'} the torque swing more than twice as much as a"
         " closed loop does (the paper: it oscillates).\n"
     )

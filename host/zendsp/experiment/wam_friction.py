@@ -28,6 +28,9 @@ NARROW_JOINTS = (2, 4)
 POSE = (0.0, 0.4, 0.0, 1.5, -1.5, 0.0, 0.0)  # rad, where the other joints stay
 TRAVEL = 0.75  # rad: far enough to tell a weight that the model lacks from friction
 DECIMATION = 4
+STEADY, MOVING = 1e-6, 1e-3  # rad/s², rad/s, of a plan: its parts at constant speed
+SHORTEST = 20  # rows of such a part: ten pieces of two
+WEIGHS = 1e-3  # N m, of what the program compensates: with less the joint bears no weight
 CHANNELS = ("play_time", "q", "tau", "g")
 # Coulomb N m and viscous N m s/rad, positive and negative direction, of the seven-joint paper
 PAPER = {
@@ -140,15 +143,15 @@ def constant_speed_pieces(
     # where the program compensates no weight, all of it is found beside friction
     g = rec["g"][rows][:, joint - 1] if gravity else np.zeros_like(tau)
     wanted = reference.qd[:: rec.decimation, joint - 1][: len(q)]
-    steady = (np.abs(reference.qdd[:: rec.decimation, joint - 1][: len(q)]) < 1e-6) & (
-        np.abs(wanted) > 1e-3
+    steady = (np.abs(reference.qdd[:: rec.decimation, joint - 1][: len(q)]) < STEADY) & (
+        np.abs(wanted) > MOVING
     )
     qdd = savgol_filter(q, 41, 2, 2, rec.sample_time)
     edges = np.flatnonzero(np.diff(np.r_[0, steady.astype(int), 0]))
     pieces = []
     for part, (first, last) in enumerate(zip(edges[::2], edges[1::2], strict=True)):
         first += round(0.3 * (last - first))
-        if last - first < 20:
+        if last - first < SHORTEST:
             continue
         speed = (q[last - 1] - q[first]) / ((last - 1 - first) * rec.sample_time)
         for piece in np.array_split(np.arange(first, last), 10):
@@ -202,7 +205,7 @@ def fit_friction(sliding: Sliding, weighs: bool, unknown: bool = False) -> Frict
 def _fit_joint(result: Result, joint: int, sliding: Sliding) -> Array:
     """Put a joint's friction into the result; the points of its curve."""
     row: dict[str, Any] = {"joint": joint}
-    fitted = fit_friction(sliding, weighs=bool(np.abs(sliding.gravity).max() > 1e-3))
+    fitted = fit_friction(sliding, weighs=bool(np.abs(sliding.gravity).max() > WEIGHS))
     found, points = fitted.value, sliding.points(fitted.free)
     result.values[f"gravity{joint}_lacking"] = Estimate(
         float(np.abs(fitted.lacking).max()), 0.0, "N m"

@@ -19,7 +19,7 @@ _LAZY = {
     "load_effects": "zendsp.physics.effects",
     "Plant": "zendsp.physics.simulate_plant",
     "simulate": "zendsp.physics.simulate_run",
-    "simulate_loop": "zendsp.physics.simulate_run",
+    "simulate_loop": "zendsp.physics.simulate_control",
     "compensation": "zendsp.physics.codegen",
     "model_code": "zendsp.physics.codegen",
     "inverse_dynamics": "zendsp.physics.model_torque",
@@ -36,9 +36,9 @@ if TYPE_CHECKING:
     from zendsp.physics.model_file import parse_model as parse_model
     from zendsp.physics.model_torque import inverse_dynamics as inverse_dynamics
     from zendsp.physics.model_write import model_text as model_text
+    from zendsp.physics.simulate_control import simulate_loop as simulate_loop
     from zendsp.physics.simulate_plant import Plant as Plant
     from zendsp.physics.simulate_run import simulate as simulate
-    from zendsp.physics.simulate_run import simulate_loop as simulate_loop
 
 __all__ = sorted(_LAZY)
 

@@ -12,11 +12,11 @@ from zendsp.physics.codegen_terms import (
     Variable,
     compensable,
     declare,
-    kernel_terms,
     lines,
     why_not,
 )
 from zendsp.physics.model import Actuator, Model, Term
+from zendsp.physics.term_numbers import kernel_model
 
 # rad/s or m/s: measured speed is never exactly zero, a hard sign would chatter about it
 SIGN_SPEED = 0.02
@@ -155,7 +155,7 @@ def _compensating(
         actuator = actuator or model.actuator
     others = tuple(t for t in whole.terms if not any(t is chosen for chosen in terms))
     return lines(
-        kernel_terms(whole.with_terms((*terms, *others)))[: len(terms)],
+        kernel_model(whole.with_terms((*terms, *others))).terms[: len(terms)],
         "comp",
         kinds=kinds,
         actuator=actuator,
@@ -283,7 +283,7 @@ def model_code(model: Model, *, sign_speed: float = SIGN_SPEED) -> str:
     n = joint_count(model)
     kinds = [model.joint_kind(j + 1) for j in range(n)]
     numbers, rigid, arrays, note = rigid_code(model)
-    made = lines(kernel_terms(model), "model", kinds=kinds, actuator=model.actuator)
+    made = lines(kernel_model(model).terms, "model", kinds=kinds, actuator=model.actuator)
     numbers += [
         Variable(
             "model_sign_speed",

@@ -10,16 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from zendsp.physics.effects import get_effect, unit_of
-from zendsp.physics.model import Actuator, Model, Term, per_joint
+from zendsp.physics.model import Actuator, Term, per_joint
 
-# The law of a coupling is part of the structure, not a number to be tuned: 0 inertia, 1 coriolis, 2
-# viscous, 3 coulomb.
-_COUPLING = (
-    "p[2] * acc[{other}]",
-    "p[2] * vel[{other}] * vel[{other}]",
-    "p[2] * vel[{other}]",
-    "p[2] * tanh((vel[{joint}] + vel[{other}]) / p[3])",
-)
 # In C the arguments have names of their own: programs have globals q, qd, tau.
 _NAMES = {"q": "pos[{}]", "qd": "vel[{}]", "qdd": "acc[{}]", "tau": "torque"}
 
@@ -47,26 +39,6 @@ class Line:
     inverse: bool
     variables: tuple[Variable, ...]
     comment: str
-
-
-def kernel_terms(model: Model) -> tuple[Term, ...]:
-    """Terms with Stribeck as the excess over the Coulomb level, which is how the effects' C
-    functions take it.
-    """
-    from dataclasses import replace
-
-    out = []
-    for term in model.terms:
-        if term.effect == "stribeck":
-            level = sum(t.value("level") for t in model.at(term.joint) if t.effect == "coulomb")
-            old = term.parameters["breakaway"]
-            term = Term(
-                term.effect,
-                term.joint,
-                {**term.parameters, "breakaway": replace(old, value=old.value - level)},
-            )
-        out.append(term)
-    return tuple(out)
 
 
 def why_not(effect: str) -> str:
@@ -98,7 +70,7 @@ def compensable(term: Term) -> bool:
     bool
     """
     effect = get_effect(term.effect)
-    return bool(effect.inverse or effect.compensable) or term.effect == "coupling"
+    return bool(effect.inverse or effect.compensable or effect.across)
 
 
 def number(value: float) -> str:
@@ -166,8 +138,8 @@ def _line(term: Term, label: str, prefix: str, kinds: Sequence[str], actuator: A
     inverse = bool(effect.inverse)
     if inverse:
         body = re.sub(r"\bgain\b", number(gain), effect.inverse)
-    elif term.effect == "coupling":
-        body = _COUPLING[int(term.value("law"))].format(
+    elif effect.across:  # the law is part of the structure, not a number to be tuned
+        body = effect.across[int(term.value("law"))].format(
             other=int(term.value("from_joint")) - 1, joint=j
         )
     else:
@@ -184,9 +156,7 @@ def _line(term: Term, label: str, prefix: str, kinds: Sequence[str], actuator: A
         body = body.replace(f"p[{k}]", name)
         unit = unit_of(parameter.size, kind, actuator.unit).replace("²", "^2").replace("³", "^3")
         value = term.value(parameter.name, parameter.default or 0.0)
-        over = (
-            " over Coulomb" if term.effect == "stribeck" and parameter.name == "breakaway" else ""
-        )
+        over = f" over {parameter.above.capitalize()}" if parameter.above else ""
         variables.append(
             Variable(
                 name,

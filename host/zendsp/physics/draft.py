@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,9 +12,19 @@ import numpy.typing as npt
 from scipy.signal import savgol_filter
 
 from zendsp.errors import RecordingError
+from zendsp.physics.draft_data import (
+    PREFERRED,
+    WHOLE,
+    Group,
+    best_group,
+    finite,
+    groups_of,
+    is_behind,
+    like_degrees,
+)
 from zendsp.physics.signals import find_resolution
 from zendsp.recording import Table
-from zendsp.recording.roles import Role, role_of
+from zendsp.recording.roles import Role
 
 Array = npt.NDArray[np.float64]
 
@@ -24,26 +33,6 @@ EXPLAINS = 0.3  # share of the command's variance: below that no first idea is g
 MATTERS = 0.02  # share that gravity must add
 ROUGH = 0.15  # relative standard deviation of a first idea: what is missing bends it
 SATURATED = 20  # samples at the largest command: it was cut off there
-WHOLE = 0.02  # of a count: so near to a whole number of counts a turn is one
-LOAD = ("load", "link", "output", "arm")  # words of a position behind a spring
-# of several columns that could be the command
-PREFERRED = ("tau", "torque", "effort", "force", "u")
-
-
-@dataclass(frozen=True)
-class Group:
-    """Columns that belong together, one a joint, or one array of all joints."""
-
-    names: tuple[str, ...]
-    values: Array  # (n, joints)
-    unit: str
-
-    @property
-    def spec(self) -> str:
-        """As ``[columns]`` has it."""
-        return json.dumps(
-            self.names[0] if len(self.names) == 1 else list(self.names), ensure_ascii=False
-        )
 
 
 @dataclass(frozen=True)
@@ -95,15 +84,15 @@ def draft_model(table: Table, name: str = "") -> Draft:
     RecordingError
         No column looks like a position.
     """
-    groups = _groups(table)
-    position = _best(groups, Role.POSITION)
+    groups = groups_of(table)
+    position = best_group(groups, Role.POSITION)
     if position is None:
         raise RecordingError(
             f"{table.path}: no column looks like a position; it has {', '.join(table.columns)}. "
             "Name one q, position or theta, or give its unit: 'x1 [rad]'"
         )
     joints = position.values.shape[1]
-    command = _best(groups, Role.COMMAND, joints) or _best(groups, Role.CURRENT, joints)
+    command = best_group(groups, Role.COMMAND, joints) or best_group(groups, Role.CURRENT, joints)
     page = _Page()
     page.line(
         comment=(
@@ -127,7 +116,7 @@ def draft_model(table: Table, name: str = "") -> Draft:
         "name ="
         f" {json.dumps(name or table.path.name.partition('.')[0] or 'machine', ensure_ascii=False)}"
     )
-    clock = _best(groups, Role.TIME)
+    clock = best_group(groups, Role.TIME)
     step = _sample_time(page, clock, table.path.name)
     page.line()
     linear = position.unit == "m"
@@ -145,57 +134,6 @@ def draft_model(table: Table, name: str = "") -> Draft:
         page.line(comment=text)
     _columns(page, table, groups, clock, position, command, joints)
     return Draft("\n".join(page.lines) + "\n", joints, tuple(page.questions))
-
-
-def _groups(table: Table) -> dict[Role, list[Group]]:
-    found: dict[tuple[Role, str], list[str]] = {}
-    for name, values in table.columns.items():
-        if np.isfinite(values).any():
-            found.setdefault(
-                (role_of(name, table.units.get(name, "")), _stem(name, values)), []
-            ).append(name)
-    groups: dict[Role, list[Group]] = {}
-    for (role, _), names in found.items():
-        values = np.column_stack([table.columns[n] for n in names])
-        groups.setdefault(role, []).append(
-            Group(tuple(names), values, table.units.get(names[0], ""))
-        )
-    return groups
-
-
-def _stem(name: str, values: Array) -> str:
-    """What the columns of one quantity share: ``q1``, ``q2``; ``joint_states.elbow.effort``,
-    ``joint_states.wrist.effort``.
-    """
-    if values.ndim == 2:
-        return name
-    parts = name.split(".")
-    plain = f"{parts[0]}.{parts[-1]}" if len(parts) > 2 else name
-    return re.sub(r"\d+", "", plain)
-
-
-def _best(groups: dict[Role, list[Group]], role: Role, joints: int = 0) -> Group | None:
-    """The group that most probably has this role; with ``joints``, only one that has a column for
-    each.
-    """
-    some = [g for g in groups.get(role, []) if not joints or g.values.shape[1] == joints]
-    if role is Role.POSITION:
-        some = [g for g in some if not _behind(g)] or some
-        return max(some, key=lambda g: g.values.shape[1], default=None)
-    rank = {word: k for k, word in enumerate(PREFERRED)}
-
-    def unlikely(group: Group) -> tuple[int, int]:
-        words = re.findall(r"[a-z]+", group.names[0].lower())
-        return (
-            group.unit not in ("N m", "Nm", "N"),
-            min((rank.get(w, 9) for w in words), default=9),
-        )
-
-    return min(some, key=unlikely, default=None)
-
-
-def _behind(group: Group) -> bool:
-    return bool({*LOAD} & set(re.findall(r"[a-z]+", group.names[0].lower())))
 
 
 def _sample_time(page: _Page, clock: Group | None, file: str) -> float:
@@ -230,23 +168,6 @@ def _sample_time(page: _Page, clock: Group | None, file: str) -> float:
             + gaps,
         )
     return shown
-
-
-def _like_degrees(position: Group) -> bool:
-    """Whether one turn is a whole number of steps where it has 360 units, and none where it has
-    2 pi.
-    """
-
-    def whole(turn: float) -> bool:
-        return abs(turn - round(turn)) < WHOLE * max(1.0, turn / 1e4)
-
-    steps = [find_resolution(_finite(column)) for column in position.values.T]
-    return all(s and whole(360.0 / s) and not whole(2 * np.pi / s) for s in steps)
-
-
-def _finite(column: Array) -> Array:
-    kept: Array = column[np.isfinite(column)]
-    return kept
 
 
 def _mechanism(
@@ -287,7 +208,7 @@ def _unit_asked(position: Group) -> str:
     name = position.names[0]
     if position.unit in ("rad", "m"):
         return ""
-    if _like_degrees(position):
+    if like_degrees(position):
         return (
             f"{name} has no known unit and looks like degrees: write '{name} [deg]' in its head,"
             " and begin anew"
@@ -420,7 +341,7 @@ def _actuator(page: _Page, command: Group | None, step: float, joints: int) -> N
 def _sensor(page: _Page, position: Group, linear: bool) -> None:
     page.line()
     page.line("[sensor]")
-    steps = [find_resolution(_finite(column)) for column in position.values.T]
+    steps = [find_resolution(finite(column)) for column in position.values.T]
     unit = "m" if linear else "rad"
     if all(steps):
         said = f"{unit} per count, as the numbers are spaced"
@@ -466,13 +387,13 @@ def _columns(
         Role.TEMPERATURE,
         Role.TORQUE_MEASURED,
     ):
-        group = _best(groups, role, joints)
+        group = best_group(groups, role, joints)
         if group is not None and group is not command:
             chosen[role.value] = group
     behind = [
         g
         for g in groups.get(Role.POSITION, [])
-        if g is not position and g.values.shape[1] == joints and _behind(g)
+        if g is not position and g.values.shape[1] == joints and is_behind(g)
     ]
     if behind:
         chosen["position_load"] = behind[0]

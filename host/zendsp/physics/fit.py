@@ -172,7 +172,7 @@ def bounds_and_steps(
             record = max((rec[term.joint - 1] for rec in data.records), key=lambda r: r.n)
             s = record.scale.of(parameter.size)
             lower, upper = parameter_bounds(term.effect, h.key, record)
-            if term.effect == "inertia":
+            if get_effect(term.effect).same_as:
                 lower, upper = data.ranges.get(f"inertia {term.joint}", (lower, upper))
             low.append(lower)
             high.append(upper)

@@ -16,6 +16,7 @@ from zendsp.physics.model import Model, Term, per_joint
 from zendsp.physics.native import native
 from zendsp.physics.rigid import Basis
 from zendsp.physics.signals import Measurement, Motion, means, thin_measurement
+from zendsp.physics.term_numbers import added_inertia
 
 Array = npt.NDArray[np.float64]
 
@@ -241,8 +242,7 @@ def effective_inertia(record: JointRecord, model: Model) -> Array:
     payloads), (n,).
     """
     inertia, _ = record.inertia_and_bias(model)
-    extra = sum(t.value("amount") for t in model.at(record.joint) if t.effect == "inertia")
-    out: Array = np.maximum(inertia + extra, 0.05 * inertia)
+    out: Array = np.maximum(inertia + added_inertia(model, record.joint), 0.05 * inertia)
     return out
 
 

@@ -65,7 +65,6 @@ KEYS = {  # of each table, whether this version uses the value or only knows it
 NEEDED = {"urdf": "file", "mjcf": "file", "fmu": "file", "python": "entry"}
 TAKE = ("all", "bodies", "servos")  # of an MJCF
 QUANTITY = ("value", "free", "unit", "std")
-LAWS = ("inertia", "coriolis", "viscous", "coulomb")
 
 
 class _Reader:
@@ -353,10 +352,10 @@ def _term(read: _Reader, data: Any, joints: int) -> Term:
     values: dict[str, Quantity] = {}
     for parameter in effect.parameters:
         raw = data.get(parameter.name)
-        if parameter.name == "law" and isinstance(raw, str):
-            if raw not in LAWS:
-                raise read.fail(f"{where} law", " | ".join(LAWS), raw)
-            raw = {"value": LAWS.index(raw), "free": False}
+        if parameter.choices and isinstance(raw, str):
+            if raw not in parameter.choices:
+                raise read.fail(f"{where} {parameter.name}", " | ".join(parameter.choices), raw)
+            raw = {"value": parameter.choices.index(raw), "free": False}
         if raw is None:
             if parameter.default is None:
                 raise ModelError(f"{read.path}: {where} lacks {parameter.name!r}")

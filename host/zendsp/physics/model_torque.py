@@ -12,11 +12,12 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.physics.codegen import sign_function
-from zendsp.physics.codegen_terms import Line, kernel_terms, lines
+from zendsp.physics.codegen_terms import Line, lines
 from zendsp.physics.model import Model, per_joint
 from zendsp.physics.native import build
 from zendsp.physics.simulate_native import simulator_library
 from zendsp.physics.simulate_plant import joint_count, tree_of, with_bodies
+from zendsp.physics.term_numbers import kernel_model
 
 Array = npt.NDArray[np.float64]
 
@@ -69,7 +70,7 @@ def _add_effects(
     """Add what the effects take, by the expressions that the ISR gets."""
     made = [
         line
-        for line in lines(kernel_terms(model), "model")
+        for line in lines(kernel_model(model).terms, "model")
         # one that acts on a torque is none of the motion
         if not line.inverse and not re.search(r"\btorque\b", line.expression)
     ]

@@ -8,7 +8,7 @@ from typing import Any
 import tomli_w
 
 from zendsp.physics.model import Model, Quantity, Term
-from zendsp.physics.model_file import LAWS
+from zendsp.physics.term_numbers import chosen
 
 
 def _number(value: float) -> float:
@@ -85,13 +85,9 @@ def _mechanism_table(model: Model, beside: bool) -> dict[str, Any]:
 
 def _term_table(term: Term) -> dict[str, Any]:
     row: dict[str, Any] = {"kind": term.effect, "joint": term.joint}
+    plain = chosen(term)
     for name, quantity in term.parameters.items():
-        if term.effect == "coupling" and name == "law":
-            row[name] = LAWS[int(quantity.value)]
-        elif term.effect == "coupling" and name == "from_joint":
-            row[name] = int(quantity.value)
-        else:
-            row[name] = _quantity((quantity,))
+        row[name] = plain[name] if name in plain else _quantity((quantity,))
     return row
 
 

@@ -20,16 +20,8 @@ from zendsp.errors import ZendspError
 from zendsp.physics.effects import Effect, library
 from zendsp_isr.compiler import find_compiler
 
-FLAGS = (
-    "-O3",
-    "-march=native",
-    "-fno-math-errno",
-    "-fno-trapping-math",
-    "-shared",
-    "-fPIC",
-    "-std=c11",
-    "-fopenmp-simd",
-)
+FAST = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC")
+FLAGS = (*FAST, "-std=c11", "-fopenmp-simd")
 
 CDEF = """
 typedef struct {

@@ -18,7 +18,7 @@ from zendsp.physics.native import LANES, native
 
 Array = npt.NDArray[np.float64]
 
-MAX_EFFECTS, MAX_PARAMETERS = 24, 6
+MAX_PARAMETERS = 6
 _NOTHING = np.zeros(0)
 # what the kernel writes from where a prediction leaves the track: 1000 rad or m off, or at 1e5
 # rad/s or m/s

@@ -10,7 +10,7 @@ import cffi
 
 from zendsp.errors import ZendspError
 from zendsp.physics.effects import Effect, library
-from zendsp.physics.native import build
+from zendsp.physics.native import FAST, build
 
 _HEADERS = ("simulate_tree.h", "simulate_state.h", "simulate_solve.h")
 MAX_JOINTS, MAX_PARAMETERS, TREE_ROW = 8, 6, 28
@@ -37,15 +37,7 @@ _HEADS = {
     "actuator": "(const double *p, const zs *s, double u)",
     "drive": "(const double *p, const zs *s, double tau)",
 }
-_FLAGS = (
-    "-O3",
-    "-march=native",
-    "-fno-math-errno",
-    "-fno-trapping-math",
-    "-shared",
-    "-fPIC",
-    "-std=gnu11",
-)
+_FLAGS = (*FAST, "-std=gnu11")
 
 CDEF = """
 typedef struct {
@@ -140,7 +132,7 @@ def source_text(effects: dict[str, Effect]) -> str:
             f"static inline double fx_{effect.name}{head} {{ {unused}{effect.c} }}"
         )
         if effect.site in _CASES:
-            coupled = effect.name == "coupling"
+            coupled = effect.coupled
             parts["FORCE"].append(
                 _CASES[effect.site].format(i=i, name=effect.name, look=_LOOK if coupled else "")
             )

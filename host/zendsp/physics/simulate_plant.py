@@ -11,7 +11,6 @@ import numpy.typing as npt
 
 from zendsp.errors import ModelError
 from zendsp.physics.bodies import body_terms, changed, turned_gravity
-from zendsp.physics.codegen_terms import kernel_terms
 from zendsp.physics.effects import get_effect
 from zendsp.physics.model import TREES, Model, Quantity, per_joint
 from zendsp.physics.robot import robot_tree
@@ -22,6 +21,7 @@ from zendsp.physics.simulate_native import (
     SimulatorLibrary,
     simulator_library,
 )
+from zendsp.physics.term_numbers import kernel_model
 from zendsp.physics.tree import GRAVITY, Body
 
 Array = npt.NDArray[np.float64]
@@ -268,9 +268,8 @@ class Plant:
 
     def _effects(self, c: Any) -> None:
         bodies = body_terms(self.model)
-        terms = sorted(
-            (t for t in kernel_terms(self.model) if t not in bodies), key=lambda term: term.joint
-        )
+        own = (t for t in kernel_model(self.model).terms if t not in bodies)
+        terms = sorted(own, key=lambda term: term.joint)
         table = np.zeros((max(1, len(terms)), MAX_PARAMETERS))
         kinds, joints = np.zeros(max(1, len(terms)), np.int32), np.zeros(
             max(1, len(terms)), np.int32

@@ -16,7 +16,6 @@ from zendsp.proof.foreign import add_foreign
 
 Rng = np.random.Generator
 # reference shapes in which an effect shows itself; the others draw from the machine's own choice
-NEEDS_REVERSALS = {"presliding", "backlash", "stribeck", "hysteresis", "elasticity"}
 
 
 class Hide(Protocol):

@@ -5,9 +5,20 @@ from __future__ import annotations
 import platform
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
+from textwrap import fill
 
 from zendsp.proof.judge import Judgement
 from zendsp.proof.scoreboard import by_given, by_reality, failures, headline, reliability, table_of
+
+WIDTH = 100  # columns of the page's prose
+JUDGED = (
+    "The mechanism is right when the first finding's mechanism acts on the joint, or the body, that"
+    " it names. A law is right when it is the concealed effect's, on the right joint, when its"
+    " first finding's set of names that it cannot tell apart holds it, or when the recording itself"
+    " cannot tell the two apart (by algebra, or measured by an oracle that sees the true motion)."
+    " Detectable: the best refit of the incomplete model leaves at least 60 of log-likelihood in"
+    " the innovations of a steady observer."
+)
 
 
 def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
@@ -49,38 +60,20 @@ def proof_page(
     lines = [
         "# Proof",
         "",
-        (
+        fill(
             f"Measured on {day} by `{command}` on {platform.machine()}, Python"
-            f" {platform.python_version()}."
+            f" {platform.python_version()}. {len(ours)} cases, simulated by code that shares"
+            " nothing with the diagnosis. The truth was sealed before the first diagnosis ran;"
+            f" SHA-256 of the list of seals: `{stamp}`.",
+            WIDTH,
         ),
-        (
-            f"{len(ours)} cases, simulated by code that shares nothing with the diagnosis. The"
-            " truth was sealed before the first"
-        ),
-        f"diagnosis ran; SHA-256 of the list of seals: `{stamp}`.",
         "",
         "## Scoreboard",
         "",
         *markdown_table(["", "wanted", *parts(ours), *peers], beside(ours, peers)),
-        *[f"- {note}" for note in notes],
+        *[fill(f"- {note}", WIDTH, subsequent_indent="  ") for note in notes],
         "",
-        (
-            "The mechanism is right when the first finding's mechanism acts on the joint, or the"
-            " body, that it names. A law is right"
-        ),
-        (
-            "when it is the concealed effect's, on the right joint, when its first finding's set of"
-            " names"
-        ),
-        (
-            "that it cannot tell apart holds it, or when the recording itself cannot tell the two"
-            " apart (by algebra, or measured by"
-        ),
-        (
-            "an oracle that sees the true motion). Detectable: the best refit of the incomplete"
-            " model leaves at least 60 of"
-        ),
-        "log-likelihood in the innovations of a steady observer.",
+        fill(JUDGED, WIDTH),
         "",
         "## By effect and size",
         "",

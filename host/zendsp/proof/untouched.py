@@ -19,9 +19,9 @@ def errors(recording: Path, given: Path, calibrated: Path, improved: Path) -> tu
     """
     from zendsp.diagnosis.data.prepare import prepare
     from zendsp.diagnosis.data.reading import read_signals
-    from zendsp.diagnosis.decide.findings import kernel_model
     from zendsp.diagnosis.measure.windows import model_error
     from zendsp.physics.model_file import load_model
+    from zendsp.physics.term_numbers import kernel_model
 
     # the calibrated model prepares the motion for both: a wrong improvement must not smooth it to
     # its liking

@@ -1,4 +1,4 @@
-"""Save and load recordings; the circumstances travel as one JSON text in every format."""
+"""Save and load recordings; the metadata travel as one JSON text in every format."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def save(recording: Samples, path: Path) -> Path:
     writer = _writer(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        writer(recording, circumstances(recording), temporary)
+        writer(recording, metadata(recording), temporary)
         os.replace(temporary, path)
     except OSError as error:
         raise RecordingError(f"{path}: cannot be written ({error.strerror or error})") from error
@@ -130,7 +130,7 @@ def _writer(path: Path) -> Callable[[Samples, str, Path], None]:
     return write
 
 
-def circumstances(recording: Samples) -> str:
+def metadata(recording: Samples) -> str:
     """Write all but the samples as JSON, in ASCII on one line."""
     body: dict[str, Any] = {"form": FORM, "channels": [asdict(c) for c in recording.channels]}
     body |= {name: getattr(recording, name) for name in FIELDS}
@@ -167,12 +167,12 @@ def _plain(value: Any) -> Any:
 def load(path: Path, kind: type[Kind]) -> Kind:
     """See :meth:`Recording.load`."""
     raw = read_raw(path)
-    return _own(path, raw, kind) if raw.circumstances else _foreign(path, raw, kind)
+    return _own(path, raw, kind) if raw.metadata else _foreign(path, raw, kind)
 
 
 def _own(path: Path, raw: Raw, kind: type[Kind]) -> Kind:
     try:
-        body = json.loads(raw.circumstances)
+        body = json.loads(raw.metadata)
         expected = body.pop(CHECK, None)
         form = body["form"]
         if form > FORM:

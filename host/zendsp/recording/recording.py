@@ -26,7 +26,7 @@ __all__ = ["Channel", "ParameterChange", "Recording"]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Recording(Samples):
-    """Samples of signals on one time base, and the circumstances under which they were taken.
+    """Samples of signals on one time base, and what they were taken with.
 
     Attributes
     ----------

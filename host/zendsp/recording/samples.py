@@ -85,7 +85,7 @@ class Samples:
         sample_time: float | None = None,
         t: npt.ArrayLike | None = None,
         units: Mapping[str, str] | None = None,
-        **circumstances: Any,
+        **metadata: Any,
     ) -> Self:
         """Make a recording of arrays, for example of a simulation.
 
@@ -97,7 +97,7 @@ class Samples:
         t : array, shape (N,), s
             Default: 0, sample_time, 2 sample_time, …
         units : mapping of name to unit
-        **circumstances
+        **metadata
             Any other attribute of :class:`Recording`.
 
         Raises
@@ -130,7 +130,7 @@ class Samples:
             Channel(name, (units or {}).get(name, ""), matrix.shape[1])
             for name, matrix in zip(arrays, matrices, strict=True)
         )
-        return cls(time, np.hstack(matrices), channels, float(sample_time), **circumstances)
+        return cls(time, np.hstack(matrices), channels, float(sample_time), **metadata)
 
     @cached_property
     def signals(self) -> dict[str, FloatArray]:

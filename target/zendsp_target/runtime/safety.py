@@ -48,14 +48,7 @@ def trip_of(control: Any, machine: MachineInfo) -> Trip | None:
 
 
 def latched_trip(control: Any, machine: MachineInfo) -> Trip | None:
-    """The latched trip, carried out or not; None while there is none.
-
-    Parameters
-    ----------
-    control : cffi struct control
-    machine : MachineInfo
-        For the names and units in its sentence.
-    """
+    """The latched trip, carried out or not; None while there is none (see :func:`trip_of`)."""
     ffi, lib = layout()
     reason = _REASONS.get(lib.monitor_load32(ffi.addressof(control.trip, "reason")))
     if reason is None:

@@ -223,7 +223,7 @@ class Service:
         return m.Empty()
 
     def _about(self) -> About:
-        """Circumstances of a recording that begins, for the case that this process is killed."""
+        """Metadata of a recording that begins, for the case that this process is killed."""
         status, info = self.runtime.status(), self.do_info(verbs.Nothing(), "")
         names = [v.name for v in self.runtime.variables() if v.kind == "parameter"]
         return About(

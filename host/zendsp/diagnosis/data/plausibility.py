@@ -23,6 +23,7 @@ from zendsp.errors import RecordingError
 from zendsp.physics.joint import JointRecord, mechanism_value
 from zendsp.physics.model import TREES, Model, per_joint
 from zendsp.physics.rigid import bases
+from zendsp.physics.term_numbers import added_inertia
 
 Array = npt.NDArray[np.float64]
 
@@ -155,9 +156,8 @@ def rigid_body(slow: Slow, model: Model) -> tuple[Array, Array]:
         else rest
     )
     rigid = _torques(model, states) - weight
-    for term in model.terms:
-        if term.effect == "inertia":
-            rigid[term.joint - 1] += term.value("amount") * slow.qdd[term.joint - 1]
+    for j in range(len(rigid)):
+        rigid[j] += added_inertia(model, j + 1) * slow.qdd[j]
     return rigid, weight
 
 

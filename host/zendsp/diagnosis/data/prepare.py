@@ -19,6 +19,7 @@ from zendsp.physics.joint import JointRecord, mechanism_value
 from zendsp.physics.model import TREES, Model, per_joint
 from zendsp.physics.rigid import Basis, bases
 from zendsp.physics.signals import Measurement, Motion, measure, noise_beside_quantisation, smooth
+from zendsp.physics.term_numbers import added_inertia
 
 Array = npt.NDArray[np.float64]
 
@@ -102,9 +103,7 @@ def _scale(
         (1.0 if key == "fixed" else mechanism_value(model, key, j + 1)) * b.inertia
         for key, b in basis.items()
     )
-    inertia = float(np.mean(inertia_series)) + sum(
-        t.value("amount") for t in model.at(j + 1) if t.effect == "inertia"
-    )
+    inertia = float(np.mean(inertia_series)) + added_inertia(model, j + 1)
     # a joint that is hardly driven itself moves all the same: its weight is the torque that
     # moves it then
     if model.kind == "rotary":

@@ -21,6 +21,7 @@ SENSED = ("velocity", "current", "position_load", "torque_measured")
 SAME = 1e-3  # of its RMS: a velocity that is nearer to a difference of positions is one
 SCALED = 0.05  # of its slope: a velocity that is further from the position's has another unit
 FOLLOWS = 0.01  # of its RMS below 25 Hz: a current that is nearer to the command follows it
+EXACT = 1e-6  # of its size: a current that is nearer to a multiple of the command is computed
 AVERAGED = 0.02  # s, the mean that takes noise and sampling out of a comparison
 
 
@@ -129,7 +130,7 @@ def _current(x: Array, u: Array, sample_time: float) -> str:
     basis = np.stack([u, np.ones_like(u)], axis=1)
     exact = x - basis @ np.linalg.lstsq(basis, x, rcond=None)[0]
     size = float(np.std(x))
-    if float(np.std(exact)) < 1e-6 * size:
+    if float(np.std(exact)) < EXACT * size:
         return "it is the command times a constant, no measurement of its own"
     slow = np.stack([_mean(u, sample_time), np.ones_like(u)], axis=1)
     y = _mean(x, sample_time)

@@ -18,7 +18,6 @@ import numpy as np
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import LAWS_OF, Decision
-from zendsp.diagnosis.decide.findings import COUPLED
 from zendsp.diagnosis.decide.pieces import dependence
 from zendsp.diagnosis.decide.result import Detectable
 from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES, FINEST
@@ -88,7 +87,7 @@ def _joint(test: Data, given: Model, decision: Decision, jobs: int) -> list[Dete
         effect = get_effect(name)
         if (name in have and not effect.repeatable) or not usable(effect, screen.records):
             continue
-        if name == "inertia" and given.kind in ("rotary", "linear"):
+        if any(key in given.mechanism for key in effect.same_as):
             continue
         size = _smallest(screen, name, variance, root, beyond, scale)
         if size is None:
@@ -96,7 +95,7 @@ def _joint(test: Data, given: Model, decision: Decision, jobs: int) -> list[Dete
         key = effect.linear[0] if effect.linear else effect.parameters[0].name
         parameter = effect.parameter(key)
         unit = unit_of(
-            COUPLED[0] if name == "coupling" else parameter.size,
+            parameter.size,
             given.joint_kind(joint),
             given.actuator.unit,
             given.torque_unit(joint),

@@ -13,9 +13,8 @@ from zendsp.diagnosis.measure.significance import counterpart
 from zendsp.physics.effects import get_effect, unit_of
 from zendsp.physics.fit import Fit
 from zendsp.physics.model import Model, Term
+from zendsp.physics.term_numbers import chosen
 
-LAWS = ("inertia", "coriolis", "viscous", "coulomb")
-COUPLED = ("inertia", "torque/speed2", "torque/speed", "torque")  # what their coefficients measure
 # Beside the statistical uncertainty stands what recordings of any length leave open. Chosen on 183
 # parameters of realities by others, of whose 90 % intervals two thirds had held the truth
 # (docs/diagnosis.md, uncertainty):
@@ -57,7 +56,7 @@ def estimates(
     row = next(i for i, t in enumerate(fit.model.terms) if t is term)
     out = {}
     for p in effect.parameters:
-        if not p.fitted and term.effect == "coupling":
+        if not p.fitted and effect.coupled:
             continue
         value = term.value(p.name, p.default or 0.0)
         at = [
@@ -66,17 +65,13 @@ def estimates(
             if h.place == "term" and h.index == row and h.key == p.name
         ]
         variance = float(fit.covariance[at[0], at[0]]) if at else 0.0
-        if term.effect == "stribeck" and p.name == "breakaway":
-            value, variance = _breakaway(fit, term, value, variance, at)
+        if p.above:
+            value, variance = _with_level(fit, term, p.above, value, variance, at)
         if p.name in ("phase", "angle"):
             value = math.remainder(value, 2 * math.pi)
         statistical = math.sqrt(max(variance, 0.0))
         stays = math.hypot(relative * _whole(p.name, value), clock) if statistical > 0 else 0.0
-        size = (
-            COUPLED[int(term.value("law"))]
-            if term.effect == "coupling" and p.name == "coefficient"
-            else p.size
-        )
+        size = p.sizes[int(term.value("law"))] if p.sizes else p.size
         out[p.name] = Estimate(
             value, math.hypot(statistical, stays), unit_of(size, kind, command_unit, torque_unit)
         )
@@ -92,48 +87,23 @@ def _whole(name: str, value: float) -> float:
     return 1.0 if name in ("phase", "angle") else abs(value)
 
 
-def _breakaway(
-    fit: Fit, term: Term, excess: float, variance: float, at: list[int]
+def _with_level(
+    fit: Fit, term: Term, above: str, excess: float, variance: float, at: list[int]
 ) -> tuple[float, float]:
+    """The excess over another effect's size, and that size: value and variance of their sum."""
+    size = get_effect(above).linear[0]
     for i, t in enumerate(fit.model.terms):
-        if t.effect == "coulomb" and t.joint == term.joint:
+        if t.effect == above and t.joint == term.joint:
             where = [
                 k
                 for k, h in enumerate(fit.handles)
-                if h.place == "term" and h.index == i and h.key == "level"
+                if h.place == "term" and h.index == i and h.key == size
             ]
             if where and at:
                 both = fit.covariance[np.ix_([at[0], where[0]], [at[0], where[0]])]
                 variance = float(both.sum())
-            return excess + t.value("level"), variance
+            return excess + t.value(size), variance
     return excess, variance
-
-
-def file_model(model: Model) -> Model:
-    """The model as files give it: Stribeck terms with the breakaway level, not the excess over
-    Coulomb.
-    """
-    return _shift_breakaway(model, +1.0)
-
-
-def kernel_model(model: Model) -> Model:
-    """The model as the kernel takes it (the inverse of ``file_model``)."""
-    return _shift_breakaway(model, -1.0)
-
-
-def _shift_breakaway(model: Model, sign: float) -> Model:
-    from dataclasses import replace
-
-    terms = []
-    for term in model.terms:
-        if term.effect == "stribeck":
-            level = sum(t.value("level") for t in model.at(term.joint) if t.effect == "coulomb")
-            values = dict(term.parameters)
-            old = values["breakaway"]
-            values["breakaway"] = replace(old, value=old.value + sign * level)
-            term = Term(term.effect, term.joint, values)
-        terms.append(term)
-    return model.with_terms(tuple(terms))
 
 
 def number(estimate: Estimate) -> str:
@@ -167,7 +137,5 @@ def sentence(term: Term, values: dict[str, Estimate]) -> str:
                 "every"
                 f" {number(Estimate(1e3 * period, 1e3 * period * order.std / order.value, 'mm'))}"
             )
-    if term.effect == "coupling":
-        words["from_joint"] = str(int(term.value("from_joint")))
-        words["law"] = LAWS[int(term.value("law"))]
+    words |= {name: str(what) for name, what in chosen(term).items()}
     return get_effect(term.effect).sentence.format(**words)

@@ -292,8 +292,8 @@ def _law(
     joint, term = search.joint, first.terms[0]
     tell(f"joint {joint}: what could stand in for {term.effect}")
     known = library()
-    mates = {e for e in LAWS_OF.get(piece.mechanism, ()) if e in known}
-    names = frozenset(mates | set(get_effect(term.effect).rivals)) - {"coupling"} | {term.effect}
+    beside = (*LAWS_OF.get(piece.mechanism, ()), *get_effect(term.effect).rivals)
+    names = frozenset(e for e in beside if e in known and not known[e].coupled) | {term.effect}
     rivals = [
         r
         for r in searcher.stand_ins(first.without, names)

@@ -13,7 +13,7 @@ from zendsp.diagnosis.decide.assemble import Assembled
 from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.confidence import confidence
 from zendsp.diagnosis.decide.decide_bodies import BodyClaim, body_finding
-from zendsp.diagnosis.decide.findings import LAWS, estimates, new_terms, percent, sentence
+from zendsp.diagnosis.decide.findings import estimates, new_terms, percent, sentence
 from zendsp.diagnosis.decide.laws import draws_a_curve
 from zendsp.diagnosis.decide.pieces import weight_of_payload
 from zendsp.diagnosis.decide.result import Estimate, Finding, Rejected
@@ -23,6 +23,7 @@ from zendsp.diagnosis.measure.significance import counterpart, essence_of
 from zendsp.physics.effects import get_effect
 from zendsp.physics.fit import Data, Fit, joint_handles
 from zendsp.physics.model import Model
+from zendsp.physics.term_numbers import chosen
 
 # stated of a disturbance; not learned: the cases have too few of them
 IN_TIME = 0.85
@@ -131,9 +132,6 @@ def _finding(
         text += f" It makes {', '.join(claim.replaces)} unnecessary."
     if claim.same:
         text += f" This recording cannot tell it from {', '.join(claim.same)}."
-    numbers: dict[str, int | str] = {}
-    if term.effect == "coupling":
-        numbers = {"from_joint": int(term.value("from_joint")), "law": LAWS[int(term.value("law"))]}
     return Finding(
         term.effect,
         joint,
@@ -143,7 +141,7 @@ def _finding(
         claim.same,
         claim.replaces,
         text,
-        numbers,
+        chosen(term),
         claim.mechanism,
         claim.laws,
     )

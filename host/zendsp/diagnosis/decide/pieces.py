@@ -55,7 +55,7 @@ def grouped(
             continue
         key = (
             mechanism_of(term.effect),
-            int(term.value("from_joint")) if term.effect == "coupling" else 0,
+            int(term.value("from_joint")) if get_effect(term.effect).coupled else 0,
         )
         out[key] = (*out.get(key, ()), term)
     return out

@@ -27,7 +27,6 @@ from zendsp.diagnosis.data.checks import check_signals
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.signals import Signals, with_same_columns
 from zendsp.diagnosis.data.split import split
-from zendsp.diagnosis.decide.findings import file_model
 from zendsp.diagnosis.decide.result import Diagnosis, FitTable, Rejected, SimulatorErrors
 from zendsp.diagnosis.external.hunt import Hunt, findings_of, next_of
 from zendsp.diagnosis.external.output_error import Output, errors, fit_output, sensor_noise
@@ -37,6 +36,7 @@ from zendsp.errors import RecordingError
 from zendsp.physics.effects import library
 from zendsp.physics.handles import free_handles
 from zendsp.physics.model import Model, per_joint
+from zendsp.physics.term_numbers import file_model
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[str], None]

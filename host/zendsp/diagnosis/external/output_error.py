@@ -24,6 +24,7 @@ Array = npt.NDArray[np.float64]
 Progress = Callable[[str], None]
 
 BLOCK = 0.25  # s
+FEWEST = 4  # blocks: of fewer no scatter is known
 SCREENED = 400  # simulations that one screen may take
 
 
@@ -163,7 +164,7 @@ def held_z(before: Array, after: Array, block: int) -> float:
     after.
     """
     count = len(before) // block
-    if count < 4:
+    if count < FEWEST:
         return 0.0
     power = [
         np.mean(e[: count * block].reshape(count, block) ** 2, axis=1) + 1.0

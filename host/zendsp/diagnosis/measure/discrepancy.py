@@ -30,6 +30,7 @@ BLOCKS = 12  # fewer, but never less than an observer remembers
 SETTLE = 0.4  # s, of the observers, at most a tenth of a recording
 DRAWS = 4  # of sensor noise
 TURNING = 0.1  # of a joint's speed: below, it turns round
+FASTEST = 0.98  # quantile that stands for a joint's speed: a few samples may be spikes
 
 
 @dataclass(frozen=True)
@@ -192,7 +193,7 @@ def reversals(record: JointRecord, band: float) -> npt.NDArray[np.bool_]:
     an observer remembers.
     """
     speed = np.abs(record.motion.states[1])
-    slow = speed < TURNING * float(np.quantile(speed[kept(record, band)], 0.98))
+    slow = speed < TURNING * float(np.quantile(speed[kept(record, band)], FASTEST))
     around = max(1, round(2.0 / band / record.sample_time))
     return np.asarray(binary_dilation(slow, iterations=around))
 

@@ -8,7 +8,7 @@ maximised over the observer's bandwidth, sees both.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -183,18 +183,3 @@ def fit_scored(
 def calibrate_joint(data: Data, model: Model, joint: int, jobs: int = 1) -> Scored:
     """The given model with the free parameters that act on one joint refitted."""
     return fit_scored(data, model, joint_handles(data, model, joint), (joint,), jobs=jobs)
-
-
-def rescored(scored: Scored, data: Data, *, jobs: int = 2, iterations: int = 6) -> Scored:
-    """The same hypothesis refitted with the observers of other data."""
-    result = fit(
-        data,
-        scored.model,
-        scored.fit.handles,
-        joints=scored.joints,
-        iterations=iterations,
-        jobs=jobs,
-    )
-    return replace(
-        scored, fit=result, data=data, deviance=fitted_deviance(data, result, scored.joints)
-    )

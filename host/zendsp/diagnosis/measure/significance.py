@@ -45,8 +45,8 @@ def counterpart(terms: Sequence[Term], term: Term) -> Term:
 
 
 def vanishes(fitted: Fit, term: Term) -> bool:
-    """Whether a number that makes an effect what it is cannot be told from zero, or from endless,
-    or lies at the bound of what can be seen.
+    """Whether a number that makes an effect what it is cannot be told from zero or infinity, or
+    lies at the bound of what can be seen.
     """
     effect, same = term.effect, counterpart(fitted.model.terms, term)
     own = {

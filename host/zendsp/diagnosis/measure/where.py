@@ -21,6 +21,7 @@ Array = npt.NDArray[np.float64]
 
 VARIABLES = ("velocity", "position", "acceleration", "command")
 SAMPLES = 20  # fewer have no intervals
+EDGES = 5  # different ones: a variable with fewer is as good as constant
 CONCENTRATED = 3.0  # times the mean of the energy: there the mismatch concentrates
 
 
@@ -106,7 +107,7 @@ def regions(missing: Missing, joint: int) -> list[Region]:
         if float(np.ptp(v)) <= 0:
             continue
         edges = np.unique(np.quantile(v, np.linspace(0, 1, 41)))
-        if len(edges) < 5:
+        if len(edges) < EDGES:
             continue
         bins = np.clip(np.searchsorted(edges, v, side="right") - 1, 0, len(edges) - 2)
         share = np.bincount(bins, e, len(edges) - 1) / total

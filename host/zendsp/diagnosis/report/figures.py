@@ -15,6 +15,8 @@ from zendsp.physics.predict import run
 
 Array = npt.NDArray[np.float64]
 MOST_JOINTS = 7  # that get figures of their own
+FINE = 40  # repetitions over the travel: a pattern with more is a smear, not a curve
+IN_A_BIN = 5  # samples: a mean of fewer is not drawn
 
 
 def axis_of(effect: str) -> str:
@@ -225,7 +227,7 @@ def _too_fine(train: Data, finding: Finding) -> bool:
     """
     order = finding.parameters.get("order")
     travel = max(rec[finding.joint - 1].scale.position for rec in train.records)
-    return order is not None and order.value * travel > 40 * 2 * np.pi
+    return order is not None and order.value * travel > FINE * 2 * np.pi
 
 
 def _binned(x: Array, y: Array, count: int = 40) -> tuple[Array, Array, Array]:
@@ -234,7 +236,7 @@ def _binned(x: Array, y: Array, count: int = 40) -> tuple[Array, Array, Array]:
     good = (bins >= 0) & (bins < count)
     bins, y = bins[good], y[good]
     n = np.bincount(bins, minlength=count)
-    use = n > 4
+    use = n >= IN_A_BIN
     mean = np.bincount(bins, y, count)[use] / n[use]
     square = np.bincount(bins, y**2, count)[use] / n[use]
     spread = np.sqrt(np.maximum(square - mean**2, 0) / n[use])

@@ -19,6 +19,7 @@ from zendsp.physics.model import Model, Term
 from zendsp.physics.terms import make_term, usable
 
 COARSE = 1e-3  # s
+SLOWEST = 8.0  # rad/s: no screen looks through a slower observer
 SAME_INERTIA = 0.05  # change, as a logarithm, that is within the basin of a gap
 
 
@@ -49,7 +50,7 @@ def screened(
     handles = joint_handles(data, model, joint)
     here = data.bandwidth[joint - 1]
     best: dict[object, tuple[float, Candidate]] = {}
-    around = data.thinned().at_bandwidth(joint, max(8.0, here / 4) if here > 8.0 else here)
+    around = data.thinned().at_bandwidth(joint, max(SLOWEST, here / 4) if here > SLOWEST else here)
     result = fit(around, model, handles, joints=(joint,), iterations=3, jobs=jobs)
     for candidate in Screen(around, result, joint, (joint,)).candidates(only, jobs):
         if _absorbed(candidate.effect, model, joint):

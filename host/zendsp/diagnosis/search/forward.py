@@ -416,8 +416,8 @@ class Searcher:
         if rival.effect == "backlash":
             options.append(refine(options[0], self.joint, current.deviance, worth, jobs))
         for term in rival.terms:
-            if term.effect == "hysteresis":  # the exponent is chosen, not estimated
-                other = with_numbers(rival.scored.model, term.effect, self.joint, {"exponent": 2.0})
+            for numbers in get_effect(term.effect).tries:
+                other = with_numbers(rival.scored.model, term.effect, self.joint, numbers)
                 options.append(
                     fit_scored(
                         rival.scored.data,

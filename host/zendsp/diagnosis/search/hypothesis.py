@@ -54,7 +54,6 @@ class JointSearch:
     best: Scored | None = None
     dropped: tuple[str, ...] = ()
     tried: list[Rival] = field(default_factory=list)
-    discarded: bool = False  # what was found left most of the mismatch
 
     @property
     def final(self) -> Scored:

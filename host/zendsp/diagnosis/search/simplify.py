@@ -18,7 +18,7 @@ from zendsp.diagnosis.measure.likelihood import (
 from zendsp.diagnosis.measure.significance import SIGNIFICANT, vanishes
 from zendsp.diagnosis.search.hypothesis import SUFFICIENT, JointSearch, price
 from zendsp.physics.convergence import step_error, with_step_error
-from zendsp.physics.effects import get_effect
+from zendsp.physics.effects import get_effect, library
 from zendsp.physics.fit import Data, fit, joint_handles, residual
 from zendsp.physics.model import Model, Term
 from zendsp.physics.terms import make_term
@@ -26,10 +26,6 @@ from zendsp.physics.terms import make_term
 # deviance a sample, a tenth of the innovations' energy: a term whose absence costs so much is not
 # fitted away any more
 PLAIN = 0.1
-SYMMETRIC = {
-    "coulomb_asymmetry": ("coulomb", "level"),
-    "viscous_asymmetry": ("viscous", "coefficient"),
-}
 NO_WORSE = 10.0  # deviance that a simpler law may cost
 BENDS = 0.02  # of the travel: hysteresis that slides after less has a soft onset only
 HALVINGS = 2  # of the integration's step at most, in the last fit of a joint
@@ -113,12 +109,15 @@ def _as_symmetric(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored
     """An asymmetry that was found whose two directions are as good as equal is the symmetric effect
     in whose place it stands.
     """
-    for name, (plain, number) in SYMMETRIC.items():
+    for name, effect in library().items():
+        if not effect.symmetric:
+            continue
         term = next((t for t in best.model.at(found.joint) if t.effect == name), None)
         if term is None or name in {t.effect for t in found.base.model.at(found.joint)}:
             continue
         mean = 0.5 * sum(q.value for q in term.parameters.values())
-        one = make_term(get_effect(plain), found.joint, {number: mean})
+        plain = get_effect(effect.symmetric)
+        one = make_term(plain, found.joint, {plain.linear[0]: mean})
         model = best.model.with_terms(tuple(one if t is term else t for t in best.model.terms))
         other = _refitted(best.data, model, found.joint, jobs, 1)
         if other.deviance < best.deviance + price((term,), n, (name,)):

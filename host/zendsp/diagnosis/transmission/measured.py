@@ -29,6 +29,7 @@ from zendsp.physics.effects import get_effect, unit_of
 from zendsp.physics.model import Model, Term
 
 LATE = 0.1  # of a row: a column that is later than this is moved
+MOVING = 100  # samples of a set in motion: of fewer a transmission tells nothing
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ def measured_transmissions(parts: Parts, model: Model, jobs: int) -> list[Measur
 def _measured(parts: Parts, model: Model, joint: int, jobs: int) -> Measured:
     known = [t.effect for t in model.at(joint) if get_effect(t.effect).mechanism == "transmission"]
     raw = sets_of(parts, model, joint)
-    if any(int(t.kept.sum()) < 100 for t in (*raw.fit, *raw.choose, *raw.test)):
+    if any(int(t.kept.sum()) < MOVING for t in (*raw.fit, *raw.choose, *raw.test)):
         why = f"joint {joint} hardly moves: its position_load was not used"
         return Measured(joint, notes=(why,))
     notes = []

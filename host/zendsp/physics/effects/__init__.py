@@ -28,12 +28,7 @@ __all__ = [
 ]
 
 # names of findings that no term of a model stands for
-OUTSIDE = {
-    "disturbance": "disturbance",
-    "payload": "inertia",
-    "body": "inertia",
-    "base_tilt": "inertia",
-}
+OUTSIDE = {"disturbance": "disturbance"}
 # what else an effect may need, by the sites that give it
 SUPPORT = {"dry": ("dry",), "friction": ("dry", "viscous")}
 

@@ -157,6 +157,12 @@ class Parameter:
     limits : callable or None
         Bounds in a given recording: physics outside them cannot be seen in it. None: ``lower`` and
         ``upper``.
+    choices : tuple of str
+        Words of a model file for 0, 1, …: a law, not a number.
+    sizes : tuple of str
+        Of a coefficient: what it measures under each choice of the parameter ``law``.
+    above : str
+        Effect whose size a model file's number includes; the C function takes the excess.
     """
 
     name: str
@@ -167,6 +173,9 @@ class Parameter:
     fitted: bool = True
     meaning: str = ""
     limits: Callable[[Facts], tuple[float, float]] | None = None
+    choices: tuple[str, ...] = ()
+    sizes: tuple[str, ...] = ()
+    above: str = ""
 
 
 UNITS = {
@@ -270,6 +279,8 @@ class Effect:
         Of the starts with the same value of this parameter only the likeliest is fitted.
     restart : callable or None
         A second start value, from the first.
+    tries : tuple of mapping
+        Numbers that are chosen, not estimated, and that a full fit tries too.
     hidden : bool
         Has a state, or acts on the timing: counts as a parameter more.
     essence : tuple of str
@@ -311,6 +322,8 @@ class Effect:
         level, ``"friction"`` also for viscous.
     aliases : tuple of str
         Effects that can be exactly the same to any recording: no fit tells them apart.
+    symmetric : str
+        The effect that it is where both directions are alike.
     sums : tuple of str
         Effects that together are this one, by algebra.
     family : str
@@ -322,6 +335,9 @@ class Effect:
     compensable : str
         C expression of the compensating torque for the ISR, empty where it cannot be compensated by
         a torque.
+    across : tuple of str
+        The same for an effect of another joint's motion, one expression for each ``law``, over
+        ``vel`` and ``acc`` of ``{joint}`` and of the ``{other}`` one.
     inverse : str
         C expression of what to send so that the torque ``wanted`` comes out (``gain``: torque per
         unit of command).
@@ -346,6 +362,7 @@ class Effect:
     scan: Callable[[Facts], Sequence[Numbers]] | None = None
     apart: str = ""
     restart: Callable[[Facts, Numbers], Numbers] | None = None
+    tries: tuple[Numbers, ...] = ()
     hidden: bool = False
     essence: tuple[str, ...] = ()
     shape: str = ""
@@ -364,11 +381,13 @@ class Effect:
     replaces: tuple[str, ...] = ()
     needs: tuple[str, ...] = ()
     aliases: tuple[str, ...] = ()
+    symmetric: str = ""
     sums: tuple[str, ...] = ()
     family: str = ""
     rivals: tuple[str, ...] = ()
     repeatable: bool = False
     compensable: str = ""
+    across: tuple[str, ...] = ()
     inverse: str = ""
     why_not: str = ""
 
@@ -376,6 +395,11 @@ class Effect:
     def constant(self) -> bool:
         """Whether its torque never changes: a part of any function of state."""
         return self.site == "torque" and "s->" not in self.c
+
+    @property
+    def coupled(self) -> bool:
+        """Whether another joint's motion makes it: a parameter says whose."""
+        return any(p.size == "joint" for p in self.parameters)
 
     def __post_init__(self) -> None:
         if self.mechanism and self.mechanism not in MECHANISMS:

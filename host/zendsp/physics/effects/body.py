@@ -10,29 +10,12 @@ EFFECT = Effect(
     mechanism="inertia",
     parameters=(
         Parameter("mass", "mass", default=0.0, meaning="difference from the file"),
-        Parameter(
-            "com_x",
-            "length",
-            lower=-3,
-            upper=3,
-            default=0,
-            meaning="difference, in the link's frame",
-        ),
-        Parameter(
-            "com_y",
-            "length",
-            lower=-3,
-            upper=3,
-            default=0,
-            meaning="difference, in the link's frame",
-        ),
-        Parameter(
-            "com_z",
-            "length",
-            lower=-3,
-            upper=3,
-            default=0,
-            meaning="difference, in the link's frame",
+        *(
+            Parameter(
+                f"com_{axis}", "length", lower=-3, upper=3, default=0.0,
+                meaning="difference, in the link's frame",
+            )
+            for axis in "xyz"
         ),
         Parameter(
             "inertia",
@@ -51,4 +34,4 @@ EFFECT = Effect(
     over="position",
     why_not="it acts on all joints: the improved model in C has it (zendsp model2c)",
     rivals=("payload", "torque_gain"),
-)
+)  # fmt: skip

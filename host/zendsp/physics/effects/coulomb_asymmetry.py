@@ -21,6 +21,7 @@ EFFECT = Effect(
     equation="Fc± sign(q̇)",
     linear=("level_pos", "level_neg"),
     replaces=("coulomb",),
+    symmetric="coulomb",
     sums=("coulomb", "torque_offset"),
     rivals=("torque_offset",),
     compensable="qd > 0 ? p[0] : qd < 0 ? -p[1] : 0.0",

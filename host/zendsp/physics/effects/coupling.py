@@ -17,8 +17,13 @@ EFFECT = Effect(
             upper=3,
             fitted=False,
             meaning="0 inertia, 1 coriolis, 2 viscous, 3 coulomb",
+            choices=("inertia", "coriolis", "viscous", "coulomb"),
         ),
-        Parameter("coefficient", "torque"),
+        Parameter(
+            "coefficient",
+            "torque",
+            sizes=("inertia", "torque/speed2", "torque/speed", "torque"),
+        ),
         Parameter("smooth", "speed", lower=1e-09, default=0.01, fitted=False),
     ),
     c=(
@@ -37,4 +42,10 @@ EFFECT = Effect(
         "smooth": (0.05,),
     },
     repeatable=True,
+    across=(
+        "p[2] * acc[{other}]",
+        "p[2] * vel[{other}] * vel[{other}]",
+        "p[2] * vel[{other}]",
+        "p[2] * tanh((vel[{joint}] + vel[{other}]) / p[3])",
+    ),
 )

@@ -36,6 +36,7 @@ EFFECT = Effect(
     equation="F z, ż = A q̇ - β |q̇||z|ⁿ⁻¹z - γ q̇|z|ⁿ",
     over="position",
     scan=_starts,
+    tries=({"exponent": 2.0},),
     hidden=True,
     essence=("force", "stiffness"),
     family="presliding",

@@ -10,12 +10,13 @@ EFFECT = Effect(
     mechanism="inertia",
     parameters=(
         Parameter("mass", "mass", lower=0.0),
-        Parameter("com_x", "length", lower=-3, upper=3, default=0,
-            meaning="centre of mass, link's frame"),
-        Parameter("com_y", "length", lower=-3, upper=3, default=0,
-            meaning="centre of mass, link's frame"),
-        Parameter("com_z", "length", lower=-3, upper=3, default=0,
-            meaning="centre of mass, link's frame"),
+        *(
+            Parameter(
+                f"com_{axis}", "length", lower=-3, upper=3, default=0.0,
+                meaning="centre of mass, link's frame",
+            )
+            for axis in "xyz"
+        ),
         Parameter(
             "inertia", "body_inertia", lower=0.0, default=0.0,
             meaning="about its centre of mass, the same about every axis",

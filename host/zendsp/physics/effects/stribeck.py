@@ -12,7 +12,7 @@ EFFECT = Effect(
     site="dry",
     mechanism="dry_friction",
     parameters=(
-        Parameter("breakaway", "torque", lower=0),
+        Parameter("breakaway", "torque", lower=0, above="coulomb"),
         Parameter(
             "velocity", "speed", lower=1e-06, limits=lambda f: (2e-3 * f.fastest, 2.0 * f.fastest)
         ),

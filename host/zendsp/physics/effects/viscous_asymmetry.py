@@ -21,6 +21,7 @@ EFFECT = Effect(
     equation="b± q̇",
     linear=("coefficient_pos", "coefficient_neg"),
     replaces=("viscous",),
+    symmetric="viscous",
     rivals=("coulomb_asymmetry",),
     compensable="qd > 0 ? p[0] * qd : p[1] * qd",
 )

@@ -114,7 +114,7 @@ def read_apart(module: str, path: Path) -> Raw:
         columns,
         about["units"],
         about["constants"],
-        about["circumstances"],
+        about["metadata"],
         about["refused"],
         tuple(about["notes"]),
     )
@@ -157,7 +157,7 @@ def _parsed(reader: ModuleType, path: str, result: str) -> int:
         "names": list(raw.columns),
         "units": raw.units,
         "constants": raw.constants,
-        "circumstances": raw.circumstances,
+        "metadata": raw.metadata,
         "refused": raw.refused,
         "notes": raw.notes,
     }

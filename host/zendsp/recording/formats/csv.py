@@ -2,7 +2,7 @@
 numbers.
 
 The first line of a recording is a comment for people. What belongs to the numbers, the
-circumstances, is the last line, a comment too; readers that know ``#`` skip both. Separators ``,``
+metadata, is the last line, a comment too; readers that know ``#`` skip both. Separators ``,``
 ``;`` and tab are told from the header, where one may stand at the end of each line too; ``;`` with
 decimal commas is understood. Text is UTF-8, UTF-16 with its mark, or Windows-1252, as spreadsheets
 write them. Gzip by suffix ``.gz``.
@@ -34,7 +34,7 @@ TITLE = "# A recording of zendsp"
 UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
-def write(recording: Recording, circumstances: str, path: Path) -> None:
+def write(recording: Recording, metadata: str, path: Path) -> None:
     """Write ``recording`` with 17 significant digits, so that reading gives back the same numbers.
     """
     units = ["s", *recording.column_units]
@@ -45,7 +45,7 @@ def write(recording: Recording, circumstances: str, path: Path) -> None:
         file.write(f"{_title(recording)}\n")
         csv.writer(file, lineterminator="\n").writerow(header)
         np.savetxt(file, np.column_stack([recording.t, recording.data]), fmt="%s", delimiter=",")
-        file.write(f"{MARK}{circumstances}\n")
+        file.write(f"{MARK}{metadata}\n")
 
 
 def _title(recording: Recording) -> str:
@@ -59,15 +59,15 @@ def _title(recording: Recording) -> str:
 
 def read(path: Path) -> Raw:
     """Read any CSV whose first line that is not a comment names the columns."""
-    body, circumstances = _apart(_text(path))
+    body, metadata = _apart(_text(path))
     first_line, ours = 1, False
     while body.startswith("#"):
         line, _, body = body.partition("\n")
         first_line += 1
         ours = ours or line.startswith(TITLE)
         if line.startswith(MARK):  # where it stood before it stood last
-            circumstances = line[len(MARK) :]
-    if ours and not circumstances:
+            metadata = line[len(MARK) :]
+    if ours and not metadata:
         raise RecordingError(
             f"{path}: is cut short: it lacks its last line, which holds the parameters and a"
             " checksum. Take another copy, or delete the first line to read what is left"
@@ -86,11 +86,11 @@ def read(path: Path) -> Raw:
         units = {name: units[name] or unit for name, unit in zip(names, said, strict=True)}
         rows, first_line = rows.partition("\n")[2], first_line + 1
     columns = _numbers(path, rows, names, delimiter, first_line + 1)
-    return Raw(columns, units, {}, circumstances)
+    return Raw(columns, units, {}, metadata)
 
 
 def _apart(text: str) -> tuple[str, str]:
-    """The lines before the last, and the circumstances, where the last line holds them."""
+    """The lines before the last, and the metadata, where the last line holds them."""
     at = text.rfind(f"\n{MARK}")
     if at < 0 or "\n" in text[at + 1 :].rstrip("\n"):
         return text, ""

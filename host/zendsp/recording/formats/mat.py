@@ -1,7 +1,7 @@
 """MATLAB files: version 5 written and read through SciPy, version 7.3 (HDF5) read through h5py.
 
 A recording is written as ``data`` (a matrix, one column per signal, time first), ``names`` and
-``units`` (cell arrays with one entry per column) and ``zendsp`` (the circumstances as JSON text).
+``units`` (cell arrays with one entry per column) and ``zendsp`` (the metadata as JSON text).
 In foreign files, structures and cells are walked: the fields become names such as
 ``Theta1.signals.values`` and ``Y_id{1}``.
 """
@@ -26,7 +26,7 @@ KEY = "zendsp"
 OWN = ("data", "names", "units", KEY)
 
 
-def write(recording: Recording, circumstances: str, path: Path) -> None:
+def write(recording: Recording, metadata: str, path: Path) -> None:
     """Write ``recording`` as MAT v5, which MATLAB and Octave both open."""
     import scipy.io
 
@@ -38,7 +38,7 @@ def write(recording: Recording, circumstances: str, path: Path) -> None:
         "units": _cells(units),
         # MAT v5 characters are UTF-16: text outside ASCII is escaped by JSON, so any reader gets it
         # whole.
-        KEY: circumstances,
+        KEY: metadata,
     }
     scipy.io.savemat(str(path), contents, appendmat=False, format="5", do_compression=True)
 

@@ -28,7 +28,7 @@ SCHEMA = "zendsp_msgs/msg/Row"
 HEAD = b"\x00\x01\x00\x00"  # CDR, little endian
 
 
-def write(recording: Recording, circumstances: str, path: Path) -> None:
+def write(recording: Recording, metadata: str, path: Path) -> None:
     """Write ``recording``."""
     writers = need("mcap.writer", "files", "an MCAP file", RecordingError)
     fields = _fields(["t", *(c.name for c in recording.channels)])
@@ -55,7 +55,7 @@ def write(recording: Recording, circumstances: str, path: Path) -> None:
             writer.add_message(
                 channel, max(stamp, 0), HEAD + rows[k].tobytes(), max(stamp, 0), k & 0xFFFFFFFF
             )
-        writer.add_metadata(KEY, {"circumstances": circumstances, "fields": json.dumps(fields)})
+        writer.add_metadata(KEY, {"circumstances": metadata, "fields": json.dumps(fields)})
         writer.finish()
 
 

@@ -17,13 +17,13 @@ from zendsp.recording.formats.raw import Raw
 if TYPE_CHECKING:
     from zendsp.recording.recording import Recording
 
-ATTACHED = "zendsp.json"  # the circumstances of a recording
+ATTACHED = "zendsp.json"  # the metadata of a recording
 
 MARK = "zendsp"  # comment of the group of a recording
 
 
-def write(recording: Recording, circumstances: str, path: Path) -> None:
-    """Write ``recording`` as MDF 4.10: one group of doubles, the circumstances attached."""
+def write(recording: Recording, metadata: str, path: Path) -> None:
+    """Write ``recording`` as MDF 4.10: one group of doubles, the metadata attached."""
     asammdf = library()
     signals = [
         asammdf.Signal(np.ascontiguousarray(values), recording.t, unit=unit, name=name)
@@ -34,7 +34,7 @@ def write(recording: Recording, circumstances: str, path: Path) -> None:
     buffer = io.BytesIO()
     with asammdf.MDF(version="4.10") as file:
         file.append(signals, comment=MARK, common_timebase=True)
-        file.attach(circumstances.encode(), file_name=ATTACHED, mime="application/json")
+        file.attach(metadata.encode(), file_name=ATTACHED, mime="application/json")
         file.save(buffer)
     path.write_bytes(buffer.getvalue())
 

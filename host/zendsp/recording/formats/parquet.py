@@ -1,4 +1,4 @@
-"""Parquet: one float64 column per element; units and circumstances in the schema's metadata."""
+"""Parquet: one float64 column per element; units and metadata in the schema."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ KEY = b"zendsp"
 UNITS = b"zendsp_units"
 
 
-def write(recording: Recording, circumstances: str, path: Path) -> None:
+def write(recording: Recording, metadata: str, path: Path) -> None:
     """Write ``recording``."""
     pyarrow = _pyarrow()
 
     units = dict(zip(recording.columns, recording.column_units, strict=True)) | {"t": "s"}
     names = ["t", *recording.columns]
     arrays = [recording.t, *(np.ascontiguousarray(column) for column in recording.data.T)]
-    metadata = {KEY: circumstances.encode(), UNITS: json.dumps(units).encode()}
+    kept = {KEY: metadata.encode(), UNITS: json.dumps(units).encode()}
     table = pyarrow.Table.from_arrays(
         [pyarrow.array(a) for a in arrays], names=names
-    ).replace_schema_metadata(metadata)
+    ).replace_schema_metadata(kept)
     pyarrow.parquet.write_table(table, path, compression="zstd")
 
 

@@ -14,7 +14,7 @@ from zendsp.recording.names import FloatArray
 class Raw:
     """Named arrays as the file has them.
 
-    ``columns`` may still differ in length; ``circumstances`` is the JSON text that zendsp writes
+    ``columns`` may still differ in length; ``metadata`` is the JSON text that zendsp writes
     beside its own data, empty in foreign files; ``refused`` names what is there but holds no
     numbers, with the reason; ``notes`` say what the reader did to the numbers.
     """
@@ -22,7 +22,7 @@ class Raw:
     columns: dict[str, FloatArray]
     units: dict[str, str] = field(default_factory=dict)
     constants: dict[str, float] = field(default_factory=dict)
-    circumstances: str = ""
+    metadata: str = ""
     refused: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 

@@ -23,7 +23,6 @@ from zendsp.tui.scope import Channel, History, Scope
 from zendsp.tui.screens.analysis import AnalysisActions
 
 MOST_OVERLAID = 4
-FIRST_SIGNALS = ("e", "e1", "e2", "q", "q1", "q2")
 
 
 class RunActions(AnalysisActions):

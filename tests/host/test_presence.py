@@ -1,0 +1,228 @@
+"""Targets that are found, hosts that come and go, and targets that end."""
+
+from __future__ import annotations
+
+import io
+import os
+import socket
+import subprocess
+import threading
+import time
+from pathlib import Path
+
+import msgspec
+import pytest
+import zenoh
+from fake_runtime import FakeRuntime
+from waiting import PATIENCE_S, until
+
+from zendsp.errors import (
+    LinkError,
+)
+from zendsp.link import Target, connect, discover
+from zendsp.link.connect import locate
+from zendsp.link.registered import local_entries
+from zendsp.link.settings import Credentials, zenoh_config
+from zendsp_protocol import codec, keys
+from zendsp_protocol.registry import Entry, born
+from zendsp_protocol.verbs import VERBS
+from zendsp_target.monitor import Monitor
+
+
+def test_a_target_is_found_by_name_alone(target: Target) -> None:
+    assert target.info.name == "fake" and target.info.joints == 2
+    assert target.info.verbs == list(VERBS)  # every verb of the protocol has a handler
+    assert [found.name for found in discover("fa*")] == ["fake"]
+    assert discover("x*") == []
+    with connect() as again:  # only one runs here
+        assert again.name == "fake"
+    with pytest.raises(
+        LinkError, match="no target named 'other' runs on this machine \\(there runs fake\\)"
+    ):
+        connect("other")
+    with pytest.raises(
+        LinkError, match=r"no target named 'other' at unixsock-stream/.*; there is fake"
+    ):
+        connect("other", connect=target.link.endpoints[0])
+
+
+def test_a_target_that_connect_waits_for_is_found_too(target: Target) -> None:
+    """A busy machine or a slow line: what it is answers after 1.5 s; connect() waits 3 s."""
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        place = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    slow = zenoh.Config()
+    slow.insert_json5("mode", '"peer"')
+    slow.insert_json5("scouting/multicast/enabled", "false")
+    slow.insert_json5("listen/endpoints", f'["{place}"]')
+    said = codec.encode(msgspec.structs.replace(target.info, name="slow"))
+
+    def answer(query: zenoh.Query) -> None:
+        time.sleep(1.5)
+        query.reply(keys.info("slow"), said)
+
+    with zenoh.open(slow) as session:
+        session.declare_queryable(keys.info("slow"), answer)
+        assert "slow" in [found.name for found in discover("*", place)]
+
+
+def test_silent_places_are_waited_for_together(monitor: Monitor) -> None:
+    """Each place that takes a connection and says nothing costs its timeout, once for all of them.
+    """
+    silent = [socket.create_server(("127.0.0.1", 0)) for _ in range(6)]
+    places = [f"tcp/127.0.0.1:{s.getsockname()[1]}" for s in silent]
+    try:
+        times = []
+        for some in (places[:1], places):
+            began = time.monotonic()
+            assert [found.name for found in discover("*", some, timeout=1.5)] == ["fake"]
+            times.append(time.monotonic() - began)
+    finally:
+        for s in silent:
+            s.close()
+    assert times[0] > 1.4, "one is waited for"
+    assert times[1] < 4.0 * times[0], "in turn it were six times that"
+
+
+def test_who_is_connected_is_known_and_a_host_that_leaves_is_gone(running: Target) -> None:
+    with connect("fake") as other:
+        until(lambda: other.link.author in running.status().hosts, "the other host is seen")
+        view = other.live(["q"])
+    until(lambda: other.link.author not in running.status().hosts, "the other host has gone")
+    view.close()
+    with pytest.raises(LinkError, match="connection to 'fake' is closed"):
+        other.status()
+
+
+def test_a_target_that_is_not_ready_in_time_is_told_as_that() -> None:
+    from zendsp.link.connect import _wait_ready
+
+    with (
+        subprocess.Popen(["sleep", "60"], stdout=subprocess.PIPE) as process,
+        pytest.raises(LinkError, match=r"not ready within 0\.1 s; it said: runs as root"),
+    ):
+        _wait_ready(process, io.BytesIO(b"runs as root"), 0.1)
+
+
+def test_a_target_elsewhere_that_ends_is_not_waited_for(target: Target, monitor: Monitor) -> None:
+    from zendsp_target.monitor import Options
+
+    target.link.own = False  # elsewhere, there is no process to look for
+    assert not target.link.ended
+    monitor.close()
+    until(lambda: not target.alive, "the end is noticed")
+    begin = time.monotonic()
+    with pytest.raises(LinkError, match=r"'fake' at .* has ended: 'write' was not answered"):
+        target.link.request("write", {"values": {"Kp1": 1.0}}, timeout=PATIENCE_S)
+    assert time.monotonic() < begin + PATIENCE_S / 2, "it waited for an answer"
+    with pytest.raises(LinkError, match=r"has ended: 'status' was not answered"):
+        target.status()
+    again = Monitor(FakeRuntime(), Options("fake", "fake_machine"))
+    try:
+        until(lambda: target.alive, "the target is back")
+        assert not target.link.ended
+    finally:
+        again.close()
+
+
+def test_a_target_that_ends_is_reported_at_once_and_a_second_of_its_name_is_refused(
+    target: Target, monitor: Monitor, runtime: FakeRuntime
+) -> None:
+    from zendsp_target.monitor import Options
+
+    monitor.close()
+    until(lambda: not target.alive, "the end is noticed")
+    with pytest.raises(
+        LinkError, match=r"target 'fake' at unixsock-stream/.* has ended: 'status' was not answered"
+    ):
+        target.status()
+    begin = time.monotonic()
+    with pytest.raises(
+        LinkError,
+        match=r"has ended: 'write' was not answered.*Whether it was applied cannot be known",
+    ):
+        target.link.request("write", {"values": {"Kp1": 1.0}}, timeout=PATIENCE_S)
+    assert time.monotonic() < begin + PATIENCE_S / 2, "nobody is left to send it to"
+    with pytest.raises(LinkError, match="no target named 'fake' runs on this machine"):
+        connect("fake")
+    with pytest.raises(
+        LinkError, match=r"no target runs on this machine\. Start one with 'zendsp target'"
+    ):
+        connect()
+    again = Monitor(runtime, Options("fake", "fake_machine"))
+    again.close()
+
+
+def test_an_endpoint_in_the_environment_is_meant_though_a_target_of_that_name_runs_here(
+    target: Target, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert locate(target.info.name)[1] != ["tcp/elsewhere:7447"]
+    monkeypatch.setenv("ZENDSP_CONNECT", "tcp/elsewhere:7447")
+    assert locate(target.info.name) == (target.info.name, ["tcp/elsewhere:7447"], None)
+
+
+@pytest.mark.parametrize(
+    ("credentials", "said"),
+    [
+        (Credentials(authority="none.pem"), "ZENDSP_TLS_CA.*none.pem.*cannot be read"),
+        (Credentials(certificate=__file__), "certificate needs its key"),
+    ],
+)
+def test_credentials_that_cannot_work_are_named_before_anything_is_sent(
+    credentials: Credentials, said: str
+) -> None:
+    with pytest.raises(LinkError, match=said):
+        zenoh_config(["tls/localhost:1"], credentials, 1.0)
+
+
+def test_a_second_link_of_the_same_program_need_not_stand_among_the_hosts(running: Target) -> None:
+    with connect("fake") as other, connect("fake", shown=False) as stopper:
+        until(lambda: len(running.status().hosts) == 2, "the other host is shown")
+        assert set(running.status().hosts) == {running.link.author, other.link.author}
+        stopper.stop()
+        assert running.status().state == "stopped"
+
+
+def ask_on(
+    other: Target, said: list[BaseException], verb: str, arguments: dict[str, object]
+) -> None:
+    try:
+        while True:
+            other.request(verb, **arguments)
+    except BaseException as error:
+        said.append(error)
+
+
+def test_a_link_that_is_closed_while_others_ask_tells_them_so(running: Target) -> None:
+    for _ in range(10):
+        other, said = connect("fake"), list[BaseException]()
+        threads = [
+            threading.Thread(target=ask_on, args=(other, said, "read", {"names": ["Kp1"]})),
+            threading.Thread(target=ask_on, args=(other, said, "write", {"values": {"Kp1": 1.0}})),
+        ]
+        for thread in threads:
+            thread.start()
+        time.sleep(0.01)  # any moment will do
+        other.close()
+        for thread in threads:
+            thread.join(PATIENCE_S)
+        assert [type(error) for error in said] == [LinkError, LinkError], said
+
+
+@pytest.mark.timeout(60)
+def test_rubbish_among_the_entries_of_targets_keeps_nobody_from_finding_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """STOP looks there too: what does not end when it is read must not be read."""
+    tmp_path.chmod(0o700)
+    monkeypatch.setenv("ZENDSP_RUNTIME_DIR", str(tmp_path))
+    os.mkfifo(tmp_path / "a.json")
+    (tmp_path / "b.json").symlink_to("/dev/zero")
+    (tmp_path / "c.json").symlink_to("c.json")
+    (tmp_path / "d.json").mkdir()
+    (tmp_path / "e.json").write_text('{"x": ' + "[" * 50_000 + "]" * 50_000 + "}")
+    (tmp_path / "f.json").write_bytes(bytes(range(256)))
+    whole = Entry(
+        name="imi", pid=os.getpid(), born=born(os.getpid()), endpoints=[], machine="m", protocol=1
+    )
+    (tmp_path / "imi.json").write_bytes(msgspec.json.encode(whole))
+    assert local_entries() == [whole]

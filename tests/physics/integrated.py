@@ -1,0 +1,107 @@
+"""Motions of one joint integrated elsewhere (Runge-Kutta of fourth order), and the kernel's."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from zendsp.diagnosis.data.prepare import prepare
+from zendsp.diagnosis.data.signals import Signals
+from zendsp.physics.joint import JointRecord
+from zendsp.physics.model import Model
+from zendsp.physics.model_file import parse_model
+from zendsp.physics.predict import run
+
+J, T, N = 0.01, 0.002, 1000
+
+
+STIFF = 40  # Runge-Kutta steps a sample where friction has a steep step
+
+
+TANH = 2e-4  # rad/s: width of the reference's friction step
+
+
+Torque = Callable[[float, float, float, float], float]
+
+
+def command() -> np.ndarray:
+    """Torque that starts at rest and reverses, N m."""
+    t = np.arange(N) * T
+    ramp = 1 - np.exp(-((t / 0.3) ** 2))
+    u: np.ndarray = (
+        0.15 * ramp * (np.sin(2 * np.pi * 1.1 * t) + 0.7 * np.sin(2 * np.pi * 2.7 * t + 1))
+    )
+    return u
+
+
+def warmth(t: float) -> float:
+    """Of the machine while it is recorded, °C."""
+    return 20 + 8 * t
+
+
+def integrate(
+    derivative: Callable[[np.ndarray, float, float], np.ndarray],
+    states: int,
+    sub: int = 10,
+    start: float = 0.0,
+) -> np.ndarray:
+    """Trajectory (N, states) from rest under the held command; ``start``: of the first state."""
+    u, x, out, h = command(), np.zeros(states), [], T / sub
+    x[0] = start
+    for k in range(N):
+        out.append(x.copy())
+        for i in range(sub):
+            t = k * T + i * h
+            a = derivative(x, t, u[k])
+            b = derivative(x + 0.5 * h * a, t + 0.5 * h, u[k])
+            c = derivative(x + 0.5 * h * b, t + 0.5 * h, u[k])
+            d = derivative(x + h * c, t + h, u[k])
+            x = x + h / 6 * (a + 2 * b + 2 * c + d)
+    return np.array(out)
+
+
+def rigid(
+    resist: Torque, drive: Callable[[float], float] = lambda u: u, inertia: float = J, sub: int = 10
+) -> np.ndarray:
+    """Position of one inertia against a resisting torque."""
+
+    def derivative(x: np.ndarray, t: float, u: float) -> np.ndarray:
+        return np.array([x[1], (drive(u) - resist(x[0], x[1], t, u)) / inertia])
+
+    return integrate(derivative, 2, sub)[:, 0]
+
+
+def recorded(
+    position: np.ndarray,
+    terms: list[dict[str, Any]],
+    inertia: float = J,
+    gravity: float = 0.0,
+    **tables: Any,
+) -> tuple[Model, JointRecord]:
+    """A model with these terms, and the recording of a position under the command."""
+    mechanism = {"kind": "rotary", "parameters": {"inertia": inertia, "gravity": gravity}}
+    model = parse_model({"mechanism": mechanism, "effect": terms, "sample_time": T, **tables})
+    one = np.ascontiguousarray(position)[:, None]
+    extra = {"temperature": np.array([[warmth(k * T)] for k in range(N)])}
+    signals = Signals(
+        "reference", np.arange(N) * T, T, one, command()[:, None], None, np.zeros(1), extra=extra
+    )
+    return model, prepare([signals], model).records[0][0]
+
+
+def kernel(
+    position: np.ndarray, terms: list[dict[str, Any]], inner: int, inertia: float = J, **more: Any
+) -> np.ndarray:
+    """The kernel's free simulation of the whole recording from its first sample."""
+    model, record = recorded(position, terms, inertia, **more)
+    # the reference rests at first; the smoother's guess of that is not what is tested here
+    record.motion.states[:, 0] = position[0], 0.0, 0.0
+    r = run(record, model, 16.0, inner=inner, free_every=N).innovations
+    return record.position - r
+
+
+def dry(level: float) -> Callable[[float], float]:
+    return lambda v: level * math.tanh(v / TANH)

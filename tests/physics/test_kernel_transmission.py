@@ -1,0 +1,191 @@
+"""The compiled kernel with springs and gaps between motor and load, against differential equations
+integrated elsewhere.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from integrated import (
+    J,
+    N,
+    T,
+    command,
+    integrate,
+    kernel,
+    rigid,
+)
+from scipy.optimize import brentq
+
+from zendsp.diagnosis.data.prepare import prepare
+from zendsp.diagnosis.data.signals import Signals
+from zendsp.physics.model_file import parse_model
+from zendsp.physics.predict import run
+
+
+def test_elastic_joint_is_two_inertias() -> None:
+    k, c, load = 30.0, 0.05, 0.004
+
+    def derivative(x: np.ndarray, _t: float, u: float) -> np.ndarray:
+        spring = k * (x[0] - x[2]) + c * (x[1] - x[3])
+        return np.array([x[1], (u - spring) / (J - load), x[3], spring / load])
+
+    true, without = integrate(derivative, 4)[:, 0], rigid(lambda *_: 0.0)
+    got = kernel(
+        true,
+        [{"kind": "elasticity", "joint": 1, "stiffness": k, "damping": c, "load_inertia": load}],
+        8,
+    )
+    assert np.max(np.abs(got - true)) < 0.05 * np.max(np.abs(true - without))
+
+
+def test_a_stiffening_spring_is_harder_the_more_it_is_bent() -> None:
+    k, k3, load = 8.0, 2.0e4, 0.004  # bent by 11 mrad: a quarter of the torque is the cubic term's
+    c = 0.1 * math.sqrt(k * load)
+
+    def derivative(k3: float) -> Callable[[np.ndarray, float, float], np.ndarray]:
+        def rate(x: np.ndarray, _t: float, u: float) -> np.ndarray:
+            d = x[0] - x[2]
+            spring = k * d + k3 * d**3 + c * (x[1] - x[3])
+            return np.array([x[1], (u - spring) / (J - load), x[3], spring / load])
+
+        return rate
+
+    true, straight = integrate(derivative(k3), 4)[:, 0], integrate(derivative(0.0), 4)[:, 0]
+    term = {
+        "kind": "stiffening",
+        "joint": 1,
+        "stiffness": k,
+        "stiffness3": k3,
+        "load_inertia": load,
+    }
+    size = np.max(np.abs(true - straight))
+    # what is left is how far the spring is thought to be bent when the recording begins
+    assert np.max(np.abs(kernel(true, [term], 8) - true)) < 0.03 * size
+
+
+ORDER, ERROR, PHASE, WEIGHT, ROTOR = 3.0, 0.02, 0.4, 0.2, 0.003
+
+
+def uneven(x: float) -> tuple[float, float, float]:
+    """Load position behind a motor at x, and its first two derivatives by it."""
+    at = ORDER * x + PHASE
+    return (
+        x + ERROR * math.sin(at),
+        1 + ERROR * ORDER * math.cos(at),
+        -ERROR * ORDER**2 * math.sin(at),
+    )
+
+
+@pytest.mark.parametrize("side", ["motor", "load"])
+@pytest.mark.parametrize("elastic", [False, True])
+def test_the_load_turns_unevenly_behind_a_transmission_with_an_error(
+    side: str, elastic: bool
+) -> None:
+    k, c, load = 60.0, 0.08, 0.006
+    terms: list[dict[str, Any]] = [
+        {"kind": "transmission_error", "order": ORDER, "amplitude": ERROR, "phase": PHASE}
+    ]
+    if elastic:
+        terms.append({"kind": "elasticity", "stiffness": k, "damping": c, "load_inertia": load})
+    else:
+        terms.append({"kind": "inertia", "amount": ROTOR})
+
+    def stiff(x: np.ndarray, _t: float, u: float) -> np.ndarray:  # by Lagrange, one coordinate
+        at, slope, bend = uneven(x[0])
+        inert = J * slope * slope + ROTOR
+        return np.array(
+            [x[1], (u - J * slope * bend * x[1] ** 2 - slope * WEIGHT * math.sin(at)) / inert]
+        )
+
+    def springy(x: np.ndarray, _t: float, u: float) -> np.ndarray:
+        at, slope, _ = uneven(x[0])
+        pull = k * (at - x[2]) + c * (slope * x[1] - x[3])
+        return np.array(
+            [x[1], (u - slope * pull) / (J - load), x[3], (pull - WEIGHT * math.sin(x[2])) / load]
+        )
+
+    if elastic:
+        # of the motor where the load hangs down
+        hanging = float(brentq(lambda x: uneven(x)[0], -0.1, 0.1))
+        true = integrate(springy, 4, start=hanging)[:, 0 if side == "motor" else 2]
+        even = integrate(lambda x, t, u: springy_even(x, u, k, c, load), 4)[
+            :, 0 if side == "motor" else 2
+        ]
+    else:
+        motor = integrate(stiff, 2)[:, 0]
+        true = motor if side == "motor" else motor + ERROR * np.sin(ORDER * motor + PHASE)
+        even = rigid(lambda q, v, t, u: WEIGHT * math.sin(q), inertia=J + ROTOR)
+    got = kernel(true, terms, 16, gravity=WEIGHT, sensor={"side": side})
+    size = np.max(np.abs(true - even))
+    assert np.max(np.abs(got - true)) < 0.05 * size
+
+
+def springy_even(x: np.ndarray, u: float, k: float, c: float, load: float) -> np.ndarray:
+    """Two inertias and a pendulum's weight on the second, without an error between them."""
+    pull = k * (x[0] - x[2]) + c * (x[1] - x[3])
+    return np.array([x[1], (u - pull) / (J - load), x[3], (pull - WEIGHT * math.sin(x[2])) / load])
+
+
+def test_gap_lets_the_motor_move_alone() -> None:
+    k, load, gap = 40.0, 0.004, 0.05
+    c = 0.1 * math.sqrt(k * load)
+
+    def derivative(x: np.ndarray, _t: float, u: float) -> np.ndarray:
+        d = x[0] - x[2]
+        over = d - 0.5 * gap if d > 0.5 * gap else d + 0.5 * gap if d < -0.5 * gap else 0.0
+        force = k * over + (c * (x[1] - x[3]) if over else 0.0)
+        return np.array([x[1], (u - force) / (J - load), x[3], force / load])
+
+    true, without = integrate(derivative, 4)[:, 0], rigid(lambda *_: 0.0)
+    got = kernel(
+        true,
+        [{"kind": "backlash", "joint": 1, "gap": gap, "stiffness": k, "load_inertia": load}],
+        16,
+    )
+    # impacts spread small differences: what must agree is the motion up to the third reversal
+    early = slice(0, 500)
+    assert np.max(np.abs(got - true)[early]) < 0.15 * np.max(np.abs(true - without)[early])
+
+
+def test_a_spring_is_bent_already_when_a_recording_begins_in_the_middle() -> None:
+    k, c, load = 15.0, 0.2, 0.004  # damped, so that its own ringing is over
+
+    def derivative(x: np.ndarray, _t: float, u: float) -> np.ndarray:
+        force = k * (x[0] - x[2]) + c * (x[1] - x[3])
+        return np.array([x[1], (u - force) / (J - load), x[3], force / load])
+
+    true, begin = integrate(derivative, 4), 200
+    term = {"kind": "elasticity", "joint": 1, "stiffness": k, "damping": c, "load_inertia": load}
+    model = parse_model(
+        {
+            "mechanism": {"kind": "rotary", "parameters": {"inertia": J}},
+            "effect": [term],
+            "sample_time": T,
+        }
+    )
+    later = np.ascontiguousarray(true[begin:, :1])
+    record = prepare(
+        [
+            Signals(
+                "later",
+                np.arange(N - begin) * T,
+                T,
+                later,
+                command()[begin:, None],
+                None,
+                np.zeros(1),
+            )
+        ],
+        model,
+    ).records[0][0]
+    # the smoother's guess of the first speed is not what is tested here
+    record.motion.states[:2] = true[begin:, :2].T
+    early = slice(0, 100)
+    off = np.abs(run(record, model, 16.0, inner=8, free_every=N).innovations[early])
+    bend = np.abs(true[begin, 0] - true[begin, 2])
+    assert np.max(off) < 0.15 * bend
