@@ -1,5 +1,5 @@
-"""The command ``zendsp``, also as ``python -m zendsp``: Ctrl-C ends it quietly, also while it loads,
-and is never lost.
+"""The command ``zendsp``, also as ``python -m zendsp``: Ctrl-C ends it quietly, also while it
+loads, and is never lost.
 """
 
 from __future__ import annotations
