@@ -22,6 +22,7 @@ from typing import NoReturn
 
 from zendsp_isr.parts import machine_title
 from zendsp_protocol.errors import ZendspError
+from zendsp_protocol.files_left import need_files
 from zendsp_target.access.admission import settle
 from zendsp_target.access.endpoints import Security
 
@@ -176,6 +177,7 @@ def _serve(args: argparse.Namespace, listen: Sequence[str], security: Security) 
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     keep_large_buffers()
     _take_files()
+    need_files()
     name = args.name or machine_title(args.machine)
     ideal = ["ideal=1"] if args.ideal else []
     runtime = Runtime(
