@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from zendsp.first_use import on_first_use
 
 __version__ = "0.1.0"
@@ -39,6 +37,7 @@ _LAZY = {
     "MatDSPAcquireLoad": "zendsp.matdsp",
 }
 
+TYPE_CHECKING = False  # what `typing` has, without its import: a command begins with this file
 if TYPE_CHECKING:
     from zendsp.experiment import frequency_response as frequency_response
     from zendsp.experiment import sweep as sweep

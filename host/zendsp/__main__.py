@@ -1,15 +1,37 @@
-"""The command ``zendsp``, also as ``python -m zendsp``: Ctrl-C while it loads ends it quietly."""
+"""The command ``zendsp``, also as ``python -m zendsp``: Ctrl-C ends it quietly, also while it
+loads, and is never lost.
+"""
 
 from __future__ import annotations
+
+import signal
+import sys
+
+AGAIN_S = 0.05  # by then the main thread is elsewhere, perhaps in a call that only a signal ends
 
 
 def main() -> None:
     """Import the commands and run the one that was typed."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    from zendsp.cli import main as command
+
+    sys.unraisablehook = _unraisable
     try:
-        from zendsp.cli import main as command
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)  # a Ctrl-C meanwhile comes here
+        command()
     except KeyboardInterrupt:
         raise SystemExit(130) from None
-    command()
+
+
+def _unraisable(unraisable: sys.UnraisableHookArgs) -> None:
+    """Python drops a Ctrl-C that comes while an object is taken apart: have it come again."""
+    if issubclass(unraisable.exc_type, KeyboardInterrupt):
+        import threading
+
+        main_thread = threading.main_thread().ident
+        threading.Timer(AGAIN_S, signal.pthread_kill, (main_thread, signal.SIGINT)).start()
+    else:
+        sys.__unraisablehook__(unraisable)
 
 
 if __name__ == "__main__":

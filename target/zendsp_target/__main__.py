@@ -4,6 +4,12 @@ nothing else.
 
 from __future__ import annotations
 
+import signal
+
+if __name__ == "__main__":
+    # Ctrl-C waits until all is imported; `zendsp target` begins this process with it held back
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+
 import argparse
 import contextlib
 import json
@@ -16,6 +22,7 @@ from typing import NoReturn
 
 from zendsp_isr.parts import machine_title
 from zendsp_protocol.errors import ZendspError
+from zendsp_protocol.files_left import need_files
 from zendsp_target.access.admission import settle
 from zendsp_target.access.endpoints import Security
 
@@ -167,8 +174,10 @@ def _serve(args: argparse.Namespace, listen: Sequence[str], security: Security) 
     from zendsp_target.runtime import Runtime
     from zendsp_target.serving.malloc import keep_large_buffers
 
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     keep_large_buffers()
     _take_files()
+    need_files()
     name = args.name or machine_title(args.machine)
     ideal = ["ideal=1"] if args.ideal else []
     runtime = Runtime(

@@ -5,17 +5,19 @@ there.
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from concurrent.futures import Future
 
 import pytest
 from steps import Until
 from textual.events import Key, MouseDown
 from textual.widgets import Input
-from waiting import PATIENCE_S
+from waiting import PATIENCE_S, until
 
 from zendsp.tui import stopper
 from zendsp.tui.app import ZendspApp
@@ -117,6 +119,61 @@ def test_a_click_that_waits_for_the_process_to_begin_stops() -> None:
         process.wait()
         for pipe in (control_in, control, verdicts):
             os.close(pipe)
+
+
+Guarded = tuple[stopper.Stopper, list[str]]  # and what it told
+
+
+@pytest.fixture
+def keys_process(monkeypatch: pytest.MonkeyPatch) -> Iterator[Guarded]:
+    """A process of the keys that has begun; what it is told to do takes an hour to be too late."""
+    monkeypatch.setattr(stopper, "SILENT_S", 3600.0)
+    typed, keyboard = os.pipe()
+    kept = os.dup(0)
+    os.dup2(typed, 0)
+    os.close(typed)
+    told: list[str] = []
+    guard = stopper.Stopper(lambda state, *_: told.append(state))
+    try:
+        guard.stop()  # of no target
+        until(lambda: "asked" in told, "it has begun")
+        yield guard, told
+    finally:
+        guard.close()
+        os.dup2(kept, 0)
+        os.close(kept)
+        os.close(keyboard)
+
+
+def test_a_frozen_process_of_the_keys_is_not_waited_for(keys_process: Guarded) -> None:
+    guard, _ = keys_process
+    os.kill(guard._process.pid, signal.SIGSTOP)
+    until(lambda: not guard.alive, "the terminal reads the keys itself")
+
+
+def test_a_process_of_the_keys_that_sleeps_too_long_is_not_waited_for(
+    keys_process: Guarded, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stopper, "_states", lambda pid: {"S"})  # as one that waits for another
+    guard, _ = keys_process
+    os.kill(guard._process.pid, signal.SIGSTOP)
+    until(lambda: not guard.alive, "the terminal reads the keys itself")
+
+
+def test_a_process_of_the_keys_that_gets_no_processor_is_waited_for(
+    keys_process: Guarded, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    guard, told = keys_process
+    looks: list[int] = []
+    monkeypatch.setattr(stopper, "_states", lambda pid: looks.append(pid) or {"R", "S"})
+    os.kill(guard._process.pid, signal.SIGSTOP)
+    until(lambda: len(looks) > 2 * stopper.ASLEEP_S / stopper.LOOK_S, "it was looked at for long")
+    assert guard.alive
+    os.kill(guard._process.pid, signal.SIGCONT)
+    told.clear()
+    guard.stop()
+    until(lambda: "asked" in told, "it answers again")
+    assert guard.alive
 
 
 async def test_what_is_typed_before_a_dialog_opens_is_no_command(

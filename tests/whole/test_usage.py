@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from waiting import PATIENCE_S
 
 from zendsp.cli import COMMANDS, LazyGroup, cli, main
 from zendsp.cli.stats import bars
@@ -95,20 +95,72 @@ def test_the_timing_is_shown_in_a_screenful() -> None:
     assert len(few) == 1 and "7" in few[0]
 
 
-def test_ctrl_c_while_the_command_is_being_imported_ends_it_without_a_traceback() -> None:
-    """A module that interrupts its own import is Ctrl-C at that moment."""
-    code = (
-        "import os, signal, sys, importlib.abc\n"
-        "class Finder(importlib.abc.MetaPathFinder):\n"
-        "    def find_spec(self, name, path=None, target=None):\n"
-        "        if name == 'zendsp.errors':\n"
-        "            os.kill(os.getpid(), signal.SIGINT)\n"
-        "sys.meta_path.insert(0, Finder())\n"
-        "from zendsp.__main__ import main\n"
-        "main()\n"
-    )
+# as sitecustomize: of every interpreter, also of the one that a command turns into
+INTERRUPTS = """
+import os, signal, sys
+
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == os.environ["WHEN"]:
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.meta_path.insert(0, Finder())
+"""
+
+
+@pytest.mark.parametrize(
+    ("command", "when"),
+    [
+        ("ls", "zendsp.errors"),
+        ("target", "zendsp.cli.target"),
+        ("target", "runpy"),  # of the interpreter that takes its place
+        ("target", "argparse"),
+        ("", "zendsp_isr.compiler"),  # python -m zendsp_target
+        ("", "zenoh"),
+        ("", "zendsp_target.serving.server"),
+    ],
+)
+def test_ctrl_c_while_a_command_begins_ends_it_without_a_traceback(
+    command: str, when: str, tmp_path: Path
+) -> None:
+    (tmp_path / "sitecustomize.py").write_text(INTERRUPTS)
+    code = "from zendsp.__main__ import main; main()"
+    words = ["-c", code, command] if command else ["-m", "zendsp_target"]
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, env=dict(os.environ)
+        [sys.executable, *words],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(tmp_path), "WHEN": when},
+        timeout=PATIENCE_S,
     )
-    assert done.returncode in (130, -signal.SIGINT)
-    assert "Traceback" not in done.stderr
+    assert done.returncode == 130, done.stderr
+    assert "Traceback" not in done.stderr and not done.stdout
+
+
+def test_ctrl_c_while_an_object_is_taken_apart_is_not_lost() -> None:
+    code = """
+import os, signal, sys, time
+import click
+from zendsp import cli
+from zendsp.__main__ import main
+
+class Thing:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        len("here it comes")
+
+@cli.cli.command("long")
+def long():
+    Thing()
+    time.sleep(3600)
+
+cli.COMMANDS.clear()
+cli.LazyGroup.get_command = lambda *_: long
+sys.argv = ["zendsp", "long"]
+main()
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_S
+    )
+    assert done.returncode == 130, done.stderr
+    assert done.stderr.strip() == "interrupted"

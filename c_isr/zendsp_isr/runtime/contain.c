@@ -25,7 +25,7 @@
 #include <sys/resource.h> /* setrlimit */
 #include <sys/syscall.h>  /* numbers of the calls */
 #include <sys/wait.h>     /* waitpid */
-#include <time.h>         /* nanosleep */
+#include <time.h>         /* nanosleep, timer_create */
 #include <unistd.h>       /* syscall, _exit */
 
 #include "runner.h"
@@ -235,6 +235,23 @@ void contain_end_children(void) {
     const struct timespec nap = {.tv_sec = 0, .tv_nsec = 1000000};
     for (int round = 0; refused && round < ROUNDS && end_those_right_beneath() > 0; round++)
         nanosleep(&nap, NULL);
+}
+
+/* This process is ended then, whatever its threads hang in; nothing that they do holds it up. */
+void contain_end_within(int seconds) {
+    struct sigevent end = {.sigev_notify = SIGEV_SIGNAL, .sigev_signo = SIGKILL};
+    const struct itimerspec then = {.it_value = {.tv_sec = seconds}};
+    timer_t timer;
+    if (timer_create(CLOCK_MONOTONIC, &end, &timer) == 0)
+        timer_settime(timer, 0, &then, NULL);
+}
+
+/* What this process is sent when the monitor ends: SIGKILL while the machine is being opened; from
+ * then on the service makes it safe first, and SIGCONT is for one that was stopped. */
+void contain_hear_of_end(const control *c, int signal) {
+    prctl(PR_SET_PDEATHSIG, signal, 0, 0, 0);
+    if (getppid() != c->monitor && signal == SIGKILL)
+        _exit(1); /* it ended before the kernel was told */
 }
 
 /* The watcher is gone: whatever is left of our process group goes with us. */

@@ -201,6 +201,7 @@ static int make_safe(const char *path) {
     copy = *given;
     if (read(STDIN_FILENO, &wanted, 1) != 1)
         return 0;
+    contain_end_within(ORPHAN_S); /* who asked for it may be gone by then */
     the_runner.control = &copy;
     if (open_machine(&the_runner) != 0) {
         fprintf(stderr, "runner: %s\n", copy.error);
@@ -214,7 +215,10 @@ static int make_safe(const char *path) {
 static int look(const char *path) {
     runner *r = &the_runner;
     r->control = map_control(path);
-    if (!r->control || open_machine(r) != 0)
+    if (!r->control)
+        return 1;
+    contain_hear_of_end(r->control, SIGKILL);
+    if (open_machine(r) != 0)
         return 1;
     close_machine(r);
     return 0;
@@ -240,6 +244,7 @@ int main(int count, char **arguments) {
     /* asked while nothing was loaded, or of a runner that died: not of this program */
     store32(&r->page->stop, 0);
     catch_signals();
+    contain_hear_of_end(r->control, SIGKILL);
     if (open_machine(r) != 0)
         return 1;
     prepare_io(r);
@@ -248,6 +253,7 @@ int main(int count, char **arguments) {
     const int failed = service_start(r); /* before user code, which may start none */
     if (failed)
         return fail(r->control, "threads", strerror(failed));
+    contain_hear_of_end(r->control, SIGCONT);
     contain_enter(r->control);
     if (load_program(r) != 0)
         return 1;

@@ -15,6 +15,7 @@
 #include "machine.h"
 
 enum { SPEED_WINDOW = 256, RANGES = LAYOUT_VARIABLES };
+enum { ORPHAN_S = 12 }; /* that a machine may take to be made safe; longer than the monitor waits */
 
 /* What every program can read and record without declaring it; doubles, so that channels treat all
  * alike. */
@@ -144,6 +145,8 @@ int service_start(runner *r);
 void contain_memory(void *at, size_t bytes);
 void contain_enter(control *c);
 void contain_say(control *c);
+void contain_hear_of_end(const control *c, int signal);
+void contain_end_within(int seconds);
 void contain_end_group(void);
 void contain_end_children(void);
 

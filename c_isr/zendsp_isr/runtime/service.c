@@ -106,9 +106,12 @@ static void serve_streams(runner *r) {
 }
 
 /* An orphan has nobody to report to: the loop makes the machine safe and ends; if it cannot, user
- * code being stuck, we do. */
+ * code being stuck, we do; if the machine does not let us, the process ends all the same, and what
+ * it has of a watchdog acts. */
 static void end_orphan(runner *r) {
+    contain_end_within(ORPHAN_S);
     store32(&r->control->run, RUN_QUIT);
+    contain_end_children();
     sleep_ns(2000000000u);
     r->config.machine->safe(r->config.handle);
     contain_end_group();

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 
 import click
@@ -42,4 +43,6 @@ def command(
     for endpoint in listen:
         arguments += ["--listen", endpoint]
     sys.stdout.flush()
+    # a Ctrl-C is kept until the new program can end by it
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     os.execv(sys.executable, [sys.executable, "-m", "zendsp_target", *arguments, *context.args])

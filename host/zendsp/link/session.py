@@ -14,6 +14,7 @@ import zenoh
 from zendsp.errors import LinkError
 from zendsp.link.settings import Credentials, zenoh_config
 from zendsp_protocol import keys
+from zendsp_protocol.files_left import need_files
 
 _numbers = itertools.count(1)
 
@@ -26,8 +27,10 @@ def open_session(
     Raises
     ------
     LinkError
-        None answers; or, indistinguishable for Zenoh, the credentials are refused.
+        None answers; or, indistinguishable for Zenoh, the credentials are refused; or this process
+        may not open enough files.
     """
+    need_files()
     where = ", ".join(endpoints)
     try:
         session = zenoh.open(zenoh_config(endpoints, credentials, timeout))

@@ -27,6 +27,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from zendsp.errors import NotStopped, ZendspError
@@ -48,9 +49,10 @@ EMERGENCY = "NOT STOPPED: use the machine's emergency stop"
 STOPPERS = 2  # a second STOP does not wait for the end of the first
 RETRY_S = 0.4  # between attempts to connect, or to stop what did not answer
 INSIST_S = 10.0  # that a STOP without an answer is asked again
-ASK_S = 1.0  # between questions whether it is there
-SILENT_S = 3.0  # without an answer, after which it is ended
-GRACE_S = 0.5  # more, for an answer that is there while the application itself could not look
+ASK_S = 0.2  # between questions whether it is there
+LOOK_S = 0.1  # between looks at one that has not answered yet
+ASLEEP_S = 0.5  # without an answer, after which it is ended unless it wants a processor
+SILENT_S = 3.0  # the same where it wants one: the computer is busy
 PASTE_S = 2.0  # of silence, after which a paste whose end did not come is over
 
 
@@ -286,6 +288,15 @@ def serve(control: int, verdicts: int, web: bool) -> None:
                 waiting = waiting[os.write(1, waiting) :]
 
 
+def _states(pid: int) -> set[str]:
+    """What the threads of a process do: R runs or would, D waits for a disk, T is stopped, …"""
+    found = set()
+    for stat in Path(f"/proc/{pid}/task").glob("*/stat"):
+        with contextlib.suppress(OSError):
+            found.add(stat.read_text(errors="replace").rpartition(")")[2].split()[0])
+    return found
+
+
 # -- the application's side
 # --------------------------------------------------------------------------------------------------
 
@@ -356,15 +367,27 @@ class Stopper:
 
     def _watch(self) -> None:
         """End the process if it hangs: what follows is as if it had been killed."""
-        patience = None  # until it has begun
+        begun = False
         while self._write("?"):
-            if not self._here.wait(patience) and not self._here.wait(GRACE_S):
-                if self.alive:
-                    self._process.kill()
-                return
+            asked = time.monotonic()
+            while not self._here.wait(LOOK_S):
+                if self._hangs(time.monotonic() - asked if begun else 0.0):
+                    if self.alive:
+                        self._process.kill()
+                    return
             self._here.clear()
-            patience = SILENT_S
+            begun = True
             time.sleep(ASK_S)
+
+    def _hangs(self, silent_s: float) -> bool:
+        """Whether nobody will read the next key, after so many seconds without an answer."""
+        if select.select([self._verdicts], [], [], 0.0)[0]:
+            return False  # its answer is there: it is the application that could not look
+        states = _states(self._process.pid)
+        if "T" in states:
+            time.sleep(LOOK_S)  # a whole job that goes on does so one by one
+            return "T" in _states(self._process.pid)
+        return silent_s > (SILENT_S if states & {"R", "D"} else ASLEEP_S)
 
     def _listen(self) -> None:
         with open(self._verdicts, encoding="utf-8") as lines:

@@ -1,0 +1,140 @@
+"""Whatever the machine hangs in: no process of a target outlives it by more than a machine needs to
+be made safe.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from waiting import until
+
+# hardware: hangs in open() and safe() where a file says so, and says that it does
+HARDWARE = """
+#include <stdio.h>
+#include <string.h>
+#include <unistd.h>
+#include "machine.h"
+#include "machine_config.h"
+static char folder[256], path[300];
+static const char *in_folder(const char *name) {
+    snprintf(path, sizeof path, "%s/%s", folder, name);
+    return path;
+}
+static void say(const char *word) {
+    FILE *f = fopen(in_folder(word), "w");
+    if (f) fclose(f);
+}
+static void hang(const char *where) {
+    if (access(in_folder(where), F_OK) != 0) return;
+    say("hangs");
+    for (;;) pause();
+}
+static int open_it(void **h, const char *config, double period, machine_info *info, char *error,
+                   size_t size) {
+    (void)period; (void)error; (void)size; (void)h;
+    machine_config_text(config, "folder", folder, sizeof folder);
+    hang("open");
+    info->joints = 1; info->stop_input = -1;
+    info->joint[0] = (machine_joint){.counts_per_unit = 1000.0, .mv_per_torque = 1.0,
+        .mv_per_speed = 1.0, .command_max = 1e4, .position_min = -1.0, .position_max = 1.0,
+        .speed_max = 1e3, .torque_max = 1e3};
+    return 0;
+}
+static void read_it(void *h, machine_sensors *s) { (void)h; s->enc[0] = 5; }
+static void write_it(void *h, const machine_actuators *a) { (void)h; (void)a; }
+static void safe(void *h) { (void)h; hang("safe"); say("is-safe"); }
+const machine_ops zendsp_machine = {.abi = MACHINE_ABI, .open = open_it, .read = read_it,
+    .write = write_it, .safe = safe};
+"""
+PROGRAM = """
+#include <unistd.h>
+#include "isr.h"
+static double x;
+void UserInit(void) { SIGNAL(x, "", ""); }
+void UserISR_INT2(void) { x += 1.0; %s }
+"""
+CRASH = """if (access("{}/safe", F_OK) == 0) *(volatile int *)0 = 1;"""
+MONITOR = """
+import pathlib, sys, time
+from zendsp_target.runtime import Runtime
+folder, code, hangs = pathlib.Path(sys.argv[1]), sys.argv[2], sys.argv[3:]
+if "look" in hangs:
+    (folder / "open").touch()
+runtime = Runtime(
+    str(folder / "fake.c"), clock="real", realtime=False, load_s=3600.0,
+    machine_config={"folder": str(folder)},
+)
+if "open" in hangs:
+    (folder / "open").touch()
+runtime.load(runtime.compile({"user.c": code}).key)
+(folder / "is-safe").unlink(missing_ok=True)
+runtime.start()
+if "safe" in hangs:
+    (folder / "safe").touch()
+print(runtime.runner_pid(), flush=True)
+time.sleep(3600)
+"""
+
+
+def _of(monitor: int) -> set[str]:
+    """What a target started, by the folder in shared memory that its name stands in."""
+    found = set()
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            words = path.read_bytes()
+            state = path.with_name("stat").read_text(errors="replace").rpartition(")")[2].split()[0]
+        except OSError:
+            continue
+        if f"/zendsp-{monitor}-".encode() in words and state != "Z":
+            found.add(f"{path.parent.name}: {state} {words.decode()}")
+    return found
+
+
+@pytest.mark.parametrize(
+    ("hangs", "does"),
+    [
+        ([], ""),
+        (["look"], ""),
+        (["open"], ""),
+        (["safe"], ""),
+        (["safe"], CRASH),  # the process that makes it safe, beside the runner
+    ],
+    ids=["nowhere", "being looked at", "opening", "being made safe", "being made safe by another"],
+)
+def test_nothing_outlives_a_killed_target(tmp_path: Path, hangs: list[str], does: str) -> None:
+    (tmp_path / "fake.c").write_text(HARDWARE)
+    words = [sys.executable, "-c", MONITOR, str(tmp_path), PROGRAM % does.format(tmp_path), *hangs]
+    monitor = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+    try:
+        hung = tmp_path / "hangs"
+        if {"look", "open"} & set(hangs) or does:
+            until(hung.exists, "the machine hangs", alive=monitor)
+        else:
+            assert monitor.stdout is not None and monitor.stdout.readline()
+        assert _of(monitor.pid)
+    finally:
+        monitor.send_signal(signal.SIGKILL)
+        monitor.communicate()
+    until(lambda: not _of(monitor.pid), "all of it ends", lambda: _of(monitor.pid))
+    assert hung.exists() is bool(hangs), "it hung where it was to hang"
+
+
+def test_a_stopped_runner_goes_on_to_make_the_machine_safe(tmp_path: Path) -> None:
+    (tmp_path / "fake.c").write_text(HARDWARE)
+    words = [sys.executable, "-c", MONITOR, str(tmp_path), PROGRAM % ""]
+    monitor = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+    try:
+        assert monitor.stdout is not None
+        runner = int(monitor.stdout.readline())
+        monitor.send_signal(signal.SIGSTOP)  # before the runner: its watchdog would end it
+        os.kill(runner, signal.SIGSTOP)
+    finally:
+        monitor.send_signal(signal.SIGKILL)
+        monitor.communicate()
+    until(lambda: not _of(monitor.pid), "it ends", lambda: _of(monitor.pid))
+    assert (tmp_path / "is-safe").exists()

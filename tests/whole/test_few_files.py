@@ -1,0 +1,27 @@
+"""A process that may open few files is told so; Zenoh would end it with a panic."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from waiting import PATIENCE_S
+
+HOST = """-c '
+from zendsp.link.session import open_session
+from zendsp.link.settings import Credentials
+open_session(["unixsock-stream//nowhere.sock"], Credentials(), 1.0)'"""
+TARGET = "-m zendsp_target --machine pendulum --name few --no-realtime"
+
+
+@pytest.mark.parametrize("words", [HOST, TARGET], ids=["host", "target"])
+def test_too_few_files_for_a_link_are_told_in_a_sentence(
+    words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ZENDSP_RUNTIME_DIR", str(tmp_path))
+    few = f"ulimit -n 16; exec {sys.executable} {words}"
+    done = subprocess.run(["sh", "-c", few], capture_output=True, text=True, timeout=PATIENCE_S)
+    assert done.returncode in (1, 2), done.stderr
+    assert "ulimit -n 1024" in done.stderr and "panic" not in done.stderr
