@@ -200,6 +200,33 @@ def test_what_was_recorded_before_a_crash_is_saved_and_a_wrong_name_is_refused_b
     assert zendsp.Recording.load(out)["x"].tolist() == [float(k) for k in range(1, 701)]
 
 
+def test_what_is_written_into_a_new_folder_makes_it(target: Target, tmp_path: Path) -> None:
+    target.download("pd.c")
+    target.start()
+    sweep = ("sweep", "Kp1=500,600", "-c", "e1", "-s", "0.1", "--settle", "0.1", "--out")
+    for number, command in enumerate((
+        ("params", "save", "{}/x.json"),
+        ("acquire", "q", "tau", "--seconds", "3", "--out", "{}/run.csv"),
+        (*sweep, "{}/s.csv"),
+        ("model", "new", "1/run.csv", "--out", "{}/m.toml"),
+        ("model2c", "imi_planar.toml", "--out", "{}/m.c"),
+        ("reference", "circle", "--out", "{}/c.mat", "--plot", "{}/plot/c.png"),
+    )):  # fmt: skip
+        done = zendsp_(*(word.format(number) for word in command), cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert (tmp_path / command[-1].format(number)).is_file()
+    (tmp_path / "file").touch()
+    done = zendsp_(*sweep, "file/s.csv", cwd=tmp_path)
+    assert done.returncode == 2 and "cannot be written" in done.stderr
+    assert "rms e1" in done.stdout, "what was measured is seen"
+
+
+def test_what_is_no_c_program_is_named(target: Target, tmp_path: Path) -> None:
+    (tmp_path / "bad.mat").write_text("no C")
+    done = zendsp_("compile", "bad.mat", cwd=tmp_path)
+    assert done.returncode != 0 and "bad.mat" in done.stderr and "ends in .c" in done.stderr
+
+
 def test_ctrl_c_ends_watch_cleanly(target: Target) -> None:
     target.download("pd.c")
     target.start()

@@ -84,6 +84,15 @@ def test_a_recording_also_reads_as_a_plain_table(
 
 
 @pytest.mark.parametrize("suffix", [".mat", ".npz", ".parquet", ".csv", ".mcap", ".mf4"])
+def test_as_a_table_every_format_knows_its_units(tmp_path: Path, suffix: str) -> None:
+    degrees = np.linspace(0.0, 90.0, 50).reshape(25, 2)
+    run = Recording.from_columns({"q": degrees}, sample_time=0.01, units={"q": "deg"})
+    table = read_table(run.save(tmp_path / f"run{suffix}"))
+    assert table.units["q"] == "rad" and table.units["t"] == "s"
+    assert table["q"] == pytest.approx(np.deg2rad(degrees))
+
+
+@pytest.mark.parametrize("suffix", [".mat", ".npz", ".parquet", ".csv", ".mcap", ".mf4"])
 def test_one_row_survives(tmp_path: Path, suffix: str) -> None:
     one = Recording.from_columns({"q": [[1.0, 2.0]], "u": [3.0]}, sample_time=0.1)
     back = Recording.load(one.save(tmp_path / f"one{suffix}"))

@@ -99,18 +99,41 @@ def test_a_table_of_another_rate_is_resampled_without_loss_of_shape(tmp_path: Pa
     assert reference.qd[100:-100, 1] == pytest.approx(-np.sin(reference.t[100:-100]), abs=1e-6)
 
 
+@pytest.mark.parametrize(
+    "head",
+    [
+        "t [ms];q1 [deg];q2 [deg]\n",  # units in the names, decimal commas
+        "Zeit;q1;q2\nms;deg;deg\n",  # a row of units, another language
+        "t [ms];q[0] [deg];q[1] [deg]\n",  # as recordings count joints
+    ],
+)
+def test_a_foreign_table_comes_in_with_its_units_and_commas(tmp_path: Path, head: str) -> None:
+    (tmp_path / "way.csv").write_text(head + "0;0;-1\n10;0,5;-1,5\n20;1,0;-2\n30;1,5;-2,5\n")
+    made = make_from_file(load_machine("imi_planar"), path=str(tmp_path / "way.csv"))
+    assert made.duration == pytest.approx(0.03)
+    assert np.rad2deg(made.q[[0, 10, 30]]) == pytest.approx(
+        np.array([[0.0, -1.0], [0.5, -1.5], [1.5, -2.5]])
+    )
+
+
 def test_bad_files_get_one_clear_sentence(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("t,x\n0,1\n1,2\n")
     (tmp_path / "b.csv").write_text("t,q1,q2\n0,1,1\n0,2,2\n")
     (tmp_path / "c.mat").write_bytes(b"this is no MAT file at all" * 20)
     (tmp_path / "e.mat").write_bytes(b"\x00\x01\x02garbage")
+    (tmp_path / "f.csv").write_text("t,q1 [V],q2 [V]\n0,1,1\n1,2,2\n")
+    (tmp_path / "g.csv").write_text("t,q1,q2\n0,1,1\n0.001,2,\n0.002,3,3\n")
+    (tmp_path / "h.csv").write_text("t,q1,q3\n0,1,1\n1,2,2\n")
     arm = load_machine("imi_planar")
     for name, words in (
         ("a.csv", "no column q"),
         ("b.csv", "time does not increase at row 1"),
-        ("c.mat", "cannot be read"),
+        ("c.mat", "not a readable MAT file"),
         ("d.mat", "no such file"),
-        ("e.mat", "cannot be read"),
+        ("e.mat", "not a readable MAT file"),
+        ("f.csv", "column q1 is in V; a reference has it in rad or m"),
+        ("g.csv", "column q2 is no finite number in row 1"),
+        ("h.csv", "q1, q3 are not numbered 1 to 2"),
     ):
         with pytest.raises(ReferenceError_, match=words):
             make_from_file(arm, path=str(tmp_path / name))

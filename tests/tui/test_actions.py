@@ -12,7 +12,7 @@ from rich.style import Style
 from steps import Until
 from textual.app import App, ComposeResult
 from textual.containers import VerticalScroll
-from textual.widgets import OptionList, Static
+from textual.widgets import DataTable, OptionList, Static
 
 from zendsp.errors import LinkError
 from zendsp.tui.actions import ACTIONS, SCREENS, actions
@@ -378,3 +378,22 @@ async def test_the_name_that_was_typed_whole_comes_first(app: ZendspApp) -> None
         assert rows.highlighted == 0, "the first of what is left"
         await pilot.press("backspace", "backspace", "backspace", "p", "d", ".", "c", "enter")
         assert chosen == [["pd.c"]]
+
+
+async def test_build_without_a_source_asks_for_one_and_builds_it(
+    lab: ZendspApp, folder: Path, until: Until
+) -> None:
+    lab.source = None
+    async with lab.run_test(size=(100, 30)) as pilot:
+        await until(pilot, lambda: lab.session.snapshot.link == "up", "the link is up")
+        await pilot.press("b", "enter")  # pd.c is the first by name
+        await until(pilot, lambda: lab.session.snapshot.state == "loaded", "built")
+        assert lab.source == folder / "pd.c"
+
+
+async def test_how_a_run_ended_is_seen_before_the_errors_of_seven_joints(app: ZendspApp) -> None:
+    async with app.run_test(size=(100, 30)) as pilot:
+        await pilot.press("f3")
+        await pilot.pause()
+        columns = [str(c.label) for c in app.screen.query_one("#runs", DataTable).ordered_columns]
+        assert columns.index("outcome") < columns.index("rms e")

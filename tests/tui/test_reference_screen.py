@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -197,3 +198,20 @@ def test_the_path_of_a_serial_arm_is_that_of_pinocchio(wam_of_pinocchio: Any) ->
         pin.forwardKinematics(model, data, angles)
         for joint in range(1, 8):  # joint k + 1 stands at the end of link k
             assert np.allclose(places[row, joint - 1], data.oMi[joint].translation, atol=1e-12)
+
+
+async def test_a_motion_is_planned_for_the_machine_that_is_connected(
+    app: ZendspApp, until: Until
+) -> None:
+    async with app.run_test(size=(160, 48)) as pilot:
+        screen = _screen(app)
+        seen = replace(app.session.snapshot, machine="wam7")
+        screen.pull(seen, True)
+        await until(pilot, lambda: screen.plan and screen.plan.reference.joints == 7, "for the WAM")
+        assert screen.query_one("#machine", Select).value == "wam7"
+        screen.query_one("#machine", Select).value = "pendulum"
+        await until(pilot, lambda: screen.plan and screen.plan.reference.joints == 1, "chosen")
+        screen.pull(seen, True)
+        screen.pull(replace(seen, machine="a robot of one's own"), True)
+        await pilot.pause()
+        assert screen.machine.name == "pendulum", "what was chosen stays"

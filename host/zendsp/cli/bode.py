@@ -70,9 +70,9 @@ def command(
             quantity=quantity, input=input, output=output, periods=periods,
             rehearsed=not no_rehearsal, progress=tell,
         )  # fmt: skip
-    if out is not None:
+    header = ["f [Hz]", "dB", "deg", "± dB", "± deg", "coherence"]
+    emit(found.rows(), as_json, f"{table(shown_lines(found.rows()), header)}\n{found.summary()}")
+    if out is not None:  # last: what was measured is seen where it cannot be written
         found.save(out)
     if plot is not None:
         found.plot(plot)
-    header = ["f [Hz]", "dB", "deg", "± dB", "± deg", "coherence"]
-    emit(found.rows(), as_json, f"{table(shown_lines(found.rows()), header)}\n{found.summary()}")

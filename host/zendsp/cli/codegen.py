@@ -48,5 +48,6 @@ def command(model: Path, out: Path | None, effects_only: bool, sign_speed: float
     if out is None:
         click.echo(text, nl=False)
         return
+    out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(text, encoding="utf-8")
     click.echo(f"wrote {out}")

@@ -52,6 +52,7 @@ def new(recording: Path, out: Path | None, force: bool, as_json: bool) -> None:
     draft = draft_model(read_table(recording))
     parse_model(tomllib.loads(draft.text), str(out))  # what is written can be read
     try:
+        out.parent.mkdir(parents=True, exist_ok=True)
         out.write_text(draft.text, encoding="utf-8")
     except OSError as error:
         raise ModelError(f"{out}: cannot be written ({error.strerror})") from error

@@ -55,10 +55,10 @@ def command(
     with open_target(target, connect) as t, progress("sweep", 2.0, as_json) as tell:
         found = sweep(t, tried, channels, seconds=seconds, settle=settle, measures=measures,
                       together=together, keep=keep, progress=tell)  # fmt: skip
-    if out is not None:
-        found.save(out)
     header = [*found.parameters, *found.results, "ended"]
     shown = table(found.cells(), header)
     emit([dict(row) for row in found.rows], as_json, f"{shown}\n{repr(found)[1:-1]}")
+    if out is not None:  # last: what was measured is seen where it cannot be written
+        found.save(out)
     if any(row["ended"] for row in found.rows):
         raise click.exceptions.Exit(1)

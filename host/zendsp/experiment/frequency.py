@@ -186,6 +186,7 @@ class FrequencyResponse:
         figure.suptitle(f"{self.output} over {self.input}", fontsize=10)
         if path is not None:
             try:
+                Path(path).parent.mkdir(parents=True, exist_ok=True)
                 figure.savefig(path, dpi=120)
             except (OSError, ValueError) as error:
                 raise RecordingError(f"{path}: cannot be written ({error})") from error

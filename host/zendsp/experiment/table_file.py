@@ -39,6 +39,7 @@ def write_rows(
     if path.suffix.lower() != ".csv":
         raise RecordingError(f"{path}: {what} is written as .csv")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("w", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, header, lineterminator="\n")
             writer.writeheader()

@@ -64,6 +64,7 @@ class ParameterSet:
             "note": self.note,
         }
         path = Path(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(
             json.dumps(body | {"values": dict(self.values)}, indent=2) + "\n", encoding="utf-8"
         )

@@ -182,7 +182,7 @@ def _mechanism(
             comment="",
             ask=(
                 f"do the {joints} joints act on one another, as in an arm? Then a URDF says it"
-                ' best: kind = "urdf", file = "arm.urdf"'
+                ' best: kind = "urdf", file = "arm.urdf"; or a MuJoCo model: kind = "mjcf"'
             ),
         )
     page.line("[mechanism.parameters]")
@@ -335,7 +335,14 @@ def _actuator(page: _Page, command: Group | None, step: float, joints: int) -> N
         f"hold = {float(f'{step:.6g}'):g}",
         "s: how long a command acts; the sample time, unless the drive is faster",
     )
-    page.line("delay = 0.0", "s", ask="how long until a command acts? One sample is common")
+    page.line(
+        "delay = 0.0",
+        "s",
+        ask=(
+            "how long until a command acts? One sample is common; on a zendsp target it is one"
+            f" ({step:.6g} s where every sample was recorded) and the drive's current loop"
+        ),
+    )
 
 
 def _sensor(page: _Page, position: Group, linear: bool) -> None:

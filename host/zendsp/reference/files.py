@@ -1,12 +1,9 @@
-"""Reference files: the MAT layout that Execute plays (docs/references.md), and tables of columns.
-"""
+"""Reference files: the MAT layout that Execute plays (docs/references.md)."""
 
 from __future__ import annotations
 
-import csv
 import json
 import os
-import re
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -18,7 +15,6 @@ from zendsp.reference.core import Reference
 from zendsp.reference.machine import MACHINES, Machine, load_machine
 
 FORMAT = "zendsp-reference-1"
-_NUMBERED = re.compile(r"^(q|qd|qdd|tau)_?(\d+)$")
 
 
 def save_reference(
@@ -122,7 +118,7 @@ def load_reference(path: str | Path) -> Reference:
     3
     """  # noqa: E501
     file = Path(path)
-    data = read_columns(file)
+    data = _read_mat(file)
     if str(data.get("format", "")) != FORMAT:
         raise ReferenceError_(
             f'{file}: not a reference file (format is "{data.get("format", "absent")}", expected'
@@ -147,55 +143,38 @@ def load_reference(path: str | Path) -> Reference:
         raise ReferenceError_(f"{file}: damaged reference file: {error}; plan it again") from error
 
 
-def read_columns(path: Path) -> dict[str, Any]:
-    """Variables of a MAT, NPZ or CSV file; q1, q2, … (also q_1, …) are gathered into one array q of
-    shape (N, joints).
+def is_reference(path: Path) -> bool:
+    """Whether a file is one that :func:`save_reference` wrote, and no other table.
 
     Parameters
     ----------
     path : Path
-        ``.mat``, ``.npz`` or ``.csv`` (one row of names first).
 
     Returns
     -------
-    dict
-        Text as str, single numbers as float, columns as arrays; q, qd, qdd and tau always
-        two-dimensional.
-
-    Raises
-    ------
-    ReferenceError_
-        No such file, unknown ending, or unreadable content.
+    bool
 
     Examples
     --------
-    >>> import tempfile, pathlib
-    >>> file = pathlib.Path(tempfile.mkdtemp()) / "a.csv"
-    >>> _ = file.write_text("t,q1,q2\\n0,1,2\\n")
-    >>> read_columns(file)["q"].tolist()
-    [[1.0, 2.0]]
+    >>> is_reference(Path("way.csv"))
+    False
     """
+    try:
+        return path.suffix == ".mat" and _read_mat(path).get("format") == FORMAT
+    except ReferenceError_:
+        return False  # the reader of tables says what is wrong with it
+
+
+def _read_mat(path: Path) -> dict[str, Any]:
+    """Variables of a MAT file: text as str, single numbers as float, the rest as arrays."""
+    from scipy.io import loadmat
+
     if not path.is_file():
         raise ReferenceError_(f"{path}: no such file")
     try:
-        if path.suffix == ".mat":
-            from scipy.io import loadmat
-
-            raw = {k: _plain(v) for k, v in loadmat(path).items() if not k.startswith("__")}
-        elif path.suffix == ".npz":
-            with np.load(path) as archive:
-                raw = {k: _plain(archive[k]) for k in archive.files}
-        elif path.suffix == ".csv":
-            raw = _read_csv(path)
-        else:
-            raise ReferenceError_(
-                f'{path}: ending "{path.suffix}" is unknown; expected .mat, .npz or .csv'
-            )
-    except ReferenceError_:
-        raise
-    except Exception as error:  # SciPy and NumPy raise whatever their parsers stumble over
+        return {k: _plain(v) for k, v in loadmat(path).items() if not k.startswith("__")}
+    except Exception as error:  # SciPy raises whatever its parser stumbles over
         raise ReferenceError_(f"{path}: cannot be read: {error}") from error
-    return _gather(path, raw)
 
 
 def _plain(value: Any) -> Any:
@@ -203,36 +182,3 @@ def _plain(value: Any) -> Any:
     if array.dtype.kind in "US":
         return "" if array.size == 0 else str(array.ravel()[0])
     return float(array.ravel()[0]) if array.size == 1 else array
-
-
-def _read_csv(path: Path) -> dict[str, Any]:
-    with path.open(newline="") as stream:
-        rows = list(csv.reader(line for line in stream if not line.startswith("#")))
-    if len(rows) < 2:
-        raise ReferenceError_(f"{path}: expected a row of names and at least one row of numbers")
-    table = np.array([[float(cell) for cell in row] for row in rows[1:] if row])
-    return {name.strip(): table[:, i] for i, name in enumerate(rows[0])}
-
-
-def _gather(path: Path, raw: dict[str, Any]) -> dict[str, Any]:
-    """One array per quantity: q1, q2 … in the order of their numbers."""
-    found: dict[str, dict[int, Any]] = {}
-    out: dict[str, Any] = {}
-    for name, value in raw.items():
-        match = _NUMBERED.match(name)
-        if match:
-            found.setdefault(match[1], {})[int(match[2])] = np.ravel(value)
-        else:
-            out[name] = (
-                np.atleast_1d(value)[:, None]
-                if name in ("q", "qd", "qdd", "tau") and np.ndim(value) < 2
-                else value
-            )
-    for quantity, columns in found.items():
-        wanted = list(range(1, len(columns) + 1))
-        if sorted(columns) != wanted:
-            raise ReferenceError_(
-                f"{path}: columns {quantity}{sorted(columns)} are not numbered 1 to {len(columns)}"
-            )
-        out[quantity] = np.stack([columns[i] for i in wanted], axis=1)
-    return out

@@ -101,5 +101,6 @@ def plot_reference(
         ax.legend(fontsize="small")
         ax.grid(alpha=0.3)
     if path is not None:
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, dpi=120)
     return figure

@@ -48,7 +48,7 @@ def preflight(
         Condition(
             f"machine known{f': {s.machine}' if machine else ''}",
             machine is not None,
-            "its limits are not known here",
+            f"only {', '.join(MACHINES)} are; a script can play (docs/references.md)",
         )
     )
     loaded = s.state not in ("", "empty", "crashed")

@@ -41,7 +41,8 @@ def check_sources(sources: Mapping[str, str], flags: Sequence[str]) -> None:
         warnings, definitions, ``-f…``, ``-m…``.
     """
     if not any(name.endswith(".c") for name in sources):
-        raise Refused("nothing to compile: send at least one .c file")
+        names = ", ".join(sources) or "no file"
+        raise Refused(f"nothing to compile in {names}: the name of a C program ends in .c")
     for name in sources:
         if not _NAME.match(name):
             raise Refused(

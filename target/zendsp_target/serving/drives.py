@@ -125,7 +125,11 @@ class Drives:
             return advice if loaded else "known once a program is loaded"
 
         return (
-            Condition("power", self._powered or not self._explicit, "switch the drives' power on"),
+            Condition(
+                "power",
+                self._powered or not self._explicit,
+                "switch the drives' power on (zendsp drive on)",
+            ),
             Condition(
                 "program",
                 loaded,
@@ -134,7 +138,7 @@ class Drives:
             Condition(
                 "homed",
                 status.homed and loaded,
-                once_loaded("the position is unknown: home the machine"),
+                once_loaded("the position is unknown: home the machine (zendsp drive home)"),
             ),
             Condition(
                 "limits",
@@ -151,7 +155,11 @@ class Drives:
             Condition(
                 "no trip",
                 trip is None,
-                f"{trip.text or trip.reason}: acknowledge it" if trip is not None else "",
+                (
+                    f"{trip.text or trip.reason}: acknowledge it (zendsp drive acknowledge)"
+                    if trip is not None
+                    else ""
+                ),
             ),
         )
 
@@ -401,7 +409,11 @@ class Drives:
                 return
             failing = [c for c in self.conditions(self._runtime.status()) if not c.met]
             failing = failing or [
-                Condition("enabled", False, "the drives are not enabled: enable them")
+                Condition(
+                    "enabled",
+                    False,
+                    "the drives are not enabled: enable them (zendsp drive enable)",
+                )
             ]
             raise Refused(_refusal("starting", failing))
 

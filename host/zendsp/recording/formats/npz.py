@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import zipfile
 import zlib
 from pathlib import Path
@@ -60,4 +61,13 @@ def read(path: Path) -> Raw:
         raise RecordingError(
             f"{path}: is not a readable NPZ file, or it is cut short ({error})"
         ) from error
-    return Raw(columns, {}, constants, circumstances, refused)
+    return Raw(columns, _units(circumstances), constants, circumstances, refused)
+
+
+def _units(circumstances: str) -> dict[str, str]:
+    """Units of the channels of a recording of zendsp; none of any other file."""
+    try:
+        channels = json.loads(circumstances)["channels"]
+        return {"t": "s", **{str(c["name"]): str(c["unit"]) for c in channels}}
+    except (ValueError, KeyError, TypeError):
+        return {}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -91,6 +92,9 @@ class ProgramActions(LabScreen):
 
     def action_open_source(self) -> None:
         """Choose a C file."""
+        self._choose_source(self._take_source)
+
+    def _choose_source(self, then: Callable[[Path], None]) -> None:
         shipped = self.lab.examples()
         files = self.lab.workspace.sources() + shipped
         if not files:
@@ -102,7 +106,7 @@ class ProgramActions(LabScreen):
         ]
         self.app.push_screen(
             Choose("Source", options),
-            lambda keys: self._take_source(Path(keys[0])) if keys else None,
+            lambda keys: then(Path(keys[0])) if keys else None,
         )
 
     def _take_source(self, path: Path) -> None:
@@ -111,11 +115,15 @@ class ProgramActions(LabScreen):
         self.say(f"source: {path}")
         self._pulled = None
 
+    def _take_and_build(self, path: Path) -> None:
+        self._take_source(path)
+        self.action_build()
+
     def action_build(self) -> None:
         """Compile and download."""
         path = self.lab.source
         if path is None:
-            self.action_open_source()
+            self._choose_source(self._take_and_build)
             return
         try:
             sources = gather(path)  # with the headers beside it that it includes

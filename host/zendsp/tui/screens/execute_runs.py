@@ -51,7 +51,7 @@ class RunActions(AnalysisActions):
         table = self.runs_table
         at = mark or (self.this_run().folder if self.this_run() else None)  # type: ignore[union-attr]
         table.clear(columns=True)
-        for name in ("", "name", "time", "s", "rms e", "outcome", "lost"):
+        for name in ("", "name", "outcome", "s", "rms e", "lost", "time"):
             table.add_column(Text(name), key=name)
         self.runs = list_runs(self.lab.workspace.runs)
         colours = trace_colours(self.app.current_theme).traces
@@ -63,11 +63,11 @@ class RunActions(AnalysisActions):
                     "▐" if k >= 0 else " ", Style(color=colours[2 * k % 8]) if k >= 0 else Style()
                 ),
                 Text(run.name, Style(bold=True)),
-                Text(time.strftime("%m-%d %H:%M", time.localtime(run.created)), Style(dim=True)),
+                Text(run.outcome, Style(dim=run.outcome == "complete")),
                 Text(f"{run.seconds:.2f}", justify="right"),
                 Text(figures),
-                Text(run.outcome, Style(dim=run.outcome == "complete")),
                 Text(str(run.lost)),
+                Text(time.strftime("%m-%d %H:%M", time.localtime(run.created)), Style(dim=True)),
                 key=str(run.folder),
             )
             if run.folder == at:

@@ -37,6 +37,7 @@ from zendsp.tui.preview import curves_of, limits_of, path_of, peaks_of, views_of
 from zendsp.tui.scope import Scope
 from zendsp.tui.scope.path import PathPlot
 from zendsp.tui.screens.base import WIDE, LabScreen
+from zendsp.tui.snapshot import Snapshot
 
 SETTLE_S = 0.25  # of quiet after a key before the motion is planned anew
 
@@ -63,6 +64,7 @@ class ReferenceScreen(LabScreen):
         self.plan: Plan | None = None
         self.view = "all"
         self._timer: Timer | None = None
+        self._target_machine = ""  # of the target that was looked at last
 
     # -- layout
     # ----------------------------------------------------------------------------------------------
@@ -101,6 +103,14 @@ class ReferenceScreen(LabScreen):
     def ready(self) -> None:
         self.query_one("#curves", Scope).empty_text = "nothing planned yet"
         self.call_later(self._fill_form)
+
+    def pull(self, snapshot: Snapshot, fresh: bool) -> None:
+        """Plan for the machine of a target that has just been connected."""
+        if snapshot.machine in ("", self._target_machine):
+            return
+        self._target_machine = snapshot.machine
+        if snapshot.machine in MACHINES:
+            self.query_one("#machine", Select).value = snapshot.machine
 
     # -- the form
     # ----------------------------------------------------------------------------------------------
