@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from zendsp.diagnosis.search.body_columns import Layout, Sums
-from zendsp.diagnosis.search.body_explain import Explained, explain, tied
+from zendsp.diagnosis.search.body_explain import Explained, explain, seen, tied
 from zendsp.diagnosis.search.body_hypotheses import COM, LIMITS, BodyLimits, hypotheses
 from zendsp.diagnosis.search.body_solver import Solver
 from zendsp.physics.bodies import Links
@@ -105,13 +105,13 @@ def find_bodies(
     while len(found) < limits.bodies:
         tell("bodies: a payload, a wrong link, a tilted base, and what looks like them")
         layout = Layout(model, links)
-        solver, tried, aside = _round(
+        tried, aside = _round(
             Sums(fit, model, limits, jobs), Sums(choose, model, limits, jobs), layout, limits
         )
         best = tried[0]
         taken = {(f.term.effect, f.term.joint) for f in found}
         if (
-            not counts(best, solver)
+            not (best.hypothesis.of_bodies and seen(best, limits))
             or (best.hypothesis.effect, max(best.hypothesis.joint, 1)) in taken
         ):
             break
@@ -145,7 +145,7 @@ def find_bodies(
 
 def _round(
     fit: Sums, choose: Sums, layout: Layout, limits: BodyLimits
-) -> tuple[Solver, list[Explained], frozenset[int]]:
+) -> tuple[list[Explained], frozenset[int]]:
     """All explanations, the best first; joints with a larger fault of their own are set aside."""
     everything = hypotheses(layout.model, layout.links)
     aside: set[int] = set()
@@ -153,17 +153,9 @@ def _round(
         solver = Solver(fit, choose, layout, limits, aside=aside)
         tried = explain(solver, [h for h in everything if h.of_bodies or h.joint not in aside])
         best = tried[0]
-        if best.hypothesis.of_bodies or not best.hypothesis.joint or best.z < limits.sure:
-            return solver, tried, frozenset(aside)
+        if best.hypothesis.of_bodies or not best.hypothesis.joint or not seen(best, limits):
+            return tried, frozenset(aside)
         aside.add(best.hypothesis.joint)
-
-
-def counts(best: Explained, solver: Solver) -> bool:
-    """Whether an explanation is about bodies, and one that the recordings to choose by bear out."""
-    limits = solver.limits
-    return (
-        best.hypothesis.of_bodies and best.z > limits.sure and float(best.share.max()) > limits.part
-    )
 
 
 def own_mass(

@@ -39,6 +39,8 @@ class Sums:
     ) -> None:
         seconds = sum(rec[0].n * rec[0].sample_time for rec in data.records)
         block = min(limits.block, seconds / limits.blocks)
+        # blocks beside each other that are alike
+        self.alike = max(1, round(limits.block / block))
         grams: list[Array] = []
         counts: list[Array] = []
         for rec in data.records:

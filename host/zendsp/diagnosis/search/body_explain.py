@@ -30,13 +30,11 @@ class Explained:
     gain : float
         Deviance over ``nothing`` on the recordings that choose.
     z : float
-        Standard deviations over their blocks.
+        Standard deviations by which it predicts better than ``nothing`` there.
     behind : float
         Standard deviations by which the best explanation predicts better; 0 for the best.
     joints : ndarray, shape (joints,)
         The gain by joints.
-    blocks : ndarray, shape (blocks,)
-        The gain by blocks.
     share : ndarray, shape (joints,)
         Of the squared innovations that ``nothing`` leaves at a joint, how much goes.
     """
@@ -48,7 +46,6 @@ class Explained:
     z: float
     behind: float
     joints: Array
-    blocks: Array
     share: Array
 
     def __repr__(self) -> str:
@@ -65,7 +62,7 @@ class Explained:
 def explain(solver: Solver, tried: Sequence[Hypothesis]) -> list[Explained]:
     """All hypotheses after their linear fits, the best first.
 
-    Those that predict as well as the best one that is sure are ordered by what they cost; then all
+    Those that predict as well as the best one that is seen are ordered by what they cost; then all
     others by their gain.
     """
     nothing = solver.at(Hypothesis("nothing"), np.zeros(0))
@@ -77,29 +74,42 @@ def explain(solver: Solver, tried: Sequence[Hypothesis]) -> list[Explained]:
         if not solver.plausible(h, values):
             continue
         x = solver.at(h, values)
-        gain = none - solver.points(x)
-        blocks = gain.sum(axis=0)
+        gain = (none - solver.points(x)).sum(axis=1)
         share = np.where(np.isfinite(before), 1.0 - solver.squares(x) / before, 0.0)
         out.append(
             Explained(
                 h,
                 values,
                 solver.std(h, values),
-                float(blocks.sum()),
-                z_of(blocks),
+                float(gain.sum()),
+                solver.better(x, nothing),
                 0.0,
-                gain.sum(axis=1),
-                blocks,
+                gain,
                 share,
             )
         )
-    sure = [e for e in out if e.z > solver.limits.sure]
+    sure = [e for e in out if seen(e, solver.limits)]
     top = max(sure or out, key=lambda e: e.gain)
-    out = [replace(e, behind=z_of(top.blocks - e.blocks) if e is not top else 0.0) for e in out]
+    best = solver.at(top.hypothesis, top.values)
+    out = [
+        (
+            e
+            if e is top
+            else replace(e, behind=solver.better(best, solver.at(e.hypothesis, e.values)))
+        )
+        for e in out
+    ]
     ties = [e for e in out if tied(e, top, solver.limits)]
     ties.sort(key=lambda e: (_cost(e, solver), -e.gain))
     others = sorted((e for e in out if not any(e is t for t in ties)), key=lambda e: -e.gain)
     return ties + others
+
+
+def seen(e: Explained, limits: BodyLimits = LIMITS) -> bool:
+    """Whether an explanation holds on the recordings that choose, and is a large part of what some
+    joint leaves there.
+    """
+    return e.z > limits.sure and float(e.share.max()) > limits.part
 
 
 def _cost(e: Explained, solver: Solver) -> float:
@@ -114,15 +124,3 @@ def _cost(e: Explained, solver: Solver) -> float:
 def tied(other: Explained, top: Explained, limits: BodyLimits = LIMITS) -> bool:
     """Whether an explanation predicts as well as the best one."""
     return other.behind < limits.tie or top.gain - other.gain < limits.share * abs(top.gain)
-
-
-def z_of(blocks: Array) -> float:
-    """Mean of the blocks over its standard error, neighbours taken together."""
-    n = len(blocks)
-    if n < 4:
-        return 0.0
-    off = blocks - blocks.mean()
-    variance = float(off @ off) + float(off[:-1] @ off[1:])
-    return float(
-        blocks.sum() / np.sqrt(max(variance, 1e-12 * float(blocks @ blocks), 1e-300) * n / (n - 1))
-    )
