@@ -9,6 +9,7 @@ import numpy as np
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.thresholds import SURE
 from zendsp.diagnosis.measure.likelihood import Scored
 from zendsp.physics.bodies import body_terms
 from zendsp.physics.convergence import with_step_error
@@ -108,8 +109,9 @@ def with_disagreement(
     data: Data, held: Data, fitted: Fit, joints: Sequence[int], jobs: int
 ) -> Fit:
     """The fit with what the recordings held out say otherwise in its covariance: half of the square
-    by which their own numbers differ beyond what both are uncertain by, the variance between two
-    groups of a random-effects model (DerSimonian and Laird 1986).
+    by which their own numbers differ beyond what both are uncertain by (surely: held-out recordings
+    may say next to nothing of a number), the variance between two groups of a random-effects model
+    (DerSimonian and Laird 1986).
     """
     if not fitted.handles:
         return fitted
@@ -120,7 +122,7 @@ def with_disagreement(
     angle = np.array([h.key in ("phase", "angle") for h in fitted.handles])
     apart = other.x - fitted.x
     apart = np.where(angle, np.remainder(apart + np.pi, 2 * np.pi) - np.pi, apart)
-    beyond = 0.5 * np.maximum(apart**2 - fitted.std**2 - other.std**2, 0.0)
+    beyond = 0.5 * np.maximum(apart**2 - SURE**2 * (fitted.std**2 + other.std**2), 0.0)
     return replace(fitted, covariance=fitted.covariance + np.diag(beyond))
 
 

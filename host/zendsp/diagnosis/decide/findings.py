@@ -12,6 +12,7 @@ from zendsp.diagnosis.decide.result import Estimate
 from zendsp.diagnosis.measure.significance import counterpart
 from zendsp.physics.effects import get_effect, unit_of
 from zendsp.physics.fit import Fit
+from zendsp.physics.joint import JointRecord
 from zendsp.physics.model import Model, Term
 from zendsp.physics.term_numbers import chosen
 
@@ -43,14 +44,14 @@ def estimates(
     torque_unit: str = "",
     *,
     left: float = 0.0,
-    sample_time: float = 0.0,
+    record: JointRecord | None = None,
 ) -> dict[str, Estimate]:
     """Parameters of a term with standard deviations and units; the Stribeck breakaway includes the
     Coulomb level. ``left`` is what the model leaves unexplained, as a part of the term's torque;
-    ``sample_time`` in s.
+    ``record``: of the joint, where what is not statistical counts too.
     """
     effect = get_effect(term.effect)
-    clock = CLOCK * sample_time if effect.family == "timing" else 0.0
+    clock = CLOCK * record.sample_time if record and effect.family == "timing" else 0.0
     relative = math.hypot(NUMERIC, ALONG * min(left, 1.0))
     term = counterpart(fit.model.terms, term)
     row = next(i for i, t in enumerate(fit.model.terms) if t is term)
@@ -70,7 +71,8 @@ def estimates(
         if p.name in ("phase", "angle"):
             value = math.remainder(value, 2 * math.pi)
         statistical = math.sqrt(max(variance, 0.0))
-        stays = math.hypot(relative * _whole(p.name, value), clock) if statistical > 0 else 0.0
+        whole = _whole(p.name, value, record.scale.position if record else math.inf)
+        stays = math.hypot(relative * whole, clock) if statistical > 0 else 0.0
         size = p.sizes[int(term.value("law"))] if p.sizes else p.size
         out[p.name] = Estimate(
             value, math.hypot(statistical, stays), unit_of(size, kind, command_unit, torque_unit)
@@ -78,12 +80,14 @@ def estimates(
     return out
 
 
-def _whole(name: str, value: float) -> float:
-    """What a relative error refers to; how often a pattern repeats depends on positions
-    alone, which are measured.
+def _whole(name: str, value: float, travel: float) -> float:
+    """What a relative error refers to; of how often a pattern repeats, a phase that drifts by it
+    over the ``travel``: the positions themselves are measured.
     """
-    if name in ("order", "period"):
-        return 0.0
+    if name == "order":
+        return 1.0 / travel
+    if name == "period":
+        return value * value / (2 * math.pi * travel)
     return 1.0 if name in ("phase", "angle") else abs(value)
 
 

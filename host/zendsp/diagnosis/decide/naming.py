@@ -163,7 +163,7 @@ def _numbers(
     """
     joint = decision.joint
     left = 0.0 if alone else decision.after.value / max(claim.size, 1e-300)
-    sample_time = 0.0 if alone else whole.data.records[0][joint - 1].sample_time
+    record = None if alone else whole.data.records[0][joint - 1]
 
     def of(fit: Fit) -> dict[str, Estimate]:
         return estimates(
@@ -173,7 +173,7 @@ def _numbers(
             given.actuator.unit,
             given.torque_unit(joint),
             left=left,
-            sample_time=sample_time,
+            record=record,
         )
 
     values = of((whole.fits if alone else whole.agreed)[joint])
