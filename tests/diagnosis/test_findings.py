@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -61,7 +64,9 @@ def test_each_of_several_couplings_has_its_own_numbers(fit: Fit) -> None:
 
 
 def test_what_a_longer_recording_does_not_make_better_stands_in_the_uncertainty() -> None:
-    def std(effect: str, key: str, value: float, **known: float) -> float:
+    record: Any = SimpleNamespace(sample_time=1e-3, scale=SimpleNamespace(position=0.5))
+
+    def std(effect: str, key: str, value: float, **known: Any) -> float:
         model = Model("bench", 1e-3, "rotary", {}, (Term(effect, 1, {key: Quantity(value)}),))
         exact = Fit(
             model, (Handle("term", 0, key),), np.array([value]), np.full((1, 1), 1e-20), 0.0, 1,
@@ -71,8 +76,10 @@ def test_what_a_longer_recording_does_not_make_better_stands_in_the_uncertainty(
 
     assert std("viscous", "coefficient", 2.0) == pytest.approx(2e-3 * 2.0)
     assert std("viscous", "coefficient", 2.0, left=0.5) == pytest.approx(0.15 * 2.0, rel=0.01)
-    assert std("viscous", "coefficient", 2.0, sample_time=1e-3) == pytest.approx(2e-3 * 2.0)
-    assert std("delay", "time", 5e-3, sample_time=1e-3) == pytest.approx(1e-4, rel=0.01)
+    assert std("viscous", "coefficient", 2.0, record=record) == pytest.approx(2e-3 * 2.0)
+    assert std("delay", "time", 5e-3, record=record) == pytest.approx(1e-4, rel=0.01)
+    # a phase that drifts by 0.15 over half a radian of travel
+    assert std("ripple", "order", 7.0, record=record, left=0.5) == pytest.approx(0.3, rel=0.01)
 
 
 def test_only_the_coupling_that_cannot_be_told_from_none_vanishes(fit: Fit) -> None:
