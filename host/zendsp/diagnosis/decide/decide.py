@@ -9,15 +9,15 @@ decides.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.data.signals import Parts
-from zendsp.diagnosis.decide.claims import Claim, Decision
-from zendsp.diagnosis.decide.findings import new_terms
+from zendsp.diagnosis.decide.claims import Claim, Decision, Piece
+from zendsp.diagnosis.decide.findings import new_terms, percent
 from zendsp.diagnosis.decide.laws import believed, named
 from zendsp.diagnosis.decide.pieces import (
     grouped,
@@ -29,7 +29,7 @@ from zendsp.diagnosis.decide.pieces import (
     rubs,
     worth_choosing,
 )
-from zendsp.diagnosis.decide.thresholds import LAWFUL, MACHINE, MOST, OF_STATE, RIVAL, SURE
+from zendsp.diagnosis.decide.thresholds import CLAIMED, LAWFUL, MACHINE, MOST, OF_STATE, RIVAL, SURE
 from zendsp.diagnosis.measure.bursts import FEW, bursts, everywhere, periodic
 from zendsp.diagnosis.measure.discrepancy import Size, beyond, discrepancy
 from zendsp.diagnosis.measure.evidence import Evidence
@@ -68,6 +68,7 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
     final = worth_choosing(parts, given, search, jobs)
     before = discrepancy(parts.test, base.model, joint)
     new = new_terms(given, final.model, joint)
+    pieces: list[Piece] = []
     if new:
         pieces = [
             piece_of(parts.test, given, final, key[0], terms, base, jobs)
@@ -90,25 +91,28 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
                 if any(c.effect != "unknown" for c in decision.claims):
                     return decision
                 # which mechanism, if any, is for the lacking torque itself to say
-                plain = _nothing_named(parts, given, search, before)
+                plain = _nothing_named(parts, given, search, before, pieces)
                 most = decision.after.value**2 < (1.0 - MOST) * before.value**2
                 stands = plain.kind == "complete" or (most and not plain.claims)
                 return decision if stands else plain
-    return _nothing_named(parts, given, search, before)
+    return _nothing_named(parts, given, search, before, pieces)
 
 
 # --- nothing is named
 
 
-def _nothing_named(parts: Parts, given: Model, search: JointSearch, before: Size) -> Decision:
+def _nothing_named(
+    parts: Parts, given: Model, search: JointSearch, before: Size, pieces: Sequence[Piece]
+) -> Decision:
     """Complete, a disturbance, a mechanism without a law, or unexplained: decided by the calibrated
-    model's discrepancy alone.
+    model's discrepancy alone. ``pieces`` are the mechanisms that were asked, for what is said of
+    them.
     """
     joint, base = search.joint, search.base
     # how a known dry friction turns round is no missing physics: bristles, a simulator's softness
     turning = not rubs(base.model, joint)
     state = structure(parts.each, base.model, joint, STRUCTURED, turning)
-    lost = tuple(_why(r, base) for r in search.tried[:6])
+    lost = tuple(_why(r, base, pieces, before) for r in search.tried[:6])
     known = known_discrepancy(given, parts.test, joint)
     lacks, of_state = beyond(before.value, known.all), beyond(state.size, known.of_state)
     out = Decision(
@@ -155,8 +159,14 @@ def _lawful(parts: Parts, base: Scored, joint: int, turning: bool) -> bool:
     return periodic(parts.held, base.model, joint) > LAWFUL
 
 
-def _why(rival: Rival, base: Scored) -> tuple[str, str, float]:
+def _why(
+    rival: Rival, base: Scored, pieces: Sequence[Piece], before: Size
+) -> tuple[str, str, float]:
     gain = base.deviance - rival.value
+    seen = next((p for p in pieces if rival.effect in p.effects), None)
+    if seen is not None and seen.log_e > 0 and seen.evidence.z > CLAIMED:
+        sizes = f"{percent(seen.size)} % of the torque beside {percent(before.value)} %"
+        return rival.effect, f"too small beside what stays unexplained: {sizes}", 0.5 * gain
     why = (
         "no more likely than the calibrated model"
         if gain < WAIT
