@@ -148,7 +148,7 @@ def _diagnose(
     improved = remembered(whole.improved if findings else whole.calibrated, given, decisions)
     joints = range(1, given.joints + 1)
     lacking = {j: mismatch(parts.fit, whole.calibrated, j) for j in joints}
-    places, times = _where(lacking)
+    places, times = _where({j: lacking[j] for j in _lacking(found, findings, joints)})
     tell("proposing the next recording")
     proposal = propose(fit_signals, given, whole, found.searches, findings, decisions, seed)
     tell("asking what could have been seen")
@@ -462,6 +462,13 @@ def _inherit(parts: Parts, given: Model) -> None:
 def _search_inherited(joint: int) -> tuple[JointSearch, Decision]:
     parts, given = _inherited[0]
     return _search_joint(parts, given, joint, 1, lambda _text: None)
+
+
+def _lacking(found: _Found, findings: Sequence[Finding], joints: Sequence[int]) -> set[int]:
+    """Joints at which something is missing; all of them where a body is, which all may bear."""
+    if found.claims:
+        return set(joints)
+    return {f.joint for f in findings} | {d.joint for d in found.decisions if d.kind != "complete"}
 
 
 def _where(lacking: dict[int, Any]) -> tuple[Any, Any]:
