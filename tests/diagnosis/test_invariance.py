@@ -14,6 +14,12 @@ import pytest
 import reality
 
 from zendsp.diagnosis import Diagnosis, diagnose
+from zendsp.diagnosis.data.prepare import prepare
+from zendsp.diagnosis.data.reading import read_signals
+from zendsp.diagnosis.search.bodies import find_bodies
+from zendsp.physics import inverse_dynamics, load_model
+from zendsp.physics.effects import get_effect
+from zendsp.physics.terms import make_term
 
 RATE = 500.0
 GIVEN = [reality.effect("viscous", coefficient=0.004), reality.effect("coulomb", level=0.03)]
@@ -102,3 +108,53 @@ def test_nothing_that_is_found_changes_with(
     )
     assert after.test is not None and before.test is not None
     assert after.test.improved == pytest.approx(before.test.improved, rel=0.02)
+
+
+def _arm(folder: Path, friction: str) -> Path:
+    """A model of two light joints, heavily damped, with the friction as ``friction`` writes it."""
+    joint = (
+        '<joint name="{0}" type="revolute"><parent link="{1}"/><child link="{2}"/><origin'
+        ' xyz="{3}"/><axis xyz="0 1 0"/><limit lower="-9" upper="9"'
+        ' effort="99" velocity="9"/></joint><link name="{2}"><inertial><origin xyz="0.1 0 0"/>'
+        '<mass value="{4}"/><inertia ixx="0.001" iyy="0.001" izz="0.001" ixy="0" ixz="0" iyz="0"/>'
+        "</inertial></link>"
+    )
+    bodies = joint.format("j1", "base", "upper", "0 0 0.5", 1.0)
+    bodies += joint.format("j2", "upper", "fore", "0.2 0 0", 0.3)
+    (folder / "arm.urdf").write_text(f'<robot name="arm"><link name="base"/>{bodies}</robot>')
+    model = folder / "arm.toml"
+    model.write_text(
+        f'name = "arm"\nsample_time = {1 / RATE}\n[mechanism]\nkind = "urdf"\nfile = "arm.urdf"\n'
+        f'{friction}\n[sensor]\nposition_resolution = 1e-5\n[columns]\ntime = "t"\nposition ='
+        ' "q"\ncommand = "u"\n'
+    )
+    return model
+
+
+def test_a_body_does_not_change_with_how_the_same_friction_is_written(tmp_path: Path) -> None:
+    """Viscous friction with a number for each direction was left out of how a torque answers: the
+    WAM's payload was a gain here and a coupling there.
+    """
+    each = '[[effect]]\nkind = "viscous{0}"\njoint = {1}\n{2}\n'
+    both = "".join(each.format("", j, "coefficient = { value = 2.0 }") for j in (1, 2))
+    sides = "coefficient_pos = { value = 2.0 }\ncoefficient_neg = { value = 2.0 }"
+    apart = "".join(each.format("_asymmetry", j, sides) for j in (1, 2))
+    given = load_model(_arm(tmp_path, both))
+    t = np.arange(0.0, 12.0, 1 / RATE)
+    waves = np.array([[[2.1, 5.3], [3.7, 1.3]]])  # rad/s, of each joint
+    q, qd, qdd = (
+        np.sum(0.4 * waves**k * np.sin(waves * t[:, None, None] + k * np.pi / 2), axis=2)
+        for k in (0, 1, 2)
+    )
+    load = {"mass": 0.8, "com_x": 0.1, "com_y": 0.0, "com_z": 0.0, "inertia": 0.0}
+    true = given.with_terms((*given.terms, make_term(get_effect("payload"), 2, load)))
+    file = tmp_path / "run.npz"
+    np.savez(file, t=t, q=1e-5 * np.round(q / 1e-5), u=inverse_dynamics(true, q, qd, qdd))
+    found = []
+    for friction in (both, apart):
+        model = load_model(_arm(tmp_path, friction))
+        parts = [prepare([read_signals(file, model)], model, 64.0) for _ in range(2)]
+        (body,) = find_bodies(*parts, model, 1, lambda _text: None).found
+        found.append([body.term.value(key) for key in load])
+    assert found[0][0] == pytest.approx(0.8, rel=0.01)
+    assert found[1] == pytest.approx(found[0], rel=1e-6, abs=1e-9)

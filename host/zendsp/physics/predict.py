@@ -265,6 +265,25 @@ def trace(record: JointRecord, model: Model, terms: tuple[Term, ...], speed_floo
     return out
 
 
+def damping_along(record: JointRecord, model: Model) -> Array:
+    """Viscous torque for a unit of speed along the measured motion, (n,) N m s/rad or N s/m; each
+    direction has its own.
+    """
+    viscous = tuple(
+        t
+        for t in model.at(record.joint)
+        if (e := get_effect(t.effect)).site == "viscous" and e.mechanism == "fluid_friction"
+    )
+    if not viscous:
+        return np.zeros(record.n)
+    speed = record.motion.states[1]
+    moves = speed != 0.0
+    slope = trace(record, model, viscous, 0.0)[moves] / speed[moves]
+    out = np.full(record.n, np.mean(slope) if moves.any() else 0.0)
+    out[moves] = slope
+    return out
+
+
 def _felt(record: JointRecord, terms: tuple[Term, ...]) -> Array:
     """The temperature column, (n,) °C; empty where there is none and no term asks for it.
 

@@ -20,8 +20,7 @@ from zendsp.physics.fit import Data, Fit
 from zendsp.physics.handles import Handle
 from zendsp.physics.joint import JointRecord, along, effective_inertia, facts
 from zendsp.physics.model import Model, Term
-from zendsp.physics.predict import response, sensed, trace
-from zendsp.physics.term_numbers import damping
+from zendsp.physics.predict import damping_along, response, sensed, trace
 from zendsp.physics.terms import grid_of, make_term, usable
 from zendsp.physics.threads import threads
 
@@ -99,6 +98,7 @@ class Screen:
             for rec, floor in zip(self.records, self.floors, strict=True)
         ]
         self.inertias = [effective_inertia(rec, self.model) for rec in self.records]
+        self.dampings = [damping_along(rec, self.model) for rec in self.records]
         self.motions = [along(rec, self.model) for rec in self.records]
         self.cost = float(self.left @ self.left)
         self.scaled = any(get_effect(t.effect).site in SCALES for t in self.model.at(joint))
@@ -145,12 +145,11 @@ class Screen:
 
     def _respond(self, i: int, columns: Array, *, on_sensor: bool = False) -> Array:
         rec = self.records[i]
-        b = damping(self.model, self.joint)
         return response(
             rec,
             self.bandwidth,
             self.inertias[i],
-            np.full(rec.n, b),
+            self.dampings[i],
             columns,
             on_sensor=on_sensor,
         )

@@ -117,7 +117,8 @@ def _read(file: Path) -> tuple[Array | None, dict[str, Array]]:
     """Time (None where the table has none) and the columns of a table, one array a quantity."""
     try:
         names = list(read_raw(file).columns)
-        clock = next((n for n in names if role_of(n, "") is Role.TIME), None)
+        clocks = [n for n in names if role_of(n, "") is Role.TIME]
+        clock = "t" if "t" in clocks else next(iter(clocks), None)
         found: dict[str, dict[int, str]] = {}
         for name in names:
             match = _COLUMN.match(name)
