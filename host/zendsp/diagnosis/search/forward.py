@@ -48,6 +48,7 @@ PROMISING = 0.002  # share of the cost that a screen must promise
 SHORTLIST = 9
 RUNNERS = 4  # hypotheses that are held against the held-out recordings in each round
 FINALISTS = 4
+PROMISED = 2  # more of them, where those found nothing
 GLANCE = 4  # hypotheses of a round that is only looked at
 # relative gain of a step below which a first look ends: in a narrow valley the first step gains
 # little, and 1 % is a deviance of 200
@@ -271,6 +272,8 @@ class Searcher:
             finalists = [
                 r for r in quick[:FINALISTS] if current.deviance - r.value >= reach or r is quick[0]
             ]
+            if quick and current.deviance - quick[0].value < WAIT and not only:
+                finalists += self._promising(current, [r for r in quick if r not in finalists])
             worth = math.inf if only else WORTH  # a stand-in need not be at its best
             full = list(each(lambda r: self._full(current, r, worth), finalists))
         rivals = [
@@ -280,6 +283,27 @@ class Searcher:
             and self._possible(r)
         ]
         return self.order(current, sorted(rivals, key=lambda r: r.value)) if rivals else []
+
+    def _promising(self, current: Scored, rivals: list[Rival]) -> list[Rival]:
+        """Before nothing is found: hypotheses that gain most on the thinned recordings that they
+        were fitted to. On all samples their other numbers, fitted to these, may cost more.
+        """
+        look = first_look(current.data, current.model, self.joint)
+        joints = (self.joint,)
+        base = fit(
+            look,
+            current.model,
+            current.fit.handles,
+            joints=joints,
+            iterations=6,
+            tolerance=QUICK,
+            jobs=self.jobs,
+            brief=True,
+        )
+        level = deviance(look, base.model, joints)
+        gains = [level - deviance(look, r.scored.model, joints) - r.price for r in rivals]
+        best = sorted(zip(gains, range(len(rivals)), strict=True), reverse=True)[:PROMISED]
+        return [rivals[i] for gain, i in best if gain > WAIT]
 
     def _too_small(self, rival: Rival, term: Term) -> bool:
         """Whether a term is below what its effect says that a recording can show of it."""
