@@ -42,11 +42,6 @@ def summed(model: Model, joint: int, effect: str) -> float:
     return sum(t.value(size) for t in model.at(joint) if t.effect == effect)
 
 
-def damping(model: Model, joint: int) -> float:
-    """Viscous coefficient of a joint (1-based), N m s/rad or N s/m."""
-    return summed(model, joint, "viscous")
-
-
 def added_inertia(model: Model, joint: int) -> float:
     """Inertia of a joint's terms (rotors, payloads), kg m² or kg; the mechanism's own is not in
     it.

@@ -18,7 +18,6 @@ from zendsp.physics.fit import Data
 from zendsp.physics.joint import JointRecord, effective_inertia
 from zendsp.physics.model import Model, Quantity, Term, per_joint
 from zendsp.physics.predict import response, run
-from zendsp.physics.term_numbers import damping
 from zendsp.physics.threads import threads
 
 Array = npt.NDArray[np.float64]
@@ -84,12 +83,12 @@ def _columns(
     own = [np.ones(record.n), qd, np.tanh(qd / slow), np.tanh(qd / slow / 8), qd * np.abs(qd), qdd]
     torques = [*own, *_shared(links, j, model, record), -gain * record.command]
     torques += [np.sin(q), np.cos(q), q - np.mean(q), np.sin(2 * q), np.cos(2 * q)]
-    against = np.full(record.n, damping(model, record.joint))
+    damping = sum(t.value("coefficient") for t in model.at(record.joint) if t.effect == "viscous")
     inertia = effective_inertia(record, model)
     all_torques = np.stack(torques)
     acts = np.any(all_torques != 0.0, axis=1)  # of the links, only those that the joint moves
     seen = np.zeros_like(all_torques)
-    seen[acts] = response(record, bandwidth, inertia, against, all_torques[acts])
+    seen[acts] = response(record, bandwidth, inertia, np.full(record.n, damping), all_torques[acts])
     left = run(record, model, bandwidth).innovations
     still = max(3.0 * float(np.sqrt(np.median(record.motion.variances[1]))), slow)
     sticks = np.flatnonzero(np.abs(qd) < still)

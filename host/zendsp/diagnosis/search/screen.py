@@ -21,7 +21,6 @@ from zendsp.physics.handles import Handle
 from zendsp.physics.joint import JointRecord, along, effective_inertia, facts
 from zendsp.physics.model import Model, Term
 from zendsp.physics.predict import response, sensed, trace
-from zendsp.physics.term_numbers import damping
 from zendsp.physics.terms import grid_of, make_term, usable
 from zendsp.physics.threads import threads
 
@@ -145,7 +144,7 @@ class Screen:
 
     def _respond(self, i: int, columns: Array, *, on_sensor: bool = False) -> Array:
         rec = self.records[i]
-        b = damping(self.model, self.joint)
+        b = sum(t.value("coefficient") for t in self.model.at(self.joint) if t.effect == "viscous")
         return response(
             rec,
             self.bandwidth,
