@@ -186,17 +186,23 @@ static char path[256];
 """  # noqa: E501
 
 
-def test_hardware_is_made_safe_by_a_fresh_process_after_a_crash(
-    make_runtime: Make, wait_for: Wait, tmp_path: Path
-) -> None:
-    source, said = tmp_path / "fake.c", tmp_path / "said"
-    source.write_text(HARDWARE)
+def crashing_on(hardware: str, make_runtime: Make, folder: Path) -> tuple[Runtime, Path]:
+    """A program that will crash on a driver for hardware, and the file that the driver writes."""
+    source, said = folder / "fake.c", folder / "said"
+    source.write_text(hardware)
     runtime = make_runtime(
         CRASHING.format(how="*nowhere = 1;"),
         machine=str(source),
         clock="real",
         machine_config={"path": str(said)},
     )
+    return runtime, said
+
+
+def test_hardware_is_made_safe_by_a_fresh_process_after_a_crash(
+    make_runtime: Make, wait_for: Wait, tmp_path: Path
+) -> None:
+    runtime, said = crashing_on(HARDWARE, make_runtime, tmp_path)
     assert not runtime.machine().simulated
     wait_for(said.exists)  # paused hardware is safe from the start
     said.unlink()
@@ -210,14 +216,7 @@ def test_hardware_is_made_safe_where_no_file_can_be_opened_any_more(
     make_runtime: Make, wait_for: Wait, tmp_path: Path
 ) -> None:
     """Strangers that connect again and again take a target's files; so does a full computer."""
-    source, said = tmp_path / "fake.c", tmp_path / "said"
-    source.write_text(HARDWARE)
-    runtime = make_runtime(
-        CRASHING.format(how="*nowhere = 1;"),
-        machine=str(source),
-        clock="real",
-        machine_config={"path": str(said)},
-    )
+    runtime, said = crashing_on(HARDWARE, make_runtime, tmp_path)
     wait_for(said.exists)
     said.unlink()
     most = resource.getrlimit(resource.RLIMIT_NOFILE)
@@ -236,14 +235,8 @@ def test_hardware_is_made_safe_where_no_file_can_be_opened_any_more(
 def test_a_machine_that_cannot_be_made_safe_is_told(
     make_runtime: Make, wait_for: Wait, tmp_path: Path
 ) -> None:
-    source, said = tmp_path / "fake.c", tmp_path / "said"
-    source.write_text(HARDWARE.replace("static char path[256];", ONCE))
-    runtime = make_runtime(
-        CRASHING.format(how="*nowhere = 1;"),
-        machine=str(source),
-        clock="real",
-        machine_config={"path": str(said)},
-    )
+    once = HARDWARE.replace("static char path[256];", ONCE)
+    runtime, said = crashing_on(once, make_runtime, tmp_path)
     wait_for(said.exists)
     runtime.start()
     wait_for(lambda: runtime.status().crash != "", runtime.status)
