@@ -22,6 +22,7 @@ from pathlib import Path
 
 from zendsp_isr.compiler import Compiler, find_compiler, run_compiler
 from zendsp_isr.messages import Message
+from zendsp_protocol.errors import CompileFailed
 
 # -g1: the line of a crash; more takes a third longer, and three times as long for 900 variables
 BASE_FLAGS = ("-std=gnu11", "-O2", "-g1", "-ffp-contract=off", "-Wall", "-Wextra")
@@ -68,6 +69,12 @@ def cache_root() -> Path:
     -------
     Path
         Exists.
+
+    Raises
+    ------
+    CompileFailed
+        Neither can be written, and what stands in its place is not this user's alone: what is kept
+        there is run.
     """
     base = os.environ.get("ZENDSP_CACHE")
     try:
@@ -80,6 +87,12 @@ def cache_root() -> Path:
     except (OSError, RuntimeError):  # a home that cannot be written, or none at all
         root = Path(tempfile.gettempdir()) / f"zendsp-{os.getuid()}"
         root.mkdir(mode=0o700, exist_ok=True)
+        found = root.lstat()  # a link has all rights
+        if found.st_uid != os.getuid() or found.st_mode & 0o077:
+            raise CompileFailed(
+                f"compiled code is not kept in {root}, which others may write: set ZENDSP_CACHE to"
+                " a folder of your own"
+            ) from None
     return root
 
 
@@ -186,7 +199,7 @@ def build(
     Raises
     ------
     CompileFailed
-        There is no compiler.
+        There is no compiler, or no place for what it makes.
     """
     began = time.monotonic()
     compiler = find_compiler()
@@ -207,7 +220,13 @@ def build(
     with contextlib.suppress(OSError):  # another process may prune at the same time
         _prune(folder)
     wanted = (*all_flags, *(_SHARED if shared else ()))
-    ok, messages = _compile(compiler, sources, include, wanted, libraries, timeout_s, target)
+    try:
+        ok, messages = _compile(compiler, sources, include, wanted, libraries, timeout_s, target)
+    except OSError as error:
+        raise CompileFailed(
+            f"nothing can be compiled in {folder} ({error.strerror}): make room, or set"
+            " ZENDSP_CACHE to another folder"
+        ) from error
     return Built(
         target if ok else None,
         key,

@@ -17,6 +17,7 @@ import logging
 import os
 import resource
 import sys
+import traceback
 from collections.abc import Sequence
 from typing import NoReturn
 
@@ -29,6 +30,11 @@ from zendsp_target.access.endpoints import Security
 AS_ROOT = (
     "zendsp target: runs as root, so whoever may download a program to it runs code as root; "
     "an ordinary user is enough (docs/security.md)"
+)
+LEAST_MEMORY = 512 << 20  # bytes of addresses; a target has some 1400 MB of them
+NO_ROOM = (
+    "zendsp target: the system gives this process no more memory or threads ({error}): allow more,"
+    " see 'ulimit -v' and 'ulimit -u'"
 )
 LEFT = (
     "zendsp target: {name} was killed while it held a recording of {columns} signals, which is kept"
@@ -157,7 +163,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _serve(args, listen, security)
     except (ZendspError, ValueError, OSError) as error:
         print(f"zendsp target: {error}", file=sys.stderr)
-        return 2
+    except (MemoryError, RuntimeError) as error:  # the latter where a thread cannot be started
+        if isinstance(error, RuntimeError) and "new thread" not in str(error):
+            raise
+        print(NO_ROOM.format(error=error or "no memory"), file=sys.stderr)
+    return 2
 
 
 def _take_files() -> None:
@@ -169,7 +179,15 @@ def _take_files() -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
 
 
+def _need_memory() -> None:
+    """Refuse what NumPy's library would look for without end."""
+    most = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if 0 <= most < LEAST_MEMORY:
+        raise MemoryError(f"{most >> 20} MB of addresses, it needs {LEAST_MEMORY >> 20} MB")
+
+
 def _serve(args: argparse.Namespace, listen: Sequence[str], security: Security) -> int:
+    _need_memory()
     from zendsp_target.monitor import Monitor, Options
     from zendsp_target.runtime import Runtime
     from zendsp_target.serving.malloc import keep_large_buffers
@@ -246,4 +264,7 @@ if __name__ == "__main__":
         status = end.code if isinstance(end.code, int) else 2
     except KeyboardInterrupt:  # before it was ready
         status = 130
-    leave(status)
+    except Exception:
+        traceback.print_exc()
+        status = 1
+    leave(status)  # threads of a server that did not come to be would keep the process

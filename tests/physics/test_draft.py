@@ -182,3 +182,11 @@ def test_a_table_without_positions_is_refused_with_what_it_has() -> None:
 )
 def test_roles(name: str, unit: str, role: str) -> None:
     assert role_of(name, unit).value == role
+
+
+@pytest.mark.parametrize("rows", ["", "0,0,0\n"])
+def test_a_table_of_no_row_or_one_is_told_as_that(tmp_path: Path, rows: str) -> None:
+    path = tmp_path / "one.csv"
+    path.write_text(f"t,q,u\n{rows}")
+    with pytest.raises(RecordingError, match=r"one\.csv: has [01] row|no rows"):
+        draft_model(read_table(path))

@@ -4,16 +4,18 @@ be asked.
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from zendsp_isr.build import build, content_key
+from zendsp_isr.build import build, cache_root, content_key
 from zendsp_isr.compiler import find_compiler, run_compiler
 from zendsp_isr.messages import parse_messages
 from zendsp_protocol.errors import CompileFailed, Refused
@@ -270,3 +272,36 @@ def test_a_clock_that_jumps_takes_no_folder_in_which_a_compiler_works(
     monkeypatch.setattr("zendsp_isr.build.run_compiler", slow)
     assert compile_program({"a.c": other % 1}).ok
     assert not left.exists(), "what a compiler that was killed left behind goes"
+
+
+@pytest.mark.parametrize("way", ["open to others", "a link"])
+def test_compiled_code_is_kept_in_no_folder_that_others_may_write(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, way: str
+) -> None:
+    """What is found there by its name is run: another user could have put it there."""
+    monkeypatch.setenv("ZENDSP_CACHE", "/dev/null/no-folder")
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    root = tmp_path / f"zendsp-{os.getuid()}"
+    assert cache_root() == root
+    assert cache_root() == root, "the second time as well"
+    if way == "a link":
+        root.rename(tmp_path / "elsewhere")
+        root.symlink_to(tmp_path / "elsewhere")
+    else:
+        root.chmod(0o777)
+    with pytest.raises(CompileFailed, match="set ZENDSP_CACHE to a folder of your own"):
+        cache_root()
+
+
+def test_a_full_disk_is_told_with_its_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ZENDSP_CACHE", str(tmp_path))
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    def write(*_: object) -> int:
+        raise full
+
+    monkeypatch.setattr(Path, "write_bytes", write)
+    with pytest.raises(CompileFailed, match=f"{tmp_path}/program .No space left on device"):
+        build("program", {"user.c": b"int x;"}, [])

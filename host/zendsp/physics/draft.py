@@ -142,6 +142,8 @@ def _sample_time(page: _Page, clock: Group | None, file: str) -> float:
             "sample_time = 0.001", "s", ask="there is no time column: how far are two rows apart?"
         )
         return 1e-3
+    if len(clock.values) < 2:
+        raise RecordingError(f"{file}: has {len(clock.values)} row; a recording has many")
     steps = np.diff(clock.values[:, 0])
     step = float(np.median(steps))
     if not np.isfinite(step) or step <= 0:

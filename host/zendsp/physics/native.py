@@ -5,7 +5,6 @@ it through cffi.
 from __future__ import annotations
 
 import hashlib
-import os
 import platform
 import re
 import subprocess
@@ -18,6 +17,7 @@ import cffi
 
 from zendsp.errors import ZendspError
 from zendsp.physics.effects import Effect, library
+from zendsp_isr.build import cache_root
 from zendsp_isr.compiler import find_compiler
 
 FAST = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC")
@@ -115,17 +115,6 @@ def _of_lane(effect: Effect) -> str:
     return re.sub(r"\bs\s*->\s*(q|qd|qdd|u|tau|t|temp|oq|oqd|oqdd)\b", r"s->\1[l]", body)
 
 
-def cache_folder() -> Path:
-    """Folder of compiled code: ``$ZENDSP_CACHE``, else the user's cache folder."""
-    base = (
-        os.environ.get("ZENDSP_CACHE")
-        or Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "zendsp"
-    )
-    folder = Path(base)
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder
-
-
 def _machine() -> str:
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
@@ -162,10 +151,10 @@ def build(source: str, flags: tuple[str, ...] = FLAGS) -> Path:
     key = hashlib.sha256(
         "\0".join([source, *flags, *compiler, _machine(), platform.machine()]).encode()
     ).hexdigest()[:24]
-    target = cache_folder() / f"physics-{key}.so"
+    target = cache_root() / f"physics-{key}.so"
     if target.exists():
         return target
-    with tempfile.TemporaryDirectory(dir=cache_folder()) as folder:
+    with tempfile.TemporaryDirectory(dir=cache_root()) as folder:
         code, out = Path(folder) / "physics.c", Path(folder) / "physics.so"
         code.write_text(source)
         run = subprocess.run(
