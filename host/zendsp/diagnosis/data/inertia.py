@@ -4,7 +4,8 @@ incomplete model on the ground.
 While much physics is missing, the most likely model under a fast observer is a heavy one: a huge
 inertia ignores the wrong torques. Low-pass filtered inverse dynamics with rich friction, gravity
 and coupling columns as nuisance gives the inertia within a few percent whatever is missing (Gautier
-1997), and the calibration may move only around it.
+1997), and the calibration may move only around it. Where a joint hardly accelerates, the noise of
+its acceleration makes the estimate too small; a stronger low-pass tells, and the range holds both.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from zendsp.physics.model import TREES, Model, per_joint
 
 Array = npt.NDArray[np.float64]
 
-WINDOW = 0.02  # s, applied twice: about 20 Hz
+WINDOWS = 0.02, 0.06  # s, applied twice: about 20 Hz, and 7 Hz
 AROUND = 1.12  # the calibration may move by this factor around the estimate
 SLIDING = 0.15  # of the RMS speed
 ENOUGH = 60  # rows, of two windows each
@@ -55,17 +56,27 @@ def inertia_ranges(
     """
     ranges = {}
     for joint in range(1, model.joints + 1):
-        value, t = _estimate([rec[joint - 1] for rec in records], model)
-        if t > SURE and value > 0:
-            spread = 1.0 + 1.0 / t
-            ranges[own_key(model, joint)] = (value / AROUND / spread, value * AROUND * spread)
+        own = [rec[joint - 1] for rec in records]
+        around = [_around(*_estimate(own, model, window)) for window in WINDOWS]
+        if around[0]:
+            lows, highs = zip(*filter(None, around), strict=True)
+            ranges[own_key(model, joint)] = (min(lows), max(highs))
     return ranges
 
 
-def _estimate(records: list[JointRecord], model: Model) -> tuple[float, float]:
+def _around(value: float, t: float) -> tuple[float, float] | None:
+    """What the calibration may move in; None where the recordings do not determine it."""
+    if t <= SURE or value <= 0:
+        return None
+    spread = AROUND * (1.0 + 1.0 / t)
+    return value / spread, value * spread
+
+
+def _estimate(records: list[JointRecord], model: Model, window: float) -> tuple[float, float]:
+    """The inertia, and its ratio to its standard deviation."""
     rows, targets = [], []
     for rec in records:
-        a, y = _system(rec, model)
+        a, y = _system(rec, model, window)
         rows.append(a)
         targets.append(y)
     a, y = np.concatenate(rows), np.concatenate(targets)
@@ -83,8 +94,8 @@ def _estimate(records: list[JointRecord], model: Model) -> tuple[float, float]:
     return float(theta[0] / scale[0]), float(theta[0] / max(np.sqrt(max(spread, 0.0)), 1e-300))
 
 
-def _system(rec: JointRecord, model: Model) -> tuple[Array, Array]:
-    width = max(3, round(WINDOW / rec.sample_time))
+def _system(rec: JointRecord, model: Model, window: float) -> tuple[Array, Array]:
+    width = max(3, round(window / rec.sample_time))
 
     def low(v: Array) -> Array:
         out: Array = uniform_filter1d(uniform_filter1d(v, width), width)[
