@@ -151,7 +151,7 @@ def test_what_is_not_twice_what_a_machine_is_known_to_leave_may_be_a_part_of_it(
 ) -> None:
     monkeypatch.setattr(pieces, "discrepancy", lambda *_: Size(0.0, 0.0, 0.0))
     monkeypatch.setattr(pieces, "structure", lambda *_: Structure(0.0, 0.0, 0.0))
-    monkeypatch.setattr(pieces, "_kept_laws", lambda *_: [])
+    monkeypatch.setattr(pieces, "kept_laws", lambda *_: [])
     monkeypatch.setattr(pieces, "_rubbing", lambda *_: [])
     monkeypatch.setattr(pieces, "known_discrepancy", lambda *_: Known(0.01, 0.01))
     parts = SimpleNamespace(test=SimpleNamespace(joints=1), each=())
@@ -195,7 +195,7 @@ def test_what_acts_where_a_joint_turns_round_is_more_than_its_dry_friction_may_b
     """A lag of 0.4 % beside dry friction of 20 %, whose law is good to 3 % of that."""
     monkeypatch.setattr(pieces, "discrepancy", lambda *_: Size(0.0025, 0.0, 0.01))
     monkeypatch.setattr(pieces, "structure", lambda *_: Structure(0.0, 0.0, 0.0))
-    monkeypatch.setattr(pieces, "_kept_laws", lambda *_: [])
+    monkeypatch.setattr(pieces, "kept_laws", lambda *_: [])
     monkeypatch.setattr(pieces, "known_discrepancy", lambda *_: Known())
     monkeypatch.setattr(pieces, "at_reversals", lambda *_: turning)
     monkeypatch.setattr(pieces, "difference", lambda *_: 0.2)
@@ -269,7 +269,7 @@ def test_only_what_untouched_recordings_bear_out_by_chance_too_rarely_is_claimed
 ) -> None:
     monkeypatch.setattr(pieces, "discrepancy", lambda *_: Size(0.01, 0.0, 0.02))
     monkeypatch.setattr(pieces, "structure", lambda *_: Structure(0.01, 0.5, 1.0))
-    monkeypatch.setattr(pieces, "_kept_laws", lambda *_: [])
+    monkeypatch.setattr(pieces, "kept_laws", lambda *_: [])
     monkeypatch.setattr(pieces, "known_discrepancy", lambda *_: Known())
     monkeypatch.setattr(pieces, "_rubbing", lambda *_: [])
     parts = SimpleNamespace(test=SimpleNamespace(joints=1), each=())

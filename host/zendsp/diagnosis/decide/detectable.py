@@ -18,9 +18,9 @@ import numpy as np
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import LAWS_OF, Decision
-from zendsp.diagnosis.decide.pieces import dependence
+from zendsp.diagnosis.decide.pieces import dependence, kept_laws, torque_of
 from zendsp.diagnosis.decide.result import Detectable
-from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES, FINEST
+from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES, FINEST, LAW_ERROR, LEFT_BY_A_LAW
 from zendsp.diagnosis.measure.discrepancy import BANDS, as_torque, band_of, kept, mean_square
 from zendsp.diagnosis.search.screen import Screen
 from zendsp.physics.effects import get_effect, mechanism_of, unit_of
@@ -79,7 +79,11 @@ def _joint(test: Data, given: Model, decision: Decision, jobs: int) -> list[Dete
     needed = math.log(test.joints * len(LAWS_OF) / FALSE_DISCOVERIES)
     # a gain of G = |c|² s² / σ² is 2 log e in the mean, with standard deviation 2 √G
     root = POWER + math.sqrt(POWER**2 + 2.0 * needed)
-    beyond = max(decision.after.value, FINEST)
+    after = max(decision.after.value, FINEST)
+    kinds = {mechanism_of(name) for name in STATED}
+    # what the model's own laws of the kind may be wrong by, where a law by itself leaves too much
+    laws = {m: kept_laws(given, final.model, joint, m) for m in kinds}
+    error = {m: LAW_ERROR * torque_of(test, laws[m], final.model, joint) for m in kinds}
     scale = math.sqrt(mean_square(test, joint))
     have = {t.effect for t in final.model.at(joint)}
     out = []
@@ -89,7 +93,8 @@ def _joint(test: Data, given: Model, decision: Decision, jobs: int) -> list[Dete
             continue
         if any(key in given.mechanism for key in effect.same_as):
             continue
-        size = _smallest(screen, name, variance, root, beyond, scale)
+        beyond = min(math.hypot(after, error[mechanism_of(name)]), after / LEFT_BY_A_LAW)
+        size = _smallest(screen, name, variance, root, max(after, beyond), scale)
         if size is None:
             continue
         key = effect.linear[0] if effect.linear else effect.parameters[0].name

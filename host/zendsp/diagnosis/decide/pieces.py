@@ -178,14 +178,10 @@ def held_apart(
             left = min(after, structure(parts.each, final.model, joint, [piece.mechanism]).size)
             part = known.of_state / A_PART
         larger = max((p.size for p in claimed), default=0.0)
-        kept_laws = _kept_laws(given, final.model, joint, piece.mechanism)
+        beside = kept_laws(given, final.model, joint, piece.mechanism)
         if piece.mechanism not in kind_of(DRY):
-            kept_laws += _rubbing(parts, final, joint, piece)
-        if kept_laws:
-            apart = final.model.with_terms(
-                tuple(t for t in final.model.terms if t not in kept_laws)
-            )
-            larger = max(larger, difference(parts.test, apart, final.model, joint))
+            beside += _rubbing(parts, final, joint, piece)
+        larger = max(larger, torque_of(parts.test, beside, final.model, joint))
         # an error of a larger law is not taken up whole by the law of something else, nor with time
         timed = all(get_effect(e).over == "time" for e in piece.effects)
         own = timed or unknown <= may_leave(piece)
@@ -207,7 +203,7 @@ def _rubbing(parts: Parts, final: Scored, joint: int, piece: Piece) -> list[Term
     return dry
 
 
-def _kept_laws(given: Model, final: Model, joint: int, mechanism: str) -> list[Term]:
+def kept_laws(given: Model, final: Model, joint: int, mechanism: str) -> list[Term]:
     """Terms of the given model at a joint that are of a mechanism's kind and still stand in the
     final one.
     """
@@ -217,6 +213,14 @@ def _kept_laws(given: Model, final: Model, joint: int, mechanism: str) -> list[T
         for t in final.at(joint)
         if not any(t is n for n in new) and mechanism_of(t.effect) in kind_of(mechanism)
     ]
+
+
+def torque_of(test: Data, terms: Sequence[Term], model: Model, joint: int) -> float:
+    """RMS torque of some terms of a model along recordings, as a part of the RMS torque."""
+    if not terms:
+        return 0.0
+    apart = model.with_terms(tuple(t for t in model.terms if t not in terms))
+    return difference(test, apart, model, joint)
 
 
 def rubs(model: Model, joint: int) -> bool:
