@@ -132,9 +132,10 @@ def _nothing_named(
     )
     depends = of_state > OF_STATE and state.z > SURE
     if lacks > LAWFUL and state.share < MOST:
-        # a push may lie where the held-out recording was cut, or in the recordings of the fit alone
+        # a push may lie where the held-out recording was cut, or in the recordings of the fit
+        # alone: there what comes when the joint turns round may be its friction, however seldom
         here = bursts(parts.held, base.model, joint, turning=turning) or bursts(
-            parts.fit, base.model, joint, many=FEW, turning=turning
+            parts.fit, base.model, joint, many=FEW, turning=turning, often=0.0
         )
         if here is not None:
             both = everywhere(here, (parts.fit, parts.held), base.model, joint)

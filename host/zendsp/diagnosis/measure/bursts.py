@@ -99,6 +99,7 @@ def bursts(
     band: float = 32.0,
     many: int = MANY,
     turning: bool = True,
+    often: float = OFTEN,
 ) -> Bursts | None:
     """Find the times outside of which a model lacks next to nothing; None where there are none
     such.
@@ -115,13 +116,15 @@ def bursts(
         Intervals; more come and go with something else than time.
     turning : bool
         Whether what acts where the joint turns round, again and again, may be one.
+    often : float
+        At how many of these places it is "again and again".
 
     Returns
     -------
     Bursts or None
     """
     acting = _acting(data, model, joint, band)
-    if not turning and _turns(data, acting, joint, band):
+    if not turning and _turns(data, acting, joint, band, often):
         return None
     met = 0
     for high, use, rec in zip(acting.masks, acting.used, data.records, strict=True):
@@ -141,7 +144,7 @@ def bursts(
     return None if scattered or len(out.intervals) > many else out
 
 
-def _turns(data: Data, acting: _Acting, joint: int, band: float) -> bool:
+def _turns(data: Data, acting: _Acting, joint: int, band: float, often: float) -> bool:
     """Whether what acts comes where the joint turns round, and not at a few of these places."""
     there = total = 0.0
     met = count = 0
@@ -156,7 +159,7 @@ def _turns(data: Data, acting: _Acting, joint: int, band: float) -> bool:
         change = np.flatnonzero(np.diff(np.r_[0, turns.astype(int), 0]))
         count += len(change) // 2
         met += sum(bool(high[a:b].any()) for a, b in zip(change[::2], change[1::2], strict=True))
-    return there > MOSTLY * total and met > OFTEN * count
+    return there > MOSTLY * total and met > often * count
 
 
 def everywhere(
