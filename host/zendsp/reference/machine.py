@@ -25,7 +25,7 @@ from zendsp_protocol.views import html_table, sentence
 
 MACHINES = ("imi_planar", "pendulum", "wam7")
 LIMITS_ONLY = "limits"  # kind of a machine without a model
-UNPREDICTED = "torque is not predicted, there is no model of this machine"
+UNPREDICTED = "torque is not predicted: of this machine only the limits are known"
 CAREFUL_SPEED = 1.0  # rad/s or m/s, of moves where no limit is known
 CAREFUL_ACCELERATION = 10.0  # rad/s^2 or m/s^2
 
@@ -146,7 +146,7 @@ class Machine:
         """
         if not self.modelled:
             raise ReferenceError_(
-                f"{self.name}: {UNPREDICTED}: only its limits are known; plan a position instead"
+                f"{self.name}: {UNPREDICTED}; plan a position instead"
             )
         return make_dynamics(self.kind, self.parameters)
 

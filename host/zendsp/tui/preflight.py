@@ -92,7 +92,7 @@ def preflight(
         Condition(
             f"program plays tables{f': {player.table}' if player else ''}",
             player is not None,
-            "it must declare TABLE(ref, rows, joints, …), as pd.c does",
+            "it must declare TABLE(ref, rows, joints, …), as joint_pd.c does",
         )
     )
     found.append(
@@ -194,7 +194,8 @@ def _tried(plan: Plan, trial: Trial, moving: bool) -> Condition:
         )
     if moving:
         return Condition(
-            "a program runs: Start pauses it, and tries the run on a simulated twin first", True
+            "a program runs: Start pauses it, and tries the run first on a twin, if there is one",
+            True,
         )
     if problem:
         return Condition("tried on a simulated twin", False, problem)
