@@ -187,13 +187,11 @@ class Motion:
 
     def machine(self) -> MachineInfo:
         """What the loaded machine says of itself, and the model that it simulates."""
-        said, settings = self._programs.loaded().machine, self._programs.settings
-        if not is_model(settings.machine):
+        said, machine = self._programs.loaded().machine, self._programs.settings.machine
+        if not is_model(machine):
             return said
-        options = tuple(f"{key}={value}" for key, value in settings.machine_config.items())
-        return msgspec.structs.replace(
-            said, model=os.path.abspath(settings.machine), options=options
-        )
+        options = tuple(f"{key}={value}" for key, value in self._programs.options.items())
+        return msgspec.structs.replace(said, model=os.path.abspath(machine), options=options)
 
     def limits(self) -> Limits:
         """Limits in force."""
