@@ -167,8 +167,11 @@ def replace_limits(**changes: Any) -> Limits:
 
 @pytest.mark.skipif(importlib.util.find_spec("mujoco") is None, reason="needs mujoco")
 def test_a_mujoco_model_is_tried_on_a_twin_with_the_options_of_its_target(
-    tmp_path: Path,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    def described(model: str) -> MachineInfo:
+        return MachineInfo("arm", joints=JOINTS, model=model)
+
     model = ROOT / "tests" / "machines" / "models" / "bench_arm.xml"
     hidden = tmp_path / "hidden.toml"
     hidden.write_text('[[effect]]\nkind = "coulomb"\njoint = 1\nlevel = 0.5\n')
@@ -189,4 +192,8 @@ def test_a_mujoco_model_is_tried_on_a_twin_with_the_options_of_its_target(
         rows = np.linspace(reference.q[0], far, 500)
         tripped = rehearse(target, {"ref": rows}, values, 8.0)
         assert tripped.simulated and tripped.trip is not None
+        monkeypatch.setattr(target, "machine", lambda: described("/there/is/no/arm.xml"))
+        assert not rehearse(target, {}, {}, 1.0).simulated, "another computer's file"
+        monkeypatch.setattr(target, "machine", lambda: described(__file__))
+        assert not rehearse(target, {}, {}, 1.0).simulated, "no model: never run"
         assert target.status().tick == 0 and target.status().trip is None, "it was only read"

@@ -172,7 +172,11 @@ def _simulation_of(info: m.MachineInfo, hostname: str) -> str:
     from importlib import resources
     from importlib.util import find_spec
 
+    from zendsp_isr.parts import is_model
+
     if info.model:
+        if not is_model(info.model):  # nothing that would be compiled and run
+            return ""
         here = hostname == socket.gethostname() and Path(info.model).is_file()
         return info.model if here and find_spec("mujoco") is not None else ""
     shipped = resources.files("zendsp_isr").joinpath("machines", f"{info.name}.c")
