@@ -203,6 +203,8 @@ class MachineInfo(Message, frozen=True):
     douts: int = 0  # digital outputs
     stop_input: int = -1  # digital input that stops; -1 where none
     needs_homing: bool = False  # before it may be enabled
+    model: str = ""  # path, on the target, of the MuJoCo model that is simulated; empty: none
+    options: tuple[str, ...] = ()  # that the model was started with, KEY=VALUE each
 
 
 class Limits(Message, frozen=True):

@@ -224,7 +224,9 @@ PLANS: dict[str, Plan] = {
     "docs/isr.md": Plan(running, files={'#include "isr.h"': "control.c"}),
     "docs/machines.md": Plan(files={"#include <math.h>": "my_axis.c"}),
     "docs/machines_simulated.md": Plan(files={'friction = "plain"': "hidden.toml"}),
-    "docs/machines_mujoco.md": Plan(arm, stands_for={"--seconds 20": "--seconds 2"}),
+    "docs/machines_mujoco.md": Plan(
+        arm, files={'name = "arm"': "arm.toml"}, stands_for={"--seconds 20": "--seconds 2"}
+    ),
     "docs/models.md": Plan(recorded, files={'name = "bench"': "as_on_the_page.toml"}),
     "docs/protocol.md": Plan(running, arguments=first_target),
     "docs/references.md": Plan(running, prelude="import zendsp\ntarget = zendsp.connect()\n"),

@@ -325,3 +325,24 @@ def test_a_reference_that_cannot_be_written_leaves_nothing_half(
         save_reference(rest, tmp_path / "rest.mat")
     assert [p.name for p in tmp_path.iterdir()] == ["rest.mat"]
     assert (tmp_path / "rest.mat").read_bytes() == kept
+
+
+def test_a_machine_without_a_model_is_planned_for_by_its_limits_alone(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text(
+        'name = "mine"\nkind = "limits"\njoints = 2\nsample_time = 0.001\nhome = [0, 0]\n'
+        "[limits]\nposition_min = [-1, -1]\nposition_max = [1, 1]\nspeed = [2, inf]\n"
+        "acceleration = [inf, inf]\ntorque = [5, 5]\n"
+    )
+    machine = load_machine(str(file))
+    reference = make_reference("point_to_point", machine, goal=[0.5, 0.5], headroom=1.0)
+    assert machine.torque(reference) is None and not machine.find_violations(reference)
+    peaks = np.abs(reference.qd).max(), np.abs(reference.qdd).max()
+    assert 0.9 < peaks[0] <= 1.0 and peaks[1] <= 10.0, "moderate where no limit is known"
+    with pytest.raises(ReferenceError_, match="torque is not predicted"):
+        make_reference("step", machine, quantity="torque")
+    pushed = Reference(reference.q, 0.001, tau=np.full(reference.q.shape, 6.0))
+    assert [v.quantity for v in machine.find_violations(pushed)] == ["torque", "torque"]
+    assert len(plot_reference(reference, machine).axes) == 3
+    said = CliRunner().invoke(command, ["trapezoid", "--machine", str(file)])
+    assert said.exit_code == 0 and "torque is not predicted" in said.output, said.output

@@ -17,7 +17,8 @@ MACHINE_DEFAULT = "of the machine"
 def _summary(reference: Any, torque: Any) -> dict[str, Any]:
     """What the terminal prints: duration and the largest magnitudes of each joint."""
     peaks = {name: abs(x).max(axis=0) for name, x in
-             (("speed", reference.qd), ("acceleration", reference.qdd), ("torque", torque))}
+             (("speed", reference.qd), ("acceleration", reference.qdd), ("torque", torque))
+             if x is not None}
     return {
         "kind": reference.kind,
         "machine": reference.machine,
@@ -33,6 +34,8 @@ def _summary(reference: Any, torque: Any) -> dict[str, Any]:
 
 
 def _print_table(summary: dict[str, Any]) -> None:
+    from zendsp.reference import UNPREDICTED
+
     click.echo(
         f"{summary['kind']} on {summary['machine'] or 'no machine'}: {summary['duration']:g} s,"
         f" {summary['samples']} samples, mode"
@@ -43,14 +46,17 @@ def _print_table(summary: dict[str, Any]) -> None:
         f"{'joint':>6} {'q min rad':>10} {'q max rad':>10} {'rad/s':>9} {'rad/s^2':>9} {'N m':>9}"
     )
     columns = zip(
-        *(summary[k] for k in ("position_min", "position_max", "speed", "acceleration", "torque")),
+        *(summary[k] for k in ("position_min", "position_max", "speed", "acceleration")),
         strict=True,
     )
-    for joint, row in enumerate(columns, start=1):
+    torque = summary.get("torque")
+    for j, row in enumerate(columns):
+        tau = "–" if torque is None else f"{torque[j]:.3f}"
         click.echo(
-            f"{joint:>6} {row[0]:>10.4f} {row[1]:>10.4f} {row[2]:>9.3f} {row[3]:>9.2f}"
-            f" {row[4]:>9.3f}"
+            f"{j + 1:>6} {row[0]:>10.4f} {row[1]:>10.4f} {row[2]:>9.3f} {row[3]:>9.2f} {tau:>9}"
         )
+    if torque is None:
+        click.echo(UNPREDICTED)
 
 
 def _finish(

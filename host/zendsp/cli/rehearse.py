@@ -40,7 +40,7 @@ def command(file: str, target: str, connect: str | None, as_json: bool) -> None:
             "peaks": found.peaks,
         },
         as_json,
-        found.text,
+        found.text if found.simulated else f"it could not be simulated: {found.text}",
     )
     if not found.good:
         raise click.exceptions.Exit(1)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import socket
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from zendsp.errors import LinkError
@@ -91,8 +93,9 @@ def rehearse(
     """Run the loaded program on a simulated twin: the same C code, parameters, limits, position and
     runtime, in fast time.
 
-    The target itself is only read. The twin is the nominal simulation of the machine of that name;
-    what a real machine has beyond it (and what a simulated one conceals) is not in it.
+    The target itself is only read. The twin is the nominal simulation of the machine of that name,
+    or, of a target on this computer, of the same MuJoCo model; what a real machine has beyond it
+    (and what a simulated one conceals) is not in it.
 
     Parameters
     ----------
@@ -114,12 +117,9 @@ def rehearse(
     Rehearsal
     """
     info, status, program = target.machine(), target.status(), target.program()
-    from importlib import resources
-
-    if not resources.files("zendsp_isr").joinpath("machines", f"{info.name}.c").is_file():
-        return Rehearsal(
-            False, None, f"it could not be simulated: there is no simulation of {info.name} here"
-        )
+    machine = _simulation_of(info, target.info.hostname)
+    if not machine:
+        return Rehearsal(False, None, f"there is no simulation of {info.name} here")
     rate, ticks = status.rate_hz, max(1, round(seconds * status.rate_hz))
     names = [v.name for v in target.variables().values() if v.kind == "parameter"]
     present = dict(target.read(names).values) if names else {}
@@ -130,7 +130,7 @@ def rehearse(
         if on_progress is not None:
             on_progress(min(now.tick / ticks, 1.0))
 
-    with local(info.name, clock="fast", rate=rate, options=options) as twin:
+    with local(machine, clock="fast", rate=rate, options=options) as twin:
         twin.download(dict(program.sources), program.flags)
         twin.set_limits(
             limits.position_min,
@@ -154,7 +154,7 @@ def rehearse(
             return Rehearsal(
                 False,
                 None,
-                f"its simulation took longer than {timeout:g} s: simulate a shorter motion",
+                f"its simulation took longer than {timeout:g} s: try a shorter motion",
             )
         peaks = _peaks(twin.acquire_load(), info.joints, limits) if ended.trip is None else ()
     if ended.trip is None:
@@ -165,9 +165,29 @@ def rehearse(
     return Rehearsal(True, ended.trip, _words(ended.trip, rate))
 
 
+def _simulation_of(info: m.MachineInfo, hostname: str) -> str:
+    """Machine of the twin: the target's own MuJoCo model where its file is here, else the shipped
+    simulation of that name; empty where there is none.
+    """
+    from importlib import resources
+    from importlib.util import find_spec
+
+    from zendsp_isr.parts import is_model
+
+    if info.model:
+        if not is_model(info.model):  # nothing that would be compiled and run
+            return ""
+        here = hostname == socket.gethostname() and Path(info.model).is_file()
+        return info.model if here and find_spec("mujoco") is not None else ""
+    shipped = resources.files("zendsp_isr").joinpath("machines", f"{info.name}.c")
+    return info.name if shipped.is_file() else ""
+
+
 def _as_it_stands(info: m.MachineInfo, status: m.Status) -> list[str]:
     """Options of a twin that begins where the machine stands."""
     options = ["--no-realtime"]
+    for text in info.options:
+        options += ["--machine-option", text]
     counts = np.ravel(np.asarray(plain(status.io.get("enc", ()))))
     for number, (joint, count) in enumerate(zip(info.joints, counts, strict=False), start=1):
         at = (float(count) - joint.zero_counts) / joint.counts_per_unit

@@ -22,13 +22,14 @@ from zendsp.reference.kinds.trapezoid import make_trapezoid
 from zendsp.reference.kinds.triangle import make_triangle
 from zendsp.reference.kinematics import forward_kinematics, inverse_kinematics
 from zendsp.reference.limits import Limits, Violation, find_violations
-from zendsp.reference.machine import MACHINES, Machine, load_machine
+from zendsp.reference.machine import MACHINES, UNPREDICTED, Machine, load_machine, make_limited
 from zendsp.reference.plot import plot_reference
 from zendsp.reference.registry import KINDS, make_reference
 
 __all__ = [
     "KINDS",
     "MACHINES",
+    "UNPREDICTED",
     "Kind",
     "Limits",
     "Machine",
@@ -45,6 +46,7 @@ __all__ = [
     "make_chirp",
     "make_circle",
     "make_from_file",
+    "make_limited",
     "make_line",
     "make_lspb",
     "make_multisine",

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from zendsp.errors import ReferenceError_
 from zendsp.reference.core import Array, Reference
@@ -23,6 +24,10 @@ from zendsp_protocol import toml
 from zendsp_protocol.views import html_table, sentence
 
 MACHINES = ("imi_planar", "pendulum", "wam7")
+LIMITS_ONLY = "limits"  # kind of a machine without a model
+UNPREDICTED = "torque is not predicted: of this machine only the limits are known"
+CAREFUL_SPEED = 1.0  # rad/s or m/s, of moves where no limit is known
+CAREFUL_ACCELERATION = 10.0  # rad/s^2 or m/s^2
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +39,8 @@ class Machine:
     name, title : str
         Identifier, and the words for a person.
     kind : str
-        "planar2r", "pendulum" or "dh": which rigid-body model the parameters are for.
+        "planar2r", "pendulum" or "dh": which rigid-body model the parameters are for; "limits":
+        there is no model, only the limits are known.
     joints : int
         Number of joints.
     sample_time : float
@@ -47,6 +53,8 @@ class Machine:
         Numbers of the model, SI units.
     headroom : float
         Share of the speed, acceleration and torque limits that motions planned for it may use.
+    unit : str
+        Of its positions: "rad", "m", or "rad or m" where both occur.
 
     Examples
     --------
@@ -64,6 +72,7 @@ class Machine:
     limits: Limits
     parameters: Mapping[str, Any]
     headroom: float = 1.0
+    unit: str = "rad"
 
     def __repr__(self) -> str:
         return f"<Machine {self.name}: {self.title}, {self.joints} joints>"
@@ -92,6 +101,34 @@ class Machine:
         """Limits that motions are planned within: those of the machine times ``headroom``."""
         return self.limits.scaled(self.headroom)
 
+    @property
+    def modelled(self) -> bool:
+        """Whether a model says which torque a motion needs.
+
+        Examples
+        --------
+        >>> load_machine("wam7").modelled
+        True
+        """
+        return self.kind != LIMITS_ONLY
+
+    @property
+    def pace(self) -> Limits:
+        """Limits that moves of no given duration are planned within: where a speed or acceleration
+        is not limited, 1 rad/s or 10 rad/s² (m for slides) are taken.
+
+        Examples
+        --------
+        >>> unknown = make_limited("arm", 0.001, [0.0], Limits([-1], [1], [6.0], [np.inf], [2.0]))
+        >>> float(unknown.pace.speed[0]), float(unknown.pace.acceleration[0])
+        (6.0, 10.0)
+        """
+        own = self.limits
+        speed = np.where(np.isfinite(own.speed), own.speed, CAREFUL_SPEED)
+        turn = np.where(np.isfinite(own.acceleration), own.acceleration, CAREFUL_ACCELERATION)
+        careful = replace(own, speed=speed, acceleration=turn)
+        return careful.scaled(self.headroom)
+
     def with_headroom(self, headroom: float) -> Machine:
         """Return the same machine, for motions that use this share of its limits.
 
@@ -104,12 +141,19 @@ class Machine:
 
     @property
     def dynamics(self) -> Dynamics:
-        """Inverse and forward dynamics of the nominal model, friction included."""
+        """Inverse and forward dynamics of the nominal model, friction included; ReferenceError_
+        where there is no model.
+        """
+        if not self.modelled:
+            raise ReferenceError_(
+                f"{self.name}: {UNPREDICTED}; plan a position instead"
+            )
         return make_dynamics(self.kind, self.parameters)
 
-    def torque(self, reference: Reference) -> Array:
+    def torque(self, reference: Reference) -> Array | None:
         """Torque that the reference needs, N m, shape (N, joints): its own in mode "torque", else
-        inverse dynamics.
+        inverse dynamics; of a machine without a model what the reference feeds forward, None where
+        it says nothing.
 
         Examples
         --------
@@ -120,11 +164,13 @@ class Machine:
         """
         if reference.mode == "torque" and reference.tau is not None:
             return reference.tau
+        if not self.modelled:
+            return reference.tau
         return self.dynamics.inverse(reference.q, reference.qd, reference.qdd)
 
     def find_violations(self, reference: Reference) -> list[Violation]:
-        """Limits of this machine that a reference breaks, torque included; of each limit the share
-        ``reference.headroom`` counts.
+        """Limits of this machine that a reference breaks, torque included where it is known; of
+        each limit the share ``reference.headroom`` counts.
 
         Examples
         --------
@@ -151,6 +197,40 @@ class Machine:
         >>> load_machine("pendulum").check(Reference(np.zeros((5, 1)), 0.001))
         """
         raise_violations(self.find_violations(reference), self.name)
+
+
+def make_limited(
+    name: str, sample_time: float, home: npt.ArrayLike, limits: Limits, unit: str = "rad"
+) -> Machine:
+    """A machine of which only the limits are known, as a target tells them; no torque is predicted.
+
+    Parameters
+    ----------
+    name : str
+        Goes into the references that are planned for it.
+    sample_time : float
+        s.
+    home : array_like, shape (joints,)
+        rad (m for slides).
+    limits : Limits
+        +inf where there is none or it is not known.
+    unit : str
+        Of its positions.
+
+    Returns
+    -------
+    Machine
+        Of kind "limits".
+
+    Examples
+    --------
+    >>> arm = make_limited("arm", 0.001, [0.0], Limits([-1.0], [1.0], [2.0], [np.inf], [5.0]))
+    >>> arm.modelled, arm.torque(Reference(np.zeros(5), 0.001)) is None
+    (False, True)
+    """
+    at = np.array(home, dtype=np.float64)
+    title = f"{name}, of which only the limits are known"
+    return Machine(name, title, LIMITS_ONLY, len(at), sample_time, at, limits, {}, unit=unit)
 
 
 _KEYS = ("name", "title", "kind", "joints", "sample_time", "home", "limits", "parameters")
@@ -191,7 +271,7 @@ def _parse(data: Mapping[str, Any], origin: str) -> Machine:
             sample_time=data["sample_time"],
             home=np.array(data["home"], dtype=np.float64),
             limits=Limits(**data["limits"]),
-            parameters=data["parameters"],
+            parameters={} if data["kind"] == LIMITS_ONLY else data["parameters"],
         )
     except (KeyError, TypeError) as error:
         raise ReferenceError_(

@@ -66,13 +66,16 @@ def plot_reference(
 
     planar = machine.kind == "planar2r"
     figure = Figure(figsize=(11 if planar else 8, 8), layout="constrained")
-    grid = figure.add_gridspec(4, 2 if planar else 1, width_ratios=(1.5, 1) if planar else None)
     limits, unit = machine.limits, reference.unit
-    rows = (
+    motion = (
         (reference.q, limits.position_min, limits.position_max, f"q [{unit}]"),
         (reference.qd, -limits.speed, limits.speed, f"qd [{unit}/s]"),
         (reference.qdd, -limits.acceleration, limits.acceleration, f"qdd [{unit}/s²]"),
         (machine.torque(reference), -limits.torque, limits.torque, "tau [N m]"),
+    )
+    rows = [(x, low, high, label) for x, low, high, label in motion if x is not None]
+    grid = figure.add_gridspec(
+        len(rows), 2 if planar else 1, width_ratios=(1.5, 1) if planar else None
     )
     for i, (x, low, high, label) in enumerate(rows):
         ax = figure.add_subplot(grid[i, 0])

@@ -120,4 +120,5 @@ def make_reference(
     }
     share = float(HEADROOM.parse(headroom, machine))
     planned = chosen.make(machine.with_headroom(share), sample_time=sample_time, **values)
-    return replace(planned, parameters={**planned.parameters, "headroom": share})
+    unit = planned.unit if machine.unit == "rad" else machine.unit
+    return replace(planned, parameters={**planned.parameters, "headroom": share}, unit=unit)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 LIVE_RATE = 5000.0  # rows a second of a live curve at the most
 LIVE_INTERVAL_S = 0.02  # between live messages: a screen needs no more
-LOST_EVERY = 5  # snapshots between looks at the recorder
+LOST_EVERY = 5  # snapshots between looks at the recorder and the limits
 SHOWN_ELEMENTS = 64  # longer arrays are not read for the table
 
 
@@ -37,7 +37,8 @@ class LinkPort:
         self._program = ""
         self._variables: tuple[Variable, ...] = ()
         self._names: list[str] = []
-        self._joints: tuple[m.JointInfo, ...] = ()
+        self._described: m.MachineInfo | None = None
+        self._limits: m.Limits | None = None
         self._looked = 0
         self._recorder: m.AcquireStatus | None = None
 
@@ -45,7 +46,7 @@ class LinkPort:
     # ----------------------------------------------------------------------------------------------
 
     def snapshot(self) -> Snapshot:
-        """Ask for everything a screen shows; five quick requests at the most."""
+        """Ask for everything a screen shows; six quick requests at the most."""
         begin = time.perf_counter()
         s = self.target.status()
         latency = time.perf_counter() - begin
@@ -61,6 +62,11 @@ class LinkPort:
         ):
             with contextlib.suppress(ZendspError):
                 self._recorder = self.target.acquire_status()
+        if self._described is not None and (
+            self._limits is None or self._looked % LOST_EVERY == 0
+        ):
+            with contextlib.suppress(RunnerDied):
+                self._limits = self.target.limits()
         self._looked += 1
         if not self.target.alive:
             raise LinkError(f"target {self.target.name} is out of reach")
@@ -69,13 +75,15 @@ class LinkPort:
     def _make(
         self, s: m.Status, drive: m.DriveStatus, values: Mapping[str, Any], latency: float
     ) -> Snapshot:
-        t, recorder = s.timing, self._recorder
+        t, recorder, described = s.timing, self._recorder, self._described
         io = {name: np.ravel(np.asarray(plain(value))) for name, value in s.io.items()}
         return Snapshot(
             link="up",
             target=self.target.name,
             machine=s.machine,
             joints=s.joints,
+            described=described,
+            limits=self._limits,
             state=s.state,
             drive=drive.state,
             explicit=drive.explicit,
@@ -102,7 +110,9 @@ class LinkPort:
             io=io,
             position=tuple(
                 (float(count) - joint.zero_counts) / joint.counts_per_unit
-                for count, joint in zip(io.get("enc", ()), self._joints, strict=False)
+                for count, joint in zip(
+                    io.get("enc", ()), described.joints if described else (), strict=False
+                )
             ),
             conditions=tuple((c.name, c.met, c.advice) for c in drive.conditions),
             variables=self._variables,
@@ -115,9 +125,9 @@ class LinkPort:
         """
         self._program = program
         if not program:
-            self._variables, self._names, self._joints = (), [], ()
+            self._variables, self._names, self._described, self._limits = (), [], None, None
             return
-        self._joints = self.target.machine().joints
+        self._described, self._limits = self.target.machine(), None
         own = [_variable(info, info.kind) for info in self.target.variables().values()]
         names = {v.name for v in own}
         builtin = [

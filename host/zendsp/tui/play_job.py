@@ -139,7 +139,10 @@ class PlayJob:
         )
         if found.trip is not None:
             raise Refused(f"nothing was moved: {found.text}")
-        self._session.events.add(f"run: {found.text}", "info" if found.good else "warning")
+        not_tried = "" if found.simulated else "not tried: "
+        self._session.events.add(
+            f"run: {not_tried}{found.text}", "info" if found.good else "warning"
+        )
         return not self._abort.is_set()
 
     def _shot(self, snapshot: Snapshot, total: float) -> Shot:

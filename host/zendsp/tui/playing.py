@@ -117,11 +117,8 @@ def smooth_move(
     way = np.abs(goal - start)
     if not np.any(way > 1e-9):
         return start[None, :].copy()
-    speed = np.where(np.isfinite(machine.limits.speed), machine.limits.speed, 1.0) * share
-    acceleration = (
-        np.where(np.isfinite(machine.limits.acceleration), machine.limits.acceleration, 10.0)
-        * share
-    )
+    pace = machine.with_headroom(share).pace
+    speed, acceleration = pace.speed, pace.acceleration
     time = float(
         max((1.875 * way / speed).max(), np.sqrt(5.7735 * way / acceleration).max(), 20.0 * period)
     )

@@ -6,8 +6,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from zendsp.errors import ReferenceError_
-from zendsp.reference import MACHINES, Machine, Reference, load_machine
+from zendsp.reference import (
+    MACHINES,
+    UNPREDICTED,
+    Limits,
+    Machine,
+    Reference,
+    load_machine,
+    make_limited,
+)
 from zendsp.tui.playing import Setup, find_player, present_position
 from zendsp.tui.port import Port
 from zendsp.tui.snapshot import Snapshot
@@ -21,11 +31,35 @@ class Condition:
     text: str
     met: bool
     advice: str = ""
+    warning: bool = False  # met, but what it says should be seen
 
 
 def machine_of(snapshot: Snapshot) -> Machine | None:
-    """Return the description of the target's machine, or None if it is none of those known here."""
-    return load_machine(snapshot.machine) if snapshot.machine in MACHINES else None
+    """Return the shipped description of the target's machine, else one of the limits that the
+    target tells; None while nobody knows.
+    """
+    said, limits = snapshot.described, snapshot.limits
+    name = said.name if said is not None else snapshot.machine
+    if name in MACHINES and not (said is not None and said.model):
+        machine = load_machine(name)
+        if said is None or len(said.joints) == machine.joints:
+            return machine
+    if said is None or limits is None:
+        return None
+    units = {joint.unit for joint in said.joints}
+    return make_limited(
+        name,
+        snapshot.period_s,
+        [joint.home for joint in said.joints],
+        Limits(
+            np.array(limits.position_min),
+            np.array(limits.position_max),
+            np.array(limits.speed_max),
+            np.full(len(said.joints), np.inf),
+            np.array(limits.torque_max),
+        ),
+        "rad or m" if len(units) > 1 else units.pop(),
+    )
 
 
 def preflight(
@@ -46,9 +80,9 @@ def preflight(
     machine = machine_of(s)
     found.append(
         Condition(
-            f"machine known{f': {s.machine}' if machine else ''}",
+            f"machine known{f': {machine.name}' if machine else ''}",
             machine is not None,
-            f"only {', '.join(MACHINES)} are; a script can play (docs/references.md)",
+            "its limits come with a program: build one on Console (F2, b)",
         )
     )
     loaded = s.state not in ("", "empty", "crashed")
@@ -58,7 +92,7 @@ def preflight(
         Condition(
             f"program plays tables{f': {player.table}' if player else ''}",
             player is not None,
-            "it must declare TABLE(ref, rows, joints, …), as pd.c does",
+            "it must declare TABLE(ref, rows, joints, …), as joint_pd.c does",
         )
     )
     found.append(
@@ -128,6 +162,10 @@ def _fits(references: Sequence[Reference], machine: Machine) -> Condition:
         broken = machine.find_violations(reference)
         if broken:
             return Condition("within the limits", False, str(broken[0]))
+    if not machine.modelled:
+        return Condition(
+            f"within the limits of position and speed; {UNPREDICTED}", True, warning=True
+        )
     return Condition("within the limits of the machine", True)
 
 
@@ -146,6 +184,8 @@ def _playable(
 def _tried(plan: Plan, trial: Trial, moving: bool) -> Condition:
     """What the run would do by the simulated twin, before Start."""
     found, problem = trial.found(plan), trial.problem(plan)
+    if found is not None and not found.simulated:
+        return Condition(f"not tried: {found.text}", True, warning=True)
     if found is not None:
         return (
             Condition(found.text, True)
@@ -154,7 +194,8 @@ def _tried(plan: Plan, trial: Trial, moving: bool) -> Condition:
         )
     if moving:
         return Condition(
-            "a program runs: Start pauses it, and tries the run on a simulated twin first", True
+            "a program runs: Start pauses it, and tries the run first on a twin, if there is one",
+            True,
         )
     if problem:
         return Condition("tried on a simulated twin", False, problem)

@@ -5,7 +5,6 @@ limits.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,26 +17,30 @@ Floats = npt.NDArray[np.float64]
 QUANTITIES = ("position", "velocity", "acceleration", "torque")
 
 
-def views_of(reference: Reference, tall: bool = True) -> list[str]:
+def views_of(reference: Reference, tall: bool = True, torque: bool = True) -> list[str]:
     """Return the views there are: everything at once for one or two joints where there is room,
-    else one quantity.
+    else one quantity; torque where it is known.
     """
     every = ["all"] if reference.joints <= 2 and tall else []
-    return [*every, *QUANTITIES, "path"]
+    return [*every, *(q for q in QUANTITIES if torque or q != "torque"), "path"]
 
 
-def _columns(reference: Reference, tau: Floats) -> dict[str, tuple[str, str, Floats]]:
+def _columns(reference: Reference, tau: Floats | None) -> dict[str, tuple[str, str, Floats]]:
     u = reference.unit
-    return {
+    motion = {
         "position": ("q", u, reference.q),
         "velocity": ("qd", f"{u}/s", reference.qd),
         "acceleration": ("qdd", f"{u}/s²", reference.qdd),
-        "torque": ("tau", "N m" if u == "rad" else "N", tau),
     }
+    return motion if tau is None else {**motion, "torque": ("tau", _effort(u), tau)}
 
 
-def curves_of(scope: Scope, reference: Reference, tau: Any, view: str) -> None:
-    """Put a reference on a scope that is not live."""
+def _effort(unit: str) -> str:
+    return {"rad": "N m", "m": "N"}.get(unit, "N m or N")
+
+
+def curves_of(scope: Scope, reference: Reference, tau: Floats | None, view: str) -> None:
+    """Put a reference on a scope that is not live; ``tau`` is None where no torque is predicted."""
     chosen = _columns(reference, tau)
     if view != "all":
         chosen = {view: chosen[view]}
@@ -59,22 +62,23 @@ def limits_of(machine: Machine) -> dict[str, list[float]]:
     """Return the limits of a machine by unit, as the scope draws them."""
     lim = machine.limits
 
-    def both(values: Floats) -> list[float]:
-        return sorted({float(v) for v in values} | {-float(v) for v in values})
+    def known(*values: Floats) -> list[float]:
+        return sorted({float(v) for v in np.concatenate(values) if np.isfinite(v)})
 
+    u = machine.unit
     return {
-        "rad": sorted({float(v) for v in (*lim.position_min, *lim.position_max)}),
-        "rad/s": both(lim.speed),
-        "rad/s²": both(lim.acceleration),
-        "N m": both(lim.torque),
+        u: known(lim.position_min, lim.position_max),
+        f"{u}/s": known(lim.speed, -lim.speed),
+        f"{u}/s²": known(lim.acceleration, -lim.acceleration),
+        _effort(u): known(lim.torque, -lim.torque),
     }
 
 
 def peaks_of(
-    machine: Machine, reference: Reference, tau: Any, brief: bool = False
+    machine: Machine, reference: Reference, tau: Floats | None, brief: bool = False
 ) -> list[list[tuple[float, str]]]:
-    """Return for each quantity the peaks of the joints as (share of the limit, words); ``brief``
-    leaves the values out.
+    """Return for each quantity the peaks of the joints as (share of the limit, words), – for one
+    that is not known; ``brief`` leaves the values out.
     """
     lim = machine.limits
     low, high = lim.position_min, lim.position_max
@@ -90,11 +94,12 @@ def peaks_of(
         parts: list[tuple[float, str]] = [(0.0, f"{name:<13}")]
         for joint in range(min(reference.joints, len(limit))):
             peak = float(np.abs(values[:, joint]).max())
-            share = peak / limit[joint] if np.isfinite(limit[joint]) and limit[joint] > 0 else 0.0
+            known = bool(np.isfinite(limit[joint]) and limit[joint] > 0)
+            share = peak / limit[joint] if known else 0.0
+            words = f"{100 * share:4.0f} %" if known else "   – %"
             if reference.joints <= 2 and not brief:
-                parts.append((share, f"{peak:9.4g} {unit:<7}{100 * share:4.0f} %   "))
-            else:
-                parts.append((share, f"{100 * share:4.0f} %"))
+                words = f"{peak:9.4g} {unit:<7}{words}   "
+            parts.append((share, words))
         lines.append(parts)
     return lines
 

@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from zendsp_protocol.messages import Limits, MachineInfo
+
 
 @dataclass(frozen=True)
 class Variable:
@@ -57,6 +59,9 @@ class Snapshot:
     here: tuple[str, ...] | None = None  # targets that answer while none is connected, once known
     machine: str = ""
     joints: int = 0
+    # what the machine says of itself and the limits in force, once a program is loaded
+    described: MachineInfo | None = None
+    limits: Limits | None = None
     # of the loop: "empty" | "loaded" | "running" | "paused" | "stopped" | "crashed"
     state: str = ""
     drive: str = ""  # "off" | "ready" | "homed" | "enabled" | "running" | "stopped" | "tripped"

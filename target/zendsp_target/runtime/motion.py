@@ -5,9 +5,13 @@ obeys at its next sample.
 from __future__ import annotations
 
 import contextlib
+import os
 from collections.abc import Mapping
 from typing import Any
 
+import msgspec
+
+from zendsp_isr.parts import is_model
 from zendsp_protocol.errors import Refused, RunnerDied
 from zendsp_protocol.messages import Limits, MachineInfo
 from zendsp_target.runtime import safety
@@ -182,8 +186,12 @@ class Motion:
             self._run(session, lib.RUN_HOME, "home")
 
     def machine(self) -> MachineInfo:
-        """What the loaded machine says of itself."""
-        return self._programs.loaded().machine
+        """What the loaded machine says of itself, and the model that it simulates."""
+        said, machine = self._programs.loaded().machine, self._programs.settings.machine
+        if not is_model(machine):
+            return said
+        options = tuple(f"{key}={value}" for key, value in self._programs.options.items())
+        return msgspec.structs.replace(said, model=os.path.abspath(machine), options=options)
 
     def limits(self) -> Limits:
         """Limits in force."""

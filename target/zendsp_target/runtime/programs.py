@@ -72,6 +72,7 @@ class Programs:
         own, for_machine = split_options(options)
         config |= for_machine
         self._concealed = load_concealed(concealed, machine, config)
+        self.options = dict(config)  # which a host may know: nothing of what is concealed
         config |= self._concealed.config()
         self.settings = Settings(machine, config, rate_hz, clock, **own)
         layout()

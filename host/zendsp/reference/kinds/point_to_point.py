@@ -38,8 +38,8 @@ def fastest_duration(machine: Machine, qd: Array, qdd: Array, duration: float) -
     >>> round(fastest_duration(arm, np.array([[12.56, 0.0]]), np.zeros((1, 2)), 1.0), 3)
     2.02
     """
-    speed = float(np.max(np.abs(qd) / machine.allowed.speed))
-    acceleration = float(np.max(np.abs(qdd) / machine.allowed.acceleration))
+    speed = float(np.max(np.abs(qd) / machine.pace.speed))
+    acceleration = float(np.max(np.abs(qdd) / machine.pace.acceleration))
     return float(1.01 * duration * max(speed, acceleration**0.5, 1e-3))
 
 

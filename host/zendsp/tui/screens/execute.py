@@ -156,12 +156,14 @@ class ExecuteScreen(MeasureActions):
         unmet = [x for x in self.conditions if not x.met]
         room = 3 if self.has_class("-narrow") else 20
         lines = Text()
-        for x in [*unmet, *(y for y in self.conditions if y.met)][:room]:
-            lines.append(
-                "✔ " if x.met else "✖ ",
-                Style(color=c["success"] if x.met else c["error"], bold=True),
-            )
-            lines.append(x.text, Style() if x.met else Style(bold=True))
+        seen = [x for x in self.conditions if x.met and x.warning]
+        plain = [x for x in self.conditions if x.met and not x.warning]
+        for x in [*unmet, *seen, *plain][:room]:
+            sign, colour = ("✔", "success") if x.met else ("✖", "error")
+            if x.warning:
+                sign, colour = "!", "warning"
+            lines.append(f"{sign} ", Style(color=c[colour], bold=True))
+            lines.append(x.text, Style(color=c[colour] if x.warning else None, bold=not x.met))
             if not x.met and x.advice:
                 lines.append(f": {x.advice}", Style(color=c["warning"]))
             lines.append("\n")
@@ -204,11 +206,11 @@ class ExecuteScreen(MeasureActions):
             reference = self.references[0]
             machine = machine_of(self.lab.session.snapshot)
             if machine is not None and machine.joints == reference.joints:
-                tau: Any = machine.torque(reference)
+                tau = machine.torque(reference)
                 curves_of(scope, reference, tau, "all" if reference.joints <= 2 else "position")
                 scope.limits = limits_of(machine)
             else:
-                curves_of(scope, reference, reference.qdd * 0.0, "position")
+                curves_of(scope, reference, None, "position")
                 scope.limits = {}
         scope.redraw()
 

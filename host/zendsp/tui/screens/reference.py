@@ -21,6 +21,7 @@ from zendsp.errors import ReferenceError_, ZendspError
 from zendsp.reference import (
     KINDS,
     MACHINES,
+    UNPREDICTED,
     Machine,
     Parameter,
     Reference,
@@ -33,12 +34,14 @@ from zendsp.reference import (
 from zendsp.reference.registry import HEADROOM
 from zendsp.tui.actions import bindings
 from zendsp.tui.dialogs import Choose, Field, Form, Option, not_empty
+from zendsp.tui.preflight import machine_of
 from zendsp.tui.preview import curves_of, limits_of, path_of, peaks_of, views_of
 from zendsp.tui.scope import Scope
 from zendsp.tui.scope.path import PathPlot
 from zendsp.tui.screens.base import WIDE, LabScreen
 from zendsp.tui.snapshot import Snapshot
 
+TARGET = "target"  # in the list: the machine of the target, by its own limits
 SETTLE_S = 0.25  # of quiet after a key before the motion is planned anew
 
 
@@ -46,8 +49,9 @@ SETTLE_S = 0.25  # of quiet after a key before the motion is planned anew
 class Plan:
     """One planned motion with its check."""
 
+    machine: Machine
     reference: Reference
-    tau: Any  # (N, joints), N m
+    tau: Any  # (N, joints), N m; None where no torque is predicted
     violations: tuple[Violation, ...]
 
 
@@ -64,7 +68,9 @@ class ReferenceScreen(LabScreen):
         self.plan: Plan | None = None
         self.view = "all"
         self._timer: Timer | None = None
-        self._target_machine = ""  # of the target that was looked at last
+        self._seen: object = None  # of the target that was looked at last
+        self._of_target: Machine | None = None
+        self._own: Machine | None = None  # of a target whose machine is not among those shipped
 
     # -- layout
     # ----------------------------------------------------------------------------------------------
@@ -75,7 +81,7 @@ class ReferenceScreen(LabScreen):
                 with Horizontal(classes="line"):
                     yield Static("Machine", classes="label")
                     yield Select(
-                        [(m, m) for m in MACHINES],
+                        self._machines(),
                         value=self.machine.name,
                         allow_blank=False,
                         compact=True,
@@ -97,6 +103,10 @@ class ReferenceScreen(LabScreen):
                 yield PathPlot(id="path")
                 yield Static("", id="check", markup=False)
 
+    def _machines(self) -> list[tuple[Text, str]]:
+        own = [] if self._own is None else [(Text(f"{self._own.name} (target)"), TARGET)]
+        return [*own, *((Text(name), name) for name in MACHINES)]
+
     def _kinds(self) -> list[tuple[Text, str]]:
         return [(Text(kind.title), name) for name, kind in KINDS.items() if kind.fits(self.machine)]
 
@@ -106,11 +116,44 @@ class ReferenceScreen(LabScreen):
 
     def pull(self, snapshot: Snapshot, fresh: bool) -> None:
         """Plan for the machine of a target that has just been connected."""
-        if snapshot.machine in ("", self._target_machine):
+        seen = (snapshot.machine, snapshot.described, snapshot.limits, snapshot.rate_hz)
+        if seen == self._seen:
             return
-        self._target_machine = snapshot.machine
-        if snapshot.machine in MACHINES:
-            self.query_one("#machine", Select).value = snapshot.machine
+        self._seen = seen
+        machine, before = machine_of(snapshot), self._of_target
+        if machine is None:
+            return
+        self._of_target = machine
+        same = before is not None and (before.name, before.kind, before.joints) == (
+            machine.name,
+            machine.kind,
+            machine.joints,
+        )
+        chosen = same and self.machine is self._own
+        if not machine.modelled:
+            self._own = machine
+        if chosen:  # its limits have changed
+            self.machine = machine
+            self._plan_soon()
+        elif not same:
+            self.call_later(self._use, machine)
+
+    async def _use(self, machine: Machine) -> None:
+        """Plan for a machine from now on."""
+        self.machine = machine
+        machines, kinds = self.query_one("#machine", Select), self.query_one("#kind", Select)
+        fitting = self._kinds()
+        if self.kind not in [name for _, name in fitting]:
+            self.kind = fitting[0][1]
+        with self.prevent(Select.Changed):
+            machines.set_options(self._machines())
+            machines.value = self._choice()
+            kinds.set_options(fitting)
+            kinds.value = self.kind
+        await self._fill_form()
+
+    def _choice(self) -> str:
+        return self.machine.name if self.machine.modelled else TARGET
 
     # -- the form
     # ----------------------------------------------------------------------------------------------
@@ -165,17 +208,10 @@ class ReferenceScreen(LabScreen):
 
     @on(Select.Changed, "#machine")
     async def _machine_changed(self, event: Select.Changed) -> None:
-        if event.value == self.machine.name:
+        if event.value == self._choice():
             return
-        self.machine = load_machine(str(event.value))
-        kinds = self.query_one("#kind", Select)
-        fitting = self._kinds()
-        if self.kind not in [name for _, name in fitting]:
-            self.kind = fitting[0][1]
-        with self.prevent(Select.Changed):
-            kinds.set_options(fitting)
-            kinds.value = self.kind
-        await self._fill_form()
+        own = self._own if event.value == TARGET else None
+        await self._use(own or load_machine(str(event.value)))
 
     @on(Select.Changed, "#kind")
     async def _kind_changed(self, event: Select.Changed) -> None:
@@ -219,13 +255,11 @@ class ReferenceScreen(LabScreen):
         def work() -> None:
             try:
                 reference = make_reference(kind.name, machine, machine.sample_time, **values)
-                plan = Plan(
-                    reference, machine.torque(reference), tuple(machine.find_violations(reference))
-                )
+                plan = make_plan(machine, reference)
             except ZendspError as error:
                 self.app.call_from_thread(self._show_problem, str(error))
                 return
-            self.app.call_from_thread(self._show_plan, plan, (machine.name, kind.name))
+            self.app.call_from_thread(self._show_plan, plan, kind.name)
 
         self.run_worker(work, thread=True, exclusive=True, group="plan")
 
@@ -236,8 +270,8 @@ class ReferenceScreen(LabScreen):
             self.plan = None
             self.query_one("#check", Static).update("")
 
-    def _show_plan(self, plan: Plan, of: tuple[str, str]) -> None:
-        if of != (self.machine.name, self.kind):
+    def _show_plan(self, plan: Plan, kind: str) -> None:
+        if plan.machine is not self.machine or kind != self.kind:
             return  # the user has gone on meanwhile
         self.plan = plan
         if self.view not in self._views():
@@ -254,7 +288,7 @@ class ReferenceScreen(LabScreen):
 
     def _views(self) -> list[str]:
         return (
-            views_of(self.plan.reference, tall=self.size.height >= 36)
+            views_of(self.plan.reference, self.size.height >= 36, self.plan.tau is not None)
             if self.plan is not None
             else []
         )
@@ -265,7 +299,7 @@ class ReferenceScreen(LabScreen):
     def refresh_plan(self) -> None:
         """Show the present plan again, after a change of view or size."""
         if self.plan is not None:
-            self._show_plan(self.plan, (self.machine.name, self.kind))
+            self._show_plan(self.plan, self.kind)
 
     def _check(self, plan: Plan) -> Text:
         c = self.app.theme_variables
@@ -285,11 +319,15 @@ class ReferenceScreen(LabScreen):
                 )
                 text.append(words_, colour)
             text.append("\n")
+        if not plan.machine.modelled:
+            text.append(f"! {UNPREDICTED}\n", c["warning"])
         for violation in plan.violations:
             text.append(f"✖ {violation}\n", f"bold {c['error']}")
         if not plan.violations:
             text.append(
-                f"✔ within {100 * r.headroom:g} % of every limit of the machine", c["success"]
+                f"✔ within {100 * r.headroom:g} % of every"
+                f" {'' if plan.machine.modelled else 'known '}limit of the machine",
+                c["success"],
             )
         text.rstrip()
         return text
@@ -349,7 +387,7 @@ class ReferenceScreen(LabScreen):
     def _write(self, plan: Plan, name: str, then: str | None) -> None:
         path = self.lab.workspace.free(self.lab.workspace.references, name, ".mat")
         try:
-            save_reference(plan.reference, path)
+            save_reference(plan.reference, path, plan.machine)
         except (ZendspError, OSError) as error:
             self.say(f"save {path.name}: {error}", "error")
             return
@@ -375,24 +413,40 @@ class ReferenceScreen(LabScreen):
         """Show a saved reference, and its parameters in the form where they are known."""
         try:
             reference = load_reference(path)
-            machine = load_machine(reference.machine) if reference.machine else self.machine
-            plan = Plan(
-                reference, machine.torque(reference), tuple(machine.find_violations(reference))
-            )
+            machine = self._machine_of(reference)
+            plan = make_plan(machine, reference)
         except (ZendspError, OSError) as error:
             self.say(f"{path.name}: {error}", "error")
             return
         self.machine = machine
         with self.prevent(Select.Changed):
-            self.query_one("#machine", Select).value = machine.name
+            self.query_one("#machine", Select).value = self._choice()
             if reference.kind in KINDS and KINDS[reference.kind].fits(machine):
                 self.kind = reference.kind
                 kinds = self.query_one("#kind", Select)
                 kinds.set_options(self._kinds())
                 kinds.value = self.kind
                 self.call_later(self._fill_form, dict(reference.parameters))
-        self._show_plan(plan, (self.machine.name, self.kind))
+        self._show_plan(plan, self.kind)
         self.say(f"opened {path.name}", "good")
+
+    def _machine_of(self, reference: Reference) -> Machine:
+        """The machine that a saved reference was planned for."""
+        name = reference.machine
+        if self._own is not None and name == self._own.name:
+            return self._own
+        if name and name not in MACHINES:
+            raise ReferenceError_(
+                f"planned for {name}, whose limits are not known here: connect to it and load a"
+                " program"
+            )
+        return load_machine(name) if name else self.machine
+
+
+def make_plan(machine: Machine, reference: Reference) -> Plan:
+    """A motion with its torque and its check."""
+    violations = tuple(machine.find_violations(reference))
+    return Plan(machine, reference, machine.torque(reference), violations)
 
 
 def words(value: Any) -> str:
