@@ -14,6 +14,7 @@ from dataclasses import replace
 from zendsp.diagnosis.decide.assemble import Assembled
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.result import Estimate, Finding
+from zendsp.diagnosis.measure.discrepancy import difference
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import fit_scored
 from zendsp.physics.effects import get_effect, library, mechanism_of
@@ -103,6 +104,9 @@ def _needed(given: Model, search: Decision, key: str, test: Data) -> bool:
     )
     fixed = fit_scored(final.data, model, handles, (joint,), rounds=3)
     if fixed.deviance - final.deviance < INSISTS:
+        return False
+    # as any finding: more than what stays unexplained
+    if difference(test, fixed.model, final.model, joint) <= search.after.value:
         return False
     evidence = compare(fixed, final, test, joint)
     return evidence.gain > PAYS and evidence.z > SURELY
