@@ -85,7 +85,7 @@ NOT_RUN: dict[tuple[str, str], str] = {
     ("docs/models.md", "[mechanism]"): SYNTAX,
     ("docs/models.md", "zendsp target --machine arm.xml"): "tests/journeys/test_any_robot.py",
     ("docs/machines_mujoco.md", "pip install 'zendsp[mujoco]'"): NETWORK,
-    ("docs/proof.md", "emps: missing in 35.8 s"): "is an output",
+    ("docs/proof.md", "emps: missing in 23.8 s"): "is an output",
     ("docs/proof.md", "NO   stiffness x1: said unknown"): "is an output",
     ("docs/prove.md", "pip install 'zendsp[mujoco]'"): NETWORK,
     (
