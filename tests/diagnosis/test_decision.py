@@ -25,7 +25,7 @@ from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.structure import Structure
 from zendsp.physics.effects import get_effect, mechanism_of
-from zendsp.physics.model import Term
+from zendsp.physics.model import Quantity, Term
 from zendsp.physics.model_file import parse_model
 from zendsp.physics.model_write import model_text
 from zendsp.physics.terms import make_term
@@ -186,6 +186,18 @@ def piece(size: float, z: float, log_e: float, effect: str = "ripple") -> Piece:
     evidence = Evidence(gain=2 * log_e, z=z, blocks=np.zeros(1))
     without = SimpleNamespace(model=None)
     return Piece(mechanism_of(effect), (term,), without, size, evidence, log_e)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("apart", "curve"), [(0.2, True), (5.0, False)])
+def test_two_ripples_that_the_travel_does_not_tell_apart_are_one_that_fades(
+    apart: float, curve: bool
+) -> None:
+    """Over 3 rad: a fifth of a wave apart, and more than two."""
+    found = [
+        replace(p, terms=(Term("ripple", 1, {"order": Quantity(order)}),))
+        for p, order in ((piece(0.1, 5.0, 20.0), 12.0), (piece(0.1, 5.0, 20.0), 12.0 + apart))
+    ]
+    assert laws._is_curve(found, 3.0) is curve
 
 
 @pytest.mark.parametrize(("turning", "claims"), [(0.8, False), (0.2, True)])

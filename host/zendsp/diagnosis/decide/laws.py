@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -73,6 +74,7 @@ def named(
     after = discrepancy(parts.test, final.model, joint)
     state = structure(parts.each, final.model, joint, STRUCTURED)
     known = known_discrepancy(given, parts.test, joint)
+    travel = max(rec[joint - 1].scale.position for rec in parts.fit.records)
     claims: list[Claim] = []
     refinements: list[Claim] = []
     for piece in claimed:
@@ -106,7 +108,7 @@ def named(
         level = sum(all(get_effect(t.effect).constant for t in p.terms) for p in claimed) * (
             len(own) > 1 and piece.mechanism == "position_torque"
         )
-        drawn = piece.mechanism == "position_torque" and _is_curve(ranked)
+        drawn = piece.mechanism == "position_torque" and _is_curve(ranked, travel)
         if poor or drawn or len(own) + level >= CURVE:
             refinements += [c for p in own[1:] for c in _plain(p)]
             claims.append(replace(law, effect="unknown", left=left))
@@ -244,11 +246,15 @@ def _repeats(other: Piece, first: Piece) -> bool:
     )
 
 
-def _is_curve(ranked: Sequence[Piece]) -> bool:
+def _is_curve(ranked: Sequence[Piece], travel: float) -> bool:
     """Whether laws of the position, none of which can be left out, are the pieces of a curve: more
-    than one of them, and ripples that are no harmonics of one.
+    than one of them, and ripples that are no harmonics of one, or that the ``travel`` does not tell
+    apart: together they are one that fades along it.
     """
     held = [p for p in ranked if p.log_e > 0 and p.evidence.z > PLAIN]
+    repeats = sorted(p.terms[0].value("order") for p in held if "order" in p.terms[0].parameters)
+    if any((b - a) * travel < 2 * math.pi for a, b in pairwise(repeats)):
+        return True
     if len(held) < CURVE:
         return False
     orders = [p.terms[0].value("order") for p in held if "order" in p.terms[0].parameters]
