@@ -211,12 +211,11 @@ def test_implants_above_the_stated_size_are_counted_apart() -> None:
     named = Answer(
         "missing",
         (Finding("stiffness", 1, {"coefficient": Estimate(2.1, 0.1)}, 0.9),),
-        smallest=seen,
     )
     done = [
-        Implant("stiffness", 1.0, {"coefficient": 2.0}, named),
-        Implant("stiffness", 0.5, {"coefficient": 1.5}, Answer("complete", smallest=seen)),
-        Implant("stiffness", 0.3, {"coefficient": 0.5}, Answer("complete", smallest=seen)),
+        Implant("stiffness", 1.0, {"coefficient": 2.0}, named, seen),
+        Implant("stiffness", 0.5, {"coefficient": 1.5}, Answer("complete"), seen),
+        Implant("stiffness", 0.3, {"coefficient": 0.5}, Answer("complete"), seen),
     ]
     assert [i.above for i in done] == [True, True, False]
     assert implant_lines(done)[-1].endswith("1 of 2 named first, 1 called complete")

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.io import loadmat, savemat
 from scipy.signal import butter, sosfiltfilt
 
-from zendsp.proof.answer import Answer, read_report
+from zendsp.proof.answer import Answer, Smallest, read_report
 from zendsp.proof.children import threads, workers
 from zendsp.proof.convert import Recordings, convert
 from zendsp.proof.draft import Array
@@ -40,6 +40,7 @@ class Implant:
     size: float
     parameters: dict[str, float]
     answer: Answer
+    stated: tuple[Smallest, ...] = ()  # what the report of the unaltered recording would have seen
 
     @property
     def named(self) -> bool:
@@ -49,11 +50,11 @@ class Implant:
 
     @property
     def above(self) -> bool | None:
-        """Larger than what the report says that the recording would have shown; None where it
+        """Larger than what the unaltered recording would have shown, by its report; None where that
         states no size.
         """
         size = self.parameters.get(SIZE[self.effect], math.nan)
-        stated = [s.size for s in self.answer.smallest if s.effect == self.effect]
+        stated = [s.size for s in self.stated if s.effect == self.effect]
         return abs(size) > min(stated) if stated else None
 
     def error(self) -> float | None:
@@ -151,7 +152,7 @@ def run_implants(
         parameters = put_in(recordings.train[0], train, effect, None, size)
         put_in(recordings.heldout[0], held, effect, parameters, size)
         answer = _asked(model, Recordings((train,), (held,)), folder / "report", limit)
-        done = Implant(effect, size, parameters, answer)
+        done = Implant(effect, size, parameters, answer, first.smallest)
         tell(implant_line(done))
         return done
 
