@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -26,16 +27,19 @@ def remembered(model: Model, given: Model, decisions: Sequence[Decision]) -> Mod
     decisions : sequence of Decision
         One a joint, in their order.
     """
-    hold: set[int] = set()
+    hold: set[tuple[str, int, int]] = set()
     for d in decisions:
-        mine = _numbered(d.final.model.at(d.joint))
-        there = {key: i for i, key in _numbered(model.terms) if model.terms[i].joint == d.joint}
-        for claim in d.refinements:
-            term = claim.term
-            row = next((key for i, key in mine if d.final.model.at(d.joint)[i] is term), None)
-            if row in there and not replaced(given, d.final.model, term):
-                hold.add(there[row])
-    terms = (fixed(t) if i in hold else t for i, t in enumerate(model.terms))
+        final = d.final.model
+        numbers = dict(zip(map(id, final.terms), _numbered(final.terms), strict=True))
+        hold |= {
+            numbers[id(c.term)]
+            for c in d.refinements
+            if id(c.term) in numbers and not replaced(given, final, c.term)
+        }
+    terms = (
+        fixed(term) if number in hold else term
+        for term, number in zip(model.terms, _numbered(model.terms), strict=True)
+    )
     left = Discrepancy(
         tuple(d.after.value * d.scale for d in decisions),
         tuple(d.state.size * d.scale for d in decisions),
@@ -43,13 +47,13 @@ def remembered(model: Model, given: Model, decisions: Sequence[Decision]) -> Mod
     return replace(model, terms=tuple(terms), discrepancy=left)
 
 
-def _numbered(terms: Sequence[Term]) -> list[tuple[int, tuple[str, int, int]]]:
-    """Rows of some terms, each with effect, joint and its number among those of both."""
-    seen: dict[tuple[str, int], int] = {}
+def _numbered(terms: Sequence[Term]) -> list[tuple[str, int, int]]:
+    """Of each term its effect, its joint, and how many of both stand before it: what finds it
+    again in another model of the machine.
+    """
+    seen: Counter[tuple[str, int]] = Counter()
     out = []
-    for i, t in enumerate(terms):
-        count = seen.get((t.effect, t.joint), 0)
-        seen[t.effect, t.joint] = count + 1
-        out.append((i, (t.effect, t.joint, count)))
+    for t in terms:
+        out.append((t.effect, t.joint, seen[t.effect, t.joint]))
+        seen[t.effect, t.joint] += 1
     return out
-
