@@ -22,6 +22,7 @@ from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.signals import Parts, Signals, with_same_columns
 from zendsp.diagnosis.data.split import halves, split
+from zendsp.diagnosis.decide.across import across_joints
 from zendsp.diagnosis.decide.assemble import Assembled, assemble, calibrated_machine
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.decide import decide
@@ -276,6 +277,7 @@ def _find(parts: Parts, given: Model, jobs: int, tell: Progress) -> _Found:
         ]
         calibrated = calibrated_machine(bare.fit, given, bases, jobs)
         whole = replace(whole, improved=improved, calibrated=calibrated)
+    decisions = across_joints(decisions)
     return _Found(parts, bodies, measured, searches, decisions, whole, claims, tuple(fine))
 
 

@@ -109,7 +109,8 @@ def named(
             len(own) > 1 and piece.mechanism == "position_torque"
         )
         drawn = piece.mechanism == "position_torque" and _is_curve(ranked, travel)
-        if poor or drawn or len(own) + level >= CURVE:
+        part = _part_of_a_wave(first.terms[0], travel)
+        if poor or drawn or part or len(own) + level >= CURVE:
             refinements += [c for p in own[1:] for c in _plain(p)]
             claims.append(replace(law, effect="unknown", left=left))
             continue
@@ -170,7 +171,7 @@ def believed(decision: Decision, parts: Parts) -> Decision:
     keep, more = [], list(decision.refinements)
     for claim in decision.claims:
         if claim.effect == "unknown":
-            keep.append(_doubted(claim, decision))
+            keep.append(without_law(claim, decision))
         elif stated(claim, decision):
             keep.append(claim)
         elif (
@@ -179,13 +180,13 @@ def believed(decision: Decision, parts: Parts) -> Decision:
             and claim.size > decision.after.value
             and not _turns_otherwise(claim, decision, parts)
         ):
-            keep.append(_doubted(claim, decision))
+            keep.append(without_law(claim, decision))
         else:
             more.append(claim)
     return replace(decision, claims=tuple(keep), refinements=tuple(more))
 
 
-def _doubted(claim: Claim, decision: Decision) -> Claim:
+def without_law(claim: Claim, decision: Decision) -> Claim:
     """A claim of the mechanism alone, with its laws as likely as the one that is doubted; one that
     leaves too much in its own variables is hardly.
     """
@@ -262,6 +263,13 @@ def _is_curve(ranked: Sequence[Piece], travel: float) -> bool:
         return True
     ratios = np.array(orders) / min(orders)
     return bool(np.any(np.abs(ratios - np.round(ratios)) > HARMONIC))
+
+
+def _part_of_a_wave(term: Term, travel: float) -> bool:
+    """Whether a law that repeats along the position does not do so within the ``travel``: any curve
+    is as good.
+    """
+    return "period" in get_effect(term.effect).names and term.value("period") > travel
 
 
 def _ranked(
