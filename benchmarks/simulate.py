@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from zendsp.physics import load_model, parse_model, simulate, simulate_loop
-from zendsp.physics.simulate_control import _c_loop
-from zendsp.physics.simulate_plant import Plant
+from zendsp.physics.simulation.control import _c_loop
+from zendsp.physics.simulation.plant import Plant
 from zendsp.reference import load_machine, make_lspb
 
 MODELS = Path(__file__).parents[1] / "examples" / "models"

@@ -17,7 +17,7 @@ from zendsp.diagnosis.data.checks import check_excitation, check_motion, check_s
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.sampling import resample_held
-from zendsp.physics.model_file import load_model
+from zendsp.physics.files.model_file import load_model
 from zendsp.physics.term_numbers import kernel_model
 
 RATE = 500.0

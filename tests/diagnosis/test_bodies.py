@@ -15,8 +15,8 @@ import zendsp
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.search.bodies import BodySearch, find_bodies
+from zendsp.physics.files.model_file import load_model, parse_model
 from zendsp.physics.model import Model
-from zendsp.physics.model_file import load_model, parse_model
 
 RATE, SUB = 500.0, 4
 FRICTION = np.array([0.6, 1.2, 0.5])  # N m, dry
@@ -240,8 +240,8 @@ def test_diagnosis_claims_the_payload_once_for_the_whole_arm(record,
 def test_what_no_joint_feels_of_a_centre_is_no_number_to_look_for() -> None:
     """Two parallel axes: a place along them gave a centre of 30 km, and springs that balance it."""
     from zendsp.diagnosis.search.body_hypotheses import felt
-    from zendsp.physics.bodies import Links
-    from zendsp.physics.tree import Body
+    from zendsp.physics.robots.bodies import Links
+    from zendsp.tree import Body
 
     def link(parent: int, axis: tuple[float, float, float]) -> Body:
         own = np.diag([0.1, 0.2, 0.3])

@@ -24,11 +24,11 @@ from zendsp.diagnosis.decide.remember import remembered
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.structure import Structure
+from zendsp.physics.calibration.terms import make_term
 from zendsp.physics.effects import get_effect, mechanism_of
+from zendsp.physics.files.model_file import parse_model
+from zendsp.physics.files.model_write import model_text
 from zendsp.physics.model import Quantity, Term
-from zendsp.physics.model_file import parse_model
-from zendsp.physics.model_write import model_text
-from zendsp.physics.terms import make_term
 
 RATE = 500.0
 KNOWN = [reality.effect("viscous", coefficient=0.004), reality.effect("coulomb", level=0.03)]

@@ -15,8 +15,8 @@ from zendsp.diagnosis.decide.findings import estimates
 from zendsp.diagnosis.decide.naming import between, may_be_nothing
 from zendsp.diagnosis.decide.result import Estimate
 from zendsp.diagnosis.measure.significance import counterpart, vanishes
-from zendsp.physics.fit import Fit
-from zendsp.physics.handles import Handle
+from zendsp.physics.calibration.fit import Fit
+from zendsp.physics.calibration.handles import Handle
 from zendsp.physics.model import Model, Quantity, Term
 
 # of the couplings from joint 2 by inertia, from joint 2 by speed, from joint 3 by inertia

@@ -21,7 +21,7 @@ from zendsp.diagnosis import Diagnosis
 from zendsp.diagnosis.external.fmu import Fmu
 from zendsp.diagnosis.report.files import write_report
 from zendsp.errors import ModelError
-from zendsp.physics.model_file import load_model
+from zendsp.physics.files.model_file import load_model
 
 fmpy = pytest.importorskip("fmpy")
 pytestmark = [

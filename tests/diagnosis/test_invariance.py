@@ -18,8 +18,8 @@ from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.search.bodies import find_bodies
 from zendsp.physics import inverse_dynamics, load_model
+from zendsp.physics.calibration.terms import make_term
 from zendsp.physics.effects import get_effect
-from zendsp.physics.terms import make_term
 
 RATE = 500.0
 GIVEN = [reality.effect("viscous", coefficient=0.004), reality.effect("coulomb", level=0.03)]

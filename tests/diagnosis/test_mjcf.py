@@ -14,7 +14,7 @@ import zendsp
 from zendsp.diagnosis import Diagnosis
 from zendsp.diagnosis.report.files import write_report
 from zendsp.errors import ModelError, RecordingError
-from zendsp.physics.model_file import load_model
+from zendsp.physics.files.model_file import load_model
 
 mujoco = pytest.importorskip("mujoco")
 pytestmark = pytest.mark.timeout(600)  # seconds of work, minutes on a machine that has other work

@@ -18,11 +18,11 @@ from zendsp.diagnosis.data.signals import Signals, unused_effects
 from zendsp.diagnosis.measure.likelihood import calibrate_joint
 from zendsp.diagnosis.search.forward import Searcher
 from zendsp.errors import RecordingError
+from zendsp.physics.calibration.fit import Data
+from zendsp.physics.calibration.loop import Looped, simulate_joint_loop
 from zendsp.physics.effects import mechanism_of
-from zendsp.physics.fit import Data
-from zendsp.physics.loop import Looped, simulate_joint_loop
+from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.model import Model
-from zendsp.physics.model_file import parse_model
 
 RATE, SECONDS = 500.0, 9.0
 VISCOUS = {"kind": "viscous", "joint": 1, "coefficient": 0.004}

@@ -32,9 +32,9 @@ from zendsp.diagnosis.search.hypothesis import JointSearch, Rival, Step
 from zendsp.diagnosis.search.screen import Candidate, with_candidate
 from zendsp.diagnosis.search.simplify import simplify
 from zendsp.diagnosis.transmission.links import divided, with_links
-from zendsp.physics.fit import Data, fit, joint_handles, residual
+from zendsp.physics.calibration.fit import Data, fit, joint_handles, residual
+from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.model import Model
-from zendsp.physics.model_file import parse_model
 
 RATE = 500.0
 

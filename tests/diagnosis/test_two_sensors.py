@@ -17,8 +17,8 @@ from zendsp.diagnosis.transmission import one_sensor
 from zendsp.diagnosis.transmission.measured import Measured, measured_transmissions
 from zendsp.diagnosis.transmission.torque_sensor import sides_of
 from zendsp.errors import RecordingError
+from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.model import Model
-from zendsp.physics.model_file import parse_model
 from zendsp.recording import Recording
 
 RATE, SECONDS = 500.0, 8.0

@@ -15,7 +15,7 @@ from zendsp.demo.runs import prepare_machine
 from zendsp.demo.stage import get_stage
 from zendsp.diagnosis import Diagnosis, diagnose
 from zendsp.link.concealed import Truth
-from zendsp.physics.model_write import model_text
+from zendsp.physics.files.model_write import model_text
 from zendsp.reference import Reference
 
 SECONDS = 5.0

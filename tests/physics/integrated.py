@@ -10,10 +10,10 @@ import numpy as np
 
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.signals import Signals
-from zendsp.physics.joint import JointRecord
+from zendsp.physics.calibration.joint import JointRecord
+from zendsp.physics.calibration.predict import run
+from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.model import Model
-from zendsp.physics.model_file import parse_model
-from zendsp.physics.predict import run
 
 J, T, N = 0.01, 0.002, 1000
 

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from zendsp.errors import ModelError
-from zendsp.physics.bodies import Links, change_of, changed, numbers_of, turned_gravity
+from zendsp.physics.files.model_file import load_model, parse_model
+from zendsp.physics.files.model_write import model_text
 from zendsp.physics.model import Quantity, Term
-from zendsp.physics.model_file import load_model, parse_model
-from zendsp.physics.model_write import model_text
-from zendsp.physics.rigid import bases
-from zendsp.physics.tree import inverse_dynamics, read_urdf
+from zendsp.physics.robots.bodies import Links, change_of, changed, numbers_of, turned_gravity
+from zendsp.physics.robots.rigid import bases
+from zendsp.tree import inverse_dynamics, read_urdf
 
 MODELS = Path(__file__).parents[2] / "examples" / "models"
 ARM = MODELS / "wam7.urdf"
@@ -117,7 +117,7 @@ def test_all_links_together_are_the_torque_of_the_arm(motion: np.ndarray) -> Non
 
 
 def test_a_payload_at_the_tip_of_the_planar_arm_is_three_parameters_that_belong_together() -> None:
-    from zendsp.physics.bodies import machine_tree
+    from zendsp.physics.robots.bodies import machine_tree
 
     arm = {"p1": 0.5, "p2": 0.08, "p3": 0.1, "l1": 0.36, "l2": 0.34}
     model = parse_model(

@@ -23,9 +23,9 @@ from zendsp.physics import (
     parse_model,
     simulate,
 )
-from zendsp.physics.codegen_terms import compensable
+from zendsp.physics.codegen.terms import compensable
 from zendsp.physics.model import Actuator, Model, Quantity, Term
-from zendsp.physics.simulate_program import compile_program
+from zendsp.physics.simulation.program import compile_program
 from zendsp_isr.build import source_root
 from zendsp_target.api import AcquireConfig
 from zendsp_target.runtime import Runtime

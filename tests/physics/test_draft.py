@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from zendsp.errors import RecordingError
-from zendsp.physics.draft import draft_model
+from zendsp.physics.files.draft import draft_model
+from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.model import Model
-from zendsp.physics.model_file import parse_model
 from zendsp.recording import Table, read_table
 from zendsp.recording.roles import role_of
 

@@ -20,7 +20,7 @@ from zendsp.physics.effects import (
     mechanism_of,
     unit_of,
 )
-from zendsp.physics.native import source_text
+from zendsp.physics.kernel.native import source_text
 
 ROOT = Path(__file__).parents[2]
 # DIAGNOSIS.md, "Names of physical effects"; a disturbance is a curve, found by what remains

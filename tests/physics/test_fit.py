@@ -17,11 +17,11 @@ from zendsp.diagnosis.measure.likelihood import (
     fitted_deviance,
     tune_bandwidth,
 )
-from zendsp.physics.convergence import step_error, with_step_error
-from zendsp.physics.fit import Data, fit
-from zendsp.physics.handles import free_handles, get_values, set_values
-from zendsp.physics.model_file import parse_model
-from zendsp.physics.native import native
+from zendsp.physics.calibration.convergence import step_error, with_step_error
+from zendsp.physics.calibration.fit import Data, fit
+from zendsp.physics.calibration.handles import free_handles, get_values, set_values
+from zendsp.physics.files.model_file import parse_model
+from zendsp.physics.kernel.native import native
 
 T, N = 0.002, 3000
 TRUE = np.array([0.010, 0.004, 0.03, 0.2])  # inertia, viscous, coulomb, gravity

@@ -28,10 +28,10 @@ from integrated import (
 
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.signals import Signals
+from zendsp.physics.calibration.predict import RAN_AWAY, run, run_many
 from zendsp.physics.effects import library
+from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.model import Model, Quantity, Term
-from zendsp.physics.model_file import parse_model
-from zendsp.physics.predict import RAN_AWAY, run, run_many
 
 SMOOTH: dict[str, tuple[dict[str, float], Torque]] = {
     "viscous": ({"coefficient": 0.02}, lambda q, v, t, u: 0.02 * v),

@@ -23,8 +23,8 @@ from scipy.optimize import brentq
 
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.signals import Signals
-from zendsp.physics.model_file import parse_model
-from zendsp.physics.predict import run
+from zendsp.physics.calibration.predict import run
+from zendsp.physics.files.model_file import parse_model
 
 
 def test_elastic_joint_is_two_inertias() -> None:

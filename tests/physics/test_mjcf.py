@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from zendsp.errors import ModelError
-from zendsp.physics.model_file import load_model, parse_model
-from zendsp.physics.model_write import model_text
-from zendsp.physics.robot import mjcf_of, robot_tree
-from zendsp.physics.tree import inverse_dynamics
+from zendsp.physics.files.model_file import load_model, parse_model
+from zendsp.physics.files.model_write import model_text
+from zendsp.physics.robots.robot import mjcf_of, robot_tree
+from zendsp.tree import inverse_dynamics
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -227,8 +227,8 @@ FOUND = [
 
 
 def test_what_was_found_is_written_back_and_counted_once(tmp_path: Path) -> None:
-    from zendsp.physics.bodies import body_terms, changed, turned_gravity
-    from zendsp.physics.mjcf_write import inexpressible, write_mjcf
+    from zendsp.physics.robots.bodies import body_terms, changed, turned_gravity
+    from zendsp.physics.robots.mjcf_write import inexpressible, write_mjcf
 
     (tmp_path / "arm.xml").write_text(ARM)
     whole = parse_model(
@@ -270,7 +270,7 @@ def test_what_was_found_is_written_back_and_counted_once(tmp_path: Path) -> None
 def test_what_the_user_fixed_and_what_mujoco_forbids_stays_in_the_model_file(
     tmp_path: Path,
 ) -> None:
-    from zendsp.physics.mjcf_write import write_mjcf
+    from zendsp.physics.robots.mjcf_write import write_mjcf
 
     (tmp_path / "arm.xml").write_text(ARM.replace('name="fore"', 'name="fore" gravcomp="1"'))
     effects = [
@@ -289,7 +289,7 @@ def test_what_the_user_fixed_and_what_mujoco_forbids_stays_in_the_model_file(
 
 
 def test_a_mesh_is_still_found_from_where_the_model_is_written(tmp_path: Path) -> None:
-    from zendsp.physics.mjcf_write import write_mjcf
+    from zendsp.physics.robots.mjcf_write import write_mjcf
 
     (tmp_path / "meshes").mkdir()
     corners = ["0 0 0", "1 0 0", "0 1 0", "0 0 1"]

@@ -11,8 +11,8 @@ import pytest
 
 from zendsp.errors import ModelError
 from zendsp.physics.effects import library
-from zendsp.physics.model_file import load_model, parse_model
-from zendsp.physics.model_write import model_text
+from zendsp.physics.files.model_file import load_model, parse_model
+from zendsp.physics.files.model_write import model_text
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "examples" / "models").glob("*.toml"))
 GOOD: dict[str, Any] = {

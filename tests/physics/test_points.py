@@ -9,10 +9,10 @@ import pytest
 
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.signals import Signals
-from zendsp.physics.handles import free_handles, get_values, set_values
-from zendsp.physics.model_file import parse_model
-from zendsp.physics.points import Points
-from zendsp.physics.predict import run_many
+from zendsp.physics.calibration.handles import free_handles, get_values, set_values
+from zendsp.physics.calibration.points import Points
+from zendsp.physics.calibration.predict import run_many
+from zendsp.physics.files.model_file import parse_model
 
 T, N = 0.002, 600
 PLANAR = {

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.signal import butter, filtfilt
 
-from zendsp.physics.native import native
-from zendsp.physics.signals import (
+from zendsp.physics.kernel.native import native
+from zendsp.physics.kernel.signals import (
     EDGE_FLOOR,
     find_resolution,
     measure,

@@ -15,8 +15,8 @@ from scipy.integrate import solve_ivp
 from zendsp.errors import ModelError
 from zendsp.physics import load_model, parse_model, simulate_loop
 from zendsp.physics.model import Model
-from zendsp.physics.simulate_native import simulator_library
-from zendsp.physics.simulate_plant import tree_of
+from zendsp.physics.simulation.native import simulator_library
+from zendsp.physics.simulation.plant import tree_of
 
 MODELS = Path(__file__).parents[2] / "examples" / "models"
 T = 0.001

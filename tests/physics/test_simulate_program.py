@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from zendsp.cli.simulate import command
 from zendsp.errors import AcquisitionError, CompileFailed, ModelError, RunnerDied, VariableError
 from zendsp.physics import load_model, simulate
-from zendsp.physics.simulate_program import compile_program
+from zendsp.physics.simulation.program import compile_program
 from zendsp.recording import Recording
 from zendsp.reference import load_machine, make_circle, save_reference
 from zendsp_target.api import AcquireConfig

@@ -193,8 +193,8 @@ def test_an_arm_given_as_mjcf_is_the_model_that_is_given_as_urdf(
     short: None, tmp_path: Path, machine: str
 ) -> None:
     """A diagnosis sees the same bodies, effects and actuators: it cannot but find the same."""
-    from zendsp.physics.model_file import parse_model
-    from zendsp.physics.robot import robot_tree
+    from zendsp.physics.files.model_file import parse_model
+    from zendsp.physics.robots.robot import robot_tree
 
     models = []
     for given in ("", "mjcf"):

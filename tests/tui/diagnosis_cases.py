@@ -10,9 +10,9 @@ import numpy as np
 
 from zendsp.diagnosis.report.chart import Chart, Panel, Series, save_chart
 from zendsp.physics import load_model, model_text, parse_model, simulate_loop
-from zendsp.physics.codegen import compensation
+from zendsp.physics.codegen.compensation import compensation
+from zendsp.physics.files.shipped import model_folder
 from zendsp.physics.model import Quantity, Term
-from zendsp.physics.shipped import model_folder
 from zendsp.reference import Reference, save_reference
 from zendsp.tui.diagnoses import Diagnosed, begin, keep
 

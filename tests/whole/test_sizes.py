@@ -28,10 +28,10 @@ PLANNED = "the fields of its form, one keyword each"
 # file:function, or a folder: why it takes more
 TOLD = {
     "host/zendsp/reference/kinds/": PLANNED,
-    "host/zendsp/physics/simulate_run.py:simulate": PUBLIC,
-    "host/zendsp/physics/simulate_control.py:simulate_loop": PUBLIC,
-    "host/zendsp/physics/loop.py:simulate_joint_loop": PUBLIC,
-    "host/zendsp/physics/fit.py:fit": PUBLIC,
+    "host/zendsp/physics/simulation/run.py:simulate": PUBLIC,
+    "host/zendsp/physics/simulation/control.py:simulate_loop": PUBLIC,
+    "host/zendsp/physics/calibration/loop.py:simulate_joint_loop": PUBLIC,
+    "host/zendsp/physics/calibration/fit.py:fit": PUBLIC,
     "host/zendsp/link/acquire.py:acquire": PUBLIC,
     "host/zendsp/diagnosis/fleet.py:diagnose_each": PUBLIC,
     "host/zendsp/experiment/frequency.py:frequency_response": PUBLIC,

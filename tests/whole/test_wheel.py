@@ -28,7 +28,7 @@ for package in (zendsp, zendsp_isr, zendsp_protocol, zendsp_target):
 from zendsp_isr.parts import build_machine, machine_names
 for name in machine_names():
     assert build_machine(name).exists()
-from zendsp.physics.native import native
+from zendsp.physics.kernel.native import native
 native()
 from zendsp.reference import MACHINES, load_machine
 for name in MACHINES:

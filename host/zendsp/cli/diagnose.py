@@ -208,7 +208,7 @@ def _each(asked: _Asked, scheduler: str | None) -> None:
     from zendsp.diagnosis.fleet import diagnose_each, table
     from zendsp.errors import RecordingError
     from zendsp.physics.effects import load_effects
-    from zendsp.physics.model_file import load_model
+    from zendsp.physics.files.model_file import load_model
 
     for file in asked.effects:
         load_effects(file)

@@ -40,8 +40,8 @@ def new(recording: Path, out: Path | None, force: bool, as_json: bool) -> None:
     """
     import tomllib
 
-    from zendsp.physics.draft import draft_model, model_name
-    from zendsp.physics.model_file import parse_model
+    from zendsp.physics.files.draft import draft_model, model_name
+    from zendsp.physics.files.model_file import parse_model
     from zendsp.recording import read_table
 
     out = out or model_name(recording)
@@ -81,9 +81,9 @@ def check(file: Path, recording: Path | None, as_json: bool) -> None:
 
     Example:  zendsp model check bench.toml --recording run.csv
     """
+    from zendsp.physics.files.model_file import load_model
     from zendsp.physics.model import TREES
-    from zendsp.physics.model_file import load_model
-    from zendsp.physics.robot import robot_tree
+    from zendsp.physics.robots.robot import robot_tree
 
     model = load_model(file)
     if model.kind in TREES:

@@ -10,14 +10,15 @@ from importlib import resources
 
 import numpy as np
 
-from zendsp.physics.bodies import body_terms
-from zendsp.physics.codegen import compensation, model_code
-from zendsp.physics.codegen_terms import compensable, why_not
+from zendsp.physics.calibration.joint import own_terms
+from zendsp.physics.codegen.compensation import compensation
+from zendsp.physics.codegen.model_code import model_code
+from zendsp.physics.codegen.model_torque import inverse_dynamics
+from zendsp.physics.codegen.terms import compensable, why_not
 from zendsp.physics.effects import library
-from zendsp.physics.joint import own_terms
 from zendsp.physics.model import TREES, Model, Quantity, Term
-from zendsp.physics.model_torque import inverse_dynamics
-from zendsp.physics.simulate_plant import tree_of
+from zendsp.physics.robots.bodies import body_terms
+from zendsp.physics.simulation.plant import tree_of
 from zendsp.physics.term_numbers import kernel_model
 from zendsp.reference import Reference
 

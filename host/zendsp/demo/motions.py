@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from zendsp.physics.codegen_urdf import dh_urdf
+from zendsp.physics.codegen.urdf import dh_urdf
 from zendsp.reference import Machine, Reference, make_circle, make_multisine, make_point_to_point
 
 TRAVEL_S = 0.8  # from the end of one motion to the beginning of the next

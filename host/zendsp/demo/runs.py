@@ -12,7 +12,7 @@ from zendsp.demo.stage import Stage, nominal_model
 from zendsp.errors import AcquisitionError, Refused
 from zendsp.link import Target
 from zendsp.physics.model import Model
-from zendsp.physics.simulate_run import simulate
+from zendsp.physics.simulation.run import simulate
 from zendsp.recording import Recording
 from zendsp.reference import Reference
 

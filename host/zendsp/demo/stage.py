@@ -13,8 +13,8 @@ import numpy as np
 
 from zendsp.demo import motions
 from zendsp.errors import Refused
+from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.model import Model
-from zendsp.physics.model_file import parse_model
 from zendsp.reference import Machine, Reference, load_machine
 
 DELAY_SAMPLES = 1  # what the code writes at sample k acts from sample k + 1 (isr.h)

@@ -29,7 +29,7 @@ from zendsp.diagnosis import Diagnosis, diagnose
 from zendsp.errors import Refused
 from zendsp.link import Target
 from zendsp.link.concealed import Truth
-from zendsp.physics.model_write import model_text
+from zendsp.physics.files.model_write import model_text
 from zendsp.recording import Recording
 from zendsp.reference import Reference
 

@@ -47,9 +47,9 @@ from zendsp.diagnosis.transmission.measured import Measured, measured_transmissi
 from zendsp.diagnosis.transmission.one_sensor import by_one_sensor, said
 from zendsp.diagnosis.transmission.torque_sensor import sided
 from zendsp.errors import RecordingError
-from zendsp.physics.fit import Data
+from zendsp.physics.calibration.fit import Data
+from zendsp.physics.files.model_file import load_model, parse_model
 from zendsp.physics.model import CALLED, Model
-from zendsp.physics.model_file import load_model, parse_model
 from zendsp.physics.term_numbers import file_model, kernel_model
 from zendsp.recording import Recording, Table
 

@@ -15,7 +15,7 @@ from zendsp.experiment.lab import Lab, needed, playing
 from zendsp.experiment.result import Estimate, Result
 from zendsp.experiment.wam_friction import JOINTS, MACHINE, POSE, friction
 from zendsp.physics import parse_model, simulate
-from zendsp.physics.codegen_urdf import dh_urdf
+from zendsp.physics.codegen.urdf import dh_urdf
 from zendsp.physics.model import Model
 from zendsp.reference import load_machine, make_lspb
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from zendsp.physics.shipped import model_folder as model_folder
+from zendsp.physics.files.shipped import model_folder as model_folder
 from zendsp.proof.answer import Answer
 from zendsp.proof.children import command
 from zendsp.proof.convert import Recordings, altered, convert

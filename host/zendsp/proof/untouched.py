@@ -20,7 +20,7 @@ def errors(recording: Path, given: Path, calibrated: Path, improved: Path) -> tu
     from zendsp.diagnosis.data.prepare import prepare
     from zendsp.diagnosis.data.reading import read_signals
     from zendsp.diagnosis.measure.windows import model_error
-    from zendsp.physics.model_file import load_model
+    from zendsp.physics.files.model_file import load_model
     from zendsp.physics.term_numbers import kernel_model
 
     # the calibrated model prepares the motion for both: a wrong improvement must not smooth it to

@@ -11,8 +11,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from zendsp.errors import ReferenceError_
-from zendsp.physics.tree import Body, forward_dynamics, inverse_dynamics
 from zendsp.reference.core import Array
+from zendsp.tree import Body, forward_dynamics, inverse_dynamics
 
 G = 9.81  # m/s^2
 State = Sequence[float]

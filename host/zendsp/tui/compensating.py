@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from zendsp.physics import load_model
-from zendsp.physics.codegen import SETTINGS, compensation_values
+from zendsp.physics.codegen.compensation import SETTINGS, compensation_values
 from zendsp.tui.diagnoses import Diagnosed
 
 FILE = "compensation.c"

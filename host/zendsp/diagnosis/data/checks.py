@@ -10,9 +10,9 @@ import numpy.typing as npt
 from zendsp.diagnosis.data.plausibility import check_driven, check_free
 from zendsp.diagnosis.data.signals import Signals, unused_effects
 from zendsp.errors import RecordingError
-from zendsp.physics.fit import Data
+from zendsp.physics.calibration.fit import Data
+from zendsp.physics.kernel.signals import noise_beside_quantisation
 from zendsp.physics.model import Model, per_joint
-from zendsp.physics.signals import noise_beside_quantisation
 
 Array = npt.NDArray[np.float64]
 

@@ -16,9 +16,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import uniform_filter1d
 
-from zendsp.physics.bodies import body_terms
-from zendsp.physics.joint import JointRecord, mechanism_value
+from zendsp.physics.calibration.joint import JointRecord, mechanism_value
 from zendsp.physics.model import TREES, Model, per_joint
+from zendsp.physics.robots.bodies import body_terms
 
 Array = npt.NDArray[np.float64]
 

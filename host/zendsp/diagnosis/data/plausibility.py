@@ -20,9 +20,9 @@ from scipy.ndimage import gaussian_filter1d
 
 from zendsp.diagnosis.data.series import repeats
 from zendsp.errors import RecordingError
-from zendsp.physics.joint import JointRecord, mechanism_value
+from zendsp.physics.calibration.joint import JointRecord, mechanism_value
 from zendsp.physics.model import TREES, Model, per_joint
-from zendsp.physics.rigid import bases
+from zendsp.physics.robots.rigid import bases
 from zendsp.physics.term_numbers import added_inertia
 
 Array = npt.NDArray[np.float64]

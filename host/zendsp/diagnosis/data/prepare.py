@@ -12,13 +12,19 @@ import numpy.typing as npt
 from zendsp.diagnosis.data.inertia import inertia_ranges
 from zendsp.diagnosis.data.signals import Signals, joint_columns
 from zendsp.errors import ModelError
-from zendsp.physics.bodies import Links, body_terms, machine_tree
+from zendsp.physics.calibration.fit import Data
+from zendsp.physics.calibration.joint import JointRecord, mechanism_value
 from zendsp.physics.effects.base import Scale
-from zendsp.physics.fit import Data
-from zendsp.physics.joint import JointRecord, mechanism_value
+from zendsp.physics.kernel.signals import (
+    Measurement,
+    Motion,
+    measure,
+    noise_beside_quantisation,
+    smooth,
+)
 from zendsp.physics.model import TREES, Model, per_joint
-from zendsp.physics.rigid import Basis, bases
-from zendsp.physics.signals import Measurement, Motion, measure, noise_beside_quantisation, smooth
+from zendsp.physics.robots.bodies import Links, body_terms, machine_tree
+from zendsp.physics.robots.rigid import Basis, bases
 from zendsp.physics.term_numbers import added_inertia
 
 Array = npt.NDArray[np.float64]

@@ -34,8 +34,8 @@ from zendsp.diagnosis.data.sensors import SENSED, judged, read_sensed
 from zendsp.diagnosis.data.signals import MIN_SAMPLES, Signals
 from zendsp.errors import RecordingError
 from zendsp.physics.effects import library
+from zendsp.physics.kernel.signals import measure, noise_beside_quantisation, smooth
 from zendsp.physics.model import Model, per_joint
-from zendsp.physics.signals import measure, noise_beside_quantisation, smooth
 from zendsp.recording import Recording, Table
 
 Array = npt.NDArray[np.float64]

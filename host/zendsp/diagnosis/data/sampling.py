@@ -10,8 +10,8 @@ import numpy.typing as npt
 from zendsp.diagnosis.data.columns import Columns, Getter, column_name, has
 from zendsp.diagnosis.data.signals import Signals
 from zendsp.errors import RecordingError
+from zendsp.physics.kernel.signals import find_resolution
 from zendsp.physics.model import Model, per_joint
-from zendsp.physics.signals import find_resolution
 
 Array = npt.NDArray[np.float64]
 TARGET_RATE = 1000.0  # Hz: faster recordings are averaged down to about this

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
+from zendsp.physics.calibration.fit import Data
 from zendsp.physics.effects import library
-from zendsp.physics.fit import Data
 from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]

@@ -17,8 +17,8 @@ from zendsp.diagnosis.decide.result import Estimate, Finding
 from zendsp.diagnosis.measure.discrepancy import difference
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import fit_scored
+from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.effects import get_effect, library, mechanism_of
-from zendsp.physics.fit import Data, joint_handles
 from zendsp.physics.model import Model
 
 # relative standard deviation of a given inertia, mass or gravity figure; more where its std says so

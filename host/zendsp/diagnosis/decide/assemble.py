@@ -11,12 +11,12 @@ from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.thresholds import SURE
 from zendsp.diagnosis.measure.likelihood import Scored
-from zendsp.physics.bodies import body_terms
-from zendsp.physics.convergence import with_step_error
-from zendsp.physics.fit import Data, Fit, fit
-from zendsp.physics.handles import free_handles
-from zendsp.physics.joint import own_terms
+from zendsp.physics.calibration.convergence import with_step_error
+from zendsp.physics.calibration.fit import Data, Fit, fit
+from zendsp.physics.calibration.handles import free_handles
+from zendsp.physics.calibration.joint import own_terms
 from zendsp.physics.model import Model, Quantity, Term
+from zendsp.physics.robots.bodies import body_terms
 
 
 @dataclass(frozen=True)

@@ -28,9 +28,9 @@ from zendsp.diagnosis.measure.likelihood import fit_scored
 from zendsp.diagnosis.search.bodies import BodySearch, FoundBody, refined, stated
 from zendsp.diagnosis.search.body_columns import Layout
 from zendsp.diagnosis.search.body_hypotheses import COM, LIMITS
-from zendsp.physics.bodies import Links
-from zendsp.physics.fit import joint_handles
+from zendsp.physics.calibration.fit import joint_handles
 from zendsp.physics.model import Model
+from zendsp.physics.robots.bodies import Links
 
 # of a body's squared torque, over the joints: at so much it has to be larger than what is left
 MOST = 0.5

@@ -23,10 +23,10 @@ from zendsp.diagnosis.decide.result import Detectable
 from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES, FINEST, LAW_ERROR, LEFT_BY_A_LAW
 from zendsp.diagnosis.measure.discrepancy import BANDS, as_torque, band_of, kept, mean_square
 from zendsp.diagnosis.search.screen import Screen
+from zendsp.physics.calibration.fit import Data, fit
+from zendsp.physics.calibration.terms import grid_of, make_term, usable
 from zendsp.physics.effects import get_effect, mechanism_of, unit_of
-from zendsp.physics.fit import Data, fit
 from zendsp.physics.model import Model
-from zendsp.physics.terms import grid_of, make_term, usable
 
 POWER = 1.28  # standard deviations: nine in ten
 STATED = (

@@ -21,8 +21,8 @@ from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import FASTEST, Scored, deviance, informative
 from zendsp.diagnosis.search.hypothesis import JointSearch, price
 from zendsp.diagnosis.search.screen import Candidate, Screen, with_candidate
-from zendsp.physics.fit import Data, Fit, fit, joint_handles
-from zendsp.physics.handles import Handle
+from zendsp.physics.calibration.fit import Data, Fit, fit, joint_handles
+from zendsp.physics.calibration.handles import Handle
 from zendsp.physics.model import Model, Term
 
 # rad/s: 64 Hz; a tenth of the usual first resonance of a stiff drive train is below, its multiples

@@ -10,9 +10,9 @@ import numpy as np
 
 from zendsp.diagnosis.decide.result import Estimate
 from zendsp.diagnosis.measure.significance import counterpart
+from zendsp.physics.calibration.fit import Fit
+from zendsp.physics.calibration.joint import JointRecord
 from zendsp.physics.effects import get_effect, unit_of
-from zendsp.physics.fit import Fit
-from zendsp.physics.joint import JointRecord
 from zendsp.physics.model import Model, Term
 from zendsp.physics.term_numbers import chosen
 

@@ -45,8 +45,8 @@ from zendsp.diagnosis.measure.likelihood import Scored, fit_scored, informative
 from zendsp.diagnosis.measure.structure import STRUCTURED, Structure, structure
 from zendsp.diagnosis.search.forward import Searcher
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival, price
+from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.effects import get_effect, library, mechanism_of
-from zendsp.physics.fit import Data, joint_handles
 from zendsp.physics.model import Model, Term
 
 Array = npt.NDArray[np.float64]

@@ -20,8 +20,8 @@ from zendsp.diagnosis.decide.result import Estimate, Finding, Rejected
 from zendsp.diagnosis.decide.thresholds import ALONE, CLAIMED, OF_STATE, PLAIN
 from zendsp.diagnosis.measure.likelihood import fit_scored
 from zendsp.diagnosis.measure.significance import counterpart, essence_of
+from zendsp.physics.calibration.fit import Data, Fit, joint_handles
 from zendsp.physics.effects import get_effect
-from zendsp.physics.fit import Data, Fit, joint_handles
 from zendsp.physics.model import Model
 from zendsp.physics.term_numbers import chosen
 

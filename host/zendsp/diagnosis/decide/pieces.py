@@ -33,10 +33,10 @@ from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
 from zendsp.diagnosis.measure.structure import STRUCTURED, structure
 from zendsp.diagnosis.search.hypothesis import JointSearch
+from zendsp.physics.calibration.fit import Data, joint_handles
+from zendsp.physics.calibration.predict import run
 from zendsp.physics.effects import get_effect, mechanism_of
-from zendsp.physics.fit import Data, joint_handles
 from zendsp.physics.model import Model, Term, per_joint
-from zendsp.physics.predict import run
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[str], None]

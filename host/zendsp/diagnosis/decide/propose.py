@@ -20,10 +20,10 @@ from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.result import Finding, Next
 from zendsp.diagnosis.measure.likelihood import deviance
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
+from zendsp.physics.calibration.fit import Data, fit, joint_handles
+from zendsp.physics.calibration.joint import JointRecord
+from zendsp.physics.calibration.loop import ROOM, mean_inertia, simulate_joint_loop
 from zendsp.physics.effects import get_effect
-from zendsp.physics.fit import Data, fit, joint_handles
-from zendsp.physics.joint import JointRecord
-from zendsp.physics.loop import ROOM, mean_inertia, simulate_joint_loop
 from zendsp.physics.model import Model, per_joint
 
 Array = npt.NDArray[np.float64]

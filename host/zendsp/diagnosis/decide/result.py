@@ -14,7 +14,7 @@ from zendsp.diagnosis.decide.assemble import Assembled
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.measure.where import Missing, Region
 from zendsp.diagnosis.search.hypothesis import JointSearch
-from zendsp.physics.fit import Data
+from zendsp.physics.calibration.fit import Data
 from zendsp.physics.model import Model
 from zendsp_protocol.views import html_table, sentence
 

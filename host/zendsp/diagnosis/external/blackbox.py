@@ -33,8 +33,8 @@ from zendsp.diagnosis.external.output_error import Output, errors, fit_output, s
 from zendsp.diagnosis.external.simulator import Bench, Simulator, bench, on_input, simulator_of
 from zendsp.diagnosis.measure.where import Missing, Region, intervals, regions, units
 from zendsp.errors import RecordingError
+from zendsp.physics.calibration.handles import free_handles
 from zendsp.physics.effects import library
-from zendsp.physics.handles import free_handles
 from zendsp.physics.model import Model, per_joint
 from zendsp.physics.term_numbers import file_model
 

@@ -24,8 +24,8 @@ from zendsp.diagnosis.external.output_error import (
 )
 from zendsp.diagnosis.external.simulator import Bench
 from zendsp.diagnosis.measure.significance import SIGNIFICANT, vanishes
+from zendsp.physics.calibration.handles import free_handles
 from zendsp.physics.effects import get_effect, mechanism_of
-from zendsp.physics.handles import free_handles
 from zendsp.physics.model import Model, Term
 
 Array = npt.NDArray[np.float64]

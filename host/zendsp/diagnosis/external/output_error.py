@@ -13,12 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.external.simulator import Bench, on_input, on_timing
-from zendsp.physics.bounds import parameter_bounds
+from zendsp.physics.calibration.bounds import parameter_bounds
+from zendsp.physics.calibration.fit import Fit, robust_covariance
+from zendsp.physics.calibration.handles import Handle, get_values, set_values
+from zendsp.physics.calibration.terms import grid_of, make_term, usable
 from zendsp.physics.effects import Effect, get_effect, is_supported, library
-from zendsp.physics.fit import Fit, robust_covariance
-from zendsp.physics.handles import Handle, get_values, set_values
 from zendsp.physics.model import Model, Term
-from zendsp.physics.terms import grid_of, make_term, usable
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[str], None]

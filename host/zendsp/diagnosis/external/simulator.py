@@ -16,12 +16,12 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.data.signals import Signals, joint_columns
 from zendsp.errors import ModelError
+from zendsp.physics.calibration.joint import JointRecord, along
+from zendsp.physics.calibration.predict import sensed, trace
 from zendsp.physics.effects import Effect, get_effect, library
 from zendsp.physics.effects.base import Scale
-from zendsp.physics.joint import JointRecord, along
+from zendsp.physics.kernel.signals import measure, noise_beside_quantisation, smooth
 from zendsp.physics.model import Model, per_joint
-from zendsp.physics.predict import sensed, trace
-from zendsp.physics.signals import measure, noise_beside_quantisation, smooth
 
 Array = npt.NDArray[np.float64]
 Function = Callable[[Mapping[str, Any], Mapping[str, Any]], Any]

@@ -18,8 +18,8 @@ from zendsp.diagnosis.measure.discrepancy import (
     reversals,
 )
 from zendsp.diagnosis.measure.structure import unit
-from zendsp.physics.fit import Data
-from zendsp.physics.joint import JointRecord
+from zendsp.physics.calibration.fit import Data
+from zendsp.physics.calibration.joint import JointRecord
 from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]

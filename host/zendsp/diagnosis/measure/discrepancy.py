@@ -15,10 +15,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import binary_dilation
 
-from zendsp.physics.fit import Data
-from zendsp.physics.joint import JointRecord, effective_inertia
+from zendsp.physics.calibration.fit import Data
+from zendsp.physics.calibration.joint import JointRecord, effective_inertia
+from zendsp.physics.calibration.predict import response, run
 from zendsp.physics.model import Model
-from zendsp.physics.predict import response, run
 
 Array = npt.NDArray[np.float64]
 

@@ -11,11 +11,11 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.measure.discrepancy import deviation
 from zendsp.diagnosis.measure.likelihood import Scored, fastest
+from zendsp.physics.calibration.fit import Data
+from zendsp.physics.calibration.joint import JointRecord
+from zendsp.physics.calibration.predict import run
 from zendsp.physics.effects import get_effect
-from zendsp.physics.fit import Data
-from zendsp.physics.joint import JointRecord
 from zendsp.physics.model import Model
-from zendsp.physics.predict import run
 
 Array = npt.NDArray[np.float64]
 

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.physics.fit import Data, Fit, fit, joint_handles, residual, residuals
-from zendsp.physics.handles import Handle
+from zendsp.physics.calibration.fit import Data, Fit, fit, joint_handles, residual, residuals
+from zendsp.physics.calibration.handles import Handle
+from zendsp.physics.calibration.predict import ran_away
+from zendsp.physics.kernel.threads import threads
 from zendsp.physics.model import Model
-from zendsp.physics.predict import ran_away
-from zendsp.physics.threads import threads
 
 Array = npt.NDArray[np.float64]
 

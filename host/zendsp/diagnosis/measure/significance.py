@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from zendsp.physics.calibration.fit import Fit
 from zendsp.physics.effects import get_effect
-from zendsp.physics.fit import Fit
 from zendsp.physics.model import Term
 
 SIGNIFICANT = 3.0  # standard deviations: a score of hypotheses is tried in every round

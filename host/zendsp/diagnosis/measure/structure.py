@@ -22,10 +22,10 @@ from zendsp.diagnosis.measure.discrepancy import (
     noise,
     reversals,
 )
-from zendsp.physics.fit import Data
-from zendsp.physics.joint import JointRecord, effective_inertia
+from zendsp.physics.calibration.fit import Data
+from zendsp.physics.calibration.joint import JointRecord, effective_inertia
+from zendsp.physics.calibration.predict import response
 from zendsp.physics.model import Model
-from zendsp.physics.predict import response
 
 Array = npt.NDArray[np.float64]
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from scipy.ndimage import uniform_filter1d
 
 from zendsp.diagnosis.measure.discrepancy import BANDS, kept, lacking, noise
-from zendsp.physics.fit import Data
+from zendsp.physics.calibration.fit import Data
 from zendsp.physics.model import Model, per_joint
 
 Array = npt.NDArray[np.float64]

@@ -11,10 +11,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.physics.fit import Data
-from zendsp.physics.joint import JointRecord
+from zendsp.physics.calibration.fit import Data
+from zendsp.physics.calibration.joint import JointRecord
+from zendsp.physics.calibration.predict import run
 from zendsp.physics.model import Model
-from zendsp.physics.predict import run
 
 Array = npt.NDArray[np.float64]
 

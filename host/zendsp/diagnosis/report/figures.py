@@ -9,9 +9,9 @@ from zendsp.diagnosis.decide.result import Diagnosis, Finding, SimulatorErrors, 
 from zendsp.diagnosis.measure.where import Missing, energy, mismatch
 from zendsp.diagnosis.measure.windows import window_error
 from zendsp.diagnosis.report.chart import Chart, Mesh, Panel, Series
+from zendsp.physics.calibration.fit import Data
+from zendsp.physics.calibration.predict import run
 from zendsp.physics.effects import library
-from zendsp.physics.fit import Data
-from zendsp.physics.predict import run
 
 Array = npt.NDArray[np.float64]
 MOST_JOINTS = 7  # that get figures of their own

@@ -11,8 +11,8 @@ from typing import Any
 
 from zendsp.diagnosis.decide.result import Diagnosis
 from zendsp.diagnosis.report.chart import SUFFIX, save_chart
+from zendsp.physics.files.model_write import model_text
 from zendsp.physics.model import Model
-from zendsp.physics.model_write import model_text
 
 
 def write_report(d: Diagnosis, out: str | Path, *, pictures: bool = True) -> Path:
@@ -64,7 +64,7 @@ def left_out(model: Model) -> list[str]:
         return []
     if model.robot.take != "all":
         return ["no model.mjcf is written: this model takes only the bodies from its MJCF"]
-    from zendsp.physics.mjcf_write import inexpressible
+    from zendsp.physics.robots.mjcf_write import inexpressible
 
     stay = [f"{t.effect} (joint {t.joint})" for t in inexpressible(model)]
     if not stay:
@@ -79,7 +79,7 @@ def _improved_text(model: Model, folder: Path) -> str:
     """The improved model; of an MJCF with a model.mjcf of its own, where that can be written."""
     if model.kind != "mjcf":
         return model_text(model)
-    from zendsp.physics.mjcf_write import write_mjcf
+    from zendsp.physics.robots.mjcf_write import write_mjcf
 
     written = write_mjcf(model, folder.resolve() / "model.mjcf")
     return model_text(model) if written is None else model_text(written, beside=True)
@@ -92,7 +92,7 @@ def report_text(d: Diagnosis) -> str:
 
 def _compensation(d: Diagnosis, folder: Path) -> None:
     try:
-        from zendsp.physics.codegen import compensation
+        from zendsp.physics.codegen.compensation import compensation
     except ImportError:
         return
     found = {(f.effect, f.joint) for f in d.findings}

@@ -22,9 +22,9 @@ from zendsp.diagnosis.measure.likelihood import (
     tune_bandwidth,
 )
 from zendsp.diagnosis.search.hypothesis import with_numbers
-from zendsp.physics.fit import Data, fit
+from zendsp.physics.calibration.fit import Data, fit
+from zendsp.physics.kernel.threads import threads
 from zendsp.physics.model import Model
-from zendsp.physics.threads import threads
 
 LOSSY = 0.2  # of critical damping
 DAMPED = (0.05, 0.5)  # of critical damping: a contact outside begins again at LOSSY

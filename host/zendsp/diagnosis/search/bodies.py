@@ -22,9 +22,9 @@ from zendsp.diagnosis.search.body_columns import Layout, Sums
 from zendsp.diagnosis.search.body_explain import Explained, explain, seen, tied
 from zendsp.diagnosis.search.body_hypotheses import COM, LIMITS, BodyLimits, hypotheses
 from zendsp.diagnosis.search.body_solver import Solver
-from zendsp.physics.bodies import Links
-from zendsp.physics.fit import Data
+from zendsp.physics.calibration.fit import Data
 from zendsp.physics.model import Model, Term
+from zendsp.physics.robots.bodies import Links
 
 Progress = Callable[[str], None]
 

@@ -12,13 +12,13 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.search.body_hypotheses import LIMITS, OWN, BodyLimits, Hypothesis, calibrated
-from zendsp.physics.bodies import Links, change_of, turned_gravity
+from zendsp.physics.calibration.fit import Data
+from zendsp.physics.calibration.joint import JointRecord, effective_inertia
+from zendsp.physics.calibration.predict import damping_along, response, run
 from zendsp.physics.effects import get_effect
-from zendsp.physics.fit import Data
-from zendsp.physics.joint import JointRecord, effective_inertia
+from zendsp.physics.kernel.threads import threads
 from zendsp.physics.model import Model, Quantity, Term, per_joint
-from zendsp.physics.predict import damping_along, response, run
-from zendsp.physics.threads import threads
+from zendsp.physics.robots.bodies import Links, change_of, turned_gravity
 
 Array = npt.NDArray[np.float64]
 NUISANCE = 6  # columns that every joint has for itself

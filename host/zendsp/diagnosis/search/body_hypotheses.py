@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from zendsp.physics.bodies import Links
 from zendsp.physics.model import Model
+from zendsp.physics.robots.bodies import Links
 
 
 @dataclass(frozen=True)

@@ -12,11 +12,11 @@ import numpy as np
 
 from zendsp.diagnosis.measure.likelihood import deviances
 from zendsp.diagnosis.search.screen import Candidate, Screen, with_candidate
+from zendsp.physics.calibration.fit import Data, fit, joint_handles
+from zendsp.physics.calibration.joint import JointRecord, effective_inertia, facts
+from zendsp.physics.calibration.terms import make_term, usable
 from zendsp.physics.effects import Effect, get_effect, is_supported, library
-from zendsp.physics.fit import Data, fit, joint_handles
-from zendsp.physics.joint import JointRecord, effective_inertia, facts
 from zendsp.physics.model import Model, Term
-from zendsp.physics.terms import make_term, usable
 
 COARSE = 1e-3  # s
 SLOWEST = 8.0  # rad/s: no screen looks through a slower observer

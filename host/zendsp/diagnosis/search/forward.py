@@ -35,12 +35,12 @@ from zendsp.diagnosis.search.hypothesis import (
 )
 from zendsp.diagnosis.search.screen import Candidate, with_candidate
 from zendsp.diagnosis.search.simplify import simplify, split_asymmetry
+from zendsp.physics.calibration.fit import Data, fit, joint_handles
+from zendsp.physics.calibration.joint import facts
+from zendsp.physics.calibration.predict import run
 from zendsp.physics.effects import get_effect
-from zendsp.physics.fit import Data, fit, joint_handles
-from zendsp.physics.joint import facts
+from zendsp.physics.kernel.threads import threads
 from zendsp.physics.model import Model, Term
-from zendsp.physics.predict import run
-from zendsp.physics.threads import threads
 
 Progress = Callable[[str], None]
 

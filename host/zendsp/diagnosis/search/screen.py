@@ -14,15 +14,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from zendsp.physics.calibration.fit import Data, Fit
+from zendsp.physics.calibration.handles import Handle
+from zendsp.physics.calibration.joint import JointRecord, along, effective_inertia, facts
+from zendsp.physics.calibration.predict import damping_along, response, sensed, trace
+from zendsp.physics.calibration.terms import grid_of, make_term, usable
 from zendsp.physics.effects import Effect, get_effect, is_supported, library
 from zendsp.physics.effects.base import Parameter
-from zendsp.physics.fit import Data, Fit
-from zendsp.physics.handles import Handle
-from zendsp.physics.joint import JointRecord, along, effective_inertia, facts
+from zendsp.physics.kernel.threads import threads
 from zendsp.physics.model import Model, Term
-from zendsp.physics.predict import damping_along, response, sensed, trace
-from zendsp.physics.terms import grid_of, make_term, usable
-from zendsp.physics.threads import threads
 
 Array = npt.NDArray[np.float64]
 

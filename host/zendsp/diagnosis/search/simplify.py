@@ -17,11 +17,11 @@ from zendsp.diagnosis.measure.likelihood import (
 )
 from zendsp.diagnosis.measure.significance import SIGNIFICANT, vanishes
 from zendsp.diagnosis.search.hypothesis import SUFFICIENT, JointSearch, price
-from zendsp.physics.convergence import step_error, with_step_error
+from zendsp.physics.calibration.convergence import step_error, with_step_error
+from zendsp.physics.calibration.fit import Data, fit, joint_handles, residual
+from zendsp.physics.calibration.terms import make_term
 from zendsp.physics.effects import get_effect, library
-from zendsp.physics.fit import Data, fit, joint_handles, residual
 from zendsp.physics.model import Model, Term
-from zendsp.physics.terms import make_term
 
 # deviance a sample, a tenth of the innovations' energy: a term whose absence costs so much is not
 # fitted away any more

@@ -11,12 +11,12 @@ import numpy as np
 
 from zendsp.diagnosis.data.prepare import within_samples
 from zendsp.diagnosis.data.signals import Parts
+from zendsp.physics.calibration.fit import Data
+from zendsp.physics.calibration.joint import JointRecord
+from zendsp.physics.calibration.predict import run
 from zendsp.physics.effects import get_effect
-from zendsp.physics.fit import Data
-from zendsp.physics.joint import JointRecord
 from zendsp.physics.model import Model
-from zendsp.physics.predict import run
-from zendsp.physics.rigid import bases
+from zendsp.physics.robots.rigid import bases
 
 Records = tuple[JointRecord, ...]
 

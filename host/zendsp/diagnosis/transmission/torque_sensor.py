@@ -19,7 +19,7 @@ from zendsp.diagnosis.decide.result import Finding
 from zendsp.diagnosis.decide.thresholds import PLAIN, SURE
 from zendsp.diagnosis.transmission.torsion import OF_MOTOR, Array, has_bodies, held_drive
 from zendsp.diagnosis.transmission.torsion import STILL as STANDING
-from zendsp.physics.joint import JointRecord
+from zendsp.physics.calibration.joint import JointRecord
 from zendsp.physics.model import Model
 
 FRICTION = ("dry_friction", "fluid_friction")

@@ -20,10 +20,10 @@ import numpy.typing as npt
 from zendsp.diagnosis.data.series import repeats
 from zendsp.diagnosis.measure.discrepancy import deviation
 from zendsp.diagnosis.measure.evidence import BLOCK, Evidence
-from zendsp.physics.fit import Data
-from zendsp.physics.joint import JointRecord, effective_inertia
+from zendsp.physics.calibration.fit import Data
+from zendsp.physics.calibration.joint import JointRecord, effective_inertia
+from zendsp.physics.kernel.signals import find_resolution, noise_beside_quantisation
 from zendsp.physics.model import Model, per_joint
-from zendsp.physics.signals import find_resolution, noise_beside_quantisation
 
 Array = npt.NDArray[np.float64]
 

@@ -251,7 +251,7 @@ class Effect:
         friction; ``dry_scale``: on dry friction. ``actuator``: a map of the command. ``drive``: a
         map of the actuator's torque that knows the speed. ``sensor``: added to the measured
         position. ``setup``: a state of the kernel itself (springs, gaps, bristles, delays).
-        ``body``: bodies or gravity of the whole machine (see ``physics/bodies.py``), without C.
+        ``body``: bodies or gravity of the whole machine (``physics/robots/bodies.py``), without C.
     mechanism : str
         What of the machine it is a law of: one of ``MECHANISMS``; empty: one by itself, under its
         own name.

@@ -17,7 +17,7 @@ from textual.containers import Horizontal, Vertical
 from textual.widgets import Button, RichLog, Static
 
 from zendsp.errors import ZendspError
-from zendsp.physics.shipped import model_folder
+from zendsp.physics.files.shipped import model_folder
 from zendsp.recording import Recording
 from zendsp.tui.command import Command
 from zendsp.tui.dialogs import Field, Form

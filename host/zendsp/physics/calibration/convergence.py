@@ -1,0 +1,52 @@
+"""Whether a fit depends on the step of its integration: what halving the step does to every number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.physics.calibration.fit import Data, Fit, residual
+
+Array = npt.NDArray[np.float64]
+
+SECOND_ORDER = 4.0 / 3.0  # the change from one step to its half, extrapolated to none
+
+
+def step_error(data: Data, fitted: Fit, joints: Sequence[int]) -> Array:
+    """Error of each fitted number by the integration's step, to first order: one Gauss-Newton step
+    at half the step.
+
+    Parameters
+    ----------
+    data : Data
+        What was fitted to.
+    fitted : Fit
+        With its Jacobian and residual.
+    joints : sequence of int
+        Joints whose innovations were fitted (1-based).
+
+    Returns
+    -------
+    ndarray, shape (p,)
+        Units of the numbers; zero where it cannot be told.
+    """
+    if not len(fitted.handles):
+        return np.zeros(0)
+    finer = residual(replace(data, inner=2 * data.inner), fitted.model, tuple(joints))
+    change = finer - fitted.residual[: len(finer)]
+    jacobian = fitted.jacobian[: len(finer)]
+    if not np.all(np.isfinite(change)):
+        return np.zeros(len(fitted.handles))
+    unit = np.sqrt(np.maximum(np.sum(jacobian**2, axis=0), 1e-300))
+    step = np.linalg.lstsq(jacobian / unit, -change, rcond=1e-8)[0] / unit
+    return np.asarray(SECOND_ORDER * step)
+
+
+def with_step_error(data: Data, fitted: Fit, joints: Sequence[int]) -> Fit:
+    """The fit with what the integration's step does in its covariance."""
+    error = step_error(data, fitted, joints)
+    return replace(fitted, covariance=fitted.covariance + np.outer(error, error))

@@ -1,0 +1,261 @@
+"""One joint of one recording, ready for the kernel, and what a model says of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.physics.effects import get_effect
+from zendsp.physics.effects.base import Along, Facts, Scale
+from zendsp.physics.kernel.native import native
+from zendsp.physics.kernel.signals import Measurement, Motion, means, thin_measurement
+from zendsp.physics.model import Model, Term, per_joint
+from zendsp.physics.robots.bodies import Links, body_terms
+from zendsp.physics.robots.rigid import Basis
+from zendsp.physics.term_numbers import added_inertia
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass
+class JointRecord:
+    """One joint along one recording. Arrays are (n,), C-contiguous; SI units, joint coordinates."""
+
+    joint: int
+    sample_time: float
+    t0: float
+    command: Array
+    measurement: Measurement
+    motion: Motion
+    basis: dict[str, Basis]
+    others: Array  # (joints, 3, n)
+    scale: Scale
+    base_offset: float
+    position: Array  # as measured, quantised
+    links: Links | None = None  # of the whole machine; None where its kind has none
+    slides: bool = False  # a linear joint
+    # optional ones by their role in [columns], (n,)
+    columns: Mapping[str, Array] = field(default_factory=dict)
+    every: int = 1  # samples of the recording that one stands for, see ``thinned``
+    _gains: dict[float, tuple[Array, Array, Array]] = field(default_factory=dict)
+    _integral: Array | None = None
+    _facts: Facts | None = None
+    _thinned: JointRecord | None = None
+    # fits to it, by all that they depend on: the latest, see ``fit``
+    fits: dict[Any, Any] = field(default_factory=dict)
+
+    @property
+    def n(self) -> int:
+        """Number of samples."""
+        return len(self.command)
+
+    @property
+    def integral(self) -> Array:
+        """Integral of the held command, (n + 1,)."""
+        if self._integral is None:
+            self._integral = np.ascontiguousarray(
+                np.r_[0.0, np.cumsum(self.command)] * self.sample_time
+            )
+        return self._integral
+
+    @property
+    def counted(self) -> npt.NDArray[np.bool_]:
+        """Samples that count in a likelihood, (n,): on a plateau of the quantiser only the code
+        change does.
+        """
+        mask: npt.NDArray[np.bool_] = self.measurement.half == 0
+        return mask
+
+    def gains(self, bandwidth: float) -> tuple[Array, Array, Array]:
+        """Observer gains k1, k2 and weights of a bandwidth in rad/s, which stands for white process
+        noise of that strength.
+        """
+        key = round(bandwidth, 6)
+        if key not in self._gains:
+            lib, n = native(), self.n
+            white = self.measurement.resolution**2 / 12 + self.measurement.noise**2
+            white /= self.every
+            variance = self.measurement.variance
+            reference = white if white > 0 else float(np.median(variance[variance > 0]))
+            k1, k2, w = np.empty(n), np.empty(n), np.empty(n)
+            p = lib.doubles
+            lib.lib.zf_gains(
+                n,
+                self.sample_time,
+                bandwidth**2 * np.sqrt(reference),
+                p(self.measurement.variance),
+                p(k1),
+                p(k2),
+                p(w),
+            )
+            self._gains[key] = (k1, k2, w)
+        return self._gains[key]
+
+    def thinned(self, every: int) -> JointRecord:
+        """The record with one sample in place of so many, for a first look at a hypothesis.
+
+        A measurement is the weighted mean of what its samples say, brought to the time of the
+        first along the smoothed motion: no information of the sensor is lost. Commands and motion
+        are means over the time for which they are held.
+        """
+        if every < 2:
+            return self
+        if self._thinned is None or self._thinned.every != every:
+            facts(self)  # those of the whole recording hold
+            some = slice(0, self.n // every * every, every)
+            states = means(self.motion.states, every)
+            states[:, 0] = self.motion.states[:, 0]  # where a prediction begins
+            self._thinned = replace(
+                self,
+                sample_time=every * self.sample_time,
+                command=means(self.command, every),
+                measurement=thin_measurement(self.measurement, self.motion.states[0], every),
+                motion=replace(
+                    self.motion,
+                    states=states,
+                    variances=np.ascontiguousarray(self.motion.variances[:, some]),
+                ),
+                basis={
+                    key: Basis(means(b.inertia, every), means(b.bias, every))
+                    for key, b in self.basis.items()
+                },
+                others=means(self.others, every),
+                position=np.ascontiguousarray(self.position[some]),
+                columns={key: means(column, every) for key, column in self.columns.items()},
+                every=every,
+                _gains={},
+                _integral=None,
+                _thinned=None,
+                fits={},
+            )
+        return self._thinned
+
+    def __getstate__(self) -> dict[str, Any]:
+        """To another process goes what the rest follows from."""
+        return {**self.__dict__, "_gains": {}, "_integral": None, "_thinned": None, "fits": {}}
+
+    def inertia_and_bias(self, model: Model) -> tuple[Array, Array]:
+        """Inertia and known torque along the record for the mechanism parameters of a model, each
+        (n,).
+        """
+        inertia, bias = np.zeros(self.n), np.zeros(self.n)
+        for key, basis in self.basis.items():
+            value = 1.0 if key == "fixed" else mechanism_value(model, key, self.joint)
+            inertia += value * basis.inertia
+            bias += value * basis.bias
+        if self.links is not None and (terms := body_terms(model)):
+            change = self.links.change(terms, self.joint - 1)
+            inertia += means(change.inertia, self.every)
+            bias += means(change.bias, self.every)
+        return np.maximum(inertia, 1e-9 * self.scale.inertia), bias
+
+    def reference_inertia(self, model: Model, inertia: Array) -> float:
+        """Inertia that motor and load share, kg m^2 or kg: what is the same at every pose, or the
+        mean where a URDF tells no more.
+        """
+        constant = [key for key in self.basis if key not in ("fixed", "p3")]
+        if not constant:
+            return float(np.mean(inertia))
+        return float(
+            sum(
+                mechanism_value(model, key, self.joint) * self.basis[key].inertia[0]
+                for key in constant
+            )
+        )
+
+
+def facts(
+    record: JointRecord, model: Model | None = None, replaced: Mapping[str, float] | None = None
+) -> Facts:
+    """What a recording and, where given, a model say to the effects of a joint.
+
+    Parameters
+    ----------
+    record : JointRecord
+    model : Model, optional
+        Gives inertia and friction level.
+    replaced : mapping, optional
+        Numbers of the term that an effect would replace.
+
+    Returns
+    -------
+    Facts
+    """
+    if record._facts is None:
+        q, qd = record.motion.states[:2]
+        command = np.abs(record.command)
+        fast, fastest = (float(x) for x in np.quantile(np.abs(qd), (0.95, 0.99)))
+        record._facts = Facts(
+            scale=record.scale,
+            centre=0.5 * (float(q.max()) + float(q.min())),
+            fast=fast,
+            fastest=fastest,
+            strong=float(np.quantile(command, 0.999)),
+            strongest=float(command.max()),
+            sample_time=record.sample_time,
+            slides=record.slides,
+            joint=record.joint,
+            joints=len(record.others),
+            gain=1.0,
+            inertia=record.scale.inertia,
+            temperature=(
+                float(record.columns["temperature"][0])
+                if "temperature" in record.columns
+                else float("nan")
+            ),
+        )
+    if model is None:
+        return record._facts
+    dry = sum(
+        t.value("level") for t in model.at(record.joint) if get_effect(t.effect).site == "dry"
+    )
+    return replace(
+        record._facts,
+        gain=per_joint(model.actuator.gain, record.joint, 1.0),
+        friction=dry,
+        inertia=float(np.mean(effective_inertia(record, model))),
+        replaced=dict(replaced or {}),
+    )
+
+
+def along(record: JointRecord, model: Model) -> Along:
+    """The measured motion of a joint, for the column of an effect."""
+    q, qd, qdd = record.motion.states
+    return Along(
+        q=q,
+        qd=qd,
+        qdd=qdd,
+        t=np.asarray(record.t0 + record.sample_time * np.arange(record.n), dtype=np.float64),
+        torque=per_joint(model.actuator.gain, record.joint, 1.0) * record.command,
+        sample_time=record.sample_time,
+        inertia=effective_inertia(record, model),
+        gravity=mechanism_value(model, "gravity", record.joint) if model.kind == "rotary" else 0.0,
+    )
+
+
+def effective_inertia(record: JointRecord, model: Model) -> Array:
+    """Inertia that a torque at the joint accelerates, with the terms of kind inertia (rotors,
+    payloads), (n,).
+    """
+    inertia, _ = record.inertia_and_bias(model)
+    out: Array = np.maximum(inertia + added_inertia(model, record.joint), 0.05 * inertia)
+    return out
+
+
+def mechanism_value(model: Model, key: str, joint: int) -> float:
+    """Value of a mechanism parameter for joint 1, 2, …; 0 where the model has none."""
+    items = model.mechanism.get(key)
+    if not items:
+        return 0.0
+    return items[joint - 1].value if joint - 1 < len(items) else items[0].value
+
+
+def own_terms(terms: tuple[Term, ...]) -> tuple[Term, ...]:
+    """The terms that the kernel evaluates at a joint: bodies have entered its inertia and bias
+    instead.
+    """
+    return tuple(term for term in terms if get_effect(term.effect).site != "body")

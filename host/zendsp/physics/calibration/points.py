@@ -1,0 +1,137 @@
+"""One joint of a recording under a model whose free numbers move: what a fit evaluates.
+
+Everything that the numbers do not change is filled in for the kernel once, not at every point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.physics.calibration.handles import Handle, set_values
+from zendsp.physics.calibration.joint import JointRecord
+from zendsp.physics.calibration.predict import fill, fill_rigid, fill_shift, pack
+from zendsp.physics.effects import get_effect
+from zendsp.physics.kernel.native import LANES, native
+from zendsp.physics.model import Model
+
+Array = npt.NDArray[np.float64]
+
+
+class Points:
+    """Weighted innovations of one joint at points of the numbers behind some handles.
+
+    Parameters
+    ----------
+    record : JointRecord
+    model : Model
+        In kernel form.
+    handles : sequence of Handle
+        What moves.
+    bandwidth : float
+        Of the observer, rad/s.
+    inner : int
+        Integration steps per sample.
+    """
+
+    def __init__(
+        self,
+        record: JointRecord,
+        model: Model,
+        handles: Sequence[Handle],
+        bandwidth: float,
+        inner: int,
+    ) -> None:
+        self.record, self.model, self.handles = record, model, handles
+        self.packed = pack(model.at(record.joint))
+        self._base = native().ffi.new("zk_model *")
+        self._alive = fill(self._base, record, model, bandwidth, inner, packed=self.packed)
+        # of each handle that this joint feels, by what it moves
+        self._cells: list[tuple[int, int, int, int]] = []  # handle, row, column, less
+        self._gain: list[int] = []
+        self._shift: list[int] = []
+        self._rigid: list[int] = []  # inertia and known torque
+        for i, handle in enumerate(handles):
+            self._sort(i, handle)
+        cells = [cell[0] for cell in self._cells]
+        self._felt = [*cells, *self._gain, *self._shift, *self._rigid]
+
+    def _sort(self, i: int, handle: Handle) -> None:
+        record, model = self.record, self.model
+        here = handle.index == record.joint - 1
+        if handle.place == "gain":
+            self._gain += [i] * here
+        elif handle.place == "offset":
+            self._shift += [i] * here
+        elif handle.place == "mechanism":
+            alone = len(model.mechanism[handle.key]) < record.joint and handle.index == 0
+            if (here or alone) and (handle.key in record.basis or handle.key == "gravity"):
+                self._rigid.append(i)
+        else:
+            term = model.terms[handle.index]
+            effect = get_effect(term.effect)
+            if effect.site == "body":
+                self._rigid.append(i)
+            elif term.joint == record.joint:
+                row = sum(
+                    t.joint == record.joint and get_effect(t.effect).site != "body"
+                    for t in model.terms[: handle.index]
+                )
+                column = effect.names.index(handle.key)
+                less = int(effect.parameter(handle.key).size == "joint")
+                self._cells.append((i, row, column, less))
+
+    def innovations(self, points: Sequence[Array]) -> Array:
+        """Weighted innovations, (n, points), of at most eight points; what is the same for this
+        joint is run once.
+        """
+        places: dict[tuple[float, ...], int] = {}
+        place = [
+            places.setdefault(tuple(float(at[i]) for i in self._felt), len(places))
+            for at in points
+        ]
+        unlike = [points[place.index(i)] for i in range(len(places))]
+        out = self._run(unlike)
+        return out if len(unlike) == len(points) else out[:, place]
+
+    def _run(self, points: Sequence[Array]) -> Array:
+        lib, n, count = native(), self.record.n, len(points)
+        kinds, table = self.packed
+        at = np.stack(points) if self._felt else np.zeros((count, 0))
+        tables = np.repeat(table[None], count, axis=0)
+        for i, row, column, less in self._cells:
+            tables[:, row, column] = at[:, i] - less
+        m = lib.ffi.new("zk_model[]", LANES)
+        p = lib.doubles(tables)
+        known: dict[tuple[float, ...], list[Any]] = {}
+        for lane in range(count):
+            m[lane] = self._base[0]
+            m[lane].p = p + lane * table.size
+            for i in self._gain:
+                m[lane].gain = at[lane, i]
+            for i in self._shift:
+                fill_shift(m[lane], self.record, at[lane, i])
+            if self._rigid:
+                self._fill_rigid(m[lane], at[lane], known)
+        if count == 1:
+            out = np.empty((n, 1))
+            nothing = lib.ffi.NULL
+            lib.lib.zk_run(m, lib.doubles(out), nothing, nothing, nothing)
+            return out
+        for lane in range(count, LANES):
+            m[lane] = m[0]  # idle
+        out = np.empty((n, LANES))
+        lib.lib.zk_run_lanes(m, lib.doubles(out))
+        del kinds, known
+        return out[:, :count]
+
+    def _fill_rigid(self, m: Any, at: Array, known: dict[tuple[float, ...], list[Any]]) -> None:
+        """Inertia and known torque at a point, worked out once for each of their values."""
+        values = tuple(float(at[i]) for i in self._rigid)
+        if values not in known:
+            model = set_values(self.model, [self.handles[i] for i in self._rigid], np.array(values))
+            known[values] = [model, *self.record.inertia_and_bias(model)]
+        fill_rigid(m, self.record, *known[values])

@@ -1,0 +1,363 @@
+"""What the kernel makes of a model along one joint's recording: observed, free, to first order."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.errors import RecordingError
+from zendsp.physics.calibration.joint import JointRecord, mechanism_value, own_terms
+from zendsp.physics.effects import get_effect
+from zendsp.physics.kernel.native import LANES, native
+from zendsp.physics.model import Model, Term, per_joint
+from zendsp.physics.robots.bodies import body_terms
+
+Array = npt.NDArray[np.float64]
+
+MAX_PARAMETERS = 6
+_NOTHING = np.zeros(0)
+# what the kernel writes from where a prediction leaves the track: 1000 rad or m off, or at 1e5
+# rad/s or m/s
+RAN_AWAY = 1e9
+AT_FIRST = 0.03  # s, over which the acceleration at the beginning is measured
+
+
+def pack(terms: tuple[Term, ...]) -> tuple[npt.NDArray[np.int32], Array]:
+    """Effects as the kernel takes them: indices and a table of parameters.
+
+    The Stribeck parameter is the excess over the Coulomb level of the same joint (model files give
+    the breakaway).
+    """
+    index = native().index
+    terms = own_terms(terms)
+    kinds = np.zeros(max(1, len(terms)), np.int32)
+    table = np.zeros((max(1, len(terms)), MAX_PARAMETERS))
+    for row, term in enumerate(terms):
+        effect = get_effect(term.effect)
+        kinds[row] = index[term.effect]
+        for column, parameter in enumerate(effect.parameters):
+            table[row, column] = term.value(parameter.name, parameter.default or 0.0) - (
+                parameter.size == "joint"
+            )
+    return kinds, table
+
+
+@dataclass(frozen=True)
+class Run:
+    """Outcome of one pass of the kernel: weighted innovations (n,), states and torque where asked
+    for, sample at which it ran away.
+    """
+
+    innovations: Array
+    q: Array | None
+    qd: Array | None
+    torque: Array | None
+    diverged: int
+
+
+def ran_away(innovations: Array) -> bool:
+    """Whether a prediction has left the track on the way: then its innovations say nothing."""
+    return not float(np.max(np.abs(innovations), initial=0.0)) < RAN_AWAY
+
+
+def run(
+    record: JointRecord,
+    model: Model,
+    bandwidth: float,
+    *,
+    inner: int = 2,
+    states: Literal["", "seen", "beyond"] = "",
+    free_every: int = 0,
+    extra: Array | None = None,
+) -> Run:
+    """Predict every sample of one joint with a model.
+
+    Parameters
+    ----------
+    record : JointRecord
+    model : Model
+        With the terms in kernel form (see ``pack``).
+    bandwidth : float
+        Of the observer, rad/s.
+    inner : int
+        Integration steps per sample.
+    states : str
+        Which states to return too, with the torque: those of the side of a transmission that the
+        sensor sees, or of the side beyond it.
+    free_every : int
+        Restart from the smoothed motion every so many samples and simulate freely between; 0:
+        observer.
+    extra : ndarray or None, shape (n,)
+        Resisting torque added from outside, N m or N.
+
+    Returns
+    -------
+    Run
+    """
+    lib, n = native(), record.n
+    p = lib.doubles
+    m = lib.ffi.new("zk_model *")
+    alive = fill(m, record, model, bandwidth, inner)
+    m.beyond = int(states == "beyond")
+    if free_every:
+        value, half, w = record.position, np.zeros(n), np.ones(n)
+        m.m, m.half, m.w, m.reset = p(value), p(half), p(w), free_every
+    if extra is not None:
+        m.extra = p(extra)
+    r = np.empty(n)
+    xq, xqd, torque = (np.empty(n), np.empty(n), np.empty(n)) if states else (None, None, None)
+    out = [p(a) if a is not None else lib.ffi.NULL for a in (xq, xqd, torque)]
+    diverged = int(lib.lib.zk_run(m, p(r), *out))
+    del alive
+    return Run(r, xq, xqd, torque, diverged)
+
+
+def run_many(
+    record: JointRecord, models: Sequence[Model], bandwidth: float, *, inner: int = 2
+) -> Array:
+    """Weighted innovations of several models that differ in numbers only, (n, models): eight take
+    little longer than two.
+
+    Parameters
+    ----------
+    record : JointRecord
+    models : sequence of Model
+        Of the same terms in the same order, in kernel form; a coupling's joint and law are the same
+        too. Those that are the same for this joint are run once.
+    bandwidth, inner
+        As for ``run``.
+    """
+    lib, n = native(), record.n
+    places: dict[bytes, int] = {}
+    packed = [pack(model.at(record.joint)) for model in models]
+    place = [
+        places.setdefault(_numbers(record, model, table), len(places))
+        for model, (_, table) in zip(models, packed, strict=True)
+    ]
+    unlike = [models[place.index(i)] for i in range(len(places))]
+    tables = [packed[place.index(i)] for i in range(len(places))]
+    out = np.empty((n, len(unlike)))
+    for begin in range(0, len(unlike), LANES):
+        some = unlike[begin : begin + LANES]
+        if len(some) == 1:
+            out[:, begin] = run(record, some[0], bandwidth, inner=inner).innovations
+            continue
+        m = lib.ffi.new("zk_model[]", LANES)
+        known: dict[tuple[float, ...], tuple[Array, Array]] = {}
+        alive = [
+            fill(m[i], record, model, bandwidth, inner, known, tables[begin + i])
+            for i, model in enumerate(some)
+        ]
+        for i in range(len(some), LANES):
+            m[i] = m[0]  # idle
+        r = np.empty((n, LANES))
+        lib.lib.zk_run_lanes(m, lib.doubles(r))
+        out[:, begin : begin + len(some)] = r[:, : len(some)]
+        del alive
+    return out if len(unlike) == len(models) else out[:, place]
+
+
+def _numbers(record: JointRecord, model: Model, table: Array) -> bytes:
+    """All numbers of a model that one joint's prediction depends on; ``table``: of its effects."""
+    j = record.joint
+    numbers = [mechanism_value(model, key, j) for key in record.basis]
+    numbers += [
+        mechanism_value(model, "gravity", j),
+        per_joint(model.actuator.gain, j, 1.0),
+        per_joint(model.actuator.limit, j, 0.0),
+    ]
+    numbers += [model.actuator.delay, per_joint(model.sensor.offset, j, 0.0)]
+    numbers += _body_numbers(model)
+    return table.tobytes() + np.array(numbers).tobytes()
+
+
+def _body_numbers(model: Model) -> tuple[float, ...]:
+    """All numbers of a model's bodies: every joint's inertia and bias may depend on them."""
+    return tuple(q.value for term in body_terms(model) for q in term.parameters.values())
+
+
+def fill(
+    m: Any,
+    record: JointRecord,
+    model: Model,
+    bandwidth: float,
+    inner: int,
+    known: dict[tuple[float, ...], tuple[Array, Array]] | None = None,
+    packed: tuple[npt.NDArray[np.int32], Array] | None = None,
+) -> list[Any]:
+    """Fill a zk_model; what it points to must outlive the call, and is returned. ``known``: inertia
+    and bias by mechanism values; ``packed``: the joint's effects, where they are packed already.
+    """
+    lib, n = native(), record.n
+    p, ffi = lib.doubles, lib.ffi
+    kinds, table = packed or pack(model.at(record.joint))
+    values = tuple(
+        1.0 if key == "fixed" else mechanism_value(model, key, record.joint) for key in record.basis
+    ) + _body_numbers(model)
+    known = {} if known is None else known
+    if values not in known:
+        known[values] = record.inertia_and_bias(model)
+    inertia, bias = known[values]
+    k1, k2, w = record.gains(bandwidth)
+    rq, rqd = record.motion.states[0], record.motion.states[1]
+    m.n, m.sub, m.T, m.ucum, m.delay = (
+        n,
+        inner,
+        record.sample_time,
+        p(record.integral),
+        model.actuator.delay,
+    )
+    m.gain = per_joint(model.actuator.gain, record.joint, 1.0)
+    m.limit = per_joint(model.actuator.limit, record.joint, 0.0)
+    m.m, m.half, m.k1, m.k2, m.w = (
+        p(record.measurement.value),
+        p(record.measurement.half),
+        p(k1),
+        p(k2),
+        p(w),
+    )
+    fill_rigid(m, record, model, inertia, bias)
+    m.other, m.extra = p(record.others), ffi.NULL
+    own = own_terms(model.at(record.joint))
+    m.temperature = p(_felt(record, own))
+    m.nfx, m.kind, m.p = len(own), ffi.cast("int *", ffi.from_buffer(kinds)), p(table)
+    m.qd0 = float(rqd[0])
+    fill_shift(m, record, per_joint(model.sensor.offset, record.joint, 0.0))
+    soon = min(n - 1, max(1, round(AT_FIRST / record.sample_time)))
+    m.a0 = float(rqd[soon] - rqd[0]) / (soon * record.sample_time)
+    m.load_sensor = 1 if model.sensor.side == "load" else 0
+    m.reset, m.rq, m.rqd, m.t0 = 0, p(rq), p(rqd), record.t0
+    return [kinds, table, inertia, bias, k1, k2, w]
+
+
+def fill_rigid(m: Any, record: JointRecord, model: Model, inertia: Array, bias: Array) -> None:
+    """Fill in what the rigid body does; the arrays must outlive the call."""
+    p = native().doubles
+    m.inertia, m.bias, m.reference = p(inertia), p(bias), record.reference_inertia(model, inertia)
+    m.gravity = mechanism_value(model, "gravity", record.joint) if model.kind == "rotary" else 0.0
+
+
+def fill_shift(m: Any, record: JointRecord, offset: float) -> None:
+    """Fill in the sensor's zero, and with it where the prediction begins."""
+    m.shift = offset - record.base_offset
+    m.q0 = float(record.motion.states[0][0] + m.shift)
+
+
+def trace(record: JointRecord, model: Model, terms: tuple[Term, ...], speed_floor: float) -> Array:
+    """Resisting torque of some effects along the measured motion, (n,); dry friction smoothed over
+    ``speed_floor`` rad/s.
+    """
+    lib, n = native(), record.n
+    p, ffi = lib.doubles, lib.ffi
+    kinds, table = pack(terms)
+    m = ffi.new("zk_model *")
+    m.n, m.T, m.t0 = n, record.sample_time, record.t0
+    m.gain, m.limit = per_joint(model.actuator.gain, record.joint, 1.0), 0.0
+    m.other, m.nfx, m.temperature = p(record.others), len(own_terms(terms)), p(_felt(record, terms))
+    m.kind, m.p = ffi.cast("int *", ffi.from_buffer(kinds)), p(table)
+    motion = np.ascontiguousarray(record.motion.states)
+    out = np.empty(n)
+    lib.lib.zk_trace(m, p(motion), p(record.command), speed_floor, p(out))
+    return out
+
+
+def damping_along(record: JointRecord, model: Model) -> Array:
+    """Viscous torque for a unit of speed along the measured motion, (n,) N m s/rad or N s/m; each
+    direction has its own.
+    """
+    viscous = tuple(
+        t
+        for t in model.at(record.joint)
+        if (e := get_effect(t.effect)).site == "viscous" and e.mechanism == "fluid_friction"
+    )
+    if not viscous:
+        return np.zeros(record.n)
+    speed = record.motion.states[1]
+    moves = speed != 0.0
+    slope = trace(record, model, viscous, 0.0)[moves] / speed[moves]
+    out = np.full(record.n, np.mean(slope) if moves.any() else 0.0)
+    out[moves] = slope
+    return out
+
+
+def _felt(record: JointRecord, terms: tuple[Term, ...]) -> Array:
+    """The temperature column, (n,) °C; empty where there is none and no term asks for it.
+
+    Raises
+    ------
+    RecordingError
+        A term reads a column that the recording has not.
+    """
+    for term in terms:
+        for column in get_effect(term.effect).reads:
+            if column not in record.columns:
+                raise RecordingError(
+                    f"the model's {term.effect} of joint {term.joint} needs a column of {column}:"
+                    f" name it in [columns] {column}"
+                )
+    felt = record.columns.get("temperature", _NOTHING)
+    if len(felt) not in (0, record.n):
+        raise RecordingError(
+            f"temperature has {len(felt)} rows; expected {record.n}, as many as the position"
+        )
+    return felt
+
+
+def sensed(
+    record: JointRecord, model: Model, terms: tuple[Term, ...], position: Array | None = None
+) -> Array:
+    """What the position sensor adds to a motion, (n,) rad or m; the measured one where no
+    ``position`` is given.
+    """
+    lib = native()
+    p, ffi = lib.doubles, lib.ffi
+    q = np.ascontiguousarray(record.motion.states[0] if position is None else position)
+    kinds, table = pack(terms)
+    m, out = ffi.new("zk_model *"), np.empty(len(q))
+    m.n, m.nfx, m.kind, m.p = (
+        len(q),
+        len(terms),
+        ffi.cast("int *", ffi.from_buffer(kinds)),
+        p(table),
+    )
+    lib.lib.zk_sense(m, p(q), p(out))
+    return out
+
+
+def response(
+    record: JointRecord,
+    bandwidth: float,
+    inertia: Array,
+    damping: Array,
+    columns: Array,
+    *,
+    on_sensor: bool = False,
+) -> Array:
+    """What torque columns (m, n) do to the weighted innovations, to first order (m, n);
+    ``on_sensor``: position columns.
+    """
+    lib, n = native(), record.n
+    p = lib.doubles
+    k1, k2, w = record.gains(bandwidth)
+    columns = np.ascontiguousarray(np.atleast_2d(columns))
+    active = np.ones(n)
+    out = np.empty_like(columns)
+    lib.lib.zk_filter(
+        n,
+        record.sample_time,
+        p(k1),
+        p(k2),
+        p(w),
+        p(active),
+        p(np.ascontiguousarray(inertia)),
+        p(np.ascontiguousarray(damping)),
+        len(columns),
+        p(columns),
+        int(on_sensor),
+        p(out),
+    )
+    return out

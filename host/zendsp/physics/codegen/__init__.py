@@ -1,0 +1,1 @@
+"""Models and found effects as C."""

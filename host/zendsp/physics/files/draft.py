@@ -1,0 +1,428 @@
+"""A first model file from a recording: what its columns say, and questions where they say nothing.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from scipy.signal import savgol_filter
+
+from zendsp.errors import RecordingError
+from zendsp.physics.files.draft_data import (
+    PREFERRED,
+    WHOLE,
+    Group,
+    best_group,
+    finite,
+    groups_of,
+    is_behind,
+    like_degrees,
+)
+from zendsp.physics.kernel.signals import find_resolution
+from zendsp.recording import Table
+from zendsp.recording.roles import Role
+
+Array = npt.NDArray[np.float64]
+
+WINDOW_S = 0.05  # over which position is smoothed for a first idea of speed and acceleration
+EXPLAINS = 0.3  # share of the command's variance: below that no first idea is given
+MATTERS = 0.02  # share that gravity must add
+ROUGH = 0.15  # relative standard deviation of a first idea: what is missing bends it
+SATURATED = 20  # samples at the largest command: it was cut off there
+
+
+@dataclass(frozen=True)
+class Draft:
+    """The text of a model file, and the questions in it."""
+
+    text: str
+    joints: int
+    questions: tuple[str, ...]
+
+
+class _Page:
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self.questions: list[str] = []
+
+    def line(self, text: str = "", comment: str = "", ask: str = "") -> None:
+        if ask:
+            self.questions.append(ask)
+            self.lines.append(f"# ? {ask}")
+        if not comment:
+            self.lines += [text] if text or not ask else []
+        elif not text:
+            self.lines.append(f"# {comment}")
+        else:
+            self.lines.append(f"{text:<38} # {comment}")
+
+
+def draft_model(table: Table, name: str = "") -> Draft:
+    """A commented model file for the machine that a recording shows.
+
+    Columns are told by their names and units; sample time, resolution of the encoder, number of
+    joints and a first idea of the inertia come from the numbers. What they cannot tell stands as a
+    question, in comments with a ``?``.
+
+    Parameters
+    ----------
+    table : Table
+        As ``read_table`` gives it.
+    name : str
+        Of the model; default: of the file.
+
+    Returns
+    -------
+    Draft
+
+    Raises
+    ------
+    RecordingError
+        No column looks like a position.
+    """
+    groups = groups_of(table)
+    position = best_group(groups, Role.POSITION)
+    if position is None:
+        raise RecordingError(
+            f"{table.path}: no column looks like a position; it has {', '.join(table.columns)}. "
+            "Name one q, position or theta, or give its unit: 'x1 [rad]'"
+        )
+    joints = position.values.shape[1]
+    command = best_group(groups, Role.COMMAND, joints) or best_group(groups, Role.CURRENT, joints)
+    page = _Page()
+    page.line(
+        comment=(
+            f"Model of the machine in {table.path.name}, begun by: zendsp model new"
+            f" {table.path.name}"
+        )
+    )
+    page.line(
+        comment=(
+            "What the recording cannot tell is asked with a question mark, above its line."
+            " docs/models.md explains every key."
+        )
+    )
+    for note in table.notes:
+        page.line(comment=note)
+    for group in (position, command):
+        bad = 0 if group is None else int(np.sum(~np.isfinite(group.values)))
+        if group is not None and bad:
+            page.line(ask=f"{group.names[0]} has {bad} values that are no finite numbers: why?")
+    page.line(
+        "name ="
+        f" {json.dumps(name or table.path.name.partition('.')[0] or 'machine', ensure_ascii=False)}"
+    )
+    clock = best_group(groups, Role.TIME)
+    step = _sample_time(page, clock, table.path.name)
+    page.line()
+    linear = position.unit == "m"
+    _mechanism(page, position, command, step, linear)
+    _actuator(page, command, step, joints)
+    _sensor(page, position, linear)
+    page.line()
+    page.line(
+        comment=(
+            "The feedback law, where it is known: command = kp (reference - position) - kd"
+            " velocity."
+        )
+    )
+    for text in ("[controller]", 'kind = "pd"', "kp = 0.0", "kd = 0.0"):
+        page.line(comment=text)
+    _columns(page, table, groups, clock, position, command, joints)
+    return Draft("\n".join(page.lines) + "\n", joints, tuple(page.questions))
+
+
+def _sample_time(page: _Page, clock: Group | None, file: str) -> float:
+    if clock is None:
+        page.line(
+            "sample_time = 0.001", "s", ask="there is no time column: how far are two rows apart?"
+        )
+        return 1e-3
+    if len(clock.values) < 2:
+        raise RecordingError(f"{file}: has {len(clock.values)} row; a recording has many")
+    steps = np.diff(clock.values[:, 0])
+    step = float(np.median(steps))
+    if not np.isfinite(step) or step <= 0:
+        raise RecordingError(
+            f"{file}: column {clock.names[0]!r} looks like time and does not run forwards: sort the"
+            " rows, or give two runs as two files"
+        )
+    shown, even = float(f"{step:.6g}"), float(f"{step:.3g}")
+    shown = even if abs(even / step - 1) < 1e-3 else shown
+    missing = int(np.sum(np.round(steps / step) - 1, where=steps > 1.5 * step, initial=0.0))
+    jitter = float(np.max(np.abs(steps[steps < 1.5 * step] - step))) / step
+    gaps = f", {missing} row{'s' if missing > 1 else ''} missing" if missing else ""
+    if shown > 0.1:
+        page.line(
+            f"sample_time = {shown:g}",
+            "s",
+            ask="is that column in seconds? Its steps are long; write its unit: 't [ms]'",
+        )
+    else:
+        page.line(
+            f"sample_time = {shown:g}",
+            f"s: median of {clock.names[0]}"
+            + (f", jitter up to {jitter:.0%}" if jitter > 0.02 else "")
+            + gaps,
+        )
+    return shown
+
+
+def _mechanism(
+    page: _Page, position: Group, command: Group | None, step: float, linear: bool
+) -> None:
+    joints = position.values.shape[1]
+    page.line("[mechanism]")
+    kinds = "rotary | linear | planar2r | urdf | mjcf | fmu | python"
+    page.line(f'kind = "{"linear" if linear else "rotary"}"', kinds, _unit_asked(position))
+    if joints > 1:
+        page.line(
+            comment="",
+            ask=(
+                f"do the {joints} joints act on one another, as in an arm? Then a URDF says it"
+                ' best: kind = "urdf", file = "arm.urdf"; or a MuJoCo model: kind = "mjcf"'
+            ),
+        )
+    page.line("[mechanism.parameters]")
+    _numbers(page, position, command, step, linear)
+    page.line()
+    page.line(
+        comment=(
+            "Physics that you know already; names and parameters as in docs/effects.md. What is"
+            " missing is for zendsp diagnose to find."
+        )
+    )
+    for text in (
+        "[[effect]]",
+        'kind = "viscous"',
+        "joint = 1",
+        f"coefficient = {{ value = 0.01 }}  # {'N s/m' if linear else 'N m s/rad'}",
+    ):
+        page.line(comment=text)
+
+
+def _unit_asked(position: Group) -> str:
+    """The question after the unit of the position, empty where it has one."""
+    name = position.names[0]
+    if position.unit in ("rad", "m"):
+        return ""
+    if like_degrees(position):
+        return (
+            f"{name} has no known unit and looks like degrees: write '{name} [deg]' in its head,"
+            " and begin anew"
+        )
+    if position.unit:
+        return (
+            f"{name}: the unit {position.unit!r} is not known: write a known one in its head,"
+            f" such as '{name} [deg]' or '{name} [mm]', and begin anew"
+        )
+    return f"{name} has no unit: does it turn (rad) or slide (m)?"
+
+
+def _numbers(
+    page: _Page, position: Group, command: Group | None, step: float, linear: bool
+) -> None:
+    """Inertia and gravity, as the recording suggests them."""
+    key, unit = ("mass", "kg") if linear else ("inertia", "kg m^2")
+    ideas = [
+        _idea(position.values[:, j], command.values[:, j], step, linear) if command else None
+        for j in range(position.values.shape[1])
+    ]
+    values = [float(f"{idea.inertia:.3g}") if idea else 0.01 for idea in ideas]
+    rough = ROUGH if all(ideas) else 1.0  # of the first number: a model file keeps one a list
+    torque = command is not None and command.unit in ("N m", "Nm", "N")
+    said, ask = unit, f"the recording does not show the {key}: what does the drawing say?"
+    if all(ideas):
+        shares = ", ".join(f"{idea.share:.0%}" for idea in ideas if idea)
+        said = f"{unit}: a first idea; with friction it explains {shares} of the command"
+        gain = f"the number below is for a gain of 1: times the actuator's gain it is in {unit}"
+        ask = "" if torque else gain
+    page.line(f"{key} = {{ {_rough(values, rough)} }}", said, ask=ask)
+    gravity = [float(f"{idea.gravity:.3g}") if idea else 0.0 for idea in ideas]
+    if not linear and any(gravity):
+        page.line(
+            f"gravity = {{ {_rough(gravity, ROUGH)} }}",
+            "N m, times sin(q)",
+            ask="is q = 0 where it hangs down?",
+        )
+    elif not linear:
+        page.line(
+            comment="gravity = { value = 0.1 }: N m, times sin(q), q = 0 hanging down; none is seen"
+        )
+
+
+def _rough(values: list[float], share: float) -> str:
+    """Numbers, and how well they are known: a calibration that moves them by less is no finding."""
+    return f"value = {_list(values)}, std = {share * max(values):.2g}"
+
+
+@dataclass(frozen=True)
+class _Idea:
+    inertia: float
+    gravity: float
+    share: float
+
+
+def _idea(q: Array, u: Array, step: float, linear: bool) -> _Idea | None:
+    """Inertia and gravity by least squares beside friction and a bias; None where the command is
+    hardly explained.
+    """
+    window = max(5, 2 * round(WINDOW_S / step / 2) + 1)
+    if len(q) < 4 * window or not (np.isfinite(q).all() and np.isfinite(u).all()) or np.std(u) == 0:
+        return None
+    speed, acceleration = (savgol_filter(q, window, 3, deriv=d, delta=step) for d in (1, 2))
+    smooth = savgol_filter(u, window, 3)
+    moving = np.abs(speed) > 0.02 * np.max(np.abs(speed))
+    base = [acceleration, speed, np.sign(speed), np.ones_like(q)]
+
+    def fit(columns: list[Array]) -> tuple[Array, float]:
+        a, b = np.column_stack(columns)[moving], smooth[moving]
+        x: Array = np.linalg.lstsq(a, b, rcond=None)[0]
+        return x, 1.0 - float(np.var(b - a @ x) / max(np.var(b), 1e-300))
+
+    if np.count_nonzero(moving) < 10 * len(base):
+        return None
+    x, share = fit(base)
+    gravity = 0.0
+    if not linear:
+        with_gravity, more = fit([*base, np.sin(q)])
+        if more - share > MATTERS and with_gravity[4] > 0:
+            x, share, gravity = with_gravity, more, float(with_gravity[4])
+    return _Idea(float(x[0]), gravity, share) if share > EXPLAINS and x[0] > 0 else None
+
+
+def _actuator(page: _Page, command: Group | None, step: float, joints: int) -> None:
+    page.line()
+    page.line("[actuator]")
+    if command is None:
+        page.line(
+            "gain = { value = 1.0, free = false }",
+            ask="no column looks like the command: which one is it? (see [columns])",
+        )
+        return
+    if command.unit in ("N m", "Nm", "N"):
+        page.line(
+            "gain = { value = 1.0, free = false }", f"{command.unit} per {command.unit} of command"
+        )
+    elif not command.unit and any(word in command.names[0].lower() for word in PREFERRED[:4]):
+        page.line("gain = { value = 1.0, free = false }", ask=f"is {command.names[0]} in N m (N)?")
+    else:
+        unit = command.unit or "unit"
+        page.line(
+            "gain = { value = 1.0, free = false }",
+            ask=f"how many N m (N) does one {unit} of {command.names[0]} make?",
+        )
+    if command.unit:
+        page.line(f"unit = {json.dumps(command.unit, ensure_ascii=False)}")
+    peaks = np.max(np.abs(command.values), axis=0)
+    cut = np.sum(np.abs(command.values) > 0.9995 * peaks, axis=0) >= SATURATED
+    if np.any(cut & (peaks > 0)):
+        limits = [float(f"{p:.4g}") if c else 0.0 for p, c in zip(peaks, cut, strict=True)]
+        page.line(
+            f"limit = {_list(limits)}",
+            "the command stayed at this value again and again; 0: none seen",
+        )
+    else:
+        page.line(
+            comment=(
+                f"limit = {_list([float(f'{p:.3g}') for p in peaks])}: the largest command seen"
+            ),
+            ask="where does the drive cut off?",
+        )
+    page.line(
+        f"hold = {float(f'{step:.6g}'):g}",
+        "s: how long a command acts; the sample time, unless the drive is faster",
+    )
+    page.line(
+        "delay = 0.0",
+        "s",
+        ask=(
+            "how long until a command acts? One sample is common; on a zendsp target it is one"
+            f" ({step:.6g} s where every sample was recorded) and the drive's current loop"
+        ),
+    )
+
+
+def _sensor(page: _Page, position: Group, linear: bool) -> None:
+    page.line()
+    page.line("[sensor]")
+    steps = [find_resolution(finite(column)) for column in position.values.T]
+    unit = "m" if linear else "rad"
+    if all(steps):
+        said = f"{unit} per count, as the numbers are spaced"
+        turns = [2 * np.pi / s for s in steps]
+        if not linear and all(
+            abs(turn - round(turn)) < WHOLE * max(1.0, turn / 1e4) for turn in turns
+        ):
+            said += (
+                f": {', '.join(str(round(turn)) for turn in dict.fromkeys(turns))} counts a turn"
+            )
+        page.line(f"position_resolution = {_list([float(f'{s:.8g}') for s in steps])}", said)
+    else:
+        page.line(
+            comment=f"position_resolution = 0.001: {unit} per count",
+            ask="no steps are seen: what does the encoder resolve?",
+        )
+    page.line(
+        'side = "motor"', ask='is the encoder on the motor, or behind gear and spring ("load")?'
+    )
+
+
+def _columns(
+    page: _Page,
+    table: Table,
+    groups: dict[Role, list[Group]],
+    clock: Group | None,
+    position: Group,
+    command: Group | None,
+    joints: int,
+) -> None:
+    page.line()
+    page.line("[columns]")
+    chosen: dict[str, Group] = {}
+    if clock is not None:
+        chosen["time"] = clock
+    chosen["position"] = position
+    if command is not None:
+        chosen["command"] = command
+    for role in (
+        Role.REFERENCE,
+        Role.VELOCITY,
+        Role.CURRENT,
+        Role.TEMPERATURE,
+        Role.TORQUE_MEASURED,
+    ):
+        group = best_group(groups, role, joints)
+        if group is not None and group is not command:
+            chosen[role.value] = group
+    behind = [
+        g
+        for g in groups.get(Role.POSITION, [])
+        if g is not position and g.values.shape[1] == joints and is_behind(g)
+    ]
+    if behind:
+        chosen["position_load"] = behind[0]
+    for key, group in chosen.items():
+        page.line(f"{key} = {group.spec}", group.unit)
+    if command is None:
+        page.line(comment='command = "…"')
+    used = {name for group in chosen.values() for name in group.names}
+    rest = [name for name in table.columns if name not in used]
+    if rest:
+        page.line(comment=f"not used: {', '.join(rest)}")
+    for name, value in list(table.constants.items())[:12]:
+        page.line(comment=f"also in the file: {name} = {value:g}")
+
+
+def _list(values: list[float]) -> str:
+    same = values[0] if len(values) == 1 else values
+    return json.dumps(same)
+
+
+def model_name(path: Path) -> Path:
+    """Name of the model file for a recording: beside the user, not beside the data."""
+    return Path(f"{path.name.partition('.')[0] or 'model'}.toml")

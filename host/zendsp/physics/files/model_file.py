@@ -1,0 +1,374 @@
+"""Reads and writes model files (TOML), naming the key and what was expected wherever one is wrong.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from zendsp.errors import ModelError
+from zendsp.physics.effects import get_effect
+from zendsp.physics.files.shipped import find_model
+from zendsp.physics.model import (
+    KINDS,
+    PARAMETERS,
+    REQUIRED,
+    Actuator,
+    Discrepancy,
+    Model,
+    Quantity,
+    Robot,
+    Sensor,
+    Term,
+)
+from zendsp.physics.robots.robot import joint_kinds, stated
+from zendsp.spelling import unknown_keys
+from zendsp_protocol import toml
+
+OF_MJCF = ("joints", "take")
+OF_FMU = ("inputs", "outputs", "start_position", "start_velocity", "time_limit")
+KEYS = {  # of each table, whether this version uses the value or only knows it
+    "": (
+        "name",
+        "sample_time",
+        "mechanism",
+        "effect",
+        "actuator",
+        "sensor",
+        "controller",
+        "columns",
+        "limits",
+        "discrepancy",
+    ),
+    "mechanism": ("kind", "parameters", "file", "entry", "folder", *OF_MJCF, *OF_FMU),
+    "actuator": ("gain", "limit", "hold", "delay", "matrix", "unit"),
+    "sensor": ("position_resolution", "matrix", "offset", "side"),
+    "controller": ("kind", "kp", "kd", "ki", "cutoff"),
+    "columns": (
+        "time",
+        "position",
+        "command",
+        "reference",
+        "velocity",
+        "current",
+        "temperature",
+        "position_load",
+        "torque_measured",
+    ),
+    "limits": ("position",),
+    "discrepancy": ("torque", "state"),
+}
+NEEDED = {"urdf": "file", "mjcf": "file", "fmu": "file", "python": "entry"}
+TAKE = ("all", "bodies", "servos")  # of an MJCF
+QUANTITY = ("value", "free", "unit", "std")
+
+
+class _Reader:
+    def __init__(self, path: str) -> None:
+        self.path = path
+
+    def fail(self, key: str, expected: str, got: Any) -> ModelError:
+        return ModelError(f"{self.path}: {key} = {got!r}: expected {expected}")
+
+    def table(self, data: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+        value = data.get(key, {})
+        if not isinstance(value, Mapping):
+            raise self.fail(f"[{key}]", "a table", value)
+        return value
+
+    def only(self, data: Mapping[str, Any], allowed: Collection[str], where: str) -> None:
+        """Refuse keys that nobody would read."""
+        if said := unknown_keys(data, allowed, f"{self.path}: {where}"):
+            raise ModelError(said)
+
+    def number(self, key: str, value: Any, positive: bool = False) -> float:
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, int | float)
+            or not math.isfinite(value)
+        ):
+            raise self.fail(key, "a finite number", value)
+        if positive and value <= 0:
+            raise self.fail(key, "a number above 0", value)
+        return float(value)
+
+    def numbers(self, key: str, value: Any, least: float = -math.inf) -> tuple[float, ...]:
+        items = value if isinstance(value, list) else [value]
+        numbers = tuple(self.number(key, item) for item in items)
+        if not numbers or min(numbers) < least:
+            raise self.fail(
+                key, f"numbers of at least {least:g}" if numbers else "at least one number", value
+            )
+        return numbers
+
+    def matrix(self, key: str, value: Any) -> tuple[tuple[float, ...], ...]:
+        if not isinstance(value, list) or not all(isinstance(row, list) for row in value):
+            raise self.fail(key, "a list of rows", value)
+        rows = tuple(self.numbers(key, row) for row in value)
+        if len({len(row) for row in rows}) != 1 or len(rows) != len(rows[0]):
+            raise self.fail(key, "a square matrix", value)
+        return rows
+
+    def quantities(self, key: str, value: Any) -> tuple[Quantity, ...]:
+        table = value if isinstance(value, Mapping) else {"value": value}
+        self.only(table, QUANTITY, key)
+        if "value" not in table:
+            raise self.fail(key, "{ value = … }", value)
+        free = table.get("free", True)
+        if not isinstance(free, bool):
+            raise self.fail(f"{key}.free", "true or false", free)
+        std = self.number(f"{key}.std", table.get("std", 0.0))
+        if std < 0:
+            raise self.fail(f"{key}.std", "a number of at least 0", std)
+        return tuple(
+            Quantity(
+                v,
+                free,
+                str(table.get("unit", "")),
+                std,
+            )
+            for v in self.numbers(f"{key}.value", table["value"])
+        )
+
+
+def load_model(path: str | Path) -> Model:
+    """Read a model file.
+
+    Parameters
+    ----------
+    path : str or Path
+        A TOML file as in docs/models.md, or the name of one that comes with zendsp.
+
+    Returns
+    -------
+    Model
+
+    Raises
+    ------
+    ModelError
+        Where the file cannot be read or a key is not what the contract says; the message names the
+        key.
+    """
+    path = find_model(path)
+    try:
+        data = toml.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise ModelError(f"{path}: cannot be read: {error}") from error
+    except tomllib.TOMLDecodeError as error:
+        raise ModelError(f"{path}: is not TOML: {error}") from error
+    return parse_model(data, str(path))
+
+
+def parse_model(data: Mapping[str, Any], path: str = "model") -> Model:
+    """Turn the contents of a model file into a Model; see ``load_model``.
+
+    Parameters
+    ----------
+    data : mapping
+        What the TOML file holds.
+    path : str
+        Of the file: named in errors, and its folder is where a URDF or a Python simulator is looked
+        for.
+
+    Returns
+    -------
+    Model
+
+    Raises
+    ------
+    ModelError
+        Which key, what was expected, what stands there.
+    """
+    read = _Reader(path)
+    _check_keys(read, data)
+    mechanism = read.table(data, "mechanism")
+    kind, values = _mechanism(read, mechanism, path)
+    # of the URDF or the Python module
+    folder = Path(path).parent / str(mechanism.get("folder", ""))
+    sample_time = data.get("sample_time")
+    model = Model(
+        name=str(data.get("name", Path(path).stem)),
+        sample_time=(
+            None if sample_time is None else read.number("sample_time", sample_time, positive=True)
+        ),
+        kind=kind,
+        mechanism=values,
+        actuator=_actuator(read, read.table(data, "actuator")),
+        sensor=_sensor(read, read.table(data, "sensor")),
+        controller=dict(read.table(data, "controller")),
+        columns=dict(read.table(data, "columns")),
+        file=str(mechanism.get("file", "")),
+        entry=str(mechanism.get("entry", "")),
+        limits=dict(read.table(data, "limits")),
+        discrepancy=_discrepancy(read, read.table(data, "discrepancy")),
+        folder=folder,
+        fmu=_fmu(read, mechanism) if kind == "fmu" else {},
+    )
+    own: tuple[Term, ...] = ()
+    if kind == "mjcf":
+        robot = _robot(read, mechanism, "gain" in read.table(data, "actuator"))
+        own, actuator, robot = stated(replace(model, robot=robot), robot)
+        model = replace(model, actuator=actuator, robot=robot)
+    model = replace(model, joint_kinds=joint_kinds(model))
+    effects = data.get("effect", [])
+    if not isinstance(effects, list):
+        raise read.fail("[[effect]]", "an array of tables", effects)
+    return model.with_terms(
+        (*own, *(_term(read, item, model.joints) for item in effects))
+    )
+
+
+def _check_keys(read: _Reader, data: Mapping[str, Any]) -> None:
+    """Refuse keys that no model file has, and columns that are no names."""
+    read.only(data, KEYS[""], "the file")
+    for key, allowed in KEYS.items():
+        if key:
+            read.only(read.table(data, key), allowed, f"[{key}]")
+    for key, column in read.table(data, "columns").items():
+        if not isinstance(column, str) and not (
+            isinstance(column, list) and all(isinstance(name, str) for name in column)
+        ):
+            raise read.fail(f"[columns] {key}", "the name of a column, or a list of names", column)
+
+
+def _mechanism(
+    read: _Reader, mechanism: Mapping[str, Any], path: str
+) -> tuple[str, dict[str, tuple[Quantity, ...]]]:
+    """Kind and parameters of a mechanism, with all that its kind needs."""
+    kind = mechanism.get("kind")
+    if kind not in KINDS:
+        raise read.fail("[mechanism] kind", " | ".join(KINDS), kind)
+    for key, needed in NEEDED.items():
+        if kind == key and not isinstance(mechanism.get(needed), str):
+            raise read.fail(f"[mechanism] {needed}", "a string", mechanism.get(needed))
+    parameters = read.table(mechanism, "parameters")
+    known = PARAMETERS[kind]
+    if known is not None:
+        read.only(parameters, known, f"[mechanism.parameters] of kind {kind!r}")
+    for owner, keys in (("mjcf", OF_MJCF), ("fmu", OF_FMU)):
+        for key in keys:
+            if key in mechanism and kind != owner:
+                raise ModelError(
+                    f"{path}: [mechanism] {key} belongs to kind = {owner!r}, not {kind!r}"
+                )
+    values = {
+        key: read.quantities(f"[mechanism.parameters] {key}", value)
+        for key, value in parameters.items()
+    }
+    for key in REQUIRED[kind]:
+        if key not in values:
+            raise ModelError(
+                f"{path}: [mechanism.parameters] lacks {key!r}, which kind = {kind!r} needs"
+            )
+        if key in ("inertia", "mass", "p1", "p2") and any(q.value <= 0 for q in values[key]):
+            raise read.fail(
+                f"[mechanism.parameters] {key}", "a number above 0", values[key][0].value
+            )
+    return kind, values
+
+
+def _fmu(read: _Reader, mechanism: Mapping[str, Any]) -> dict[str, Any]:
+    out: dict[str, Any] = {}
+    for key in OF_FMU:
+        if key not in mechanism:
+            continue
+        value = mechanism[key]
+        if key == "time_limit":
+            out[key] = read.number("[mechanism] time_limit", value, positive=True)
+            continue
+        names = [value] if isinstance(value, str) else value
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            raise read.fail(f"[mechanism] {key}", "a variable's name, or a list of names", value)
+        out[key] = names
+    return out
+
+
+def _robot(read: _Reader, mechanism: Mapping[str, Any], commands: bool) -> Robot:
+    names = mechanism.get("joints", [])
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise read.fail("[mechanism] joints", "a list of names", names)
+    take = mechanism.get("take", "all")
+    if take not in TAKE:
+        raise read.fail("[mechanism] take", " | ".join(TAKE), take)
+    return Robot(tuple(names), take, commands)
+
+
+def _actuator(read: _Reader, data: Mapping[str, Any]) -> Actuator:
+    gain = read.quantities("[actuator] gain", data.get("gain", {"value": 1.0, "free": False}))
+    if any(q.value == 0 for q in gain):
+        raise read.fail("[actuator] gain", "torque per unit of command, not 0", data["gain"])
+    explicit = isinstance(data.get("gain"), Mapping) and data["gain"].get("free", False)
+    return Actuator(
+        gain=tuple(q.value for q in gain),
+        gain_free=bool(explicit),
+        limit=read.numbers("[actuator] limit", data["limit"], least=0.0) if "limit" in data else (),
+        hold=(
+            read.number("[actuator] hold", data["hold"], positive=True) if "hold" in data else None
+        ),
+        delay=read.numbers("[actuator] delay", data.get("delay", 0.0), least=0.0)[0],
+        matrix=read.matrix("[actuator] matrix", data["matrix"]) if "matrix" in data else (),
+        unit=str(data.get("unit", "")),
+    )
+
+
+def _sensor(read: _Reader, data: Mapping[str, Any]) -> Sensor:
+    side = data.get("side", "motor")
+    if side not in ("motor", "load"):
+        raise read.fail("[sensor] side", '"motor" or "load"', side)
+    return Sensor(
+        resolution=(
+            read.numbers("[sensor] position_resolution", data["position_resolution"], least=0.0)
+            if "position_resolution" in data
+            else ()
+        ),
+        matrix=read.matrix("[sensor] matrix", data["matrix"]) if "matrix" in data else (),
+        offset=read.numbers("[sensor] offset", data["offset"]) if "offset" in data else (),
+        side=side,
+    )
+
+
+def _discrepancy(read: _Reader, data: Mapping[str, Any]) -> Discrepancy:
+    return Discrepancy(
+        *(
+            read.numbers(f"[discrepancy] {key}", data[key], least=0.0) if key in data else ()
+            for key in KEYS["discrepancy"]
+        )
+    )
+
+
+def _term(read: _Reader, data: Any, joints: int) -> Term:
+    if not isinstance(data, Mapping) or "kind" not in data:
+        raise read.fail("[[effect]]", 'a table with kind = "…"', data)
+    effect = get_effect(str(data["kind"]))
+    where = f"[[effect]] {effect.name}"
+    read.only(data, ("kind", "joint", *(parameter.name for parameter in effect.parameters)), where)
+    joint = data.get("joint", 1)
+    if not isinstance(joint, int) or isinstance(joint, bool) or not 1 <= joint <= joints:
+        raise read.fail(f"{where} joint", f"1 … {joints}", joint)
+    values: dict[str, Quantity] = {}
+    for parameter in effect.parameters:
+        raw = data.get(parameter.name)
+        if parameter.choices and isinstance(raw, str):
+            if raw not in parameter.choices:
+                raise read.fail(f"{where} {parameter.name}", " | ".join(parameter.choices), raw)
+            raw = {"value": parameter.choices.index(raw), "free": False}
+        if raw is None:
+            if parameter.default is None:
+                raise ModelError(f"{read.path}: {where} lacks {parameter.name!r}")
+            values[parameter.name] = Quantity(parameter.default, free=False)
+            continue
+        quantity = read.quantities(f"{where} {parameter.name}", raw)[0]
+        if not parameter.lower <= quantity.value <= parameter.upper:
+            raise read.fail(
+                f"{where} {parameter.name}",
+                f"a number from {parameter.lower:g} to {parameter.upper:g}",
+                quantity.value,
+            )
+        values[parameter.name] = (
+            quantity if parameter.fitted else Quantity(quantity.value, False, quantity.unit)
+        )
+    return Term(effect.name, joint, values)

@@ -1,0 +1,1 @@
+"""What is compiled for the estimators, and the filters built on it."""

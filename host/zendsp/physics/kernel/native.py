@@ -1,0 +1,196 @@
+"""Builds the C of this room (kernel and filters, completed with the library of effects) and opens
+it through cffi.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+import re
+import subprocess
+import tempfile
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import cffi
+
+from zendsp.errors import ZendspError
+from zendsp.physics.effects import Effect, library
+from zendsp_isr.build import cache_root
+from zendsp_isr.compiler import find_compiler
+
+FAST = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC")
+FLAGS = (*FAST, "-std=c11", "-fopenmp-simd")
+
+CDEF = """
+typedef struct {
+    int n; int sub; double T; const double *ucum; double delay; double gain; double limit;
+    const double *m; double shift; const double *half; const double *k1; const double *k2; const double *w;
+    const double *inertia; const double *bias; double reference; double gravity; const double *other; const double *temperature;
+    const double *extra;
+    int nfx; const int *kind; const double *p; double q0; double qd0; double a0; int load_sensor; int beyond; int reset;
+    const double *rq; const double *rqd; double t0;
+    double kp; double kd; const double *ref; double resolution; double *uloop;
+} zk_model;
+int zk_run(const zk_model *M, double *r, double *xq, double *xqd, double *torque);
+int zk_run_lanes(const zk_model *M, double *r);
+void zk_trace(const zk_model *M, const double *motion, const double *u, double v0, double *out);
+void zk_sense(const zk_model *M, const double *q, double *out);
+void zk_filter(int n, double T, const double *k1, const double *k2, const double *w, const double *active,
+               const double *inertia, const double *damp, int cols, const double *d, int meas, double *out);
+void zf_gains(int n, double T, double sa, const double *R, double *k1, double *k2, double *w);
+double zf_smooth(int n, double T, double sd, double sd0, const double *a_in, const double *m, const double *half, const double *R,
+                 double q0, double v0, double *work, double *out, double *var);
+"""  # noqa: E501
+
+LANES = 8  # parameter sets that ``zk_run_lanes`` takes at once
+
+_PLACES = {  # of an effect: the mark in observer.c, and what is done there for each lane
+    "torque": ("FORCE", "EACH torque[l] += OF(fx_{name})(p, S, l);"),
+    "viscous": ("FORCE", "EACH visc[l] += OF(fx_{name})(p, S, l);"),
+    "scale": (
+        "FORCE",
+        "EACH {{ const double c = OF(fx_{name})(p, S, l); scale[l] *= c; thick[l] *= c; }}",
+    ),
+    "dry_scale": ("FORCE", "EACH scale[l] *= OF(fx_{name})(p, S, l);"),
+    "drive": (
+        "FORCE",
+        (
+            "EACH {{ const double c = OF(fx_{name})(p, S, l, S->tau[l]); torque[l] += S->tau[l] -"
+            " c; S->tau[l] = c; }}"
+        ),
+    ),
+    "dry": ("DRY", "EACH level[l] += OF(fx_{name})(p, S, l, v[l] > 0 ? 1 : -1);"),
+    "actuator": ("ACTUATOR", "EACH u[l] = OF(fx_{name})(p, S, l, u[l]);"),
+    "sensor": ("SENSOR", "EACH out[l] += OF(fx_{name})(p, S, l);"),
+    "setup": ("SETUP", "{c}"),
+}
+# what is fetched where an effect's C names it
+_LOOKS = {r"\boqd*\b": "LOOK_AT((int)p[0]) ", r"\btemp\b": "FEEL "}
+_MARKS = {"drive": "drives", "sensor": "senses"}  # what else is done where a model has one
+_MORE = {"dry": ", int dir", "actuator": ", double u", "drive": ", double tau"}
+
+
+def source_text(effects: dict[str, Effect]) -> str:
+    """The complete C source for a library of effects; the index of an effect is its place in the
+    mapping.
+    """
+    functions: list[str] = []
+    cases: dict[str, list[str]] = {mark: [] for mark, _ in _PLACES.values()}
+    for i, effect in enumerate(effects.values()):
+        if effect.site == "body":
+            continue
+        if effect.site not in _PLACES:
+            raise ZendspError(f"effect {effect.name!r}: unknown site {effect.site!r}")
+        mark, done = _PLACES[effect.site]
+        looks = "".join(look for name, look in _LOOKS.items() if re.search(name, effect.c))
+        cases[mark].append(f"case {i}: {looks}{done.format(name=effect.name, c=effect.c)} break;")
+        if effect.site in _MARKS:
+            cases["SETUP"].append(f"case {i}: {_MARKS[effect.site]} = 1; break;")
+        if effect.site == "setup":
+            continue
+        head = f"(const double *p, const OF(state) *s, int l{_MORE.get(effect.site, '')})"
+        functions.append(
+            f"static inline double OF(fx_{effect.name}){head} {{ {_of_lane(effect)} }}"
+        )
+    room = resources.files("zendsp.physics.kernel")
+    observer = (room / "observer.c").read_text()
+    for mark, lines in cases.items():
+        observer = observer.replace(f"/* EFFECT_CASES_{mark} */", "\n".join(lines))
+    observer = observer.replace("/* EFFECT_FUNCTIONS */", "\n".join(functions))
+    kernel = (room / "kernel.c").read_text().replace("/* OBSERVER */", observer)
+    return f"#define MANY {LANES}\n" + kernel + (room / "filter.c").read_text()
+
+
+def _of_lane(effect: Effect) -> str:
+    """The C of an effect with its parameters and its state taken from lane l."""
+    other = re.search(r"\bp\b(?!\s*\[)|\bs\b(?!\s*->)", effect.c)
+    if other:
+        raise ZendspError(
+            f"effect {effect.name!r}: {other[0]!r} stands alone in {effect.c!r}; write p[0], p[1],"
+            " … and s->q, s->qd, s->qdd, s->t, s->temp, s->u, s->tau"
+        )
+    body = re.sub(r"\bp\s*\[([^\]]+)\]", r"p[(\1) * LANES + l]", effect.c)
+    return re.sub(r"\bs\s*->\s*(q|qd|qdd|u|tau|t|temp|oq|oqd|oqdd)\b", r"s->\1[l]", body)
+
+
+def _machine() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        return next(
+            (line for line in lines if line.startswith(("flags", "Features"))), platform.processor()
+        )
+    except OSError:
+        return platform.machine()
+
+
+def build(source: str, flags: tuple[str, ...] = FLAGS) -> Path:
+    """Compile C source to a shared object, cached by content, compiler and CPU.
+
+    Parameters
+    ----------
+    source : str
+        C source.
+    flags : tuple of str
+        Compiler flags.
+
+    Returns
+    -------
+    Path
+        The shared object.
+
+    Raises
+    ------
+    ZendspError
+        With the compiler's words where it refuses.
+    CompileFailed
+        There is no compiler; the message says what to install.
+    """
+    compiler = find_compiler().command
+    key = hashlib.sha256(
+        "\0".join([source, *flags, *compiler, _machine(), platform.machine()]).encode()
+    ).hexdigest()[:24]
+    target = cache_root() / f"physics-{key}.so"
+    if target.exists():
+        return target
+    with tempfile.TemporaryDirectory(dir=cache_root()) as folder:
+        code, out = Path(folder) / "physics.c", Path(folder) / "physics.so"
+        code.write_text(source)
+        run = subprocess.run(
+            [*compiler, *flags, str(code), "-o", str(out), "-lm"],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if run.returncode:
+            raise ZendspError(f"the C compiler refused the physics kernel:\n{run.stderr[-4000:]}")
+        out.replace(target)  # atomic: several processes may build at once
+    return target
+
+
+class Native:
+    """The opened library; one per set of effects."""
+
+    def __init__(self, effects: dict[str, Effect]) -> None:
+        self.ffi: Any = cffi.FFI()
+        self.ffi.cdef(CDEF)
+        self.lib: Any = self.ffi.dlopen(str(build(source_text(effects))))
+        self._doubles = self.ffi.typeof("double[]")
+        self.index = {name: i for i, name in enumerate(effects)}
+
+    def doubles(self, array: Any) -> Any:
+        """Pointer to a C-contiguous float64 array, which must outlive the call."""
+        return self.ffi.from_buffer(self._doubles, array)
+
+
+_opened: dict[tuple[str, ...], Native] = {}
+
+
+def native() -> Native:
+    """The library for the present set of effects, compiled at first use."""
+    effects = library()
+    key = tuple(effects)
+    if key not in _opened:
+        _opened[key] = Native(effects)
+    return _opened[key]

@@ -1,0 +1,340 @@
+"""What a position sensor really says: quantiser edges, noise variance per sample, and the smoothed
+motion behind them.
+
+While a joint crosses less than half a count per sample, a constant code says only that the position
+lies in an interval, and the moment at which the code changes says where it is to a fraction of a
+count: code changes are used as measurements, plateaus as intervals. Faster motion is treated as
+position plus white noise of variance resolution²/12.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import uniform_filter1d
+
+from zendsp.physics.kernel.native import native
+
+Array = npt.NDArray[np.float64]
+
+EDGE_FLOOR = 0.05  # counts: no edge of a real encoder is known better
+PACE = 41  # samples, over which a speed is taken to tell moving from standing
+MOVING = 0.75  # counts a sample: from there on rounding is as good as white
+STANDING = 0.1  # counts a sample: below, a joint hardly moves
+ENOUGH = 200  # samples of either kind that tell a variance
+SPEED_OVER = 0.02  # s, over which the speed of measurements is taken
+SLOW = 0.5  # counts a sample: below, a constant code says only where the position may lie
+DITHERED = 0.3  # counts of noise beside quantisation: from there on a code is a mean, no interval
+
+# of a lattice: the steps that are looked at, and how they lie
+SMALL = 1e-9  # of the span: a smaller step is rounding of the numbers
+SMALLEST = 0.001  # quantile of the steps that is taken for one count, to begin with
+ONE = 1.5  # counts: a step below is one count
+STEPS = 10  # that must be there to tell
+COUNTED = 200  # counts: of longer steps the digits printed no longer tell whole ones
+OFF, ON = 0.02, 0.98  # of a count off a whole one at most, in so many of the steps
+
+# sums of uniform errors have shorter tails than normal ones, which the median takes for up to a
+# fifth more variance
+SHORT_TAILS = 1.2
+FOURTH = 70  # sum of the squared binomials of a fourth difference
+MEDIAN = 0.6745  # median absolute deviation of a normal variable of standard deviation 1
+
+# of noise without a lattice: how differences over twice the samples grow
+SMOOTH_GROWTH = 12.0  # less than the 16 of a smooth motion
+WHITE_GROWTH = 1.2  # more than the 1 of white noise
+PER_STRIDE = 100  # samples a sample of stride
+
+# of a joint that hardly moves
+FLIPS = 20  # changes of the code that must be there to tell
+BACK = 0.25  # of them that go back: below, it is motion
+FEW_SAMPLES = 0.4  # counts of noise at least, where all changes go back and few samples stand
+# Rounding noise of s counts, over all places between two codes: a variance of s / sqrt(pi) while s
+# is small, and s^2 + 1/12 from a third of a count on, where the two meet.
+MEET = 0.17
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """Per sample: value, half width of the interval that says nothing, variance (negative: no
+    information). Shapes (n,).
+    """
+
+    value: Array
+    half: Array
+    variance: Array
+    resolution: float
+    noise: float  # standard deviation of what is not quantisation
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Smoothed q, qd, qdd (3, n), their variances of q, qd and of the unexplained acceleration (3,
+    n).
+    """
+
+    states: Array
+    variances: Array
+    bandwidth: float
+
+
+def find_resolution(y: Array) -> float:
+    """Smallest step of a quantised signal, 0 where it is not on a lattice.
+
+    Parameters
+    ----------
+    y : ndarray, shape (n,)
+        Position, any unit.
+
+    Returns
+    -------
+    float
+        Step in the unit of ``y``.
+    """
+    steps = np.abs(np.diff(y))
+    span = float(np.ptp(y))
+    steps = steps[steps > SMALL * max(span, 1e-12)]
+    if len(steps) < STEPS:
+        return 0.0
+    step = float(np.quantile(steps, SMALLEST))
+    small = steps[steps < ONE * step]
+    step = float(np.mean(small))
+    ratio = steps / step
+    close = ratio < COUNTED
+    if close.sum() < STEPS:
+        return 0.0
+    off = np.abs(ratio[close] - np.round(ratio[close]))
+    return step if np.mean(off < OFF) > ON else 0.0
+
+
+def measure(y: Array, sample_time: float, resolution: float, noise: float = 0.0) -> Measurement:
+    """Turn quantised samples into measurements with a variance each.
+
+    Parameters
+    ----------
+    y : ndarray, shape (n,)
+        Position, rad or m.
+    sample_time : float
+        s.
+    resolution : float
+        Counts step, rad or m; 0 where unknown or continuous.
+    noise : float
+        Standard deviation of the sensor noise beside quantisation, rad or m.
+
+    Returns
+    -------
+    Measurement
+    """
+    n = len(y)
+    white = resolution**2 / 12 + noise**2
+    if resolution <= 0 or noise > DITHERED * resolution:
+        floor = max(white, (1e-9 * max(float(np.ptp(y)), 1e-9)) ** 2)
+        return Measurement(y.astype(float), np.zeros(n), np.full(n, floor), resolution, noise)
+    window = max(5, round(SPEED_OVER / sample_time))
+    speed = np.abs(np.gradient(uniform_filter1d(y, window, mode="nearest"), sample_time))
+    speed = uniform_filter1d(speed, window, mode="nearest")
+    slow = speed * sample_time < SLOW * resolution
+    change = np.zeros(n, bool)
+    change[1:] = np.abs(np.diff(y)) > 0.5 * resolution
+    value, half, variance = y.astype(float).copy(), np.zeros(n), np.full(n, white)
+    starts = np.flatnonzero(np.r_[True, change[1:]])
+    run = np.diff(np.r_[starts, n])
+    length = np.repeat(run, run)
+    half[slow] = 0.5 * resolution
+    variance[slow] = white * length[slow]
+    edge = slow & change
+    travel = np.abs(y[edge] - y[np.flatnonzero(edge) - 1])
+    one = travel < ONE * resolution
+    k = np.flatnonzero(edge)[one]
+    direction = np.sign(y[k] - y[k - 1])
+    step = np.minimum(speed[k] * sample_time, resolution)
+    value[k] = 0.5 * (y[k] + y[k - 1]) + 0.5 * direction * step
+    half[k] = 0.0
+    variance[k] = step**2 / 12 + (EDGE_FLOOR * resolution) ** 2 + noise**2
+    return Measurement(value, half, variance, resolution, noise)
+
+
+def means(series: Array, every: int) -> Array:
+    """Means over so many samples each, (..., n // every)."""
+    if every < 2:
+        return series
+    count = series.shape[-1] // every
+    groups = series[..., : count * every].reshape(*series.shape[:-1], count, every)
+    return np.ascontiguousarray(groups.mean(axis=-1))
+
+
+def thin_measurement(measurement: Measurement, q: Array, every: int) -> Measurement:
+    """One measurement in place of so many: their weighted mean, at the time of the first.
+
+    Parameters
+    ----------
+    measurement : Measurement
+    q : ndarray, shape (n,)
+        The smoothed motion, along which each is brought to the time of the first.
+    every : int
+
+    Returns
+    -------
+    Measurement
+        Where none of them says more than an interval, the first as it stands.
+    """
+    count = len(q) // every
+    value, half, variance, path = (
+        a[: count * every].reshape(count, every)
+        for a in (measurement.value, measurement.half, measurement.variance, q)
+    )
+    says = (half == 0) & (variance > 0)
+    weight = np.where(says, 1.0 / np.where(says, variance, 1.0), 0.0)
+    total = weight.sum(axis=1)
+    any_says = total > 0
+    per = 1.0 / np.where(any_says, total, 1.0)
+    off = (weight * (value - path)).sum(axis=1) * per
+    return Measurement(
+        np.where(any_says, path[:, 0] + off, value[:, 0]),
+        np.where(any_says, 0.0, half[:, 0]),
+        np.where(any_says, per, variance[:, 0]),
+        measurement.resolution,
+        measurement.noise,
+    )
+
+
+def smooth(measurement: Measurement, sample_time: float, known_acceleration: Array) -> Motion:
+    """The motion behind the measurements, given the acceleration that is already known.
+
+    The rest of the acceleration is a random walk, whose strength maximises the likelihood of the
+    measurements.
+
+    Parameters
+    ----------
+    measurement : Measurement
+    sample_time : float
+        s.
+    known_acceleration : ndarray, shape (n,)
+        rad/s² or m/s², held over each sample.
+
+    Returns
+    -------
+    Motion
+    """
+    lib = native()
+    n = len(measurement.value)
+    span = float(np.ptp(measurement.value)) or 1e-6
+    size = max(float(np.std(known_acceleration)), span)
+    window = max(5, round(SPEED_OVER / sample_time))
+    early = measurement.value[: 4 * window]
+    v0 = (
+        float(np.polyfit(np.arange(len(early)) * sample_time, early, 1)[0])
+        if len(early) > 3
+        else 0.0
+    )
+    work, out, var = np.empty(14 * n), np.empty((3, n)), np.empty((3, n))
+    a = np.ascontiguousarray(known_acceleration)
+    p = lib.doubles
+
+    def run(strength: float) -> float:
+        value: float = lib.lib.zf_smooth(
+            n,
+            sample_time,
+            strength,
+            3 * size,
+            p(a),
+            p(measurement.value),
+            p(measurement.half),
+            p(measurement.variance),
+            float(measurement.value[0]),
+            v0,
+            p(work),
+            p(out),
+            p(var),
+        )
+        return value
+
+    grid = size * 10.0 ** np.arange(-2.0, 3.6, 0.5)
+    best = min(grid, key=run)
+    run(float(best))
+    states = np.stack([out[0], out[1], out[2] + a])
+    return Motion(states, var.copy(), float(best))
+
+
+def noise_beside_quantisation(y: Array, resolution: float) -> float:
+    """Standard deviation of sensor noise that the resolution does not explain.
+
+    From fourth differences where the motion is fast: there rounding is as good as white. Where it
+    is nowhere fast, from the codes that go back and forth while the joint hardly moves.
+
+    Parameters
+    ----------
+    y : ndarray, shape (n,)
+        Position, rad or m.
+    resolution : float
+        rad or m, 0 where unknown.
+
+    Returns
+    -------
+    float
+        rad or m.
+    """
+    if resolution <= 0:
+        return _coloured(y)
+    fourth = np.diff(y, 4)
+    pace = np.abs(np.gradient(uniform_filter1d(y, PACE, mode="nearest")))[4:] / resolution
+    moving = pace > MOVING
+    if moving.sum() < ENOUGH:
+        return resolution * _dither(np.diff(y) / resolution, pace < STANDING)
+    # differences of counts are whole numbers, and so would be their median: spread evenly over one
+    # count it is not
+    spread = _spread(
+        fourth[moving]
+        + resolution * np.random.default_rng(0).uniform(-0.5, 0.5, int(moving.sum()))
+    )
+    return float(np.sqrt(max(0.0, spread**2 - SHORT_TAILS * resolution**2 / 12)))
+
+
+def _spread(fourth: Array) -> float:
+    """Standard deviation of the white noise behind fourth differences; their median absolute
+    deviation keeps impacts out.
+    """
+    return float(np.median(np.abs(fourth - np.median(fourth))) / MEDIAN / np.sqrt(FOURTH))
+
+
+def _coloured(y: Array) -> float:
+    """Noise of a signal without a lattice, with what a filter left of it at lower frequencies.
+
+    Differences over 2, 4, 8 samples see noise that a filter took out of neighbouring ones: they
+    grow, ever less, to what there was before the filter. White noise stays the same; a smooth
+    motion grows by 16 each time, and ever on.
+    """
+    best, growth = _spread(np.diff(y, 4)), SMOOTH_GROWTH
+    for stride in (2, 4, 8):
+        if len(y) < PER_STRIDE * stride:
+            break
+        a, b, c, d, e = (y[k * stride : len(y) - (4 - k) * stride] for k in range(5))
+        wider = _spread(e - 4 * d + 6 * c - 4 * b + a)
+        if not WHITE_GROWTH * best < wider < growth * best:
+            break
+        best, growth = wider, wider / best
+    return best
+
+
+def _dither(steps: Array, still: Array) -> float:
+    """Noise in counts that makes the codes of a joint that hardly moves go back and forth; 0 where
+    they do not.
+
+    Parameters
+    ----------
+    steps : ndarray, shape (n - 1,)
+        Differences of the codes, counts.
+    still : ndarray of bool, shape (n - 4,)
+        Of each fourth difference, whether the joint moves by less than a tenth of a count a sample.
+    """
+    flips = steps[np.abs(steps) > 0.5]
+    back = float(np.mean(flips[1:] * flips[:-1] < 0)) if len(flips) > FLIPS else 0.0
+    if back <= BACK:
+        return 0.0
+    if still.sum() < ENOUGH:
+        return FEW_SAMPLES * back
+    variance = float(np.mean(np.diff(steps, 3)[still] ** 2)) / FOURTH
+    counts = np.sqrt(np.pi) * variance if variance < MEET else np.sqrt(variance - 1 / 12)
+    return float(counts)

@@ -1,0 +1,284 @@
+"""What bodies do to the joints: torque is linear in ten numbers of each link (Atkeson, An,
+Hollerbach 1986).
+
+The numbers of a link are its mass m, first moment h = m c and inertia I about the link's origin,
+all in the link's frame. With the spin w, its rate wd and the acceleration a of the origin less
+gravity, the link needs
+
+    force  = m a + wd x h + w x (w x h)          moment = h x a + I wd + w x (I w)
+
+and joint j bears what of it acts along its own screw. Effects of site "body" change these numbers,
+or gravity.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.errors import ModelError
+from zendsp.physics.effects import get_effect
+from zendsp.physics.model import TREES, Model, Term, per_joint
+from zendsp.physics.robots.robot import robot_tree
+from zendsp.tree import GRAVITY, Body, LinkMotion, about, link_motion
+
+Array = npt.NDArray[np.float64]
+
+NUMBERS = ("mass", "h_x", "h_y", "h_z", "ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+_ACROSS = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # turns z to the base's x
+
+
+def numbers_of(mass: float, com: Array, inertia: Array) -> Array:
+    """The ten numbers of a body (see ``NUMBERS``) from its inertia about the centre of mass."""
+    whole = about(mass, com, inertia)
+    return np.array([mass, *(mass * com), *(whole[i, j] for i, j in _PAIRS)])
+
+
+def body_terms(model: Model) -> tuple[Term, ...]:
+    """Terms of a model that change bodies or gravity: all joints that move the body feel them."""
+    return tuple(t for t in model.terms if get_effect(t.effect).site == "body")
+
+
+def turned_gravity(gravity: Array, terms: Sequence[Term]) -> Array:
+    """Gravity as ``base_tilt`` turns it: about the base's x axis, then about its y axis."""
+    for term in terms:
+        if term.effect == "base_tilt":
+            x, y = term.value("angle_x"), term.value("angle_y")
+            about_x = np.array([[1, 0, 0], [0, np.cos(x), -np.sin(x)], [0, np.sin(x), np.cos(x)]])
+            about_y = np.array([[np.cos(y), 0, np.sin(y)], [0, 1, 0], [-np.sin(y), 0, np.cos(y)]])
+            gravity = about_y @ about_x @ gravity
+    return gravity
+
+
+def change_of(term: Term, body: Body) -> Array:
+    """What a ``payload`` or a wrong ``body`` adds to the ten numbers of its link, (10,)."""
+    com = np.array([term.value("com_x"), term.value("com_y"), term.value("com_z")])
+    mass, spread = term.value("mass"), term.value("inertia") * np.eye(3)
+    if term.effect == "payload":
+        return numbers_of(mass, com, spread)
+    given = numbers_of(body.mass, body.com, body.inertia)
+    return numbers_of(body.mass + mass, body.com + com, body.inertia + spread) - given
+
+
+def changed(bodies: Sequence[Body], terms: Sequence[Term]) -> list[Body]:
+    """The links with their payloads and with what is wrong in them.
+
+    Raises
+    ------
+    ModelError
+        Where a link would have no mass left.
+    """
+    out = list(bodies)
+    for term in terms:
+        if term.effect == "base_tilt":
+            continue
+        body = out[term.joint - 1]
+        numbers = numbers_of(body.mass, body.com, body.inertia) + change_of(term, body)
+        mass, com = float(numbers[0]), numbers[1:4]
+        if mass <= 0.0:
+            raise ModelError(
+                f"{term.effect} of joint {term.joint}: mass = {term.value('mass'):g} kg leaves a"
+                f" link of {body.mass:g} kg with {mass:g} kg; it has to stay above 0"
+            )
+        com = com / mass
+        whole = np.empty((3, 3))
+        for (i, j), value in zip(_PAIRS, numbers[4:], strict=True):
+            whole[i, j] = whole[j, i] = value
+        out[term.joint - 1] = replace(
+            body, mass=mass, com=com, inertia=whole - about(mass, com, np.zeros((3, 3)))
+        )
+    return out
+
+
+def machine_tree(model: Model) -> tuple[list[Body], Array] | None:
+    """Links and gravity of a machine, for bodies to be fixed to; None where its kind has none.
+
+    The links of ``rotary`` and ``planar2r`` bear no mass: their inertia and gravity are parameters
+    of the mechanism. Their x axis points along the link, and a rotary joint with gravity hangs down
+    at q = 0.
+    """
+    if model.kind in TREES:
+        return robot_tree(model)
+    axis, empty = np.array([0.0, 0.0, 1.0]), np.zeros((3, 3))
+    bare = Body(-1, False, axis, np.eye(3), np.zeros(3), 0.0, np.zeros(3), empty)
+    if model.kind == "planar2r":
+        length = _values(model, "l1")[0]
+        second = replace(bare, parent=0, place=np.array([length, 0.0, 0.0]), name="link 2")
+        return ([replace(bare, name="link 1"), second], np.zeros(3)) if length > 0 else None
+    if model.kind == "rotary":
+        down = -GRAVITY[2] * np.array([1.0, 0.0, 0.0])
+        turns = [np.eye(3) if weight else _ACROSS for weight in _values(model, "gravity")]
+        return [replace(bare, rotation=R, name=f"link {j + 1}") for j, R in enumerate(turns)], down
+    return None
+
+
+def _values(model: Model, key: str) -> list[float]:
+    """A parameter of the mechanism for each joint; 0 where the model has none."""
+    given = tuple(q.value for q in model.mechanism.get(key, ()))
+    return [per_joint(given, j + 1, 0.0) for j in range(model.joints)]
+
+
+@dataclass(frozen=True)
+class Change:
+    """What the body terms of a model add to one joint along a record: inertia and known torque,
+    each (n,).
+    """
+
+    inertia: Array
+    bias: Array
+
+
+@dataclass(frozen=True)
+class Links:
+    """The links of a machine along one recording, as its joints feel them; joints and links count
+    from 0.
+    """
+
+    bodies: tuple[Body, ...]
+    gravity: Array
+    motion: Array  # (joints, 3, n): q, qd, qdd
+
+    def __reduce__(self) -> tuple[type[Links], tuple[tuple[Body, ...], Array, Array]]:
+        """To another process goes what the rest follows from."""
+        return Links, (self.bodies, self.gravity, self.motion)
+
+    @cached_property
+    def _moved(self) -> LinkMotion:
+        q, qd, qdd = (np.ascontiguousarray(self.motion[:, i].T) for i in range(3))
+        return link_motion(self.bodies, self.gravity, q, qd, qdd)
+
+    @cached_property
+    def _columns(self) -> dict[tuple[int, int], tuple[Array, Array]]:
+        return {}
+
+    @cached_property
+    def _pulls(self) -> dict[tuple[int, int], Array]:
+        return {}
+
+    @cached_property
+    def _weights(self) -> dict[int, Array]:
+        return {}
+
+    @cached_property
+    def _screws(self) -> dict[tuple[int, int], tuple[Array, Array]]:
+        """Turning (3, n) and sliding (3, n) of each link's origin for a unit speed of a joint that
+        moves it.
+        """
+        n, out = self.motion.shape[2], {}
+        for k, b in enumerate(self.bodies):
+            own = np.repeat(b.axis[:, None], n, axis=1)
+            out[k, k] = (np.zeros((3, n)), own) if b.slides else (own, np.zeros((3, n)))
+            turn, place = self._moved.turn[k], self._moved.place[k].T
+            for j in range(k):
+                if (j, b.parent) in out:
+                    spin, slide = out[j, b.parent]
+                    slide = slide + _cross(spin, place)
+                    out[j, k] = (_into(turn, spin), _into(turn, slide))
+        return out
+
+    def moves(self, joint: int, link: int) -> bool:
+        """Whether a joint moves a link."""
+        return (joint, link) in self._screws
+
+    def columns(self, joint: int, link: int) -> tuple[Array, Array]:
+        """Inertia that the joint feels and torque that it bears, for each of a link's ten numbers:
+        (10, n) each.
+        """
+        key = (joint, link)
+        if key not in self._columns:
+            turn, slide = self._screws[key]
+            w, wd, a = (
+                v[link].T for v in (self._moved.spin, self._moved.spin_rate, self._moved.push)
+            )
+            torque = np.concatenate([
+                [_dot(slide, a)],
+                _cross(slide, wd) + _cross(w, _cross(w, slide)) + _cross(a, turn),
+                _products(turn, wd) + _products(_cross(turn, w), w),
+            ])  # fmt: skip
+            inertia = np.concatenate(
+                [[_dot(slide, slide)], 2.0 * _cross(slide, turn), _products(turn, turn)]
+            )
+            self._columns[key] = (inertia, torque)
+        return self._columns[key]
+
+    def pull(self, joint: int, link: int) -> Array:
+        """Torque for a unit of gravity along each axis of the base and each of mass and first
+        moment, (3, 4, n).
+        """
+        key = (joint, link)
+        if key not in self._pulls:
+            turn, slide = self._screws[key]
+            out = np.empty((3, 4, self.motion.shape[2]))
+            for axis, down in enumerate(self._base(link)):
+                out[axis] = np.concatenate([[-_dot(slide, down)], -_cross(down, turn)])
+            self._pulls[key] = out
+        return self._pulls[key]
+
+    def _base(self, link: int) -> list[Array]:
+        """Axes of the base in the link's frame, (3, n) each."""
+        axes = [np.repeat(e[:, None], self.motion.shape[2], axis=1) for e in np.eye(3)]
+        chain = [link]
+        while self.bodies[chain[-1]].parent >= 0:
+            chain.append(self.bodies[chain[-1]].parent)
+        for k in reversed(chain):
+            axes = [_into(self._moved.turn[k], v) for v in axes]
+        return axes
+
+    def weight(self, joint: int) -> Array:
+        """Torque of all links for a unit of gravity along each axis of the base, (3, n)."""
+        if joint not in self._weights:
+            total = np.zeros((3, self.motion.shape[2]))
+            for k, b in enumerate(self.bodies):
+                if self.moves(joint, k) and b.mass > 0:
+                    total += np.tensordot([b.mass, *(b.mass * b.com)], self.pull(joint, k), (0, 1))
+            self._weights[joint] = total
+        return self._weights[joint]
+
+    def change(self, terms: Sequence[Term], joint: int) -> Change:
+        """What body terms add to a joint; ``bias`` is their torque without what they add to the
+        joint's own inertia.
+        """
+        n = self.motion.shape[2]
+        inertia, torque = np.zeros(n), np.zeros(n)
+        gravity = turned_gravity(self.gravity, terms) - self.gravity
+        tilted = bool(np.any(gravity))
+        if tilted:
+            torque += gravity @ self.weight(joint)
+        for term in terms:
+            link = term.joint - 1
+            if term.effect == "base_tilt" or not self.moves(joint, link):
+                continue
+            numbers = change_of(term, self.bodies[link])
+            felt, borne = self.columns(joint, link)
+            inertia += numbers @ felt
+            torque += numbers @ borne
+            if tilted:
+                torque += gravity @ np.tensordot(numbers[:4], self.pull(joint, link), (0, 1))
+        return Change(inertia, torque - inertia * self.motion[joint, 2])
+
+
+def _into(turn: Array, v: Array) -> Array:
+    """Vectors (3, n) in the frame that ``turn`` places in theirs."""
+    out: Array = np.einsum("nji,jn->in", turn, v) if turn.ndim == 3 else turn.T @ v
+    return out
+
+
+def _dot(a: Array, b: Array) -> Array:
+    out: Array = np.einsum("in,in->n", a, b)
+    return out
+
+
+def _cross(a: Array, b: Array) -> Array:
+    return np.stack(
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    )
+
+
+def _products(a: Array, b: Array) -> Array:
+    """Coefficients of a . I b in the six numbers of a symmetric I, (6, n)."""
+    return np.stack([a[i] * b[j] if i == j else a[i] * b[j] + a[j] * b[i] for i, j in _PAIRS])

@@ -1,0 +1,85 @@
+"""Each joint as a scalar system: its inertia and the torques that the measured motion of all joints
+makes known.
+
+For joint i of M(q) q̈ + C q̇ + g = tau the terms in the other joints' accelerations, velocities and
+positions are computed from the measured motion; what is left is inertia_i(t) q̈_i + bias_i(t) =
+tau_i. Both are linear in the parameters of the mechanism.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.errors import ModelError
+from zendsp.physics.model import TREES, Model
+from zendsp.physics.robots.robot import robot_tree
+from zendsp.tree import inverse_dynamics
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Basis:
+    """Coefficients of one mechanism parameter in one joint: inertia and bias along the record, each
+    (n,).
+    """
+
+    inertia: Array
+    bias: Array
+
+
+def bases(model: Model, motion: list[Array]) -> list[dict[str, Basis]]:
+    """For each joint, the coefficient of each mechanism parameter.
+
+    Parameters
+    ----------
+    model : Model
+    motion : list of ndarray, shape (3, n)
+        Smoothed q, qd, qdd of each joint.
+
+    Returns
+    -------
+    list of dict
+        Key: parameter name, ``"fixed"`` for what no parameter scales. Gravity of rotary joints is
+        not in here: the simulation evaluates it on the predicted position.
+    """
+    n = motion[0].shape[1]
+    one, zero = np.ones(n), np.zeros(n)
+    if model.kind == "rotary":
+        return [{"inertia": Basis(one, zero)} for _ in motion]
+    if model.kind == "linear":
+        return [{"mass": Basis(one, zero)} for _ in motion]
+    if model.kind == "planar2r":
+        (_, qd1, qdd1), (q2, qd2, qdd2) = motion[0], motion[1]
+        c, s = np.cos(q2), np.sin(q2)
+        return [
+            {
+                "p1": Basis(one, zero),
+                "p2": Basis(zero, qdd2),
+                "p3": Basis(2 * c, c * qdd2 - s * (2 * qd1 * qd2 + qd2**2)),
+            },
+            {"p2": Basis(one, qdd1), "p3": Basis(zero, c * qdd1 + s * qd1**2)},
+        ]
+    if model.kind in TREES:
+        return [{"fixed": basis} for basis in _tree_bases(model, motion)]
+    raise ModelError(f"kind = {model.kind!r} has no rigid-body form")
+
+
+def _tree_bases(model: Model, motion: list[Array]) -> list[Basis]:
+    bodies, gravity = robot_tree(model)
+    joints = len(bodies)
+    if joints != len(motion):
+        raise ModelError(f"{model.file}: has {joints} joints, the recording {len(motion)}")
+    q, qd, qdd = (np.ascontiguousarray(np.stack([m[i] for m in motion], axis=1)) for i in range(3))
+    torque = inverse_dynamics(bodies, gravity, q, qd, qdd)
+    still, weightless = np.zeros_like(q), np.zeros(3)
+    found = []
+    for i in range(joints):
+        unit = np.zeros_like(q)
+        unit[:, i] = 1.0
+        inertia = inverse_dynamics(bodies, weightless, q, still, unit)[:, i]
+        found.append(Basis(inertia, torque[:, i] - inertia * qdd[:, i]))
+    return found
