@@ -174,7 +174,7 @@ def test_what_only_refined_the_fit_is_held_in_the_model_file() -> None:
     ]
     left = Size(0.02, 0.01, 0.02)
     outcome = Decision(
-        1, "missing", (claims[0],), (claims[1],), final, final, left, left, no, left, 5.0
+        1, "missing", (claims[0],), (claims[1],), final, final, left, left, no, left, given, 5.0
     )
     model = remembered(given.with_terms(tuple(replace(t) for t in terms)), given, [outcome])
     assert [any(q.free for q in t.parameters.values()) for t in model.terms] == [True, True, False]
@@ -237,7 +237,18 @@ def test_a_law_is_named_where_what_it_leaves_allows_no_other(
     claim = Claim(effect, mechanism_of(effect), term, size, evidence, 50.0, {}, (), (), ())
     before, after = Size(0.025, 0.024, 0.026), Size(left, left, left)
     outcome = Decision(
-        1, "missing", (claim,), (), None, None, before, after, Structure(0.0, 0.0, 0.0), after, 1.0  # type: ignore[arg-type]
+        1,
+        "missing",
+        (claim,),
+        (),
+        None,
+        None,
+        before,
+        after,
+        Structure(0.0, 0.0, 0.0),
+        after,
+        None,
+        1.0,  # type: ignore[arg-type]
     )
     assert stated(claim, outcome) is named
 
@@ -252,8 +263,9 @@ def test_a_law_that_is_not_believed_leaves_its_mechanism_where_it_explains_more_
     before = Size(0.1, 0.09, 0.11)
     nothing = Structure(0.0, 0.0, 0.0)
     outcome = laws.believed(
-        Decision(1, "missing", (claim,), (), None, None, before, left, nothing, left, 1.0),  # type: ignore[arg-type]
+        Decision(1, "missing", (claim,), (), None, None, before, left, nothing, left, None, 1.0),  # type: ignore[arg-type]
         None,  # type: ignore[arg-type]
+        1,
     )
     assert [c.effect for c in outcome.claims] == (["unknown"] if stands else [])
     assert len(outcome.refinements) == (not stands)
@@ -270,8 +282,9 @@ def test_how_a_known_friction_turns_round_is_no_missing_mechanism(
     claim = Claim("presliding", "dry_friction", term, 0.01, evidence, 25.0, {}, (), (), ())
     left, before, nothing = Size(0.008, 0.007, 0.009), Size(0.012, 0.011, 0.013), Structure(0, 0, 0)
     outcome = laws.believed(
-        Decision(1, "missing", (claim,), (), base, None, before, left, nothing, left, 1.0),  # type: ignore[arg-type]
+        Decision(1, "missing", (claim,), (), base, None, before, left, nothing, left, None, 1.0),  # type: ignore[arg-type]
         SimpleNamespace(each=()),  # type: ignore[arg-type]
+        1,
     )
     assert [c.effect for c in outcome.claims] == (["unknown"] if stands else [])
 
@@ -347,7 +360,9 @@ def test_what_leaves_more_unexplained_than_there_was_or_is_at_all_is_no_finding(
     nothing = Structure(0.0, 0.0, 0.0)
     model: Any = SimpleNamespace(at=lambda _: (), torque_unit=lambda _: "N m")
     one: Any = SimpleNamespace(model=model)
-    found = Decision(1, "missing", (claim,), (), one, one, before, left, nothing, left, 7.0)
+    found = Decision(
+        1, "missing", (claim,), (), one, one, before, left, nothing, left, one.model, 7.0
+    )
     monkeypatch.setattr(decision, "worth_choosing", lambda *_: one)
     monkeypatch.setattr(decision, "discrepancy", lambda *_: before)
     monkeypatch.setattr(decision, "new_terms", lambda *_: [term])
@@ -355,7 +370,7 @@ def test_what_leaves_more_unexplained_than_there_was_or_is_at_all_is_no_finding(
     monkeypatch.setattr(decision, "piece_of", lambda *_: piece(0.1, 9.0, 50.0, "stiffness"))
     monkeypatch.setattr(decision, "held_apart", lambda *_: ([0], []))
     monkeypatch.setattr(decision, "named", lambda *_: found)
-    monkeypatch.setattr(decision, "believed", lambda d, _: d)
+    monkeypatch.setattr(decision, "believed", lambda d, *_: d)
     monkeypatch.setattr(decision, "window_error", lambda *_: np.zeros(3))
     monkeypatch.setattr(decision, "_nothing_named", lambda *_: "nothing")
     parts = SimpleNamespace(fit=None, choose=None, test=None)

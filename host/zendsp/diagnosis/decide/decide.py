@@ -78,7 +78,7 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
         claimed, rest = held_apart(parts, given, final, joint, pieces)
         if claimed:
             decision = believed(
-                named(parts, given, search, final, claimed, rest, before, jobs, tell), parts
+                named(parts, given, search, final, claimed, rest, before, jobs, tell), parts, jobs
             )
             errors = [
                 rms(window_error(parts.test, m, joint)) for m in (base.model, decision.final.model)
@@ -126,6 +126,7 @@ def _nothing_named(
         before,
         state,
         before,
+        base.model,
         rms_torque(parts.test, joint),
         known=known,
         lost=lost,

@@ -26,6 +26,7 @@ from zendsp.diagnosis.decide.pieces import (
 from zendsp.diagnosis.decide.thresholds import (
     A_PART,
     ALONE,
+    BENT,
     CURVE,
     DRAWS,
     EXPLAINS,
@@ -42,6 +43,8 @@ from zendsp.diagnosis.decide.thresholds import (
 from zendsp.diagnosis.measure.discrepancy import Size, difference, discrepancy
 from zendsp.diagnosis.measure.evidence import block_scores, settling
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored, informative
+from zendsp.diagnosis.measure.neighbours import against_neighbours
+from zendsp.diagnosis.measure.significance import counterpart
 from zendsp.diagnosis.measure.structure import STRUCTURED, Structure, structure
 from zendsp.diagnosis.search.forward import Searcher
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival, price
@@ -124,6 +127,7 @@ def named(
     # more is left that depends on the state than anything claimed explains
     if state.size > best and state.z > SURE:
         claims = []
+    alone = _alone(final, joint, claims, refinements, jobs)
     return Decision(
         joint,
         "missing",
@@ -134,45 +138,44 @@ def named(
         before,
         after,
         state,
-        _bare(parts.test, final, joint, claims, refinements, after, jobs),
+        after if alone is final.model else discrepancy(parts.test, alone, joint),
+        alone,
         rms_torque(parts.test, joint),
         known=known,
     )
 
 
-def _bare(
-    test: Data,
-    final: Scored,
-    joint: int,
-    claims: Sequence[Claim],
-    refinements: Sequence[Claim],
-    after: Size,
-    jobs: int,
-) -> Size:
-    """What the claims by themselves leave: what only refines the fit can be bent to what no law of
-    the claims describes.
+def _alone(
+    final: Scored, joint: int, claims: Sequence[Claim], more: Sequence[Claim], jobs: int
+) -> Model:
+    """The claims by themselves, fitted again: what only refines the fit can be bent to what no law
+    of the claims describes.
     """
     needed = any(get_effect(c.term.effect).needs for c in claims)
-    terms = [c.term for c in refinements if not (needed and c.mechanism == DRY)]
+    terms = [c.term for c in more if not (needed and c.mechanism == DRY)]
     kept = tuple(t for t in final.model.terms if not any(t is x for x in terms))
     if not claims or len(kept) == len(final.model.terms):
-        return after
+        return final.model
     model = final.model.with_terms(kept)
     handles = joint_handles(final.data, model, joint)
-    alone = fit_scored(final.data, model, handles, (joint,), jobs=jobs, rounds=1)
-    return discrepancy(test, alone.model, joint)
+    return fit_scored(final.data, model, handles, (joint,), jobs=jobs, rounds=1).model
 
 
-def believed(decision: Decision, parts: Parts) -> Decision:
+def believed(decision: Decision, parts: Parts, jobs: int) -> Decision:
     """The decision without the laws that are too likely wrong; of what is first, the mechanism
     stays where functions of its variables can be told and it explains more than it leaves, the
     rest refines the fit.
     """
+    likely = [c for c in decision.claims if c.effect == "unknown" or stated(c, decision)]
+    rest = [c for c in decision.claims if not any(c is k for k in likely)]
+    alone = decision.alone
+    if likely and rest:
+        alone = _alone(decision.final, decision.joint, likely, (*decision.refinements, *rest), jobs)
     keep, more = [], list(decision.refinements)
     for claim in decision.claims:
         if claim.effect == "unknown":
             keep.append(without_law(claim, decision))
-        elif stated(claim, decision):
+        elif any(claim is k for k in likely) and _goes_on(claim, decision, alone, parts):
             keep.append(claim)
         elif (
             claim is decision.claims[0]
@@ -183,7 +186,8 @@ def believed(decision: Decision, parts: Parts) -> Decision:
             keep.append(without_law(claim, decision))
         else:
             more.append(claim)
-    return replace(decision, claims=tuple(keep), refinements=tuple(more))
+    keep, parts_of_it = _beside_unknown(keep)
+    return replace(decision, claims=tuple(keep), refinements=tuple(more + parts_of_it))
 
 
 def without_law(claim: Claim, decision: Decision) -> Claim:
@@ -194,6 +198,19 @@ def without_law(claim: Claim, decision: Decision) -> Claim:
     sure = min(confidence(replace(claim, effect=claim.term.effect), decision), most)
     laws = {name: sure * weight for name, weight in claim.laws.items()}
     return replace(claim, effect="unknown", laws={**laws, "unknown": 1.0 - sure})
+
+
+def _goes_on(claim: Claim, decision: Decision, alone: Model, parts: Parts) -> bool:
+    """Whether a law goes on as the torque does: none of its neighbours predicts better, or surely
+    better where every machine has it.
+    """
+    if claim.mechanism not in STRUCTURED:
+        return True
+    joint = decision.joint
+    term = counterpart(alone.at(joint), claim.term)
+    turning = claim.mechanism != DRY
+    ahead = against_neighbours(parts.each, decision.final.data, alone, term, joint, turning)
+    return ahead > -(PLAIN if get_effect(claim.effect).common else BENT)
 
 
 def _turns_otherwise(claim: Claim, decision: Decision, parts: Parts) -> bool:
@@ -209,15 +226,20 @@ def _turns_otherwise(claim: Claim, decision: Decision, parts: Parts) -> bool:
 
 def _beside_unknown(claims: Sequence[Claim]) -> tuple[list[Claim], list[Claim]]:
     """Claims, and those that become refinements: beside a mechanism without a law, what is not
-    larger than half of it may be a part of it, and a constant is a part of any curve over position.
+    larger than half of it may be a part of it; of any curve over position a constant is, and what
+    repeats itself along it.
     """
     unknown = max((c.size for c in claims if c.effect == "unknown"), default=0.0)
     curve = any(draws_a_curve(c) for c in claims)
+
+    def of_position(claim: Claim) -> bool:
+        effect = get_effect(claim.effect)
+        return effect.constant or "order" in effect.names
+
     keep = [
         c
         for c in claims
-        if c.effect == "unknown"
-        or (c.size > A_PART * unknown and not (curve and get_effect(c.effect).constant))
+        if c.effect == "unknown" or (c.size > A_PART * unknown and not (curve and of_position(c)))
     ]
     return keep, [c for c in claims if not any(c is k for k in keep)]
 

@@ -203,12 +203,12 @@ def structure(
             _seen(part, model, joint, band, columns, lack)
             for part, columns, lack in zip(parts, drawn[detail], lacks[band], strict=True)
         ]
-        counted = [[_counted(rec[joint - 1], band, turning) for rec in p.records] for p in parts]
+        used = [[counted(rec[joint - 1], band, turning) for rec in p.records] for p in parts]
         if not made[0][0][0].shape[0]:
             return best
         normals = [
             _normal(part, seen, use, joint, band, stride)
-            for part, seen, use in zip(parts, made, counted, strict=True)
+            for part, seen, use in zip(parts, made, used, strict=True)
         ]
         sums, counts, excess = [], [], 0.0
         for k, (part, seen) in enumerate(zip(parts, made, strict=True)):
@@ -220,10 +220,10 @@ def structure(
             )
             gains = [
                 (lack**2 - (lack - theta @ columns) ** 2) * use
-                for (columns, lack), use in zip(seen, counted[k], strict=True)
+                for (columns, lack), use in zip(seen, used[k], strict=True)
             ]
             for (_, lack), rec, use, noisy in zip(
-                seen, part.records, counted[k], noises[band][k], strict=True
+                seen, part.records, used[k], noises[band][k], strict=True
             ):
                 beyond = (lack**2 - noisy) * use
                 excess += float(np.sum(beyond[kept(rec[joint - 1], band)]))
@@ -239,7 +239,7 @@ def structure(
     return best
 
 
-def _counted(record: JointRecord, band: float, turning: bool) -> npt.NDArray[np.bool_]:
+def counted(record: JointRecord, band: float, turning: bool) -> npt.NDArray[np.bool_]:
     """Samples that count, (n,)."""
     return np.ones(record.n, bool) if turning else ~reversals(record, band_of(record, band))
 
@@ -256,7 +256,7 @@ def _seen(
     recording.
     """
     return [
-        (_columns(rec[joint - 1], model, band, raw), lack)
+        (as_seen(rec[joint - 1], model, band, raw), lack)
         for rec, raw, lack in zip(data.records, drawn, lacks, strict=True)
     ]
 
@@ -289,7 +289,8 @@ def _drawn(
     return np.ascontiguousarray(np.concatenate(made))
 
 
-def _columns(record: JointRecord, model: Model, band: float, raw: Array) -> Array:
+def as_seen(record: JointRecord, model: Model, band: float, raw: Array) -> Array:
+    """Torques over time, (m, n), as an observer of a band sees them."""
     here = band_of(record, band)
     r = response(record, here, effective_inertia(record, model), np.zeros(record.n), raw)
     return as_torque(record, model, r, here)
