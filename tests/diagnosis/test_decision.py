@@ -174,7 +174,7 @@ def test_what_only_refined_the_fit_is_held_in_the_model_file() -> None:
     ]
     left = Size(0.02, 0.01, 0.02)
     outcome = Decision(
-        1, "missing", (claims[0],), (claims[1],), final, final, left, left, no, left, given, 5.0
+        1, "missing", (claims[0],), (claims[1],), final, final, left, left, no, left, final, 5.0
     )
     model = remembered(given.with_terms(tuple(replace(t) for t in terms)), given, [outcome])
     assert [any(q.free for q in t.parameters.values()) for t in model.terms] == [True, True, False]
@@ -361,7 +361,7 @@ def test_what_leaves_more_unexplained_than_there_was_or_is_at_all_is_no_finding(
     model: Any = SimpleNamespace(at=lambda _: (), torque_unit=lambda _: "N m")
     one: Any = SimpleNamespace(model=model)
     found = Decision(
-        1, "missing", (claim,), (), one, one, before, left, nothing, left, one.model, 7.0
+        1, "missing", (claim,), (), one, one, before, left, nothing, left, one, 7.0
     )
     monkeypatch.setattr(decision, "worth_choosing", lambda *_: one)
     monkeypatch.setattr(decision, "discrepancy", lambda *_: before)

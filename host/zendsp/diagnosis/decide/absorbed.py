@@ -106,7 +106,8 @@ def _needed(given: Model, search: Decision, key: str, test: Data) -> bool:
     if fixed.deviance - final.deviance < INSISTS:
         return False
     # as any finding: more than what stays unexplained
-    if difference(test, fixed.model, final.model, joint) <= search.after.value:
+    stays = max(search.after.value, search.state.size)
+    if difference(test, fixed.model, final.model, joint) <= stays:
         return False
     evidence = compare(fixed, final, test, joint)
     return evidence.gain > PAYS and evidence.z > SURELY

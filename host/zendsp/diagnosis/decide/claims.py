@@ -10,7 +10,7 @@ from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.likelihood import Scored
 from zendsp.diagnosis.measure.structure import Structure
 from zendsp.physics.effects import MECHANISMS, laws_of
-from zendsp.physics.model import Model, Term
+from zendsp.physics.model import Term
 
 # the laws that write a mechanism down, as the effect files say
 LAWS_OF: dict[str, tuple[str, ...]] = {mechanism: laws_of(mechanism) for mechanism in MECHANISMS}
@@ -80,7 +80,7 @@ class Decision:
     state: Structure  # what any function of state predicts of what is left
     # what the claims by themselves leave, without the refinements of the final model
     bare: Size
-    alone: Model  # of the claims by themselves
+    alone: Scored  # the claims by themselves
     scale: float  # RMS torque of the recordings to test on, N m or N
     bursts: Bursts | None = None
     known: Known = Known()  # what the given model says that this machine leaves unexplained

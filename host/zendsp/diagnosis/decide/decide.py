@@ -126,7 +126,7 @@ def _nothing_named(
         before,
         state,
         before,
-        base.model,
+        base,
         rms_torque(parts.test, joint),
         known=known,
         lost=lost,

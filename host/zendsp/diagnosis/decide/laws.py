@@ -138,7 +138,7 @@ def named(
         before,
         after,
         state,
-        after if alone is final.model else discrepancy(parts.test, alone, joint),
+        after if alone is final else discrepancy(parts.test, alone.model, joint),
         alone,
         rms_torque(parts.test, joint),
         known=known,
@@ -147,7 +147,7 @@ def named(
 
 def _alone(
     final: Scored, joint: int, claims: Sequence[Claim], more: Sequence[Claim], jobs: int
-) -> Model:
+) -> Scored:
     """The claims by themselves, fitted again: what only refines the fit can be bent to what no law
     of the claims describes.
     """
@@ -155,10 +155,10 @@ def _alone(
     terms = [c.term for c in more if not (needed and c.mechanism == DRY)]
     kept = tuple(t for t in final.model.terms if not any(t is x for x in terms))
     if not claims or len(kept) == len(final.model.terms):
-        return final.model
+        return final
     model = final.model.with_terms(kept)
     handles = joint_handles(final.data, model, joint)
-    return fit_scored(final.data, model, handles, (joint,), jobs=jobs, rounds=1).model
+    return fit_scored(final.data, model, handles, (joint,), jobs=jobs, rounds=1)
 
 
 def believed(decision: Decision, parts: Parts, jobs: int) -> Decision:
@@ -200,16 +200,16 @@ def without_law(claim: Claim, decision: Decision) -> Claim:
     return replace(claim, effect="unknown", laws={**laws, "unknown": 1.0 - sure})
 
 
-def _goes_on(claim: Claim, decision: Decision, alone: Model, parts: Parts) -> bool:
+def _goes_on(claim: Claim, decision: Decision, alone: Scored, parts: Parts) -> bool:
     """Whether a law goes on as the torque does: none of its neighbours predicts better, or surely
     better where every machine has it.
     """
     if claim.mechanism not in STRUCTURED:
         return True
     joint = decision.joint
-    term = counterpart(alone.at(joint), claim.term)
+    term = counterpart(alone.model.at(joint), claim.term)
     turning = claim.mechanism != DRY
-    ahead = against_neighbours(parts.each, decision.final.data, alone, term, joint, turning)
+    ahead = against_neighbours(together(*parts.each), alone, term, joint, LAW_ERROR, turning)
     return ahead > -(PLAIN if get_effect(claim.effect).common else BENT)
 
 

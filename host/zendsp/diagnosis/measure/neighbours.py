@@ -9,7 +9,7 @@ law is not what acts (target and decoy, Elias and Gygi 2007).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -21,9 +21,10 @@ from zendsp.diagnosis.measure.discrepancy import (
     kept,
     lacking,
 )
-from zendsp.diagnosis.measure.structure import as_seen, counted, ranges_of, unit
+from zendsp.diagnosis.measure.likelihood import Scored
+from zendsp.diagnosis.measure.structure import Ranges, as_seen, counted, ranges_of, unit
 from zendsp.physics.calibration.fit import Data, bounds_and_steps, joint_handles
-from zendsp.physics.calibration.handles import get_values, set_values
+from zendsp.physics.calibration.handles import Handle, get_values, set_values
 from zendsp.physics.calibration.joint import JointRecord
 from zendsp.physics.calibration.predict import trace
 from zendsp.physics.effects import get_effect
@@ -37,71 +38,103 @@ SLOW = 0.02  # of the speed: below, dry friction turns round
 RIDGE = 1e-9  # of the mean square of a column
 
 
+@dataclass(frozen=True)
+class _Law:
+    """A law and its neighbours along recordings, one array a recording: slopes (1 + numbers, n) of
+    the law, and the factors (n,) by which each neighbour differs from it.
+    """
+
+    data: Data
+    model: Model
+    joint: int
+    slopes: list[Array]
+    bent: list[list[Array]]
+
+
 def against_neighbours(
-    parts: Sequence[Data],
-    fitted: Data,
-    model: Model,
-    term: Term,
-    joint: int,
-    turning: bool = True,
+    data: Data, fitted: Scored, term: Term, joint: int, error: float, turning: bool = True
 ) -> float:
     """By how much a law predicts better than the best of its neighbours.
 
     Parameters
     ----------
-    parts : sequence of Data
+    data : Data
         All recordings: law and neighbours have as many numbers, so neither gains by being fitted.
-    fitted : Data
-        What ``model`` was fitted to.
-    model : Model
-        With the law, and without what only refines it.
+    fitted : Scored
+        The model with the law, and without what only refines it.
     term : Term
-        The law, one of the terms of ``model``.
+        The law, one of the terms of the model.
     joint : int
         1-based.
+    error : float
+        Part of its size by which any law may be wrong.
     turning : bool
         Whether what acts where the joint turns round counts.
 
     Returns
     -------
     float
-        Standard deviations over blocks of time, in the median over observers; below 0 a neighbour
-        predicts better. Infinite where the law is no function of the state, and has no neighbours.
+        Standard deviations over blocks of time, by the observer that sees the law best; below 0 a
+        neighbour predicts better, by more than any law may be wrong. Infinite where the law is no
+        function of the state, and has no neighbours.
     """
-    whole = replace(parts[0], records=tuple(r for part in parts for r in part.records))
-    laws = [_slopes(rec[joint - 1], model, term) for rec in whole.records]
-    rms = float(np.sqrt(np.mean(np.concatenate([law[0] for law in laws]) ** 2)))
+    slopes = [_slopes(rec[joint - 1], fitted.model, term) for rec in data.records]
+    rms = float(np.sqrt(np.mean(np.concatenate([law[0] for law in slopes]) ** 2)))
     if rms == 0.0:
         return float("inf")
+    common = get_effect(term.effect).common
     bent = [
-        _bent(rec[joint - 1], law[0] / rms, whole, joint, get_effect(term.effect).common)
-        for rec, law in zip(whole.records, laws, strict=True)
+        _bent(rec[joint - 1], law[0] / rms, ranges_of(data, joint), common)
+        for rec, law in zip(data.records, slopes, strict=True)
     ]
-    ahead: list[list[float]] = []
-    for band in BANDS[:3]:
+    law = _Law(data, fitted.model, joint, slopes, bent)
+    handles = [
+        h
+        for h in joint_handles(fitted.data, fitted.model, joint)
+        if not (h.place == "term" and fitted.model.terms[h.index] is term)
+    ]
+    sizes = bounds_and_steps(fitted.data, fitted.model, handles)[2]
+    return max(_ahead(law, handles, sizes, band, error, turning) for band in BANDS)[1]
 
-        def seen(torques: Sequence[Array], band: float = band) -> list[Array]:
-            return [
-                as_seen(rec[joint - 1], model, band, torque)
-                for rec, torque in zip(whole.records, torques, strict=True)
-            ]
 
-        others = _others(whole, fitted, model, term, joint, band)
-        law = seen(laws)
-        wanted = [
-            lack + own[0] for lack, own in zip(lacking(whole, model, joint, band), law, strict=True)
+def _ahead(
+    law: _Law,
+    handles: Sequence[Handle],
+    sizes: Array,
+    band: float,
+    error: float,
+    turning: bool,
+) -> tuple[float, float]:
+    """How well one observer sees a law, and how far that is ahead of its neighbours, in standard
+    deviations.
+    """
+    data, joint = law.data, law.joint
+
+    def seen(torques: Sequence[Array]) -> list[Array]:
+        return [
+            as_seen(rec[joint - 1], law.model, band, torque)
+            for rec, torque in zip(data.records, torques, strict=True)
         ]
-        use = [_used(rec[joint - 1], band, turning) for rec in whole.records]
-        error = _left_by(law, others, wanted, use)
-        ahead.append([])
-        for k in range(len(bent[0])):
-            neighbour = seen([slopes * by[k] for slopes, by in zip(laws, bent, strict=True)])
-            theirs = _left_by(neighbour, others, wanted, use)
-            gain = [b - a for a, b in zip(error, theirs, strict=True)]
-            sums, _ = energy_blocks(whole, gain, joint, band)
-            spread = deviation(sums)
-            ahead[-1].append(float(sums.sum()) / spread if spread > 0 else 0.0)
-    return float(np.min(np.median(ahead, axis=0)))
+
+    own, lacks = seen(law.slopes), lacking(data, law.model, joint, band)
+    others = _others(law, handles, sizes, band, lacks)
+    wanted = [lack + made[0] for lack, made in zip(lacks, own, strict=True)]
+    use = [_used(rec[joint - 1], band, turning) for rec in data.records]
+    left = _left_by(own, others, wanted, use)
+
+    def behind(shapes: Sequence[Array]) -> tuple[float, float]:
+        """How much more than the law some shapes leave: standard deviations, and the energy."""
+        more = [b - a for a, b in zip(left, _left_by(shapes, others, wanted, use), strict=True)]
+        sums, _ = energy_blocks(data, more, joint, band)
+        total, spread = float(sums.sum()), deviation(sums)
+        return (total / spread if spread > 0 else 0.0), total
+
+    energy = sum(float(made[0] ** 2 @ there) for made, there in zip(own, use, strict=True))
+    worst = float("inf")
+    for k in range(len(law.bent[0])):
+        z, more = behind(seen([s * by[k] for s, by in zip(law.slopes, law.bent, strict=True)]))
+        worst = min(worst, 0.0 if -(error**2) * energy < more < 0.0 else z)
+    return behind([made[:0] for made in own])[0], worst
 
 
 def _used(record: JointRecord, band: float, turning: bool) -> npt.NDArray[np.bool_]:
@@ -127,7 +160,7 @@ def _slopes(record: JointRecord, model: Model, term: Term) -> Array:
     return np.array(rows)
 
 
-def _bent(record: JointRecord, law: Array, whole: Data, joint: int, common: bool) -> list[Array]:
+def _bent(record: JointRecord, law: Array, ranges: Ranges, common: bool) -> list[Array]:
     """Factors, (n,) each, by which neighbours differ from a law of RMS 1: it grows faster or slower
     than by the law; along the travel; with speed. The last four of a law that every machine has are
     laws themselves.
@@ -136,7 +169,6 @@ def _bent(record: JointRecord, law: Array, whole: Data, joint: int, common: bool
     power = [np.sqrt(size), 1.0 / np.sqrt(np.maximum(size, 1e-3))]
     if common:
         return power
-    ranges = ranges_of(whole, joint)
     q, v, _ = record.motion.states
     place = 2.0 * np.clip(unit(q, ranges.position), 0.0, 1.0) - 1.0
     speed = 2.0 * np.clip(np.abs(v) / ranges.speed, 0.0, 1.0) - 1.0
@@ -144,23 +176,20 @@ def _bent(record: JointRecord, law: Array, whole: Data, joint: int, common: bool
 
 
 def _others(
-    whole: Data, fitted: Data, model: Model, term: Term, joint: int, band: float
+    law: _Law, handles: Sequence[Handle], sizes: Array, band: float, lacks: Sequence[Array]
 ) -> list[Array]:
     """How what lacks changes with every other free number, (numbers, n) a recording."""
-    handles = [
-        h
-        for h in joint_handles(fitted, model, joint)
-        if not (h.place == "term" and model.terms[h.index] is term)
-    ]
-    now, x = lacking(whole, model, joint, band), get_values(model, handles)
-    columns: list[list[Array]] = [[] for _ in now]
-    for k, size in enumerate(bounds_and_steps(fitted, model, handles)[2]):
+    x = get_values(law.model, handles)
+    columns: list[list[Array]] = [[] for _ in lacks]
+    for k, size in enumerate(sizes):
         there = x.copy()
         there[k] += STEP * size
-        moved = lacking(whole, set_values(model, handles, there), joint, band)
-        for column, a, b in zip(columns, moved, now, strict=True):
+        moved = lacking(law.data, set_values(law.model, handles, there), law.joint, band)
+        for column, a, b in zip(columns, moved, lacks, strict=True):
             column.append((a - b) / STEP)
-    return [np.array(c).reshape(len(handles), -1) for c in columns]
+    return [
+        np.array(c).reshape(len(handles), len(lack)) for c, lack in zip(columns, lacks, strict=True)
+    ]
 
 
 def _left_by(

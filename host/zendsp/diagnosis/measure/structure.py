@@ -115,7 +115,9 @@ def shapes(
         level = sign * _splines(fast, 6 * detail)
         return np.concatenate([level, _products(sign * _splines(place, 8), _splines(fast, 3))])
     if mechanism == "fluid_friction":
-        return _splines(0.5 + 0.5 * np.clip(v / ranges.speed, -1, 1), 8 * detail)
+        w = np.clip(v / ranges.speed, -1, 1)
+        along = _products(np.stack([w, w * np.abs(w), w * w]), _splines(place, 8))
+        return np.concatenate([_splines(0.5 + 0.5 * w, 8 * detail), along])
     if mechanism == "actuator":
         command = unit(record.command, ranges.command)
         return np.concatenate([_splines(command, 10 * detail), command * _splines(place, 6)])
