@@ -23,7 +23,8 @@ class Machine:
     inertia: float = 0.010
     viscous: float = 0.004
     coulomb: float = 0.03
-    drag: float = 0.0
+    drag: float = 0.0  # drag * |q̇|^power
+    power: float = 2.0
     gravity: float = 0.0
     breakaway: float = 0.0
     stribeck: float = 0.1
@@ -137,7 +138,7 @@ def simulate(
             )
             f = (
                 m.viscous * v
-                + m.drag * v * abs(v)
+                + m.drag * math.copysign(abs(v) ** m.power, v)
                 + m.gravity * math.sin(q)
                 + m.ripple * math.sin(m.order * q + 0.4)
                 + m.spring * q

@@ -65,6 +65,15 @@ def test_a_look_alike_of_a_law_is_a_mechanism_without_one_or_unexplained(tmp_pat
     )
 
 
+@pytest.mark.parametrize(("power", "law"), [(2.0, "quadratic_drag"), (3.0, "unknown")])
+def test_a_law_is_named_where_a_neighbour_of_it_does_not_predict_better(
+    power: float, law: str, tmp_path: Path
+) -> None:
+    """A resistance of the square of the speed, and of its cube."""
+    d = decided(tmp_path, reality.Machine(drag=0.002, power=power))
+    assert [(f.effect, f.mechanism) for f in d.findings] == [(law, "fluid_friction")]
+
+
 @pytest.mark.parametrize("foreign", [{"swirl": 0.008}, {"blend": 0.005}])
 def test_a_small_function_of_state_is_seen_and_gets_no_name_that_it_only_resembles(
     foreign: dict[str, float], tmp_path: Path

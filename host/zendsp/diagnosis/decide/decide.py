@@ -93,7 +93,9 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
                 # which mechanism, if any, is for the lacking torque itself to say
                 plain = _nothing_named(parts, given, search, before, pieces)
                 most = decision.after.value**2 < (1.0 - MOST) * before.value**2
-                stands = plain.kind == "complete" or (most and not plain.claims)
+                kind = kind_of(decision.claims[0].mechanism)
+                same = any(c.mechanism in kind for c in plain.claims)
+                stands = plain.kind == "complete" or (most and not plain.claims) or same
                 return decision if stands else plain
     return _nothing_named(parts, given, search, before, pieces)
 
