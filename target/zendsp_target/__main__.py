@@ -1,5 +1,5 @@
-"""``python -m zendsp_target``: start a target. Needs zenoh, numpy, msgspec, cffi and a C compiler,
-nothing else.
+"""``python -m zendsp_target``: start a target. Needs a C compiler and Python with zenoh, numpy, msgpack,
+msgspec, cffi and pyelftools, nothing of the host.
 """
 
 from __future__ import annotations
