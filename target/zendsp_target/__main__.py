@@ -1,5 +1,5 @@
-"""``python -m zendsp_target``: start a target. Needs a C compiler and Python with zenoh, numpy, msgpack,
-msgspec, cffi and pyelftools, nothing of the host.
+"""``python -m zendsp_target``: start a target. Needs a C compiler, and zenoh, numpy, msgpack, msgspec,
+cffi and pyelftools; nothing of the host.
 """
 
 from __future__ import annotations
