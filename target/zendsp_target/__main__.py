@@ -1,5 +1,6 @@
-"""``python -m zendsp_target``: start a target. Needs a C compiler, and zenoh, numpy, msgpack, msgspec,
-cffi and pyelftools; nothing of the host.
+"""``python -m zendsp_target``: start a target. Nothing of the host is needed.
+
+A C compiler is, and the packages zenoh, numpy, msgpack, msgspec, cffi and pyelftools.
 """
 
 from __future__ import annotations
