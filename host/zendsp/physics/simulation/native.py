@@ -149,7 +149,7 @@ def source_text(effects: dict[str, Effect]) -> str:
         mark = "EFFECT_FUNCTIONS" if name == "FUNCTIONS" else f"EFFECT_CASES_{name}"
         text = text.replace(f"/* {mark} */", "\n".join(lines))
     isr = resources.files("zendsp_isr").joinpath("include", "isr.h").read_text(encoding="utf-8")
-    host = re.sub(r'#include "isr.h"', lambda _: isr, _read("isr.c"))
+    host = re.sub(r'#include "isr.h"', lambda _: isr, _read("program.c"))
     return "".join(map(_read, _HEADERS)) + text + _TREE_ENTRY + host
 
 
