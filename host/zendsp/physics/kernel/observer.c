@@ -330,7 +330,7 @@ static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, 
             if (wavy) /* the load turns by slope for each turn of the motor */
                 EACH {
                     double at = N->w_order[l] * S->q[l] + N->w_phase[l];
-                    slope[l] = 1 + N->w_amp[l] * N->w_order[l] * cos(at);
+                    slope[l] = 1 + N->w_amp[l] * N->w_order[l] * cosine(at);
                     wave[l] =
                         N->w_amp[l] * sin(two_mass ? N->w_order[l] * q[l] + N->w_phase[l] : at);
                     bend[l] = -N->w_amp[l] * N->w_order[l] * N->w_order[l] * sin(at) * slope[l] *
