@@ -139,8 +139,8 @@ class JointRecord:
 
     def __getstate__(self) -> dict[str, Any]:
         """To another process goes what the rest follows from."""
-        gone = {"_gains": {}, "_integral": None, "_thinned": None, "fits": {}, "traces": {}}
-        return {**self.__dict__, **gone}
+        empty: dict[str, Any] = {key: {} for key in ("_gains", "fits", "traces")}
+        return {**self.__dict__, **empty, "_integral": None, "_thinned": None}
 
     def inertia_and_bias(self, model: Model) -> tuple[Array, Array]:
         """Inertia and known torque along the record for the mechanism parameters of a model, each
