@@ -14,9 +14,9 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import uniform_filter1d
 
 from zendsp.physics.calibration.joint import JointRecord, mechanism_value
+from zendsp.physics.kernel.smooth import moving_mean
 from zendsp.physics.model import TREES, Model, per_joint
 from zendsp.physics.robots.bodies import body_terms
 
@@ -98,10 +98,7 @@ def _system(rec: JointRecord, model: Model, window: float) -> tuple[Array, Array
     width = max(3, round(window / rec.sample_time))
 
     def low(v: Array) -> Array:
-        out: Array = uniform_filter1d(uniform_filter1d(v, width), width)[
-            2 * width : -2 * width : width
-        ]
-        return out
+        return moving_mean(moving_mean(v, width), width)[2 * width : -2 * width : width]
 
     q, qd, qdd = rec.motion.states
     key = own_key(model, rec.joint)

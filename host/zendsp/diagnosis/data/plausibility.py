@@ -16,11 +16,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import gaussian_filter1d
 
 from zendsp.diagnosis.data.series import repeats
 from zendsp.errors import RecordingError
 from zendsp.physics.calibration.joint import JointRecord, mechanism_value
+from zendsp.physics.kernel.smooth import gaussian
 from zendsp.physics.model import TREES, Model, per_joint
 from zendsp.physics.robots.rigid import bases
 from zendsp.physics.term_numbers import added_inertia
@@ -113,7 +113,7 @@ def look(positions: Array, commands: Array, sample_time: float, noise: Array) ->
         cutoff = min(cutoff, 0.4 * nyquist)
         # samples: half the amplitude is left at the cutoff
         width = math.sqrt(2 * math.log(2)) / (2 * np.pi * cutoff * sample_time)
-        q = gaussian_filter1d(positions, width, axis=1, mode="nearest")
+        q = gaussian(positions, width)
         qd = np.gradient(q, sample_time, axis=1)
         qdd = np.gradient(qd, sample_time, axis=1)
         white = noise * (2 * np.pi * cutoff) ** 2 * np.sqrt(0.6 * cutoff * sample_time)
@@ -131,7 +131,7 @@ def look(positions: Array, commands: Array, sample_time: float, noise: Array) ->
             for row in edge.astype(float)
         ]
     )
-    u = gaussian_filter1d(commands, width, axis=1, mode="nearest")
+    u = gaussian(commands, width)
     return Slow(q[:, use], qd[:, use], qdd[:, use], u[:, use], solid[:, use], step * sample_time)
 
 

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import uniform_filter1d
 
 from zendsp.errors import RecordingError
+from zendsp.physics.kernel.smooth import moving_mean
 
 Array = npt.NDArray[np.float64]
 
@@ -97,7 +97,7 @@ def judged(
 
 def _mean(x: Array, sample_time: float) -> Array:
     width = max(1, round(AVERAGED / sample_time))
-    return np.asarray(uniform_filter1d(uniform_filter1d(x, width), width))
+    return moving_mean(moving_mean(x, width), width)
 
 
 def _velocity(x: Array, q: Array, sample_time: float) -> str:

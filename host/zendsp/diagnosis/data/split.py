@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import uniform_filter1d
 
 from zendsp.diagnosis.data.signals import MIN_SAMPLES, Signals
+from zendsp.physics.kernel.smooth import moving_mean
 
 Array = npt.NDArray[np.float64]
 
@@ -73,7 +73,8 @@ def _way(s: Signals) -> Array:
     trembles is averaged out.
     """
     block = max(1, round(0.02 / s.sample_time))
-    means = uniform_filter1d(s.position, block, axis=0, mode="nearest")[::block]
+    columns = [moving_mean(q, block, "edge")[::block] for q in s.position.T]
+    means = np.stack(columns, axis=1)
     way = np.cumsum(np.abs(np.diff(means, axis=0, prepend=means[:1])), axis=0)
     way = way[:, way[-1] > 0]
     share = np.mean(way / way[-1], axis=1) if way.shape[1] else np.linspace(0.0, 1.0, len(means))

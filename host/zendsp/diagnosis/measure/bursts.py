@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import binary_closing, median_filter
-from scipy.special import ndtr, ndtri  # scipy.stats would take half a second to import
 
 from zendsp.diagnosis.measure.discrepancy import (
     band_of,
@@ -137,9 +136,10 @@ def bursts(
     if not covered or covered > BRIEF * count or met < REVISITED * covered:
         return None
     out = _summed([(data, acting)], joint)
-    z = -float(ndtri(0.5 * covered / count))
+    normal = NormalDist()
+    z = -normal.inv_cdf(0.5 * covered / count)
     # of a random torque's energy, in its largest values for so long
-    by_chance = 2.0 * (z * float(np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi)) + float(ndtr(-z)))
+    by_chance = 2.0 * (z * normal.pdf(z) + normal.cdf(-z))
     scattered = 1.0 - out.share > CONCENTRATED * (1.0 - by_chance)
     return None if scattered or len(out.intervals) > many else out
 
@@ -191,6 +191,8 @@ def _acting(
     quiet = float(np.quantile(np.concatenate(levels), 0.5))
     high = max(float(level.max()) for level in levels)
     above = max(BURST * quiet, OF_PEAK * high if least is None else least)
+    from scipy.ndimage import binary_closing  # takes a third of a second
+
     masks = []
     for level, rec in zip(levels, data.records, strict=True):
         gap = max(1, round(0.25 / rec[joint - 1].sample_time))
@@ -237,6 +239,8 @@ def periodic(data: Data, model: Model, joint: int, band: float = 64.0) -> float:
     """RMS of the one sine that stands out of what a model lacks, as a part of the RMS torque; 0
     where none does in each recording (Fisher 1929, with the noise of the neighbouring lines).
     """
+    from scipy.ndimage import median_filter  # takes a third of a second
+
     sizes, places = [], []
     scale = np.sqrt(mean_square(data, joint))
     for lack, rec in zip(lacking(data, model, joint, band), data.records, strict=True):

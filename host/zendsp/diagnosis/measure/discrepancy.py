@@ -13,11 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import binary_dilation
 
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.calibration.joint import JointRecord, effective_inertia
 from zendsp.physics.calibration.predict import response, run
+from zendsp.physics.kernel.smooth import widened
 from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
@@ -195,7 +195,7 @@ def reversals(record: JointRecord, band: float) -> npt.NDArray[np.bool_]:
     speed = np.abs(record.motion.states[1])
     slow = speed < TURNING * float(np.quantile(speed[kept(record, band)], FASTEST))
     around = max(1, round(2.0 / band / record.sample_time))
-    return np.asarray(binary_dilation(slow, iterations=around))
+    return widened(slow, around)
 
 
 def at_reversals(data: Data, one: Model, other: Model, joint: int) -> float:

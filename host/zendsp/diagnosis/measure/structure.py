@@ -8,7 +8,6 @@ from itertools import product
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg.blas import dtbsv
 
 from zendsp.diagnosis.measure.discrepancy import (
     BANDS,
@@ -25,6 +24,7 @@ from zendsp.diagnosis.measure.discrepancy import (
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.calibration.joint import JointRecord, effective_inertia
 from zendsp.physics.calibration.predict import response
+from zendsp.physics.kernel.native import swung
 from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
@@ -136,10 +136,7 @@ def _swung(record: JointRecord) -> Array:
         if hertz * h < SLOWER:
             w = 2 * np.pi * hertz
             decay, turn = np.exp(-SWINGS * w * h), np.cos(w * np.sqrt(1 - SWINGS**2) * h)
-            # place[k] - 2 decay turn place[k-1] + decay² place[k-2] = h² a[k-1]: a triangular
-            # band, solved from its first row on
-            band = np.tile([[1.0], [-2 * decay * turn], [decay**2]], record.n)
-            place = dtbsv(2, band, h * h * np.concatenate([[0.0], a[:-1]]), lower=1, diag=1)
+            place = swung(a, h, 2 * decay * turn, -(decay**2))
             columns += [w**2 * place, w * np.gradient(place, h)]
     return np.array(columns).reshape(-1, record.n)
 

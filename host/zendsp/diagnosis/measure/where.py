@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import uniform_filter1d
 
 from zendsp.diagnosis.measure.discrepancy import BANDS, kept, lacking, noise
 from zendsp.physics.calibration.fit import Data
+from zendsp.physics.kernel.smooth import moving_mean
 from zendsp.physics.model import Model, per_joint
 
 Array = npt.NDArray[np.float64]
@@ -143,7 +143,7 @@ def intervals(missing: Missing, most: int = 5) -> list[tuple[float, float, float
         return []
     period = float(missing.time[1] - missing.time[0])
     width = max(3, round(0.1 / period))
-    level = uniform_filter1d(e, width)
+    level = moving_mean(e, width)
     high = level > CONCENTRATED * float(np.mean(e))
     change = np.flatnonzero(np.diff(np.r_[0, high.astype(int), 0]))
     spans: list[tuple[int, int]] = []

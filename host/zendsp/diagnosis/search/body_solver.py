@@ -8,7 +8,6 @@ from collections.abc import Collection
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ndtri, stdtr
 
 from zendsp.diagnosis.search.body_columns import NUISANCE, Layout, Sums
 from zendsp.diagnosis.search.body_hypotheses import COM, LIMITS, BodyLimits, Hypothesis
@@ -226,6 +225,8 @@ def normal(t: float, blocks: float) -> float:
     """A ratio of Student's, to the spread of so many blocks, in standard deviations of a normal
     one (at most 37, of 1e-300).
     """
+    from scipy.special import ndtri, stdtr  # takes a third of a second
+
     tail = max(float(stdtr(max(blocks - 1.0, 0.1), -abs(t))), 1e-300)
     return float(np.copysign(ndtri(tail), t))
 

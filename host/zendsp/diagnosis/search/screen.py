@@ -22,7 +22,7 @@ from zendsp.physics.calibration.terms import grid_of, make_term, usable
 from zendsp.physics.effects import Effect, get_effect, is_supported, library
 from zendsp.physics.effects.base import Parameter
 from zendsp.physics.kernel.threads import threads
-from zendsp.physics.model import Model, Term
+from zendsp.physics.model import Model, Term, per_joint
 
 Array = npt.NDArray[np.float64]
 
@@ -30,6 +30,9 @@ TOGETHER = 8  # grid points whose columns are computed at once
 # where an effect acts whose torque is the same beside others
 ADDED = ("torque", "viscous", "dry", "sensor")
 SCALES = ("scale", "dry_scale")
+# of a column's energy: less is left where the calibrated parameters imitate it but for rounding
+IMITATED = 1e-8
+REMEMBERED = 3e7  # bytes of traces of a recording at most
 FIRST_ORDER = 0.05  # s: a shift in time is told to first order; no fit begins beyond
 
 
@@ -139,9 +142,20 @@ class Screen:
         if effect.at_sensor:
             return -sensed(rec, self.model, terms)
         if alone or (not self.scaled and effect.site in ADDED):
-            return trace(rec, self.model, terms, floor)
+            return self._alone(rec, terms, floor)
         together = (*self.model.at(self.joint), *terms)
         return np.asarray(trace(rec, self.model, together, floor) - self.base[i])
+
+    def _alone(self, rec: JointRecord, terms: tuple[Term, ...], floor: float) -> Array:
+        """Their trace, worked out once a recording: nothing else of the model enters."""
+        gain = per_joint(self.model.actuator.gain, self.joint, 1.0)
+        key = (floor, gain, *((t.effect, *t.parameters.items()) for t in terms))
+        found = rec.traces.get(key)
+        if found is None:
+            found = trace(rec, self.model, terms, floor)
+            if len(rec.traces) * found.nbytes < REMEMBERED:
+                rec.traces[key] = found
+        return found
 
     def _respond(self, i: int, columns: Array, *, on_sensor: bool = False) -> Array:
         rec = self.records[i]
@@ -154,15 +168,23 @@ class Screen:
             on_sensor=on_sensor,
         )
 
-    def group(self, columns: Array) -> tuple[float, Array]:
-        """Decrease of the cost by some columns, a row each, and their coefficients."""
-        b = columns - (columns @ self.q) @ self.q.T
-        norm = np.linalg.norm(b, axis=1)
-        norm[norm == 0] = 1.0
-        b /= norm[:, None]
-        gram, moment = b @ b.T, b @ self.left
-        theta = -np.linalg.lstsq(gram, moment, rcond=1e-9)[0]
-        return float(-2 * theta @ moment - theta @ gram @ theta), theta / norm
+    def groups(self, columns: Array, each: int) -> Iterator[tuple[float, Array]]:
+        """Decrease of the cost by every ``each`` columns, a row each, and their coefficients."""
+        known = columns @ self.q
+        gram, moment = columns @ columns.T, columns @ self.left
+        whole = np.diag(gram).copy()
+        gram -= known @ known.T
+        for begin in range(0, len(columns), each):
+            some = slice(begin, begin + each)
+            inner, outer = gram[some, some], moment[some]
+            if np.any(np.diag(inner) < IMITATED * whole[some]):  # a difference of equals
+                b = columns[some] - known[some] @ self.q.T
+                inner, outer = b @ b.T, b @ self.left
+            norm = np.sqrt(np.diag(inner))
+            norm[norm == 0] = 1.0
+            outer = outer / norm
+            theta = -_least_squares(inner / np.outer(norm, norm), outer)
+            yield float(-theta @ outer), theta / norm
 
     def candidates(self, only: frozenset[str] = frozenset(), jobs: int = 1) -> list[Candidate]:
         """Each effect of the library (or only the named ones) at its best grid point, best first.
@@ -214,8 +236,8 @@ class Screen:
             rows = self.series(
                 list(itertools.chain.from_iterable(wanted[some])), alone=bool(effect.replaces)
             )
-            for k, point in enumerate(points[some]):
-                yield self._judge(effect, point, rows[k * each : (k + 1) * each])
+            for point, found in zip(points[some], self.groups(rows, each), strict=True):
+                yield self._judge(effect, point, *found)
 
     def _directions(self, effect: Effect, point: dict[str, float]) -> list[dict[str, float]]:
         """The values whose torques, together, are all that the effect can be at a grid point."""
@@ -232,9 +254,8 @@ class Screen:
         return [_unit_values(effect, point, name) for name in effect.linear] or [point]
 
     def _judge(
-        self, effect: Effect, point: dict[str, float], columns: Array
+        self, effect: Effect, point: dict[str, float], gain: float, theta: Array
     ) -> tuple[float, dict[str, float]]:
-        gain, theta = self.group(columns)
         if _neutral_of(effect, point):
             s = facts(self.records[0])
             k = max(
@@ -282,6 +303,16 @@ class Screen:
         return Candidate(
             effect.name, self.joint, (make_term(effect, self.joint, values),), replaces, gain
         )
+
+
+def _least_squares(gram: Array, moment: Array) -> Array:
+    """Coefficients of one or two columns of length 1, or of any."""
+    beside = float(gram[0, -1])
+    if len(gram) == 1 and beside == 1.0:
+        return moment
+    if len(gram) == 2 and 1.0 - abs(beside) > IMITATED:
+        return np.asarray((moment - beside * moment[::-1]) / (1.0 - beside * beside))
+    return np.asarray(np.linalg.lstsq(gram, moment, rcond=1e-9)[0])
 
 
 def with_candidate(model: Model, candidate: Candidate) -> Model:

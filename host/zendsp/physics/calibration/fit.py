@@ -291,17 +291,17 @@ class _Problem:
         return out
 
     def better(
-        self, x: Array, r: Array, jac: Array, damping: float, brief: bool
+        self, x: Array, r: Array, jac: Array, damping: float, last: bool
     ) -> tuple[float, Array, Array, Array | None] | None:
         """A point whose cost is smaller: damping, point, residual, and its Jacobian where that came
-        with it. None where no step helps.
+        with it, as it does but for the ``last`` step. None where no step helps.
         """
         cost = float(r @ r)
         shorter = [max(damping, 1e-6 / 6.0) * 6.0**i for i in range(1, TRIES)]
         for dampings in ([damping], shorter):  # then shorter steps, all of them at once
             trials = self.trials(x, r, jac, dampings)
             slope: Array | None = None
-            if len(trials) == 1 and not brief:  # most first steps are taken
+            if len(trials) == 1 and not last:  # most first steps are taken, idle lanes cost nothing
                 first, slope = self.jacobian(trials[0])
                 rows = first[None]
             else:
@@ -322,7 +322,7 @@ class _Problem:
         cost, damping, done, count = float(r @ r), 1e-3, not len(x), 0
         while not done and count < iterations:
             count += 1
-            better = self.better(x, r, jac, damping, brief)
+            better = self.better(x, r, jac, damping, brief and count == iterations)
             if not better:
                 done = True
                 break

@@ -47,6 +47,8 @@ class JointRecord:
     _thinned: JointRecord | None = None
     # fits to it, by all that they depend on: the latest, see ``fit``
     fits: dict[Any, Any] = field(default_factory=dict)
+    # torques of single terms along it, see ``Screen``
+    traces: dict[Any, Array] = field(default_factory=dict)
 
     @property
     def n(self) -> int:
@@ -131,12 +133,14 @@ class JointRecord:
                 _integral=None,
                 _thinned=None,
                 fits={},
+                traces={},
             )
         return self._thinned
 
     def __getstate__(self) -> dict[str, Any]:
         """To another process goes what the rest follows from."""
-        return {**self.__dict__, "_gains": {}, "_integral": None, "_thinned": None, "fits": {}}
+        empty: dict[str, Any] = {key: {} for key in ("_gains", "fits", "traces")}
+        return {**self.__dict__, **empty, "_integral": None, "_thinned": None}
 
     def inertia_and_bias(self, model: Model) -> tuple[Array, Array]:
         """Inertia and known torque along the record for the mechanism parameters of a model, each

@@ -53,11 +53,12 @@ class Points:
         self._cells: list[tuple[int, int, int, int]] = []  # handle, row, column, less
         self._gain: list[int] = []
         self._shift: list[int] = []
+        self._gravity: list[int] = []  # only what the kernel multiplies with a sine
         self._rigid: list[int] = []  # inertia and known torque
         for i, handle in enumerate(handles):
             self._sort(i, handle)
         cells = [cell[0] for cell in self._cells]
-        self._felt = [*cells, *self._gain, *self._shift, *self._rigid]
+        self._felt = [*cells, *self._gain, *self._shift, *self._gravity, *self._rigid]
 
     def _sort(self, i: int, handle: Handle) -> None:
         record, model = self.record, self.model
@@ -68,8 +69,10 @@ class Points:
             self._shift += [i] * here
         elif handle.place == "mechanism":
             alone = len(model.mechanism[handle.key]) < record.joint and handle.index == 0
-            if (here or alone) and (handle.key in record.basis or handle.key == "gravity"):
+            if (here or alone) and handle.key in record.basis:
                 self._rigid.append(i)
+            elif (here or alone) and handle.key == "gravity" and model.kind == "rotary":
+                self._gravity.append(i)
         else:
             term = model.terms[handle.index]
             effect = get_effect(term.effect)
@@ -116,6 +119,8 @@ class Points:
                 fill_shift(m[lane], self.record, at[lane, i])
             if self._rigid:
                 self._fill_rigid(m[lane], at[lane], known)
+            for i in self._gravity:
+                m[lane].gravity = at[lane, i]
         if count == 1:
             out = np.empty((n, 1))
             nothing = lib.ffi.NULL

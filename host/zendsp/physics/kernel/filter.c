@@ -113,3 +113,12 @@ double zf_smooth(int n, double T, double sd, double sd0, const double *a_in, con
     }
     return nll;
 }
+
+/* What hangs on a joint and swings when it is accelerated, a[n]: place[k] = first place[k-1] +
+ * second place[k-2] + T^2 a[k-1]. */
+void zf_swing(int n, double T, double first, double second, const double *a, double *place)
+{
+    for (int k = 0; k < n; k++)
+        place[k] = (k > 0 ? first * place[k - 1] + T * T * a[k - 1] : 0.0) +
+                   (k > 1 ? second * place[k - 2] : 0.0);
+}

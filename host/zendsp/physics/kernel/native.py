@@ -14,11 +14,15 @@ from pathlib import Path
 from typing import Any
 
 import cffi
+import numpy as np
+import numpy.typing as npt
 
 from zendsp.errors import ZendspError
 from zendsp.physics.effects import Effect, library
 from zendsp_isr.build import cache_root
 from zendsp_isr.compiler import find_compiler
+
+Array = npt.NDArray[np.float64]
 
 FAST = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC")
 FLAGS = (*FAST, "-std=c11", "-fopenmp-simd")
@@ -42,6 +46,7 @@ void zk_filter(int n, double T, const double *k1, const double *k2, const double
 void zf_gains(int n, double T, double sa, const double *R, double *k1, double *k2, double *w);
 double zf_smooth(int n, double T, double sd, double sd0, const double *a_in, const double *m, const double *half, const double *R,
                  double q0, double v0, double *work, double *out, double *var);
+void zf_swing(int n, double T, double first, double second, const double *a, double *place);
 """  # noqa: E501
 
 LANES = 8  # parameter sets that ``zk_run_lanes`` takes at once
@@ -194,3 +199,15 @@ def native() -> Native:
     if key not in _opened:
         _opened[key] = Native(effects)
     return _opened[key]
+
+
+def swung(a: Array, sample_time: float, first: float, second: float) -> Array:
+    """Place of what hangs on a joint and swings when it is accelerated, (n,): first place[k-1] +
+    second place[k-2] + T² a[k-1].
+    """
+    lib, place = native(), np.empty(len(a))
+    motion = np.ascontiguousarray(a)
+    lib.lib.zf_swing(
+        len(a), sample_time, first, second, lib.doubles(motion), lib.doubles(place)
+    )
+    return place

@@ -161,11 +161,11 @@ static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, 
     double wave[LANES], slope[LANES], bend[LANES], load[LANES], from[LANES], seen[LANES],
         fade[LANES]; /* see below, where any lane is wavy or filtered */
     double usum[LANES], u[LANES] = {0}, tau[LANES] = {0}, f[LANES], scale[LANES], level[LANES],
-                        y[LANES], e[LANES], ex[LANES], mean[LANES];
+                        y[LANES], e[LANES], ex[LANES], mean[LANES], past[LANES];
     int gone[LANES], left = LANES;
     const int geared = wavy && !two_mass; /* a rigid transmission with an error */
     const int sub = N->gapped ? CONTACT_STEPS * M->sub : M->sub, n = M->n, side = M->load_sensor;
-    const double h = M->T / sub, per_h = 1.0 / h;
+    const double h = M->T / sub, per_h = 1.0 / h, per_T = 1.0 / M->T;
     double yloop = M->q0, vloop = 0;
     for (int l = 0; l < LANES; l++) {
         q[l] = ql[l] = M[l].q0; qd[l] = qdl[l] = M[l].qd0;
@@ -296,11 +296,10 @@ static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, 
         EACH { per_jm[l] = 1.0 / jm[l]; usum[l] = 0; }
         /* the command is held over the sample */
         const int steady = !hidden || (!N->lag_on && !N->late);
+        if (!steady) EACH past[l] = cum(M, k * M->T - N->delay[l], per_T);
         if (steady) {
-            EACH {
-                u[l] = (M->ucum[k + 1] - M->ucum[k]) / M->T;
-                S->t[l] = M->t0 + (k + 0.5) * M->T;
-            }
+            const double held = (M->ucum[k + 1] - M->ucum[k]) / M->T, now = M->t0 + (k + 0.5) * M->T;
+            EACH { u[l] = held; S->t[l] = now; }
             OF(act)(M, N, S, u, tau);
         }
         for (int i = 0; i < sub; i++) {
@@ -308,8 +307,11 @@ static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, 
             const double tl = k * M->T + i * h;
             EACH S->t[l] = M->t0 + tl + 0.5 * h;
             if (!steady) {
-                for (int l = 0; l < LANES; l++)
-                    u[l] = (cum(M, tl + h - N->delay[l]) - cum(M, tl - N->delay[l])) * per_h;
+                EACH {
+                    const double next = cum(M, tl + h - N->delay[l], per_T);
+                    u[l] = (next - past[l]) * per_h;
+                    past[l] = next;
+                }
                 if (hidden && N->lag_on)
                     EACH {
                         double before = k == 0 && i == 0 ? u[l] : a[l], held = u[l];
@@ -330,7 +332,7 @@ static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, 
             if (wavy) /* the load turns by slope for each turn of the motor */
                 EACH {
                     double at = N->w_order[l] * S->q[l] + N->w_phase[l];
-                    slope[l] = 1 + N->w_amp[l] * N->w_order[l] * cos(at);
+                    slope[l] = 1 + N->w_amp[l] * N->w_order[l] * cosine(at);
                     wave[l] =
                         N->w_amp[l] * sin(two_mass ? N->w_order[l] * q[l] + N->w_phase[l] : at);
                     bend[l] = -N->w_amp[l] * N->w_order[l] * N->w_order[l] * sin(at) * slope[l] *

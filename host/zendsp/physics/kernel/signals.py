@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import uniform_filter1d
 
 from zendsp.physics.kernel.native import native
+from zendsp.physics.kernel.smooth import moving_mean
 
 Array = npt.NDArray[np.float64]
 
@@ -133,8 +133,8 @@ def measure(y: Array, sample_time: float, resolution: float, noise: float = 0.0)
         floor = max(white, (1e-9 * max(float(np.ptp(y)), 1e-9)) ** 2)
         return Measurement(y.astype(float), np.zeros(n), np.full(n, floor), resolution, noise)
     window = max(5, round(SPEED_OVER / sample_time))
-    speed = np.abs(np.gradient(uniform_filter1d(y, window, mode="nearest"), sample_time))
-    speed = uniform_filter1d(speed, window, mode="nearest")
+    speed = np.abs(np.gradient(moving_mean(y, window, "edge"), sample_time))
+    speed = moving_mean(speed, window, "edge")
     slow = speed * sample_time < SLOW * resolution
     change = np.zeros(n, bool)
     change[1:] = np.abs(np.diff(y)) > 0.5 * resolution
@@ -279,7 +279,7 @@ def noise_beside_quantisation(y: Array, resolution: float) -> float:
     if resolution <= 0:
         return _coloured(y)
     fourth = np.diff(y, 4)
-    pace = np.abs(np.gradient(uniform_filter1d(y, PACE, mode="nearest")))[4:] / resolution
+    pace = np.abs(np.gradient(moving_mean(y, PACE, "edge")))[4:] / resolution
     moving = pace > MOVING
     if moving.sum() < ENOUGH:
         return resolution * _dither(np.diff(y) / resolution, pace < STANDING)

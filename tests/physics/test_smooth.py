@@ -1,0 +1,48 @@
+"""Means along time, against scipy's."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.linalg.blas import dtbsv
+from scipy.ndimage import binary_dilation, gaussian_filter1d, uniform_filter1d
+
+from zendsp.physics.kernel.native import swung
+from zendsp.physics.kernel.smooth import gaussian, moving_mean, widened
+
+SIZES = (5, 50, 2001)
+
+
+@pytest.mark.parametrize("n", SIZES)
+@pytest.mark.parametrize("width", [1, 2, 3, 10, 41])
+def test_a_moving_mean_is_that_of_scipy(n: int, width: int) -> None:
+    x = np.random.default_rng(n).normal(size=n).cumsum()
+    # the same sums in the same order
+    assert np.array_equal(moving_mean(x, width), uniform_filter1d(x, width))
+    assert np.array_equal(
+        moving_mean(x, width, "edge"), uniform_filter1d(x, width, mode="nearest")
+    )
+
+
+@pytest.mark.parametrize("n", SIZES)
+@pytest.mark.parametrize("sigma", [0.3, 1.7, 40.0])
+def test_gaussian_smoothing_is_that_of_scipy(n: int, sigma: float) -> None:
+    x = np.random.default_rng(n).normal(size=(3, n))
+    # sums of at most 321 terms of order 1: rounding
+    np.testing.assert_allclose(
+        gaussian(x, sigma), gaussian_filter1d(x, sigma, axis=1, mode="nearest"), atol=1e-14
+    )
+
+
+@pytest.mark.parametrize("n", SIZES)
+@pytest.mark.parametrize("around", [1, 3, 60])
+def test_a_mask_widens_as_scipy_dilates_it(n: int, around: int) -> None:
+    mask = np.random.default_rng(n).random(n) > 0.9
+    assert np.array_equal(widened(mask, around), binary_dilation(mask, iterations=around))
+
+
+def test_what_hangs_on_a_joint_swings_as_the_triangular_band_says() -> None:
+    a, h, first, second = np.random.default_rng(0).normal(size=500), 1e-3, 1.97, -0.98
+    band = np.tile([[1.0], [-first], [-second]], len(a))
+    expected = dtbsv(2, band, h * h * np.concatenate([[0.0], a[:-1]]), lower=1, diag=1)
+    np.testing.assert_allclose(swung(a, h, first, second), expected, rtol=1e-9, atol=1e-18)
