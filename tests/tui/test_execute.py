@@ -30,7 +30,6 @@ from zendsp.tui.screens.analysis import ProcessView, simulation_of
 from zendsp.tui.screens.diagnose import DiagnoseScreen
 from zendsp.tui.screens.execute import ExecuteScreen
 
-
 FAST = 3.0  # rad/s of joint 1; the way there goes at half of it, the motion at 4.35
 
 
