@@ -90,7 +90,9 @@ def find_player(variables: Sequence[Variable]) -> Player | None:
     if chosen is None:
         return None
     names = {v.name for v in variables if v.kind == "parameter"}
-    known = tuple(n for n in ("use_table", "row_rate", "approach_time") if n in names)
+    known: tuple[str, ...] = tuple(
+        n for n in ("use_table", "row_rate", "approach_time") if n in names
+    )
     known += tuple(v.name for v in variables if (v.name, v.kind, v.type) == HOLD)
     torque = next(
         (v.name for v in tables if v.name == f"{chosen.name}_tau" and v.columns == chosen.columns),
