@@ -34,6 +34,7 @@ _MAX_PROCESSES = 32  # of one compilation; gcc has three at a time, zig more
 _MAX_MEMORY_ALL = 3 << 30  # bytes in memory of all of them
 _MAX_FOLDER = 512 << 20  # bytes of all files
 _LOOK_S = 0.1  # between looks at these three
+_BUSY = 3.0  # times as long as it may compute: other work takes the rest
 _MAX_MESSAGES = 200
 _MAX_TEXT = 2000  # characters of one message
 # what a compiler is made of; nothing else can be read while an upload is compiled
@@ -169,7 +170,8 @@ def run_compiler(
         Where it runs, and the only folder that it writes to; file names in its messages are
         relative to it.
     timeout_s : float
-        Wall-clock and CPU limit, s.
+        Limit, s: of the time it has computed, where the computer is busy with other work, and of
+        three times as much that has passed.
     readable : sequence of Path
         Folders of headers. It reads these, `cwd` and the toolchain; where the kernel has Landlock
         nothing else can be opened.
@@ -183,7 +185,7 @@ def run_compiler(
     allowed = [*_toolchain(compiler), *map(str, readable)]
     zig = _zig(compiler)
     settings = {
-        "cpu_s": max(1, math.ceil(timeout_s)),
+        "cpu_s": math.ceil(_BUSY * timeout_s),  # of each; all of them are watched
         "memory": _MAX_MEMORY if not zig else _MAX_MEMORY_ZIG,
         "file": _MAX_FILE,
         "read": allowed,
@@ -224,7 +226,9 @@ def _run(
 ) -> _Ended:
     """The command to its end, or to a limit; nothing of its process group is left."""
     text = bytearray()
-    deadline = time.monotonic() + timeout_s
+    too_long = f"the compiler did not finish within {timeout_s:g} s and was stopped"
+    began = time.monotonic()
+    deadline = began + _BUSY * timeout_s
     look = time.monotonic() + _LOOK_S
     why = ""
     with subprocess.Popen(
@@ -240,8 +244,9 @@ def _run(
         try:
             while not why:
                 ready = select.select([process.stderr], [], [], _LOOK_S)[0]
-                if time.monotonic() > deadline:
-                    why = f"the compiler did not finish within {timeout_s:g} s and was stopped"
+                late = time.monotonic() - began > timeout_s
+                if late and (time.monotonic() > deadline or _computed(process.pid) > timeout_s):
+                    why = too_long
                     break
                 if time.monotonic() > look:
                     why = _too_much(process.pid, cwd)
@@ -261,7 +266,7 @@ def _run(
                 try:
                     process.wait(max(0.1, deadline - time.monotonic()))
                 except subprocess.TimeoutExpired:
-                    why = f"the compiler did not finish within {timeout_s:g} s and was stopped"
+                    why = too_long
         finally:
             # the leader is not yet waited for or just was: its group is still its own
             with contextlib.suppress(ProcessLookupError, PermissionError):
@@ -269,14 +274,27 @@ def _run(
     return _Ended(process.returncode, text.decode(errors="replace"), why)
 
 
-def _too_much(session: int, cwd: Path) -> str:
-    """Which limit of a compilation as a whole is passed, in words; empty where none is."""
-    processes = pages = 0
+def _of(session: int) -> list[list[str]]:
+    """What /proc says of the processes of a session: the fields after the name."""
+    found = []
     for stat in Path("/proc").glob("[0-9]*/stat"):
         with contextlib.suppress(OSError, IndexError):
             fields = stat.read_text(errors="replace").rpartition(")")[2].split()
             if int(fields[3]) == session:
-                processes, pages = processes + 1, pages + int(fields[21])
+                found.append(fields)
+    return found
+
+
+def _computed(session: int) -> float:
+    """CPU time of a session, s, with that of its processes that have ended."""
+    ticks = sum(int(part) for fields in _of(session) for part in fields[11:15])
+    return float(ticks) / os.sysconf("SC_CLK_TCK")
+
+
+def _too_much(session: int, cwd: Path) -> str:
+    """Which limit of a compilation as a whole is passed, in words; empty where none is."""
+    of_session = _of(session)
+    processes, pages = len(of_session), sum(int(fields[21]) for fields in of_session)
     size = 0
     for path in cwd.rglob("*"):
         with contextlib.suppress(OSError):

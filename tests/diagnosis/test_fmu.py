@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import tempfile
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -251,6 +252,16 @@ def test_coulomb_friction_that_an_fmu_lacks_is_named(shop: Path, tmp_path: Path)
     write_report(d, tmp_path / "out", pictures=False)
     back = load_model(tmp_path / "out" / "model.toml")
     assert [t.effect for t in back.terms] == ["coulomb"] and back.fmu["start_position"] == ["angle"]
+
+
+def test_a_check_of_a_model_opens_its_fmu(
+    shop: Path, tmp_path: Path, typed: Callable[..., tuple[object, str, str]]
+) -> None:
+    assert typed("model", "check", write_model(tmp_path, shop / "p3.fmu"))[0] == 0
+    junk = tmp_path / "junk.fmu"
+    junk.write_text("no archive")
+    status, _, said = typed("model", "check", write_model(tmp_path, junk))
+    assert status == 2 and "is not an FMU that can be read" in said
 
 
 def test_an_fmu_that_is_complete_raises_no_alarm(shop: Path, tmp_path: Path) -> None:

@@ -113,6 +113,24 @@ def test_a_viewer_that_may_writes_and_a_refusal_says_why(target: Target) -> None
             target["Kp1"] = 2000.0
 
 
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"name": "Kp1", "value": True}, "Kp1: true"),
+        ({"name": "Kp1", "value": {"a": 1.0}}, "Kp1: is a number"),
+        ({"name": "Kp1", "value": "AAAA", "type": "byte_array"}, "Kp1: is a number"),
+        ({"name": "ref", "value": [0.1, 0.2]}, "ref: no parameter"),
+    ],
+)
+def test_what_is_no_value_of_a_parameter_is_refused_in_words(
+    target: Target, given: dict[str, Any], said: str
+) -> None:
+    with foxglove(target, ["q1"], port=0, writable=True) as bridge, Viewer(bridge) as viewer:
+        viewer.ask("setParameters", parameters=[given], id="a")
+        assert said.lower() in viewer.until(lambda m: m.get("op") == "status")["message"].lower()
+        assert target["Kp1"] == 2000.0
+
+
 def test_a_trip_is_an_event(target: Target) -> None:
     with foxglove(target, ["q1"], port=0) as bridge, Viewer(bridge) as viewer:
         viewer.subscribe("/events")

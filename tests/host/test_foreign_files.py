@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import sys
+import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -311,6 +314,33 @@ def test_a_flipped_byte_never_crashes_the_reader(name: str, tmp_path: Path) -> N
             read_table(path)
         except RecordingError as error:
             assert path.name in str(error)
+
+
+def vast_hdf5(path: Path) -> Path:
+    with pytest.importorskip("h5py").File(path, "w") as file:
+        file.create_dataset("q", (10**13,), dtype="f8", chunks=(1 << 16,))
+    return path
+
+
+def vast_npz(path: Path) -> Path:
+    header = io.BytesIO()
+    facts = {"descr": "<f8", "fortran_order": False, "shape": (10**13,)}
+    np.lib.format.write_array_header_1_0(header, facts)
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("q.npy", header.getvalue() + bytes(800))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("make", "name"), [(vast_hdf5, "vast.h5"), (vast_hdf5, "vast.mat"), (vast_npz, "vast.npz")]
+)
+def test_a_small_file_that_says_it_is_vast_is_refused_before_anything_is_allocated(
+    make: Callable[[Path], Path], name: str, tmp_path: Path
+) -> None:
+    path = make(tmp_path / name)
+    assert path.stat().st_size < 10_000
+    with pytest.raises(RecordingError, match=rf"{name}: says that it holds 80000\.0 GB"):
+        read_table(path)
 
 
 def test_one_process_reads_many_files_and_another_follows_where_it_ended(

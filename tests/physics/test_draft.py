@@ -159,6 +159,14 @@ def test_a_table_without_positions_is_refused_with_what_it_has() -> None:
         draft_model(Table({"t": T, "a": T, "b": T}, {}, {}, Path("run.csv")))
 
 
+def test_a_column_without_a_number_is_named() -> None:
+    nothing = np.full(len(T), np.nan)
+    with pytest.raises(RecordingError, match="of which q holds no finite number"):
+        draft_model(Table({"t": T, "q": nothing, "u": T}, {}, {}, Path("run.csv")))
+    draft = draft_model(Table({**recording(), "u": nothing}, {}, {}, Path("run.csv")))
+    assert "u holds no finite number: why?" in draft.questions
+
+
 @pytest.mark.parametrize(
     ("name", "unit", "role"),
     [

@@ -12,6 +12,7 @@ import pytest
 from zendsp.errors import ModelError
 from zendsp.physics.files.model_file import load_model, parse_model
 from zendsp.physics.files.model_write import model_text
+from zendsp.physics.robots.mjcf import library
 from zendsp.physics.robots.robot import mjcf_of, robot_tree
 from zendsp.tree import inverse_dynamics
 
@@ -189,6 +190,21 @@ def test_a_missing_file_is_refused(tmp_path: Path) -> None:
         parse_model(
             {"mechanism": {"kind": "mjcf", "file": "none.xml"}}, str(tmp_path / "arm.toml")
         )
+
+
+def test_a_warning_of_mujoco_leaves_no_file_in_the_folder_of_the_user(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    mj = library()
+    model = mj.MjModel.from_xml_string(
+        "<mujoco><worldbody><body><joint type='hinge' axis='0 1 0'/><geom size='.1' pos='1 0 0'/>"
+        "</body></worldbody></mujoco>"
+    )
+    data = mj.MjData(model)
+    data.qvel[0] = np.nan
+    mj.mj_step(model, data)
+    assert "unstable" in caplog.text and not list(tmp_path.iterdir())
 
 
 def test_a_servo_becomes_the_torque_that_it_gave(tmp_path: Path) -> None:

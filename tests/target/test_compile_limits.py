@@ -47,6 +47,19 @@ def test_a_bomb_of_macros_ends_at_its_time_with_all_that_it_started() -> None:
     assert here == set()
 
 
+@pytest.mark.parametrize(
+    ("work", "ok"),
+    [("sleep 1.3", True), ("while :; do :; done", False), ("sleep 1000", False)],
+    ids=["waits for a processor", "computes", "hangs"],
+)
+def test_a_compilation_that_is_given_little_of_a_processor_is_given_longer(
+    work: str, ok: bool, tmp_path: Path
+) -> None:
+    ended = compiler._run(["sh", "-c", work], tmp_path, os.environ, 1.0)
+    assert (ended.why == "") is ok
+    assert ok or ended.why == "the compiler did not finish within 1 s and was stopped"
+
+
 def _is_compiling(path: Path, name: str) -> bool:
     """Whether a process compiles the file; one that was killed and is not gone yet, on a busy
     computer, does not.

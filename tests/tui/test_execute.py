@@ -5,11 +5,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from steps import Step, Until, opened, short_run
 from textual.widgets import Button, Input
+from waiting import PATIENCE_S
+from waiting import until as wait_for
 
 from zendsp.cli.progress import stages
 from zendsp.link import Target, local
@@ -17,13 +20,17 @@ from zendsp.recording import Recording
 from zendsp.reference import load_machine, load_reference, make_reference, save_reference
 from zendsp.tui.app import ZendspApp
 from zendsp.tui.dialogs import Choose, Form, Message
-from zendsp.tui.link_port import open_port
+from zendsp.tui.events import EventLog
+from zendsp.tui.link_port import LinkPort, open_port
+from zendsp.tui.play_job import PlayJob
 from zendsp.tui.playing import Setup
 from zendsp.tui.runs import SIMULATED, list_runs, store_run
 from zendsp.tui.scope import Scope
 from zendsp.tui.screens.analysis import ProcessView, simulation_of
 from zendsp.tui.screens.diagnose import DiagnoseScreen
 from zendsp.tui.screens.execute import ExecuteScreen
+
+FAST = 3.0  # rad/s of joint 1; the way there goes at half of it, the motion at 4.35
 
 
 def _unmet(screen: ExecuteScreen) -> list[str]:
@@ -244,6 +251,30 @@ async def test_abort_keeps_what_was_acquired(
         run = screen.runs[0]
         assert run.outcome == "aborted" and 0 < run.rows < slow.samples
         assert target.status().trip is None, "an abort is no STOP"
+
+
+def test_an_abort_in_the_middle_of_a_fast_motion_is_no_trip(tmp_path: Path) -> None:
+    # with the default motion of a kind, at its full speed: a reference that stood still at once
+    # would ask for 315 N m of 245
+    found = SimpleNamespace(trip=None, simulated=True, good=True, text="as planned")
+    with local("imi_planar", clock="real") as target:
+        target.download("pd.c")
+        target.enable()
+        port = LinkPort(target)
+        port.snapshot()
+        job = PlayJob(
+            SimpleNamespace(require=lambda: port, events=EventLog()),
+            [make_reference("point_to_point", "imi_planar")], [], load_machine("imi_planar"),
+            Setup(), tmp_path, {}, SimpleNamespace(found=lambda plan: found),  # type: ignore[arg-type]
+        )  # fmt: skip
+        job.start()
+        wait_for(lambda: not job.busy or np.abs(target["qd1"]) > FAST, "full speed")
+        job.abort()
+        run = job.result.result(PATIENCE_S)
+        status = target.status()
+        assert run is not None and run.outcome == "aborted", "and its rows are kept"
+        assert status.trip is None and status.state == "paused"
+        assert not target["hold"], "the next start moves"
 
 
 async def test_start_stays_disabled_and_says_why(

@@ -55,6 +55,26 @@ def test_every_wrong_use_is_one_line_that_says_what_to_do(
     assert text.startswith("zendsp: ") and len(text.splitlines()) == 1, text
 
 
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError("Unable to allocate 20.6 MiB"),
+        MemoryError(),
+        ImportError("libx.so: failed to map segment from shared object"),
+    ],
+)
+def test_too_little_memory_is_told_in_a_line(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    def fail(**_: object) -> None:
+        raise error
+
+    monkeypatch.setattr("zendsp.cli.cli", fail)
+    status, text = said(capsys, "diagnose")
+    assert status == 2 and len(text.splitlines()) == 1
+    assert text.startswith(f"zendsp: too little memory ({str(error) or 'none is left'})")
+
+
 def test_the_terminal_is_refused_where_there_is_none(capsys: pytest.CaptureFixture[str]) -> None:
     status, text = said(capsys, "tui")  # pytest's standard output is a file
     assert status == 2 and "--web" in text and len(text.splitlines()) == 1

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from zendsp.errors import LinkError, ZendspError
+from zendsp.errors import LinkError, Refused, ZendspError
 from zendsp.extras import need
 from zendsp.link import Target
 from zendsp.link.background import background
@@ -235,7 +235,10 @@ class Bridge:
             return
         try:
             infos = self.target.variables()
-            whole = {n: _as_declared(v, infos.get(n)) for n, v in values.items()}
+            other = [n for n in values if n in infos and infos[n].kind != "parameter"]
+            if other:
+                raise Refused(f"{', '.join(other)}: no parameter, and only these are written here")
+            whole = {n: _as_declared(n, v, infos.get(n)) for n, v in values.items()}
             tick = self.target.variables.update_alone(whole)
             self._say(f"{', '.join(values)} written at sample {tick}", INFO)
         except ZendspError as error:
@@ -300,12 +303,16 @@ def _schema(columns: Sequence[tuple[str, slice, bool]], units: dict[str, str]) -
     return {"type": "object", "title": "zendsp.Signals", "properties": properties}
 
 
-def _as_declared(value: Any, info: m.VariableInfo | None) -> Any:
+def _as_declared(name: str, value: Any, info: m.VariableInfo | None) -> Any:
     """A number as the program has it: JSON does not tell 1 from 1.0 or true."""
-    if info is None or isinstance(value, list | str) or value is None:
+    if isinstance(value, dict | bytes):
+        raise Refused(f"{name}: is a number or an array, not a {type(value).__name__}")
+    if info is None or not isinstance(value, int | float):
         return value
     if info.type == "bool" and value in (0, 1):
         return bool(value)
+    if isinstance(value, bool):  # the target refuses it
+        return value
     if info.type == "int32" and float(value).is_integer():
         return int(value)
     return float(value) if info.type in ("double", "float") else value

@@ -146,6 +146,11 @@ def main() -> None:
     except (click.Abort, KeyboardInterrupt):
         click.echo("interrupted", err=True)
         sys.exit(130)
+    except (MemoryError, ImportError) as error:
+        if isinstance(error, ImportError) and "map segment" not in str(error):
+            raise
+        say(MemoryError(*error.args))
+        sys.exit(2)
     except OSError as error:  # a full disk, a folder without the right to write, a full output
         say(error)
         _let_go_of_output()
@@ -159,6 +164,9 @@ def say(error: Exception) -> None:
     elif isinstance(error, OSError) and not isinstance(error, ZendspError):
         where = f"{error.filename}: " if error.filename else ""
         words = f"{where}{error.strerror or error}"
+    elif isinstance(error, MemoryError):
+        why = str(error) or "none is left"
+        words = f"too little memory ({why}); 'ulimit -v' and 'free' show it"
     else:
         words = str(error)
     click.echo(f"zendsp: {shown(words)}", err=True)

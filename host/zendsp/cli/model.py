@@ -88,6 +88,10 @@ def check(file: Path, recording: Path | None, as_json: bool) -> None:
     model = load_model(file)
     if model.kind in TREES:
         robot_tree(model)
+    if model.kind == "fmu":
+        from zendsp.diagnosis.external.fmu import Fmu
+
+        Fmu(model, 1).close()
     body = _about(model)
     lines = [f"{file}: {body['text']}"]
     if recording is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import tempfile
@@ -17,17 +16,16 @@ import numpy as np
 
 from zendsp.errors import RecordingError
 from zendsp.recording.formats import Raw
-from zendsp.recording.names import FloatArray, element_names, gather_vectors, listing
+from zendsp.recording.names import gather_vectors, listing
+from zendsp.recording.own import CHECK, FORM, bad_description, checked, checksum
 from zendsp.recording.roles import Role, role_of
-from zendsp.recording.samples import Channel, ParameterChange, Samples
+from zendsp.recording.samples import ParameterChange, Samples
 from zendsp.recording.table import READERS, _upright, read_raw
 from zendsp.recording.units import in_si
 
 Kind = TypeVar("Kind", bound=Samples)
 
 WRITERS = (".mat", ".npz", ".parquet", ".csv", ".mcap", ".mf4")
-CHECK = "checksum"
-FORM = 1  # version of the layout below; readers refuse what is newer
 FIELDS = (
     "sample_time",
     "start_tick",
@@ -138,20 +136,8 @@ def metadata(recording: Samples) -> str:
     body["source_hash"] = recording.source_hash
     text = json.dumps(body, default=_plain)
     body = json.loads(text)
-    body[CHECK] = _checksum(text, recording.t, recording.data)
+    body[CHECK] = checksum(text, recording.t, recording.data)
     return json.dumps(body)
-
-
-def _checksum(text: str, t: FloatArray, data: FloatArray) -> str:
-    """SHA-256 of the description and every number; the same in all formats, so not of the file's
-    bytes.
-    """
-    digest = hashlib.sha256(text.encode())
-    for array in (t, data):
-        values = np.array(array, dtype="<f8", order="C")
-        values[np.isnan(values)] = np.nan  # text keeps that it is none, not which
-        digest.update(values.data)
-    return digest.hexdigest()
 
 
 def _plain(value: Any) -> Any:
@@ -171,57 +157,16 @@ def load(path: Path, kind: type[Kind]) -> Kind:
 
 
 def _own(path: Path, raw: Raw, kind: type[Kind]) -> Kind:
+    body, channels, t, data = checked(path, raw)
     try:
-        body = json.loads(raw.metadata)
-        expected = body.pop(CHECK, None)
-        form = body["form"]
-        if form > FORM:
-            raise RecordingError(
-                f"{path}: was written by a newer zendsp (layout {form}, this one reads {FORM});"
-                " upgrade"
-            )
-        channels = tuple(Channel(**channel) for channel in body["channels"])
         log = tuple(ParameterChange(**change) for change in body["log"])
         fields = {name: body[name] for name in FIELDS}
         fields["flags"] = tuple(fields["flags"])
-        available = raw.columns | {name: np.array([value]) for name, value in raw.constants.items()}
-        data = _matrix(path, available, channels)
-        t = available["t"].reshape(-1)
-        # files of zendsp 0.1.0 have none
-        if expected is not None and _checksum(json.dumps(body), t, data) != expected:
-            raise RecordingError(
-                f"{path}: is damaged, or was changed after it was saved: its numbers do not match"
-                " its checksum. Take another copy"
-            )
         return kind(t, data, channels, log=log, **fields)
     except (KeyError, TypeError, ValueError) as error:
         if isinstance(error, RecordingError):
             raise
-        raise RecordingError(
-            f"{path}: its description is damaged ({type(error).__name__}: {error})"
-        ) from error
-
-
-def _matrix(
-    path: Path, columns: Mapping[str, FloatArray], channels: tuple[Channel, ...]
-) -> FloatArray:
-    blocks = []
-    for channel in channels:
-        names = (
-            [channel.name]
-            if channel.name in columns
-            else element_names(channel.name, channel.width)
-        )
-        missing = [name for name in names if name not in columns]
-        if missing:
-            raise RecordingError(
-                f"{path}: lacks the column {missing[0]!r} that its description names"
-            )
-        blocks += [
-            columns[name].reshape(-1, channel.width if len(names) == 1 else 1) for name in names
-        ]
-    rows = len(columns["t"].reshape(-1))
-    return np.hstack(blocks) if blocks else np.empty((rows, 0))
+        raise bad_description(path, error) from error
 
 
 def _foreign(path: Path, raw: Raw, kind: type[Kind]) -> Kind:

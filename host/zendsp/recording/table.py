@@ -12,6 +12,7 @@ import numpy as np
 from zendsp.errors import RecordingError
 from zendsp.recording.formats import Raw
 from zendsp.recording.names import FloatArray, gather_vectors, listing, pick, split_unit
+from zendsp.recording.own import checked
 from zendsp.recording.units import in_si
 
 READERS = {  # suffix: module of zendsp.recording.formats
@@ -130,7 +131,7 @@ def read_table(path: str | Path, columns: Sequence[str] | None = None) -> Table:
     ------
     RecordingError
         Naming the file, the column, and what was expected: missing or damaged file, no numbers,
-        unequal lengths.
+        unequal lengths; or numbers of zendsp that do not match their checksum.
 
     Examples
     --------
@@ -142,7 +143,10 @@ def read_table(path: str | Path, columns: Sequence[str] | None = None) -> Table:
     (array([1., 2.]), 'rad')
     """
     path = Path(path)
-    return _checked(path, read_raw(path), columns)
+    raw = read_raw(path)
+    if raw.metadata:
+        checked(path, raw)
+    return _checked(path, raw, columns)
 
 
 def read_raw(path: Path) -> Raw:
@@ -166,8 +170,13 @@ def read_raw(path: Path) -> Raw:
     reader = import_module(f"zendsp.recording.formats.{READERS[suffix]}")
     try:
         raw: Raw = reader.read(path)
-    except (RecordingError, MemoryError):
+    except RecordingError:
         raise
+    except MemoryError as error:
+        raise RecordingError(
+            f"{path}: needs more memory than there is ({str(error) or 'none is left'}): it is"
+            " damaged, or needs to be cut into parts"
+        ) from error
     except OSError as error:
         if error.errno is not None:
             raise RecordingError(f"{path}: cannot be opened ({error.strerror})") from error

@@ -150,18 +150,25 @@ class PlayJob:
         channels = s.channels or usual_channels(snapshot)
         return Shot(channels, total, s.decimation, s.trigger, s.level, s.edge, s.pre_s)
 
-    def _come_to_rest(self, port: Port, player: Player, snapshot: Snapshot) -> None:
-        """Let the program hold the arm where it is, and pause when it stands: a pause in motion
-        would let it coast.
+    def _come_to_rest(self, port: Port, player: Player, clock: str) -> None:
+        """Let the program come to rest, and pause when the arm stands: a pause in motion would let
+        it coast.
+
+        A program without ``hold`` is given the present position as its reference, which is a step.
         """
-        here = present_position(snapshot, self._machine.joints)
+        holds = "hold" in player.parameters
+        here = None if holds else present_position(port.snapshot(), self._machine.joints)
+        if holds:
+            port.update({"hold": True})
         if here is not None:
             if player.torque_table:
                 port.fill(player.torque_table, np.zeros((1, len(here))))
             port.fill(player.table, np.repeat(here[None, :], 2, axis=0))
-            if snapshot.clock == "real":
-                time.sleep(REST_S)
+        if clock == "real":
+            time.sleep(REST_S)
         port.pause()
+        if holds:
+            port.update({"hold": False})
 
     def _follow(
         self, port: Port, player: Player, first: int, lead: float, total: float, playlist: Any
@@ -185,7 +192,7 @@ class PlayJob:
             if s.state == "paused":
                 return "paused by somebody"
             if self._abort.wait(LOOK_S):
-                self._come_to_rest(port, player, s)
+                self._come_to_rest(port, player, s.clock)
                 return "aborted"
 
     def _keep(

@@ -3,8 +3,8 @@ back home; and who takes it.
 
 A program can play references if it follows the convention of docs/references.md: a table ``ref``
 with one column for each joint, and where it has them ``ref_tau`` (torque that goes with the rows),
-``use_table`` (set to 1), ``row_rate`` (rows a second) and ``approach_time`` (kept short: the table
-begins where the arm stands).
+``use_table`` (set to 1), ``row_rate`` (rows a second), ``approach_time`` (kept short: the table
+begins where the arm stands) and ``hold`` (set where a run is aborted).
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from zendsp.tui.snapshot import Snapshot, Variable
 
 Floats = npt.NDArray[np.float64]
 TABLES = ("ref", "reference", "q_ref", "qref")
+HOLD = ("hold", "parameter", "bool")  # name, kind and type of what brings the reference to rest
 APPROACH_S = 0.2  # of a program that blends into the table by itself
 SETTLE_S = 0.5  # at rest before and after the motion
 
@@ -53,7 +54,7 @@ class Player:
     columns: int
     capacity: int  # rows it holds
     torque_table: str  # "" where it takes no torque
-    parameters: tuple[str, ...]  # those of use_table, row_rate, approach_time that it has
+    parameters: tuple[str, ...]  # those of use_table, row_rate, approach_time, hold that it has
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,10 @@ def find_player(variables: Sequence[Variable]) -> Player | None:
     if chosen is None:
         return None
     names = {v.name for v in variables if v.kind == "parameter"}
-    known = tuple(n for n in ("use_table", "row_rate", "approach_time") if n in names)
+    known: tuple[str, ...] = tuple(
+        n for n in ("use_table", "row_rate", "approach_time") if n in names
+    )
+    known += tuple(v.name for v in variables if (v.name, v.kind, v.type) == HOLD)
     torque = next(
         (v.name for v in tables if v.name == f"{chosen.name}_tau" and v.columns == chosen.columns),
         "",
@@ -233,6 +237,7 @@ def player_values(player: Player, playlist: Playlist) -> dict[str, Any]:
         "use_table": True,
         "row_rate": round(playlist.rate),
         "approach_time": APPROACH_S,
+        "hold": False,
     }
     return {name: wanted[name] for name in player.parameters}
 

@@ -86,10 +86,13 @@ def draft_model(table: Table, name: str = "") -> Draft:
     """
     groups = groups_of(table)
     position = best_group(groups, Role.POSITION)
+    bare = [name for name, values in table.columns.items() if not np.isfinite(values).any()]
+    nothing = f"{', '.join(bare)} hold{'s' if len(bare) == 1 else ''} no finite number"
     if position is None:
         raise RecordingError(
-            f"{table.path}: no column looks like a position; it has {', '.join(table.columns)}. "
-            "Name one q, position or theta, or give its unit: 'x1 [rad]'"
+            f"{table.path}: no column looks like a position; it has {', '.join(table.columns)}"
+            + (f", of which {nothing}. " if bare else ". ")
+            + "Name one q, position or theta, or give its unit: 'x1 [rad]'"
         )
     joints = position.values.shape[1]
     command = best_group(groups, Role.COMMAND, joints) or best_group(groups, Role.CURRENT, joints)
@@ -108,6 +111,8 @@ def draft_model(table: Table, name: str = "") -> Draft:
     )
     for note in table.notes:
         page.line(comment=note)
+    if bare:
+        page.line(ask=f"{nothing}: why?")
     for group in (position, command):
         bad = 0 if group is None else int(np.sum(~np.isfinite(group.values)))
         if group is not None and bad:

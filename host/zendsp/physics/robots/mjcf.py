@@ -6,6 +6,7 @@ agree with MuJoCo's own, at random states.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -20,6 +21,7 @@ from zendsp.extras import need
 from zendsp.physics.model import Quantity, Term
 from zendsp.tree import Body, axis_turn, inverse_dynamics, joined
 
+log = logging.getLogger(__name__)
 Array = npt.NDArray[np.float64]
 
 STATES = 8  # random states at which the tree is held against MuJoCo
@@ -62,7 +64,10 @@ class Mjcf:
 
 def library() -> Any:
     """The package ``mujoco``; a refusal with its pip line where it is missing."""
-    return need("mujoco", "mujoco", 'a model of kind = "mjcf"', ModelError)
+    mj = need("mujoco", "mujoco", 'a model of kind = "mjcf"', ModelError)
+    if mj.get_mju_user_warning() is None:  # its own leaves MUJOCO_LOG.TXT in the user's folder
+        mj.set_mju_user_warning(log.warning)
+    return mj
 
 
 def read_mjcf(path: str, joints: Sequence[str] = ()) -> Mjcf:

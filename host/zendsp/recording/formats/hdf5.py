@@ -11,7 +11,7 @@ import numpy as np
 
 from zendsp.errors import RecordingError
 from zendsp.extras import need
-from zendsp.recording.formats.raw import Raw
+from zendsp.recording.formats.raw import Raw, check_room
 
 UNITS = ("units", "unit", "Units", "Unit")
 
@@ -22,10 +22,14 @@ def read(path: Path) -> Raw:
     """
     h5py = need("h5py", "hdf5", "an HDF5 file", RecordingError)
     found = Raw({})
+    total = 0
 
     def visit(name: str, item: Any) -> None:
         if not isinstance(item, h5py.Dataset):
             return
+        nonlocal total
+        total += item.nbytes
+        check_room(path, total)
         unit = next((_text(item.attrs[key]) for key in UNITS if key in item.attrs), "")
         values = item[()]
         if isinstance(values, np.ndarray) and values.dtype.names:  # a table of PyTables or pandas

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from zendsp.errors import RecordingError
 from zendsp.extras import need
-from zendsp.recording.formats.raw import Raw
+from zendsp.recording.formats.raw import Raw, check_room
 
 if TYPE_CHECKING:
     from zendsp.recording.recording import Recording
@@ -85,11 +85,16 @@ def _read_hdf5(path: Path) -> dict[str, Any]:
     h5py = need("h5py", "hdf5", "a MAT file of version 7.3", RecordingError)
     try:
         with h5py.File(path, "r") as file:
+            sizes: list[int] = []
+            file.visititems(lambda _, item: sizes.append(getattr(item, "nbytes", 0)))
+            check_room(path, sum(sizes))
             return {
                 name: _hdf5_value(h5py, file, item)
                 for name, item in file.items()
                 if not name.startswith("#")
             }
+    except RecordingError:
+        raise
     except (OSError, KeyError, RuntimeError, ValueError) as error:
         raise RecordingError(
             f"{path}: is not a readable MAT 7.3 file, or it is cut short ({error})"

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import json
+import math
 import zipfile
 import zlib
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from zendsp.errors import RecordingError
-from zendsp.recording.formats.raw import Raw
+from zendsp.recording.formats.raw import Raw, check_room
 
 if TYPE_CHECKING:
     from zendsp.recording.recording import Recording
@@ -34,6 +35,7 @@ def read(path: Path) -> Raw:
     circumstances = ""
     try:
         with np.load(path, allow_pickle=False) as archive:
+            check_room(path, sum(_size(archive, name) for name in archive.files))
             for name in archive.files:
                 try:
                     values = archive[name]
@@ -50,6 +52,8 @@ def read(path: Path) -> Raw:
                     refused[name] = f"has {values.ndim} dimensions; at most 2 can be columns"
                 else:
                     columns[name] = values.astype(np.float64)
+    except RecordingError:
+        raise
     except (
         zipfile.BadZipFile,
         zlib.error,
@@ -62,6 +66,16 @@ def read(path: Path) -> Raw:
             f"{path}: is not a readable NPZ file, or it is cut short ({error})"
         ) from error
     return Raw(columns, _units(circumstances), constants, circumstances, refused)
+
+
+def _size(archive: Any, name: str) -> int:
+    """Bytes of an array by its header, which says what is allocated before anything is read."""
+    headers: Any = np.lib.format
+    with archive.zip.open(f"{name}.npy") as member:
+        old = headers.read_magic(member) == (1, 0)
+        read_header = headers.read_array_header_1_0 if old else headers.read_array_header_2_0
+        shape, _, dtype = read_header(member)
+    return int(dtype.itemsize * math.prod(shape))
 
 
 def _units(circumstances: str) -> dict[str, str]:

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from zendsp.errors import RecordingError
 from zendsp.recording.names import FloatArray
+
+MEMORY = Path("/proc/meminfo")
+SHARE = 0.5  # of the free memory that one file may take: what is made of it takes as much again
 
 
 @dataclass(frozen=True)
@@ -38,3 +43,30 @@ class Raw:
             self.refused[name] = f"has {values.ndim} dimensions; at most 2 can be columns"
         else:
             self.columns[name] = np.asarray(values, dtype=np.float64)
+
+
+def check_room(path: Path, size: int) -> None:
+    """Refuse a file that says it holds more than the computer has room for: a few bytes can say so.
+
+    Parameters
+    ----------
+    path : Path
+        For the message.
+    size : int
+        Of the arrays, bytes.
+
+    Raises
+    ------
+    RecordingError
+    """
+    try:
+        facts = dict(line.split(":", 1) for line in MEMORY.read_text().splitlines())
+        free = int(facts["MemAvailable"].split()[0]) * 1024
+    except (OSError, LookupError, ValueError):
+        return
+    if size > SHARE * free:
+        raise RecordingError(
+            f"{path}: says that it holds {size / 1e9:.1f} GB of numbers; this computer has"
+            f" {free / 1e9:.1f} GB of memory free, and a file may take half of it. It is damaged,"
+            " or needs to be cut into parts"
+        )
