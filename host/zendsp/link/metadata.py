@@ -9,6 +9,7 @@ from importlib import metadata
 from typing import Any
 
 import msgspec
+import msgspec.json
 import numpy as np
 
 from zendsp.errors import Refused, RunnerDied
@@ -46,6 +47,7 @@ def describe(
     overall: m.Status = parameters.insist("status", patience)
     program: m.Program = parameters.insist("program", patience)
     info: m.Info = parameters.insist("info", patience)
+    machine: m.MachineInfo = parameters.insist("machine", patience)
     start_tick = status.start_tick + first * status.decimation
     ticks = start_tick + status.decimation * np.arange(len(data))
     last = int(ticks[-1]) if len(ticks) else 0
@@ -77,7 +79,7 @@ def describe(
         versions={**info.versions, "protocol": str(PROTOCOL), "host": host_version()},
         created=time.time(),
         note=note,
-        extra=_extra(overall),
+        extra=_extra(overall, machine),
     )
 
 
@@ -141,8 +143,13 @@ def join_channels(columns: Sequence[str], units: Sequence[str]) -> tuple[Channel
     )
 
 
-def _extra(overall: m.Status) -> dict[str, Any]:
-    return {"program": overall.program, "scheduling": overall.scheduling, "clock": overall.clock}
+def _extra(overall: m.Status, machine: m.MachineInfo) -> dict[str, Any]:
+    return {
+        "program": overall.program,
+        "scheduling": overall.scheduling,
+        "clock": overall.clock,
+        "machine": msgspec.json.decode(msgspec.json.encode(machine)),  # no limit is null
+    }
 
 
 def _change(change: m.Change) -> ParameterChange:
