@@ -67,6 +67,8 @@ def test_parameter_sets_save_diff_restore_and_reset(running: Target, tmp_path: o
     until(lambda: running["Kp1"] == 7.0, "restored")
     with pytest.raises(VariableError, match="not a parameter set"):
         ParameterSet.load(__file__)
+    with pytest.raises(VariableError, match=r"are JSON; name it .*good\.json"):
+        before.save(f"{tmp_path}/good.toml")
 
 
 def test_compile_errors_name_file_line_and_column(target: Target) -> None:

@@ -434,7 +434,7 @@ class DiagnoseScreen(LoopActions):
             stage.append(f" {seconds:.0f} s  {self.said[-1] if self.said else 'starting'}")
         elif self.shown is not None:
             names = ", ".join(recording_name(r) for r in self.shown.recordings)
-            stage.append(f"shown: {names}, {self.shown.report['seconds']:.1f} s", "dim")
+            stage.append(f"{self.shown.report['seconds']:.1f} s  {names}", "dim")
         self.query_one("#stage", Static).update(stage)
 
 
