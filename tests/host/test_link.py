@@ -107,6 +107,7 @@ def test_acquire_returns_every_sample_with_its_metadata(running: Target) -> None
     assert (
         rec.sources == {"a.c": "int a;"} and rec.machine == "fake_machine" and rec.note == "hello"
     )
+    assert rec.extra["machine"]["joints"][0]["torque_max"] is None, "no limit, as JSON has it"
     assert any(change.name == "Kp1" and change.new == 5.0 for change in rec.log)
     assert rec.parameters["Kp1"] == 5.0 and rec.timing["exec_max_ns"] == 2
     assert done[-1] == 1.0

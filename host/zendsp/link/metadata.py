@@ -47,7 +47,6 @@ def describe(
     overall: m.Status = parameters.insist("status", patience)
     program: m.Program = parameters.insist("program", patience)
     info: m.Info = parameters.insist("info", patience)
-    machine: m.MachineInfo = parameters.insist("machine", patience)
     start_tick = status.start_tick + first * status.decimation
     ticks = start_tick + status.decimation * np.arange(len(data))
     last = int(ticks[-1]) if len(ticks) else 0
@@ -79,7 +78,7 @@ def describe(
         versions={**info.versions, "protocol": str(PROTOCOL), "host": host_version()},
         created=time.time(),
         note=note,
-        extra=_extra(overall, machine),
+        extra=_extra(parameters, overall, patience),
     )
 
 
@@ -143,13 +142,18 @@ def join_channels(columns: Sequence[str], units: Sequence[str]) -> tuple[Channel
     )
 
 
-def _extra(overall: m.Status, machine: m.MachineInfo) -> dict[str, Any]:
-    return {
+def _extra(parameters: ParameterSets, overall: m.Status, patience: float) -> dict[str, Any]:
+    extra: dict[str, Any] = {
         "program": overall.program,
         "scheduling": overall.scheduling,
         "clock": overall.clock,
-        "machine": msgspec.json.decode(msgspec.json.encode(machine)),  # no limit is null
     }
+    try:
+        machine: m.MachineInfo = parameters.insist("machine", patience)
+    except (Refused, RunnerDied):
+        return extra  # the program is gone, and its machine with it; the rows are not
+    told = msgspec.json.decode(msgspec.json.encode(machine))  # without a limit: null
+    return {**extra, "machine": told}
 
 
 def _change(change: m.Change) -> ParameterChange:
