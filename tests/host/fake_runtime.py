@@ -22,6 +22,8 @@ from zendsp_protocol.messages import (
     CompileResult,
     Diagnostic,
     Held,
+    JointInfo,
+    MachineInfo,
     Status,
     Timing,
     Trip,
@@ -211,6 +213,9 @@ class FakeRuntime:
             if not self.lock.wait_for(lambda: self.applied >= sequence, timeout):
                 raise NotYet("not applied in time")
             return self.applied_tick
+
+    def machine(self) -> MachineInfo:
+        return MachineInfo("fake_machine", joints=(JointInfo("one", torque_max=float("inf")),))
 
     def log(self, since: int = 0) -> tuple[Change, ...]:
         return tuple(self.changes[since:])

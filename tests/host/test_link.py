@@ -67,6 +67,8 @@ def test_parameter_sets_save_diff_restore_and_reset(running: Target, tmp_path: o
     until(lambda: running["Kp1"] == 7.0, "restored")
     with pytest.raises(VariableError, match="not a parameter set"):
         ParameterSet.load(__file__)
+    with pytest.raises(VariableError, match=r"are JSON; name it .*good\.json"):
+        before.save(f"{tmp_path}/good.toml")
 
 
 def test_compile_errors_name_file_line_and_column(target: Target) -> None:
@@ -105,6 +107,7 @@ def test_acquire_returns_every_sample_with_its_metadata(running: Target) -> None
     assert (
         rec.sources == {"a.c": "int a;"} and rec.machine == "fake_machine" and rec.note == "hello"
     )
+    assert rec.extra["machine"]["joints"][0]["torque_max"] is None, "no limit, as JSON has it"
     assert any(change.name == "Kp1" and change.new == 5.0 for change in rec.log)
     assert rec.parameters["Kp1"] == 5.0 and rec.timing["exec_max_ns"] == 2
     assert done[-1] == 1.0

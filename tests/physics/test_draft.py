@@ -5,17 +5,21 @@ back.
 from __future__ import annotations
 
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
 from zendsp.errors import RecordingError
 from zendsp.physics.files.draft import draft_model
+from zendsp.physics.files.draft_data import machine_of
 from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.model import Model
-from zendsp.recording import Table, read_table
+from zendsp.recording import Recording, Table, read_table
 from zendsp.recording.roles import role_of
+from zendsp_protocol.messages import JointInfo, MachineInfo
 
 N, STEP = 8000, 0.002
 T = np.arange(N) * STEP
@@ -198,3 +202,58 @@ def test_a_table_of_no_row_or_one_is_told_as_that(tmp_path: Path, rows: str) -> 
     path.write_text(f"t,q,u\n{rows}")
     with pytest.raises(RecordingError, match=r"one\.csv: has [01] row|no rows"):
         draft_model(read_table(path))
+
+
+def own_recording(folder: Path, machine: MachineInfo, decimation: int = 2) -> Path:
+    """What zendsp recorded of a machine, every second sample."""
+    columns = recording()
+    units = {"q": "rad", "tau": "N m", "r": "rad"}
+    told = msgspec.json.decode(msgspec.json.encode(machine))
+    made = Recording.from_columns(
+        {name: values for name, values in columns.items() if name != "t"},
+        sample_time=STEP, units=units, extra={"machine": told},
+    )  # fmt: skip
+    return replace(made, decimation=decimation).save(folder / "run.mat")
+
+
+def test_of_its_own_machine_nothing_is_asked_that_the_recording_says(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    arm = tmp_path / "models" / "arm.xml"
+    arm.parent.mkdir()
+    arm.write_text(
+        '<mujoco><worldbody><body><joint name="shoulder" axis="0 1 0"/>'
+        '<geom size="0.1" pos="0.2 0 0"/></body></worldbody>'
+        '<actuator><motor joint="shoulder"/></actuator></mujoco>'
+    )
+    joint = JointInfo("shoulder", counts_per_unit=COUNTS / (2 * np.pi), torque_max=7.5)
+    info = MachineInfo("arm_1", joints=(joint,), model=str(arm), options=("current_loop=0.0002",))
+    path = own_recording(tmp_path, info)
+    draft = draft_model(read_table(path), machine=machine_of(path, tmp_path))
+    assert draft.questions == ()
+    assert 'file = "models/arm.xml"' in draft.text
+    model = parse_model(tomllib.loads(draft.text), str(tmp_path / "arm_1.toml"))
+    assert (model.name, model.kind, model.robot.joints) == ("arm_1", "mjcf", ("shoulder",))
+    assert model.sample_time == STEP and model.actuator.hold == pytest.approx(STEP / 2)
+    assert model.actuator.delay == pytest.approx(STEP / 2 + 0.0002), "a sample of the loop, no row"
+    assert model.actuator.limit == (7.5,)
+    assert model.sensor.resolution[0] == pytest.approx(2 * np.pi / COUNTS, rel=1e-6)
+
+
+def test_of_its_own_machine_without_a_model_the_rest_is_asked(tmp_path: Path) -> None:
+    info = MachineInfo("bench", joints=(JointInfo("axis", counts_per_unit=1000.0),))
+    path = own_recording(tmp_path, info)
+    draft = draft_model(read_table(path), machine=machine_of(path, tmp_path))
+    model = model_of(draft.text)
+    assert (model.name, model.kind) == ("bench", "rotary")
+    assert model.actuator.delay == pytest.approx(STEP / 2)
+    assert model.sensor.resolution == (0.001,)
+    assert len(draft.questions) == 3, "gravity's zero, the drive's limit, and the encoder's side"
+    shipped = own_recording(tmp_path, msgspec.structs.replace(info, name="single_pendulum"))
+    asked = draft_model(read_table(shipped), machine=machine_of(shipped, tmp_path)).questions
+    assert any("--model single_pendulum.toml" in question for question in asked)
+
+
+def test_a_file_of_others_has_no_machine(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("t [s],q [rad]\n0,1\n0.1,2\n")
+    assert machine_of(path, tmp_path) is None

@@ -13,6 +13,7 @@ from steps import Until
 from textual.app import App, ComposeResult
 from textual.containers import VerticalScroll
 from textual.widgets import DataTable, OptionList, Static
+from textual.widgets._footer import FooterKey
 
 from zendsp.errors import LinkError
 from zendsp.tui.actions import ACTIONS, SCREENS, actions
@@ -252,6 +253,21 @@ async def test_every_screen_fits_from_80_by_24_up(app: ZendspApp, until: Until) 
                     screen,
                     size,
                 )
+
+
+async def test_no_key_of_the_footer_is_cut(app: ZendspApp, until: Until) -> None:
+    async with app.run_test(size=(160, 24)) as pilot:
+        for screen in SCREENS:
+            await app.action_show(screen)
+            for wide in (160, 80, 60, 100):
+                await pilot.resize_terminal(wide, 24)
+                ends = lambda: [k.region.right for k in app.screen.query("FooterKey")]  # noqa: E731
+                whole = lambda wide=wide, ends=ends: max(ends(), default=wide + 1) <= wide  # noqa: E731
+                await until(pilot, whole, f"{screen} on {wide} columns")
+                keys = app.screen.query("FooterKey").results(FooterKey)
+                shown = {key.action.removeprefix("app.") for key in keys}
+                assert {"stop", "help"} < shown, (screen, wide)
+                assert ("command_palette" in shown) >= (wide == 160), (screen, wide)
 
 
 async def test_themes_change_and_the_scope_follows(app: ZendspApp) -> None:

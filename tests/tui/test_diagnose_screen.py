@@ -153,6 +153,46 @@ async def test_what_fails_is_said(tmp_path: Path, until: Until) -> None:
         assert screen.shown is None
 
 
+async def test_a_model_is_begun_from_the_recording_where_there_is_none(
+    tmp_path: Path, until: Until
+) -> None:
+    run, model = cases.bench(tmp_path, seconds=2.0)
+    model.unlink()
+    app = _alone(tmp_path)
+    async with app.run_test(size=(100, 30)) as pilot:
+        screen = await opened(app, pilot, until, DiagnoseScreen)
+        screen.added, screen.roles = [str(run)], {str(run): "fit"}
+        await pilot.press("s")
+        await until(pilot, lambda: screen.said and not screen.busy, "it is begun")
+        assert screen.model == str(model), "named like the recording"
+        assert load_model(model).joints == 1
+        assert screen.shown is None, "what is asked comes before a diagnosis"
+        assert "Answer them in bench.toml" in _text(screen, "#words")
+        await pilot.press("m")
+        await pilot.pause()
+        assert isinstance(app.screen, Choose)
+        await pilot.press("up", "enter")  # the last line: another one is begun
+        await until(pilot, lambda: screen.model != str(model), "beside the first")
+        assert Path(screen.model).name == "bench-2.toml"
+
+
+async def test_the_model_of_another_machine_is_not_taken(tmp_path: Path, until: Until) -> None:
+    (tmp_path / "mine.toml").write_text(cases.bench(tmp_path)[1].read_text())  # names itself bench
+    recording = Recording.from_columns({"q": np.zeros(100)}, 1e-3, units={"q": "rad"})
+    store_run(tmp_path / "runs", "other", replace(recording, machine="arm"))
+    app = _alone(tmp_path)
+    async with app.run_test(size=(100, 30)) as pilot:
+        screen = await opened(app, pilot, until, DiagnoseScreen)
+        assert screen.model == ""
+        await pilot.press("s")
+        await pilot.pause()
+        assert isinstance(app.screen, Choose), "one of another name may be meant: it is asked"
+        await pilot.press("escape")
+        store_run(tmp_path / "runs", "own", replace(recording, machine="bench"))
+        screen.fill()
+        assert Path(screen.model).parent == tmp_path
+
+
 @pytest.mark.covers("diagnose.use")
 async def test_the_last_run_is_marked_and_others_can_be_held_out(
     tmp_path: Path, until: Until

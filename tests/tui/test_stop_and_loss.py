@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from steps import Step, Until
+from textual.widgets import Input
 from waiting import until as come
 
 from zendsp.link import Target, connect
@@ -114,6 +115,25 @@ async def test_after_stop_nothing_moves_until_somebody_enables(
         assert not np.any(target.status().io["aout"])
         await pilot.press("e")
         await until(pilot, lambda: lab.session.snapshot.drive == "enabled", "enabled again")
+
+
+async def test_acknowledging_what_is_not_latched_pauses_nothing(
+    lab: ZendspApp, target: Target, enabled: Step, until: Until
+) -> None:
+    async with lab.run_test(size=(100, 30)) as pilot:
+        await enabled(lab, pilot)
+        await pilot.press("s")
+        await until(pilot, lambda: lab.session.snapshot.t > 0.5, "moves")
+        await pilot.press("ctrl+k")
+        await until(pilot, lambda: bool(lab._notifications), "it says that nothing is latched")
+        await pilot.press("r")
+        await until(pilot, lambda: isinstance(lab.screen, Form), "the form of a recording")
+        field = lab.screen.query_one("#f-seconds", Input)
+        field.focus()
+        await pilot.press("home", "ctrl+k")
+        assert field.value == "", "in an input field the key cuts the line, as in any shell"
+        await until(pilot, lambda: lab.session.snapshot.t > 1.0, "it goes on")
+        assert target.status().state == "running"
 
 
 async def test_stop_during_a_run_ends_it_and_keeps_the_data(

@@ -41,6 +41,7 @@ def new(recording: Path, out: Path | None, force: bool, as_json: bool) -> None:
     import tomllib
 
     from zendsp.physics.files.draft import draft_model, model_name
+    from zendsp.physics.files.draft_data import machine_of
     from zendsp.physics.files.model_file import parse_model
     from zendsp.recording import read_table
 
@@ -49,7 +50,7 @@ def new(recording: Path, out: Path | None, force: bool, as_json: bool) -> None:
         raise ModelError(
             f"{out}: is there already; choose another name with -o, or --force to write over it"
         )
-    draft = draft_model(read_table(recording))
+    draft = draft_model(read_table(recording), machine=machine_of(recording, out.parent))
     parse_model(tomllib.loads(draft.text), str(out))  # what is written can be read
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -57,8 +58,8 @@ def new(recording: Path, out: Path | None, force: bool, as_json: bool) -> None:
     except OSError as error:
         raise ModelError(f"{out}: cannot be written ({error.strerror})") from error
     lines = [
-        f"{out}: {draft.joints} joint{'s' if draft.joints > 1 else ''}, {len(draft.questions)}"
-        " questions:"
+        f"{out}: {draft.joints} joint{'s' if draft.joints > 1 else ''},"
+        f" {_questions(len(draft.questions))}"
     ]
     lines += [f"  ? {question}" for question in draft.questions]
     lines += [f"then: zendsp model check {out} --recording {recording}"]
@@ -67,6 +68,10 @@ def new(recording: Path, out: Path | None, force: bool, as_json: bool) -> None:
         as_json,
         "\n".join(lines),
     )
+
+
+def _questions(count: int) -> str:
+    return f"{count} question{'s' if count > 1 else ''}:" if count else "no questions"
 
 
 @command.command("check")

@@ -9,6 +9,7 @@ from importlib import metadata
 from typing import Any
 
 import msgspec
+import msgspec.json
 import numpy as np
 
 from zendsp.errors import Refused, RunnerDied
@@ -77,7 +78,7 @@ def describe(
         versions={**info.versions, "protocol": str(PROTOCOL), "host": host_version()},
         created=time.time(),
         note=note,
-        extra=_extra(overall),
+        extra=_extra(parameters, overall, patience),
     )
 
 
@@ -141,8 +142,18 @@ def join_channels(columns: Sequence[str], units: Sequence[str]) -> tuple[Channel
     )
 
 
-def _extra(overall: m.Status) -> dict[str, Any]:
-    return {"program": overall.program, "scheduling": overall.scheduling, "clock": overall.clock}
+def _extra(parameters: ParameterSets, overall: m.Status, patience: float) -> dict[str, Any]:
+    extra: dict[str, Any] = {
+        "program": overall.program,
+        "scheduling": overall.scheduling,
+        "clock": overall.clock,
+    }
+    try:
+        machine: m.MachineInfo = parameters.insist("machine", patience)
+    except (Refused, RunnerDied):
+        return extra  # the program is gone, and its machine with it; the rows are not
+    told = msgspec.json.decode(msgspec.json.encode(machine))  # without a limit: null
+    return {**extra, "machine": told}
 
 
 def _change(change: m.Change) -> ParameterChange:

@@ -56,7 +56,13 @@ class ParameterSet:
         return [pair for pair in pairs if not _same(pair.mine, pair.other)]
 
     def save(self, path: str | Path) -> Path:
-        """Write the set as JSON that a person can read and edit."""
+        """Write the set as JSON that a person can read and edit.
+
+        Raises
+        ------
+        VariableError
+            The name ends like another kind of file, or it cannot be written.
+        """
         body = {
             "zendsp_parameters": FORM,
             "target": self.target,
@@ -64,10 +70,16 @@ class ParameterSet:
             "note": self.note,
         }
         path = Path(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(
-            json.dumps(body | {"values": dict(self.values)}, indent=2) + "\n", encoding="utf-8"
-        )
+        if path.suffix not in ("", ".json"):
+            raise VariableError(
+                f"{path}: sets of parameters are JSON; name it {path.with_suffix('.json')}"
+            )
+        text = json.dumps(body | {"values": dict(self.values)}, indent=2) + "\n"
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise VariableError(f"{path}: cannot be written ({error.strerror})") from error
         return path
 
     @classmethod

@@ -9,9 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from textual import events
+from textual.actions import SkipAction
 from textual.app import App, SystemCommand
 from textual.driver import Driver
 from textual.screen import ModalScreen, Screen
+from textual.widgets import Input
 
 from zendsp.errors import ZendspError
 from zendsp.tui.actions import ACTIONS, bindings
@@ -252,7 +254,15 @@ class ZendspApp(App[None]):
             self.drive("take the command right", "take")
 
     def action_acknowledge(self) -> None:
-        """Acknowledge a trip."""
+        """Acknowledge a trip or a STOP. The target would pause the program also where none is
+        latched: then the key is another's, of an input field perhaps.
+        """
+        now = self.session.snapshot
+        latched = now.trip is not None or now.drive in ("stopped", "tripped") or now.crash
+        if now.link == "up" and not latched and self.session.verdict is None:
+            if not isinstance(self.focused, Input):
+                self.toast("nothing is latched, so there is nothing to acknowledge")
+            raise SkipAction
         self.session.acknowledged()
         self.drive("acknowledge", "acknowledge")
 

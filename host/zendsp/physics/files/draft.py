@@ -16,12 +16,14 @@ from zendsp.physics.files.draft_data import (
     PREFERRED,
     WHOLE,
     Group,
+    Machine,
     best_group,
     finite,
     groups_of,
     is_behind,
     like_degrees,
 )
+from zendsp.physics.files.shipped import model_folder
 from zendsp.physics.kernel.signals import find_resolution
 from zendsp.recording import Table
 from zendsp.recording.roles import Role
@@ -61,7 +63,7 @@ class _Page:
             self.lines.append(f"{text:<38} # {comment}")
 
 
-def draft_model(table: Table, name: str = "") -> Draft:
+def draft_model(table: Table, name: str = "", machine: Machine | None = None) -> Draft:
     """A commented model file for the machine that a recording shows.
 
     Columns are told by their names and units; sample time, resolution of the encoder, number of
@@ -73,7 +75,9 @@ def draft_model(table: Table, name: str = "") -> Draft:
     table : Table
         As ``read_table`` gives it.
     name : str
-        Of the model; default: of the file.
+        Of the model; default: of the machine, else of the file.
+    machine : Machine, optional
+        What zendsp's own recording says beside its rows: limits, encoders, delay, MuJoCo model.
 
     Returns
     -------
@@ -117,17 +121,19 @@ def draft_model(table: Table, name: str = "") -> Draft:
         bad = 0 if group is None else int(np.sum(~np.isfinite(group.values)))
         if group is not None and bad:
             page.line(ask=f"{group.names[0]} has {bad} values that are no finite numbers: why?")
-    page.line(
-        "name ="
-        f" {json.dumps(name or table.path.name.partition('.')[0] or 'machine', ensure_ascii=False)}"
-    )
+    name = name or (machine.name if machine else table.path.name.partition(".")[0]) or "machine"
+    page.line(f"name = {json.dumps(name, ensure_ascii=False)}")
     clock = best_group(groups, Role.TIME)
     step = _sample_time(page, clock, table.path.name)
     page.line()
     linear = position.unit == "m"
-    _mechanism(page, position, command, step, linear)
-    _actuator(page, command, step, joints)
-    _sensor(page, position, linear)
+    known = machine if machine is not None and len(machine.joints) == joints else None
+    if known is not None and known.model:
+        _mujoco(page, known)
+    else:
+        _mechanism(page, position, command, step, linear, known)
+    _actuator(page, command, step, joints, known)
+    _sensor(page, position, linear, known)
     page.line()
     page.line(
         comment=(
@@ -177,10 +183,27 @@ def _sample_time(page: _Page, clock: Group | None, file: str) -> float:
     return shown
 
 
+def _mujoco(page: _Page, machine: Machine) -> None:
+    """The mechanism of a target that simulates a MuJoCo model."""
+    page.line("[mechanism]")
+    page.line('kind = "mjcf"')
+    page.line(f"file = {json.dumps(machine.model)}", "the model that the target simulated")
+    page.line(f"joints = {json.dumps([joint['name'] for joint in machine.joints])}")
+
+
 def _mechanism(
-    page: _Page, position: Group, command: Group | None, step: float, linear: bool
+    page: _Page,
+    position: Group,
+    command: Group | None,
+    step: float,
+    linear: bool,
+    machine: Machine | None,
 ) -> None:
     joints = position.values.shape[1]
+    if machine is not None and (model_folder() / f"{machine.name}.toml").is_file():
+        page.line(
+            ask=f"zendsp has a model of this machine: is --model {machine.name}.toml what you want?"
+        )
     page.line("[mechanism]")
     kinds = "rotary | linear | planar2r | urdf | mjcf | fmu | python"
     page.line(f'kind = "{"linear" if linear else "rotary"}"', kinds, _unit_asked(position))
@@ -300,7 +323,9 @@ def _idea(q: Array, u: Array, step: float, linear: bool) -> _Idea | None:
     return _Idea(float(x[0]), gravity, share) if share > EXPLAINS and x[0] > 0 else None
 
 
-def _actuator(page: _Page, command: Group | None, step: float, joints: int) -> None:
+def _actuator(
+    page: _Page, command: Group | None, step: float, joints: int, machine: Machine | None
+) -> None:
     page.line()
     page.line("[actuator]")
     if command is None:
@@ -323,6 +348,15 @@ def _actuator(page: _Page, command: Group | None, step: float, joints: int) -> N
         )
     if command.unit:
         page.line(f"unit = {json.dumps(command.unit, ensure_ascii=False)}")
+    if machine is not None and command.unit in ("N m", "Nm", "N") and machine.limits:
+        page.line(f"limit = {_list(machine.limits)}", f"{command.unit}: the machine's own")
+    else:
+        _limit(page, command)
+    _delay(page, step, machine)
+
+
+def _limit(page: _Page, command: Group) -> None:
+    """Where the drive cuts off, if the recording shows it."""
     peaks = np.max(np.abs(command.values), axis=0)
     cut = np.sum(np.abs(command.values) > 0.9995 * peaks, axis=0) >= SATURATED
     if np.any(cut & (peaks > 0)):
@@ -338,6 +372,15 @@ def _actuator(page: _Page, command: Group | None, step: float, joints: int) -> N
             ),
             ask="where does the drive cut off?",
         )
+
+
+def _delay(page: _Page, step: float, machine: Machine | None) -> None:
+    """How long a command acts, and when it begins to."""
+    if machine is not None:
+        lag = " and the drive's current loop" if machine.lag else "; add the drive's own, if known"
+        page.line(f"hold = {machine.period:.6g}", "s: a sample of the loop")
+        page.line(f"delay = {machine.period + machine.lag:.6g}", f"s: one sample{lag}")
+        return
     page.line(
         f"hold = {float(f'{step:.6g}'):g}",
         "s: how long a command acts; the sample time, unless the drive is faster",
@@ -345,17 +388,17 @@ def _actuator(page: _Page, command: Group | None, step: float, joints: int) -> N
     page.line(
         "delay = 0.0",
         "s",
-        ask=(
-            "how long until a command acts? One sample is common; on a zendsp target it is one"
-            f" ({step:.6g} s where every sample was recorded) and the drive's current loop"
-        ),
+        ask="how long until a command acts? One sample is common; on a zendsp target it is one"
+        f" ({step:.6g} s where every sample was recorded) and the drive's current loop",
     )
 
 
-def _sensor(page: _Page, position: Group, linear: bool) -> None:
+def _sensor(page: _Page, position: Group, linear: bool, machine: Machine | None) -> None:
     page.line()
     page.line("[sensor]")
     steps = [find_resolution(finite(column)) for column in position.values.T]
+    if machine is not None:
+        steps = [1.0 / abs(float(joint["counts_per_unit"])) for joint in machine.joints]
     unit = "m" if linear else "rad"
     if all(steps):
         said = f"{unit} per count, as the numbers are spaced"
@@ -372,6 +415,8 @@ def _sensor(page: _Page, position: Group, linear: bool) -> None:
             comment=f"position_resolution = 0.001: {unit} per count",
             ask="no steps are seen: what does the encoder resolve?",
         )
+    if machine is not None and machine.model:
+        return
     page.line(
         'side = "motor"', ask='is the encoder on the motor, or behind gear and spring ("load")?'
     )

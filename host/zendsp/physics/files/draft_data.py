@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from zendsp.errors import RecordingError
 from zendsp.physics.kernel.signals import find_resolution
-from zendsp.recording import Table
+from zendsp.recording import Recording, Table
 from zendsp.recording.roles import Role, role_of
 
+CURRENT_LOOP_S = 1.6e-4  # of the drives of a MuJoCo machine (docs/machines_mujoco.md)
 Array = npt.NDArray[np.float64]
 WHOLE = 0.02  # of a count: so near to a whole number of counts a turn is one
 LOAD = ("load", "link", "output", "arm")  # words of a position behind a spring
@@ -105,7 +112,63 @@ def finite(column: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class _Idea:
-    inertia: float
-    gravity: float
-    share: float
+class Machine:
+    """What zendsp's own recording says of the machine, beside its rows.
+
+    Attributes
+    ----------
+    name : str
+    model : str
+        Path of the MuJoCo model that the target simulates; empty: there is none, or it is not here.
+    joints : tuple of mapping
+        As ``JointInfo`` of the protocol has them.
+    period : float
+        Of the loop, s: the rows of a decimated recording are further apart.
+    lag : float
+        Time constant of the drives, s; 0 where it is not known.
+    """
+
+    name: str
+    model: str
+    joints: tuple[Mapping[str, Any], ...]
+    period: float
+    lag: float
+
+    @property
+    def limits(self) -> list[float]:
+        """Largest torque of each joint, N m or N; empty where one has none."""
+        found = [joint["torque_max"] for joint in self.joints]
+        return [float(limit) for limit in found] if None not in found else []
+
+
+def machine_of(path: Path, folder: Path) -> Machine | None:
+    """Return the machine of a recording that zendsp made; None for another's.
+
+    Parameters
+    ----------
+    path : Path
+        Of the recording.
+    folder : Path
+        Where the model file will stand: a MuJoCo model below it is named from there.
+    """
+    try:
+        recording = Recording.load(path)
+    except RecordingError:
+        return None
+    about = recording.extra.get("machine")
+    if not isinstance(about, Mapping):
+        return None
+    options = dict(option.partition("=")[::2] for option in about["options"])
+    lag = 0.0
+    if about["model"] and options.get("ideal", "0") == "0":
+        lag = float(options.get("current_loop", CURRENT_LOOP_S))
+    file = Path(about["model"])
+    here = about["model"] and file.is_file() and find_spec("mujoco") is not None
+    below = here and file.resolve().is_relative_to(folder.resolve())
+    return Machine(
+        name=about["name"],
+        model=(os.path.relpath(file, folder) if below else str(file)) if here else "",
+        joints=tuple(about["joints"]),
+        period=recording.sample_time / recording.decimation,
+        lag=lag,
+    )

@@ -97,10 +97,9 @@ def _errors(r: Mapping[str, Any], charts: Sequence[Chart]) -> list[Entry]:
         else f"error on untouched recordings {t['calibrated']:.3g} {fit['unit']};"
         f" the sensor alone {fit['noise_floor']:.2g}"
     )
-    made = [
-        Entry(c.name, _plain("fit", f"{fell}{f', joint {c.joint}' if c.joint > 1 else ''}"), c)
-        for c in _of("fit", charts)
-    ]
+    drawn = _of("fit", charts)
+    said = [fell, *(f"joint {c.joint}: its error over time" for c in drawn[1:])]  # of all joints
+    made = [Entry(c.name, _plain("fit", text), c) for c, text in zip(drawn, said, strict=False)]
     return made or [Entry("fit", _plain("fit", fell), None, fell)]
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import time
+import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -230,9 +231,18 @@ def models_for(machine: str, workspace: Workspace) -> list[Path]:
     patterns = ("*.toml", "models/*.toml", "examples/models/*.toml")
     near = [p for pattern in patterns for p in sorted(workspace.root.glob(pattern))]
     shipped = _shipped(machine)
-    return [p for p in near if p.stem == machine] + ([shipped] if shipped else []) + [
-        p for p in near if p.stem != machine
-    ]
+    fit = [p for p in near if fits(p, machine)]
+    return fit + ([shipped] if shipped else []) + [p for p in near if p not in fit]
+
+
+def fits(path: Path, machine: str) -> bool:
+    """Whether a model file is named like a machine, or names itself so."""
+    if path.stem == machine:
+        return True
+    try:
+        return bool(tomllib.loads(path.read_text("utf-8")).get("name") == machine)
+    except (OSError, ValueError):
+        return False
 
 
 def _shipped(machine: str) -> Path | None:

@@ -26,11 +26,12 @@ from zendsp.tui.panels.figure import FigureView
 from zendsp.tui.panels.findings import LOOP, entries, headline
 from zendsp.tui.runs import DATA, SIMULATED, Run, list_runs
 from zendsp.tui.scope import Scope
-from zendsp.tui.screens.analysis import existing, models_for
+from zendsp.tui.screens.analysis import existing, fits, models_for
 from zendsp.tui.screens.diagnose_loop import LoopActions
 from zendsp.tui.snapshot import Snapshot
 
 ROLES = ("", "fit", "held out")  # what a recording is used for, in the order of the key
+NEW = "new"  # of the dialog of models: one is begun
 SPINNER = "⠋⠙⠹⠸⠼⠴⠦⠧⠇⠏"
 BUTTONS = (
     ("report", "Report v"),
@@ -126,7 +127,9 @@ class DiagnoseScreen(LoopActions):
         if not self.roles and found and not self._marked_by_hand:
             self.roles[str(found[0].folder / DATA)] = "fit"
         if not self.model:
-            self.model = self.lab.model or next(map(str, self._models()), "")
+            first, machine = next(iter(self._models()), None), self._machine()
+            meant = first if first and (not machine or fits(first, machine)) else ""
+            self.model = self.lab.model or str(meant)
         table: DataTable[Text] = self.query_one("#recordings", DataTable)
         at = table.cursor_row
         table.clear(columns=True)
@@ -147,10 +150,11 @@ class DiagnoseScreen(LoopActions):
         mark = Text(role, Style(color=colour, bold=True))
         table.add_row(mark, *(Text(cell) for cell in cells), key=path)
 
+    def _machine(self) -> str:
+        return self.runs[0].machine if self.runs else self.lab.session.snapshot.machine
+
     def _models(self) -> list[Path]:
-        snapshot = self.lab.session.snapshot
-        machine = self.runs[0].machine if self.runs else snapshot.machine
-        return models_for(machine, self.lab.workspace)
+        return models_for(self._machine(), self.lab.workspace)
 
     def chosen(self, role: str) -> list[str]:
         """Return the recordings of one use."""
@@ -197,10 +201,13 @@ class DiagnoseScreen(LoopActions):
         """Choose the model file."""
         options = [Line(str(p), p.name, str(p.parent)) for p in self._models()]
         options.append(Line("", "another file …", "its path is asked for"))
-        text = "The model whose missing physics is of interest; zendsp model new writes one."
+        options.append(Line(NEW, "begin one …", "from the recording that is marked for the fit"))
+        text = "The model whose missing physics is of interest."
 
         def take(keys: list[str] | None) -> None:
-            if keys and keys[0]:
+            if keys == [NEW]:
+                self.begin_model()
+            elif keys and keys[0]:
                 self._take_model(keys[0])
             elif keys:
                 form = Form("Model file", [Field("path", "Model file", "", check=existing)])
@@ -231,8 +238,10 @@ class DiagnoseScreen(LoopActions):
                 " Execute, or add a file (a)",
                 "warning",
             )
+        elif not self.model and self._models():
+            self.action_model()
         elif not self.model:
-            self.say("choose the model first (m); zendsp model new writes one", "warning")
+            self.begin_model()
         else:
             self._cancelled, self.said, self._began = False, [], time.monotonic()
             self.shown, self.entries = None, []
@@ -247,6 +256,41 @@ class DiagnoseScreen(LoopActions):
             self.command = Command(words, self.lab.workspace.root, self._hear)
             work = self._diagnose(self.command, made, folder, fit, held)
             self.run_worker(work, group="diagnosis")
+
+    def begin_model(self) -> None:
+        """Write a model file from the first recording of the fit; diagnose where nothing in it is
+        left open.
+        """
+        fit = self.chosen("fit")
+        if self.busy or not fit:
+            self.say("mark the recording that it is to be made from first (space)", "warning")
+            return
+        run = next((r for r in self.runs if str(r.folder / DATA) == fit[0]), None)
+        name = run.machine if run is not None else Path(fit[0]).name.partition(".")[0]
+        file = self.lab.workspace.free(self.lab.workspace.root, name, ".toml").resolve()
+        self._cancelled, self.said, self._began = False, [], time.monotonic()
+        self._detail("words-box")
+        words = ["model", "new", fit[0], "--out", str(file)]
+        self.command = Command(words, self.lab.workspace.root, self._hear)
+        self.run_worker(self._begin_model(self.command, file), group="diagnosis")
+
+    async def _begin_model(self, command: Command, file: Path) -> None:
+        try:
+            status = await command.run()
+        finally:
+            self.command = None
+        if status != 0 or self._cancelled:
+            last = next((line for line in reversed(self.said) if line.strip()), "")
+            self.say(f"no model could be begun: {last}", "error")
+            return
+        self._take_model(str(file))
+        asked = file.read_text("utf-8").count("# ? ")
+        if asked:
+            self._hear(f"Answer them in {file.name}, above their lines; s diagnoses with it.")
+            self.say(f"{file.name} is begun; {asked} questions stand in it", "warning")
+        else:
+            self.say(f"{file.name} is made of the recording", "good")
+            self.action_start()
 
     def _hear(self, line: str) -> None:
         self.said.append(line)
@@ -374,7 +418,7 @@ class DiagnoseScreen(LoopActions):
         c = self.app.theme_variables
         text = Text("model  ", "dim", no_wrap=True, overflow="ellipsis")
         path = Path(self.model)
-        text.append(path.name or "none: m chooses one", Style(dim=False, bold=True))
+        text.append(path.name or "none: m chooses or begins one", Style(dim=False, bold=True))
         if path.name and path.parent != Path("."):
             text.append(f"  in {path.parent}", Style(dim=True))
         given = self.query_one("#given-model", Static)
@@ -390,7 +434,7 @@ class DiagnoseScreen(LoopActions):
             stage.append(f" {seconds:.0f} s  {self.said[-1] if self.said else 'starting'}")
         elif self.shown is not None:
             names = ", ".join(recording_name(r) for r in self.shown.recordings)
-            stage.append(f"shown: {names}, {self.shown.report['seconds']:.1f} s", "dim")
+            stage.append(f"{self.shown.report['seconds']:.1f} s  {names}", "dim")
         self.query_one("#stage", Static).update(stage)
 
 
