@@ -14,10 +14,13 @@ from click.testing import CliRunner
 
 from zendsp.cli.model import check
 from zendsp.diagnosis.data.checks import check_excitation, check_motion, check_signals
+from zendsp.diagnosis.data.plausibility import check_driven
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.sampling import resample_held
-from zendsp.physics.files.model_file import load_model
+from zendsp.diagnosis.data.signals import Signals
+from zendsp.errors import RecordingError
+from zendsp.physics.files.model_file import load_model, parse_model
 from zendsp.physics.term_numbers import kernel_model
 
 RATE = 500.0
@@ -453,3 +456,52 @@ def test_a_joint_that_is_hardly_driven_is_not_read_in_degrees(tmp_path: Path) ->
         ),
         model,
     )
+
+
+def swings(seed: int) -> np.ndarray:
+    """Angle, speed and acceleration over twelve seconds at 250 Hz, (3, n)."""
+    rng, t = np.random.default_rng(seed), np.arange(3000) / 250.0
+    w = 2 * np.pi * rng.uniform(0.2, 1.2, 5)
+    phase = np.outer(t, w) + rng.uniform(0, 2 * np.pi, 5)
+    own = np.sin(phase), np.cos(phase) * w, -np.sin(phase) * w**2
+    return np.stack([x.sum(axis=1) / 5 for x in own])
+
+
+@pytest.mark.parametrize("tool", [1.0, 3.0])
+def test_a_tool_that_pulls_against_the_links_own_inertia_is_no_bad_recording(tool: float) -> None:
+    """An arm of two links whose second moves against the first; most of its inertia is its motor's.
+    The same with the second command's sign flipped, or of another run, is bad.
+    """
+    p1, p2, p3, l1, l2, rotor = 1.0, 0.02, 0.005, 0.5, 0.3, 0.2
+    model = parse_model(
+        {
+            "sample_time": 0.004,
+            "mechanism": {
+                "kind": "planar2r",
+                "parameters": {"p1": p1, "p2": p2, "p3": p3, "l1": l1, "l2": l2},
+            },
+            "effect": [{"kind": "inertia", "joint": 2, "amount": rotor}],
+        }
+    )
+
+    def run(mass: float, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
+        q1 = 0.8 * swings(seed)
+        q2 = 0.1 * swings(seed + 1) - 0.7 * q1
+        m1, m2 = p1 + mass * (l1**2 + l2**2), p2 + mass * l2**2
+        c, s = (f(q2[0]) * (p3 + mass * l1 * l2) for f in (np.cos, np.sin))
+        coriolis = s * q2[1] * (2 * q1[1] + q2[1])
+        first = (m1 + 2 * c) * q1[2] + (m2 + c) * q2[2] - coriolis
+        second = (m2 + c) * q1[2] + (m2 + rotor) * q2[2] + s * q1[1] ** 2 + 0.1 * q2[1]
+        return np.stack([q1[0], q2[0]], axis=1), np.stack([first, second], axis=1)
+
+    def looked_at(angles: np.ndarray, command: np.ndarray) -> None:
+        t = np.arange(len(angles)) * 0.004
+        signals = Signals("run", t, 0.004, angles, command, None, np.full(2, 1e-5))
+        check_driven(["joint 1", "joint 2"], prepare([signals], model, 64.0).records[0], model)
+
+    looked_at(*run(tool))
+    angles, command = run(0.0)
+    with pytest.raises(RecordingError, match="sign"):
+        looked_at(angles, command * [1.0, -1.0])
+    with pytest.raises(RecordingError, match="different runs"):
+        looked_at(angles, np.stack([command[:, 0], run(0.0, seed=6)[1][:, 1]], axis=1))

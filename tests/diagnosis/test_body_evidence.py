@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from zendsp.diagnosis.decide.decide_bodies import Heard, borne
 from zendsp.diagnosis.search.body_columns import NUISANCE
-from zendsp.diagnosis.search.body_hypotheses import LIMITS
+from zendsp.diagnosis.search.body_explain import Explained, first_of
+from zendsp.diagnosis.search.body_hypotheses import LIMITS, Hypothesis
 from zendsp.diagnosis.search.body_solver import Solver
 
 BLOCKS, SAMPLES = 16, 150
@@ -52,3 +54,38 @@ def test_a_body_that_is_felt_in_few_blocks_only_is_sure() -> None:
 def test_a_body_that_is_not_there_is_hardly_ever_sure() -> None:
     """Of a normal deviate 0.1 % are above three; 4 of 400 leaves room for the draw."""
     assert sum(sureness(0.0, seed) > LIMITS.sure for seed in range(400)) <= 4
+
+
+def test_what_joints_say_of_one_body_adds_up() -> None:
+    """A base tilted by 2 degrees, as six joints of a small arm told of it: the first, which bears
+    most of it as a part of its own torque, is not sure alone (9 are needed).
+    """
+    told = [
+        Heard(0.241, 0.070, 4.1, 4.6), Heard(0.074, 0.0004, 13.8, 44.6),
+        Heard(0.071, 0.0012, 14.1, 53.2), Heard(0.027, 0.0010, 10.9, 10.4),
+        Heard(0.071, 0.0012, 11.7, 14.8), Heard(6e-5, 0.0004, 0.7, 2.4),
+    ]  # fmt: skip
+    assert borne(told, 9.0) is not None
+    assert borne(told[:1], 9.0) is None, "one joint that is not sure"
+    assert borne([Heard(0.2, 0.3, 20.0, 9.0)], 9.0) is None, "less than what stays unexplained"
+    against = [Heard(0.3, 0.01, -5.0, -3.0), Heard(0.1, 0.01, 20.0, 9.0)]
+    assert borne(against, 9.0) is None, "most of it is where it is not missed"
+
+
+def explained(joint: int, *free: str, cost: float, behind: float) -> Explained:
+    numbers = np.ones(len(free))
+    h = Hypothesis("body", joint, f"link{joint}", free, cost)
+    return Explained(h, numbers, numbers, 100.0, 5.0, behind, np.ones(3), np.ones(3))
+
+
+def test_fewer_numbers_of_a_link_must_predict_as_well_as_more_of_it() -> None:
+    """Else the joints have to explain the rest: 3 cm of a link's centre were taken for less mass
+    and a gravity and an offset beside it. Other links' numbers do not hurry.
+    """
+    mass = explained(2, "mass", cost=2.0, behind=2.2)
+    centre = explained(2, "com_x", "com_y", "com_z", cost=4.0, behind=0.0)
+    other = explained(3, "com_x", "com_y", "com_z", cost=4.0, behind=0.5)
+    assert first_of([mass, other, centre], LIMITS) is centre
+    assert first_of([mass, other], LIMITS) is mass
+    nearly = explained(2, "mass", cost=2.0, behind=1.0)
+    assert first_of([nearly, centre], LIMITS) is nearly

@@ -79,6 +79,10 @@ static int carry(void *self, int joint, double mass, const double *place) {
     return 0;
 }
 
+static int has_hand(const char *config) {
+    return machine_config_double(config, "hand", 0.0) != 0.0;
+}
+
 /* The arm that stands there. */
 static void make_arm(wam *m, const char *config) {
     char friction[16] = "full";
@@ -91,13 +95,14 @@ static void make_arm(wam *m, const char *config) {
         for (int i = 0; i < 3; i++)
             m->arm.link[k].com[i] += moved[k][i];
     }
-    if (machine_config_double(config, "hand", 0.0) != 0.0)
+    if (has_hand(config))
         wam7_carry(&m->arm.link[WAM7 - 1], hand_mass, hand_place);
 }
 
-static void describe(machine_info *info) {
+static void describe(machine_info *info, const char *config) {
     snprintf(info->name, sizeof info->name, "wam7");
-    snprintf(info->text, sizeof info->text, "Barrett WAM, seven joints, no hand (simulated).");
+    snprintf(info->text, sizeof info->text, "Barrett WAM, seven joints, %s hand (simulated).",
+             has_hand(config) ? "with its" : "no");
     info->simulated = 1;
     info->joints = WAM7;
     info->dins = 8;
@@ -157,7 +162,7 @@ static int wam_open(void **handle, const char *config, double period, machine_in
         snprintf(error, error_size, "wam7: out of memory");
         return -1;
     }
-    describe(&m->info);
+    describe(&m->info, config);
     make_arm(m, config);
     make_plant(&m->plant);
     m->plant.self = m->plant.carry_self = m;

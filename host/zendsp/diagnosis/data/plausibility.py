@@ -22,6 +22,7 @@ from zendsp.errors import RecordingError
 from zendsp.physics.calibration.joint import JointRecord, mechanism_value
 from zendsp.physics.kernel.smooth import gaussian
 from zendsp.physics.model import TREES, Model, per_joint
+from zendsp.physics.robots.bodies import Links, machine_tree
 from zendsp.physics.robots.rigid import bases
 from zendsp.physics.term_numbers import added_inertia
 
@@ -250,6 +251,8 @@ def check_driven(where: Sequence[str], records: Sequence[JointRecord], model: Mo
         found = regress(plain, model, i + 1, body)
         if found is None:
             continue
+        if found.slope + ERRORS * found.error < LITTLE and _carried(plain, model, i + 1, body):
+            continue
         _sign(name, found)
         if found.slope + ERRORS * found.error < LITTLE or (
             found.slope - ERRORS * found.error > MUCH and found.r2 > HALF
@@ -340,6 +343,29 @@ def _undo(
             f" {100 * max(found.r2, 0.0):.0f} % of it, and the model's inertia does not show): are"
             " the columns of different runs, joints or units?"
         )
+
+
+def _carried(slow: Slow, model: Model, joint: int, body: tuple[Array, Array]) -> bool:
+    """Whether a body that the model lacks, on a joint's own link, explains its torque (1-based).
+    Where all joints swing, its pull may be larger than the link's own inertia, and against it.
+    """
+    tree, i = machine_tree(model), joint - 1
+    if tree is None:
+        return False
+    links = Links(tuple(tree[0]), tree[1], np.stack([slow.q, slow.qd, slow.qdd], axis=1))
+    felt, borne = links.columns(i, i)
+    torque = per_joint(model.actuator.gain, joint, 1.0) * slow.command[i]
+    qd, use = slow.qd[i], ~slow.at_edge[i]
+    dry = np.tanh(qd / (0.1 * float(np.sqrt(np.mean(qd**2))) + 1e-300))
+    a = np.stack([*borne, qd, dry, np.ones_like(qd)], axis=1)
+    if use.sum() < PER_COLUMN * a.shape[1]:
+        return False
+    scale = np.maximum(np.linalg.norm(a[use], axis=0), 1e-300)
+    lacking = torque - body[0][i] - body[1][i]
+    theta = np.linalg.lstsq(a[use] / scale, lacking[use], rcond=1e-9)[0] / scale
+    left = lacking[use] - a[use] @ theta
+    inertia = float(np.mean(theta[: len(felt)] @ felt))  # less than none: a flipped sign
+    return inertia > 0 and float(left @ left) < (1 - GOOD) * len(left) * float(np.var(torque[use]))
 
 
 def check_free(where: Sequence[str], records: Sequence[JointRecord], model: Model) -> None:

@@ -2,9 +2,9 @@
 on untouched recordings.
 
 The search of the joints has gone on with the bodies in the model. Here each body is taken away,
-everything else at the joints that it moves is fitted again, and the joints decide together: it is
-claimed where most of its torque acts at joints that miss it more than anything that stays
-unexplained there.
+everything else at the joints that it moves is fitted again, and the joints decide together: their
+evidence for this one body adds up, and it is claimed where most of its torque acts at joints that
+miss it more than anything that stays unexplained there.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from zendsp.diagnosis.decide.confidence import MOST as SUREST
 from zendsp.diagnosis.decide.findings import NUMERIC, number
 from zendsp.diagnosis.decide.pieces import dependence
 from zendsp.diagnosis.decide.result import Estimate, Finding, Rejected
-from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES, PLAIN
+from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES
 from zendsp.diagnosis.measure.discrepancy import difference
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import fit_scored
@@ -34,6 +34,7 @@ from zendsp.physics.robots.bodies import Links
 
 # of a body's squared torque, over the joints: at so much it has to be larger than what is left
 MOST = 0.5
+SURE = 2.0  # standard deviations by which a joint that bears it predicts worse without
 REJECTED = 4  # of its rivals are reported
 
 
@@ -83,12 +84,36 @@ def decide_bodies(
     return tuple(sorted(claims, key=lambda c: -c.gain))
 
 
+@dataclass(frozen=True)
+class Heard:
+    """What one joint says of a body: its size, and what stays unexplained there, as parts of the
+    RMS torque; log e-value of the evidence, and its standard deviations.
+    """
+
+    size: float
+    left: float
+    log_e: float
+    z: float
+
+
+def borne(heard: Sequence[Heard], needed: float) -> float | None:
+    """How much larger a body is than what stays unexplained at the joints that bear it.
+
+    A joint alone need not be sure: it is one body, and what the joints say of it adds up. None
+    where that is less than is ``needed``, or most of its torque acts at joints that do not miss it.
+    """
+    bear = [h for h in heard if h.log_e > 0.0 and h.z > SURE and h.size > h.left]
+    total, here = (sum(h.size**2 for h in part) for part in (heard, bear))
+    if here <= MOST * total or sum(h.log_e for h in heard) <= needed:
+        return None
+    return math.sqrt(here / max(sum(h.left**2 for h in bear), 1e-18))
+
+
 def _decided(
     parts: Parts, found: FoundBody, decisions: Sequence[Decision], links: Links | None, jobs: int
 ) -> BodyClaim | None:
-    needed = math.log(len(decisions) * len(LAWS_OF) / FALSE_DISCOVERIES)
-    sizes: dict[int, float] = {}
-    borne = total = gain = rest = 0.0
+    heard: dict[int, Heard] = {}
+    gain = 0.0
     for decision in decisions:
         joint, final = decision.joint, decision.final
         if not feels(found, joint, links):
@@ -100,18 +125,16 @@ def _decided(
         held = compare(without, final, parts.test, joint)
         size = difference(parts.test, without.model, final.model, joint)
         log_e = 0.5 * held.gain / dependence(without, parts.test, joint)
-        sizes[joint] = size
-        total += size**2
+        heard[joint] = Heard(size, decision.after.value, log_e, held.z)
         gain += held.gain
-        if log_e > needed and held.z > PLAIN and size > decision.after.value:
-            borne += size**2
-            rest += decision.after.value**2
-    if borne <= MOST * total:
+    needed = math.log(len(decisions) * len(LAWS_OF) / FALSE_DISCOVERIES)
+    ratio = borne(list(heard.values()), needed)
+    if ratio is None:
         return None
-    ratio = math.sqrt(borne / max(rest, 1e-18))
     sure = ratio**1.5 / (0.5 + ratio**1.5)
     if found.indistinguishable:
         sure *= 0.5 + 0.5 / (1 + len(found.indistinguishable))
+    sizes = {joint: h.size for joint, h in heard.items()}
     return BodyClaim(found, sizes, gain, float(min(SUREST, max(0.05, sure))))
 
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from zendsp.diagnosis.search.body_columns import Layout, Sums
-from zendsp.diagnosis.search.body_explain import Explained, explain, seen, tied
+from zendsp.diagnosis.search.body_explain import Explained, clear, explain, seen, tied
 from zendsp.diagnosis.search.body_hypotheses import COM, LIMITS, BodyLimits, hypotheses
 from zendsp.diagnosis.search.body_solver import Solver
 from zendsp.physics.calibration.fit import Data
@@ -111,7 +111,7 @@ def find_bodies(
         best = tried[0]
         taken = {(f.term.effect, f.term.joint) for f in found}
         if (
-            not (best.hypothesis.of_bodies and seen(best, limits))
+            not (best.hypothesis.of_bodies and (seen(best, limits) or clear(best, limits)))
             or (best.hypothesis.effect, max(best.hypothesis.joint, 1)) in taken
         ):
             break

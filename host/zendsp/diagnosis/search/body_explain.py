@@ -101,8 +101,23 @@ def explain(solver: Solver, tried: Sequence[Hypothesis]) -> list[Explained]:
     ]
     ties = [e for e in out if tied(e, top, solver.limits)]
     ties.sort(key=lambda e: (_cost(e, solver), -e.gain))
+    first = first_of(ties, solver.limits)
+    ties.sort(key=lambda e: e is not first)
     others = sorted((e for e in out if not any(e is t for t in ties)), key=lambda e: -e.gain)
     return ties + others
+
+
+def first_of(ties: Sequence[Explained], limits: BodyLimits) -> Explained:
+    """The first of some ties, or one with other numbers of the same link that predicts better."""
+    first = ties[0].hypothesis
+    near = (
+        e
+        for e in ties
+        if (e.hypothesis.effect, e.hypothesis.joint) == (first.effect, first.joint)
+        and first.of_bodies
+        and e.behind < limits.same_link
+    )
+    return next(near, ties[0])
 
 
 def seen(e: Explained, limits: BodyLimits = LIMITS) -> bool:
@@ -110,6 +125,13 @@ def seen(e: Explained, limits: BodyLimits = LIMITS) -> bool:
     joint leaves there.
     """
     return e.z > limits.sure and float(e.share.max()) > limits.part
+
+
+def clear(e: Explained, limits: BodyLimits = LIMITS) -> bool:
+    """Whether an explanation that is a small part of what the joints leave is so sure that it is
+    worth a decision.
+    """
+    return e.z > limits.clear and float(e.share.max()) > limits.little
 
 
 def _cost(e: Explained, solver: Solver) -> float:

@@ -25,9 +25,14 @@ class BodyLimits:
     memory: float = 0.1  # s for which an observer remembers that a joint stuck
     # standard deviations over the blocks within which two explanations are as good
     tie: float = 2.5
+    # the same for two sets of numbers of one link: too few make faults of single joints
+    same_link: float = 1.5
     share: float = 0.03  # of the best one's gain: nearer, two explanations are as good
     sure: float = 3.0  # standard deviations over the blocks from which an explanation is one
     part: float = 0.2  # of what some joint leaves has to go on the recordings that choose
+    # standard deviations from which less of it will do: friction that is a little off leaves more
+    clear: float = 4.5
+    little: float = 0.03
     least: float = 0.01  # of some joint's RMS torque: less is no body that anybody would look for
     bodies: int = 3  # at most so many wrong bodies
     same: float = 0.02  # m from a link's centre of mass: what it carries there is its own
