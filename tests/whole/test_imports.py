@@ -63,10 +63,9 @@ def loaded_by(statement: str) -> set[str]:
 
 
 def test_a_diagnosis_begins_without_what_few_machines_need() -> None:
-    found = python("import zendsp.diagnosis.engine, sys\nprint(*sys.modules)").split()
-    assert "scipy.ndimage" in found
-    slow = {"scipy.interpolate", "scipy.optimize", "scipy.signal", "scipy.stats", "matplotlib"}
-    assert not slow & set(found)  # half a second each, in every process
+    found = loaded_by("import zendsp.diagnosis.engine")
+    assert "numpy" in found
+    assert not {"scipy", "matplotlib", "pandas"} & found  # half a second each, in every process
 
 
 @pytest.mark.parametrize(
@@ -83,13 +82,6 @@ def test_import_zendsp_loads_nothing_heavy() -> None:
     found = loaded_by("import zendsp")
     assert "zendsp" in found
     assert found & HEAVY == set()
-
-
-def test_a_diagnosis_begins_without_what_takes_half_a_second() -> None:
-    """scipy.signal loads scipy.stats."""
-    said = python("import sys, zendsp.diagnosis.engine\nprint(*sys.modules)").split()
-    assert "scipy.ndimage" in said
-    assert {"scipy.stats", "scipy.signal", "matplotlib"} & set(said) == set()
 
 
 def test_help_loads_nothing_heavy() -> None:
