@@ -263,8 +263,8 @@ def commit(target: Target, bare: Bare, count: int) -> Row:
     """Commit 64 staged variables; the wait for the sample is taken off, as the target counts it.
 
     The loop of this measurement runs at 20 kHz, so that a sample is never more than 50 µs away;
-    half a period is the mean wait. Like is set against like: the values are staged before
-    (``stage`` sends nothing), and the bare request has as many bytes as ours.
+    half a period is the mean wait. Like is set against like: the values are staged, and checked,
+    before, and the bare request has as many bytes as ours.
     """
     values = {f"v{k}": float(k) for k in range(64)}
     size = len(codec.encode_request("update", {"values": values}, target.link.author))

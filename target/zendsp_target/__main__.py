@@ -1,5 +1,6 @@
-"""``python -m zendsp_target``: start a target. Needs zenoh, numpy, msgspec, cffi and a C compiler,
-nothing else.
+"""``python -m zendsp_target``: start a target. Nothing of the host is needed.
+
+A C compiler is, and the packages zenoh, numpy, msgpack, msgspec, cffi and pyelftools.
 """
 
 from __future__ import annotations

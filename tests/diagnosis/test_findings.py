@@ -48,9 +48,7 @@ def fit() -> Fit:
         np.array(SIZES),
         spread,
         0.0,
-        1,
         (False,) * 3,
-        True,
         np.empty((0, 3)),
         np.empty(0),
     )
@@ -69,8 +67,8 @@ def test_what_a_longer_recording_does_not_make_better_stands_in_the_uncertainty(
     def std(effect: str, key: str, value: float, **known: Any) -> float:
         model = Model("bench", 1e-3, "rotary", {}, (Term(effect, 1, {key: Quantity(value)}),))
         exact = Fit(
-            model, (Handle("term", 0, key),), np.array([value]), np.full((1, 1), 1e-20), 0.0, 1,
-            (False,), True, np.empty((0, 1)), np.empty(0),
+            model, (Handle("term", 0, key),), np.array([value]), np.full((1, 1), 1e-20), 0.0,
+            (False,), np.empty((0, 1)), np.empty(0),
         )  # fmt: skip
         return estimates(exact, model.terms[0], "rotary", "N m", "N m", **known)[key].std
 

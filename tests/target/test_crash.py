@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hardware import driver
 
 from zendsp_protocol.errors import Refused, RunnerDied
 from zendsp_target.api import AcquireConfig
@@ -156,34 +157,13 @@ def test_what_goes_wrong_in_userinit_is_told_at_load(
         assert runtime.status().state == "empty"
 
 
-HARDWARE = """
-#include <stdio.h>
-#include <string.h>
-#include "machine.h"
-#include "machine_config.h"
-static char path[256];
-static int open_it(void **h, const char *config, double period, machine_info *info, char *error, size_t size) {
-    (void)period; (void)error; (void)size;
-    *h = path;
-    machine_config_text(config, "path", path, sizeof path);
-    snprintf(info->name, sizeof info->name, "fake hardware");
-    info->joints = 1; info->stop_input = -1;
-    info->joint[0] = (machine_joint){.counts_per_unit = 1000.0, .mv_per_torque = 1.0, .mv_per_speed = 1.0, .command_max = 1e4,
-        .position_min = -1.0, .position_max = 1.0, .speed_max = 1e3, .torque_max = 1e3};
-    return 0;
-}
-static void read_it(void *h, machine_sensors *s) { (void)h; s->enc[0] = 5; }
-static void write_it(void *h, const machine_actuators *a) { (void)h; (void)a; }
-static void safe(void *h) { FILE *f = fopen((char *)h, "a"); if (f) { fputs("safe\\n", f); fclose(f); } }
-const machine_ops zendsp_machine = {.abi = MACHINE_ABI, .open = open_it, .read = read_it, .write = write_it, .safe = safe};
-"""  # noqa: E501
-
-
-# as a card that another program has taken meanwhile: it does not open while this file is there
-ONCE = """#include <unistd.h>
-static char path[256];
-#define machine_config_text(c, k, p, n) machine_config_text(c, k, p, n); if (access(p, F_OK) == 0) return 1
-"""  # noqa: E501
+SAID = """FILE *f = fopen(path, "a"); if (f) { fputs("safe\\n", f); fclose(f); }"""
+PATH = """machine_config_text(config, "path", path, sizeof path);"""
+HARDWARE = driver(SAID, opened=PATH, before="static char path[256];")
+# as a card that another program has taken meanwhile: it does not open while the file is there
+ONCE = driver(
+    SAID, opened=PATH + "if (access(path, F_OK) == 0) return 1;", before="static char path[256];"
+)
 
 
 def crashing_on(hardware: str, make_runtime: Make, folder: Path) -> tuple[Runtime, Path]:
@@ -235,8 +215,7 @@ def test_hardware_is_made_safe_where_no_file_can_be_opened_any_more(
 def test_a_machine_that_cannot_be_made_safe_is_told(
     make_runtime: Make, wait_for: Wait, tmp_path: Path
 ) -> None:
-    once = HARDWARE.replace("static char path[256];", ONCE)
-    runtime, said = crashing_on(once, make_runtime, tmp_path)
+    runtime, said = crashing_on(ONCE, make_runtime, tmp_path)
     wait_for(said.exists)
     runtime.start()
     wait_for(lambda: runtime.status().crash != "", runtime.status)

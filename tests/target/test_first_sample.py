@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from hardware import driver
 
 from zendsp_target.runtime import Runtime
 
@@ -36,25 +37,13 @@ void UserBackground(void) {}
 
 # An arm that somebody moves by a quarter of a radian whenever it is made safe, as at the begin of
 # each pause.
-PUSHED = """
-#include <stdio.h>
-#include "machine.h"
-static int place;
-static double most;
-static int open_it(void **h, const char *config, double period, machine_info *info, char *error, size_t size) {
-    (void)config; (void)period; (void)error; (void)size;
-    *h = &place;
-    snprintf(info->name, sizeof info->name, "pushed");
-    info->joints = 1; info->stop_input = -1; info->adcs = 1;
-    info->joint[0] = (machine_joint){.counts_per_unit = 1000.0, .mv_per_torque = 1.0, .mv_per_speed = 1.0, .command_max = 1e4,
-        .position_min = -100.0, .position_max = 100.0, .speed_max = 10.0, .torque_max = 1e3};
-    return 0;
-}
-static void read_it(void *h, machine_sensors *s) { s->enc[0] = *(int *)h; s->adc[0] = most; }
-static void write_it(void *h, const machine_actuators *a) { (void)h; if (a->aout[0] > most) most = a->aout[0]; }
-static void safe(void *h) { *(int *)h += 250; }
-const machine_ops zendsp_machine = {.abi = MACHINE_ABI, .open = open_it, .read = read_it, .write = write_it, .safe = safe};
-"""  # noqa: E501
+PUSHED = driver(
+    "place += 250;",
+    before="static int place; static double most;",
+    opened="info->adcs = 1; info->joint[0].speed_max = 10.0;",
+    read="s->enc[0] = place; s->adc[0] = most;",
+    write="if (a->aout[0] > most) most = a->aout[0];",
+)
 NAMES = ["fresh", "fresh_tick", "fresh_enabled", "speed"]
 
 

@@ -11,15 +11,14 @@ import sys
 from pathlib import Path
 
 import pytest
+from hardware import driver
 from waiting import until
 
-# hardware: hangs in open() and safe() where a file says so, and says that it does
-HARDWARE = """
-#include <stdio.h>
-#include <string.h>
-#include <unistd.h>
-#include "machine.h"
-#include "machine_config.h"
+# hangs in open() and safe() where a file says so, and says that it does
+HARDWARE = driver(
+    """hang("safe"); say("is-safe");""",
+    opened="""machine_config_text(config, "folder", folder, sizeof folder); hang("open");""",
+    before="""
 static char folder[256], path[300];
 static const char *in_folder(const char *name) {
     snprintf(path, sizeof path, "%s/%s", folder, name);
@@ -34,23 +33,8 @@ static void hang(const char *where) {
     say("hangs");
     for (;;) pause();
 }
-static int open_it(void **h, const char *config, double period, machine_info *info, char *error,
-                   size_t size) {
-    (void)period; (void)error; (void)size; (void)h;
-    machine_config_text(config, "folder", folder, sizeof folder);
-    hang("open");
-    info->joints = 1; info->stop_input = -1;
-    info->joint[0] = (machine_joint){.counts_per_unit = 1000.0, .mv_per_torque = 1.0,
-        .mv_per_speed = 1.0, .command_max = 1e4, .position_min = -1.0, .position_max = 1.0,
-        .speed_max = 1e3, .torque_max = 1e3};
-    return 0;
-}
-static void read_it(void *h, machine_sensors *s) { (void)h; s->enc[0] = 5; }
-static void write_it(void *h, const machine_actuators *a) { (void)h; (void)a; }
-static void safe(void *h) { (void)h; hang("safe"); say("is-safe"); }
-const machine_ops zendsp_machine = {.abi = MACHINE_ABI, .open = open_it, .read = read_it,
-    .write = write_it, .safe = safe};
-"""
+""",
+)
 PROGRAM = """
 #include <unistd.h>
 #include "isr.h"

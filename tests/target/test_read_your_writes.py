@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from desk import Desk, desk_of
+from hardware import driver
 from waiting import until
 
 from zendsp_protocol.errors import RunnerDied
@@ -201,38 +202,18 @@ def test_an_update_of_a_program_that_was_replaced_is_never_said_to_be_applied(
         slow.wait_applied(sequence, 0.01)
 
 
-# writes a line in safe(), which takes a while, as a bus that is slow
-HARDWARE = """
-#include <stdio.h>
-#include <time.h>
-#include "machine.h"
-static char path[] = "%s";
-static int open_it(void **h, const char *config, double period, machine_info *info, char *error,
-                   size_t size) {
-    (void)config; (void)period; (void)error; (void)size;
-    *h = path;
-    info->joints = 1; info->stop_input = -1;
-    info->joint[0] = (machine_joint){.counts_per_unit = 1000.0, .mv_per_torque = 1.0,
-        .mv_per_speed = 1.0, .command_max = 1e4, .position_min = -1.0, .position_max = 1.0,
-        .speed_max = 1e3, .torque_max = 1e3};
-    return 0;
-}
-static void read_it(void *h, machine_sensors *s) { (void)h; s->enc[0] = 5; }
-static void write_it(void *h, const machine_actuators *a) { (void)h; (void)a; }
-static void safe(void *h) {
+# writes a line, which takes a while, as over a bus that is slow
+SLOWLY_SAFE = """
     const struct timespec slow = {.tv_nsec = 50000000};
     nanosleep(&slow, NULL);
-    FILE *f = fopen((char *)h, "a");
+    FILE *f = fopen("%s", "a");
     if (f) { fputs("safe\\n", f); fclose(f); }
-}
-const machine_ops zendsp_machine = {.abi = MACHINE_ABI, .open = open_it, .read = read_it,
-                                    .write = write_it, .safe = safe};
 """
 
 
 def test_hardware_is_safe_when_a_pause_is_acknowledged(make_runtime: Make, tmp_path: Path) -> None:
     source, said = tmp_path / "fake.c", tmp_path / "said"
-    source.write_text(HARDWARE % said)
+    source.write_text(driver(SLOWLY_SAFE % said))
     runtime = make_runtime(SLOW, machine=str(source), rate_hz=100.0, clock="real", realtime=False)
     until(said.exists, "it is safe from the start")
     runtime.start()

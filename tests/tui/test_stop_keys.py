@@ -145,16 +145,12 @@ def keys_process(monkeypatch: pytest.MonkeyPatch) -> Iterator[Guarded]:
         os.close(keyboard)
 
 
-def test_a_frozen_process_of_the_keys_is_not_waited_for(keys_process: Guarded) -> None:
-    guard, _ = keys_process
-    os.kill(guard._process.pid, signal.SIGSTOP)
-    until(lambda: not guard.alive, "the terminal reads the keys itself")
-
-
-def test_a_process_of_the_keys_that_sleeps_too_long_is_not_waited_for(
-    keys_process: Guarded, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("states", [None, {"S"}], ids=["frozen", "sleeps, as if for another"])
+def test_a_process_of_the_keys_that_does_nothing_is_not_waited_for(
+    keys_process: Guarded, monkeypatch: pytest.MonkeyPatch, states: set[str] | None
 ) -> None:
-    monkeypatch.setattr(stopper, "_states", lambda pid: {"S"})  # as one that waits for another
+    if states:
+        monkeypatch.setattr(stopper, "_states", lambda pid: states)
     guard, _ = keys_process
     os.kill(guard._process.pid, signal.SIGSTOP)
     until(lambda: not guard.alive, "the terminal reads the keys itself")
@@ -176,9 +172,8 @@ def test_a_process_of_the_keys_that_gets_no_processor_is_waited_for(
     assert guard.alive
 
 
-async def test_what_is_typed_before_a_dialog_opens_is_no_command(
-    lab: ZendspApp, until: Until
-) -> None:
+def _asked(lab: ZendspApp) -> list[str]:
+    """What the session is asked to do from now on, in place of doing it."""
     asked: list[str] = []
 
     def do(label: str, job: object) -> Future[None]:
@@ -186,7 +181,13 @@ async def test_what_is_typed_before_a_dialog_opens_is_no_command(
         return Future()
 
     lab.session.do = do  # type: ignore[method-assign, assignment]
+    return asked
 
+
+async def test_what_is_typed_before_a_dialog_opens_is_no_command(
+    lab: ZendspApp, until: Until
+) -> None:
+    asked = _asked(lab)
     seek = threading.Event()
 
     def slow() -> list[tuple[str, str]]:
@@ -214,15 +215,9 @@ async def test_what_is_typed_before_a_dialog_opens_is_no_command(
 async def test_what_a_fast_hand_types_after_a_key_that_opens_an_input_is_no_command(
     lab: ZendspApp, until: Until, opens: str
 ) -> None:
-    asked: list[str] = []
-
-    def do(label: str, job: object) -> Future[None]:
-        asked.append(label)
-        return Future()
-
     async with lab.run_test(size=(100, 30)) as pilot:
         await until(pilot, lambda: lab.session.snapshot.link == "up", "the link is up")
-        lab.session.do = do  # type: ignore[method-assign, assignment]
+        asked = _asked(lab)
         for key in (opens, "p", "s", "d"):  # at once, as a terminal hands on one read
             lab.post_message(Key(key, {"slash": "/"}.get(key, key)))
         await until(

@@ -110,7 +110,7 @@ class Bridge:
 
     @property
     def url(self) -> str:
-        """What a viewer is told."""
+        """The address to open in a viewer."""
         return f"ws://{HOST}:{self._server.port}"
 
     def close(self) -> None:

@@ -14,19 +14,17 @@ from zendsp.experiment.result import Result
 
 @dataclass(frozen=True)
 class Experiment:
-    """Name, machine, one line for people, where the function is, whether its result has something
-    that a model file holds, and what it commands.
-    """
+    """An experiment by its name, and what must be known of it before it begins."""
 
     name: str
     machine: str  # "": any whose command is what the experiment commands
-    title: str
-    function: str
-    models: bool = False
+    title: str  # one line for people
+    function: str  # where it is: "module:function"
+    models: bool = False  # whether its result has something that a model file holds
     command: str = "torque"  # or voltage
 
     def fits(self, machine: str) -> bool:
-        """Whether it is for this machine; what the machine's command is shows when it begins."""
+        """Whether it is for this machine; its command is known only when the experiment begins."""
         return self.machine in ("", machine)
 
     def run(self, lab: Lab) -> Result:

@@ -54,7 +54,7 @@ class Peak:
 
 @dataclass(frozen=True)
 class Rehearsal:
-    """What became of a run on the twin.
+    """The outcome of a run on the simulated twin.
 
     Attributes
     ----------

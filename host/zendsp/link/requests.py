@@ -63,5 +63,5 @@ class Room:
 
     @property
     def link(self) -> Link:
-        """The link of today."""
+        """The present link; ``Target.reconnect`` makes another."""
         return self._requests.link

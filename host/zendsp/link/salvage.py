@@ -103,7 +103,7 @@ class Salvage:
 
 
 def find_salvage(target: str = "") -> tuple[Salvage, ...]:
-    """Find what targets of this user that were killed had recorded, the newest first.
+    """Find the recordings of this user's targets that were killed, newest first.
 
     A target keeps the last recording that was begun in shared memory until it ends in good order.
     If it is killed the rows stay, those of the last three killed targets, until they are dropped or

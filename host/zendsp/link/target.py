@@ -219,7 +219,7 @@ class Target:
 
     @property
     def link(self) -> Link:
-        """The link of today."""
+        """The present link; :meth:`reconnect` makes another."""
         return self.requests.link
 
     @property
@@ -233,8 +233,7 @@ class Target:
         return self.link.alive
 
     def reconnect(self) -> None:
-        """Look the target up again and connect anew: after it was started again, which gave it
-        another address.
+        """Look the target up again and connect to it: one that was restarted has another address.
 
         An outage of the link alone needs no call: the connection comes back by itself. Live views
         go on; what is staged stays.

@@ -1,4 +1,4 @@
-"""The model of a machine as docs/diagnosis.md describes it: mechanism, effects, actuator, sensor,
+"""The model of a machine as docs/models.md describes it: mechanism, effects, actuator, sensor,
 controller, columns.
 
 A parameter that has several joints is a tuple of one number per joint. All SI.

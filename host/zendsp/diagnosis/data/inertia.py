@@ -1,5 +1,5 @@
-"""A first estimate of each joint's inertia by inverse dynamics, to keep the calibration of an
-incomplete model on the ground.
+"""A first estimate of each joint's inertia by inverse dynamics: bounds for the calibration of an
+incomplete model.
 
 While much physics is missing, the most likely model under a fast observer is a heavy one: a huge
 inertia ignores the wrong torques. Low-pass filtered inverse dynamics with rich friction, gravity

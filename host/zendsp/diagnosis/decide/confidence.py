@@ -3,8 +3,8 @@
 A logistic regression on findings whose truth was known, of makers of cases that share no code:
 what a law leaves unexplained beside its own size, how freely it can be bent, and how small a part
 it is of the lacking torque that larger ones do not explain. Its reliability was judged on makers
-left out of the regression (docs/diagnosis.md, confidence; `python benchmarks/confidence.py` repeats
-it).
+left out of the regression (docs/measurements/diagnosis_choices.md). To repeat it: `python
+benchmarks/confidence.py`.
 """
 
 from __future__ import annotations

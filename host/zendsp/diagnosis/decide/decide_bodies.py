@@ -21,7 +21,7 @@ from zendsp.diagnosis.decide.confidence import MOST as SUREST
 from zendsp.diagnosis.decide.findings import NUMERIC, number
 from zendsp.diagnosis.decide.pieces import dependence
 from zendsp.diagnosis.decide.result import Estimate, Finding, Rejected
-from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES
+from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES, PLAIN
 from zendsp.diagnosis.measure.discrepancy import difference
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import fit_scored
@@ -103,7 +103,7 @@ def _decided(
         sizes[joint] = size
         total += size**2
         gain += held.gain
-        if log_e > needed and held.z > 2.0 and size > decision.after.value:
+        if log_e > needed and held.z > PLAIN and size > decision.after.value:
             borne += size**2
             rest += decision.after.value**2
     if borne <= MOST * total:

@@ -1,4 +1,7 @@
-"""The numbers that decide, each with what it means; docs/diagnosis.md has the measurement."""
+"""The numbers that decide, each with what it means.
+
+The measurements behind them: docs/measurements/diagnosis_choices.md.
+"""
 
 from __future__ import annotations
 
@@ -28,14 +31,14 @@ PLAIN = 2.0  # the same, of what has another measure beside it
 MOST = 0.5  # of a lacking torque's energy: a mechanism whose variables predict less is not claimed
 RIVAL = 0.5  # of that again: where another mechanism's variables predict so much, neither is
 # of the size of a mechanism without a law: what is not larger beside it may be a part of it;
-# chosen on one case (docs/diagnosis.md)
+# chosen on one case
 A_PART = 0.5
 CURVE = 3  # so many laws of one mechanism at one joint draw a curve
 HARMONIC = 0.05  # of a whole number: a ripple's order over the lowest
 # A function of the state beside which something stays unexplained can be another one: its law,
 # where it is not what every machine has, is stated where it is more likely than this. Of 138 right
 # laws on four makers' cases 4 were less likely, of 12 wrong ones 5; on fresh cases two thirds would
-# have stated two more wrong ones, and one right one (docs/diagnosis.md).
+# have stated two more wrong ones, and one right one.
 STATED = 0.7
 # The same of any other law, or where nothing is left that could speak against it.
 ALONE = 1 / 3

@@ -23,6 +23,7 @@ Array = npt.NDArray[np.float64]
 
 # rad/s: 10 Hz; a faster observer believes noise and structural vibration
 SLOWEST, FASTEST = 4.0, 64.0
+BETTER = 2.0  # deviance: another bandwidth that gains less is not taken
 
 
 @dataclass(frozen=True)
@@ -128,7 +129,7 @@ def tune_bandwidth(
             while SLOWEST <= data.bandwidth[j - 1] * factor <= fastest(data):
                 trial = data.at_bandwidth(j, data.bandwidth[j - 1] * factor)
                 value = deviance(trial, model, (j,))
-                if not value < best - 2.0:
+                if not value < best - BETTER:
                     break
                 data, best, moved = trial, value, True
             if moved:
@@ -173,7 +174,7 @@ def fit_scored(
         if best is None or value < best.deviance:
             best = Scored(result, data, value, tuple(joints))
         tuned, tuned_value = tune_bandwidth(data, result.model, joints, known=value)
-        if tuned.bandwidth == data.bandwidth or not tuned_value < value - 2.0:
+        if tuned.bandwidth == data.bandwidth or not tuned_value < value - BETTER:
             break
         data, model = tuned, result.model
     assert best is not None

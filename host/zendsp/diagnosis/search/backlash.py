@@ -15,6 +15,7 @@ import math
 from collections.abc import Mapping
 
 from zendsp.diagnosis.measure.likelihood import (
+    BETTER,
     SLOWEST,
     Scored,
     deviances,
@@ -106,7 +107,7 @@ def descend(scored: Scored, joint: int, jobs: int) -> Scored:
             central=True,
         )
         data, value = tune_bandwidth(best.data, result.model, (joint,))
-        if not value < best.deviance - 2.0:
+        if not value < best.deviance - BETTER:
             break
         best = Scored(result, data, value, (joint,))
     return best

@@ -106,9 +106,7 @@ class Fit:
     x: Array
     covariance: Array
     cost: float
-    iterations: int
     at_bound: tuple[bool, ...]
-    converged: bool
     jacobian: Array
     residual: Array
 
@@ -313,10 +311,8 @@ class _Problem:
 
     def descend(
         self, x: Array, iterations: int, tolerance: float, brief: bool
-    ) -> tuple[Array, Array, Array, int, bool]:
-        """From a point to a minimum: where, residual and Jacobian there, steps, and whether it
-        converged.
-        """
+    ) -> tuple[Array, Array, Array]:
+        """From a point to a minimum: where it is, and residual and Jacobian there."""
         x = np.clip(x, self.low, self.high)
         r, jac = self.jacobian(x)
         cost, damping, done, count = float(r @ r), 1e-3, not len(x), 0
@@ -334,7 +330,7 @@ class _Problem:
                 jac = slope
             elif not brief or not (done or count == iterations):
                 jac = self.jacobian(x, r)[1]
-        return x, r, jac, count, done
+        return x, r, jac
 
 
 def fit(
@@ -394,7 +390,7 @@ def fit(
     with threads(jobs) as each:
         problem = _Problem(data, model, handles, wanted, each, central)
         x = get_values(model, handles) if start is None else start
-        x, r, jac, count, done = problem.descend(x, iterations, tolerance, brief)
+        x, r, jac = problem.descend(x, iterations, tolerance, brief)
     covariance = robust_covariance(jac, r, block_count(data))
     low, high = problem.low, problem.high
     near = np.isclose(x, low, rtol=NEAR, atol=1e-12) | np.isclose(x, high, rtol=NEAR, atol=1e-12)
@@ -405,9 +401,7 @@ def fit(
         x,
         covariance,
         float(r @ r),
-        count,
         at_bound,
-        done,
         jac,
         r,
     )

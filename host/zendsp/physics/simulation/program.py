@@ -27,7 +27,8 @@ from zendsp_isr.sources import Source, gather
 
 Array = npt.NDArray[np.float64]
 
-_TYPES = {1: ("double *", 8), 2: ("float *", 4), 3: ("int32_t *", 4), 4: ("bool *", 1)}
+_INT32, _BOOL = 3, 4  # of isr.h
+_TYPES = {1: ("double *", 8), 2: ("float *", 4), _INT32: ("int32_t *", 4), _BOOL: ("bool *", 1)}
 _PARAMETER, _SIGNAL, _TABLE = 1, 2, 3
 _CONTINUOUS = 1e-6  # rad or m per count where the model's sensor has no resolution
 _FULL_SCALE = 10000.0  # mV of the analog output for the command limit
@@ -390,7 +391,7 @@ class _Session:
             numbers = np.ravel(np.asarray(value, dtype=np.float64))
         except (TypeError, ValueError):
             return [f"{v.name}: {value!r} is not a number"]
-        if entry.type != 4 and np.asarray(value).dtype.kind == "b":
+        if entry.type != _BOOL and np.asarray(value).dtype.kind == "b":
             return [
                 f"{v.name}: {value!r} is true or false, not a number; write 1 or 0 if that is meant"
             ]
@@ -402,11 +403,12 @@ class _Session:
                 f"{v.name}: {numbers[bad][0]:g} is outside {entry.minimum:g} … {entry.maximum:g}"
                 f" {v.unit}".rstrip()
             ]
-        if entry.type in (3, 4) and (numbers != np.round(numbers)).any():
+        if entry.type in (_INT32, _BOOL) and (numbers != np.round(numbers)).any():
             return [f"{v.name}: {numbers[0]:g} is not a whole number"]
         pointer = self._pointer(v.name)
+        kind = {_INT32: int, _BOOL: bool}.get(entry.type, float)
         for k, x in enumerate(numbers):
-            pointer[k] = bool(x) if entry.type == 4 else int(x) if entry.type == 3 else float(x)
+            pointer[k] = kind(x)
         return []
 
     def _channels(

@@ -76,7 +76,6 @@ class Scope(Widget, can_focus=True):
         self._last_trigger: float | None = None
         self._pens: dict[int, Style] = {}
         self._live = live
-        self._labels: dict[str, str] = {}
 
     # -- data
     # ----------------------------------------------------------------------------------------------
