@@ -269,7 +269,7 @@ def main() -> None:
                 )
             )
         print(f"{options.busy} busy processes, load {os.getloadavg()[0]:.1f}")
-    sys.exit(figures["pipe"]["p99_ms"] > options.limit_ms)
+    sys.exit(int(figures["pipe"]["p99_ms"] > options.limit_ms))  # of a NumPy truth it says "False"
 
 
 if __name__ == "__main__":

@@ -65,7 +65,7 @@ def loaded_by(statement: str) -> set[str]:
 def test_a_diagnosis_begins_without_what_few_machines_need() -> None:
     found = python("import zendsp.diagnosis.engine, sys\nprint(*sys.modules)").split()
     assert "zendsp.diagnosis.engine" in found
-    slow = {"scipy", "matplotlib"}  # some tenths of a second each, in every process
+    slow = {"scipy", "matplotlib", "pandas"}  # some tenths of a second each, in every process
     assert not slow & set(found)
 
 

@@ -56,7 +56,7 @@ class VariableVerbs:
         return applied(self.runtime, self.do_write(args, by).sequence)
 
     def do_wait_applied(self, args: verbs.Wait, by: str) -> m.Applied:
-        tick = self.runtime.wait_applied(args.sequence, min(args.timeout, 60.0))
+        tick = self.runtime.wait_applied(args.sequence, min(60.0, args.timeout))  # also of a NaN
         return m.Applied(sequence=args.sequence, tick=tick)
 
     def do_log(self, args: verbs.Log, by: str) -> tuple[m.Change, ...]:
