@@ -238,6 +238,13 @@ PLANS: dict[str, Plan] = {
     "docs/tour.md": Plan(tour),
     "docs/troubleshooting/loop.md": Plan(saved_parameters, stands_for={"FILE": "kept.json"}),
     "docs/tui.md": Plan(loaded),
+    "docs/tutorial.md": Plan(
+        files={
+            "import zendsp": "play.py",
+            'name = "arm"': "arm.toml",
+            "import numpy as np": "compensate.py",
+        },
+    ),
 }
 
 

@@ -255,6 +255,20 @@ async def test_every_screen_fits_from_80_by_24_up(app: ZendspApp, until: Until) 
                 )
 
 
+async def test_a_dialog_answers_once_however_often_a_key_is_pressed(app: ZendspApp) -> None:
+    answers: list[list[str] | None] = []
+    async with app.run_test(size=(100, 30)) as pilot:
+        below = app.screen
+        await app.push_screen(Choose("Curves", [Option("q", "q", "rad")]), answers.append)
+        await pilot.pause()
+        rows = app.screen.query_one(OptionList)
+        for _ in range(3):  # before the first has closed it
+            rows.action_select()
+        await pilot.pause()
+        assert answers == [["q"]]
+        assert app.screen is below
+
+
 async def test_no_key_of_the_footer_is_cut(app: ZendspApp, until: Until) -> None:
     async with app.run_test(size=(160, 24)) as pilot:
         for screen in SCREENS:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TypeVar
 
 from textual import events
+from textual.await_complete import AwaitComplete
 from textual.binding import Binding
 from textual.screen import ModalScreen
 
@@ -28,6 +29,7 @@ class Dialog(ModalScreen[Result | None]):
     BINDINGS = [Binding("escape", "cancel", "Cancel", priority=True)]  # noqa: RUF012
 
     opened = False  # whether it takes keys already
+    closed = False  # whether it has its answer
 
     def on_screen_resume(self) -> None:
         """Take what was typed before the dialog was there, once the focus is where it will be."""
@@ -52,6 +54,15 @@ class Dialog(ModalScreen[Result | None]):
         if any(button.region.contains(event.screen_x, event.screen_y) for button in below):
             event.stop()
             self.app.call_later(self.app.run_action, "stop")
+
+    def dismiss(self, result: Result | None = None) -> AwaitComplete:
+        """Close with the first answer. What is pressed before the dialog is gone is no second one,
+        which would close the screen below.
+        """
+        if self.closed:
+            return AwaitComplete()
+        self.closed = True
+        return super().dismiss(result)
 
     def action_cancel(self) -> None:
         """Close and do nothing."""
