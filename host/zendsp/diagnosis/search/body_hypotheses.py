@@ -31,7 +31,7 @@ class BodyLimits:
     sure: float = 3.0  # standard deviations over the blocks from which an explanation is one
     part: float = 0.2  # of what some joint leaves has to go on the recordings that choose
     # standard deviations from which less of it will do: friction that is a little off leaves more
-    clear: float = 4.5
+    clear: float = 3.5
     little: float = 0.03
     least: float = 0.01  # of some joint's RMS torque: less is no body that anybody would look for
     bodies: int = 3  # at most so many wrong bodies
