@@ -9,9 +9,11 @@ that does not end), and is measured by `benchmarks/`.
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 PATIENCE_S = float(os.environ.get("ZENDSP_TEST_PATIENCE_S", "150"))
 
@@ -34,3 +36,15 @@ def until(
         if time.monotonic() > deadline:
             raise AssertionError(f"never happened within {PATIENCE_S:g} s: {what} {shown()}")
         time.sleep(0.005)
+
+
+def freeze(pid: int) -> None:
+    """Stop a process as SIGSTOP does, and wait until every thread of it has: on a busy computer
+    some go on for a while.
+    """
+    os.kill(pid, signal.SIGSTOP)
+    until(lambda: all(_state(path) in "Tt" for path in Path(f"/proc/{pid}/task").iterdir()), "frozen")
+
+
+def _state(task: Path) -> str:
+    return (task / "stat").read_text().rpartition(")")[2].split()[0]

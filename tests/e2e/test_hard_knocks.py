@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import children, kill, make_certificates, python, relay_to, running
-from waiting import PATIENCE_S, until
+from waiting import PATIENCE_S, freeze, until
 
 import zendsp
 from zendsp.errors import LinkError, Refused, RunnerDied
@@ -152,7 +152,7 @@ def test_a_killed_target_is_reported_within_the_lease_and_leaves_no_runner_behin
 
 
 def test_a_stopped_target_is_an_error_and_never_silence(real: Target) -> None:
-    os.kill(real.info.pid, signal.SIGSTOP)
+    freeze(real.info.pid)
     try:
         with pytest.raises(LinkError):  # after 1 s by the lease, or the request's own 5 s
             real.status()
