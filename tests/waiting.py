@@ -43,7 +43,8 @@ def freeze(pid: int) -> None:
     some go on for a while.
     """
     os.kill(pid, signal.SIGSTOP)
-    until(lambda: all(_state(path) in "Tt" for path in Path(f"/proc/{pid}/task").iterdir()), "frozen")
+    tasks = Path(f"/proc/{pid}/task")
+    until(lambda: all(_state(task) in "Tt" for task in tasks.iterdir()), "it is frozen")
 
 
 def _state(task: Path) -> str:
