@@ -412,7 +412,8 @@ class Drives:
                 Condition(
                     "enabled",
                     False,
-                    "the drives are not enabled: enable them (zendsp drive enable)",
+                    "the drives are not enabled: enable them (zendsp drive enable), then start"
+                    " (zendsp run without a file: loading one disables them)",
                 )
             ]
             raise Refused(_refusal("starting", failing))

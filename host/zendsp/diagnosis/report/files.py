@@ -70,8 +70,8 @@ def left_out(model: Model) -> list[str]:
     if not stay:
         return []
     return [
-        f"model.mjcf holds what was found, except {', '.join(dict.fromkeys(stay))}: MuJoCo cannot"
-        " express that; it stands as [[effect]] in model.toml beside it"
+        f"the report's model.mjcf holds what was found, except {', '.join(dict.fromkeys(stay))}:"
+        " MuJoCo cannot express that; it stands as [[effect]] in the model.toml beside it"
     ]
 
 
