@@ -227,6 +227,19 @@ def test_what_is_no_c_program_is_named(target: Target, tmp_path: Path) -> None:
     assert done.returncode != 0 and "bad.mat" in done.stderr and "ends in .c" in done.stderr
 
 
+def test_a_program_that_does_not_compile_says_that_the_other_one_goes_on(
+    target: Target, tmp_path: Path
+) -> None:
+    bad = tmp_path / "bad.c"
+    bad.write_text("void UserISR_INT2(void) { tau = ; }\n")
+    target.download("pd.c")
+    assert "goes on" not in zendsp_("load", str(bad)).stderr
+    target.start()
+    done = zendsp_("run", str(bad))
+    assert done.returncode == 1 and "what was loaded before goes on running" in done.stderr
+    assert target.status().state == "running"
+
+
 def test_ctrl_c_ends_watch_cleanly(target: Target) -> None:
     target.download("pd.c")
     target.start()

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from zendsp.cli.common import emit, open_target, target_options
 from zendsp.cli.completing import programs
+
+if TYPE_CHECKING:
+    from zendsp.link import Target
 
 
 @click.command("compile")
@@ -30,8 +33,10 @@ def command(
         report(compiled(lambda: t.compile(file, flags), as_json), as_json)
 
 
-def compiled(work: Callable[[], Any], as_json: bool) -> Any:
-    """Compile, or compile and load; code that does not compile is reported, with exit status 1."""
+def compiled(work: Callable[[], Any], as_json: bool, target: Target | None = None) -> Any:
+    """Compile, or compile and load on a ``target``; code that does not compile is reported, with
+    what goes on running, and exit status 1.
+    """
     from zendsp.errors import CompileFailed
 
     try:
@@ -41,6 +46,8 @@ def compiled(work: Callable[[], Any], as_json: bool) -> Any:
         if result is None:  # the file itself is missing
             raise
         report(result, as_json)
+        if target is not None and target.status().state == "running":
+            click.echo(f"zendsp: {target.name}: what was loaded before goes on running", err=True)
         raise click.exceptions.Exit(1) from None
 
 

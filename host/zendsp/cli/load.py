@@ -25,7 +25,7 @@ def command(
     Example:  zendsp load pd.c && zendsp set Kp1=400 && zendsp run
     """
     with open_target(target, connect) as t:
-        compiled(lambda: t.download(file, flags), as_json)
+        compiled(lambda: t.download(file, flags), as_json, t)
         status = t.status()
         count = len(t.variables())
         emit(

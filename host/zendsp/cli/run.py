@@ -47,7 +47,7 @@ def command(
     values = parse_assignments(assignments)
     with open_target(target, connect) as t:
         if file is not None:
-            compiled(lambda: t.download(file, flags), as_json)
+            compiled(lambda: t.download(file, flags), as_json, t)
         if values:
             t.write(**values)
         if seconds is None:
