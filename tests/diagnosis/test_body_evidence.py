@@ -6,8 +6,9 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 
-from zendsp.diagnosis.decide.decide_bodies import Heard, borne
+from zendsp.diagnosis.decide.decide_bodies import Heard, borne, may_be_nothing
 from zendsp.diagnosis.search.body_columns import NUISANCE
 from zendsp.diagnosis.search.body_explain import Explained, first_of
 from zendsp.diagnosis.search.body_hypotheses import LIMITS, Hypothesis
@@ -89,3 +90,12 @@ def test_fewer_numbers_of_a_link_must_predict_as_well_as_more_of_it() -> None:
     assert first_of([mass, other], LIMITS) is mass
     nearly = explained(2, "mass", cost=2.0, behind=1.0)
     assert first_of([nearly, centre], LIMITS) is nearly
+
+
+@pytest.mark.parametrize(("com", "nothing"), [(0.33, True), (0.45, False)])
+def test_a_body_of_which_no_number_is_surely_other_than_nothing_is_none(
+    com: float, nothing: bool
+) -> None:
+    """A payload of 70 ± 64 g somewhere on its link; its moment may still be sure."""
+    explained: Any = SimpleNamespace(values=np.array([0.070, com]), std=np.array([0.064, 0.2]))
+    assert may_be_nothing(explained) is nothing

@@ -21,6 +21,7 @@ from zendsp.diagnosis.decide.claims import Claim, Decision, Known, Piece
 from zendsp.diagnosis.decide.confidence import stated
 from zendsp.diagnosis.decide.naming import left_over
 from zendsp.diagnosis.decide.remember import remembered
+from zendsp.diagnosis.measure import structure as measure_structure
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.structure import Structure
@@ -63,6 +64,13 @@ def test_a_look_alike_of_a_law_is_a_mechanism_without_one_or_unexplained(tmp_pat
     assert all(f.effect == "unknown" and f.mechanism == "dry_friction" for f in d.findings), (
         d.findings
     )
+
+
+def test_a_joint_that_only_turns_round_tells_no_function_of_its_state(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(measure_structure, "counted", lambda rec, *_: np.zeros(rec.n, bool))
+    assert decided(tmp_path, reality.Machine()).verdict == "complete"
 
 
 @pytest.mark.parametrize(("power", "law"), [(2.0, "quadratic_drag"), (3.0, "unknown")])

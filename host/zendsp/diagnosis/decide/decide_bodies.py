@@ -21,12 +21,13 @@ from zendsp.diagnosis.decide.confidence import MOST as SUREST
 from zendsp.diagnosis.decide.findings import NUMERIC, number
 from zendsp.diagnosis.decide.pieces import dependence
 from zendsp.diagnosis.decide.result import Estimate, Finding, Rejected
-from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES
+from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES, PLAIN
 from zendsp.diagnosis.measure.discrepancy import difference
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import fit_scored
 from zendsp.diagnosis.search.bodies import BodySearch, FoundBody, refined, stated
 from zendsp.diagnosis.search.body_columns import Layout
+from zendsp.diagnosis.search.body_explain import Explained
 from zendsp.diagnosis.search.body_hypotheses import COM, LIMITS
 from zendsp.physics.calibration.fit import joint_handles
 from zendsp.physics.model import Model
@@ -112,6 +113,8 @@ def borne(heard: Sequence[Heard], needed: float) -> float | None:
 def _decided(
     parts: Parts, found: FoundBody, decisions: Sequence[Decision], links: Links | None, jobs: int
 ) -> BodyClaim | None:
+    if may_be_nothing(found.explained):
+        return None
     heard: dict[int, Heard] = {}
     gain = 0.0
     for decision in decisions:
@@ -136,6 +139,11 @@ def _decided(
         sure *= 0.5 + 0.5 / (1 + len(found.indistinguishable))
     sizes = {joint: h.size for joint, h in heard.items()}
     return BodyClaim(found, sizes, gain, float(min(SUREST, max(0.05, sure))))
+
+
+def may_be_nothing(explained: Explained) -> bool:
+    """Whether every number of a body lies within two deviations of nothing."""
+    return bool(np.all(np.abs(explained.values) < PLAIN * explained.std))
 
 
 def feels(found: FoundBody, joint: int, links: Links | None) -> bool:

@@ -214,6 +214,8 @@ def structure(
             others = [n for i, n in enumerate(normals) if i != k]
             square = np.sum([n[0] for n in others], axis=0)
             level = float(np.trace(square)) / len(square)
+            if not level > 0.0:  # nothing of the others counts: a joint that only turns round
+                return best
             theta = np.linalg.solve(
                 square + 1e-3 * level * np.eye(len(square)), np.sum([n[1] for n in others], axis=0)
             )
