@@ -5,18 +5,27 @@ from __future__ import annotations
 import os
 import signal
 import struct
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from waiting import PATIENCE_S, until
 
-from zendsp.errors import NotStopped
+from zendsp.errors import NotStopped, Refused
 from zendsp.link import Target, connect
+from zendsp.link.programs import stopped
 from zendsp.link.stop_page import StopPage, find
 from zendsp_protocol import stop_page as page
 from zendsp_target.monitor import Monitor, Options
 from zendsp_target.runtime import Runtime
+
+SLOW = """
+#include "isr.h"
+#include <time.h>
+void UserInit(void) { nanosleep(&(struct timespec){.tv_nsec = 500000000}, 0); }
+void UserISR_INT2(void) {}
+"""
 
 
 @pytest.fixture
@@ -67,7 +76,7 @@ def test_a_loop_that_hangs_is_not_stopped_and_stops_once_it_goes_on(
     _latched(target)
 
 
-def test_a_stop_asked_of_a_loop_that_died_is_not_for_the_next_program(
+def test_a_stop_asked_of_a_loop_that_died_is_latched_until_acknowledged(
     target: Target, runtime: Runtime
 ) -> None:
     found = find("paged")
@@ -75,10 +84,42 @@ def test_a_stop_asked_of_a_loop_that_died_is_not_for_the_next_program(
     os.kill(runtime.runner_pid(), signal.SIGKILL)
     until(lambda: target.status().state == "crashed", "the crash is told")
     found.ask()
+    _latched(target)
+    with pytest.raises(Refused, match=r"STOP was requested.*acknowledge it first"):
+        target.download("pd.c")
+    target.acknowledge()
     target.download("pd.c")
     target.start()
     until(lambda: target.status().tick >= 20, "twenty samples")
     assert target.status().trip is None
+
+
+def test_stop_is_latched_where_no_program_is_loaded(target: Target) -> None:
+    target.unload()
+    said = stopped(target.stop())
+    assert said == "stopped: no program is loaded, nothing moves until acknowledged"
+    with pytest.raises(Refused, match=r"STOP was requested.*acknowledge it first"):
+        target.download("pd.c")
+    target.acknowledge()
+    target.download("pd.c")
+    target.start(ticks=20)
+    assert target.wait().trip is None
+
+
+def test_a_stop_asked_while_a_program_loads_holds_that_program(
+    target: Target, runtime: Runtime
+) -> None:
+    found = find("paged")
+    assert found is not None
+    before = runtime.runner_pid()
+    loading = threading.Thread(target=target.download, args=({"user.c": SLOW},))
+    loading.start()
+    until(lambda: runtime.runner_pid() != before, "the old runner is gone")
+    found.ask()
+    loading.join()
+    _latched(target)
+    with pytest.raises(Refused, match="acknowledge it first"):
+        target.start()
 
 
 def test_only_the_page_of_this_run_and_version_is_used(

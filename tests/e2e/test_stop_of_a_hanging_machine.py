@@ -216,5 +216,6 @@ def test_a_machine_that_cannot_be_made_safe_is_never_stopped(
     target.unload()
     assert "NOT SAFE" in refused(), "an empty target is not a safe machine"
     card[SAFE] = card[WRITE] = 0
+    target.acknowledge()
     target.download({"user.c": PROGRAM})
     assert target.stop().trip is not None, "a runner that has the machine is believed again"

@@ -42,6 +42,16 @@ void UserInit(void) { SIGNAL(x, "", ""); }
 void UserISR_INT2(void) { x += 1.0; }
 """
 
+TRIPPING = """
+#include "isr.h"
+#include <math.h>
+void UserInit(void) {}
+void UserISR_INT2(void) {
+    if (SAMPLE_TICK == 10) WRITE_TORQUE(1, NAN);
+    if (SAMPLE_TICK == 50) *(volatile int *)8 = 1;
+}
+"""
+
 Make = Callable[..., Runtime]
 Wait = Callable[..., None]
 
@@ -81,6 +91,45 @@ def test_a_crash_is_told_with_signal_and_last_sample_and_loses_nothing(
     runtime.wait_paused()
     assert runtime.read(["x"])[1]["x"] == 10.0
     assert runtime.acquire_read(0, 0, 100).shape == (50, 2)
+
+
+def acknowledged(runtime: Runtime, load: Callable[[Runtime, str], None]) -> None:
+    """Nothing is loaded before somebody acknowledges; then all works."""
+    with pytest.raises(Refused, match="acknowledge it first"):
+        load(runtime, GOOD)
+    runtime.acknowledge()
+    assert runtime.status().trip is None
+    load(runtime, GOOD)
+    runtime.start(ticks=3)
+    runtime.wait_paused()
+    assert (runtime.status().tick, runtime.status().trip) == (3, None)
+
+
+def test_a_stop_after_a_crash_is_latched(
+    make_runtime: Make, wait_for: Wait, load: Callable[[Runtime, str], None]
+) -> None:
+    runtime = make_runtime(CRASHING.format(how="*nowhere = 1;"))
+    runtime.start()
+    wait_for(lambda: runtime.status().crash != "", runtime.status)
+    assert runtime.status().trip is None
+    runtime.stop()
+    trip = runtime.status().trip
+    assert trip is not None and (trip.reason, trip.tick) == ("stop", 50)
+    acknowledged(runtime, load)
+
+
+@pytest.mark.parametrize("end", ["crash", "unload"])
+def test_a_trip_outlives_its_loop(
+    make_runtime: Make, wait_for: Wait, load: Callable[[Runtime, str], None], end: str
+) -> None:
+    runtime = make_runtime(TRIPPING)
+    runtime.start()
+    wait_for(lambda: runtime.status().crash != "", runtime.status)
+    if end == "unload":
+        runtime.unload()
+    trip = runtime.status().trip
+    assert trip is not None and (trip.reason, trip.tick) == ("nan", 10)
+    acknowledged(runtime, load)
 
 
 def test_a_crash_names_the_line_of_the_source(make_runtime: Make, wait_for: Wait) -> None:

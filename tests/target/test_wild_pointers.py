@@ -100,6 +100,7 @@ def test_the_monitor_survives_shared_memory_full_of_rubbish(
             continue
     assert runtime.status().state == "crashed"
     assert runtime.machine().name == "imi_planar"
+    runtime.acknowledge()  # the STOP among the calls
     load(
         runtime,
         '#include "isr.h"\nstatic double x;\nvoid UserInit(void) { SIGNAL(x, "", ""); }\nvoid'

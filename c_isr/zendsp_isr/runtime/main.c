@@ -241,8 +241,6 @@ int main(int count, char **arguments) {
     if (!r->page || r->page->magic != LAYOUT_MAGIC || r->page->version != STOP_PAGE_VERSION)
         return fail(r->control, "stop page",
                     "cannot be mapped, or made by another version of zendsp");
-    /* asked while nothing was loaded, or of a runner that died: not of this program */
-    store32(&r->page->stop, 0);
     catch_signals();
     contain_hear_of_end(r->control, SIGKILL);
     if (open_machine(r) != 0)

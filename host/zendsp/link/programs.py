@@ -33,11 +33,12 @@ def at_rest(status: m.Status) -> bool:
 
 def stopped(status: m.Status) -> str:
     """Say how a STOP ended, from what :meth:`Programs.stop` returned."""
-    if status.trip is None:
+    if status.trip is None or status.state in (ProgramState.EMPTY, ProgramState.CRASHED):
         what = (
             "no program is loaded" if status.state == ProgramState.EMPTY else "the program crashed"
         )
-        return f"stopped: {what}, nothing moves"
+        until = "" if status.trip is None else " until acknowledged"
+        return f"stopped: {what}, nothing moves{until}"
     why = "" if status.trip.reason == "stop" else f" ({status.trip.text})"
     return f"stopped, at sample {status.trip.tick}{why}"
 
@@ -137,7 +138,8 @@ class Programs(Room):
         -------
         Status
             Once the loop itself says that it has stopped, with the sample in ``trip.tick``; at once
-            where no program is loaded or it has crashed: then nothing moves. Where the loop has
+            where no program is loaded or it has crashed: then nothing moves, and the next load is
+            refused until somebody acknowledges. Where the loop has
             stopped and the target's own process does not answer, only ``state``, ``tick`` and
             ``trip`` are known.
 
@@ -306,9 +308,13 @@ def trouble(status: m.Status) -> str:
     next; else ``""``.
     """
     if status.state == ProgramState.CRASHED:
+        why = f"the program crashed: {status.crash}"
+        again = "load it again with 'zendsp run FILE' or download()"
+        if status.trip is None:
+            return f"{why}; {again}"
         return (
-            f"the program crashed: {status.crash}; load it again with 'zendsp run FILE' or"
-            " download()"
+            f"{why}; latched: {status.trip.text}; 'zendsp drive acknowledge' or acknowledge(), then"
+            f" {again}"
         )
     if status.unsafe:
         return status.unsafe

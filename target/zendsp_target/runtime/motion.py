@@ -17,7 +17,7 @@ from zendsp_protocol.messages import Limits, MachineInfo
 from zendsp_target.runtime import safety
 from zendsp_target.runtime.memory.layout import layout
 from zendsp_target.runtime.process.runner import ffi_address
-from zendsp_target.runtime.programs import Programs, require_no_trip
+from zendsp_target.runtime.programs import Programs
 from zendsp_target.runtime.session import Session
 
 MOST_TICKS = 1 << 53  # more than a thousand years, and still exact in a float
@@ -51,7 +51,7 @@ class Motion:
         _, lib = layout()
         with self._programs.lock:
             session = self._programs.living()
-            require_no_trip(session)
+            self._programs.require_no_trip()
             if session.running != lib.RUN_PAUSED:
                 raise Refused("the program runs already: pause it first")
             if ticks is not None and not 1 <= ticks <= MOST_TICKS:
@@ -128,7 +128,9 @@ class Motion:
         if reason not in safety.REQUESTS:
             raise Refused(f"trip reason {reason!r}: give one of {', '.join(safety.REQUESTS)}")
         session = self._programs.session  # no lock: STOP never waits behind a load
-        if session is not None:
+        if reason == "stop" or session is None:
+            self._programs.ask_stop()
+        else:
             lib.monitor_store32(ffi_address(session.control, "stop"), safety.REQUESTS[reason])
 
     def acknowledge(self) -> None:
@@ -139,6 +141,10 @@ class Motion:
         """
         _, lib = layout()
         with self._programs.lock:
+            ended = self._programs.runner_pid() == 0
+            if ended and self._programs.latched() is not None:
+                self._programs.forget_trip()
+                return
             session = self._programs.living()
             session.request_run(lib.RUN_PAUSED)
             session.until(lambda: session.running == lib.RUN_PAUSED, "acknowledge")
@@ -179,7 +185,7 @@ class Motion:
         _, lib = layout()
         with self._programs.lock:
             session = self._programs.living()
-            require_no_trip(session)
+            self._programs.require_no_trip()
             if session.running != lib.RUN_PAUSED:
                 raise Refused("the program runs: pause it before homing")
             lib.monitor_store64(ffi_address(session.control, "run_until"), 0)

@@ -11,23 +11,16 @@ from typing import Any
 from zendsp_isr.parts import build_machine, build_runner, is_model
 from zendsp_protocol import stop_page
 from zendsp_protocol.errors import Refused
-from zendsp_protocol.messages import CompileResult
+from zendsp_protocol.messages import CompileResult, Trip
 from zendsp_target.concealed.load import load_concealed
 from zendsp_target.runtime import safety
 from zendsp_target.runtime.compile_service import compile_program, program_path
 from zendsp_target.runtime.memory.layout import layout
 from zendsp_target.runtime.memory.shm import SharedFile, SharedFolder
-from zendsp_target.runtime.process.runner import look_at
+from zendsp_target.runtime.process.runner import ffi_address, look_at
 from zendsp_target.runtime.process.settings import Settings, split_options
 from zendsp_target.runtime.session import Session
 from zendsp_target.runtime.variables.change_log import ChangeLog
-
-
-def require_no_trip(session: Session) -> None:
-    """Refuse what must wait until a STOP or trip is acknowledged."""
-    trip = safety.latched_trip(session.control, session.machine)
-    if trip is not None:
-        raise Refused(f"{trip.text}: acknowledge it first")
 
 
 def make_stop_page(folder: Path) -> SharedFile:
@@ -80,6 +73,8 @@ class Programs:
         build_machine(machine)  # what does not compile shall say so now, not at the first load
         self.folder = SharedFolder()
         self._page = make_stop_page(self.folder.path)
+        self._stop = ffi_address(self._page.pointer("stop_page")[0], "stop")
+        self._held: Trip | None = None  # of a loop that is gone, until acknowledged
         try:
             self.title = look_at(self.settings, self.folder.path) if is_model(machine) else ""
         except BaseException:
@@ -105,17 +100,16 @@ class Programs:
         Raises
         ------
         Refused
-            No such program, or it cannot run; or a STOP or trip that is not acknowledged: a fresh
-            runner would forget it.
+            No such program, or it cannot run; or a STOP or trip that is not acknowledged.
         RunnerDied
             Its UserInit crashed or did not return.
         """
         path = program_path(key)
         with self.lock:
             self._require_open()
-            if self.session is not None and self.session.alive():
-                require_no_trip(self.session)
+            self.require_no_trip()
             self.unload()
+            self.require_no_trip()  # what tripped at its very end
             if self.drive_wish != "auto":
                 # a fresh runner begins with its drives off, and is switched on deliberately
                 self.drive_wish = "off"
@@ -132,12 +126,47 @@ class Programs:
             self.unsafe = ""
 
     def unload(self) -> None:
-        """End the runner; acquired data and the log stay."""
+        """End the runner; acquired data, the log, and a STOP or trip stay."""
         with self.lock:
             if self.session is not None:
                 self.unsafe = self.session.close()
+                self._held = safety.latched_trip(self.session.control, self.session.machine)
                 self._sequence = self.session.updates.sequence
                 self.session = None
+
+    def ask_stop(self) -> None:
+        """STOP: the loop takes it at its next sample; where none runs, it stands until
+        acknowledged. Never waits.
+        """
+        layout()[1].monitor_store32(self._stop, 1)
+
+    def latched(self) -> Trip | None:
+        """The STOP or trip that nobody has acknowledged, carried out or not. It is the target's: it
+        outlives the loop that latched it.
+        """
+        session = self.session
+        trip = (
+            self._held
+            if session is None
+            else safety.latched_trip(session.control, session.machine)
+        )
+        if trip is None and layout()[1].monitor_load32(self._stop):
+            trip = safety.stop_asked(0 if session is None else session.tick)
+        return trip
+
+    def require_no_trip(self) -> None:
+        """Refuse what must wait until a STOP or trip is acknowledged."""
+        trip = self.latched()
+        if trip is not None:
+            raise Refused(f"{trip.text}: acknowledge it first")
+
+    def forget_trip(self) -> None:
+        """Acknowledge where no loop runs."""
+        _, lib = layout()
+        lib.monitor_store32(self._stop, 0)
+        self._held = None
+        if self.session is not None:
+            lib.monitor_store32(ffi_address(self.session.control.trip, "reason"), 0)
 
     def stop_page(self) -> str:
         """Path of the file by which programs of this user stop the loop, past this process: see

@@ -140,8 +140,8 @@ class Runtime:
         """Everything that a person wants to see at a glance."""
         programs, session = self.programs, self.programs.session
         if session is None:
-            return empty_status(programs.settings, programs.unsafe)
-        return status_of(session)
+            return empty_status(programs.settings, programs.unsafe, programs.latched())
+        return status_of(session, programs.latched())
 
     def __enter__(self) -> Runtime:
         return self

@@ -60,6 +60,11 @@ def latched_trip(control: Any, machine: MachineInfo) -> Trip | None:
     )
 
 
+def stop_asked(tick: int) -> Trip:
+    """A STOP that no loop has taken: none ran, or it ended before."""
+    return Trip("stop", 0, tick, 0.0, 0.0, "STOP was requested; nothing moves until acknowledged")
+
+
 def _sentence(
     machine: MachineInfo, reason: str, joint: int, tick: int, value: float, limit: float
 ) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from zendsp_protocol.errors import Refused, RunnerDied
-from zendsp_protocol.messages import Status
+from zendsp_protocol.messages import Status, Trip
 from zendsp_protocol.states import DriveState, ProgramState
 from zendsp_protocol.values import WireValue
 from zendsp_target.runtime import safety
@@ -17,7 +17,7 @@ _IO = ("enc", "aout", "adc", "din", "dout")
 _MODES = {number: name for name, number in safety.DRIVE_MODES.items()}
 
 
-def empty_status(settings: Settings, unsafe: str) -> Status:
+def empty_status(settings: Settings, unsafe: str, trip: Trip | None) -> Status:
     """Status while no program is loaded.
 
     Parameters
@@ -26,6 +26,8 @@ def empty_status(settings: Settings, unsafe: str) -> Status:
         Of the next load.
     unsafe : str
         Why the machine may still move; empty: it is safe.
+    trip : Trip or None
+        What is not acknowledged.
     """
     return Status(
         state=ProgramState.EMPTY,
@@ -39,21 +41,25 @@ def empty_status(settings: Settings, unsafe: str) -> Status:
         program="",
         timing=safety.no_timing(),
         drive=DriveState.OFF,
-        trip=None,
+        trip=trip,
         crash="",
         unsafe=unsafe,
     )
 
 
-def status_of(session: Session) -> Status:
+def status_of(session: Session, latched: Trip | None) -> Status:
     """Status of a loaded program, dead or alive.
 
     Parameters
     ----------
     session : Session
+    latched : Trip or None
+        What is not acknowledged, carried out or not.
     """
     control = session.control
     trip = safety.trip_of(control, session.machine)
+    if not session.alive() and not session.unsafe:
+        trip = latched
     state = _state(session, trip is not None)
     tick = session.tick
     mode, homed = _MODES.get(int(control.drive_mode), "off"), bool(control.homed)

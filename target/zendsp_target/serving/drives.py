@@ -337,6 +337,8 @@ class Drives:
         self._enabled = False
         self._runtime.acknowledge()
         first = "enable the drives" if self._explicit else "start the program"
+        if not _loaded(self._runtime.status()):
+            first = "load a program"
         return f"acknowledged; {first} before anything moves"
 
     def auto(self) -> str:
