@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from console_steps import console_of, events_of, mark_variable, type_first
-from steps import Step, Until
+from steps import Step, Until, opened
 from textual.widgets import Input
 
 from zendsp.link import Target
 from zendsp.tui.app import ZendspApp
 from zendsp.tui.dialogs import Choose, Form
-from zendsp.tui.scope import Scale
+from zendsp.tui.scope import Scale, Scope
+from zendsp.tui.screens.execute import ExecuteScreen
 
 
 @pytest.mark.covers(
@@ -168,3 +169,27 @@ async def test_a_computed_curve_its_scale_its_files_and_its_layout(
         assert await pilot.click(scope, offset=(2, 3))
         await pilot.pause()
         assert isinstance(lab.screen, Form), "a click on the axis asks for its scale"
+
+
+async def test_curves_are_live_on_the_screen_that_is_shown(
+    lab: ZendspApp, target: Target, built: Step, until: Until
+) -> None:
+    async with lab.run_test(size=(100, 30)) as pilot:
+        await built(lab, pilot)
+        target.start()
+        scope = console_of(lab).scope
+        await until(pilot, lambda: scope.history.count > 100, "live on Console")
+        execute = await opened(lab, pilot, until, ExecuteScreen)
+        execute.follow_live(lab.session.snapshot)  # as Start of a run does
+        run = execute.query_one("#run-live", Scope)
+        await until(pilot, lambda: run.history.count > 100, "live on Execute")
+        for key, shown in (("f2", scope), ("f3", run), ("f2", scope)):
+            await pilot.press(key)
+            seen = shown.history.latest
+            await until(pilot, lambda s=shown, t=seen: s.history.latest > t + 1.0, f"live: {key}")  # type: ignore[misc]
+            assert shown.history.channels == len(shown.channels)
+            assert not shown.old
+        target.pause()
+        await until(pilot, lambda: lab.session.snapshot.state == "paused", "paused")
+        await pilot.pause(0.3)
+        assert not scope.old, "what is shown is where the machine is"

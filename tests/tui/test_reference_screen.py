@@ -215,3 +215,40 @@ async def test_a_motion_is_planned_for_the_machine_that_is_connected(
         screen.pull(replace(seen, machine="a robot of one's own"), True)
         await pilot.pause()
         assert screen.machine.name == "pendulum", "what was chosen stays"
+
+
+async def test_what_is_saved_at_once_is_the_motion_of_the_form(
+    app: ZendspApp, until: Until, tmp_path: Path
+) -> None:
+    folder = tmp_path / "references"
+    async with app.run_test(size=(160, 48)) as pilot:
+        screen = _screen(app)
+        await until(pilot, lambda: screen.plan is not None, "planned")
+        for name in ("multisine", "circle"):
+            screen.query_one("#kind", Select).value = name
+            await until(pilot, lambda name=name: screen.kind == name, f"{name} is chosen")  # type: ignore[misc]
+            await pilot.press("ctrl+s", "enter")
+            file = folder / f"imi_planar-{name}.mat"
+            await until(pilot, file.is_file, "saved")
+            assert load_reference(file).kind == name
+        duration = _field(screen, "duration")
+        duration.value = "3.5"
+        await pilot.press("ctrl+s")
+        await until(pilot, lambda: screen.plan and screen.plan.reference.duration > 3.4, "planned")
+        await pilot.press("enter")
+        file = folder / "imi_planar-circle-2.mat"
+        await until(pilot, file.is_file, "the newer one is saved, with the plan of meanwhile")
+        assert load_reference(file).duration == pytest.approx(3.5, abs=0.01)
+        duration.value = "4.5"
+        await pilot.press("ctrl+s", "enter")
+        await pilot.pause()
+        duration.value = "5.5"
+        await until(pilot, lambda: "is not saved" in _events(app), "refused: it was changed since")
+        duration.value = "0.01"
+        await pilot.press("x", "enter")
+        await until(pilot, lambda: "nothing to save" in _events(app), "beyond the limits")
+        assert len(list(folder.glob("*.mat"))) == 3 and not app.chosen
+
+
+def _events(app: ZendspApp) -> str:
+    return "\n".join(e.text for e in app.session.events.since(0)[1])

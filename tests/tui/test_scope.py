@@ -6,6 +6,7 @@ import math
 import time
 import unicodedata
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -340,6 +341,33 @@ async def test_a_frozen_picture_keeps_its_data_and_the_history_can_be_visited() 
         scope.pause(False)
         await pilot.pause()
         assert scope.picture.end > end + 4.0
+
+
+async def test_a_picture_without_new_rows_says_that_it_is_old(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now = 100.0
+    monkeypatch.setattr("zendsp.tui.scope.widget.time", SimpleNamespace(monotonic=lambda: now))
+    app = _Bench()
+    async with app.run_test(size=(100, 30)) as pilot:
+        scope = app.query_one(Scope)
+        scope.show_channels([Channel("a"), Channel("b")])
+        await pilot.pause()
+        ticks_, y = _wave(2000)
+        scope.history.append(ticks_, y, 0.001)
+        for now, machine_s, old in (
+            (100.0, 2.0, False),
+            (160.0, 2.0, False),  # the machine does not go on either
+            (160.5, 2.5, False),
+            (162.0, 4.0, True),
+        ):
+            scope.mark_old(machine_s)
+            await pilot.pause()
+            assert ("OLD ROLL 5 s" in scope.render_line(0).text) == old, (now, machine_s)
+        scope.history.append(ticks_ + 3000, y, 0.001)
+        scope.mark_old(5.0)
+        await pilot.pause()
+        assert " ROLL 5 s" in scope.render_line(0).text and "OLD" not in scope.render_line(0).text
 
 
 async def test_the_trigger_stands_where_the_pre_trigger_says_and_single_freezes() -> None:

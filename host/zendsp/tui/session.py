@@ -214,11 +214,14 @@ class Session:
         elif verdict.state == "stopped" and new.trip is None and begin > verdict.time + SHOWN_S:
             self.verdict = None
 
-    def watch(self, channels: Sequence[Channel]) -> History:
-        """Follow these signals live; returns the history that fills from now on."""
-        self.channels = tuple(channels)
-        self.history = History(len(self.channels))
-        self._live_wanted = True
+    def watch(self, channels: Sequence[Channel], history: History | None = None) -> History:
+        """Follow these signals live, and no others; returns the history that fills from now on, a
+        new one unless given.
+        """
+        with self._lock:
+            self.channels = tuple(channels)
+            self.history = History(len(self.channels)) if history is None else history
+            self._live_wanted = True
         self._wake.set()
         return self.history
 
@@ -342,19 +345,20 @@ class Session:
         """Subscribe to the wanted channels; signals that the program lacks are left out with a
         word.
         """
-        self._live_wanted = False
+        with self._lock:
+            self._live_wanted = False
+            channels, history = self.channels, self.history
         if self._live is not None:
             self._live()
             self._live = None
-        if not self.channels:
+        if not channels:
             return
-        history = self.history
         try:
-            if any(c.formula for c in self.channels):
-                computed = Computed(self.channels, history.append)
+            if any(c.formula for c in channels):
+                computed = Computed(channels, history.append)
                 self._live = port.live(computed.sources, computed)
             else:
-                self._live = port.live([c.name for c in self.channels], history.append)
+                self._live = port.live([c.name for c in channels], history.append)
         except LinkError:
             raise
         except ZendspError as error:

@@ -34,6 +34,7 @@ from zendsp.tui.scope.trigger import last_crossing
 
 Floats = npt.NDArray[np.float64]
 STILL_S = 0.1  # between pictures where only numbers change
+OLD_S = 1.0  # without rows, of the clock and of the machine, after which a picture is old
 LOADING_S = 0.2  # between looks whether the spectrum is ready
 
 
@@ -75,7 +76,9 @@ class Scope(Widget, can_focus=True):
         self._rolling = Rolling()
         self._last_trigger: float | None = None
         self._pens: dict[int, Style] = {}
-        self._live = live
+        self.live = live
+        self.old = False  # the machine has gone on, and no rows have come
+        self._grown = (-1, 0.0)  # rows of the history, and when they became so many
 
     # -- data
     # ----------------------------------------------------------------------------------------------
@@ -157,9 +160,20 @@ class Scope(Widget, can_focus=True):
 
     def tick(self) -> None:
         """Repaint where there is something new; the screen asks thirty times a second."""
-        if not self._live or self.paused or self.history.count == self._seen:
+        if not self.live or self.paused or self.history.count == self._seen:
             return
         if self._moves() or time.monotonic() - self._drawn_at >= STILL_S:
+            self.redraw()
+
+    def mark_old(self, machine_s: float) -> None:
+        """Say so where rows have ceased to come: the machine is at ``machine_s`` (s) already."""
+        now = time.monotonic()
+        if self.history.count != self._grown[0]:
+            self._grown = (self.history.count, now)
+        behind = abs(machine_s - self.history.latest) > OLD_S
+        old = behind and now - self._grown[1] > OLD_S
+        if old != self.old:
+            self.old = old
             self.redraw()
 
     def _moves(self) -> bool:
@@ -304,17 +318,19 @@ class Scope(Widget, can_focus=True):
         s = self.settings
         state = (
             ""
-            if not self._live
+            if not self.live
             else (
                 "PAUSED"
                 if self.paused
                 else "SINGLE" if self.single else "ROLL" if s.mode == "roll" else "TRIG"
             )
         )
+        if self.old and not self.paused:
+            state = f"OLD {state}"
         if s.view != "time":
             state = f"{state} {s.view.upper()}".strip()
         mode = f" {state} {duration(s.window)}{'' if s.auto else ' fixed'} "
-        mode_style = self._pens[CURSOR] + Style(reverse=True) if self.paused else self._pens[CURSOR]
+        mode_style = self._pens[CURSOR] + Style(reverse=self.paused or self.old)
         rows: list[list[tuple[str, Style]]] = [[]]
         for line in legend_lines(self._legend_texts(), width, len(mode)):
             styles = [self._pens[k] for k, _ in line]
@@ -339,7 +355,7 @@ class Scope(Widget, can_focus=True):
             name = f" {k + 1}▐ {channel.name}"
             value = f" {number(float(values[k])) if k < len(values) else '—':>9}"
             unit = f" {channel.unit}" if channel.unit else ""
-            full = [f"{name}{value}{unit} ", f"{name}{value} "] if self._live else []
+            full = [f"{name}{value}{unit} ", f"{name}{value} "] if self.live else []
             found.append([*full, f"{name}{unit} ", f"{name} "])
         return found
 

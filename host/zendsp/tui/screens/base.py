@@ -115,7 +115,18 @@ class LabScreen(Screen[None]):
         self.pull(snapshot, fresh)
         for scope in self._scopes:
             if scope.is_on_screen:
+                self._keep_live(scope, snapshot)
                 scope.tick()
+
+    def _keep_live(self, scope: Scope, snapshot: Snapshot) -> None:
+        """Follow again what is shown here, where another screen has followed others meanwhile; and
+        mark what does not go on.
+        """
+        if not scope.live or not scope.channels:
+            return
+        if scope.history is not self.lab.session.history:
+            self.lab.session.watch(scope.channels, scope.history)
+        scope.mark_old(snapshot.tick * snapshot.period_s)
 
     def pull(self, snapshot: Snapshot, fresh: bool) -> None:
         """Show a snapshot; ``fresh`` tells whether its numbers are to be shown: five times a

@@ -66,11 +66,6 @@ class ConsoleScreen(ViewActions, VariableActions, ProgramActions, AnalysisAction
         if snapshot.program != self._program and snapshot.variables:
             self._program = snapshot.program
             self._new_program(plotted)
-        if (
-            self.scope.history is not self.lab.session.history
-            and self.lab.session.channels == self.scope.channels
-        ):
-            self.scope.show_channels(self.scope.channels, self.lab.session.history)
 
     def _new_program(self, plotted: list[str]) -> None:
         """Keep the curves that the new program still has; begin with the usual ones where there

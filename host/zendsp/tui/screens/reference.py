@@ -55,6 +55,9 @@ class Plan:
     violations: tuple[Violation, ...]
 
 
+Wanted = tuple[Machine, str, tuple[Any, ...]]  # machine, kind of motion and what stands in its form
+
+
 class ReferenceScreen(LabScreen):
     """Form on the left, preview on the right."""
 
@@ -66,6 +69,8 @@ class ReferenceScreen(LabScreen):
         self.machine: Machine = load_machine(MACHINES[0])
         self.kind = next(iter(KINDS))
         self.plan: Plan | None = None
+        self._planned: Wanted | None = None  # what ``plan`` was made of, or could not be made of
+        self._to_save: tuple[Wanted, str, str | None] | None = None  # once it is planned
         self.view = "all"
         self._timer: Timer | None = None
         self._seen: object = None  # of the target that was looked at last
@@ -230,38 +235,58 @@ class ReferenceScreen(LabScreen):
     def values(self) -> dict[str, Any]:
         """Return the parameters as typed, parsed; raises ReferenceError_ with the reason."""
         values = {}
+        typed = dict(self._wanted()[2])
         for p in self._parameters():
-            for widget in self.query("#fields .parameter > *"):
-                if widget.name == p.name and isinstance(widget, Input | Select | Switch):
-                    raw = widget.value
-                    if p.default is None and raw == "":
-                        continue
-                    values[p.name] = p.parse(raw, self.machine)
+            if p.name in typed and not (p.default is None and typed[p.name] == ""):
+                values[p.name] = p.parse(typed[p.name], self.machine)
         return values
+
+    def _wanted(self) -> Wanted:
+        """Return what the form asks for as it stands."""
+        widgets = self.query("#form Select, #form Input, #form Switch")
+        typed = [(w.name, w.value) for w in widgets if isinstance(w, Input | Select | Switch)]
+        return self.machine, self.kind, tuple(typed)
 
     # -- planning
     # ----------------------------------------------------------------------------------------------
 
     def plan_now(self) -> None:
         """Plan on a thread: an optimal swing takes seconds."""
+        wanted = self._wanted()
         try:
             values = self.values()
         except ReferenceError_ as error:
-            self._show_problem(str(error))
+            self._settle(wanted, str(error))
             return
         self._show_problem("")
         machine, kind = self.machine, KINDS[self.kind]
 
         def work() -> None:
+            found: Plan | str
             try:
                 reference = make_reference(kind.name, machine, machine.sample_time, **values)
-                plan = make_plan(machine, reference)
+                found = make_plan(machine, reference)
             except ZendspError as error:
-                self.app.call_from_thread(self._show_problem, str(error))
-                return
-            self.app.call_from_thread(self._show_plan, plan, kind.name)
+                found = str(error)
+            self.app.call_from_thread(self._settle, wanted, found)
 
         self.run_worker(work, thread=True, exclusive=True, group="plan")
+
+    def _settle(self, wanted: Wanted, found: Plan | str) -> None:
+        """Show the plan that was asked for, or why there is none; save it if that was asked for."""
+        if wanted != self._wanted():
+            return  # the user has gone on meanwhile: another plan is on its way
+        self._planned = wanted
+        if isinstance(found, str):
+            self._show_problem(found)
+        else:
+            self._show_plan(found)
+        if self._to_save is not None:
+            (asked, name, then), self._to_save = self._to_save, None
+            if asked == wanted:
+                self._write(name, then)
+            else:
+                self.say(f"{name} is not saved: the form has been changed since", "warning")
 
     def _show_problem(self, text: str) -> None:
         self.query_one("#problem", Static).update(text)
@@ -270,9 +295,7 @@ class ReferenceScreen(LabScreen):
             self.plan = None
             self.query_one("#check", Static).update("")
 
-    def _show_plan(self, plan: Plan, kind: str) -> None:
-        if plan.machine is not self.machine or kind != self.kind:
-            return  # the user has gone on meanwhile
+    def _show_plan(self, plan: Plan) -> None:
         self.plan = plan
         if self.view not in self._views():
             self.view = self._views()[0]
@@ -299,7 +322,7 @@ class ReferenceScreen(LabScreen):
     def refresh_plan(self) -> None:
         """Show the present plan again, after a change of view or size."""
         if self.plan is not None:
-            self._show_plan(self.plan, self.kind)
+            self._show_plan(self.plan)
 
     def _check(self, plan: Plan) -> Text:
         c = self.app.theme_variables
@@ -365,26 +388,49 @@ class ReferenceScreen(LabScreen):
         self._save("execute")
 
     def _save(self, then: str | None) -> None:
-        plan = self.plan
-        if plan is None or plan.violations:
-            self.say(
-                "nothing to save: the motion is not planned, or it breaks a limit (see below the"
-                " curves)",
-                "warning",
-            )
+        if self._planned == self._wanted() and self._savable() is None:
             return
-        stem = f"{self.machine.name}-{self.kind}"
+        stem = self._stem()
         form = Form(
             "Save reference",
             [Field("name", "Name", stem, check=not_empty)],
             str(self.lab.workspace.references),
             "Save",
         )
-        self.app.push_screen(
-            form, lambda result: self._write(plan, result["name"], then) if result else None
-        )
 
-    def _write(self, plan: Plan, name: str, then: str | None) -> None:
+        def take(result: Any) -> None:
+            if not result:
+                return
+            if self._stem() != stem:
+                self.say(f"not saved: this is {self._stem()} by now, not {stem}", "warning")
+            elif self._planned == self._wanted():
+                self._write(result["name"], then)
+            else:
+                self._to_save = self._wanted(), result["name"], then
+                self.say(f"{result['name']} is being planned, and is saved then")
+                self.lab.toast(f"{result['name']} is being planned, and is saved then")
+
+        self.app.push_screen(form, take)
+
+    def _stem(self) -> str:
+        return f"{self.machine.name}-{self.query_one('#kind', Select).value}"
+
+    def _savable(self) -> Plan | None:
+        """Return the plan, or say why there is none to save."""
+        if self.plan is None or self.plan.violations:
+            self.say(
+                "nothing to save: the motion is not planned, or it breaks a limit (see below the"
+                " curves)",
+                "warning",
+            )
+            return None
+        return self.plan
+
+    def _write(self, name: str, then: str | None) -> None:
+        """Save the plan of the form as it stands."""
+        plan = self._savable()
+        if plan is None:
+            return
         path = self.lab.workspace.free(self.lab.workspace.references, name, ".mat")
         try:
             save_reference(plan.reference, path, plan.machine)
@@ -418,7 +464,7 @@ class ReferenceScreen(LabScreen):
         except (ZendspError, OSError) as error:
             self.say(f"{path.name}: {error}", "error")
             return
-        self.machine = machine
+        self.machine, self._planned = machine, None
         with self.prevent(Select.Changed):
             self.query_one("#machine", Select).value = self._choice()
             if reference.kind in KINDS and KINDS[reference.kind].fits(machine):
@@ -427,7 +473,9 @@ class ReferenceScreen(LabScreen):
                 kinds.set_options(self._kinds())
                 kinds.value = self.kind
                 self.call_later(self._fill_form, dict(reference.parameters))
-        self._show_plan(plan, self.kind)
+            else:
+                self._planned = self._wanted()  # the form cannot show it
+        self._show_plan(plan)
         self.say(f"opened {path.name}", "good")
 
     def _machine_of(self, reference: Reference) -> Machine:
