@@ -128,6 +128,7 @@ async def test_a_saved_reference_is_what_was_planned_and_goes_to_execute(
         await until(
             pilot, lambda: app.current_mode == "execute" and len(app.chosen) == 1, "on Execute"
         )
+        await until(pilot, lambda: app.screen.is_mounted, "Execute is there")
 
 
 async def test_a_motion_beyond_a_limit_is_named_and_cannot_be_saved(
