@@ -128,6 +128,7 @@ async def test_a_saved_reference_is_what_was_planned_and_goes_to_execute(
         await until(
             pilot, lambda: app.current_mode == "execute" and len(app.chosen) == 1, "on Execute"
         )
+        await until(pilot, lambda: app.screen.is_mounted, "Execute is there")
 
 
 async def test_a_motion_beyond_a_limit_is_named_and_cannot_be_saved(
@@ -218,7 +219,7 @@ async def test_a_motion_is_planned_for_the_machine_that_is_connected(
 
 
 async def test_what_is_saved_at_once_is_the_motion_of_the_form(
-    app: ZendspApp, until: Until, tmp_path: Path
+    app: ZendspApp, until: Until, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = tmp_path / "references"
     async with app.run_test(size=(160, 48)) as pilot:
@@ -239,13 +240,18 @@ async def test_what_is_saved_at_once_is_the_motion_of_the_form(
         file = folder / "imi_planar-circle-2.mat"
         await until(pilot, file.is_file, "the newer one is saved, with the plan of meanwhile")
         assert load_reference(file).duration == pytest.approx(3.5, abs=0.01)
+        monkeypatch.setattr("zendsp.tui.screens.reference.SETTLE_S", 3600.0)
         duration.value = "4.5"
         await pilot.press("ctrl+s", "enter")
-        await pilot.pause()
+        await until(pilot, lambda: screen._to_save is not None, "it waits for its plan")
         duration.value = "5.5"
+        screen.plan_now()
         await until(pilot, lambda: "is not saved" in _events(app), "refused: it was changed since")
         duration.value = "0.01"
-        await pilot.press("x", "enter")
+        screen.action_execute()
+        await pilot.press("enter")
+        await until(pilot, lambda: screen._to_save is not None, "it waits for its plan")
+        screen.plan_now()
         await until(pilot, lambda: "nothing to save" in _events(app), "beyond the limits")
         assert len(list(folder.glob("*.mat"))) == 3 and not app.chosen
 
