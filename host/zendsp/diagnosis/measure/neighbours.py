@@ -35,6 +35,7 @@ Array = npt.NDArray[np.float64]
 BENT = 0.7  # by how much a neighbour differs at the ends of the travel, or of the speeds
 STEP = 1e-3  # of a number's natural size, for slopes
 SLOW = 0.02  # of the speed: below, dry friction turns round
+MOST = 0.5  # of a law's energy: if less counts, how it goes on is not seen
 RIDGE = 1e-9  # of the mean square of a column
 
 
@@ -76,11 +77,13 @@ def against_neighbours(
     float
         Standard deviations over blocks of time, by the observer that sees the law best; below 0 a
         neighbour predicts better, by more than any law may be wrong. Infinite where the law is no
-        function of the state, and has no neighbours.
+        function of the state, and has no neighbours, or acts mostly where it does not count.
     """
     slopes = [_slopes(rec[joint - 1], fitted.model, term) for rec in data.records]
     rms = float(np.sqrt(np.mean(np.concatenate([law[0] for law in slopes]) ** 2)))
-    if rms == 0.0:
+    moving = [counted(rec[joint - 1], BANDS[0], turning) for rec in data.records]
+    there = sum(float(law[0] ** 2 @ use) for law, use in zip(slopes, moving, strict=True))
+    if there < MOST * sum(float(law[0] @ law[0]) for law in slopes) or rms == 0.0:
         return float("inf")
     common = get_effect(term.effect).common
     bent = [
@@ -206,7 +209,8 @@ def _left_by(
     square, product = np.zeros((count, count)), np.zeros(count)
     for a, y, there in zip(rows, wanted, use, strict=True):
         square, product = square + (a * there) @ a.T, product + a @ (y * there)
-    scale = np.sqrt(np.diag(square)) + 1e-300
+    scale = np.sqrt(np.diag(square))
+    scale[scale == 0.0] = 1.0
     theta = np.linalg.solve(
         square / np.outer(scale, scale) + RIDGE * np.eye(count), product / scale
     )
