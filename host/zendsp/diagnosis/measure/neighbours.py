@@ -35,7 +35,7 @@ Array = npt.NDArray[np.float64]
 BENT = 0.7  # by how much a neighbour differs at the ends of the travel, or of the speeds
 STEP = 1e-3  # of a number's natural size, for slopes
 SLOW = 0.02  # of the speed: below, dry friction turns round
-MOST = 0.5  # of a law's energy: if less counts, how it goes on is not seen
+LEAST = 0.1  # of a law's energy: if less counts, how it goes on is not seen
 RIDGE = 1e-9  # of the mean square of a column
 
 
@@ -77,13 +77,13 @@ def against_neighbours(
     float
         Standard deviations over blocks of time, by the observer that sees the law best; below 0 a
         neighbour predicts better, by more than any law may be wrong. Infinite where the law is no
-        function of the state, and has no neighbours, or acts mostly where it does not count.
+        function of the state, and has no neighbours, or hardly acts where it counts.
     """
     slopes = [_slopes(rec[joint - 1], fitted.model, term) for rec in data.records]
     rms = float(np.sqrt(np.mean(np.concatenate([law[0] for law in slopes]) ** 2)))
     moving = [counted(rec[joint - 1], BANDS[0], turning) for rec in data.records]
     there = sum(float(law[0] ** 2 @ use) for law, use in zip(slopes, moving, strict=True))
-    if there < MOST * sum(float(law[0] @ law[0]) for law in slopes) or rms == 0.0:
+    if there < LEAST * sum(float(law[0] @ law[0]) for law in slopes) or rms == 0.0:
         return float("inf")
     common = get_effect(term.effect).common
     bent = [
