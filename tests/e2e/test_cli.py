@@ -93,9 +93,14 @@ def test_a_session_at_the_command_line(target: Target, tmp_path: Path) -> None:
     assert "execution" in zendsp_("stats").stdout
     assert answer("pause")["state"] == "paused"
     assert answer("run")["state"] == "running"
-    assert answer("stop")["state"] in ("running", "stopped")
+    wrong = zendsp_("stop", "nobody")
+    assert wrong.returncode != 0 and target.status().state == "running"
+    assert answer("stop", target.name)["state"] in ("running", "stopped")
     until(lambda: target.status().state == "stopped", "the STOP is in force")
     assert answer("stop", "--acknowledge")["trip"] is None
+    answer("run")
+    answer("stop")  # whatever there is of this user's
+    until(lambda: target.status().state == "stopped", "without a name too")
 
 
 OBEYED = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202e]")  # by a terminal

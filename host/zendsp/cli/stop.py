@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from zendsp.cli.common import emit, open_target, target_options
+from zendsp.cli.completing import targets
 from zendsp.errors import NotStopped, ZendspError
 
 if TYPE_CHECKING:
@@ -16,16 +17,18 @@ if TYPE_CHECKING:
 
 
 @click.command("stop")
+@click.argument("name", default="", shell_complete=targets)
 @click.option("--acknowledge", is_flag=True, help="Instead, acknowledge an earlier STOP or trip.")
 @target_options
-def command(acknowledge: bool, target: str, connect: str | None, as_json: bool) -> None:
+def command(name: str, acknowledge: bool, target: str, connect: str | None, as_json: bool) -> None:
     """STOP: outputs are safe from the next sample on, and stay so until acknowledged.
 
-    Without a name it stops every target of yours on this machine. Ends with "stopped, at sample N",
-    or with "NOT STOPPED" and a status other than 0.
+    NAME is a target, as with --target. Without one it stops every target of yours on this machine.
+    Ends with "stopped, at sample N", or with "NOT STOPPED" and a status other than 0.
 
     Example:  zendsp stop
     """
+    target = name or target
     if acknowledge:
         with open_target(target, connect) as t:
             t.acknowledge()
