@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from zendsp.diagnosis.decide.decide_bodies import Heard, borne, may_be_nothing
+from zendsp.diagnosis.decide.decide_bodies import Heard, borne, unsure
 from zendsp.diagnosis.search.body_columns import NUISANCE
 from zendsp.diagnosis.search.body_explain import Explained, first_of
 from zendsp.diagnosis.search.body_hypotheses import LIMITS, Hypothesis
@@ -98,4 +98,4 @@ def test_a_body_of_which_no_number_is_surely_other_than_nothing_is_none(
 ) -> None:
     """A payload of 70 ± 64 g somewhere on its link; its moment may still be sure."""
     explained: Any = SimpleNamespace(values=np.array([0.070, com]), std=np.array([0.064, 0.2]))
-    assert may_be_nothing(explained) is nothing
+    assert unsure(explained) is nothing

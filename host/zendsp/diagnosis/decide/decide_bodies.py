@@ -35,7 +35,6 @@ from zendsp.physics.robots.bodies import Links
 
 # of a body's squared torque, over the joints: at so much it has to be larger than what is left
 MOST = 0.5
-SURE = 2.0  # standard deviations by which a joint that bears it predicts worse without
 REJECTED = 4  # of its rivals are reported
 
 
@@ -103,7 +102,7 @@ def borne(heard: Sequence[Heard], needed: float) -> float | None:
     A joint alone need not be sure: it is one body, and what the joints say of it adds up. None
     where that is less than is ``needed``, or most of its torque acts at joints that do not miss it.
     """
-    bear = [h for h in heard if h.log_e > 0.0 and h.z > SURE and h.size > h.left]
+    bear = [h for h in heard if h.log_e > 0.0 and h.z > PLAIN and h.size > h.left]
     total, here = (sum(h.size**2 for h in part) for part in (heard, bear))
     if here <= MOST * total or sum(h.log_e for h in heard) <= needed:
         return None
@@ -113,7 +112,7 @@ def borne(heard: Sequence[Heard], needed: float) -> float | None:
 def _decided(
     parts: Parts, found: FoundBody, decisions: Sequence[Decision], links: Links | None, jobs: int
 ) -> BodyClaim | None:
-    if may_be_nothing(found.explained):
+    if unsure(found.explained):
         return None
     heard: dict[int, Heard] = {}
     gain = 0.0
@@ -141,8 +140,10 @@ def _decided(
     return BodyClaim(found, sizes, gain, float(min(SUREST, max(0.05, sure))))
 
 
-def may_be_nothing(explained: Explained) -> bool:
-    """Whether every number of a body lies within two deviations of nothing."""
+def unsure(explained: Explained) -> bool:
+    """Whether every number of a body, the free ones of its hypothesis, lies within two standard
+    deviations of nothing.
+    """
     return bool(np.all(np.abs(explained.values) < PLAIN * explained.std))
 
 

@@ -26,7 +26,7 @@ from zendsp.diagnosis.decide.pieces import (
 from zendsp.diagnosis.decide.thresholds import (
     A_PART,
     ALONE,
-    BENT,
+    BEHIND,
     CURVE,
     DRAWS,
     EXPLAINS,
@@ -210,7 +210,7 @@ def _goes_on(claim: Claim, decision: Decision, alone: Scored, parts: Parts) -> b
     term = counterpart(alone.model.at(joint), claim.term)
     turning = claim.mechanism != DRY
     ahead = against_neighbours(together(*parts.each), alone, term, joint, LAW_ERROR, turning)
-    return ahead > -(PLAIN if get_effect(claim.effect).common else BENT)
+    return ahead > -(PLAIN if get_effect(claim.effect).common else BEHIND)
 
 
 def _turns_otherwise(claim: Claim, decision: Decision, parts: Parts) -> bool:

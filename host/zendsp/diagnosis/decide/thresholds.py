@@ -35,7 +35,7 @@ RIVAL = 0.5  # of that again: where another mechanism's variables predict so muc
 A_PART = 0.5
 # standard deviations by which a law's neighbour predicts better, where the law is none
 # (docs/measurements/diagnosis_choices.md)
-BENT = 1.5
+BEHIND = 1.5
 CURVE = 3  # so many laws of one mechanism at one joint draw a curve
 HARMONIC = 0.05  # of a whole number: a ripple's order over the lowest
 # A function of the state beside which something stays unexplained can be another one: its law,

@@ -32,7 +32,9 @@ from zendsp.physics.model import Model, Term
 
 Array = npt.NDArray[np.float64]
 
-BENT = 0.7  # by how much a neighbour differs at the ends of the travel, or of the speeds
+# by how much a neighbour differs at the ends of the travel, or of the speeds; other values were not
+# tried
+BENT = 0.7
 STEP = 1e-3  # of a number's natural size, for slopes
 SLOW = 0.02  # of the speed: below, dry friction turns round
 LEAST = 0.1  # of a law's energy: if less counts, how it goes on is not seen
