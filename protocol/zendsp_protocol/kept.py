@@ -1,9 +1,9 @@
 """What a target leaves in shared memory for the case that it is killed: what it was recording, and
 where the rows stand.
 
-The target writes the note when a recording begins. Who finds the lock of its folder free and the
-note in it knows that the target was killed, and reads the rows from the file beside it, float64 in
-the byte order of the machine.
+The target writes the note when a recording begins. Who finds the note, and the lock of its folder
+free, knows that the target was killed. The rows are in the file beside it, float64 in the byte
+order of the machine.
 """
 
 from __future__ import annotations

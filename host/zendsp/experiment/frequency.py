@@ -2,7 +2,7 @@
 target's own clock.
 
 Estimator: the spectra of P whole periods of input u and output y, G = mean(Y) / mean(U) at each
-excited line. Averages over periods tend to what the excitation causes, so G is right in a closed
+excited line. Averages over periods tend to what the excitation causes. So G is right in a closed
 loop too, where Y U* / U U* is not (Pintelon and Schoukens 2012, chapter 2). Coherence is the part
 of both signals' power that repeats from period to period; the standard deviation of G comes from
 what does not repeat.

@@ -94,9 +94,8 @@ class Recorder(Transfers):
         Raises
         ------
         AcquisitionError
-            No such channel, or more rows than the target can keep (on the real clock and without a
-            trigger these are fetched while they are recorded, so that only the host's memory
-            counts).
+            No such channel, or more rows than the target can keep. On the real clock and without a
+            trigger, rows are fetched while they are recorded: only the host's memory counts.
         Refused
             The program does not run, or another host is recording.
         RunnerDied

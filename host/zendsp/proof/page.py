@@ -13,9 +13,10 @@ from zendsp.proof.scoreboard import by_given, by_reality, failures, headline, re
 WIDTH = 100  # columns of the page's prose
 JUDGED = (
     "The mechanism is right when the first finding's mechanism acts on the joint, or the body, that"
-    " it names. A law is right when it is the concealed effect's, on the right joint, when its"
-    " first finding's set of names that it cannot tell apart holds it, or when the recording itself"
-    " cannot tell the two apart (by algebra, or measured by an oracle that sees the true motion)."
+    " it names. A law is right when it is the concealed effect's, on the right joint. It is also"
+    " right when the first finding lists that effect among those it cannot tell apart, or when the"
+    " recording itself cannot tell the two apart (by algebra, or measured by an oracle that sees"
+    " the true motion)."
     " Detectable: the best refit of the incomplete model leaves at least 60 of log-likelihood in"
     " the innovations of a steady observer."
 )

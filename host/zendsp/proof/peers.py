@@ -1,11 +1,11 @@
 """What others' methods answer on the same cases: sparse regression of the torque residual.
 
-Each peer gets the best that its kind can have: positions filtered without phase at 20 Hz and
-differentiated, the command with the hold's half sample and the stated delay taken out, columns and
-torque put through one more filter together, as robot identification does, the given model's free
-parameters projected out before the search (calibrate, then test), a library of the contract's
-effects with the measured command left out, sizes chosen on the held-out recording, and "nothing" as
-one of the choices.
+Each peer gets the best that its kind can have. Positions are filtered without phase at 20 Hz and
+differentiated. The hold's half sample and the stated delay are taken out of the command. Columns
+and torque go through one more filter together, as in robot identification. The given model's free
+parameters are projected out before the search (calibrate, then test). The library has the
+contract's effects, without the measured command. Sizes are chosen on the held-out recording, and
+"nothing" is one of the choices.
 """
 
 from __future__ import annotations

@@ -2,9 +2,8 @@
 
     off → ready → homed → enabled → running → stopped | tripped
 
-It stands above the C-level facilities of the runtime (drive mode, limits, latched trips) and below
-every host, so that the same rules hold for the API, the command line and the terminal. Two ways to
-use it:
+It stands above the runtime's drive mode, limits and latched trips, and below every host. So the
+same rules hold for the API, the command line and the terminal. Two ways to use it:
 
 * **automatic** (the default): nobody has touched the sequence. ``start`` switches the drives on,
   ``pause`` off, as a script wants it; limits, trips and STOP act all the same.

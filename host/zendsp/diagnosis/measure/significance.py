@@ -20,9 +20,9 @@ def essence_of(effect: str) -> tuple[str, ...]:
 def counterpart(terms: Sequence[Term], term: Term) -> Term:
     """The same term in another fit of the model, where its fitted numbers have moved.
 
-    A joint may have several terms of one effect: they are told apart by what no fit moves (a
-    coupling's law and its joint), then by how often they repeat (a ripple's order, the period of a
-    friction that varies with position).
+    A joint may have several terms of one effect. They are told apart first by what no fit moves: a
+    coupling's law and its joint. Then by how often they repeat: a ripple's order, the period of a
+    friction that varies with position.
 
     Raises
     ------

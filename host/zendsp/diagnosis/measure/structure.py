@@ -149,8 +149,8 @@ class Structure:
     """What a mechanism's own variables predict of the torque that a model lacks, on recordings that
     the prediction was not fitted to.
 
-    ``size`` is its RMS as a part of the RMS torque, ``share`` its part of the lacking energy beyond
-    the noise, ``z`` its evidence in standard deviations over blocks of time.
+    ``size`` is its RMS as a part of the RMS torque. ``share`` is its part of the lacking energy
+    beyond the noise. ``z`` is its evidence in standard deviations over blocks of time.
     """
 
     size: float

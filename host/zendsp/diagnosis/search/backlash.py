@@ -1,11 +1,13 @@
 """A gap's narrow optimum: contacts that begin and end at other instants make a rough cost with a
 deep valley of a few percent's width.
 
-A fit from afar ends in a ripple of that cost. Three moves lead on from there by turns, each of
-which sees past what stops the others: a contact that loses much (one that bounces for ever, or
-sticks, has no gradient to follow), ever slower observers (a fast one corrects the load at every
-sample and hides when a contact begins), and a coarse grid of gaps and stiffnesses around what was
-found.
+A fit from afar ends in a ripple of that cost. Three moves lead on from there by turns; each sees
+past what stops the others:
+
+* A contact that loses much: one that bounces for ever, or sticks, has no gradient to follow.
+* Ever slower observers: a fast one corrects the load at every sample and hides when a contact
+  begins.
+* A coarse grid of gaps and stiffnesses around what was found.
 """
 
 from __future__ import annotations

@@ -3,12 +3,12 @@ from them.
 
 Joint by joint a wrong body looks like a gain, a coupling, a gravity. Here all joints decide
 together. To first order, the torque that a body adds along the measured motion leaves its response
-in the observers' innovations (``physics.predict.response``), and torque is linear in ten numbers of
-each link (``physics.bodies``). Beside them, every joint has nuisance columns of its own: offset,
-viscous and dry friction, drag, rotor inertia. So friction that the model lacks does not pass for a
-body, nor a body for friction. All that a hypothesis needs is in the blocks' Gram matrices:
-estimate, evidence on other recordings and rivals cost next to nothing. What wins is estimated again
-around itself, so that what a body does to the inertia is exact.
+in the observers' innovations (``response`` of ``physics/calibration/predict.py``). That torque is
+linear in ten numbers of each link (``physics/robots/bodies.py``). Beside them, every joint has
+nuisance columns of its own: offset, viscous and dry friction, drag, rotor inertia. So friction that
+the model lacks does not pass for a body, nor a body for friction. All that a hypothesis needs is in
+the blocks' Gram matrices: estimate, evidence on other recordings and rivals cost next to nothing.
+What wins is estimated again around itself, so that what a body does to the inertia is exact.
 """
 
 from __future__ import annotations

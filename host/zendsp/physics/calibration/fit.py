@@ -425,9 +425,9 @@ def robust_covariance(jac: Array, r: Array, block: int) -> Array:
     """Covariance of least squares that stays honest when residuals are correlated within blocks
     (sandwich), (p, p).
 
-    Where the blocks vary more than white innovations would, their variance counts. Where they vary
-    less, because what a fast observer gets wrong in one sample it makes good in the next, it counts
-    as much as there are blocks, beside the classical one.
+    Where the blocks vary more than white innovations would, their variance counts. They may vary
+    less: what a fast observer gets wrong in one sample it makes good in the next. Then their
+    variance counts as much as there are blocks, beside the classical one.
     """
     n, p = jac.shape
     if not p:

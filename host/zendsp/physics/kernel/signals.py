@@ -2,8 +2,8 @@
 motion behind them.
 
 While a joint crosses less than half a count per sample, a constant code says only that the position
-lies in an interval, and the moment at which the code changes says where it is to a fraction of a
-count: code changes are used as measurements, plateaus as intervals. Faster motion is treated as
+lies in an interval. The moment at which the code changes says where it is to a fraction of a count.
+So code changes are used as measurements, plateaus as intervals. Faster motion is treated as
 position plus white noise of variance resolution²/12.
 """
 

@@ -1,7 +1,7 @@
 """MATLAB files: version 5 written and read through SciPy, version 7.3 (HDF5) read through h5py.
 
-A recording is written as ``data`` (a matrix, one column per signal, time first), ``names`` and
-``units`` (cell arrays with one entry per column) and ``zendsp`` (the metadata as JSON text).
+A recording is written as ``data``, a matrix with one column per signal, time first; ``names`` and
+``units``, cell arrays with one entry per column; and ``zendsp``, the metadata as JSON text.
 In foreign files, structures and cells are walked: the fields become names such as
 ``Theta1.signals.values`` and ``Y_id{1}``.
 """

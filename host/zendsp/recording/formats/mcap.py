@@ -1,7 +1,7 @@
 """MCAP: recordings of zendsp, and of ROS 2 or JSON by anyone.
 
-A recording is one topic whose messages are its rows, in the encoding of ROS 2 (doubles in a row, so
-nothing is rounded), with the unit of each field beside it; Foxglove and PlotJuggler draw it. All
+A recording is one topic whose messages are its rows, in the encoding of ROS 2: doubles in a row, so
+nothing is rounded. The unit of each field stands beside it. Foxglove and PlotJuggler draw it. All
 else that a recording carries stands in the file's metadata.
 """
 
