@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.external.simulator import Columns, Parameters
+from zendsp.diagnosis.external.columns import Columns, Parameters
 from zendsp.errors import ModelError
 from zendsp.extras import need
 from zendsp.physics.model import Model

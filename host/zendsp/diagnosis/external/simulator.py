@@ -7,14 +7,15 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypedDict
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.data.signals import Signals, joint_columns
+from zendsp.diagnosis.external.columns import Columns, Parameters
 from zendsp.errors import ModelError
 from zendsp.physics.calibration.joint import JointRecord, along
 from zendsp.physics.calibration.predict import sensed, trace
@@ -24,20 +25,6 @@ from zendsp.physics.kernel.signals import measure, noise_beside_quantisation, sm
 from zendsp.physics.model import Model, per_joint
 
 Array = npt.NDArray[np.float64]
-Parameters = Mapping[str, float | list[float]]  # of the mechanism: one number, or one a joint
-
-
-class Columns(TypedDict):
-    """A recording as a simulator gets it; arrays are (n,), or (n, joints) of several joints."""
-
-    time: Array  # s, from 0
-    sample_time: float  # s
-    position: Array
-    velocity: Array
-    command: Array
-    reference: Array | None
-
-
 Function = Callable[[Columns, Parameters], npt.ArrayLike]
 
 
