@@ -33,11 +33,12 @@ from zendsp.diagnosis.decide.thresholds import CLAIMED, LAWFUL, MACHINE, MOST, O
 from zendsp.diagnosis.measure.bursts import FEW, bursts, everywhere, periodic
 from zendsp.diagnosis.measure.discrepancy import Size, beyond, discrepancy
 from zendsp.diagnosis.measure.evidence import Evidence
-from zendsp.diagnosis.measure.likelihood import Scored
+from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
 from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, Structure, structure
 from zendsp.diagnosis.measure.windows import rms, window_error
 from zendsp.diagnosis.search.forward import WAIT
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
+from zendsp.physics.calibration.fit import joint_handles
 from zendsp.physics.model import Model, Term
 
 Array = npt.NDArray[np.float64]
@@ -91,20 +92,25 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
                 if any(c.effect != "unknown" for c in decision.claims):
                     return decision
                 # which mechanism, if any, is for the lacking torque itself to say
-                plain = _nothing_named(parts, given, search, before, pieces)
+                plain = _nothing_named(parts, given, search, before, pieces, jobs)
                 most = decision.after.value**2 < (1.0 - MOST) * before.value**2
                 kind = kind_of(decision.claims[0].mechanism)
                 same = any(c.mechanism in kind for c in plain.claims)
                 stands = plain.kind == "complete" or (most and not plain.claims) or same
                 return decision if stands else plain
-    return _nothing_named(parts, given, search, before, pieces)
+    return _nothing_named(parts, given, search, before, pieces, jobs)
 
 
 # --- nothing is named
 
 
 def _nothing_named(
-    parts: Parts, given: Model, search: JointSearch, before: Size, pieces: Sequence[Piece]
+    parts: Parts,
+    given: Model,
+    search: JointSearch,
+    before: Size,
+    pieces: Sequence[Piece],
+    jobs: int,
 ) -> Decision:
     """Complete, a disturbance, a mechanism without a law, or unexplained: decided by the calibrated
     model's discrepancy alone. ``pieces`` are the mechanisms that were asked, for what is said of
@@ -116,7 +122,10 @@ def _nothing_named(
     state = structure(parts.each, base.model, joint, STRUCTURED, turning)
     lost = tuple(_why(r, base, pieces, before) for r in search.tried[:6])
     known = known_discrepancy(given, parts.test, joint)
-    lacks, of_state = beyond(before.value, known.all), beyond(state.size, known.of_state)
+    # what comes and goes may not come in the part to test on
+    parted = [before, *(discrepancy(d, base.model, joint) for d in (parts.fit, parts.choose))]
+    most = max(size.value for size in parted)
+    lacks, of_state = beyond(most, known.all), beyond(state.size, known.of_state)
     out = Decision(
         joint,
         "complete",
@@ -140,8 +149,14 @@ def _nothing_named(
         here = bursts(parts.held, base.model, joint, turning=turning) or bursts(
             parts.fit, base.model, joint, many=FEW, turning=turning, often=0.0
         )
+        if here is None and lacks > MACHINE:
+            other = _fitted_to_others(parts, base, joint, jobs)
+            after = discrepancy(parts.test, other.model, joint)
+            if beyond(after.value, known.all) < LAWFUL:
+                here = bursts(parts.fit, other.model, joint, many=FEW, turning=turning, often=0.0)
+                out = out if here is None else replace(out, final=other, after=after)
         if here is not None:
-            both = everywhere(here, (parts.fit, parts.held), base.model, joint)
+            both = everywhere(here, (parts.fit, parts.held), out.final.model, joint)
             return replace(out, kind="disturbance", bursts=both)
     if depends:
         claim = _without_law(parts, search, state, before, turning)
@@ -151,6 +166,13 @@ def _nothing_named(
     if depends or lawful or lacks > MACHINE:
         return replace(out, kind="unexplained")
     return out
+
+
+def _fitted_to_others(parts: Parts, base: Scored, joint: int, jobs: int) -> Scored:
+    """The model calibrated on the recordings to choose by: a push in those of the fit bends it."""
+    data = parts.choose.at_bandwidth(joint, base.data.bandwidth[joint - 1])
+    handles = joint_handles(data, base.model, joint)
+    return fit_scored(data, base.model, handles, (joint,), jobs=jobs, rounds=2)
 
 
 def _lawful(parts: Parts, base: Scored, joint: int, turning: bool) -> bool:
