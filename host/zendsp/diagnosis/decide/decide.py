@@ -76,7 +76,7 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
             for key, terms in grouped(given, final.model, new).items()
         ]
         pieces.sort(key=lambda p: -p.size)
-        claimed, rest = held_apart(parts, given, final, joint, pieces)
+        claimed, rest = held_apart(parts, given, search, final, pieces)
         if claimed:
             decision = believed(
                 named(parts, given, search, final, claimed, rest, before, jobs, tell), parts, jobs
@@ -122,10 +122,7 @@ def _nothing_named(
     state = structure(parts.each, base.model, joint, STRUCTURED, turning)
     lost = tuple(_why(r, base, pieces, before) for r in search.tried[:6])
     known = known_discrepancy(given, parts.test, joint)
-    # what comes and goes may not come in the part to test on
-    parted = [before, *(discrepancy(d, base.model, joint) for d in (parts.fit, parts.choose))]
-    most = max(size.value for size in parted)
-    lacks, of_state = beyond(most, known.all), beyond(state.size, known.of_state)
+    lacks, of_state = beyond(before.value, known.all), beyond(state.size, known.of_state)
     out = Decision(
         joint,
         "complete",
@@ -143,13 +140,16 @@ def _nothing_named(
         lost=lost,
     )
     depends = of_state > OF_STATE and state.z > SURE
-    if lacks > LAWFUL and state.share < MOST:
+    # a push may not come in the part to test on
+    others = (discrepancy(part, base.model, joint).value for part in (parts.fit, parts.choose))
+    somewhere = beyond(max(before.value, *others), known.all)
+    if somewhere > LAWFUL and state.share < MOST:
         # a push may lie where the held-out recording was cut, or in the recordings of the fit
         # alone: there what comes when the joint turns round may be its friction, however seldom
         here = bursts(parts.held, base.model, joint, turning=turning) or bursts(
             parts.fit, base.model, joint, many=FEW, turning=turning, often=0.0
         )
-        if here is None and lacks > MACHINE:
+        if here is None and somewhere > MACHINE:
             other = _fitted_to_others(parts, base, joint, jobs)
             after = discrepancy(parts.test, other.model, joint)
             if beyond(after.value, known.all) < LAWFUL:
