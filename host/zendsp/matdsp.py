@@ -24,6 +24,7 @@ from zendsp.link import Target, Trigger, connect
 from zendsp.recording import Recording
 from zendsp_isr.sources import Source
 from zendsp_protocol import messages as m
+from zendsp_protocol.values import Assignable
 
 
 def _program(source: Source) -> Source:
@@ -185,7 +186,7 @@ def MatDSPupdate() -> int:
     return _desk.get().update()
 
 
-def MatDSPdiscard() -> dict[str, Any]:
+def MatDSPdiscard() -> dict[str, Assignable]:
     """Forget every noted value, and return what was noted."""
     return _desk.get().discard()
 

@@ -12,15 +12,14 @@ import fcntl
 import os
 import struct
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import msgspec
 
 from zendsp_protocol.messages import Program
-from zendsp_protocol.values import enc_hook
+from zendsp_protocol.values import WireValue, enc_hook
 
 PREFIX = "zendsp-"  # of a target's folder
 LOCK = "lock"  # held by the target as long as it lives
@@ -36,9 +35,9 @@ class About(msgspec.Struct, frozen=True, kw_only=True):
     rate_hz: float
     begun: float  # Unix s
     program: Program
-    parameters: dict[str, Any]  # values when the recording began
+    parameters: Mapping[str, WireValue]  # values when the recording began
     versions: dict[str, str]
-    extra: dict[str, Any]
+    extra: dict[str, str]
 
 
 class Kept(msgspec.Struct, frozen=True, kw_only=True):

@@ -19,9 +19,10 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     Value = bool | int | float | npt.NDArray[Any]
+    Assignable = npt.ArrayLike  # what a user may write: a number, lists of numbers, an array
 else:
     np = Lazily("numpy")
-    Value = Any
+    Value = Assignable = Any
 
 LIST_LIMIT = 64  # elements; longer arrays are packed
 DTYPES = ("<f8", "<f4", "<i4", "<i8", "|b1")

@@ -164,9 +164,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _serve(args, listen, security)
     except (ZendspError, ValueError, OSError) as error:
         print(f"zendsp target: {error}", file=sys.stderr)
-    except (MemoryError, RuntimeError) as error:  # the latter where a thread cannot be started
-        if isinstance(error, RuntimeError) and "new thread" not in str(error):
-            raise
+    except MemoryError as error:
         print(NO_ROOM.format(error=error or "no memory"), file=sys.stderr)
     return 2
 

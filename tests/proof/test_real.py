@@ -112,6 +112,8 @@ def test_what_is_fetched_gets_into_the_folder_only_with_the_known_hash(
         "t.csv.gz",
         "two.mat",
     ]
+    server.server_close()  # nobody listens there any more
+    assert "127.0.0.1 cannot be reached" in fetch("emps", tmp_path)[0]
     assert altered("emps", tmp_path) == []
     (tmp_path / "emps/t.csv.gz").write_bytes(b"not compressed")
     assert altered("emps", tmp_path) == ["emps/t.csv.gz"]

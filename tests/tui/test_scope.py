@@ -1,29 +1,23 @@
-"""The scope: what its raster promises, without a terminal where possible."""
+"""The scope: what its raster, history, axes and measurements promise, without a terminal."""
 
 from __future__ import annotations
 
 import math
-import time
 import unicodedata
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from rich.style import Style
-from textual.app import App, ComposeResult
-from textual.color import Color
-from waiting import PATIENCE_S
 
-from zendsp.tui.colours import DARK, LIGHT, THEMES, trace_colours
-from zendsp.tui.scope import Channel, History, Scope, ScopeSettings, encode, envelope, fill
+from zendsp.tui.colours import THEMES, trace_colours
+from zendsp.tui.scope import Channel, History, ScopeSettings, encode, envelope, fill
 from zendsp.tui.scope.lines import legend_lines
 from zendsp.tui.scope.measure import measure
 from zendsp.tui.scope.path import Axes, Curve, plot_lines
 from zendsp.tui.scope.picture import LIMIT, arrange, compose, fit_range
 from zendsp.tui.scope.raster import braille
 from zendsp.tui.scope.rolling import Rolling
-from zendsp.tui.scope.spectrum import ready
 from zendsp.tui.scope.ticks import duration, label, log_ticks, number, ticks
 from zendsp.tui.scope.trigger import last_crossing
 from zendsp.tui.values import show_value
@@ -231,200 +225,6 @@ def test_numbers_on_axes_are_round_and_short() -> None:
     assert show_value(np.array([0.12345, 5.9e-323])) == "0.123 0"
 
 
-def _contrast(a: str, b: str) -> float:
-    la, lb = (Color.parse(c).rgb for c in (a, b))
-
-    def luminance(rgb: tuple[int, int, int]) -> float:
-        parts = [
-            c / 255 / 12.92 if c / 255 <= 0.03928 else ((c / 255 + 0.055) / 1.055) ** 2.4
-            for c in rgb
-        ]
-        return 0.2126 * parts[0] + 0.7152 * parts[1] + 0.0722 * parts[2]
-
-    high, low = sorted((luminance(la), luminance(lb)), reverse=True)
-    return (high + 0.05) / (low + 0.05)
-
-
-def test_traces_stand_out_from_dark_and_light_backgrounds() -> None:
-    assert min(_contrast(c, "#0E1216") for c in DARK) >= 3.0  # WCAG 1.4.11 for graphics
-    assert min(_contrast(c, "#F4F5F6") for c in LIGHT) >= 3.0
-
-
-def _machado(rgb: np.ndarray, kind: str) -> np.ndarray:
-    """Colours as seen with full dichromacy (Machado, Oliveira, Fernandes 2009, table 1, severity
-    1.0), linear RGB.
-    """
-    matrix = {
-        "protan": [
-            [0.152286, 1.052583, -0.204868],
-            [0.114503, 0.786281, 0.099216],
-            [-0.003882, -0.048116, 1.051998],
-        ],
-        "deutan": [
-            [0.367322, 0.860646, -0.227968],
-            [0.280085, 0.672501, 0.047413],
-            [-0.011820, 0.042940, 0.968881],
-        ],
-    }[kind]
-    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
-    return np.clip(linear @ np.array(matrix).T, 0.0, 1.0)
-
-
-def _lab(linear: np.ndarray) -> np.ndarray:
-    xyz = (
-        linear
-        @ np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]).T
-    )
-    f = np.cbrt(xyz / np.array([0.9505, 1.0, 1.089]))
-    return np.stack(
-        (116 * f[:, 1] - 16, 500 * (f[:, 0] - f[:, 1]), 200 * (f[:, 1] - f[:, 2])), axis=1
-    )
-
-
-@pytest.mark.parametrize("kind", ["protan", "deutan"])
-@pytest.mark.parametrize("palette", [DARK, LIGHT], ids=["dark", "light"])
-def test_all_eight_traces_stay_apart_for_colour_blind_eyes(
-    kind: str, palette: tuple[str, ...]
-) -> None:
-    rgb = np.array([Color.parse(c).rgb for c in palette]) / 255.0
-    lab = _lab(_machado(rgb, kind))
-    apart = np.linalg.norm(lab[:, None] - lab[None], axis=2) + 1e3 * np.eye(8)
-    # CIE 1976: 2.3 is just noticeable; lines of dots need a few times that
-    assert apart.min() > 15.0
-
-
-class _Bench(App[None]):
-    def compose(self) -> ComposeResult:
-        yield Scope(id="scope")
-
-
-def _wave(n: int) -> tuple[np.ndarray, np.ndarray]:
-    k = np.arange(n)
-    return k, np.stack((np.sin(k / 159.2), np.cos(k / 159.2)), axis=1)
-
-
-async def test_the_widget_survives_no_data_resizing_and_tiny_sizes() -> None:
-    app = _Bench()
-    async with app.run_test(size=(80, 24)) as pilot:
-        scope = app.query_one(Scope)
-        await pilot.pause()
-        scope.show_channels([Channel("a", "rad"), Channel("b", "N m")])
-        for size in ((80, 24), (20, 8), (9, 3), (200, 60), (40, 6)):
-            await pilot.resize_terminal(*size)
-            await pilot.pause()
-            scope.history.append(*_wave(500), 0.001)
-            scope.redraw()
-            await pilot.pause()
-            for row in range(scope.size.height):
-                assert scope.render_line(row).cell_length == scope.size.width
-
-
-async def test_a_frozen_picture_keeps_its_data_and_the_history_can_be_visited() -> None:
-    app = _Bench()
-    async with app.run_test(size=(100, 30)) as pilot:
-        scope = app.query_one(Scope)
-        scope.show_channels([Channel("a"), Channel("b")])
-        scope.set(replace(scope.settings, window=1.0))
-        ticks_, y = _wave(5000)
-        scope.history.append(ticks_, y, 0.001)
-        scope.pause(True)
-        await pilot.pause()
-        assert scope.picture is not None
-        before, end = scope.picture.codes.copy(), scope.picture.end
-        scope.history.append(ticks_ + 5000, y * 9.0, 0.001)
-        scope.redraw()
-        await pilot.pause()
-        assert (scope.picture.codes == before).all()
-        scope.pan(2.0)
-        await pilot.pause()
-        assert scope.picture.end == pytest.approx(end - 2.0, abs=0.02)
-        scope.pause(False)
-        await pilot.pause()
-        assert scope.picture.end > end + 4.0
-
-
-async def test_a_picture_without_new_rows_says_that_it_is_old(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    now = 100.0
-    monkeypatch.setattr("zendsp.tui.scope.widget.time", SimpleNamespace(monotonic=lambda: now))
-    app = _Bench()
-    async with app.run_test(size=(100, 30)) as pilot:
-        scope = app.query_one(Scope)
-        scope.show_channels([Channel("a"), Channel("b")])
-        await pilot.pause()
-        ticks_, y = _wave(2000)
-        scope.history.append(ticks_, y, 0.001)
-        for now, machine_s, old in (
-            (100.0, 2.0, False),
-            (160.0, 2.0, False),  # the machine does not go on either
-            (160.5, 2.5, False),
-            (162.0, 4.0, True),
-        ):
-            scope.mark_old(machine_s)
-            await pilot.pause()
-            assert ("OLD ROLL 5 s" in scope.render_line(0).text) == old, (now, machine_s)
-        scope.history.append(ticks_ + 3000, y, 0.001)
-        scope.mark_old(5.0)
-        await pilot.pause()
-        assert " ROLL 5 s" in scope.render_line(0).text and "OLD" not in scope.render_line(0).text
-
-
-async def test_the_trigger_stands_where_the_pre_trigger_says_and_single_freezes() -> None:
-    app = _Bench()
-    async with app.run_test(size=(109, 30)) as pilot:
-        scope = app.query_one(Scope)
-        scope.show_channels([Channel("a"), Channel("b")])
-        scope.set(
-            replace(scope.settings, mode="trigger", window=0.5, pre=0.3, level=0.5, edge="rising")
-        )
-        ticks_, y = _wave(3000)
-        scope.history.append(ticks_, y, 0.001)
-        scope.redraw()
-        await pilot.pause()
-        picture = scope.picture
-        assert picture is not None
-        at = picture.start + 0.3 * 0.5
-        assert picture.zero == pytest.approx(at)
-        assert (
-            np.sin(at * 1000 / 159.2) == pytest.approx(0.5, abs=0.01)
-            and np.cos(at * 1000 / 159.2) > 0
-        )
-        scope.arm_single()
-        await pilot.pause()
-        assert not scope.paused, "crossings before arming do not count"
-        scope.history.append(ticks_ + 3000, y, 0.001)
-        scope.redraw()
-        await pilot.pause()
-        assert scope.paused and not scope.single
-
-
-async def test_cursors_measure_time_and_value() -> None:
-    app = _Bench()
-    async with app.run_test(size=(109, 30)) as pilot:
-        scope = app.query_one(Scope)
-        scope.show_channels([Channel("ramp", "rad")])
-        k = np.arange(2001)
-        scope.history.append(k, (k * 0.002)[:, None], 0.001)
-        scope.set(replace(scope.settings, window=1.0, cursors=True, cursor_a=0.25, cursor_b=0.75))
-        await pilot.pause()
-        text = scope.readout(*scope.history.newest())
-        assert "Δt 500 ms = 1/2 Hz" in text
-        assert "Δy 1 rad" in text
-
-
-async def test_units_in_brackets_reach_the_screen() -> None:
-    app = _Bench()
-    async with app.run_test(size=(100, 30)) as pilot:
-        scope = app.query_one(Scope)
-        scope.show_channels([Channel("q [rad]", "[N m]")])
-        scope.history.append(np.arange(100), np.ones((100, 1)), 0.001)
-        scope.redraw()
-        await pilot.pause()
-        text = "\n".join(scope.render_line(r).text for r in range(scope.size.height))
-        assert "q [rad]" in text and "[N m]" in text
-
-
 def test_the_statistics_between_the_cursors_are_those_of_the_samples() -> None:
     t = np.linspace(0.0, 2.0, 2001)
     wave = 3.0 + 2.0 * np.sin(2.0 * np.pi * 5.0 * t)
@@ -470,29 +270,6 @@ def test_every_curve_has_its_place_in_the_legend(width: int) -> None:
     lines = legend_lines(long, width, 10)
     assert [k for line in lines for k, _ in line] == list(range(8)) and len(lines) <= 3
     assert legend_lines([], width, 10) == [[]]
-
-
-@pytest.mark.parametrize(
-    ("view", "numbers"), [("spectrum", "1 10 1e-4 0.01"), ("xy", "-1.0 0 1.0")]
-)
-async def test_there_are_numbers_on_the_axes_before_there_is_data(view: str, numbers: str) -> None:
-    class One(App[None]):
-        def compose(self) -> ComposeResult:
-            yield Scope()
-
-    app = One()
-    async with app.run_test(size=(80, 16)) as pilot:
-        scope = app.query_one(Scope)
-        scope.show_channels([Channel("x", "m"), Channel("y", "m")])
-        scope.set(replace(scope.settings, view=view))
-        deadline = time.monotonic() + PATIENCE_S
-        while not ready() and time.monotonic() < deadline:
-            await pilot.pause(0.05)
-        scope.redraw()
-        await pilot.pause()
-        shown = "\n".join(strip.text for strip in app.screen._compositor.render_strips()).split()
-        found = {word.strip("▏") for word in shown}
-        assert found.issuperset(numbers.split()), sorted(found)
 
 
 @pytest.mark.parametrize("width", [24, 40, 100])

@@ -16,7 +16,7 @@ import msgspec
 
 from zendsp.cli import completing
 from zendsp_protocol.texts import shown
-from zendsp_protocol.values import Packed, from_wire
+from zendsp_protocol.values import Assignable, Packed, from_wire
 
 if TYPE_CHECKING:
     from zendsp.link import Target
@@ -189,9 +189,9 @@ def parse_names(text: str) -> list[str]:
     return [name.strip() for name in re.split(r",(?![^\[]*\])", text) if name.strip()]
 
 
-def parse_assignments(pairs: tuple[str, ...]) -> dict[str, Any]:
+def parse_assignments(pairs: tuple[str, ...]) -> dict[str, Assignable]:
     """Read ``NAME=VALUE …``."""
-    values: dict[str, Any] = {}
+    values: dict[str, Assignable] = {}
     for pair in pairs:
         name, equals, text = pair.partition("=")
         if not equals or not name:

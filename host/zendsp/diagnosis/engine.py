@@ -4,28 +4,23 @@ say what remains.
 
 from __future__ import annotations
 
-import multiprocessing
 import time
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from zendsp.diagnosis.data.checks import check_excitation, check_motion, check_signals
-from zendsp.diagnosis.data.inertia import inertia_ranges
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.signals import Parts, Signals, with_same_columns
 from zendsp.diagnosis.data.split import halves, split
 from zendsp.diagnosis.decide.across import across_joints
-from zendsp.diagnosis.decide.assemble import Assembled, assemble, calibrated_machine
+from zendsp.diagnosis.decide.assemble import Assembled, calibrated_machine
 from zendsp.diagnosis.decide.claims import Decision
-from zendsp.diagnosis.decide.decide import decide
 from zendsp.diagnosis.decide.decide_bodies import BodyClaim, decide_bodies, rejected_bodies, settled
 from zendsp.diagnosis.decide.detectable import detectable
 from zendsp.diagnosis.decide.fast_ripple import FineRipple, fine_ripples, fixed
@@ -33,15 +28,20 @@ from zendsp.diagnosis.decide.naming import left_over, name_findings
 from zendsp.diagnosis.decide.propose import propose
 from zendsp.diagnosis.decide.remember import remembered
 from zendsp.diagnosis.decide.result import Diagnosis, Finding, FitTable, Left, Rejected, Workings
-from zendsp.diagnosis.measure.evidence import compare
-from zendsp.diagnosis.measure.likelihood import Scored, calibrate_joint
+from zendsp.diagnosis.joints import (
+    Progress,
+    decided_again,
+    explain,
+    plainer,
+    with_bodies,
+    with_their_links,
+)
+from zendsp.diagnosis.measure.likelihood import calibrate_joint
 from zendsp.diagnosis.measure.where import intervals, mismatch, regions
 from zendsp.diagnosis.measure.windows import model_error, noise_floor
 from zendsp.diagnosis.report.files import left_out
 from zendsp.diagnosis.search.bodies import BodySearch, find_bodies
-from zendsp.diagnosis.search.forward import WAIT, Searcher
-from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
-from zendsp.diagnosis.search.simplify import upon
+from zendsp.diagnosis.search.hypothesis import JointSearch
 from zendsp.diagnosis.transmission.links import divided, with_links
 from zendsp.diagnosis.transmission.measured import Measured, measured_transmissions
 from zendsp.diagnosis.transmission.one_sensor import by_one_sensor, said
@@ -54,22 +54,6 @@ from zendsp.physics.term_numbers import file_model, kernel_model
 from zendsp.recording import Recording, Table
 
 Source = str | Path | Recording | Table
-Progress = Callable[[str], None]
-
-
-class Acceptance:
-    """What the search goes on with: a step that pays for its parameters, on the recordings to
-    choose by too. No claim is made here.
-    """
-
-    def __init__(self, choose: Data) -> None:
-        self.choose = choose
-
-    def __call__(self, before: Scored, rival: Rival) -> bool:
-        if before.deviance - rival.value < WAIT:
-            return False
-        held = compare(before, rival.scored, self.choose, rival.joint)
-        return held.gain > 0 and held.z > 1.0
 
 
 def diagnose(
@@ -235,22 +219,22 @@ def _find(parts: Parts, given: Model, jobs: int, tell: Progress) -> _Found:
     measured = measured_transmissions(parts, bodies.model, jobs)
     known = tuple(t for m in measured for t in m.terms)
     beneath, bare = bodies.model.with_terms((*bodies.model.terms, *known)), parts
-    explained = _explain(_with_bodies(bare, beneath), given, beneath, jobs, tell)
-    bare, explained = _with_their_links(
+    explained = explain(with_bodies(bare, beneath), given, beneath, jobs, tell)
+    bare, explained = with_their_links(
         measured_motion, bare, given, beneath, explained, jobs, tell
     )
-    parts, (searches, decisions, whole) = _with_bodies(bare, beneath), explained
+    parts, (searches, decisions, whole) = with_bodies(bare, beneath), explained
     claims = decide_bodies(parts, bodies, decisions, jobs)
     if len(claims) < len(bodies.found):  # what is no body has to be explained at the joints
         beneath = given.with_terms((*given.terms, *(c.found.term for c in claims), *known))
-        parts = _with_bodies(bare, beneath)
-        searches, decisions, whole = _explain(parts, given, beneath, jobs, tell)
+        parts = with_bodies(bare, beneath)
+        searches, decisions, whole = explain(parts, given, beneath, jobs, tell)
     elif claims and any(c.mechanism == "inertia" for d in decisions for c in d.claims):
         # a body that the joints have to correct may be none: the plainer explanation stands
         plain = given.with_terms((*given.terms, *known))
-        other = _explain(_with_bodies(bare, plain), given, plain, jobs, tell)
-        if _plainer(bare.test, other, (searches, decisions, whole), len(claims)):
-            claims, beneath, parts = (), plain, _with_bodies(bare, plain)
+        other = explain(with_bodies(bare, plain), given, plain, jobs, tell)
+        if plainer(bare.test, other, (searches, decisions, whole), len(claims)):
+            claims, beneath, parts = (), plain, with_bodies(bare, plain)
             searches, decisions, whole = other
     tell("looking for what passes fast")
     fine = [
@@ -266,10 +250,10 @@ def _find(parts: Parts, given: Model, jobs: int, tell: Progress) -> _Found:
         beneath = beneath.with_terms((*beneath.terms, *(fixed(ripple.term) for ripple in fine)))
         rippled = {ripple.term.joint for ripple in fine}
         done = {
-            s.joint: (s, d) if s.joint not in rippled else _again(parts, beneath, s, jobs, tell)
+            s.joint: decided_again(parts, beneath, s, jobs, tell) if s.joint in rippled else (s, d)
             for s, d in zip(searches, decisions, strict=True)
         }
-        searches, decisions, whole = _explain(parts, given, beneath, jobs, tell, done)
+        searches, decisions, whole = explain(parts, given, beneath, jobs, tell, done)
     if claims:
         claims, improved = settled(parts, claims, whole.improved, jobs)
         bases = [
@@ -321,149 +305,6 @@ def _read(
         notes += how
     choose, test, how = halves(held)
     return signals, choose, test, [*notes, *how]
-
-
-Explained = tuple[list[JointSearch], list[Decision], Assembled]
-
-
-def _plainer(test: Data, one: Explained, other: Explained, bodies: int) -> bool:
-    """Whether one explanation claims less than another with its bodies, and predicts as well."""
-    claims = [sum(len(d.claims) for d in decisions) for _, decisions, _ in (one, other)]
-    errors = [model_error(test, whole.improved) for _, _, whole in (one, other)]
-    return claims[0] < claims[1] + bodies and errors[0] <= errors[1]
-
-
-def _with_their_links(
-    measured_motion: Parts,
-    parts: Parts,
-    given: Model,
-    beneath: Model,
-    first: Explained,
-    jobs: int,
-    tell: Progress,
-) -> tuple[Parts, Explained]:
-    """Explained again where a joint turned out to have a transmission: the others feel its link,
-    whose swinging they else have to explain as something of their own.
-
-    One joint after the other, at each step the one with which the machine is explained best; and
-    only as long as that claims no more and predicts no worse.
-    """
-    felt, now, explained = divided(given), parts, first
-    while found := _transmissions(explained) - felt:
-        tell("the links behind transmissions: what the other joints feel")
-        tried = []
-        for joint in found:
-            with_it = with_links(measured_motion, explained[2].improved, felt | {joint})
-            same = {joint: (explained[0][joint - 1], explained[1][joint - 1])}
-            again = _explain(_with_bodies(with_it, beneath), given, beneath, jobs, tell, same)
-            tried.append((_cost(with_it.test, again), joint, with_it, again))
-        best = min(tried, key=lambda t: t[0])
-        before = _cost(now.test, explained)
-        if best[0][0] > before[0] or best[0][1] > before[1]:
-            break
-        felt, now, explained = felt | {best[1]}, best[2], best[3]
-    return now, explained
-
-
-def _transmissions(explained: Explained) -> frozenset[int]:
-    """Joints that are claimed to have a transmission whose link nobody sees."""
-    claimed = {
-        d.joint for d in explained[1] if any(c.mechanism == "transmission" for c in d.claims)
-    }
-    return divided(explained[2].improved) & claimed
-
-
-def _cost(test: Data, explained: Explained) -> tuple[int, float]:
-    """How much an explanation claims, and how far off it predicts."""
-    return sum(len(d.claims) for d in explained[1]), float(model_error(test, explained[2].improved))
-
-
-def _explain(
-    parts: Parts,
-    given: Model,
-    beneath: Model,
-    jobs: int,
-    tell: Progress,
-    done: Mapping[int, tuple[JointSearch, Decision]] = MappingProxyType({}),
-) -> Explained:
-    """Search and decide every joint, and put the machine together; ``beneath`` is the given model,
-    with what is known of it by now, ``done`` the joints that are
-    searched already.
-    """
-    searches, decisions = _search(parts, given, beneath, jobs, tell, done)
-    tell("fitting the improved model")
-    whole = assemble(parts, beneath, decisions, jobs)
-    added = beneath.terms[len(given.terms) :]  # held, so they come out as they went in
-    known = tuple(t for t in whole.calibrated.terms if t not in added)
-    return searches, decisions, replace(whole, calibrated=whole.calibrated.with_terms(known))
-
-
-def _with_bodies(parts: Parts, model: Model) -> Parts:
-    """The same recordings, with what inverse dynamics says of the joints' inertias once bodies are
-    known.
-    """
-    return replace(parts, fit=replace(parts.fit, ranges=inertia_ranges(parts.fit.records, model)))
-
-
-def _search(
-    parts: Parts,
-    given: Model,
-    beneath: Model,
-    jobs: int,
-    tell: Progress,
-    known: Mapping[int, tuple[JointSearch, Decision]],
-) -> tuple[list[JointSearch], list[Decision]]:
-    joints = [joint for joint in range(1, given.joints + 1) if joint not in known]
-    done = dict(known)
-    if jobs == 1 or len(joints) < 2:
-        done |= {joint: _search_joint(parts, beneath, joint, jobs, tell) for joint in joints}
-        return _in_order(done)
-    # joints are independent: a process each, which inherits the recordings and the effects that a
-    # user has added
-    context = multiprocessing.get_context("fork")
-    with ProcessPoolExecutor(min(jobs, len(joints)), context, _inherit, (parts, beneath)) as pool:
-        for joint, found in zip(joints, pool.map(_search_inherited, joints), strict=True):
-            tell(f"joint {joint} of {given.joints}: searched")
-            done[joint] = found
-    return _in_order(done)
-
-
-def _in_order(
-    done: Mapping[int, tuple[JointSearch, Decision]],
-) -> tuple[list[JointSearch], list[Decision]]:
-    pairs = [done[joint] for joint in sorted(done)]
-    return [s for s, _ in pairs], [d for _, d in pairs]
-
-
-def _search_joint(
-    parts: Parts, given: Model, joint: int, jobs: int, tell: Progress
-) -> tuple[JointSearch, Decision]:
-    tell(f"joint {joint}: calibrating the given model")
-    base = calibrate_joint(parts.fit, given, joint, jobs)
-    search = Searcher(parts.fit, joint, Acceptance(parts.choose), jobs, tell, given).search(base)
-    return search, decide(parts, given, search, jobs, tell)
-
-
-def _again(
-    parts: Parts, beneath: Model, first: JointSearch, jobs: int, tell: Progress
-) -> tuple[JointSearch, Decision]:
-    """What a search found, fitted upon a model that knows more by now, and decided again."""
-    tell(f"joint {first.joint}: what was found, upon what passes fast")
-    base = calibrate_joint(parts.fit, beneath, first.joint, jobs)
-    search = upon(first, base, jobs)
-    return search, decide(parts, beneath, search, jobs, tell)
-
-
-_inherited: list[tuple[Parts, Model]] = []  # filled in the processes of _search only
-
-
-def _inherit(parts: Parts, given: Model) -> None:
-    _inherited[:] = [(parts, given)]
-
-
-def _search_inherited(joint: int) -> tuple[JointSearch, Decision]:
-    parts, given = _inherited[0]
-    return _search_joint(parts, given, joint, 1, lambda _text: None)
 
 
 def _lacking(found: _Found, findings: Sequence[Finding], joints: Sequence[int]) -> set[int]:

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from zendsp.cluster import connect
+from zendsp.diagnosis.decide.contract import Report
 from zendsp.errors import ZendspError
 
 Progress = Callable[[str], None]
@@ -28,7 +29,7 @@ class Item:
     """
 
     recording: str
-    report: dict[str, Any] | None
+    report: Report | None
     error: str = ""
 
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +14,9 @@ from zendsp.errors import AcquisitionError, Refused, ZendspError
 from zendsp.link import Target, rehearse
 from zendsp.link.variables import plain
 from zendsp.recording import Recording
+from zendsp_protocol.messages import VariableInfo
 from zendsp_protocol.states import ProgramState
+from zendsp_protocol.values import Assignable
 
 Floats = npt.NDArray[np.float64]
 APPROACH_S = 0.5  # from where the machine stands into the first row
@@ -163,7 +164,7 @@ def _fade(t: Floats, times: int) -> Floats:
     return np.asarray(share**3 * (10.0 + share * (6.0 * share - 15.0)))
 
 
-def _position(target: Target, infos: dict[str, Any]) -> Any:
+def _position(target: Target, infos: Mapping[str, VariableInfo]) -> Assignable:
     """Where the machine is to stand: by the program, or by the encoders before it has run."""
     status = target.status()
     if status.tick > 0 and "q" in infos:
@@ -179,7 +180,7 @@ class _Swing:
 
     target: Target
     tables: dict[str, Floats]
-    values: dict[str, Any]
+    values: Mapping[str, Assignable]
     channels: list[str]
     length: float
     progress: Callable[[float], None] | None

@@ -15,6 +15,7 @@ from zendsp.errors import AcquisitionError, VariableError, ZendspError
 from zendsp.experiment.table_file import write_rows
 from zendsp.link import Target
 from zendsp.recording import Recording
+from zendsp_protocol.values import Assignable
 from zendsp_protocol.views import html_table, sentence
 
 Floats = npt.NDArray[np.float64]
@@ -113,7 +114,7 @@ class Sweep:
 
 def sweep(
     target: Target,
-    values: Mapping[str, Sequence[Any]],
+    values: Mapping[str, Sequence[Assignable]],
     channels: Sequence[str],
     *,
     seconds: float,
@@ -193,7 +194,9 @@ def sweep(
     return Sweep(tuple(values), tuple(names), tuple(rows))
 
 
-def _runs(values: Mapping[str, Sequence[Any]], together: bool) -> list[dict[str, Any]]:
+def _runs(
+    values: Mapping[str, Sequence[Assignable]], together: bool
+) -> list[dict[str, Assignable]]:
     lengths = {len(v) for v in values.values()}
     if not values or 0 in lengths:
         raise AcquisitionError("nothing to try: name parameters, and at least one value for each")

@@ -18,6 +18,7 @@ from zendsp.link.variables import Reading, plain
 from zendsp.recording import Channel, ParameterChange, Recording
 from zendsp.recording.names import FloatArray, split_element
 from zendsp_protocol import messages as m
+from zendsp_protocol.values import Assignable
 from zendsp_protocol.version import PROTOCOL
 
 
@@ -82,7 +83,7 @@ def describe(
     )
 
 
-def parameters_at(tick: int, read: Reading, changes: Sequence[m.Change]) -> dict[str, Any]:
+def parameters_at(tick: int, read: Reading, changes: Sequence[m.Change]) -> dict[str, Assignable]:
     """Return the parameters as they were at a sample.
 
     Parameters

@@ -17,6 +17,7 @@ from zendsp.link.requests import Requests
 from zendsp.link.tables import Tables
 from zendsp.link.variables import Variables
 from zendsp_protocol import messages as m
+from zendsp_protocol.values import Assignable
 from zendsp_protocol.views import html_table, sentence
 
 _ROOMS = (
@@ -213,7 +214,7 @@ class Target:
     reveal = _of("concealment", Concealment.reveal)
 
     @property
-    def staged(self) -> dict[str, Any]:
+    def staged(self) -> dict[str, Assignable]:
         """What is staged for the next :meth:`update`."""
         return self.variables.staged
 

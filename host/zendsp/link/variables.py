@@ -6,14 +6,14 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import msgspec
 
 from zendsp.errors import EndedWarning, VariableError
 from zendsp.link.requests import Requests, Room
 from zendsp_protocol import messages as m
-from zendsp_protocol.values import Packed, Value, from_wire, to_wire
+from zendsp_protocol.values import Assignable, Packed, Value, WireValue, from_wire, to_wire
 
 _FLOATS = frozenset((float,))
 
@@ -38,7 +38,7 @@ class Variables(Room):
 
     def __init__(self, requests: Requests) -> None:
         super().__init__(requests)
-        self._staged: dict[str, Any] = {}
+        self._staged: dict[str, Assignable] = {}
 
     def __getitem__(self, name: str) -> Value:
         """Read one variable, or one element ``"q[1]"`` of an array, now.
@@ -58,7 +58,7 @@ class Variables(Room):
             warnings.warn(f"{name} is old: {reading.ended}", EndedWarning, stacklevel=2)
         return reading.values[name]
 
-    def __setitem__(self, name: str, value: Any) -> None:
+    def __setitem__(self, name: str, value: Assignable) -> None:
         """Write one variable: it takes effect at the start of the next sample.
 
         Raises
@@ -84,19 +84,19 @@ class Variables(Room):
         if isinstance(names, str):
             names = [names]
         found: m.Reading = self.link.request("read", {"names": list(names)})
-        values: dict[str, Any] = found.values
-        if not _FLOATS.issuperset(map(type, values.values())):
-            values = {name: from_wire(value) for name, value in values.items()}
+        if _FLOATS.issuperset(map(type, found.values.values())):
+            return Reading(found.tick, cast("dict[str, Value]", found.values), found.ended)
+        values = {name: from_wire(value) for name, value in found.values.items()}
         return Reading(found.tick, values, found.ended)
 
-    def write(self, /, **values: Any) -> int:
+    def write(self, /, **values: Assignable) -> int:
         """Write variables asynchronously; the reply does not wait for the sample. Returns the
         sequence number.
         """
         written: m.Written = self.link.request("write", {"values": _wire(values)})
         return written.sequence
 
-    def stage(self, /, **values: Any) -> dict[str, Any]:
+    def stage(self, /, **values: Assignable) -> dict[str, Assignable]:
         """Note values for the next :meth:`update`, which the target has checked; returns all that
         is staged.
 
@@ -112,16 +112,16 @@ class Variables(Room):
         return dict(self._staged)
 
     @property
-    def staged(self) -> dict[str, Any]:
+    def staged(self) -> dict[str, Assignable]:
         """What is staged."""
         return dict(self._staged)
 
-    def discard(self) -> dict[str, Any]:
+    def discard(self) -> dict[str, Assignable]:
         """Forget what is staged, and return it."""
         staged, self._staged = self._staged, {}
         return staged
 
-    def update(self, /, at_tick: int | None = None, **values: Any) -> int:
+    def update(self, /, at_tick: int | None = None, **values: Assignable) -> int:
         """Apply everything staged, and ``values``, at the start of one sample: all or nothing.
 
         Parameters
@@ -150,7 +150,7 @@ class Variables(Room):
                 )
             raise
 
-    def _update(self, at_tick: int | None, values: dict[str, Any]) -> int:
+    def _update(self, at_tick: int | None, values: dict[str, Assignable]) -> int:
         batch = {**self._staged, **values} if self._staged and values else self._staged or values
         if not batch:
             raise VariableError("nothing to update: stage values first, or give them as arguments")
@@ -163,7 +163,7 @@ class Variables(Room):
         self._staged = {}
         return tick
 
-    def update_alone(self, values: Mapping[str, Any]) -> int:
+    def update_alone(self, values: Mapping[str, Assignable]) -> int:
         """As :meth:`update`, of these values only: what is staged stays staged."""
         staged, self._staged = self._staged, {}
         try:
@@ -198,11 +198,12 @@ def plain(value: Any) -> Any:
     return from_wire(value).tolist() if isinstance(value, Packed) else value  # type: ignore[union-attr]
 
 
-def _wire(values: dict[str, Any]) -> dict[str, Any]:
+def _wire(values: Mapping[str, Assignable]) -> Mapping[str, WireValue]:
     """Values as they go over the wire; nearly always they are ready as they are."""
     if _FLOATS.issuperset(map(type, values.values())):
-        return values
-    ready, wrong = dict(values), []
+        return cast("Mapping[str, WireValue]", values)
+    ready: dict[str, WireValue] = {}
+    wrong = []
     for name, value in values.items():
         try:
             ready[name] = to_wire(value)

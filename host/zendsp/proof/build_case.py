@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from zendsp.proof.oracle import Judge
 from zendsp.proof.reality import Run, inverse_dynamics, run
 from zendsp.proof.references import make_reference
 from zendsp.proof.rivals import inseparable
+from zendsp.proof.truth import Oracle, Truth
 from zendsp.proof.wam import urdf
 
 Rng = np.random.Generator
@@ -221,7 +221,7 @@ def check(d: Draft, r: Run) -> None:
             raise Unusable("it hardly moves")
 
 
-def oracle_of(d: Draft, c: Concealed, scales: list[Scale]) -> dict[str, Any]:
+def oracle_of(d: Draft, c: Concealed, scales: list[Scale]) -> Oracle:
     """Visibility of what is concealed on one joint, and what this recording cannot tell from it."""
     joint, inertia = c.joint - 1, inertia_of(d, c.joint - 1)
     judge = Judge(d, joint, scales, inertia)
@@ -238,7 +238,7 @@ def oracle_of(d: Draft, c: Concealed, scales: list[Scale]) -> dict[str, Any]:
     }
 
 
-def truth_of(d: Draft, request: Request, scales: list[Scale]) -> dict[str, Any]:
+def truth_of(d: Draft, request: Request, scales: list[Scale]) -> Truth:
     """What is sealed."""
     seen = [oracle_of(d, c, scales) for c in d.concealed]
     verdict = (

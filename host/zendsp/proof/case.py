@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from zendsp.proof.reality import Run
+from zendsp.proof.truth import Truth
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,7 @@ class Case:
     train: Run
     heldout: Run
     model: dict[str, Any]
-    truth: dict[str, Any]
+    truth: Truth
     form: str
     layout: str  # of the files: see Draft.layout
     untouched: Run  # of the same machine; no diagnosis ever sees it

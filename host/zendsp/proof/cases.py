@@ -20,6 +20,7 @@ from zendsp.proof.files import save, toml
 from zendsp.proof.foreign import NAMES as FOREIGN
 from zendsp.proof.machines import MACHINES
 from zendsp.proof.seal import digest, seal, write_truth
+from zendsp.proof.truth import Truth
 
 SIZES = (1.0, 0.3, 0.1)
 # what cannot be put on a machine: coupling needs two joints, eccentricity a turn, open loops have
@@ -140,7 +141,7 @@ def write_case(order: Order) -> str:
     hidden = Path(order.truth)
     hidden.mkdir(parents=True, exist_ok=True)
     untouched = save(hidden, f"{name}_untouched", "npz", case.untouched, columns)
-    truth = {
+    truth: Truth = {
         **case.truth, "case": name, "seed": order.request.seed, "untouched": digest(untouched),
         "reality": order.request.reality, "given": order.request.given,
     }  # fmt: skip

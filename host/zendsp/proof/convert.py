@@ -124,23 +124,21 @@ def fetch(machine: str, data: Path, tell: Callable[[str], None] = lambda _line: 
             try:
                 _fetch_one(name, FILES[machine][name], data / name, Path(folder))
             except (ImportError, OSError, ValueError) as error:
-                host = urlsplit(ADDRESSES[name]).hostname
-                reason = (
-                    f"{host} cannot be reached"
-                    if isinstance(error, OSError) and "Max retries" in str(error)
-                    else error
-                )
-                trouble.append(f"{name}: {reason}; get it from {SOURCES[machine]}")
+                trouble.append(f"{name}: {error}; get it from {SOURCES[machine]}")
     return trouble
 
 
 def _fetch_one(name: str, known: str, target: Path, folder: Path) -> None:
     import pooch
+    import requests  # what pooch fetches with
 
     pooch.get_logger().setLevel("WARNING")
     address = ADDRESSES[name]
     cached = hashlib.sha256(address.encode()).hexdigest()[:16]
-    raw = Path(pooch.retrieve(address, None, fname=cached, path=folder)).read_bytes()
+    try:
+        raw = Path(pooch.retrieve(address, None, fname=cached, path=folder)).read_bytes()
+    except requests.ConnectionError as error:
+        raise ConnectionError(f"{urlsplit(address).hostname} cannot be reached") from error
     if zipfile.is_zipfile(io.BytesIO(raw)):
         with zipfile.ZipFile(io.BytesIO(raw)) as archive:
             inside = [member for member in archive.namelist() if Path(member).name == target.name]

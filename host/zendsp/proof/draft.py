@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.proof.reality import CouplingTruth, JointTruth, LinkTruth, MachineTruth
+from zendsp.proof.truth import Place
 
 Array = npt.NDArray[np.float64]
 
@@ -40,7 +41,7 @@ class Concealed:
     # parameters that the given structure cannot separate
     unscored: list[str] = field(default_factory=list)
     note: str = ""
-    where: list[dict[str, Any]] = field(default_factory=list)  # places that a locator should show
+    where: list[Place] = field(default_factory=list)
     mechanisms: list[str] = field(default_factory=list)  # right besides the effect's own
     body: str = ""  # the link whose body it is
 

@@ -9,6 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from zendsp.proof.draft import Concealed, Draft, Scale
+from zendsp.proof.truth import Place
 
 Rng = np.random.Generator
 Maker = Callable[[Draft, int, Scale, float, Rng], Concealed]
@@ -51,7 +52,7 @@ def friction(d: Draft, joint: int) -> float:
     return float(0.5 * (j.get("coulomb_pos", 0.0) + j.get("coulomb_neg", 0.0)))
 
 
-def at_rest(joint: int) -> list[dict[str, object]]:
+def at_rest(joint: int) -> list[Place]:
     """The place of what acts at low speed."""
     return [{"variable": "velocity", "joint": joint + 1, "value": 0.0}]
 

@@ -6,11 +6,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
 
 from zendsp.proof.answer import Answer, Finding
 from zendsp.proof.mechanisms import BODILY, MECHANISM, NEEDLESS, SIZE, mechanism_of
+from zendsp.proof.truth import Effect, Place, Truth
 
 # nothing to divide an error by: angles, and places that may lie near zero
 ANGLES = ("phase", "angle")
@@ -24,8 +24,6 @@ WORSE = 1.02
 # of the RMS torque: what a refit leaves of a foreign torque, below which "complete" is no wrong
 # answer
 FAINTEST = 0.01
-
-Effect = Mapping[str, Any]  # one effect of a sealed truth
 
 
 @dataclass(frozen=True)
@@ -187,7 +185,7 @@ def compare_parameters(
     return errors, covered
 
 
-def located(answer: Answer, where: Sequence[Mapping[str, Any]]) -> bool | None:
+def located(answer: Answer, where: Sequence[Place]) -> bool | None:
     """Whether a reported region, among the first three, holds the place where the truth acts."""
     if not where:
         return None
@@ -249,58 +247,59 @@ def worsened(answer: Answer) -> bool | None:
     return improved > WORSE * calibrated
 
 
-def judge(truth: Mapping[str, Any], answer: Answer) -> Judgement:
+def judge(truth: Truth, answer: Answer) -> Judgement:
     """Judge one answer.
 
     Parameters
     ----------
-    truth : mapping
+    truth : Truth
         As sealed by ``zendsp.proof.cases``.
     answer : Answer
     """
-    effects: list[Effect] = list(truth["effects"])
+    effects = truth["effects"]
     first = answer.findings[0] if answer.findings else None
-    table: dict[str, Any] = {
-        "case": truth["case"],
-        "machine": truth["machine"],
-        "kind": truth["kind"],
-        "effects": tuple(e["effect"] for e in effects),
-        "size": truth["size"],
-        "reality": truth.get("reality", "own"),
-        "seed": truth.get("seed", 0),
-        "given": truth.get("given", ""),
-        "first": f"{first.effect} of {first.body or first.joint}" if first else "",
-        "detectable": all(e.get("oracle", {}).get("detectable", True) for e in effects),
-        "seconds": answer.seconds,
-        "cpu": answer.cpu,
-        "said": describe(answer),
-        "trouble": answer.trouble,
-        "set_size": 1 + len(first.indistinguishable) if first else 0,
-        "localised": located(answer, truth.get("where", [])),
-        "worse": worsened(answer),
-    }
+    judged = Judgement(
+        case=truth["case"],
+        machine=truth["machine"],
+        kind=truth["kind"],
+        effects=tuple(e["effect"] for e in effects),
+        size=truth["size"],
+        reality=truth.get("reality", "own"),
+        seed=truth.get("seed", 0),
+        given=truth.get("given", ""),
+        first=f"{first.effect} of {first.body or first.joint}" if first else "",
+        detectable=all(e.get("oracle", {}).get("detectable", True) for e in effects),
+        seconds=answer.seconds,
+        cpu=answer.cpu,
+        said=describe(answer),
+        trouble=answer.trouble,
+        set_size=1 + len(first.indistinguishable) if first else 0,
+        localised=located(answer, truth.get("where", [])),
+        worse=worsened(answer),
+    )
     also_true = set(truth.get("also_true", ()))
     if truth["verdict"] == "complete":
-        return Judgement(**table, **of_nothing(answer, also_true))
+        return of_nothing(judged, answer, also_true)
     physics = [e for e in effects if e["effect"] != "foreign"]
     if not physics:
-        return Judgement(**table, **of_foreign(answer, effects, also_true))
-    return Judgement(**table, **of_physics(truth, answer, physics, also_true))
+        return of_foreign(judged, answer, effects, also_true)
+    return of_physics(judged, truth, answer, physics, also_true)
 
 
-def of_nothing(answer: Answer, also_true: set[str]) -> dict[str, Any]:
+def of_nothing(judged: Judgement, answer: Answer, also_true: set[str]) -> Judgement:
     """Answers about a machine whose given model is complete: every name is an error."""
     right = [f.effect in also_true for f in answer.findings]
     unexplained = answer.verdict == "unexplained" and "unexplained" not in also_true
-    return {
-        "alarm": None
-        if answer.trouble
-        else not all(right) or (unexplained and not answer.findings),
-        **counted(answer, ["law" if ok else "" for ok in right]),
-    }
+    alarm = not all(right) or (unexplained and not answer.findings)
+    return replace(
+        counted(judged, answer, ["law" if ok else "" for ok in right]),
+        alarm=None if answer.trouble else alarm,
+    )
 
 
-def of_foreign(answer: Answer, effects: Sequence[Effect], also_true: set[str]) -> dict[str, Any]:
+def of_foreign(
+    judged: Judgement, answer: Answer, effects: Sequence[Effect], also_true: set[str]
+) -> Judgement:
     """Answers about a torque without a law: unexplained, or a mechanism that acts with no law
     claimed.
     """
@@ -308,57 +307,64 @@ def of_foreign(answer: Answer, effects: Sequence[Effect], also_true: set[str]) -
     said = answer.verdict == "unexplained" or bool(answer.findings)
     plain = max(e.get("oracle", {}).get("torque_share", 1.0) for e in effects) >= FAINTEST
     unseen = answer.verdict == "complete" and not plain
-    return {
-        "refused": None if unseen else said and all(right),
-        **counted(answer, ["law" if ok else "" for ok in right]),
-    }
+    return replace(
+        counted(judged, answer, ["law" if ok else "" for ok in right]),
+        refused=None if unseen else said and all(right),
+    )
 
 
-def counted(answer: Answer, right: Sequence[str]) -> dict[str, Any]:
-    """What is counted over all findings, of the rightness of each."""
+def counted(judged: Judgement, answer: Answer, right: Sequence[str]) -> Judgement:
+    """With what is counted over all findings, of the rightness of each."""
     sound = [
         r == "law" or (r == "mechanism" and f.effect == "unknown")
         for f, r in zip(answer.findings, right, strict=True)
     ]
     stated = tuple((f.confidence, ok) for f, ok in zip(answer.findings, sound, strict=True))
-    return {
-        "confidences": stated,
-        "extra": sum(not r for r in right),
-        "sure_wrong": any(c >= SURE and not ok for c, ok in stated),
-    }
+    return replace(
+        judged,
+        confidences=stated,
+        extra=sum(not r for r in right),
+        sure_wrong=any(c >= SURE and not ok for c, ok in stated),
+    )
 
 
 def of_physics(
-    truth: Mapping[str, Any], answer: Answer, physics: Sequence[Effect], also_true: set[str]
-) -> dict[str, Any]:
+    judged: Judgement, truth: Truth, answer: Answer, physics: Sequence[Effect], also_true: set[str]
+) -> Judgement:
     """Answers about effects that have names."""
-    links = assigned(answer.findings, physics)
-    right = rightness(answer.findings, physics, also_true)
-    first = answer.findings[0] if answer.findings else None
-    table = counted(answer, right)
-    table["mechanism"] = first is not None and any(same_mechanism(first, e) for e in physics)
-    table["law"] = first is not None and any(matches(first, e) for e in physics)
-    table["missed"] = overlooked(physics, answer)
+    findings = answer.findings
+    links = assigned(findings, physics)
     leading = {t: f for t, f in links.items() if f < len(physics)}
+    all_lead = len(leading) == len(physics)
+    named = strict = both = replaced = None
     if len(physics) == 1:
-        table["named"] = leading.get(0) == 0
-        table["strict"] = bool(table["named"]) and answer.findings[0].effect == physics[0]["effect"]
+        named = leading.get(0) == 0
+        strict = named and findings[0].effect == physics[0]["effect"]
     elif truth["kind"] in ("pair", "all"):
-        table["both"] = len(leading) + len(refined(answer, physics, leading)) == len(physics)
+        both = len(leading) + len(refined(answer, physics, leading)) == len(physics)
     if truth["kind"] == "replace":
-        gone = {name for f in answer.findings for name in f.replaces}
-        table["replaced"] = len(leading) == len(physics) and set(truth["replaces"]) <= gone
+        replaced = all_lead and set(truth["replaces"]) <= {n for f in findings for n in f.replaces}
     errors: dict[str, float] = {}
     covered: dict[str, bool] = {}
     for t, f in links.items():
-        if answer.findings[f].effect == physics[t]["effect"]:
-            more, inside = compare_parameters(answer.findings[f], physics[t])
+        if findings[f].effect == physics[t]["effect"]:
+            more, inside = compare_parameters(findings[f], physics[t])
             errors |= more
             covered |= inside
-    table["errors"], table["covered"] = errors, covered
-    if len(leading) == len(physics) and all(e["effect"] != "disturbance" for e in physics):
-        table["gap"] = gap_closed(answer)
-    return table
+    scored = all_lead and all(e["effect"] != "disturbance" for e in physics)
+    return replace(
+        counted(judged, answer, rightness(findings, physics, also_true)),
+        mechanism=bool(findings) and any(same_mechanism(findings[0], e) for e in physics),
+        law=bool(findings) and any(matches(findings[0], e) for e in physics),
+        missed=overlooked(physics, answer),
+        named=named,
+        strict=strict,
+        both=both,
+        replaced=replaced,
+        errors=errors,
+        covered=covered,
+        gap=gap_closed(answer) if scored else None,
+    )
 
 
 def gap_closed(answer: Answer) -> float | None:

@@ -7,9 +7,9 @@ from __future__ import annotations
 import hashlib
 import json
 from pathlib import Path
-from typing import Any
 
 from zendsp.errors import ZendspError
+from zendsp.proof.truth import Truth
 
 SEALS = "SEALS.sha256"
 
@@ -18,12 +18,12 @@ class BrokenSeal(ZendspError, ValueError):
     """A truth file is not what was sealed."""
 
 
-def truth_text(truth: dict[str, Any]) -> str:
+def truth_text(truth: Truth) -> str:
     """Canonical JSON: sorted keys, so that equal truths have equal hashes."""
     return json.dumps(truth, sort_keys=True, indent=1, ensure_ascii=False) + "\n"
 
 
-def write_truth(folder: Path, name: str, truth: dict[str, Any]) -> None:
+def write_truth(folder: Path, name: str, truth: Truth) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     (folder / f"{name}.json").write_text(truth_text(truth), encoding="utf-8")
 
@@ -41,7 +41,7 @@ def seal(folder: Path) -> str:
     return digest(folder / SEALS)
 
 
-def open_truth(folder: Path, expected: str | None = None) -> dict[str, dict[str, Any]]:
+def open_truth(folder: Path, expected: str | None = None) -> dict[str, Truth]:
     """Every truth by case name, after checking each against its seal.
 
     Parameters

@@ -41,6 +41,7 @@ from zendsp.proof.shipped_laws import (
     foreign_shape,
     left_by_refit,
 )
+from zendsp.proof.truth import Truth
 from zendsp_isr.build import source_root
 from zendsp_isr.parts import build_machine
 
@@ -154,7 +155,7 @@ def attempt_case(request: Request, rng: Rng) -> Case:
         if "jitter" in r.faults:
             run = jittered(run, np.full(r.n, r.resolution), PERIOD, own)
         logged.append(apply_faults(run, r.faults, PERIOD, own))
-    truth = {
+    truth: Truth = {
         "kind": request.kind,
         "machine": request.machine,
         "flavour": request.effect,

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from zendsp.proof.draft import Array, Scale
+from zendsp.proof.truth import Effect
 
 Rng = np.random.Generator
 # first members of every simulated machine (plant.h): the truth that only the proof reads
@@ -42,7 +42,7 @@ class Rig:
     hidden: set[tuple[str, int]] = field(default_factory=set)  # friction that the given model lacks
     fixed: bool = False
     faults: list[str] = field(default_factory=list)
-    truths: list[dict[str, Any]] = field(default_factory=list)
+    truths: list[Effect] = field(default_factory=list)
 
     @property
     def n(self) -> int:

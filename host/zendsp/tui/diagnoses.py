@@ -11,12 +11,12 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
+from zendsp.diagnosis.decide.contract import LeftReport, Report
 from zendsp.diagnosis.report.chart import SUFFIX, Chart, load_chart
 from zendsp.tui.workspace import file_name
 
@@ -36,10 +36,10 @@ class Diagnosed:
     heldout: tuple[str, ...] = ()
 
     @cached_property
-    def report(self) -> dict[str, Any]:
+    def report(self) -> Report:
         """report.json of the contract."""
-        value: dict[str, Any] = json.loads((self.folder / "report.json").read_text("utf-8"))
-        return value
+        report: Report = json.loads((self.folder / "report.json").read_text("utf-8"))
+        return report
 
     @cached_property
     def charts(self) -> tuple[Chart, ...]:
@@ -109,14 +109,11 @@ def compare(one: Diagnosed, other: Diagnosed) -> str:
     left, right = _findings(one.report), _findings(other.report)
     for key in dict.fromkeys([*left, *right]):
         rows.append((key, left.get(key, "—"), right.get(key, "—")))
-    for label, part, key in (
-        ("untouched, calibrated", "test", "calibrated"),
-        ("untouched, improved", "test", "improved"),
-    ):
-        rows.append((label, _error(one.report, part, key), _error(other.report, part, key)))
-    a, b = ({x["joint"]: x for x in d.report["discrepancy"]} for d in (one, other))
-    for joint in sorted({*a, *b}):
-        rows.append((f"left, joint {joint}", _left(a.get(joint)), _left(b.get(joint))))
+    for name, a, b in zip(("calibrated", "improved"), _errors(one), _errors(other), strict=True):
+        rows.append((f"untouched, {name}", a, b))
+    ours, theirs = ({x["joint"]: x for x in d.report["discrepancy"]} for d in (one, other))
+    for joint in sorted({*ours, *theirs}):
+        rows.append((f"left, joint {joint}", _left(ours.get(joint)), _left(theirs.get(joint))))
     wide = max(len(r[0]) for r in rows)
     middle = max(len(r[1]) for r in rows)
     head = f"{'':{wide}}  {one.name[:middle]:{middle}}  {other.name}"
@@ -133,7 +130,7 @@ def recording_name(path: str) -> str:
     return file.parent.name if file.name == "recording.mat" else file.name
 
 
-def _findings(report: Mapping[str, Any]) -> dict[str, str]:
+def _findings(report: Report) -> dict[str, str]:
     found = {}
     for f in report["findings"]:
         values = ", ".join(
@@ -144,11 +141,15 @@ def _findings(report: Mapping[str, Any]) -> dict[str, str]:
     return found
 
 
-def _error(report: Mapping[str, Any], part: str, key: str) -> str:
-    fit = report["fit"]
-    value = fit[part][key]
-    return "—" if value is None else f"{value:.3g} {fit['unit']}"
+def _errors(d: Diagnosed) -> tuple[str, str]:
+    """On untouched recordings, of the calibrated and the improved model."""
+    fit = d.report["fit"]
+
+    def said(value: float | None) -> str:
+        return "—" if value is None else f"{value:.3g} {fit['unit']}"
+
+    return said(fit["test"]["calibrated"]), said(fit["test"]["improved"])
 
 
-def _left(item: Mapping[str, Any] | None) -> str:
+def _left(item: LeftReport | None) -> str:
     return "—" if item is None or item["share"] is None else f"{100 * item['share']:.2g} %"

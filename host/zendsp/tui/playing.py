@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +18,7 @@ import numpy.typing as npt
 from zendsp.errors import ReferenceError_
 from zendsp.reference import Machine, Reference
 from zendsp.tui.snapshot import Snapshot, Variable
+from zendsp_protocol.values import Assignable
 
 Floats = npt.NDArray[np.float64]
 TABLES = ("ref", "reference", "q_ref", "qref")
@@ -231,9 +231,9 @@ def _thinning(rows: int, capacity: int, rate: int) -> int:
     return thin
 
 
-def player_values(player: Player, playlist: Playlist) -> dict[str, Any]:
+def player_values(player: Player, playlist: Playlist) -> dict[str, Assignable]:
     """Return the parameters to set before the table is played."""
-    wanted: Mapping[str, Any] = {
+    wanted: Mapping[str, Assignable] = {
         "use_table": True,
         "row_rate": round(playlist.rate),
         "approach_time": APPROACH_S,

@@ -16,6 +16,7 @@ from zendsp.link import Rehearsal
 from zendsp.link.background import background
 from zendsp.reference import Machine, Reference
 from zendsp.tui.playing import (
+    Floats,
     Player,
     Playlist,
     Setup,
@@ -51,7 +52,7 @@ class Plan:
         return self.lead + self.playlist.duration + REST_S
 
     @property
-    def tables(self) -> dict[str, Any]:
+    def tables(self) -> dict[str, Floats]:
         """What the program is sent, in this order: the motion begins when `ref` switches over."""
         torque = (
             {self.player.torque_table: self.playlist.torque} if self.player.torque_table else {}

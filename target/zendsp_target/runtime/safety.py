@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -144,7 +145,7 @@ def limit_names() -> tuple[str, ...]:
     return tuple(f"limit.{name}" for name in (*_ARRAYS, "torque_clamp"))
 
 
-def check_limits(machine: MachineInfo, changes: dict[str, Any]) -> dict[str, Any]:
+def check_limits(machine: MachineInfo, changes: Mapping[str, Value]) -> dict[str, Value]:
     """Settings for changed limits, checked against the machine: a limit may be tightened, never
     beyond what the machine bears.
 
@@ -164,7 +165,7 @@ def check_limits(machine: MachineInfo, changes: dict[str, Any]) -> dict[str, Any
     Refused
         Unknown field, wrong length, NaN, or beyond the machine.
     """
-    settings: dict[str, Any] = {}
+    settings: dict[str, Value] = {}
     joints = len(machine.joints)
     for name, value in changes.items():
         if name == "torque_clamp":

@@ -23,6 +23,7 @@ from zendsp_protocol.errors import Refused, ZendspError
 from zendsp_protocol.states import RecorderState
 from zendsp_protocol.version import PROTOCOL
 from zendsp_target.api import AcquireConfig, RuntimeApi
+from zendsp_target.threads import start_thread
 
 log = logging.getLogger(__name__)
 STREAMS = range(1, 8)
@@ -79,8 +80,7 @@ class LiveStreams:
         self._sessions = itertools.count(1)
         self._wake = threading.Event()
         self._end = False
-        self._thread = threading.Thread(target=self._run, name="live", daemon=True)
-        self._thread.start()
+        self._thread = start_thread("live", self._run)
 
     def open(
         self,

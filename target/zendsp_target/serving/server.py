@@ -27,6 +27,7 @@ from zendsp_target.serving.live_streams import LiveStreams
 from zendsp_target.serving.repeated_requests import Repeats
 from zendsp_target.serving.request_log import Ticket
 from zendsp_target.serving.service import Identity, Service
+from zendsp_target.threads import start_thread
 
 log = logging.getLogger(__name__)
 
@@ -73,7 +74,7 @@ class Server:
         self._serve(keys.info(self.name), [self._info])
         for user in ("", "*"):
             self._serve(keys.variable(self.name, user=user), [self._variable])
-        self._thread("pulse", self._pulse)
+        self._threads.append(start_thread("pulse", self._pulse))
         # Last, so that whoever sees the token finds everything in place.
         self._token = session.liveliness().declare_token(keys.alive(self.name))
 
@@ -115,12 +116,7 @@ class Server:
                 answer(query)
 
         for number, answer in enumerate(answers):
-            self._thread(f"{key}#{number}", partial(work, answer))
-
-    def _thread(self, name: str, work: Callable[[], None]) -> None:
-        thread = threading.Thread(target=work, name=name, daemon=True)
-        thread.start()
-        self._threads.append(thread)
+            self._threads.append(start_thread(f"{key}#{number}", partial(work, answer)))
 
     def _answerer(self, lane: str, named: bool) -> Callable[[zenoh.Query], None]:
         """Make what answers the requests of a lane in one thread; of hosts that are known by name,

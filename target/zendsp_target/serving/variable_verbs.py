@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, cast
 
 import msgspec
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from zendsp_protocol import messages as m
 from zendsp_protocol import values, verbs
 from zendsp_protocol.errors import NotYet, VariableError
+from zendsp_protocol.values import Value
 from zendsp_target.api import RuntimeApi
 from zendsp_target.serving.deferred import Later
 from zendsp_target.serving.uploads import Uploads
@@ -48,9 +50,10 @@ class VariableVerbs:
     def do_write(self, args: verbs.Write, by: str) -> m.Written:
         return m.Written(sequence=self.runtime.write(self._given(args), by, args.at_tick))
 
-    def _given(self, args: verbs.Write) -> dict[str, Any]:
-        given: Any = args.values
-        return given if PLAIN.issuperset(map(type, given.values())) else self._unpacked(given)
+    def _given(self, args: verbs.Write) -> Mapping[str, Value]:
+        if PLAIN.issuperset(map(type, args.values.values())):
+            return cast("dict[str, Value]", args.values)
+        return self._unpacked(args.values)
 
     def do_update(self, args: verbs.Write, by: str) -> m.Applied:
         return applied(self.runtime, self.do_write(args, by).sequence)
@@ -62,29 +65,20 @@ class VariableVerbs:
     def do_log(self, args: verbs.Log, by: str) -> tuple[m.Change, ...]:
         return self.runtime.log(args.since)
 
-    def _unpacked(self, given: dict[str, Any]) -> dict[str, Any]:
+    def _unpacked(self, given: Mapping[str, values.WireValue]) -> Mapping[str, Value]:
         """Turn what came over the wire into numbers and arrays."""
-        odd = [name for name, value in given.items() if type(value) not in PLAIN]
         try:
-            given = {**given, **{name: values.from_wire(given[name]) for name in odd}}
+            plain = {name: values.from_wire(value) for name, value in given.items()}
         except ValueError as error:
             raise VariableError(str(error)) from error
-        return self._shaped(given)
+        return self._shaped(plain)
 
-    def _shaped(self, given: dict[str, Any]) -> dict[str, Any]:
+    def _shaped(self, given: Mapping[str, Value]) -> Mapping[str, Value]:
         """Give the values of a table that came flat their rows and columns back."""
-        flat = [
-            name
-            for name, value in given.items()
-            if isinstance(value, np.ndarray) and value.ndim == 1
-        ]
-        columns = {
-            i.name: i.columns
-            for i in self.runtime.variables()
-            if i.name in flat and i.kind == "table"
-        }
-        fits = [name for name in columns if given[name].size % columns[name] == 0]
-        return {**given, **{name: given[name].reshape(-1, columns[name]) for name in fits}}
+        flat = {n: v for n, v in given.items() if isinstance(v, np.ndarray) and v.ndim == 1}
+        columns = {i.name: i.columns for i in self.runtime.variables() if i.kind == "table"}
+        fits = [n for n in flat if n in columns and flat[n].size % columns[n] == 0]
+        return {**given, **{n: flat[n].reshape(-1, columns[n]) for n in fits}}
 
     def do_table_begin(self, args: verbs.TableBegin, by: str) -> verbs.TableState:
         self._check_table(args.name, args.length)

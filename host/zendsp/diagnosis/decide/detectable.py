@@ -27,23 +27,10 @@ from zendsp.diagnosis.measure.discrepancy import BANDS, as_torque, band_of, kept
 from zendsp.diagnosis.search.screen import Screen
 from zendsp.physics.calibration.fit import Data, fit
 from zendsp.physics.calibration.terms import grid_of, make_term, usable
-from zendsp.physics.effects import get_effect, mechanism_of, unit_of
+from zendsp.physics.effects import get_effect, library, mechanism_of, unit_of
 from zendsp.physics.model import Model
 
 POWER = 1.28  # standard deviations: nine in ten
-STATED = (
-    "coulomb",
-    "viscous",
-    "quadratic_drag",
-    "gravity",
-    "stiffness",
-    "ripple",
-    "inertia",
-    "torque_gain",
-    "torque_offset",
-    "delay",
-    "encoder_eccentricity",
-)
 HELD = 1.0  # of the RMS torque: an effect that is larger is not in these recordings
 GRID = 12  # points of an effect's grid at most; of them the one that is seen worst is stated
 
@@ -63,7 +50,7 @@ def detectable(
     Returns
     -------
     tuple of Detectable
-        One for each joint and effect of ``STATED`` that the joint does not have yet.
+        One for each joint and ``sized`` effect that the joint does not have yet.
     """
     out = []
     for decision in decisions:
@@ -82,15 +69,16 @@ def _joint(test: Data, given: Model, decision: Decision, jobs: int) -> list[Dete
     # a gain of G = |c|² s² / σ² is 2 log e in the mean, with standard deviation 2 √G
     root = POWER + math.sqrt(POWER**2 + 2.0 * needed)
     after = max(decision.after.value, FINEST)
-    kinds = {mechanism_of(name) for name in STATED}
+    sized = [effect for effect in library().values() if effect.sized]
+    kinds = {mechanism_of(effect.name) for effect in sized}
     # what the model's own laws of the kind may be wrong by, where a law by itself leaves too much
     laws = {m: kept_laws(given, final.model, joint, m) for m in kinds}
     error = {m: LAW_ERROR * torque_of(test, laws[m], final.model, joint) for m in kinds}
     scale = math.sqrt(mean_square(test, joint))
     have = {t.effect for t in final.model.at(joint)}
     out = []
-    for name in STATED:
-        effect = get_effect(name)
+    for effect in sized:
+        name = effect.name
         if (name in have and not effect.repeatable) or not usable(effect, screen.records):
             continue
         if any(key in given.mechanism for key in effect.same_as):

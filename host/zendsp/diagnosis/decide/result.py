@@ -5,13 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.decide.assemble import Assembled
 from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.contract import (
+    ErrorReport,
+    EstimateReport,
+    FindingReport,
+    Report,
+    WhereReport,
+)
 from zendsp.diagnosis.measure.where import Missing, Region
 from zendsp.diagnosis.search.hypothesis import JointSearch
 from zendsp.physics.calibration.fit import Data
@@ -49,13 +56,12 @@ class Finding:
     # probabilities, given that the mechanism acts
     laws: Mapping[str, float] = field(default_factory=dict)
 
-
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> FindingReport:
         """For the report."""
-        numbers = {
+        numbers: dict[str, EstimateReport] = {
             n: {"value": e.value, "std": e.std, "unit": e.unit} for n, e in self.parameters.items()
         }
-        return {
+        report: FindingReport = {
             "effect": self.effect,
             "joint": self.joint,
             "parameters": numbers,
@@ -66,8 +72,8 @@ class Finding:
             "mechanism": self.mechanism,
             "laws": {n: round(p, 4) for n, p in self.laws.items()},
             "sentence": self.sentence,
-            **self.numbers,
         }
+        return cast(FindingReport, {**report, **self.numbers})
 
 
 def _rounded(value: float) -> float:
@@ -95,7 +101,7 @@ class FitTable:
     calibrated: float
     improved: float
 
-    def as_dict(self) -> dict[str, float]:
+    def as_dict(self) -> ErrorReport:
         """For the report."""
         return {"given": self.given, "calibrated": self.calibrated, "improved": self.improved}
 
@@ -190,9 +196,9 @@ class Diagnosis:
     workings: Workings | Callable[[], SimulatorErrors] | None = None
     out: Path | None = None
 
-    def report(self) -> dict[str, Any]:
+    def report(self) -> Report:
         """report.json of the contract, as plain numbers and strings."""
-        report: dict[str, Any] = {
+        return {
             "verdict": self.verdict,
             "findings": [f.as_dict() for f in self.findings],
             "refinements": [f.as_dict() for f in self.refinements],
@@ -241,9 +247,8 @@ class Diagnosis:
             "notes": list(self.notes),
             "seconds": round(self.seconds, 3),
         }
-        return report
 
-    def _where(self) -> dict[str, Any]:
+    def _where(self) -> WhereReport:
         """Where the model lacks something: times, and regions of the state."""
         return {
             "time": [[round(a, 4), round(b, 4)] for a, b in self.times],

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from zendsp.diagnosis.external.simulator import Columns, Parameters
 from zendsp.errors import ModelError
 from zendsp.extras import need
 from zendsp.physics.model import Model
@@ -139,9 +140,7 @@ class Fmu:
             {name: references("[mechanism.parameters]", [name])[0] for name in model.mechanism},
         )
 
-    def run(
-        self, recordings: Sequence[Mapping[str, Any]], parameters: Mapping[str, Any]
-    ) -> list[Array]:
+    def run(self, recordings: Sequence[Columns], parameters: Parameters) -> list[Array]:
         """Positions of all recordings, (n, joints) each, simulated side by side."""
         shares = np.array_split(np.arange(len(recordings)), len(self.workers))
         busy = [(w, share) for w, share in zip(self.workers, shares, strict=True) if len(share)]
@@ -168,7 +167,7 @@ class _Worker:
         self.process.start()
         child.close()
 
-    def send(self, recordings: list[Any], parameters: Mapping[str, Any]) -> None:
+    def send(self, recordings: list[Columns], parameters: Parameters) -> None:
         try:
             self.pipe.send((recordings, dict(parameters)))
         except OSError:
@@ -278,7 +277,7 @@ class _Instance:
             put = self.slave.setFloat64 if self.three else self.slave.setReal
             put(list(references), [float(v) for v in values])
 
-    def simulate(self, recording: Mapping[str, Any], parameters: Mapping[str, Any]) -> Array:
+    def simulate(self, recording: Columns, parameters: Parameters) -> Array:
         """Position at every row, (n, joints)."""
         s, p = self.slave, self.ports
         command = np.asarray(recording["command"], float).reshape(len(recording["time"]), -1)
@@ -288,7 +287,7 @@ class _Instance:
         if not self.three:
             s.setupExperiment(startTime=0.0)
         for name, reference in p.parameters.items():
-            self._set([reference], [parameters[name]])
+            self._set([reference], np.atleast_1d(parameters[name]))
         self._set(p.start_position, np.atleast_1d(recording["position"][0]))
         self._set(p.start_velocity, np.atleast_1d(recording["velocity"][0]))
         if self.three:

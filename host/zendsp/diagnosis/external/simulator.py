@@ -9,7 +9,7 @@ import importlib.util
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol, TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +24,21 @@ from zendsp.physics.kernel.signals import measure, noise_beside_quantisation, sm
 from zendsp.physics.model import Model, per_joint
 
 Array = npt.NDArray[np.float64]
-Function = Callable[[Mapping[str, Any], Mapping[str, Any]], Any]
+Parameters = Mapping[str, float | list[float]]  # of the mechanism: one number, or one a joint
+
+
+class Columns(TypedDict):
+    """A recording as a simulator gets it; arrays are (n,), or (n, joints) of several joints."""
+
+    time: Array  # s, from 0
+    sample_time: float  # s
+    position: Array
+    velocity: Array
+    command: Array
+    reference: Array | None
+
+
+Function = Callable[[Columns, Parameters], npt.ArrayLike]
 
 
 class Simulator(Protocol):
@@ -32,9 +46,7 @@ class Simulator(Protocol):
 
     name: str  # in sentences
 
-    def run(
-        self, recordings: Sequence[Mapping[str, Any]], parameters: Mapping[str, Any]
-    ) -> list[Any]:
+    def run(self, recordings: Sequence[Columns], parameters: Parameters) -> list[Array]:
         """The position at every row of each recording."""
 
     def close(self) -> None:
@@ -47,9 +59,7 @@ class Entry:
     def __init__(self, model: Model) -> None:
         self.function, self.name = load_entry(model), f"the simulator {model.entry!r}"
 
-    def run(
-        self, recordings: Sequence[Mapping[str, Any]], parameters: Mapping[str, Any]
-    ) -> list[Any]:
+    def run(self, recordings: Sequence[Columns], parameters: Parameters) -> list[Array]:
         """One call a recording."""
         try:
             return [np.asarray(self.function(r, parameters), float) for r in recordings]
@@ -170,7 +180,7 @@ class Bench:
         self.calls += 1
         return self._sensor(np.concatenate(parts), model)
 
-    def _recording(self, command: Array, rows: slice) -> dict[str, Any]:
+    def _recording(self, command: Array, rows: slice) -> Columns:
         """Rows of the recording as a simulator gets them."""
         s = self.signals
         velocity = np.stack([r.motion.states[1] for r in self.records], axis=1)[rows]

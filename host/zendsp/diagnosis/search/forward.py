@@ -178,9 +178,8 @@ class Searcher:
         """A step beside a gap found before, with the gap found again: its optimum is so narrow that
         the step moved it out of reach.
         """
-        if chosen.effect == "backlash" or not any(
-            t.effect == "backlash" for t in chosen.scored.model.at(self.joint)
-        ):
+        beside = [t for t in chosen.scored.model.at(self.joint) if t.effect != chosen.effect]
+        if not any(get_effect(t.effect).rough for t in beside):
             return chosen
         return replace(
             chosen, scored=refine(chosen.scored, self.joint, current.deviance, WORTH, self.jobs)
@@ -402,9 +401,10 @@ class Searcher:
                 best = rival
         if best is None or not math.isfinite(best.value):
             return None
-        if len(group) > 1 and (best.value < current.deviance or best.effect == "backlash"):
+        rough = get_effect(best.effect).rough
+        if len(group) > 1 and (best.value < current.deviance or rough):
             handles = best.scored.fit.handles
-            more = 10 if best.effect == "backlash" else 5
+            more = 10 if rough else 5
             result = fit(
                 first_look(current.data, best.scored.model, self.joint),
                 best.scored.model,
@@ -442,7 +442,7 @@ class Searcher:
             jobs=jobs,
         )
         options = [scored] if scored.deviance <= rival.scored.deviance else [rival.scored]
-        if rival.effect == "backlash":
+        if get_effect(rival.effect).rough:
             options.append(refine(options[0], self.joint, current.deviance, worth, jobs))
         for term in rival.terms:
             for numbers in get_effect(term.effect).tries:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -53,24 +52,35 @@ class Sides:
         return ""
 
 
+@dataclass(frozen=True)
+class Rows:
+    """Low-passed signals of one recording where the joint moves, (rows,) each."""
+
+    sample_time: float
+    drive: Array  # torque of the actuator
+    sensed: Array
+    bodies: Array  # what the model's bodies need; 0 where it has none
+    qd: Array
+    qdd: Array
+    s: Array  # direction
+
+
 def sides_of(parts: Parts, model: Model, joint: int) -> Sides | None:
     """Friction on the two sides of a joint's torque sensor; None where it has none."""
     records = [rec[joint - 1] for rec in parts.fit.records]
     if any("torque_measured" not in r.columns for r in records):
         return None
     rows = [_rows(r, model, joint) for r in records]
-    before = _fit([(r["drive"] - r["sensed"], [r["qdd"], r["qd"], r["s"]], r) for r in rows])
-    moving = [] if has_bodies(model) else ["qdd"]
+    whole = has_bodies(model)
+    before = _fit([(r.drive - r.sensed, [r.qdd, r.qd, r.s], r) for r in rows])
     after = _fit(
-        [(r["sensed"] - r["bodies"], [*(r[m] for m in moving), r["qd"], r["s"]], r) for r in rows]
+        [(r.sensed - r.bodies, [r.qd, r.s] if whole else [r.qd, r.s, r.qdd], r) for r in rows]
     )
-    gain = _fit([(r["sensed"], [r["drive"], r["qdd"], r["qd"], r["s"]], r) for r in rows])
-    k = len(moving)
-    return Sides((before[2], after[k + 1]), (before[1], after[k]), gain[0])
+    gain = _fit([(r.sensed, [r.drive, r.qdd, r.qd, r.s], r) for r in rows])
+    return Sides((before[2], after[1]), (before[1], after[0]), gain[0])
 
 
-def _rows(record: JointRecord, model: Model, joint: int) -> dict[str, Any]:
-    """Low-passed signals of one recording where the joint moves."""
+def _rows(record: JointRecord, model: Model, joint: int) -> Rows:
     from scipy.signal import butter, sosfiltfilt  # takes half a second
 
     fs = 1.0 / record.sample_time
@@ -81,19 +91,18 @@ def _rows(record: JointRecord, model: Model, joint: int) -> dict[str, Any]:
     use = np.abs(qd) > fast
     edge = max(2, round(0.05 * fs))
     use[:edge] = use[-edge:] = False
-    signals = {
-        "drive": held_drive(record, model, joint),
-        "sensed": record.columns["torque_measured"],
-        "bodies": inertia * qdd + bias if has_bodies(model) else np.zeros(record.n),
-        "qd": qd,
-        "qdd": qdd,
-        "s": np.tanh(qd / fast),
-    }
-    out: dict[str, Any] = {k: sosfiltfilt(sos, x)[use] for k, x in signals.items()}
-    return {**out, "sample_time": record.sample_time}
+    signals = (
+        held_drive(record, model, joint),
+        record.columns["torque_measured"],
+        inertia * qdd + bias if has_bodies(model) else np.zeros(record.n),
+        qd,
+        qdd,
+        np.tanh(qd / fast),
+    )
+    return Rows(record.sample_time, *(sosfiltfilt(sos, x)[use] for x in signals))
 
 
-def _fit(parts: Sequence[tuple[Array, list[Array], dict[str, Any]]]) -> list[Number]:
+def _fit(parts: Sequence[tuple[Array, list[Array], Rows]]) -> list[Number]:
     """Least squares with a zero for each recording: coefficients with standard deviations."""
     left, right = [], []
     for y, columns, _ in parts:
@@ -105,7 +114,7 @@ def _fit(parts: Sequence[tuple[Array, list[Array], dict[str, Any]]]) -> list[Num
     norms[norms == 0] = 1.0
     x = np.linalg.lstsq(a / norms, b, rcond=1e-9)[0] / norms
     residual = [r - m @ x for m, r in zip(left, right, strict=True)]
-    alike = max(repeats(e, p[2]["sample_time"]) for e, p in zip(residual, parts, strict=True))
+    alike = max(repeats(e, p[2].sample_time) for e, p in zip(residual, parts, strict=True))
     total = sum(float(e @ e) for e in residual)
     variance = total / max(len(b) - len(x), 1) * alike
     spread = np.sqrt(variance * np.diag(np.linalg.pinv((a / norms).T @ (a / norms)))) / norms

@@ -298,6 +298,8 @@ class Effect:
     common : bool
         Every machine has some of it: it is tried whatever a screen promises, and the evidence for
         its mechanism is enough to name it.
+    sized : bool
+        Reports say the smallest size of it that the recordings would have shown.
     slow : bool
         A fast observer follows it: it is fitted under a slow one.
     rough : bool
@@ -370,6 +372,7 @@ class Effect:
     possible: Callable[[Numbers], bool] | None = None
     odds: float = 0.0
     common: bool = False
+    sized: bool = False
     slow: bool = False
     rough: bool = False
     loosens_inertia: bool = False

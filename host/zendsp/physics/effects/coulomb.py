@@ -21,6 +21,7 @@ EFFECT = Effect(
     linear=("level",),
     odds=0.01,
     common=True,
+    sized=True,
     rivals=("viscous", "stribeck"),
     compensable="p[0] * sgn(qd)",
 )

@@ -31,6 +31,7 @@ EFFECT = Effect(
     hidden=True,
     family="timing",
     aliases=("column_shift",),  # a column that is early
+    sized=True,
     rivals=("lag", "column_shift", "position_filter"),
     why_not="a torque cannot come sooner: lower the bandwidth, or predict the reference",
 )

@@ -21,6 +21,7 @@ EFFECT = Effect(
     turns=True,
     linear=("amplitude",),
     grid={"phase": (0.0, 1.5707963267948966)},
+    sized=True,
     rivals=("ripple", "gravity"),
     why_not="it is in the sensor: correct the measured angle",
 )

@@ -20,6 +20,7 @@ EFFECT = Effect(
     linear=("amount",),
     column=lambda along, p: along.qdd * p["amount"],
     same_as=("inertia", "mass"),
+    sized=True,
     rivals=("torque_gain",),
     compensable="p[0] * qdd",
 )

@@ -15,6 +15,7 @@ EFFECT = Effect(
     equation="c q̇ |q̇|",
     linear=("coefficient",),
     common=True,
+    sized=True,
     rivals=("viscous",),
     compensable="p[0] * qd * fabs(qd)",
 )

@@ -23,6 +23,7 @@ EFFECT = Effect(
     over="position",
     linear=("amplitude",),
     grid={"order": orders, "phase": (0.0, 1.5707963267948966)},
+    sized=True,
     rivals=("position_friction", "encoder_eccentricity", "gravity"),
     repeatable=True,
     compensable="p[1] * sin(p[0] * q + p[2])",

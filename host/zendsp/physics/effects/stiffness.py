@@ -21,6 +21,7 @@ EFFECT = Effect(
     equation="k (q - q0)",
     over="position",
     linear=("coefficient",),
+    sized=True,
     rivals=("gravity", "cubic_stiffness", "torque_offset"),
     compensable="p[0] * (q - p[1])",
     restart=near(1),

@@ -20,6 +20,7 @@ EFFECT = Effect(
     equation="(1 + ε) u",
     over="command",
     linear=("ratio",),
+    sized=True,
     rivals=("inertia",),
     inverse="wanted / (1.0 + p[0])",
 )

@@ -15,6 +15,7 @@ EFFECT = Effect(
     equation="b q̇",
     linear=("coefficient",),
     common=True,
+    sized=True,
     rivals=("coulomb", "quadratic_drag"),
     compensable="p[0] * qd",
 )

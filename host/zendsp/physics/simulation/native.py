@@ -12,7 +12,7 @@ from zendsp.errors import ZendspError
 from zendsp.physics.effects import Effect, library
 from zendsp.physics.kernel.native import FAST, build
 
-_HEADERS = ("tree.h", "state.h", "solve.h")
+_PARTS = ("tree.h", "state.h", "solve.h", "effects.h", "step.h", "simulate.c")
 MAX_JOINTS, MAX_PARAMETERS, TREE_ROW = 8, 6, 28
 
 _CASES = {
@@ -144,13 +144,13 @@ def source_text(effects: dict[str, Effect]) -> str:
             parts["SENSOR"].append(f"case {i}: out += fx_{effect.name}(p, &s); break;")
         else:
             raise ZendspError(f"effect {effect.name!r}: unknown site {effect.site!r}")
-    text = _read("simulate.c")
+    text = "".join(map(_read, _PARTS))
     for name, lines in parts.items():
         mark = "EFFECT_FUNCTIONS" if name == "FUNCTIONS" else f"EFFECT_CASES_{name}"
         text = text.replace(f"/* {mark} */", "\n".join(lines))
     isr = resources.files("zendsp_isr").joinpath("include", "isr.h").read_text(encoding="utf-8")
     host = re.sub(r'#include "isr.h"', lambda _: isr, _read("program.c"))
-    return "".join(map(_read, _HEADERS)) + text + _TREE_ENTRY + host
+    return text + _TREE_ENTRY + host
 
 
 def _read(name: str) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -20,6 +19,7 @@ from zendsp.proof.mujoco.mechanics import TWO_SIDED
 from zendsp.proof.mujoco.simulate import Nominal, Record, Unstable, nominal_gravity, simulate
 from zendsp.proof.mujoco.truths import MAKERS
 from zendsp.proof.oracle import DETECTABLE, PROCESS, steady_observer
+from zendsp.proof.truth import Effect, Number, Oracle, Truth
 
 Rng = np.random.Generator
 FAULTS = ("plain", "jitter", "repeat", "stale", "float32", "filtered", "slow", "origin", "unit")
@@ -184,7 +184,7 @@ def check(b: Bench, record: Record, base: Record) -> None:
             raise Unusable("the loop is nearly unstable")
 
 
-def visible(b: Bench, record: Record, joint: int) -> dict[str, Any]:
+def visible(b: Bench, record: Record, joint: int) -> Oracle:
     """What a refit of the given model leaves of the torque along the true motion, and how plainly
     it shows.
     """
@@ -224,21 +224,21 @@ def visible(b: Bench, record: Record, joint: int) -> dict[str, Any]:
     }
 
 
-def look_of(b: Bench, record: Record, c: Concealed) -> dict[str, Any]:
+def look_of(b: Bench, record: Record, c: Concealed) -> Oracle:
     """The plainest joint of those where it may be named; what hides in the columns always shows."""
     looks = [visible(b, record, k - 1) for k in c.accepted_joints or [c.joint]]
-    best: dict[str, Any] = max(looks, key=lambda x: x["log_likelihood"])
+    best = max(looks, key=lambda x: x["log_likelihood"])
     if c.effect in ("column_shift", "position_filter"):
         return {**best, "detectable": True}
     return best
 
 
-def truth_of(b: Bench, request: Request, train: Record) -> dict[str, Any]:
+def truth_of(b: Bench, request: Request, train: Record) -> Truth:
     """What is sealed."""
     thousand = 1000.0 if "unit" in b.faults else 1.0
-    entries = []
+    entries: list[Effect] = []
     for c in b.concealed:
-        values: Mapping[str, Any] = {
+        values: dict[str, Number] = {
             k: {"value": v * (thousand if u == "command" else 1.0), "unit": u}
             for k, (v, u) in c.parameters.items()
         }

@@ -21,6 +21,7 @@ from textual.widgets import Static
 from zendsp.tui.dialogs.base import Dialog
 from zendsp.tui.snapshot import Variable
 from zendsp.tui.values import show_value
+from zendsp_protocol.values import Assignable
 
 STEP, COARSE, FINE = 1 / 200, 1 / 20, 1 / 2000  # of the range
 SEND_S = 0.1  # between writes while a slider moves
@@ -67,7 +68,7 @@ def elements(v: Variable) -> list[Variable]:
     return found
 
 
-def numbers(variables: Sequence[Variable], values: Mapping[str, Any]) -> dict[str, Any]:
+def numbers(variables: Sequence[Variable], values: Mapping[str, Assignable]) -> dict[str, float]:
     """The values of all elements by their names; what the target does not say is left out."""
     return {
         part.name: value
@@ -198,17 +199,17 @@ class Sliders(Dialog[None]):
     def __init__(
         self,
         variables: Sequence[Variable],
-        values: Callable[[], Mapping[str, Any]],
-        write: Callable[[dict[str, Any], bool], None],
+        values: Callable[[], Mapping[str, Assignable]],
+        write: Callable[[Mapping[str, float], bool], None],
     ) -> None:
         super().__init__()
         self._write = write
-        self._values: Callable[[], dict[str, Any]] = lambda: numbers(variables, values())
+        self._values: Callable[[], dict[str, float]] = lambda: numbers(variables, values())
         self._variables = tuple(part for v in variables for part in elements(v))
         now = self._values()
         self._before = {v.name: now.get(v.name, v.initial) for v in self._variables}
-        self._moved: dict[str, Any] = {}  # not handed on yet
-        self.before: dict[str, Any] = {}  # of what was moved and is not back again
+        self._moved: dict[str, float] = {}  # not handed on yet
+        self.before: dict[str, float] = {}  # of what was moved and is not back again
         self._quiet = 0  # ticks since something was handed on
 
     def compose(self) -> ComposeResult:

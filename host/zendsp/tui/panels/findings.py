@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from rich.text import Text
 
+from zendsp.diagnosis.decide.contract import FindingReport, Report
 from zendsp.diagnosis.report.chart import Chart
 from zendsp.diagnosis.report.summary import verdict_sentence
 from zendsp.tui.diagnoses import Diagnosed
@@ -25,7 +25,7 @@ class Entry:
     words: str = ""
 
 
-def headline(report: Mapping[str, Any]) -> str:
+def headline(report: Report) -> str:
     """Return the verdict in one sentence."""
     found = [(f["mechanism"], f["effect"], f["joint"]) for f in report["findings"]]
     return verdict_sentence(report["verdict"], found)
@@ -70,7 +70,7 @@ def _of(section: str, charts: Sequence[Chart]) -> list[Chart]:
 
 
 def _finding(
-    k: int, f: Mapping[str, Any], charts: Sequence[Chart], theme: Mapping[str, str]
+    k: int, f: FindingReport, charts: Sequence[Chart], theme: Mapping[str, str]
 ) -> Entry:
     text = Text(f"{100 * f['confidence']:3.0f} %  ", f"bold {theme['success']}")
     text.append(f["sentence"], "bold")
@@ -87,7 +87,7 @@ def _finding(
     return Entry(f"finding-{k}", text, chart, "\n".join(words))
 
 
-def _errors(r: Mapping[str, Any], charts: Sequence[Chart]) -> list[Entry]:
+def _errors(r: Report, charts: Sequence[Chart]) -> list[Entry]:
     fit = r["fit"]
     t = fit["test"]
     fell = (
@@ -103,7 +103,7 @@ def _errors(r: Mapping[str, Any], charts: Sequence[Chart]) -> list[Entry]:
     return made or [Entry("fit", _plain("fit", fell), None, fell)]
 
 
-def _where(r: Mapping[str, Any]) -> str:
+def _where(r: Report) -> str:
     return "\n".join(
         f"joint {w['joint']}, {w['variable']} {w['interval'][0]:.3g} … {w['interval'][1]:.3g}:"
         f" {100 * w['share']:.0f} % of the mismatch in {100 * w['time_share']:.0f} % of the time"
@@ -111,7 +111,7 @@ def _where(r: Mapping[str, Any]) -> str:
     )
 
 
-def _left(r: Mapping[str, Any], charts: Sequence[Chart]) -> list[Entry]:
+def _left(r: Report, charts: Sequence[Chart]) -> list[Entry]:
     """What nothing named explains."""
     made = []
     white = {c.joint: c for c in _of("white", charts)}
@@ -129,14 +129,14 @@ def _left(r: Mapping[str, Any], charts: Sequence[Chart]) -> list[Entry]:
     return made
 
 
-def _unseen_line(r: Mapping[str, Any]) -> str:
+def _unseen_line(r: Report) -> str:
     joints = sorted({x["joint"] for x in r["detectable"]})
     if not joints:
         return "what could not have been seen is not known for these recordings"
     return f"what could not have been seen: {len(r['detectable'])} effects have a smallest size"
 
 
-def _unseen(r: Mapping[str, Any]) -> str:
+def _unseen(r: Report) -> str:
     lines = ["Smaller ones these recordings would have missed (seen in 90 of 100 times):", ""]
     lines += [
         f"joint {x['joint']}  {x['effect']:<22} {x['size']:.2g} "

@@ -29,6 +29,7 @@ from zendsp.tui.panels.variables import VariablesPanel
 from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.snapshot import Variable
 from zendsp.tui.values import differs, reader, show_exact, show_limits, show_value
+from zendsp_protocol.values import Assignable
 
 UNDO_DEPTH = 100
 
@@ -38,8 +39,8 @@ class VariableActions(LabScreen):
 
     def __init__(self) -> None:
         super().__init__()
-        self.staged: dict[str, Any] = {}
-        self._undo: list[dict[str, Any]] = []
+        self.staged: dict[str, Assignable] = {}
+        self._undo: list[dict[str, Assignable]] = []
         self._key_time = 0.0
         # of the last edit: from the key to the target's word that it is applied
         self.key_to_applied_s = float("nan")
@@ -138,7 +139,7 @@ class VariableActions(LabScreen):
             {v.name: v.initial for v in s.variables if v.kind == "parameter"}, "the initial values"
         )
 
-    def _stage_many(self, values: Mapping[str, Any], what: str) -> None:
+    def _stage_many(self, values: Mapping[str, Assignable], what: str) -> None:
         now = self.lab.session.snapshot.values
         known = {v.name for v in self.lab.session.snapshot.variables if v.kind == "parameter"}
         fresh = {n: x for n, x in values.items() if n in known and differs(now.get(n), x)}
@@ -155,7 +156,7 @@ class VariableActions(LabScreen):
             else f"nothing differs from {what}"
         )
 
-    def review(self, values: Mapping[str, Any]) -> Text:
+    def review(self, values: Mapping[str, Assignable]) -> Text:
         """Return old → new for each value, with units."""
         now = self.lab.session.snapshot.values
         width = max((len(n) for n in values), default=0)
@@ -190,7 +191,7 @@ class VariableActions(LabScreen):
             lambda yes: self._apply(dict(self.staged)) if yes else None,
         )
 
-    def _apply(self, values: dict[str, Any], undoing: bool = False) -> None:
+    def _apply(self, values: dict[str, Assignable], undoing: bool = False) -> None:
         now = self.lab.session.snapshot.values
         old = {name: now.get(name) for name in values}
 
@@ -227,7 +228,7 @@ class VariableActions(LabScreen):
             self.say("no parameter has a slider: it needs two finite limits", "warning")
             return
         found.sort(key=lambda v: v.name != self.variables.marked)  # the marked one first
-        def write(values: dict[str, Any], together: bool) -> None:
+        def write(values: Mapping[str, float], together: bool) -> None:
             verb = "update" if together else "write"
             self.ask(f"sliders {verb}", lambda port: getattr(port, verb)(values))
 

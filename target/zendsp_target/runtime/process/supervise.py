@@ -7,10 +7,12 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from zendsp_target.runtime.memory.layout import layout
 from zendsp_target.runtime.process.runner import RunnerProcess, ffi_address
+from zendsp_target.threads import start_thread
 
 _ROUND_S = 0.05
 
@@ -51,10 +53,7 @@ class Supervisor:
         self._had = 0.0  # of a processor, by the loop
         # The thread alone keeps them, and only until its end: they lead back to who keeps this, and
         # a program that was replaced would stay mapped until the garbage collector comes.
-        self._thread = threading.Thread(
-            target=self._run, args=(each_round, on_death), name="zendsp-supervisor", daemon=True
-        )
-        self._thread.start()
+        self._thread = start_thread("supervisor", partial(self._run, each_round, on_death))
 
     def expect_end(self) -> None:
         """The runner is about to be ended on purpose."""

@@ -1,0 +1,124 @@
+"""report.json of the contract, as types; docs/diagnosis.md says what each key means.
+
+A file holds null where a diagnosis has no finite number.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NotRequired, TypedDict
+
+
+class EstimateReport(TypedDict):
+    """A parameter, SI."""
+
+    value: float
+    std: float
+    unit: str
+
+
+class FindingReport(TypedDict):
+    """A missing effect."""
+
+    effect: str
+    joint: int
+    parameters: dict[str, EstimateReport]
+    confidence: float
+    share: float
+    indistinguishable: list[str]
+    replaces: list[str]
+    mechanism: str
+    laws: dict[str, float]
+    sentence: str
+    from_joint: NotRequired[int]  # of a coupling
+    law: NotRequired[str]  # of a coupling
+    intervals: NotRequired[list[list[float]]]  # of a disturbance, s
+    body: NotRequired[str]
+    details: NotRequired[dict[str, Any]]  # what further sensors say
+
+
+class LeftReport(TypedDict):
+    """Torque that nothing named explains."""
+
+    joint: int
+    share: float | None
+    interval: list[float]
+
+
+class DetectableReport(TypedDict):
+    """The smallest size that would have been seen."""
+
+    joint: int
+    mechanism: str
+    effect: str
+    size: float
+    unit: str
+
+
+class RegionReport(TypedDict):
+    """Where in a joint's state the mismatch is."""
+
+    joint: int
+    variable: str
+    interval: list[float]
+    unit: str
+    share: float
+    time_share: float
+
+
+class WhereReport(TypedDict):
+    """Where the model lacks something: intervals of time, s, and regions of the state."""
+
+    time: list[list[float]]
+    state: list[RegionReport]
+
+
+class ErrorReport(TypedDict):
+    """RMS position error of the three models."""
+
+    given: float | None
+    calibrated: float | None
+    improved: float | None
+
+
+class FitReport(TypedDict):
+    """Errors on the recordings of the fit, held out, and untouched."""
+
+    quantity: str
+    unit: str
+    estimation: ErrorReport
+    heldout: ErrorReport
+    test: ErrorReport
+    noise_floor: float | None
+
+
+class RejectedReport(TypedDict):
+    """A hypothesis that lost."""
+
+    effect: str
+    joint: int
+    why: str
+    score: float
+
+
+class NextReport(TypedDict):
+    """The next recording."""
+
+    sentence: str
+    reference: str | None  # its file
+
+
+class Report(TypedDict):
+    """The whole of it."""
+
+    verdict: str
+    findings: list[FindingReport]
+    refinements: list[FindingReport]
+    discrepancy: list[LeftReport]
+    detectable: list[DetectableReport]
+    where: WhereReport
+    fit: FitReport
+    rejected: list[RejectedReport]
+    next_recording: NextReport | None
+    unexplained: str
+    notes: list[str]
+    seconds: float

@@ -1,0 +1,184 @@
+"""Every joint searched and decided, in a process of its own where there are several; and the
+machine put together of them.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from types import MappingProxyType
+
+from zendsp.diagnosis.data.inertia import inertia_ranges
+from zendsp.diagnosis.data.signals import Parts
+from zendsp.diagnosis.decide.assemble import Assembled, assemble
+from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.decide import decide
+from zendsp.diagnosis.measure.evidence import compare
+from zendsp.diagnosis.measure.likelihood import Scored, calibrate_joint
+from zendsp.diagnosis.measure.windows import model_error
+from zendsp.diagnosis.search.forward import WAIT, Searcher
+from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
+from zendsp.diagnosis.search.simplify import upon
+from zendsp.diagnosis.transmission.links import divided, with_links
+from zendsp.physics.calibration.fit import Data
+from zendsp.physics.model import Model
+
+Progress = Callable[[str], None]
+Explained = tuple[list[JointSearch], list[Decision], Assembled]
+
+
+class Acceptance:
+    """What the search goes on with: a step that pays for its parameters, on the recordings to
+    choose by too. No claim is made here.
+    """
+
+    def __init__(self, choose: Data) -> None:
+        self.choose = choose
+
+    def __call__(self, before: Scored, rival: Rival) -> bool:
+        if before.deviance - rival.value < WAIT:
+            return False
+        held = compare(before, rival.scored, self.choose, rival.joint)
+        return held.gain > 0 and held.z > 1.0
+
+
+def plainer(test: Data, one: Explained, other: Explained, bodies: int) -> bool:
+    """Whether one explanation claims less than another with its bodies, and predicts as well."""
+    claims = [sum(len(d.claims) for d in decisions) for _, decisions, _ in (one, other)]
+    errors = [model_error(test, whole.improved) for _, _, whole in (one, other)]
+    return claims[0] < claims[1] + bodies and errors[0] <= errors[1]
+
+
+def with_their_links(
+    measured_motion: Parts,
+    parts: Parts,
+    given: Model,
+    beneath: Model,
+    first: Explained,
+    jobs: int,
+    tell: Progress,
+) -> tuple[Parts, Explained]:
+    """Explained again where a joint turned out to have a transmission: the others feel its link,
+    whose swinging they else have to explain as something of their own.
+
+    One joint after the other, at each step the one with which the machine is explained best; and
+    only as long as that claims no more and predicts no worse.
+    """
+    felt, now, explained = divided(given), parts, first
+    while found := _transmissions(explained) - felt:
+        tell("the links behind transmissions: what the other joints feel")
+        tried = []
+        for joint in found:
+            with_it = with_links(measured_motion, explained[2].improved, felt | {joint})
+            same = {joint: (explained[0][joint - 1], explained[1][joint - 1])}
+            again = explain(with_bodies(with_it, beneath), given, beneath, jobs, tell, same)
+            tried.append((_cost(with_it.test, again), joint, with_it, again))
+        best = min(tried, key=lambda t: t[0])
+        before = _cost(now.test, explained)
+        if best[0][0] > before[0] or best[0][1] > before[1]:
+            break
+        felt, now, explained = felt | {best[1]}, best[2], best[3]
+    return now, explained
+
+
+def _transmissions(explained: Explained) -> frozenset[int]:
+    """Joints that are claimed to have a transmission whose link nobody sees."""
+    claimed = {
+        d.joint for d in explained[1] if any(c.mechanism == "transmission" for c in d.claims)
+    }
+    return divided(explained[2].improved) & claimed
+
+
+def _cost(test: Data, explained: Explained) -> tuple[int, float]:
+    """How much an explanation claims, and how far off it predicts."""
+    return sum(len(d.claims) for d in explained[1]), float(model_error(test, explained[2].improved))
+
+
+def explain(
+    parts: Parts,
+    given: Model,
+    beneath: Model,
+    jobs: int,
+    tell: Progress,
+    done: Mapping[int, tuple[JointSearch, Decision]] = MappingProxyType({}),
+) -> Explained:
+    """Search and decide every joint, and put the machine together; ``beneath`` is the given model,
+    with what is known of it by now, ``done`` the joints that are
+    searched already.
+    """
+    searches, decisions = _search(parts, given, beneath, jobs, tell, done)
+    tell("fitting the improved model")
+    whole = assemble(parts, beneath, decisions, jobs)
+    added = beneath.terms[len(given.terms) :]  # held, so they come out as they went in
+    known = tuple(t for t in whole.calibrated.terms if t not in added)
+    return searches, decisions, replace(whole, calibrated=whole.calibrated.with_terms(known))
+
+
+def with_bodies(parts: Parts, model: Model) -> Parts:
+    """The same recordings, with what inverse dynamics says of the joints' inertias once bodies are
+    known.
+    """
+    return replace(parts, fit=replace(parts.fit, ranges=inertia_ranges(parts.fit.records, model)))
+
+
+def _search(
+    parts: Parts,
+    given: Model,
+    beneath: Model,
+    jobs: int,
+    tell: Progress,
+    known: Mapping[int, tuple[JointSearch, Decision]],
+) -> tuple[list[JointSearch], list[Decision]]:
+    joints = [joint for joint in range(1, given.joints + 1) if joint not in known]
+    done = dict(known)
+    if jobs == 1 or len(joints) < 2:
+        done |= {joint: _search_joint(parts, beneath, joint, jobs, tell) for joint in joints}
+        return _in_order(done)
+    # joints are independent: a process each, which inherits the recordings and the effects that a
+    # user has added
+    context = multiprocessing.get_context("fork")
+    with ProcessPoolExecutor(min(jobs, len(joints)), context, _inherit, (parts, beneath)) as pool:
+        for joint, found in zip(joints, pool.map(_search_inherited, joints), strict=True):
+            tell(f"joint {joint} of {given.joints}: searched")
+            done[joint] = found
+    return _in_order(done)
+
+
+def _in_order(
+    done: Mapping[int, tuple[JointSearch, Decision]],
+) -> tuple[list[JointSearch], list[Decision]]:
+    pairs = [done[joint] for joint in sorted(done)]
+    return [s for s, _ in pairs], [d for _, d in pairs]
+
+
+def _search_joint(
+    parts: Parts, given: Model, joint: int, jobs: int, tell: Progress
+) -> tuple[JointSearch, Decision]:
+    tell(f"joint {joint}: calibrating the given model")
+    base = calibrate_joint(parts.fit, given, joint, jobs)
+    search = Searcher(parts.fit, joint, Acceptance(parts.choose), jobs, tell, given).search(base)
+    return search, decide(parts, given, search, jobs, tell)
+
+
+def decided_again(
+    parts: Parts, beneath: Model, first: JointSearch, jobs: int, tell: Progress
+) -> tuple[JointSearch, Decision]:
+    """What a search found, fitted upon a model that knows more by now, and decided again."""
+    tell(f"joint {first.joint}: what was found, upon what passes fast")
+    base = calibrate_joint(parts.fit, beneath, first.joint, jobs)
+    search = upon(first, base, jobs)
+    return search, decide(parts, beneath, search, jobs, tell)
+
+
+_inherited: list[tuple[Parts, Model]] = []  # filled in the processes of _search only
+
+
+def _inherit(parts: Parts, given: Model) -> None:
+    _inherited[:] = [(parts, given)]
+
+
+def _search_inherited(joint: int) -> tuple[JointSearch, Decision]:
+    parts, given = _inherited[0]
+    return _search_joint(parts, given, joint, 1, lambda _text: None)
