@@ -30,7 +30,7 @@ from zendsp.diagnosis.decide.pieces import (
     worth_choosing,
 )
 from zendsp.diagnosis.decide.thresholds import CLAIMED, LAWFUL, MACHINE, MOST, OF_STATE, RIVAL, SURE
-from zendsp.diagnosis.measure.bursts import FEW, bursts, everywhere, periodic
+from zendsp.diagnosis.measure.bursts import FEW, OFTEN, bursts, everywhere, periodic
 from zendsp.diagnosis.measure.discrepancy import Size, beyond, discrepancy
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
@@ -146,7 +146,8 @@ def _nothing_named(
     if somewhere > LAWFUL and state.share < MOST:
         # a push may lie where the held-out recording was cut, or in the recordings of the fit
         # alone: there what comes when the joint turns round may be its friction, however seldom
-        here = bursts(parts.held, base.model, joint, turning=turning) or bursts(
+        often = OFTEN if lacks > LAWFUL else 0.0
+        here = bursts(parts.held, base.model, joint, turning=turning, often=often) or bursts(
             parts.fit, base.model, joint, many=FEW, turning=turning, often=0.0
         )
         if here is None and somewhere > MACHINE:
