@@ -104,6 +104,16 @@ def test_a_push_is_a_disturbance_with_its_times(tmp_path: Path) -> None:
     assert rms.value <= peak.value and 0.0 < rms.std < 0.02
 
 
+@pytest.mark.parametrize("push", [0.01, 0.15])
+def test_a_push_in_the_recording_of_the_fit_alone_is_told_though_it_bends_the_calibration(
+    push: float, tmp_path: Path
+) -> None:
+    d = decided(tmp_path, reality.Machine(push=(push, 4.0, 6.0)), reality.Machine())
+    assert [f.effect for f in d.findings] == ["disturbance"]
+    spans = np.array(d.findings[0].numbers["intervals"])
+    assert spans == pytest.approx(np.array([[4.0, 6.0]]), abs=0.2)
+
+
 def test_one_mechanism_is_one_finding(tmp_path: Path) -> None:
     d = decided(tmp_path, reality.Machine(breakaway=0.05), None, KNOWN[0])
     assert [f.mechanism for f in d.findings] == ["dry_friction"]
@@ -173,7 +183,8 @@ def test_what_is_not_twice_what_a_machine_is_known_to_leave_may_be_a_part_of_it(
     monkeypatch.setattr(pieces, "known_discrepancy", lambda *_: Known(0.01, 0.01))
     parts = SimpleNamespace(test=SimpleNamespace(joints=1), each=())
     one = piece(size, 5.0, 20.0)
-    claimed, _ = pieces.held_apart(parts, None, SimpleNamespace(model=None), 1, [one])  # type: ignore[arg-type]
+    search, final = SimpleNamespace(joint=1), SimpleNamespace(model=None)
+    claimed, _ = pieces.held_apart(parts, None, search, final, [one])  # type: ignore[arg-type]
     assert claimed == ([one] if claims else [])
 
 
@@ -201,7 +212,7 @@ def test_what_only_refined_the_fit_is_held_in_the_model_file() -> None:
 def piece(size: float, z: float, log_e: float, effect: str = "ripple") -> Piece:
     term = Term(effect, 1, {})
     evidence = Evidence(gain=2 * log_e, z=z, blocks=np.zeros(1))
-    without = SimpleNamespace(model=None)
+    without = SimpleNamespace(model=None, deviance=100.0)
     return Piece(mechanism_of(effect), (term,), without, size, evidence, log_e)  # type: ignore[arg-type]
 
 
@@ -217,11 +228,15 @@ def test_two_ripples_that_the_travel_does_not_tell_apart_are_one_that_fades(
     assert laws._is_curve(found, 3.0) is curve
 
 
-@pytest.mark.parametrize(("turning", "claims"), [(0.8, False), (0.2, True)])
+@pytest.mark.parametrize(
+    ("turning", "softer", "claims"), [(0.8, 20.0, False), (0.8, 5.0, True), (0.2, 20.0, True)]
+)
 def test_what_acts_where_a_joint_turns_round_is_more_than_its_dry_friction_may_be_wrong_by(
-    monkeypatch: pytest.MonkeyPatch, turning: float, claims: bool
+    monkeypatch: pytest.MonkeyPatch, turning: float, softer: float, claims: bool
 ) -> None:
-    """A lag of 0.4 % beside dry friction of 20 %, whose law is good to 3 % of that."""
+    """A lag of 0.4 % beside dry friction of 20 %, whose law is good to 3 % of that, where bristles
+    gain a part of the hundred that the lag gains.
+    """
     monkeypatch.setattr(pieces, "discrepancy", lambda *_: Size(0.0025, 0.0, 0.01))
     monkeypatch.setattr(pieces, "structure", lambda *_: Structure(0.0, 0.0, 0.0))
     monkeypatch.setattr(pieces, "kept_laws", lambda *_: [])
@@ -232,7 +247,10 @@ def test_what_acts_where_a_joint_turns_round_is_more_than_its_dry_friction_may_b
     model = SimpleNamespace(terms=(friction,), at=lambda _: (friction,), with_terms=lambda _: None)
     parts = SimpleNamespace(test=SimpleNamespace(joints=1), each=())
     lag = piece(0.004, 5.0, 50.0, "lag")
-    claimed, rest = pieces.held_apart(parts, None, SimpleNamespace(model=model), 1, [lag])  # type: ignore[arg-type]
+    bristles = SimpleNamespace(effect="presliding", value=100.0 - softer)
+    search = SimpleNamespace(joint=1, base=SimpleNamespace(deviance=100.0), tried=[bristles])
+    final = SimpleNamespace(model=model, deviance=0.0)
+    claimed, rest = pieces.held_apart(parts, None, search, final, [lag])  # type: ignore[arg-type]
     assert (claimed, rest) == (([lag], []) if claims else ([], [lag]))
 
 
@@ -323,11 +341,11 @@ def test_only_what_untouched_recordings_bear_out_by_chance_too_rarely_is_claimed
         piece(0.005, 5.0, 20.0),
     )
     claimed, rest = pieces.held_apart(
-        parts,
-        None,
-        final,
-        1,
-        [sure, unlikely, uneven, small],  # type: ignore[arg-type]
+        parts,  # type: ignore[arg-type]
+        None,  # type: ignore[arg-type]
+        SimpleNamespace(joint=1),  # type: ignore[arg-type]
+        final,  # type: ignore[arg-type]
+        [sure, unlikely, uneven, small],
     )
     assert claimed == [sure] and rest == [unlikely, uneven, small]
 

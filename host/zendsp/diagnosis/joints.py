@@ -12,6 +12,7 @@ from types import MappingProxyType
 
 from zendsp.diagnosis.data.inertia import inertia_ranges
 from zendsp.diagnosis.data.signals import Parts
+from zendsp.diagnosis.decide.across import same_timing
 from zendsp.diagnosis.decide.assemble import Assembled, assemble
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.decide import decide
@@ -109,6 +110,7 @@ def explain(
     searched already.
     """
     searches, decisions = _search(parts, given, beneath, jobs, tell, done)
+    decisions = same_timing(parts, decisions, jobs)
     tell("fitting the improved model")
     whole = assemble(parts, beneath, decisions, jobs)
     added = beneath.terms[len(given.terms) :]  # held, so they come out as they went in

@@ -1,15 +1,22 @@
-"""Torques over position that several joints lack at once: one cause is likelier than a law each."""
+"""What several joints lack at once: one cause is likelier than a law each."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
 
+from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.laws import without_law
-from zendsp.physics.effects import get_effect
+from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
+from zendsp.diagnosis.measure.significance import counterpart
+from zendsp.diagnosis.measure.windows import rms, window_error
+from zendsp.physics.calibration.fit import joint_handles
+from zendsp.physics.calibration.terms import make_term
+from zendsp.physics.effects import get_effect, mechanism_of
 
 PLACE = "position_torque"
+ALIKE = 1.5  # ratio of the times of two joints, at most, that may be one
 
 
 def across_joints(decisions: Sequence[Decision]) -> list[Decision]:
@@ -49,3 +56,98 @@ def _may_be_one(claim: Claim) -> bool:
 
 def _section(claim: Claim, decision: Decision) -> Claim:
     return replace(without_law(claim, decision), mechanism=PLACE)
+
+
+def same_timing(parts: Parts, decisions: Sequence[Decision], jobs: int) -> list[Decision]:
+    """The decisions, with one law where several joints come late by as much.
+
+    A filter of all position columns, a current loop, a bus act on every joint alike; which of them
+    it is, each joint can hardly tell. All together decide.
+
+    Parameters
+    ----------
+    parts : Parts
+    decisions : sequence of Decision
+        One a joint.
+    jobs : int
+        Threads.
+
+    Returns
+    -------
+    list of Decision
+    """
+    late = {d.joint: c for d in decisions for c in d.claims if _is_late(c)}
+    times = [_time(c) for c in late.values()]
+    names = sorted({c.effect for c in late.values()})
+    if len(names) < 2 or max(times) > ALIKE * min(times):
+        return list(decisions)
+    tried = {
+        name: {
+            d.joint: _in_place(d, late[d.joint], name, jobs) for d in decisions if d.joint in late
+        }
+        for name in names
+    }
+    best = min(names, key=lambda name: sum(s.deviance for s in tried[name].values()))
+    others = tuple(name for name in names if name != best)
+    return [
+        _renamed(d, late[d.joint], best, others, tried[best][d.joint], parts)
+        if d.joint in late
+        else d
+        for d in decisions
+    ]
+
+
+def _is_late(claim: Claim) -> bool:
+    """Whether a claim is of a time by which the joint comes late, and nothing else."""
+    if claim.effect == "unknown":
+        return False
+    effect = get_effect(claim.effect)
+    return effect.family == "timing" and (effect.parameters[0].lower or 0.0) >= 0.0
+
+
+def _time(claim: Claim) -> float:
+    (quantity,) = claim.term.parameters.values()
+    return quantity.value
+
+
+def _in_place(decision: Decision, claim: Claim, name: str, jobs: int) -> Scored:
+    """The final model with another timing law in place of the claimed one, fitted again."""
+    final, joint = decision.final, decision.joint
+    old = counterpart(final.model.at(joint), claim.term)
+    if name == old.effect:
+        return final
+    effect = get_effect(name)
+    term = make_term(effect, joint, {effect.parameters[0].name: _time(claim)})
+    model = final.model.with_terms(tuple(term if t is old else t for t in final.model.terms))
+    handles = joint_handles(final.data, model, joint)
+    return fit_scored(final.data, model, handles, (joint,), jobs=jobs, rounds=2)
+
+
+def _renamed(
+    decision: Decision,
+    claim: Claim,
+    name: str,
+    others: tuple[str, ...],
+    scored: Scored,
+    parts: Parts,
+) -> Decision:
+    """The decision with one claim by the law of all joints, which cannot be told from the
+    ``others`` that some of them had; its own law, where untouched recordings are worse for the
+    change than without any.
+    """
+    joint = decision.joint
+    errors = [rms(window_error(parts.test, m, joint)) for m in (decision.base.model, scored.model)]
+    if errors[1] > errors[0]:
+        return decision
+    term = counterpart(scored.model.at(joint), replace(claim.term, effect=name))
+    same = tuple(dict.fromkeys((*claim.same, *others)))
+    one = replace(
+        claim,
+        effect=name,
+        mechanism=mechanism_of(name),
+        term=term,
+        laws={name: 1.0},
+        same=tuple(n for n in same if n != name),
+    )
+    claims = tuple(one if c is claim else c for c in decision.claims)
+    return replace(decision, claims=claims, final=scored, alone=scored)

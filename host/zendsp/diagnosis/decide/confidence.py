@@ -17,7 +17,7 @@ from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.thresholds import ALONE, NUMERIC, STATED
 from zendsp.diagnosis.measure.discrepancy import beyond
 from zendsp.diagnosis.measure.structure import STRUCTURED
-from zendsp.physics.effects import get_effect
+from zendsp.physics.effects import get_effect, mechanism_of
 
 NAMES = ("constant", "unknown", "left", "free", "small")
 WEIGHTS = (-0.52, 2.27, 2.40, -0.69, -2.02)
@@ -30,10 +30,28 @@ def stated(claim: Claim, decision: Decision) -> bool:
     evidence for its mechanism: a real pendulum's dry friction and drag, 0.7 and 0.3 % of its
     torque, stand beside 0.8 % that nobody explains.
     """
-    effect = get_effect(claim.effect)
-    left = _left(decision)
-    bends = claim.mechanism in STRUCTURED and effect.over != "time" and left > NUMERIC
-    return effect.common or confidence(claim, decision) > (STATED if bends else ALONE)
+    common = get_effect(claim.effect).common
+    return common or confidence(claim, decision) > _needed(claim.effect, decision)
+
+
+def _needed(name: str, decision: Decision) -> float:
+    """Probability above which an effect's law is named."""
+    bends = mechanism_of(name) in STRUCTURED and get_effect(name).over != "time"
+    return STATED if bends and _left(decision) > NUMERIC else ALONE
+
+
+def least_stated(name: str, decision: Decision) -> float:
+    """Size, as a part of the RMS torque, from which on an effect beside what this decision leaves
+    would be named, if nothing else lacked.
+    """
+    effect = get_effect(name)
+    if effect.common:
+        return 0.0
+    constant, _, left, free, _ = WEIGHTS
+    needed = _needed(name, decision)
+    others = min(max(sum(p.fitted for p in effect.parameters), 1), 3) - 1.0
+    decades = (math.log(needed / (1.0 - needed)) - constant - free * others) / left
+    return float(10.0 ** max(decades, 0.0) * max(_left(decision), FINE))
 
 
 def _left(decision: Decision) -> float:

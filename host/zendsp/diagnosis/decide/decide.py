@@ -30,14 +30,15 @@ from zendsp.diagnosis.decide.pieces import (
     worth_choosing,
 )
 from zendsp.diagnosis.decide.thresholds import CLAIMED, LAWFUL, MACHINE, MOST, OF_STATE, RIVAL, SURE
-from zendsp.diagnosis.measure.bursts import FEW, bursts, everywhere, periodic
+from zendsp.diagnosis.measure.bursts import FEW, OFTEN, bursts, everywhere, periodic
 from zendsp.diagnosis.measure.discrepancy import Size, beyond, discrepancy
 from zendsp.diagnosis.measure.evidence import Evidence
-from zendsp.diagnosis.measure.likelihood import Scored
+from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
 from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, Structure, structure
 from zendsp.diagnosis.measure.windows import rms, window_error
 from zendsp.diagnosis.search.forward import WAIT
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
+from zendsp.physics.calibration.fit import joint_handles
 from zendsp.physics.model import Model, Term
 
 Array = npt.NDArray[np.float64]
@@ -75,7 +76,7 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
             for key, terms in grouped(given, final.model, new).items()
         ]
         pieces.sort(key=lambda p: -p.size)
-        claimed, rest = held_apart(parts, given, final, joint, pieces)
+        claimed, rest = held_apart(parts, given, search, final, pieces)
         if claimed:
             decision = believed(
                 named(parts, given, search, final, claimed, rest, before, jobs, tell), parts, jobs
@@ -91,20 +92,25 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
                 if any(c.effect != "unknown" for c in decision.claims):
                     return decision
                 # which mechanism, if any, is for the lacking torque itself to say
-                plain = _nothing_named(parts, given, search, before, pieces)
+                plain = _nothing_named(parts, given, search, before, pieces, jobs)
                 most = decision.after.value**2 < (1.0 - MOST) * before.value**2
                 kind = kind_of(decision.claims[0].mechanism)
                 same = any(c.mechanism in kind for c in plain.claims)
                 stands = plain.kind == "complete" or (most and not plain.claims) or same
                 return decision if stands else plain
-    return _nothing_named(parts, given, search, before, pieces)
+    return _nothing_named(parts, given, search, before, pieces, jobs)
 
 
 # --- nothing is named
 
 
 def _nothing_named(
-    parts: Parts, given: Model, search: JointSearch, before: Size, pieces: Sequence[Piece]
+    parts: Parts,
+    given: Model,
+    search: JointSearch,
+    before: Size,
+    pieces: Sequence[Piece],
+    jobs: int,
 ) -> Decision:
     """Complete, a disturbance, a mechanism without a law, or unexplained: decided by the calibrated
     model's discrepancy alone. ``pieces`` are the mechanisms that were asked, for what is said of
@@ -134,14 +140,24 @@ def _nothing_named(
         lost=lost,
     )
     depends = of_state > OF_STATE and state.z > SURE
-    if lacks > LAWFUL and state.share < MOST:
+    # a push may not come in the part to test on
+    others = (discrepancy(part, base.model, joint).value for part in (parts.fit, parts.choose))
+    somewhere = beyond(max(before.value, *others), known.all)
+    if somewhere > LAWFUL and state.share < MOST:
         # a push may lie where the held-out recording was cut, or in the recordings of the fit
         # alone: there what comes when the joint turns round may be its friction, however seldom
-        here = bursts(parts.held, base.model, joint, turning=turning) or bursts(
+        often = OFTEN if lacks > LAWFUL else 0.0
+        here = bursts(parts.held, base.model, joint, turning=turning, often=often) or bursts(
             parts.fit, base.model, joint, many=FEW, turning=turning, often=0.0
         )
+        if here is None and somewhere > MACHINE:
+            other = _fitted_to_others(parts, base, joint, jobs)
+            after = discrepancy(parts.test, other.model, joint)
+            if beyond(after.value, known.all) < LAWFUL:
+                here = bursts(parts.fit, other.model, joint, many=FEW, turning=turning, often=0.0)
+                out = out if here is None else replace(out, final=other, after=after)
         if here is not None:
-            both = everywhere(here, (parts.fit, parts.held), base.model, joint)
+            both = everywhere(here, (parts.fit, parts.held), out.final.model, joint)
             return replace(out, kind="disturbance", bursts=both)
     if depends:
         claim = _without_law(parts, search, state, before, turning)
@@ -151,6 +167,13 @@ def _nothing_named(
     if depends or lawful or lacks > MACHINE:
         return replace(out, kind="unexplained")
     return out
+
+
+def _fitted_to_others(parts: Parts, base: Scored, joint: int, jobs: int) -> Scored:
+    """The model calibrated on the recordings to choose by: a push in those of the fit bends it."""
+    data = parts.choose.at_bandwidth(joint, base.data.bandwidth[joint - 1])
+    handles = joint_handles(data, base.model, joint)
+    return fit_scored(data, base.model, handles, (joint,), jobs=jobs, rounds=2)
 
 
 def _lawful(parts: Parts, base: Scored, joint: int, turning: bool) -> bool:

@@ -4,7 +4,8 @@ decision would have claimed.
 An effect of some size leaves its trace in the innovations of the model that was found; what the
 calibrated parameters can imitate is taken out of it. From the trace's energy in the recordings to
 test on follows the evidence that an effect of that size would have had there, and from its torque
-whether it would have stood out of the discrepancy: the smallest size that passes both is stated.
+whether it would have stood out of the discrepancy, and been named: the smallest size that passes
+all of these is stated.
 The decision itself is not run again for every size; ``zendsp prove --implant`` measures how well
 the figures hold.
 """
@@ -18,6 +19,7 @@ import numpy as np
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import LAWS_OF, Decision
+from zendsp.diagnosis.decide.confidence import least_stated
 from zendsp.diagnosis.decide.pieces import dependence, kept_laws, torque_of
 from zendsp.diagnosis.decide.result import Detectable
 from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES, FINEST, LAW_ERROR, LEFT_BY_A_LAW
@@ -82,7 +84,8 @@ def _joint(test: Data, given: Model, decision: Decision, jobs: int) -> list[Dete
         if any(key in given.mechanism for key in effect.same_as):
             continue
         beyond = min(math.hypot(after, error[mechanism_of(name)]), after / LEFT_BY_A_LAW)
-        size = _smallest(screen, name, variance, root, max(after, beyond), scale)
+        beyond = max(after, beyond, least_stated(name, decision))
+        size = _smallest(screen, name, variance, root, beyond, scale)
         if size is None:
             continue
         key = effect.linear[0] if effect.linear else effect.parameters[0].name

@@ -15,6 +15,7 @@ from zendsp.diagnosis.decide.findings import new_terms
 from zendsp.diagnosis.decide.thresholds import (
     A_PART,
     CLAIMED,
+    EXPLAINS,
     FALSE_DISCOVERIES,
     FINEST,
     HANGING,
@@ -157,7 +158,7 @@ def dependence(scored: Scored, test: Data, joint: int) -> float:
 
 
 def held_apart(
-    parts: Parts, given: Model, final: Scored, joint: int, pieces: Sequence[Piece]
+    parts: Parts, given: Model, search: JointSearch, final: Scored, pieces: Sequence[Piece]
 ) -> tuple[list[Piece], list[Piece]]:
     """Mechanisms that are claimed, and those that only refine the fit: pieces come in the order of
     their size.
@@ -165,6 +166,7 @@ def held_apart(
     What a mechanism gives must be more than what stays unexplained in its own variables, and more
     than the laws of the larger ones of its kind, found or given, may be wrong by.
     """
+    joint = search.joint
     needed = math.log(parts.test.joints * len(LAWS_OF) / FALSE_DISCOVERIES)
     after = discrepancy(parts.test, final.model, joint).value
     known = known_discrepancy(given, parts.test, joint)
@@ -180,7 +182,7 @@ def held_apart(
         larger = max((p.size for p in claimed), default=0.0)
         beside = kept_laws(given, final.model, joint, piece.mechanism)
         if piece.mechanism not in kind_of(DRY):
-            beside += _rubbing(parts, final, joint, piece)
+            beside += _rubbing(parts, search, final, piece)
         larger = max(larger, torque_of(parts.test, beside, final.model, joint))
         # an error of a larger law is not taken up whole by the law of something else, nor with time
         timed = all(get_effect(e).over == "time" for e in piece.effects)
@@ -193,12 +195,17 @@ def held_apart(
     return claimed, rest
 
 
-def _rubbing(parts: Parts, final: Scored, joint: int, piece: Piece) -> list[Term]:
+def _rubbing(parts: Parts, search: JointSearch, final: Scored, piece: Piece) -> list[Term]:
     """Dry friction beside a mechanism that acts where the joint turns round: what its law may be
-    wrong by (a simulator's softness, bristles) shows there too.
+    wrong by (a simulator's softness, bristles) shows there too. Not where the laws of dry friction
+    that were tried explain next to nothing of it.
     """
+    joint = search.joint
     dry = [t for t in final.model.at(joint) if mechanism_of(t.effect) == DRY]
     if not dry or at_reversals(parts.test, piece.without.model, final.model, joint) < MOST:
+        return []
+    laws = [search.base.deviance - r.value for r in search.tried if mechanism_of(r.effect) == DRY]
+    if laws and max(laws) < EXPLAINS * (piece.without.deviance - final.deviance):
         return []
     return dry
 

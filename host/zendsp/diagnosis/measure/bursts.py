@@ -34,7 +34,12 @@ AROUND = 20  # neighbours on either side, whose median says how large noise is t
 # Of the energy at reversals, and of the reversals: above both it is how the joint's friction turns
 # round. Soft friction came at 11 of 16 reversals and more, two pushes at 1 of 16 and 5 of 32.
 MOSTLY, OFTEN = 0.5, 0.3
-MANY, FEW = 12, 3  # intervals: in recordings that no model was fitted to, and in the others
+# Of the mean energy where the joint turns round, and of the time: a torque that has so much in so
+# much of its time elsewhere does not come from turning round.
+LASTING, ELSEWHERE = 0.25, 0.1
+# intervals among which its energy is spread: in recordings that no model was fitted to, and in the
+# others
+MANY, FEW = 12, 3
 
 
 @dataclass(frozen=True)
@@ -44,7 +49,7 @@ class Bursts:
 
     ``share`` is their part of its energy, ``peak`` the largest torque (N m or N), ``rms`` its RMS
     within them, ``beside`` what is lacking outside of them; ``least`` the squared torque above
-    which it acts.
+    which it acts; ``spread`` the number of intervals that would hold its energy evenly.
     """
 
     intervals: tuple[tuple[float, float], ...]
@@ -53,6 +58,7 @@ class Bursts:
     rms: float
     beside: float
     least: float
+    spread: float
 
 
 @dataclass(frozen=True)
@@ -141,13 +147,15 @@ def bursts(
     # of a random torque's energy, in its largest values for so long
     by_chance = 2.0 * (z * normal.pdf(z) + normal.cdf(-z))
     scattered = 1.0 - out.share > CONCENTRATED * (1.0 - by_chance)
-    return None if scattered or len(out.intervals) > many else out
+    return None if scattered or out.spread > many else out
 
 
 def _turns(data: Data, acting: _Acting, joint: int, band: float, often: float) -> bool:
-    """Whether what acts comes where the joint turns round, and not at a few of these places."""
+    """Whether what acts comes where the joint turns round alone, and not at a few of these
+    places.
+    """
     there = total = 0.0
-    met = count = 0
+    turning = moving = met = count = 0
     for high, lack, use, rec in zip(
         acting.masks, acting.lacks, acting.used, data.records, strict=True
     ):
@@ -156,9 +164,15 @@ def _turns(data: Data, acting: _Acting, joint: int, band: float, often: float) -
         energy = lack**2 * high
         there += float(energy[turns].sum())
         total += float(energy.sum())
+        turning += int((high & turns).sum())
+        moving += int((high & ~turns).sum())
         change = np.flatnonzero(np.diff(np.r_[0, turns.astype(int), 0]))
         count += len(change) // 2
         met += sum(bool(high[a:b].any()) for a, b in zip(change[::2], change[1::2], strict=True))
+    if moving > ELSEWHERE * (turning + moving) and (
+        (total - there) * turning > LASTING * there * moving
+    ):
+        return False
     return there > MOSTLY * total and met > often * count
 
 
@@ -206,17 +220,19 @@ def _summed(parts: Sequence[tuple[Data, _Acting]], joint: int) -> Bursts:
     inside: list[Array] = []
     outside: list[Array] = []
     energy = [0.0, 0.0]
+    each: list[float] = []
     for data, acting in parts:
         for high, lack, smooth, use, rec in zip(
             acting.masks, acting.lacks, acting.smooth, acting.used, data.records, strict=True
         ):
             step, start = rec[joint - 1].sample_time, rec[joint - 1].t0
             change = np.flatnonzero(np.diff(np.r_[0, high.astype(int), 0]))
-            ends = zip(change[::2].tolist(), change[1::2].tolist(), strict=True)
+            ends = list(zip(change[::2].tolist(), change[1::2].tolist(), strict=True))
             spans += [
                 (start + (use.start + a) * step, start + (use.start + b - 1) * step)
                 for a, b in ends
             ]
+            each += [float(np.sum(lack[a:b] ** 2)) for a, b in ends]
             inside.append(smooth[high])
             outside.append(smooth[~high])
             energy[0] += float(np.sum(lack[high] ** 2))
@@ -232,6 +248,7 @@ def _summed(parts: Sequence[tuple[Data, _Acting]], joint: int) -> Bursts:
         float(np.sqrt(np.sum(within**2) / max(len(within), 1))),
         float(np.sqrt(np.sum(beside**2) / max(len(beside), 1))),
         max(acting.least for _, acting in parts),
+        sum(each) ** 2 / max(sum(e * e for e in each), 1e-300),
     )
 
 

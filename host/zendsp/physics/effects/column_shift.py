@@ -12,7 +12,7 @@ import numpy as np
 from zendsp.physics.effects.axes import late
 from zendsp.physics.effects.base import Along, Array, Effect, Facts, Numbers, Parameter
 
-ROW = 0.25  # of a row: a machine that is integrated in steps is off by a part of a step
+ROW = 0.5  # of a row: integrators of first order are half of a step off
 
 
 def _early(along: Along, p: Numbers) -> Array:

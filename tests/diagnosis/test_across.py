@@ -1,0 +1,74 @@
+"""What several joints lack at once has one cause."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from zendsp.diagnosis.decide import across
+from zendsp.diagnosis.decide.claims import Claim, Decision
+from zendsp.diagnosis.measure.discrepancy import Size
+from zendsp.diagnosis.measure.evidence import Evidence
+from zendsp.diagnosis.measure.structure import Structure
+from zendsp.physics.calibration.terms import make_term
+from zendsp.physics.effects import get_effect, mechanism_of
+
+
+def lacking(joint: int, name: str, **values: float) -> Decision:
+    term = make_term(get_effect(name), joint, values)
+    evidence = Evidence(100.0, 5.0, np.zeros(1))
+    claim = Claim(name, mechanism_of(name), term, 0.1, evidence, 50.0, {name: 1.0}, (), (), ())
+    size = Size(0.001, 0.0, 0.002)
+    model = fitted(term)
+    state = Structure(0.0, 0.0, 0.0)
+    return Decision(
+        joint, "missing", (claim,), (), model, model, size, size, state, size, model, 1.0
+    )  # type: ignore[arg-type]
+
+
+def fitted(term: object, deviance: float = 0.0) -> SimpleNamespace:
+    return SimpleNamespace(model=SimpleNamespace(at=lambda _: (term,)), deviance=deviance)
+
+
+def named(decisions: list[Decision]) -> list[list[tuple[str, str, tuple[str, ...]]]]:
+    return [[(c.effect, c.mechanism, c.same) for c in d.claims] for d in decisions]
+
+
+def test_torques_of_position_at_two_joints_have_no_law_each() -> None:
+    pulled = [lacking(1, "stiffness", coefficient=2.0), lacking(2, "stiffness", coefficient=1.0)]
+    assert named(across.across_joints(pulled)) == [[("unknown", "position_torque", ())]] * 2
+    other = [pulled[0], lacking(2, "coulomb", level=1.0)]
+    assert across.across_joints(other) == other
+
+
+@pytest.mark.parametrize(("of_filter", "law"), [(10.0, "position_filter"), (30.0, "lag")])
+def test_joints_that_come_late_by_as_much_do_so_by_one_law(
+    of_filter: float, law: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    late = [
+        lacking(1, "lag", time_constant=0.0040),
+        lacking(2, "position_filter", time_constant=0.0035),
+        lacking(3, "coulomb", level=1.0),
+    ]
+
+    def in_place(decision: Decision, _: Claim, name: str, __: int) -> SimpleNamespace:
+        term = make_term(get_effect(name), decision.joint, {"time_constant": 0.0038})
+        return fitted(term, of_filter if name == "position_filter" else 20.0)
+
+    monkeypatch.setattr(across, "_in_place", in_place)
+    monkeypatch.setattr(across, "window_error", lambda *_: np.ones(3))
+    parts = SimpleNamespace(test=None)
+    (other,) = {"lag", "position_filter"} - {law}
+    one = [(law, mechanism_of(law), (other,))]
+    found = across.same_timing(parts, late, 1)  # type: ignore[arg-type]
+    assert named(found) == [one, one, [("coulomb", "dry_friction", ())]]
+
+
+def test_joints_that_come_late_by_unlike_times_keep_their_laws() -> None:
+    late = [
+        lacking(1, "lag", time_constant=0.010),
+        lacking(2, "position_filter", time_constant=0.0035),
+    ]
+    assert across.same_timing(SimpleNamespace(), late, 1) == late  # type: ignore[arg-type]
