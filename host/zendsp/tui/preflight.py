@@ -133,7 +133,9 @@ def preflight(
             f"the program has no {', '.join(missing)}: choose again (a)",
         )
     )
-    found.append(Condition("no run in progress", not busy, "abort it with b"))
+    found.append(
+        Condition("a run is in progress" if busy else "no run in progress", not busy, "b aborts it")
+    )
     trial.look(None if busy or s.state == "running" else plan, port)
     return found
 
