@@ -21,6 +21,7 @@ from zendsp.tui.dialogs import Field, Form, Message, not_empty
 from zendsp.tui.runs import RESPONSE, Run, compare, discard_run, list_runs, rename_run
 from zendsp.tui.scope import Channel, History, Scope
 from zendsp.tui.screens.analysis import AnalysisActions
+from zendsp_protocol.texts import counted
 
 MOST_OVERLAID = 4
 NAME = 20  # characters of a run's name in the list
@@ -73,7 +74,7 @@ class RunActions(AnalysisActions):
             )
             if run.folder == at:
                 table.move_cursor(row=table.row_count - 1)
-        table.border_subtitle = f"{len(self.runs)} runs"
+        table.border_subtitle = counted(len(self.runs), "run")
 
     def this_run(self) -> Run | None:
         """Return the run under the cursor."""
