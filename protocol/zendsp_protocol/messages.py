@@ -12,6 +12,7 @@ from typing import Any
 import msgspec
 
 from zendsp_protocol.states import DriveState, ProgramState, RecorderState
+from zendsp_protocol.texts import counted
 from zendsp_protocol.values import WireValue
 from zendsp_protocol.views import html_table
 
@@ -154,7 +155,7 @@ class Status(Message, frozen=True):
         t = self.timing
         when = f"sample {self.tick} ({self.t:.3f} s at {self.rate_hz:g} Hz)"
         rows = [
-            ("machine", f"{self.machine}, {self.joints} joints, {self.clock} clock"),
+            ("machine", f"{self.machine}, {counted(self.joints, 'joint')}, {self.clock} clock"),
             ("program", f"{self.state}, {when}"),
             ("drives", f"{self.drive}, {self.drive_mode}"),
             ("time in ISR", f"{t.exec_mean_ns / 1e3:.1f} µs, at most {t.exec_max_ns / 1e3:.1f}"),

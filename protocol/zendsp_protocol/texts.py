@@ -36,6 +36,17 @@ def _written(found: re.Match[str]) -> str:
     return found[0].encode("unicode_escape").decode()
 
 
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun, in the singular where it is one.
+
+    Examples
+    --------
+    >>> counted(1, "joint"), counted(7, "joint")
+    ('1 joint', '7 joints')
+    """
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
 def suspicious(data: bytes) -> bool:
     """Whether encoded text could hold what a terminal obeys: escapes, or what overwrites a line."""
     return any(sign in data for sign in _SIGNS)

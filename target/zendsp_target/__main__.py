@@ -18,8 +18,9 @@ import logging
 import os
 import resource
 import sys
+import threading
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NoReturn
 
 from zendsp_isr.parts import machine_title
@@ -32,6 +33,7 @@ AS_ROOT = (
     "zendsp target: runs as root, so whoever may download a program to it runs code as root; "
     "an ordinary user is enough (docs/security.md)"
 )
+PATIENCE_S = 1.0  # of silence, after which it is said what takes so long
 LEAST_MEMORY = 512 << 20  # bytes of addresses; a target has some 1400 MB of them
 NO_ROOM = (
     "zendsp target: the system gives this process no more memory or threads ({error}): allow more,"
@@ -185,6 +187,18 @@ def _need_memory() -> None:
         raise MemoryError(f"{most >> 20} MB of addresses, it needs {LEAST_MEMORY >> 20} MB")
 
 
+@contextlib.contextmanager
+def _patience(text: str) -> Iterator[None]:
+    """Say what takes so long, where something does."""
+    told = threading.Timer(PATIENCE_S, print, (text,), {"file": sys.stderr, "flush": True})
+    told.daemon = True
+    told.start()
+    try:
+        yield
+    finally:
+        told.cancel()
+
+
 def _serve(args: argparse.Namespace, listen: Sequence[str], security: Security) -> int:
     _need_memory()
     from zendsp_target.monitor import Monitor, Options
@@ -197,22 +211,25 @@ def _serve(args: argparse.Namespace, listen: Sequence[str], security: Security) 
     need_files()
     name = args.name or machine_title(args.machine)
     ideal = ["ideal=1"] if args.ideal else []
-    runtime = Runtime(
-        machine=args.machine,
-        rate_hz=args.rate,
-        clock=args.clock,
-        machine_config={
-            key: value
-            for key, _, value in (text.partition("=") for text in [*ideal, *args.machine_option])
-        },
-        concealed=args.concealed,
-        realtime=not args.no_realtime,
-        priority=args.priority,
-        cpu=args.cpu,
-        spin_us=args.spin,
-        speed=args.speed,
-        memory_mb=args.memory,
-    )
+    with _patience(f"zendsp target: {args.machine} is being compiled and read …"):
+        runtime = Runtime(
+            machine=args.machine,
+            rate_hz=args.rate,
+            clock=args.clock,
+            machine_config={
+                key: value
+                for key, _, value in (
+                    text.partition("=") for text in [*ideal, *args.machine_option]
+                )
+            },
+            concealed=args.concealed,
+            realtime=not args.no_realtime,
+            priority=args.priority,
+            cpu=args.cpu,
+            spin_us=args.spin,
+            speed=args.speed,
+            memory_mb=args.memory,
+        )
     try:
         monitor = Monitor(
             runtime,

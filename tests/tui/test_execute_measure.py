@@ -138,6 +138,11 @@ async def test_a_sweep_shows_a_table_and_a_row_writes_its_values(
         table.move_cursor(row=0)
         await pilot.press("enter")
         await until(pilot, lambda: target["Kp1"] == 500.0, "the row's values are written")
+        assert await pilot.click(table, offset=(6, 2))
+        await until(pilot, lambda: table.cursor_row == 1, "a click marks")
+        assert target["Kp1"] == 500.0, "and writes nothing yet"
+        assert await pilot.click(table, offset=(6, 2))
+        await until(pilot, lambda: target["Kp1"] == 2000.0, "a click on the marked row writes")
 
 
 async def test_a_measurement_can_be_aborted(

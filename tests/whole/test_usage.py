@@ -32,7 +32,8 @@ def said(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str]:
         (["set", "Kp1=abc"], "'abc' is not a value; write 3"),
         (["set", "Kp1=1", "Kp1=2"], "'Kp1=2': Kp1 has a value already"),
         (["model", "new"], "missing argument 'RECORDING'; 'zendsp model new --help' says more"),
-        (["diagnose", "a.csv"], "missing option '--model'; 'zendsp diagnose --help' says more"),
+        (["diagnose"], "which recording? For example: zendsp diagnose run.mat --model arm.toml"),
+        (["diagnose", "a.csv"], "tx40.toml, wam7.toml); 'zendsp model new a.csv' begins one"),
         (
             ["diagnose", "a.csv", "--modle", "m.toml"],
             "no such option '--modle'; did you mean '--model'? 'zendsp diagnose --help'",

@@ -22,6 +22,7 @@ except ModuleNotFoundError:
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
+from zendsp.cli.lines import fitted
 from zendsp.errors import ZendspError, did_you_mean
 from zendsp_protocol.texts import shown
 
@@ -169,7 +170,7 @@ def say(error: Exception) -> None:
         words = f"too little memory ({why}); 'ulimit -v' and 'free' show it"
     else:
         words = str(error)
-    click.echo(f"zendsp: {shown(words)}", err=True)
+    click.echo(fitted(f"zendsp: {shown(words)}", sys.stderr), err=True)
 
 
 def _wrong_use(error: click.ClickException) -> str:

@@ -15,6 +15,7 @@ import click
 import msgspec
 
 from zendsp.cli import completing
+from zendsp.cli.lines import fitted
 from zendsp_protocol.texts import shown
 from zendsp_protocol.values import Assignable, Packed, from_wire
 
@@ -69,7 +70,7 @@ def open_target(name: str, endpoint: str | None) -> Iterator[Target]:
                 # it went away at this moment: the command itself is told so
                 with suppress(ZendspError):
                     if said := trouble(target.status()):
-                        click.echo(f"zendsp: {target.name}: {said}", err=True)
+                        click.echo(fitted(f"zendsp: {target.name}: {said}", sys.stderr), err=True)
 
 
 def _held(name: str, endpoint: str | None) -> Target | None:
@@ -86,7 +87,7 @@ def emit(value: Any, as_json: bool, text: Callable[[], str] | str = "") -> None:
     else:
         words = text() if callable(text) else text
         if words:
-            click.echo(shown(words))
+            click.echo(fitted(shown(words), sys.stdout))
 
 
 def plain(value: Any) -> Any:

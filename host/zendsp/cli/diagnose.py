@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from zendsp.cli.lines import fitted
 from zendsp_protocol.texts import shown
 
 if TYPE_CHECKING:
@@ -19,8 +21,13 @@ FILE = click.Path(path_type=Path)
 
 
 @click.command("diagnose")
-@click.argument("train", nargs=-1, required=True, type=FILE)
-@click.option("--model", "model_path", required=True, type=FILE, help="Given model (TOML).")
+@click.argument("train", nargs=-1, metavar="RECORDING...", type=FILE)
+@click.option(
+    "--model",
+    "model_path",
+    type=FILE,
+    help="Given model (TOML), required; 'zendsp model new' begins one.",
+)
 @click.option(
     "--heldout",
     multiple=True,
@@ -70,7 +77,7 @@ FILE = click.Path(path_type=Path)
 )
 def command(
     train: tuple[Path, ...],
-    model_path: Path,
+    model_path: Path | None,
     heldout: tuple[Path, ...],
     out: Path | None,
     no_figures: bool,
@@ -90,6 +97,18 @@ def command(
 
     Example:  zendsp diagnose run1.csv run2.csv --model bench.toml --heldout test.csv --out report
     """
+    if not train:
+        raise click.UsageError(
+            "which recording? For example: zendsp diagnose run.mat --model arm.toml"
+        )
+    if model_path is None:
+        from zendsp.physics.files.shipped import model_folder
+
+        shipped = ", ".join(sorted(path.name for path in model_folder().glob("*.toml")))
+        raise click.UsageError(
+            f"which model? --model FILE names one of yours, or one that comes with zendsp"
+            f" ({shipped}); 'zendsp model new {train[0]}' begins one"
+        )
     if scheduler is not None and not each:
         raise click.UsageError(
             "--scheduler spreads recordings over a cluster, each diagnosed on its own: give --each"
@@ -128,11 +147,15 @@ def _writable(out: Path) -> None:
     """Say before the work, not after it, that its result could not be written."""
     from zendsp.errors import ZendspError
 
+    missing = [folder for folder in (out, *out.parents) if not folder.exists()]
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ZendspError(f"--out {out}: cannot be made a folder: {error.strerror}") from None
-    if not os.access(out, os.W_OK):
+    writable = os.access(out, os.W_OK)
+    for folder in missing:  # a diagnosis that is interrupted leaves none
+        folder.rmdir()
+    if not writable:
         raise ZendspError(f"--out {out}: is not writable")
 
 
@@ -176,7 +199,7 @@ def _together(asked: _Asked, run_on: str | None) -> None:
     else:
         from zendsp.diagnosis.report.summary import summary
 
-        click.echo(shown(summary(result)))
+        click.echo(fitted(shown(summary(result)), sys.stdout))
         if out is not None:
             page = "report.html" if asked.pictures else "report.json"
             click.echo(f"\nreport: {written / page}")

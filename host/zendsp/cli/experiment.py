@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from zendsp.cli.common import wrapped
+from zendsp_protocol.texts import counted
 
 if TYPE_CHECKING:
     from zendsp.experiment import Result
@@ -142,5 +143,6 @@ def _print(result: Result, folder: Path, as_json: bool) -> None:
     for text in result.warnings:
         click.echo(wrapped(text, "  warning: "))
     click.echo(
-        f"  {folder / 'result.toml'}, {folder / result.figure}, {len(result.recordings)} recordings"
+        f"  {folder / 'result.toml'}, {folder / result.figure},"
+        f" {counted(len(result.recordings), 'recording')}"
     )

@@ -7,6 +7,7 @@ import click
 from zendsp.cli.common import emit, open_target, target_options
 from zendsp.cli.compile import compiled
 from zendsp.cli.completing import programs
+from zendsp_protocol.texts import counted
 
 
 @click.command("load")
@@ -31,5 +32,6 @@ def command(
         emit(
             status,
             as_json,
-            f"{status.state}: {count} variables; 'zendsp info' lists them, 'zendsp run' starts it",
+            f"{status.state}: {counted(count, 'variable')}; 'zendsp info' lists them, 'zendsp"
+            " run' starts it",
         )

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from zendsp.cli.common import emit, open_target, show, table, target_options
+from zendsp_protocol.texts import counted
 
 
 @click.group("params")
@@ -50,7 +51,7 @@ def save(file: Path, note: str, target: str, connect: str | None, as_json: bool)
         emit(
             {"file": str(file), "count": len(found.values)},
             as_json,
-            f"{len(found.values)} parameters saved to {file}",
+            f"{counted(len(found.values), 'parameter')} saved to {file}",
         )
 
 

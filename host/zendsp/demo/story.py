@@ -32,6 +32,7 @@ from zendsp.link.concealed import Truth
 from zendsp.physics.files.model_write import model_text
 from zendsp.recording import Recording
 from zendsp.reference import Reference
+from zendsp_protocol.texts import counted
 
 
 @dataclass(frozen=True)
@@ -247,7 +248,8 @@ def _compensate(machine: Machine, told: Told, out: Path, narrator: Narrator) -> 
     tick = max(change.tick for change in told.work.log)
     told.tracking = compare_tracking(told.work, tick, begin + 1.0, end - 0.5)
     narrator.say(
-        f"one synchronous update of {len(update.values)} parameters at sample {tick}, while the"
+        f"one synchronous update of {counted(len(update.values), 'parameter')} at sample {tick},"
+        " while the"
         " machine moved"
     )
     if borne:  # dry friction holds a joint that is pulled little, and its error with it

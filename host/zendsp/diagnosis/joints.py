@@ -5,10 +5,11 @@ machine put together of them.
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Callable, Mapping
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Collection, Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import replace
 from types import MappingProxyType
+from typing import Any
 
 from zendsp.diagnosis.data.inertia import inertia_ranges
 from zendsp.diagnosis.data.signals import Parts
@@ -27,6 +28,7 @@ from zendsp.physics.calibration.fit import Data
 from zendsp.physics.model import Model
 
 Progress = Callable[[str], None]
+LOOK_S = 0.5  # between looks at what the processes of the joints are doing
 Explained = tuple[list[JointSearch], list[Decision], Assembled]
 
 
@@ -141,10 +143,16 @@ def _search(
     # joints are independent: a process each, which inherits the recordings and the effects that a
     # user has added
     context = multiprocessing.get_context("fork")
-    with ProcessPoolExecutor(min(jobs, len(joints)), context, _inherit, (parts, beneath)) as pool:
-        for joint, found in zip(joints, pool.map(_search_inherited, joints), strict=True):
-            tell(f"joint {joint} of {given.joints}: searched")
-            done[joint] = found
+    stages = context.SimpleQueue()
+    inherited = (parts, beneath, stages.put)
+    with ProcessPoolExecutor(min(jobs, len(joints)), context, _inherit, inherited) as pool:
+        searches = {joint: pool.submit(_search_inherited, joint) for joint in joints}
+        waiting: Collection[Future[Any]] = searches.values()
+        while waiting:
+            _, waiting = wait(waiting, LOOK_S, FIRST_COMPLETED)
+            while not stages.empty():
+                tell(stages.get())
+        done |= {joint: search.result() for joint, search in searches.items()}
     return _in_order(done)
 
 
@@ -174,13 +182,14 @@ def decided_again(
     return search, decide(parts, beneath, search, jobs, tell)
 
 
-_inherited: list[tuple[Parts, Model]] = []  # filled in the processes of _search only
+# filled in the processes of _search only
+_inherited: list[tuple[Parts, Model, Progress]] = []
 
 
-def _inherit(parts: Parts, given: Model) -> None:
-    _inherited[:] = [(parts, given)]
+def _inherit(parts: Parts, given: Model, tell: Progress) -> None:
+    _inherited[:] = [(parts, given, tell)]
 
 
 def _search_inherited(joint: int) -> tuple[JointSearch, Decision]:
-    parts, given = _inherited[0]
-    return _search_joint(parts, given, joint, 1, lambda _text: None)
+    parts, given, tell = _inherited[0]
+    return _search_joint(parts, given, joint, 1, tell)

@@ -14,6 +14,7 @@ from zendsp.physics.effects import Effect, get_effect
 from zendsp.physics.model import Model, Quantity
 from zendsp.reference import load_machine
 from zendsp.reference.machine import MACHINES
+from zendsp_protocol.texts import counted
 
 FRICTION = ("dry_friction", "fluid_friction")  # mechanisms
 
@@ -63,7 +64,8 @@ def _require_joints(machine: str, model: Model, path: str | Path) -> None:
     joints = load_machine(machine).joints
     if joints != model.joints:
         raise ModelError(
-            f"{path} has {model.joints} joints and {machine}, which was measured, {joints}: give a"
+            f"{path} has {counted(model.joints, 'joint')} and {machine}, which was measured,"
+            f" {joints}: give a"
             " model of that machine"
         )
 

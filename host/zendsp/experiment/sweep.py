@@ -15,6 +15,7 @@ from zendsp.errors import AcquisitionError, VariableError, ZendspError
 from zendsp.experiment.table_file import write_rows
 from zendsp.link import Target
 from zendsp.recording import Recording
+from zendsp_protocol.texts import counted
 from zendsp_protocol.values import Assignable
 from zendsp_protocol.views import html_table, sentence
 
@@ -99,10 +100,10 @@ class Sweep:
         try:
             best = self.best()
         except AcquisitionError as error:
-            return f"<Sweep of {len(self.rows)} runs: {error}>"
+            return f"<Sweep of {counted(len(self.rows), 'run')}: {error}>"
         at = ", ".join(f"{n} = {_short(best[n])}" for n in self.parameters)
         return (
-            f"<Sweep of {len(self.rows)} runs: {self.results[0]} is least,"
+            f"<Sweep of {counted(len(self.rows), 'run')}: {self.results[0]} is least,"
             f" {_short(best[self.results[0]])}, at {at}>"
         )
 

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from zendsp.errors import RecordingError
 from zendsp.recording.names import FloatArray, element_names, listing, pick
+from zendsp_protocol.texts import counted
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,8 @@ class Samples:
         width = sum(channel.width for channel in self.channels)
         if self.data.ndim != 2 or self.data.shape != (len(self.t), width):
             raise RecordingError(
-                f"a recording of {len(self.t)} rows and {width} columns was given data of shape"
+                f"a recording of {counted(len(self.t), 'row')} and {counted(width, 'column')} was"
+                " given data of shape"
                 f" {self.data.shape}"
             )
         names = [channel.name for channel in self.channels]

@@ -21,6 +21,7 @@ from zendsp.reference.dynamics import Dynamics, make_dynamics
 from zendsp.reference.limits import Limits, Violation, find_violations, raise_violations
 from zendsp.spelling import unknown_keys
 from zendsp_protocol import toml
+from zendsp_protocol.texts import counted
 from zendsp_protocol.views import html_table, sentence
 
 MACHINES = ("imi_planar", "pendulum", "wam7")
@@ -75,7 +76,7 @@ class Machine:
     unit: str = "rad"
 
     def __repr__(self) -> str:
-        return f"<Machine {self.name}: {self.title}, {self.joints} joints>"
+        return f"<Machine {self.name}: {self.title}, {counted(self.joints, 'joint')}>"
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the limits of each joint."""

@@ -18,6 +18,7 @@ import numpy.typing as npt
 from zendsp.errors import ReferenceError_
 from zendsp.reference import Machine, Reference
 from zendsp.tui.snapshot import Snapshot, Variable
+from zendsp_protocol.texts import counted
 from zendsp_protocol.values import Assignable
 
 Floats = npt.NDArray[np.float64]
@@ -174,7 +175,8 @@ def make_playlist(
     for k, reference in enumerate(references):
         if reference.joints != player.columns:
             raise ReferenceError_(
-                f"the reference has {reference.joints} joints, the program's table {player.columns}"
+                f"the reference has {counted(reference.joints, 'joint')}, the program's table"
+                f" {player.columns}"
                 " columns"
             )
         if reference.mode == "torque" and not player.torque_table:

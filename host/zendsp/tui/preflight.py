@@ -22,6 +22,7 @@ from zendsp.tui.playing import Setup, find_player, present_position
 from zendsp.tui.port import Port
 from zendsp.tui.snapshot import Snapshot
 from zendsp.tui.trial import Plan, Trial, make_plan
+from zendsp_protocol.texts import counted
 
 
 @dataclass(frozen=True)
@@ -133,7 +134,9 @@ def preflight(
             f"the program has no {', '.join(missing)}: choose again (a)",
         )
     )
-    found.append(Condition("no run in progress", not busy, "abort it with b"))
+    found.append(
+        Condition("a run is in progress" if busy else "no run in progress", not busy, "b aborts it")
+    )
     trial.look(None if busy or s.state == "running" else plan, port)
     return found
 
@@ -157,7 +160,8 @@ def _fits(references: Sequence[Reference], machine: Machine) -> Condition:
             return Condition(
                 "within the limits",
                 False,
-                f"planned for {reference.joints} joints, the machine has {machine.joints}",
+                f"planned for {counted(reference.joints, 'joint')}, the machine has"
+                f" {machine.joints}",
             )
         broken = machine.find_violations(reference)
         if broken:

@@ -244,7 +244,11 @@ class StatusBar(Widget):
         if s.link in ("none", "connecting"):
             return line.append("Reference and Diagnose work without a target", Style(dim=True))
 
+        width = self._line2.size.width
+
         def item(name: str, value: str, alarm: bool = False) -> None:
+            if 0 < width < line.cell_len + len(f"{name} {value}"):
+                return  # a number that is cut would be another number
             line.append(f"{name} ", Style(dim=True))
             line.append(f"{value}  ", bad if alarm else Style())
 

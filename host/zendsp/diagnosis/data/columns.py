@@ -12,6 +12,7 @@ import numpy.typing as npt
 from zendsp.errors import RecordingError
 from zendsp.recording import Recording, Table, read_table
 from zendsp.recording.units import to_si
+from zendsp_protocol.texts import counted
 
 Array = npt.NDArray[np.float64]
 Getter = Callable[[str], Array]  # from a column's name to its numbers in SI
@@ -132,6 +133,7 @@ def matrix(name: str, label: str, get: Getter, spec: Any, joints: int) -> Array:
         values = values[:, None] if values.ndim == 1 else values
     if values.shape[1] != joints:
         raise RecordingError(
-            f"{name}: {label} {spec!r} has {values.shape[1]} columns; the model has {joints} joints"
+            f"{name}: {label} {spec!r} has {counted(values.shape[1], 'column')}; the model has"
+            f" {counted(joints, 'joint')}"
         )
     return values

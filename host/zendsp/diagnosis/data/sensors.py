@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from zendsp.errors import RecordingError
 from zendsp.physics.kernel.smooth import moving_mean
+from zendsp_protocol.texts import counted
 
 Array = npt.NDArray[np.float64]
 
@@ -44,7 +45,8 @@ def read_sensed(name: str, role: str, get: Callable[[str], Any], spec: Any, shap
     if values.shape != (n, joints):
         got = values.shape if same else tuple(len(part) for part in parts)
         raise RecordingError(
-            f"{name}: {role} {spec!r} has shape {got}; expected {n} rows and {joints} columns, one"
+            f"{name}: {role} {spec!r} has shape {got}; expected {counted(n, 'row')} and"
+            f" {counted(joints, 'column')}, one"
             ' a joint ("" for a joint without)'
         )
     for j in range(joints):

@@ -20,7 +20,7 @@ def split(signals: Sequence[Signals]) -> tuple[list[Signals], list[Signals], lis
     -------
     train, test, notes
     """
-    train, test, notes = [], [], []
+    train, test, cuts = [], [], []
     for s in signals:
         n = len(s.time)
         cut = int(
@@ -30,14 +30,12 @@ def split(signals: Sequence[Signals]) -> tuple[list[Signals], list[Signals], lis
                 n - min(MIN_SAMPLES, n // 3),
             )
         )
-        from_time = f"{s.time[cut] - s.time[0]:.3g} s"
-        notes.append(
-            f"{s.name}: no other recording given to judge on; held out from {from_time} on, the"
-            " last third of its motion"
-        )
+        cuts.append(f"{s.name} from {s.time[cut] - s.time[0]:.3g} s on")
         train.append(s.part(0, cut, f"{s.name} (first part)"))
         test.append(s.part(cut, len(s.time), f"{s.name} (last part)"))
-    return train, test, notes
+    each = "its motion" if len(cuts) == 1 else "the motion of each"
+    note = f"no recording was given to judge on; held out: {', '.join(cuts)}, the last third of"
+    return train, test, [f"{note} {each}"]
 
 
 def halves(held: Sequence[Signals]) -> tuple[list[Signals], list[Signals], list[str]]:

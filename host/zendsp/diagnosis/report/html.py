@@ -92,9 +92,10 @@ def _untouched(d: Diagnosis) -> str:
         )
     times = t.calibrated / t.improved if t.improved > 0 else float("inf")
     smaller = f"{times:.0f}" if times >= 10.0 else f"{times:.2g}"
+    told = f" ({smaller} times smaller)" if times >= 1.05 else ""
     return (
         f"<p><b>Untouched recordings:</b> RMS position error {t.calibrated:.3g} → {t.improved:.3g}"
-        f" {d.unit} ({smaller} times smaller); the sensor alone {d.noise_floor:.2g} {d.unit}.</p>"
+        f" {d.unit}{told}; the sensor alone {d.noise_floor:.2g} {d.unit}.</p>"
     )
 
 

@@ -105,9 +105,11 @@ def find_bodies(
     while len(found) < limits.bodies:
         tell("bodies: a payload, a wrong link, a tilted base, and what looks like them")
         layout = Layout(model, links)
-        tried, aside = _round(
-            Sums(fit, model, limits, jobs), Sums(choose, model, limits, jobs), layout, limits
-        )
+        to_fit = Sums(fit, model, limits, jobs)
+        tell("bodies: what the recordings to choose by say")
+        to_choose = Sums(choose, model, limits, jobs)
+        tell("bodies: every hypothesis")
+        tried, aside = _round(to_fit, to_choose, layout, limits)
         best = tried[0]
         taken = {(f.term.effect, f.term.joint) for f in found}
         if (
@@ -115,6 +117,7 @@ def find_bodies(
             or (best.hypothesis.effect, max(best.hypothesis.joint, 1)) in taken
         ):
             break
+        tell(f"bodies: {best.hypothesis.name}, its numbers")
         best = refined(
             fit, choose, layout, own_mass(best, tried, links, limits), limits, jobs, aside
         )

@@ -17,6 +17,7 @@ from zendsp.errors import ModelError
 from zendsp.physics.model import TREES, Model
 from zendsp.physics.robots.robot import robot_tree
 from zendsp.tree import inverse_dynamics
+from zendsp_protocol.texts import counted
 
 Array = npt.NDArray[np.float64]
 
@@ -72,7 +73,9 @@ def _tree_bases(model: Model, motion: list[Array]) -> list[Basis]:
     bodies, gravity = robot_tree(model)
     joints = len(bodies)
     if joints != len(motion):
-        raise ModelError(f"{model.file}: has {joints} joints, the recording {len(motion)}")
+        raise ModelError(
+            f"{model.file}: has {counted(joints, 'joint')}, the recording {len(motion)}"
+        )
     q, qd, qdd = (np.ascontiguousarray(np.stack([m[i] for m in motion], axis=1)) for i in range(3))
     torque = inverse_dynamics(bodies, gravity, q, qd, qdd)
     still, weightless = np.zeros_like(q), np.zeros(3)

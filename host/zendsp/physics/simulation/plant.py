@@ -23,6 +23,7 @@ from zendsp.physics.simulation.native import (
 )
 from zendsp.physics.term_numbers import kernel_model
 from zendsp.tree import GRAVITY, Body
+from zendsp_protocol.texts import counted
 
 Array = npt.NDArray[np.float64]
 
@@ -148,7 +149,8 @@ def _square(rows: tuple[tuple[float, ...], ...], n: int, what: str) -> Array:
     matrix = np.array(rows, dtype=np.float64)
     if matrix.shape != (n, n):
         raise ModelError(
-            f"{what} matrix is {matrix.shape[0]} x {matrix.shape[1]}; the machine has {n} joints"
+            f"{what} matrix is {matrix.shape[0]} x {matrix.shape[1]}; the machine has"
+            f" {counted(n, 'joint')}"
         )
     return matrix
 

@@ -24,6 +24,7 @@ import numpy.typing as npt
 from zendsp.errors import AcquisitionError, CompileFailed, RunnerDied, VariableError, ZendspError
 from zendsp.physics.simulation.plant import Plant
 from zendsp_isr.sources import Source, gather
+from zendsp_protocol.texts import counted
 
 Array = npt.NDArray[np.float64]
 
@@ -352,7 +353,7 @@ class _Session:
         rows = np.ascontiguousarray(np.asarray(rows, dtype=np.float64).reshape(len(rows), -1))
         if rows.shape[1] != v.columns:
             raise VariableError(
-                f"{name}: the program's table has {v.columns} columns, the reference"
+                f"{name}: the program's table has {counted(v.columns, 'column')}, the reference"
                 f" {rows.shape[1]}"
             )
         if len(rows) > v.length:

@@ -25,6 +25,7 @@ from zendsp.recording import Recording
 from zendsp.recording.names import gather_vectors
 from zendsp.reference import Reference, load_reference
 from zendsp_isr.sources import Source
+from zendsp_protocol.texts import counted
 
 Array = npt.NDArray[np.float64]
 Controller = Callable[[float, Array, Array], npt.ArrayLike]
@@ -109,7 +110,8 @@ def simulate(
     planned = load_reference(reference) if isinstance(reference, str | Path) else reference
     if planned is not None and planned.joints != joint_count(model):
         raise ModelError(
-            f"{model.name} has {joint_count(model)} joints, the reference {planned.joints}"
+            f"{model.name} has {counted(joint_count(model), 'joint')}, the reference"
+            f" {planned.joints}"
         )
     build = compile_program(program, flags)
     tables = planned.tables() if planned is not None else {}
@@ -231,7 +233,9 @@ def reference_rows(
         reference = load_reference(reference)
     if isinstance(reference, Reference):
         if reference.joints != n:
-            raise ModelError(f"the model has {n} joints, the reference {reference.joints}")
+            raise ModelError(
+                f"the model has {counted(n, 'joint')}, the reference {reference.joints}"
+            )
         if abs(reference.sample_time - sample_time) < 1e-9:
             return (
                 np.array(reference.q),

@@ -25,6 +25,7 @@ from zendsp.errors import RecordingError
 from zendsp.recording.formats.raw import Raw
 from zendsp.recording.names import split_unit
 from zendsp.recording.units import to_si
+from zendsp_protocol.texts import counted
 
 if TYPE_CHECKING:
     from zendsp.recording.recording import Recording
@@ -167,7 +168,9 @@ def _numbers(
             io.StringIO(text), delimiter=delimiter, comments=None, quotechar='"', ndmin=2
         )
         if table.shape[1] != len(names):
-            raise ValueError(f"{table.shape[1]} columns where the header names {len(names)}")
+            raise ValueError(
+                f"{counted(table.shape[1], 'column')} where the header names {len(names)}"
+            )
     except ValueError as error:  # empty cells and words for NaN are read one by one
         try:
             table = _with_gaps(text, len(names), delimiter)

@@ -11,6 +11,7 @@ from zendsp.diagnosis.decide.contract import FindingReport, Report
 from zendsp.diagnosis.report.chart import Chart
 from zendsp.diagnosis.report.summary import verdict_sentence
 from zendsp.tui.diagnoses import Diagnosed
+from zendsp_protocol.texts import counted
 
 LOOP = "loop"  # key of the line about the compensation
 
@@ -133,7 +134,8 @@ def _unseen_line(r: Report) -> str:
     joints = sorted({x["joint"] for x in r["detectable"]})
     if not joints:
         return "what could not have been seen is not known for these recordings"
-    return f"what could not have been seen: {len(r['detectable'])} effects have a smallest size"
+    seen = counted(len(r["detectable"]), "effect")
+    return f"what could not have been seen: {seen} with a smallest size"
 
 
 def _unseen(r: Report) -> str:

@@ -29,7 +29,8 @@ class SweepView(Vertical):
     def compose(self) -> ComposeResult:
         yield Static("", id="sweep-words", markup=False)
         yield DataTable(id="sweep", cursor_type="row")
-        yield Static("⏎ or a click writes the values of a row", id="sweep-keys", markup=False)
+        keys = "⏎, or a click on the marked row, writes its values"
+        yield Static(keys, id="sweep-keys", markup=False)
 
     def show(self, sweep: Sweep) -> None:
         """Show another sweep, the cursor on its best row."""

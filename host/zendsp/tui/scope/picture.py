@@ -15,6 +15,7 @@ from zendsp.tui.scope.ticks import ticks
 
 Floats = npt.NDArray[np.float64]
 GRID, CURSOR, EMPTY, LIMIT = 100, 101, 102, 103  # owners of a cell beside the channel numbers 0 … 7
+TICK = 8  # characters from one number of the time axis to the next, at the least
 LOWEST_LANE = 4  # character rows below which lanes are drawn over one another
 
 
@@ -160,7 +161,7 @@ def compose(
 
     overlaid = len(lanes) > 1 and lanes[0].row == lanes[1].row
     shown = [lane for lane in lanes if settings.selected in lane.channels] if overlaid else lanes
-    time_ticks = tuple(v + zero for v in ticks(start - zero, end - zero, max(width // 12, 1)))
+    time_ticks = tuple(v + zero for v in ticks(start - zero, end - zero, max(width // TICK, 1)))
     back = np.zeros((height * DOTS_Y, width * DOTS_X), dtype=bool)
     _grid(back, shown, time_ticks, start, end)
     codes = encode(back)

@@ -29,6 +29,7 @@ T = TypeVar("T")
 HANGING = "\n" + 24 * " "  # under the explanation of a key
 NUMBERS_S = 0.2  # between numbers that change all the time: nobody reads faster
 WIDE = 116  # columns from which panels stand side by side
+TALL = 36  # rows from which a scope has room for a lane of every unit
 
 
 class Keys(Footer):
@@ -73,6 +74,11 @@ class LabScreen(Screen[None]):
     def lab(self) -> Lab:
         """The application, as its screens see it."""
         return cast(Lab, self.app)
+
+    @property
+    def small(self) -> bool:
+        """Whether curves of several units would lie over one another here."""
+        return self.size.height < TALL
 
     def compose(self) -> ComposeResult:
         yield self.bar

@@ -14,6 +14,7 @@ from zendsp.tui.runs import store_run
 from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.screens.console_scope import real
 from zendsp_isr.sources import gather
+from zendsp_protocol.texts import counted
 
 
 def positive(text: str) -> float:
@@ -205,5 +206,5 @@ class ProgramActions(LabScreen):
             run = store_run(folder, str(answer["name"]), recording, sources=sources)
             return f"{len(recording)} rows, {recording.lost} lost, kept as {run.folder.name}"
 
-        self.say(f"recording {shot.seconds:g} s of {len(names)} curves …")
+        self.say(f"recording {shot.seconds:g} s of {counted(len(names), 'curve')} …")
         self.ask("record", job, lambda text: self.say(str(text), "good"))

@@ -14,6 +14,7 @@ from zendsp.tui.scope.formula import sources
 from zendsp.tui.scope.picture import arrange
 from zendsp.tui.scope.settings import LANES, MOST_CHANNELS
 from zendsp.tui.screens.base import LabScreen
+from zendsp_protocol.texts import counted
 
 
 def real(text: str) -> float:
@@ -103,7 +104,7 @@ class ScopeActions(LabScreen):
             free = MOST_CHANNELS - len(have)
             if len(mine) > free:
                 self.say(
-                    f"{name} has {len(mine)} curves, {free} of {MOST_CHANNELS} are free:"
+                    f"{name} has {counted(len(mine), 'curve')}, {free} of {MOST_CHANNELS} are free:"
                     f" {', '.join(mine[free:])} {'are' if len(mine) > free + 1 else 'is'} left out;"
                     " c chooses",
                     "warning",

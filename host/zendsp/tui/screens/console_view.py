@@ -17,6 +17,7 @@ from zendsp.tui.scope.layouts import Layout, layouts_folder, load_layout, save_l
 from zendsp.tui.scope.settings import MOST_CHANNELS
 from zendsp.tui.screens.console_scope import ScopeActions, real
 from zendsp.tui.workspace import file_name
+from zendsp_protocol.texts import counted
 
 
 def real_or_none(text: str) -> float | None:
@@ -133,7 +134,7 @@ class ViewActions(ScopeActions):
     def action_layouts(self) -> None:
         """Save or open an arrangement of the scope."""
         folder = layouts_folder()
-        options = [Option("", "save this one …", f"{len(self.scope.channels)} curves")]
+        options = [Option("", "save this one …", counted(len(self.scope.channels), "curve"))]
         options += [Option(str(p), p.stem, "") for p in sorted(folder.glob("*.json"))]
         dialog = Choose("Layouts of the scope", options, text=str(folder))
         self.app.push_screen(dialog, lambda keys: self._layout(keys[0]) if keys else None)

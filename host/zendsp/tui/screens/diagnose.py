@@ -29,6 +29,7 @@ from zendsp.tui.scope import Scope
 from zendsp.tui.screens.analysis import existing, fits, models_for
 from zendsp.tui.screens.diagnose_loop import LoopActions
 from zendsp.tui.snapshot import Snapshot
+from zendsp_protocol.texts import counted
 
 ROLES = ("", "fit", "held out")  # what a recording is used for, in the order of the key
 NEW = "new"  # of the dialog of models: one is begun
@@ -287,7 +288,7 @@ class DiagnoseScreen(LoopActions):
         asked = file.read_text("utf-8").count("# ? ")
         if asked:
             self._hear(f"Answer them in {file.name}, above their lines; s diagnoses with it.")
-            self.say(f"{file.name} is begun; {asked} questions stand in it", "warning")
+            self.say(f"{file.name} is begun; {counted(asked, 'question')} in it", "warning")
         else:
             self.say(f"{file.name} is made of the recording", "good")
             self.action_start()

@@ -26,11 +26,12 @@ from zendsp.tui.panels.sweep import SweepView
 from zendsp.tui.play_job import PlayJob, usual_channels
 from zendsp.tui.playing import Setup
 from zendsp.tui.preflight import Condition, machine_of, preflight
-from zendsp.tui.preview import curves_of, limits_of
+from zendsp.tui.preview import curves_of, limits_of, views_of
 from zendsp.tui.scope import Channel, Scope
 from zendsp.tui.screens.console_program import positive, whole
 from zendsp.tui.screens.console_scope import percent, real
 from zendsp.tui.screens.execute_measure import MeasureActions
+from zendsp.tui.screens.execute_runs import shorten, signals_to_show
 from zendsp.tui.snapshot import Snapshot
 from zendsp.tui.trial import Trial
 
@@ -91,12 +92,9 @@ class ExecuteScreen(MeasureActions):
                 yield SweepView(id="run-sweep")
 
     def ready(self) -> None:
-        self.query_one("#run-preview", Scope).empty_text = (
-            "o chooses a planned reference; space lays a run over it"
-        )
         self.query_one("#progress").display = False  # no line of its own before there is any
-        self.show_only("#run-preview")
         self.fill_runs()
+        self.preview()
         self.query_one("#runs", DataTable).focus()
 
     # -- what is shown
@@ -123,6 +121,7 @@ class ExecuteScreen(MeasureActions):
             busy,
             self.app.theme,
             self.size,
+            self.has_class("-narrow"),
         )
         frames = max(1, round(LOOK_S / self.lab.frame_s))
         if key != self._checked or (self._looked % frames == 0 and not busy):
@@ -207,12 +206,19 @@ class ExecuteScreen(MeasureActions):
             machine = machine_of(self.lab.session.snapshot)
             if machine is not None and machine.joints == reference.joints:
                 tau = machine.torque(reference)
-                curves_of(scope, reference, tau, "all" if reference.joints <= 2 else "position")
+                curves_of(scope, reference, tau, views_of(reference, tall=not self.small)[0])
                 scope.limits = limits_of(machine)
             else:
                 curves_of(scope, reference, None, "position")
                 scope.limits = {}
+        scope.empty_text = self._what_next()
         scope.redraw()
+
+    def _what_next(self) -> str:
+        """What is to be done where nothing is shown."""
+        looks = "space shows the marked run" if self.runs else ""
+        planned = "o chooses a planned reference" if self.lab.workspace.saved_references() else ""
+        return "; ".join(x for x in (planned or "plan a motion on Reference (F4)", looks) if x)
 
     def look(self, snapshot: Snapshot) -> list[Condition]:
         """Every condition of Start, now."""
@@ -264,7 +270,8 @@ class ExecuteScreen(MeasureActions):
         """Follow the run's channels live."""
         units = {v.name: (v.unit, v.length) for v in snapshot.variables}
         channels: list[Channel] = []
-        for name in self.setup.channels or usual_channels(snapshot):
+        names = tuple(self.setup.channels or usual_channels(snapshot))
+        for name in signals_to_show(names) if self.small else names:
             unit, length = units.get(name.split("[")[0], ("", 1))
             one = length == 1 or "[" in name
             channels += (
@@ -276,6 +283,15 @@ class ExecuteScreen(MeasureActions):
         live.show_channels(channels[:8], self.lab.session.watch(channels[:8]))
         live.set(replace(live.settings, window=10.0))
         self.show_only("#run-live")
+
+    @on(DataTable.RowHighlighted, "#runs")
+    def _tell_outcome(self) -> None:
+        """Say in full what has no room in the list."""
+        run, shown = self.this_run(), self.query_one("#progress", Static)
+        if run is not None and self.job is None:
+            words = f"{run.name}: {run.outcome}"
+            shown.update(Text(words, Style(dim=True), no_wrap=True, overflow="ellipsis"))
+            shown.display = ":" in run.outcome or shorten(run.name) != run.name
 
     @on(Button.Pressed, "#run-abort")
     def action_abort(self) -> None:

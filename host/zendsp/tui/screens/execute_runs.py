@@ -21,8 +21,10 @@ from zendsp.tui.dialogs import Field, Form, Message, not_empty
 from zendsp.tui.runs import RESPONSE, Run, compare, discard_run, list_runs, rename_run
 from zendsp.tui.scope import Channel, History, Scope
 from zendsp.tui.screens.analysis import AnalysisActions
+from zendsp_protocol.texts import counted
 
 MOST_OVERLAID = 4
+NAME = 20  # characters of a run's name in the list
 
 
 class RunActions(AnalysisActions):
@@ -62,8 +64,8 @@ class RunActions(AnalysisActions):
                 Text(
                     "▐" if k >= 0 else " ", Style(color=colours[2 * k % 8]) if k >= 0 else Style()
                 ),
-                Text(run.name, Style(bold=True)),
-                Text(run.outcome, Style(dim=run.outcome == "complete")),
+                Text(shorten(run.name), Style(bold=True)),
+                Text(run.outcome.partition(":")[0], Style(dim=run.outcome == "complete")),
                 Text(f"{run.seconds:.2f}", justify="right"),
                 Text(figures),
                 Text(str(run.lost)),
@@ -72,7 +74,7 @@ class RunActions(AnalysisActions):
             )
             if run.folder == at:
                 table.move_cursor(row=table.row_count - 1)
-        table.border_subtitle = f"{len(self.runs)} runs"
+        table.border_subtitle = counted(len(self.runs), "run")
 
     def this_run(self) -> Run | None:
         """Return the run under the cursor."""
@@ -146,7 +148,7 @@ class RunActions(AnalysisActions):
         t = np.arange(round(length / step) + 1) * step
         channels, columns = [], []
         for run, rec in loaded:
-            for name in _signals_to_show(rec.columns)[: 8 // max(len(loaded), 1)][:2]:
+            for name in signals_to_show(rec.columns)[: 8 // max(len(loaded), 1)][:2]:
                 unit = rec.column_units[rec.columns.index(name)]
                 channels.append(Channel(f"{run.name} {name}", unit))
                 columns.append(np.interp(t, rec.t - rec.t[0], rec[name], right=np.nan))
@@ -227,7 +229,13 @@ class RunActions(AnalysisActions):
         self.preview()
 
 
-def _signals_to_show(columns: tuple[str, ...]) -> list[str]:
+def shorten(name: str) -> str:
+    """Return a name as the list has room for it, its end included: that tells it from others."""
+    half = NAME // 2
+    return name if len(name) <= NAME else f"{name[:half]}…{name[1 - half :]}"
+
+
+def signals_to_show(columns: tuple[str, ...]) -> list[str]:
     """Return the columns worth laying over one another: errors, else positions, else the first."""
     for stem in ("e", "q"):
         found = [c for c in columns if c.split("[")[0].rstrip("0123456789") == stem]

@@ -311,7 +311,7 @@ class ReferenceScreen(LabScreen):
 
     def _views(self) -> list[str]:
         return (
-            views_of(self.plan.reference, self.size.height >= 36, self.plan.tau is not None)
+            views_of(self.plan.reference, not self.small, self.plan.tau is not None)
             if self.plan is not None
             else []
         )
