@@ -16,7 +16,7 @@ from zendsp.diagnosis import diagnose
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.signals import Signals, unused_effects
 from zendsp.diagnosis.measure.likelihood import calibrate_joint
-from zendsp.diagnosis.search.forward import Searcher
+from zendsp.diagnosis.search.rounds import Rounds
 from zendsp.errors import RecordingError
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.calibration.loop import Looped, simulate_joint_loop
@@ -112,7 +112,7 @@ def test_law_is_first_in_a_search_with_its_numbers(name: str) -> None:
     data, model = data_of(name)
     case = CASES[name]
     base = calibrate_joint(data, model, 1)
-    rivals = Searcher(data, 1, lambda *_: True, 1, lambda _: None).round(base)
+    rivals = Rounds(data, 1, 1, lambda _: None).round(base)
     told = [(r.effect, round(base.deviance - r.value)) for r in rivals[:4]]
     first = rivals[0]
     assert mechanism_of(first.effect) == mechanism_of(name), told
@@ -135,7 +135,7 @@ def test_an_early_column_is_a_delay_and_a_part_of_a_row_is_no_shifted_column() -
         )
         data = prepare([signals], model, 64.0)
         base = calibrate_joint(data, model, 1)
-        rivals = Searcher(data, 1, lambda *_: True, 1, lambda _: None).round(base)
+        rivals = Rounds(data, 1, 1, lambda _: None).round(base)
         return [r.effect for r in rivals if base.deviance - r.value > 40]
 
     assert first(reality.Machine(late=-2))[:2] == ["delay", "column_shift"]

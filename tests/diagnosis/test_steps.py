@@ -25,10 +25,10 @@ from zendsp.diagnosis.measure.likelihood import (
     informative,
 )
 from zendsp.diagnosis.measure.structure import MEMORY, structure
-from zendsp.diagnosis.search import forward
+from zendsp.diagnosis.search import rounds
 from zendsp.diagnosis.search.candidates import as_given, simulated
-from zendsp.diagnosis.search.forward import Searcher
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival, Step
+from zendsp.diagnosis.search.rounds import Rounds
 from zendsp.diagnosis.search.screen import Candidate, with_candidate
 from zendsp.diagnosis.search.simplify import simplify
 from zendsp.diagnosis.transmission.links import divided, with_links
@@ -276,14 +276,14 @@ def test_a_round_has_one_entry_an_effect_also_where_a_second_look_is_taken(
     data = data_of(reality.simulate(reality.Machine(), reference, RATE), model)
     looked: list[str] = []
 
-    def two(_: Searcher, __: Scored, rivals: list[Rival]) -> list[Rival]:
+    def two(_: Rounds, __: Scored, rivals: list[Rival]) -> list[Rival]:
         looked.extend(r.effect for r in rivals[1:3])
         return rivals[1:3]
 
-    monkeypatch.setattr(Searcher, "_promising", two)
-    monkeypatch.setattr(forward, "vanishes", lambda *_: False)  # nothing is missing here
-    monkeypatch.setattr(Searcher, "_too_small", lambda *_: False)
-    searcher = Searcher(data, 1, lambda *_: True, 1, lambda _: None)
-    effects = [r.effect for r in searcher.round(calibrate_joint(data, model, 1))]
+    monkeypatch.setattr(Rounds, "_promising", two)
+    monkeypatch.setattr(rounds, "vanishes", lambda *_: False)  # nothing is missing here
+    monkeypatch.setattr(Rounds, "_too_small", lambda *_: False)
+    each = Rounds(data, 1, 1, lambda _: None)
+    effects = [r.effect for r in each.round(calibrate_joint(data, model, 1))]
     assert len(looked) == 2 and set(looked) <= set(effects)
     assert len(effects) == len(set(effects)), effects

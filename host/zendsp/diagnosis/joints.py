@@ -20,8 +20,9 @@ from zendsp.diagnosis.decide.decide import decide
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import Scored, calibrate_joint
 from zendsp.diagnosis.measure.windows import model_error
-from zendsp.diagnosis.search.forward import WAIT, Searcher
+from zendsp.diagnosis.search.forward import Searcher
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
+from zendsp.diagnosis.search.rounds import WAIT
 from zendsp.diagnosis.search.simplify import upon
 from zendsp.diagnosis.transmission.links import divided, with_links
 from zendsp.physics.calibration.fit import Data

@@ -36,8 +36,8 @@ from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
 from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, Structure, structure
 from zendsp.diagnosis.measure.windows import rms, window_error
-from zendsp.diagnosis.search.forward import WAIT
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
+from zendsp.diagnosis.search.rounds import WAIT
 from zendsp.physics.calibration.fit import joint_handles
 from zendsp.physics.model import Model, Term
 

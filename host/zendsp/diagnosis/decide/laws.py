@@ -46,8 +46,8 @@ from zendsp.diagnosis.measure.likelihood import Scored, fit_scored, informative
 from zendsp.diagnosis.measure.neighbours import against_neighbours
 from zendsp.diagnosis.measure.significance import counterpart
 from zendsp.diagnosis.measure.structure import STRUCTURED, Structure, structure
-from zendsp.diagnosis.search.forward import Searcher
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival, price
+from zendsp.diagnosis.search.rounds import Rounds
 from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.effects import get_effect, library, mechanism_of
 from zendsp.physics.model import Model, Term
@@ -73,7 +73,7 @@ def named(
     tell: Progress,
 ) -> Decision:
     joint = search.joint
-    searcher = Searcher(parts.fit, joint, lambda *_: True, jobs, tell)
+    rounds = Rounds(parts.fit, joint, jobs, tell)
     after = discrepancy(parts.test, final.model, joint)
     state = structure(parts.each, final.model, joint, STRUCTURED)
     known = known_discrepancy(given, parts.test, joint)
@@ -83,7 +83,7 @@ def named(
     for piece in claimed:
         ranked = _ranked(parts.test, given, final, piece, search.base, jobs)
         first = ranked[0]
-        law = _law(parts, given, search, searcher, final, piece, first, jobs, tell)
+        law = _law(parts, given, search, rounds, final, piece, first, jobs, tell)
         # how dry friction turns round (bristles, a simulator's softness) refines its law
         left = (
             structure(parts.each, final.model, joint, [piece.mechanism], piece.mechanism != DRY)
@@ -118,7 +118,7 @@ def named(
             claims.append(replace(law, effect="unknown", left=left))
             continue
         claims.append(replace(law, left=left, size=first.size if len(own) > 1 else piece.size))
-        claims += [_law(parts, given, search, searcher, final, p, p, jobs, tell) for p in own[1:]]
+        claims += [_law(parts, given, search, rounds, final, p, p, jobs, tell) for p in own[1:]]
     refinements += [c for p in rest for c in _plain(p)]
     claims.sort(key=lambda c: -c.evidence.gain)
     claims, more = _beside_unknown(claims)
@@ -315,7 +315,7 @@ def _law(
     parts: Parts,
     given: Model,
     search: JointSearch,
-    searcher: Searcher,
+    rounds: Rounds,
     final: Scored,
     piece: Piece,
     first: Piece,
@@ -332,7 +332,7 @@ def _law(
     names = frozenset(e for e in beside if e in known and not known[e].coupled) | {term.effect}
     rivals = [
         r
-        for r in searcher.stand_ins(first.without, names)
+        for r in rounds.stand_ins(first.without, names)
         if r.effect != term.effect and not contains(r, term)
     ]
     learn = together(parts.fit, parts.choose)

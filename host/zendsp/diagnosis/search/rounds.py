@@ -1,0 +1,317 @@
+"""Hypotheses at one joint, fitted on top of a model.
+
+The library is screened, what promises something is fitted shortly with all calibrated parameters
+free, and the best of these to the end.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+from zendsp.diagnosis.measure.likelihood import (
+    Scored,
+    deviance,
+    fit_scored,
+    informative,
+    tune_bandwidth,
+)
+from zendsp.diagnosis.measure.significance import counterpart, vanishes
+from zendsp.diagnosis.search.backlash import refine
+from zendsp.diagnosis.search.candidates import first_look, screened, simulated, starts_of
+from zendsp.diagnosis.search.hypothesis import UNSETTLED, Rival, price, with_numbers
+from zendsp.diagnosis.search.screen import Candidate, with_candidate
+from zendsp.physics.calibration.fit import Data, fit, joint_handles
+from zendsp.physics.calibration.joint import facts
+from zendsp.physics.effects import get_effect
+from zendsp.physics.kernel.threads import threads
+from zendsp.physics.model import Model, Term
+
+Progress = Callable[[str], None]
+
+PROMISING = 0.002  # share of the cost that a screen must promise
+SHORTLIST = 9
+LISTED = 3  # hypotheses of a round that are fitted at least, whatever the screen promises
+FINALISTS = 4
+# more of them, where those found nothing: a drag of 0.5 % was among the first two, whose gain was
+# lost in what thinned recordings say of the other numbers
+PROMISED = 2
+GLANCE = 4  # hypotheses of a round that is only looked at
+# relative gain of a step below which a first look ends: in a narrow valley the first step gains
+# little, and 1 % is a deviance of 200
+QUICK = 1e-4
+SETTLED = 16.0  # rad/s: an observer this slow follows little of what is missing
+WAIT = 40.0  # deviance beyond its price below which a step is not worth a look
+# of a step that may wait for another, and of a gap whose narrow optimum is searched
+WORTH = 10 * WAIT
+REACH = 0.1  # of the best gain: hypotheses with less are not ordered anew
+
+
+class Rounds:
+    """The hypotheses at one joint, a round of them for each model.
+
+    Parameters
+    ----------
+    data : Data
+    joint : int
+        1-based.
+    jobs : int
+        Threads.
+    progress : callable
+        Receives a sentence at each stage.
+    given : Model, optional
+        The model before it was calibrated.
+    """
+
+    def __init__(
+        self, data: Data, joint: int, jobs: int, progress: Progress, given: Model | None = None
+    ) -> None:
+        self.data, self.joint, self.jobs = data, joint, jobs
+        self.progress, self.given = progress, given
+        self.n = informative(data, joint)
+        self._rounds: dict[int, tuple[Scored, list[Rival]]] = {}
+
+    def round(self, current: Scored) -> list[Rival]:
+        """Fit the promising hypotheses on top of a model, the most likely first; one entry an
+        effect.
+        """
+        if id(current) not in self._rounds:
+            self._rounds[id(current)] = (current, self._round(current))
+        return self._rounds[id(current)][1]
+
+    def stand_ins(self, current: Scored, effects: frozenset[str]) -> list[Rival]:
+        """Only the named effects, fitted on top of a model, the most likely first."""
+        return self._round(current, effects)
+
+    def glance(self, current: Scored, seen: frozenset[str]) -> float:
+        """About the least deviance with its price that one more effect would leave: the most
+        promising ones, fitted shortly.
+
+        Of the effects with states of their own only those in ``seen``, which did well elsewhere in
+        this search.
+        """
+        listed = [
+            starts_of(c, current.data)
+            for _, c in screened(current.data, current.model, self.joint, jobs=self.jobs)[:GLANCE]
+        ]
+        hidden = frozenset(e for e in seen if get_effect(e).scan)
+        listed += (
+            simulated(current.data, current.model, self.joint, hidden, self.jobs, self.given)
+            if hidden
+            else []
+        )
+        with threads(self.jobs) as each:
+            quick = [
+                r for r in each(lambda group: self._quick(current, group), listed) if r is not None
+            ]
+        return min((r.value for r in quick), default=math.inf)
+
+    def order(self, current: Scored, rivals: list[Rival]) -> list[Rival]:
+        """Order hypotheses by what they gain.
+
+        Where even the best of them needs a fast observer, much is still missing, and a fast
+        observer forgives what acts slowly: the order is then that of the gains under an observer
+        four times slower.
+        """
+        ranked = [replace(r, rank=current.deviance - r.value) for r in rivals]
+        if len(ranked) < 2 or ranked[0].scored.data.bandwidth[self.joint - 1] <= UNSETTLED:
+            return ranked
+        slow = current.data.at_bandwidth(
+            self.joint, max(8.0, ranked[0].scored.data.bandwidth[self.joint - 1] / 4)
+        )
+        joints = (self.joint,)
+        base = fit(
+            first_look(slow, current.model, self.joint),
+            current.model,
+            current.fit.handles,
+            joints=joints,
+            iterations=5,
+            tolerance=1e-3,
+            jobs=self.jobs,
+        )
+        level = deviance(slow, base.model, joints)
+        reach = [r for r in ranked[:8] if r.rank > REACH * ranked[0].rank and r.rank > WAIT]
+
+        def slowly(rival: Rival) -> Rival:
+            result = fit(
+                first_look(slow, rival.scored.model, self.joint),
+                rival.scored.model,
+                rival.scored.fit.handles,
+                joints=joints,
+                iterations=6,
+                tolerance=1e-3,
+                jobs=1,
+            )
+            return replace(rival, rank=level - deviance(slow, result.model, joints) - rival.price)
+
+        with threads(self.jobs) as each:
+            again = sorted(each(slowly, reach), key=lambda r: -r.rank)
+        return [*again, *[r for r in ranked if r not in reach]] if again else ranked
+
+    def _round(self, current: Scored, only: frozenset[str] = frozenset()) -> list[Rival]:
+        self.progress(f"joint {self.joint}: screening the library")
+        options = screened(current.data, current.model, self.joint, jobs=self.jobs, only=only)
+        listed = [starts_of(c, current.data) for share, c in options if only or share > PROMISING][
+            : len(options) if only else SHORTLIST
+        ]
+        if len(listed) < LISTED:
+            listed = [starts_of(c, current.data) for _, c in options[:LISTED]]
+        if not only:  # the commonest physics is tried whatever the first order says of it
+            first = {c.effect for group in listed for c in group}
+            rest = (c for _, c in options if c.effect not in first)
+            listed += [[c] for c in rest if get_effect(c.effect).common]
+        # what takes longest comes first, so that no thread is left with it at the end
+        listed = [
+            *simulated(current.data, current.model, self.joint, only, self.jobs, self.given),
+            *listed,
+        ]
+        self.progress(f"joint {self.joint}: fitting {len(listed)} hypotheses")
+        with threads(self.jobs) as each:
+            quick = [
+                r for r in each(lambda group: self._quick(current, group), listed) if r is not None
+            ]
+            quick.sort(key=lambda r: r.value)
+            reach = 0.5 * (current.deviance - quick[0].value) if quick else 0.0
+            finalists = [
+                r for r in quick[:FINALISTS] if current.deviance - r.value >= reach or r is quick[0]
+            ]
+            others = quick[len(finalists) :]
+            if quick and current.deviance - quick[0].value < WAIT and not only:
+                more = self._promising(current, others)
+                finalists += more
+                others = [r for r in others if not any(r is m for m in more)]
+            worth = math.inf if only else WORTH  # a stand-in need not be at its best
+            full = list(each(lambda r: self._full(current, r, worth), finalists))
+        rivals = [
+            r
+            for r in (*full, *others)
+            if not any(vanishes(r.scored.fit, t) or self._too_small(r, t) for t in r.terms)
+            and self._possible(r)
+        ]
+        return self.order(current, sorted(rivals, key=lambda r: r.value)) if rivals else []
+
+    def _promising(self, current: Scored, rivals: list[Rival]) -> list[Rival]:
+        """Before nothing is found: hypotheses that gain most on the thinned recordings that they
+        were fitted to. On all samples their other numbers, fitted to these, may cost more.
+        """
+        look = first_look(current.data, current.model, self.joint)
+        joints = (self.joint,)
+        base = fit(
+            look,
+            current.model,
+            current.fit.handles,
+            joints=joints,
+            iterations=6,
+            tolerance=QUICK,
+            jobs=self.jobs,
+            brief=True,
+        )
+        level = deviance(look, base.model, joints)
+        gains = [level - deviance(look, r.scored.model, joints) - r.price for r in rivals]
+        best = sorted(zip(gains, range(len(rivals)), strict=True), reverse=True)[:PROMISED]
+        return [rivals[i] for gain, i in best if gain > WAIT]
+
+    def _too_small(self, rival: Rival, term: Term) -> bool:
+        """Whether a term is below what its effect says that a recording can show of it."""
+        least = get_effect(term.effect).least
+        if least is None:
+            return False
+        record = max((rec[self.joint - 1] for rec in self.data.records), key=lambda r: r.n)
+        fitted = counterpart(rival.scored.model.terms, term)
+        return any(abs(fitted.value(name)) < size for name, size in least(facts(record)).items())
+
+    def _possible(self, rival: Rival) -> bool:
+        """Whether a machine can have the numbers of all terms that were found so far."""
+        for term in rival.scored.model.at(self.joint):
+            possible = get_effect(term.effect).possible
+            if possible is not None and not possible(
+                {name: q.value for name, q in term.parameters.items()}
+            ):
+                return False
+        return True
+
+    def _quick(self, current: Scored, group: list[Candidate]) -> Rival | None:
+        """A short fit from each start; the best is followed to slower observers."""
+        best: Rival | None = None
+        known: float | None = None
+        data = current.data
+        if get_effect(group[0].effect).slow and data.bandwidth[self.joint - 1] > SETTLED:
+            data = data.at_bandwidth(self.joint, SETTLED)
+        for candidate in group:
+            model = with_candidate(current.model, candidate)
+            handles = joint_handles(data, model, self.joint)
+            rounds = 3 if len(group) > 1 else 6
+            result = fit(
+                first_look(data, model, self.joint),
+                model,
+                handles,
+                joints=(self.joint,),
+                iterations=rounds,
+                tolerance=QUICK,
+                jobs=1,
+                brief=True,
+            )
+            value = deviance(current.data, result.model, (self.joint,))
+            rival = self._rival(candidate, Scored(result, current.data, value, (self.joint,)))
+            if best is None or rival.value < best.value:
+                best = rival
+        if best is None or not math.isfinite(best.value):
+            return None
+        rough = get_effect(best.effect).rough
+        if len(group) > 1 and (best.value < current.deviance or rough):
+            handles = best.scored.fit.handles
+            more = 10 if rough else 5
+            result = fit(
+                first_look(current.data, best.scored.model, self.joint),
+                best.scored.model,
+                handles,
+                joints=(self.joint,),
+                iterations=more,
+                tolerance=QUICK,
+                jobs=1,
+                brief=True,
+            )
+        else:
+            result, known = best.scored.fit, best.scored.deviance
+        data, value = tune_bandwidth(
+            current.data, result.model, (self.joint,), down_only=True, known=known
+        )
+        return replace(best, scored=Scored(result, data, value, (self.joint,)))
+
+    def _full(self, current: Scored, rival: Rival, worth: float) -> Rival:
+        jobs = self.jobs  # the longest of them ends alone
+        scored = fit_scored(
+            rival.scored.data,
+            rival.scored.model,
+            rival.scored.fit.handles,
+            (self.joint,),
+            jobs=jobs,
+        )
+        options = [scored] if scored.deviance <= rival.scored.deviance else [rival.scored]
+        if get_effect(rival.effect).rough:
+            options.append(refine(options[0], self.joint, current.deviance, worth, jobs))
+        for term in rival.terms:
+            for numbers in get_effect(term.effect).tries:
+                other = with_numbers(rival.scored.model, term.effect, self.joint, numbers)
+                options.append(
+                    fit_scored(
+                        rival.scored.data,
+                        other,
+                        rival.scored.fit.handles,
+                        (self.joint,),
+                        jobs=jobs,
+                        rounds=2,
+                    )
+                )
+        return replace(rival, scored=min(options, key=lambda s: s.deviance))
+
+    def _rival(self, candidate: Candidate, scored: Scored) -> Rival:
+        return Rival(
+            candidate.effect,
+            self.joint,
+            scored,
+            price(candidate.terms, self.n, (candidate.effect,) if candidate.replaces else ()),
+            candidate.terms,
+            candidate.replaces,
+        )
