@@ -18,7 +18,7 @@ from zendsp.diagnosis import Diagnosis, diagnose
 from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide import laws, pieces
 from zendsp.diagnosis.decide.claims import Claim, Decision, Known, Piece
-from zendsp.diagnosis.decide.confidence import stated
+from zendsp.diagnosis.decide.confidence import least_stated, stated
 from zendsp.diagnosis.decide.naming import left_over
 from zendsp.diagnosis.decide.remember import remembered
 from zendsp.diagnosis.measure import structure as measure_structure
@@ -267,25 +267,39 @@ def test_what_acts_where_a_joint_turns_round_is_more_than_its_dry_friction_may_b
 def test_a_law_is_named_where_what_it_leaves_allows_no_other(
     effect: str, size: float, left: float, named: bool
 ) -> None:
+    outcome = of_one_claim(Term(effect, 1, {}), size, 0.025, left)
+    assert stated(outcome.claims[0], outcome) is named
+
+
+def of_one_claim(term: Term, size: float, before: float, left: float) -> Decision:
     evidence = Evidence(100.0, 15.0, np.zeros(1))
-    term = Term(effect, 1, {})
+    effect = term.effect
     claim = Claim(effect, mechanism_of(effect), term, size, evidence, 50.0, {}, (), (), ())
-    before, after = Size(0.025, 0.024, 0.026), Size(left, left, left)
-    outcome = Decision(
+    after = Size(left, left, left)
+    return Decision(
         1,
         "missing",
         (claim,),
         (),
         None,
         None,
-        before,
+        Size(before, before, before),
         after,
         Structure(0.0, 0.0, 0.0),
         after,
         None,
         1.0,  # type: ignore[arg-type]
     )
-    assert stated(claim, outcome) is named
+
+
+@pytest.mark.parametrize("effect", ["stiffness", "ripple", "torque_gain"])
+def test_what_is_said_to_be_seen_is_as_large_as_what_is_named(effect: str) -> None:
+    term = make_term(get_effect(effect), 1, {})
+    least = least_stated(effect, of_one_claim(term, 0.0, 0.02, 0.02))
+    assert least >= 0.02
+    for size, named in ((1.02 * least, True), (0.98 * least, least == 0.02)):
+        outcome = of_one_claim(term, size, size, 0.02)
+        assert stated(outcome.claims[0], outcome) is named
 
 
 @pytest.mark.parametrize(("size", "stands"), [(0.02, True), (0.005, False)])
