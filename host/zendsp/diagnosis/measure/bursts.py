@@ -39,7 +39,7 @@ MOSTLY, OFTEN = 0.5, 0.3
 LASTING, ELSEWHERE = 0.25, 0.1
 # intervals among which its energy is spread: in recordings that no model was fitted to, and in the
 # others
-MANY, FEW = 12, 3
+MANY, FEW = 12, 2
 
 
 @dataclass(frozen=True)

@@ -25,20 +25,30 @@ WORDS = {
 
 def headline(d: Diagnosis) -> str:
     """The verdict in one sentence: the mechanism first."""
-    return verdict_sentence(d.verdict, [(f.mechanism, f.effect, f.joint) for f in d.findings])
+    found = [(f.mechanism, (f.effect, *f.indistinguishable), f.joint) for f in d.findings]
+    return verdict_sentence(d.verdict, found)
 
 
-def verdict_sentence(verdict: str, found: Sequence[tuple[str, str, int]]) -> str:
+def verdict_sentence(verdict: str, found: Sequence[tuple[str, Sequence[str], int]]) -> str:
     """The verdict in one sentence.
 
     Parameters
     ----------
     verdict : str
-    found : sequence of (mechanism, effect, joint)
+    found : sequence of (mechanism, effects, joint)
+        The effect that is named, and those that cannot be told from it.
 
     Returns
     -------
     str
+
+    Examples
+    --------
+    >>> verdict_sentence("missing", [("actuator", ("lag", "delay"), 1), ("actuator", ("lag",), 2)])
+    'Missing physics: the actuator (lag or delay) at joint 1; the actuator (lag) at joint 2.'
+    >>> same = [("dry_friction", ("coulomb",), joint) for joint in (1, 2, 3)]
+    >>> verdict_sentence("missing", same)
+    'Missing physics: dry friction (coulomb) at joints 1, 2 and 3.'
     """
     if verdict == "complete":
         return "Complete: nothing is missing that these recordings could show."
@@ -47,13 +57,23 @@ def verdict_sentence(verdict: str, found: Sequence[tuple[str, str, int]]) -> str
             "Unexplained: something is missing that no known effect describes; no physics is"
             " claimed."
         )
-    joints: dict[int, list[str]] = {}
-    for mechanism, effect, joint in found:
-        word = f"{WORDS.get(mechanism, effect)} ({effect})"
-        if word not in joints.setdefault(joint, []):
-            joints[joint].append(word)
-    where = [f"{' and '.join(words)} at joint {j}" for j, words in joints.items()]
+    at: dict[int, list[str]] = {}
+    for mechanism, effects, joint in found:
+        word = WORDS.get(mechanism, effects[0])
+        if word != WORDS["disturbance"]:
+            word += f" ({' or '.join(effects)})"
+        if word not in at.setdefault(joint, []):
+            at[joint].append(word)
+    joints: dict[str, list[int]] = {}
+    for joint, words in at.items():
+        joints.setdefault(" and ".join(words), []).append(joint)
+    where = [f"{what} at {_listed(numbers)}" for what, numbers in joints.items()]
     return f"Missing physics: {'; '.join(where)}."
+
+
+def _listed(joints: Sequence[int]) -> str:
+    *first, last = map(str, sorted(joints))
+    return f"joints {', '.join(first)} and {last}" if first else f"joint {last}"
 
 
 def summary(d: Diagnosis) -> str:

@@ -28,7 +28,10 @@ class Entry:
 
 def headline(report: Report) -> str:
     """Return the verdict in one sentence."""
-    found = [(f["mechanism"], f["effect"], f["joint"]) for f in report["findings"]]
+    found = [
+        (f["mechanism"], (f["effect"], *f["indistinguishable"]), f["joint"])
+        for f in report["findings"]
+    ]
     return verdict_sentence(report["verdict"], found)
 
 
