@@ -152,7 +152,7 @@ def test_a_user_without_a_role_is_refused_at_the_start(tmp_path: Path) -> None:
     users = write(tmp_path / "users", "anna:a\nbo:b\n")
     os.chmod(users, 0o600)
     roles = write(tmp_path / "roles.toml", '[roles]\nanna = "tune"\n')
-    with pytest.raises(Refused, match="bo would get no answer, without a role in .*roles.toml"):
+    with pytest.raises(Refused, match=r"bo would get no answer, without a role in .*roles\.toml"):
         settle("imi", [], [], Security(users=users, roles=roles))
     write(tmp_path / "roles.toml", '[roles]\nanna = "tune"\nbo = "observe"\n')
     doors = settle("imi", [], [], Security(users=users, roles=roles))

@@ -1,17 +1,15 @@
-"""A STOP stands until it is acknowledged, whatever is asked in between, by whom, and in which order.
-"""
+"""A STOP stands until it is acknowledged, whatever is asked in between, by whom, in which order."""
 
 from __future__ import annotations
 
 import random
 import threading
-import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 import pytest
-from desk import Desk, desk_of
+from desk import desk_of
 from waiting import until
 
 from zendsp.link.stop_page import StopPage
