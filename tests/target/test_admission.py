@@ -148,6 +148,17 @@ def test_a_role_includes_those_before_it_and_nobody_is_kept_from_stop(verb: obje
                 check_role("anna", role, verb)  # type: ignore[arg-type]
 
 
+def test_a_user_without_a_role_is_refused_at_the_start(tmp_path: Path) -> None:
+    users = write(tmp_path / "users", "anna:a\nbo:b\n")
+    os.chmod(users, 0o600)
+    roles = write(tmp_path / "roles.toml", '[roles]\nanna = "tune"\n')
+    with pytest.raises(Refused, match=r"bo would get no answer, without a role in .*roles\.toml"):
+        settle("imi", [], [], Security(users=users, roles=roles))
+    write(tmp_path / "roles.toml", '[roles]\nanna = "tune"\nbo = "observe"\n')
+    doors = settle("imi", [], [], Security(users=users, roles=roles))
+    assert doors.sentence == "lets in: anna (tune), bo (observe)"
+
+
 def test_who_is_in_no_list_has_no_role() -> None:
     doors = Doors((), roles={"anna": "tune"})
     assert (doors.role_of("anna"), doors.role_of("bo"), doors.role_of("")) == (

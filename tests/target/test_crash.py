@@ -132,6 +132,20 @@ def test_a_trip_outlives_its_loop(
     acknowledged(runtime, load)
 
 
+@pytest.mark.parametrize("reason", ["stop", "host lost"])
+def test_what_a_loop_was_asked_and_never_took_stands_after_its_end(
+    make_runtime: Make, wait_for: Wait, load: Callable[[Runtime, str], None], reason: str
+) -> None:
+    runtime = make_runtime(CRASHING.format(how="for (;;) { zero = 0; }"), hang_s=0.4)
+    runtime.start()
+    wait_for(lambda: runtime.status().tick == 50, runtime.status)
+    runtime.trip(reason)
+    wait_for(lambda: runtime.status().crash != "", runtime.status)
+    trip = runtime.status().trip
+    assert trip is not None and (trip.reason, trip.tick) == (reason, 50)
+    acknowledged(runtime, load)
+
+
 def test_a_crash_names_the_line_of_the_source(make_runtime: Make, wait_for: Wait) -> None:
     runtime = make_runtime(CRASHING.format(how="*nowhere = 1;"))
     runtime.start()

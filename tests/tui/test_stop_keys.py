@@ -228,6 +228,23 @@ async def test_what_a_fast_hand_types_after_a_key_that_opens_an_input_is_no_comm
         assert not asked
 
 
+async def test_a_key_that_comes_back_when_an_input_has_the_focus_is_no_command(
+    lab: ZendspApp, until: Until
+) -> None:
+    async with lab.run_test(size=(100, 30)) as pilot:
+        await until(pilot, lambda: lab.session.snapshot.link == "up", "the link is up")
+        before = lab.focused
+        await pilot.press("slash")
+        await until(pilot, lambda: isinstance(lab.focused, Input), "the filter")
+        line = lab.focused
+        asked = _asked(lab)
+        lab.screen.set_focus(before)
+        await lab.on_event(Key("p", "p"))  # is on its way through the table, and up again
+        lab.screen.set_focus(line)
+        await until(pilot, lambda: line.value == "p", "the input has it")
+        assert not asked
+
+
 async def test_keys_that_come_back_from_a_slow_screen_do_not_fall_behind_later_ones(
     lab: ZendspApp, until: Until
 ) -> None:

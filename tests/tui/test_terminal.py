@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pty
+import select
 import signal
 import sys
 import time
@@ -37,3 +38,52 @@ def test_a_terminal_that_goes_away_ends_the_program_whoever_ignored_its_signal(
         os.kill(pid, signal.SIGKILL)
         os.waitpid(pid, 0)
         raise
+
+
+SLOW = """
+import asyncio, pathlib, sys
+from zendsp.tui.app import ZendspApp
+
+at_once = ZendspApp.on_mount
+
+async def slowly(app):
+    while not pathlib.Path(sys.argv[-1], "typed").exists():
+        await asyncio.sleep(0.02)
+    await at_once(app)
+
+ZendspApp.on_mount = slowly
+"""
+
+
+def test_what_is_typed_before_the_first_picture_is_no_command(tmp_path: Path) -> None:
+    pid, terminal = pty.fork()
+    if pid == 0:
+        os.environ["TERM"] = "xterm-256color"
+        os.execv(
+            sys.executable,
+            [sys.executable, "-c", SLOW + CALL, "tui", "--folder", str(tmp_path)],
+        )
+    deadline, seen = time.monotonic() + PATIENCE_S, b""
+
+    def until(text: bytes, keys: bytes = b"") -> None:
+        """Read until there is a text; press keys once a second meanwhile."""
+        nonlocal seen
+        asked = time.monotonic()
+        while text not in seen:
+            assert time.monotonic() < deadline, seen[-2000:]
+            if keys and time.monotonic() > asked:
+                os.write(terminal, keys)
+                asked += 1.0
+            if select.select([terminal], [], [], 0.1)[0]:
+                seen += os.read(terminal, 1 << 16)
+
+    try:
+        until(b"[?1049h")  # it reads keys from here on, and has shown nothing
+        os.write(terminal, b"?")
+        (tmp_path / "typed").touch()
+        until(b"no channels")
+        until(b"goal", b"\x1bOS")  # F4, which a dialog of the keys would not let through
+    finally:
+        os.kill(pid, signal.SIGKILL)
+        os.waitpid(pid, 0)
+        os.close(terminal)

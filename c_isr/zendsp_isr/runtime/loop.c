@@ -162,6 +162,8 @@ static void stand_still(runner *r) {
         fill_inputs(r);
         r->state.unseen = true;
     }
+    if (c->trip.reason != TRIP_NONE) /* what was held when time stood still is held no more */
+        memset(r->buffers.now.aout, 0, sizeof r->buffers.now.aout);
     const uint32_t din = r->state.din | load32(&c->simulated_din);
     const double drive = (double)c->drive_mode;
     r->state.unseen |= din != r->buffers.io.din || drive != r->buffers.now.drive;

@@ -84,13 +84,16 @@ void safety_requests(runner *r, bool paused) {
     if (off != r->state.off_seen && paused)
         safety_anew(r); /* while it runs, the program sees for itself that the drives go off */
     r->state.off_seen = off;
-    /* after the acknowledgement: a STOP pressed meanwhile wins */
-    const uint32_t stop = __atomic_exchange_n(&c->stop, TRIP_NONE, __ATOMIC_ACQ_REL);
-    if (stop != TRIP_NONE)
+    /* after the acknowledgement: a STOP pressed meanwhile wins. Latched before the request is
+     * cleared: whoever looks, and whatever ends this process, finds one or the other. */
+    const uint32_t stop = load32(&c->stop);
+    if (stop != TRIP_NONE) {
         safety_trip(r, stop, 0, 0.0, 0.0);
+        store32(&c->stop, TRIP_NONE);
+    }
     if (load32(&r->page->stop) != 0) {
-        __atomic_exchange_n(&r->page->stop, 0, __ATOMIC_ACQ_REL);
         safety_trip(r, TRIP_STOP, 0, 0.0, 0.0);
+        store32(&r->page->stop, 0);
         r->state.asked = true;
     }
 }

@@ -7,11 +7,13 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
+from weakref import WeakKeyDictionary
 
 from textual import events
 from textual.actions import SkipAction
 from textual.app import App, SystemCommand
 from textual.driver import Driver
+from textual.message_pump import MessagePump
 from textual.screen import ModalScreen, Screen
 from textual.widgets import Input
 
@@ -24,11 +26,18 @@ from zendsp.tui.port import Port
 from zendsp.tui.runs import Run
 from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.session import Session
-from zendsp.tui.stopper import with_stop
+from zendsp.tui.stopper import PICTURE, with_stop
 from zendsp.tui.workspace import Workspace
 from zendsp_isr.sources import gather, shipped_programs
 
 HELD_S = 5.0  # that keys wait for a dialog that is on its way
+
+
+def _anew(key: events.Key) -> events.Key:
+    """The same key, as if it came from the terminal."""
+    typed = events.Key(key.key, key.character)
+    typed.time = key.time
+    return typed
 
 
 class ZendspApp(App[None]):
@@ -93,6 +102,8 @@ class ZendspApp(App[None]):
         self.chosen: tuple[Path, ...] = ()  # references that Execute will play
         self._expected = 0.0  # until when keys wait for a dialog
         self._held: list[events.Key] = []
+        self._given: WeakKeyDictionary[events.Key, MessagePump] = WeakKeyDictionary()
+        self._blind = False  # before the first picture
         self._screens: dict[str, LabScreen] = {}
         self._awaited: tuple[Path, Callable[[Run], None]] | None = None
 
@@ -120,13 +131,26 @@ class ZendspApp(App[None]):
                 maker=maker: self._screens.setdefault(name, maker()))  # type: ignore[misc]
         await self.switch_mode(self._first)
         if not self.is_headless:  # in the queue of the keys: those that are pressed meanwhile wait
-            self.call_after_refresh(self.call_later, self._build_others, makers)
+            self._blind = True
+            self.call_after_refresh(self._first_picture, makers)
         if self._target:
             self.session.connect(self._target)
         elif self._begin:
             self._connect([f"machine {self._begin}"])
         elif self._find is not None:
             self.run_worker(self._look_around, thread=True, group="discovery")
+
+    def _first_picture(self, names: Iterable[str]) -> None:
+        stopper = self.session.stopper
+        if stopper is not None and stopper.picture():
+            self.set_timer(HELD_S, self._see)  # should its word not come
+        else:
+            self._see()
+        self.call_later(self._build_others, names)
+
+    def _see(self) -> None:
+        """From now on keys are meant for what is seen."""
+        self._blind = False
 
     async def _build_others(self, names: Iterable[str]) -> None:
         """Build the other screens behind the first picture: none has to be built when its key is
@@ -295,17 +319,26 @@ class ZendspApp(App[None]):
             dialog.opened = True
         held, self._held = self._held, []
         for key in sorted(held, key=lambda key: key.time):  # some came by way of a slow screen
-            await super().on_event(key)
+            await self.on_event(key)
 
     async def on_event(self, event: events.Event) -> None:
-        """Keep keys for a dialog that is on its way: also those that no widget wanted and that
-        come back here as commands, since a terminal hands on many keys at once.
+        """Drop what was typed before the first picture. Keep keys for a dialog that is on its way:
+        also those that no widget wanted and that come back here as commands, since a terminal
+        hands on many keys at once. One that comes back when the focus has moved is for whoever has
+        it now.
         """
-        if isinstance(event, events.Key) and self._dialog_comes():
-            held = events.Key(event.key, event.character)
-            held.time = event.time
-            self._held.append(held)
+        if self._blind and isinstance(event, events.InputEvent | events.Paste):
+            if isinstance(event, events.Key) and event.key == PICTURE:
+                self._see()
             return
+        if isinstance(event, events.Key):
+            if self._dialog_comes():
+                self._held.append(_anew(event))
+                return
+            taker = self.focused or self.screen
+            if self._given.setdefault(event, taker) is not taker:
+                event = _anew(event)
+                self._given[event] = taker
         await super().on_event(event)
 
     def _dialog_comes(self) -> bool:

@@ -7,7 +7,8 @@ can hold that right for seconds: a thread of the application's own could not pro
     stdin  the terminal (or, in a browser, the packets of the page)
     1      what was read, for the application
     CONTROL    in, a line each: the name of the target to be ready for; "@ x y width height", where the red field is;
-               "!", which is STOP (by the palette of commands); "?", which is answered by "here"
+               "!", which is STOP (by the palette of commands); "?", which is answered by "here"; "^": the first picture is
+               there, and the key PICTURE follows what was typed before
     VERDICTS   out: a line of JSON for each STOP: asked, then how it ended
 
 A process that does not answer any more is ended: it would hold every key back. The application then reads the keys itself.
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
 
     from zendsp.link import Target
 
+PICTURE, _PICTURE = "f20", b"\x1b[34~"  # the key, and how a terminal writes it
 F9_MARKS = (b"\x1b[20~", b"\x1b[20;")  # with modifiers and kinds of event
 HERE = "here"
 EMERGENCY = "NOT STOPPED: use the machine's emergency stop"
@@ -247,6 +249,7 @@ def serve(control: int, verdicts: int, web: bool) -> None:
     stops = Stops(links, tell)
     presses, field, lines = presses_of(web), Field(), b""
     waiting = b""  # for the application to take: it must never hold up the keys
+    mark = b"D" + len(_PICTURE).to_bytes(4, "big") + _PICTURE if web else _PICTURE
     gone = False
     os.set_blocking(1, False)
 
@@ -257,6 +260,7 @@ def serve(control: int, verdicts: int, web: bool) -> None:
 
     while True:
         readable, _, _ = select.select([0, control], [1] if waiting else [], [], 0.1)
+        pictures = 0
         if control in readable:  # first: a click means the field that was told before it
             data = os.read(control, 4096)
             gone = not data  # the application; what was typed before is looked at all the same
@@ -266,6 +270,8 @@ def serve(control: int, verdicts: int, web: bool) -> None:
                     stops.press()
                 elif line == b"?":
                     tell(HERE, "")
+                elif line == b"^":
+                    pictures += 1
                 elif line.startswith(b"@"):
                     field = Field(*map(int, line[1:].split()))
                 else:
@@ -283,6 +289,7 @@ def serve(control: int, verdicts: int, web: bool) -> None:
             look(b"")  # an Escape that nothing followed
         if gone:
             return
+        waiting += pictures * mark
         if waiting:
             with contextlib.suppress(BlockingIOError):
                 waiting = waiting[os.write(1, waiting) :]
@@ -348,6 +355,12 @@ class Stopper:
     def stop(self) -> bool:
         """STOP, not by a key or a click; False where the process is gone."""
         return self._write("!")
+
+    def picture(self) -> bool:
+        """Have the key :data:`PICTURE` follow what was typed until now; False where the process is
+        gone.
+        """
+        return self._write("^")
 
     def close(self) -> None:
         """End it and take the terminal back."""

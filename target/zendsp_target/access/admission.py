@@ -176,6 +176,12 @@ def settle(name: str, listen: Sequence[str], connect: Sequence[str], security: S
         check_secret("--tls-key", security.key)
     users = read_users(security.users) if security.users else {}
     roles = RolesFile(security.roles) if security.roles else None
+    if roles is not None and (without := [user for user in users if user not in roles]):
+        raise Refused(
+            f"--users {security.users}: {', '.join(without)} would get no answer, without a role in"
+            f' {security.roles}: add a line there, {without[0]} = "observe" for example, or take'
+            f" {without[0]} out of the users"
+        )
     both = {_protocol(e) for e in connect} & {_protocol(e) for e in endpoints}
     if both and users:
         raise Refused(

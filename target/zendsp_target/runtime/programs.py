@@ -145,13 +145,15 @@ class Programs:
         outlives the loop that latched it.
         """
         session = self.session
+        # before the trip, which the loop latches before it clears this
+        asked = layout()[1].monitor_load32(self._stop)
         trip = (
             self._held
             if session is None
             else safety.latched_trip(session.control, session.machine)
         )
-        if trip is None and layout()[1].monitor_load32(self._stop):
-            trip = safety.stop_asked(0 if session is None else session.tick)
+        if trip is None and asked:
+            trip = safety.asked_trip("stop", 0 if session is None else session.tick)
         return trip
 
     def require_no_trip(self) -> None:
@@ -166,7 +168,9 @@ class Programs:
         lib.monitor_store32(self._stop, 0)
         self._held = None
         if self.session is not None:
-            lib.monitor_store32(ffi_address(self.session.control.trip, "reason"), 0)
+            control = self.session.control
+            lib.monitor_store32(ffi_address(control, "stop"), 0)
+            lib.monitor_store32(ffi_address(control.trip, "reason"), 0)
 
     def stop_page(self) -> str:
         """Path of the file by which programs of this user stop the loop, past this process: see

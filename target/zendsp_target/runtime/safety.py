@@ -29,6 +29,10 @@ _REASONS = {
     11: "homing",
 }
 REQUESTS = {"stop": 1, "host lost": 3}
+_ASKED = {
+    "stop": "STOP was requested",
+    "host lost": "the host that commanded the motion is gone",
+}
 STOPS = ("stop", "stop input", "host lost")
 _ARRAYS = ("position_min", "position_max", "speed_max", "torque_max", "command_max")
 
@@ -44,12 +48,23 @@ def trip_of(control: Any, machine: MachineInfo) -> Trip | None:
         For the names and units in its sentence.
     """
     ffi, lib = layout()
-    trip = latched_trip(control, machine)
-    return trip if lib.monitor_load32(ffi.addressof(control.trip, "acted")) else None
+    acted = lib.monitor_load32(ffi.addressof(control.trip, "acted"))
+    return _trip_in(control, machine) if acted else None
 
 
 def latched_trip(control: Any, machine: MachineInfo) -> Trip | None:
-    """The latched trip, carried out or not; None while there is none (see :func:`trip_of`)."""
+    """The latched trip, carried out or not (see :func:`trip_of`), or one that was asked for and
+    that the loop has not taken; None while there is none.
+    """
+    ffi, lib = layout()
+    # before the trip, which the loop latches before it clears this
+    asked = lib.monitor_load32(ffi.addressof(control, "stop"))
+    trip = _trip_in(control, machine)
+    reason = "host lost" if asked == REQUESTS["host lost"] else "stop"
+    return trip or (asked_trip(reason, int(control.tick)) if asked else None)
+
+
+def _trip_in(control: Any, machine: MachineInfo) -> Trip | None:
     ffi, lib = layout()
     reason = _REASONS.get(lib.monitor_load32(ffi.addressof(control.trip, "reason")))
     if reason is None:
@@ -61,9 +76,11 @@ def latched_trip(control: Any, machine: MachineInfo) -> Trip | None:
     )
 
 
-def stop_asked(tick: int) -> Trip:
-    """A STOP that no loop has taken: none ran, or it ended before."""
-    return Trip("stop", 0, tick, 0.0, 0.0, "STOP was requested; nothing moves until acknowledged")
+def asked_trip(reason: str, tick: int) -> Trip:
+    """A STOP, or another of `REQUESTS`, that no loop has taken: none ran, or it ended before."""
+    return Trip(
+        reason, 0, tick, 0.0, 0.0, f"{_ASKED[reason]}; nothing moves until acknowledged"
+    )
 
 
 def _sentence(
@@ -73,9 +90,8 @@ def _sentence(
     unit, who = which.unit, which.name
     torque = "N" if unit == "m" else "N m"
     what = {
-        "stop": "STOP was requested",
+        **_ASKED,
         "stop input": "the STOP input of the machine is active",
-        "host lost": "the host that commanded the motion is gone",
         "torque": (
             f"{who}: command of {value:.4g} {torque} exceeds the limit of {limit:.4g} {torque}"
         ),

@@ -1,0 +1,152 @@
+"""A STOP stands until it is acknowledged, whatever is asked in between, by whom, in which order."""
+
+from __future__ import annotations
+
+import random
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from desk import desk_of
+from waiting import until
+
+from zendsp.link.stop_page import StopPage
+from zendsp_protocol import messages as m
+from zendsp_protocol.errors import ZendspError
+from zendsp_target.runtime import Runtime
+
+# 3 N m whenever it may; crashes or computes nonsense where it is told to.
+PUSHING = """
+#include "isr.h"
+#include <math.h>
+static bool crash, nonsense, hold;
+void UserInit(void) {
+    PARAMETER(crash, false, "", NO_MIN, NO_MAX, "");
+    PARAMETER(nonsense, false, "", NO_MIN, NO_MAX, "");
+    PARAMETER(hold, false, "", NO_MIN, NO_MAX, "");
+    if (CRASH) *(volatile int *)8 = 1;
+}
+void UserISR_INT2(void) {
+    if (crash) *(volatile int *)8 = 1;
+    WRITE_TORQUE(1, nonsense ? NAN : 3.0);
+}
+"""
+HOSTS = ("anna", "bo")
+
+
+class Lab:
+    """A target that two hosts ask for anything, and whether a STOP or a trip stands, as they know
+    it.
+    """
+
+    def __init__(self, runtime: Runtime, seed: int) -> None:
+        self.runtime, self.desk, self.random = runtime, desk_of(runtime), random.Random(seed)
+        self.stands = False
+        self.said: list[str] = []
+        self.good, self.bad = (
+            self.desk.ask("compile", sources={"user.c": PUSHING.replace("CRASH", crash)}).key
+            for crash in ("0", "1")
+        )
+        self.page = StopPage(runtime.stop_page())
+
+    def ask(self, verb: str, **arguments: Any) -> str:
+        """Ask by one of the hosts; the refusal, empty where there was none."""
+        by = self.random.choice(HOSTS)
+        try:
+            self.desk.ask(verb, by, **arguments)
+            refusal = ""
+        except ZendspError as error:
+            refusal = str(error) or "?"
+        self.said.append(f"{by}: {verb} {arguments} {refusal}")
+        return refusal
+
+    def drive(self, action: str, **arguments: Any) -> str:
+        return self.ask("drive", **{"action": action, "force": True, **arguments})
+
+    def stop(self) -> None:
+        if self.random.random() < 0.5:
+            self.ask("stop")
+        else:
+            self.page.ask()
+            self.said.append("STOP by shared memory")
+        self.stands = True
+
+    def stop_while(self, verb: str, **arguments: Any) -> None:
+        """STOP at any time of a request that takes its time."""
+        delay = self.random.uniform(0.0, 0.15)
+        other = threading.Timer(delay, self.page.ask)
+        other.start()
+        self.ask(verb, **arguments)
+        other.join()
+        self.said.append(f"STOP {delay:.4f} s after that began")
+        self.stands = True
+
+    def acknowledge(self, refusal: str) -> None:
+        self.stands = self.stands and refusal != ""
+
+    def end(self, name: str) -> None:
+        """A crash, or a trip of the program itself."""
+        self.ask("write", values={name: True})
+
+    def step(self) -> None:
+        steps: tuple[Callable[[], object], ...] = (
+            self.stop,
+            lambda: self.ask("load", key=self.good),
+            lambda: self.ask("load", key=self.bad),
+            lambda: self.ask("unload"),
+            lambda: self.ask("start"),
+            lambda: self.ask("start", ticks=20),
+            lambda: self.ask("pause"),
+            lambda: self.ask("home"),
+            lambda: self.ask("set_drive", mode=self.random.choice(("off", "torque", "auto"))),
+            lambda: self.acknowledge(self.ask("acknowledge")),
+            lambda: self.acknowledge(self.drive("acknowledge")),
+            lambda: self.drive(self.random.choice(("take", "release", "auto"))),
+            lambda: self.drive(self.random.choice(("power_on", "power_off", "home"))),
+            lambda: self.drive(self.random.choice(("enable", "disable"))),
+            lambda: self.ask("write", values={"drive.mode": 1}),
+            lambda: self.end(self.random.choice(("crash", "nonsense"))),
+            lambda: self.stop_while("load", key=self.good),
+            lambda: self.stop_while("unload"),
+            lambda: self.stop_while("start"),
+        )
+        self.random.choice(steps)()
+
+    def look(self) -> None:
+        """What must hold now."""
+        moving = ("start", "home", "load")
+        if not self.stands:
+            self.stands = self.desk.ask("status").trip is not None
+            return
+        until(lambda: self.desk.ask("status").trip is not None, "it stands", self.told)
+        tried = self.random.choice(moving)
+        assert self.ask(tried, **({"key": self.good} if tried == "load" else {})), self.told()
+        if tried != "start":
+            assert self.drive("enable"), self.told()
+        status: m.Status = self.desk.ask("status")
+        assert status.trip is not None and status.drive in ("stopped", "tripped"), self.told()
+        assert not np.any(status.io.get("aout", 0.0)), self.told()
+
+    def told(self) -> str:
+        return "\n".join([*self.said, str(self.desk.ask("status"))])
+
+
+@pytest.fixture
+def runtime() -> Iterator[Runtime]:
+    with Runtime("imi_planar", clock="fast", speed=5.0) as made:
+        yield made
+
+
+def wander(runtime: Runtime, seed: int, steps: int = 25) -> None:
+    """Ask anything, a number of times; look after each."""
+    lab = Lab(runtime, seed)
+    for _ in range(steps):
+        lab.step()
+        lab.look()
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_stop_stands_until_it_is_acknowledged(runtime: Runtime, seed: int) -> None:
+    wander(runtime, seed)
