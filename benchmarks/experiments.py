@@ -61,9 +61,11 @@ def keep_nothing() -> None:
     Recording.save = lambda self, path: Path(path)  # type: ignore[method-assign]
 
 
-def repeat(name: str, kept: dict[str, list[Any]], seeds: int, until: float) -> None:
+def repeat(
+    name: str, kept: dict[str, list[Any]], seeds: int, until: float, keep: Path | None = None
+) -> None:
     """Add repetitions to those that are kept, until there are so many or the time is over: value
-    and standard deviation of every number whose truth is known.
+    and standard deviation of every number whose truth is known. Each is kept at once.
     """
     rows = kept.setdefault(name, [])
     while len(rows) < seeds and time.monotonic() < until:
@@ -73,6 +75,10 @@ def repeat(name: str, kept: dict[str, list[Any]], seeds: int, until: float) -> N
         rows.append(
             {key: (found[key].value, found[key].std) for key in TRUTH[name] if key in found}
         )
+        if keep:
+            part = keep.with_name(keep.name + ".part")
+            part.write_text(json.dumps(kept))
+            part.replace(keep)  # a run that is killed leaves all that was done
 
 
 def section(name: str, rows: list[Any]) -> str:
@@ -121,12 +127,8 @@ def main() -> None:
     keep_nothing()
     until = time.monotonic() + 60 * args.minutes
     kept = json.loads(args.keep.read_text()) if args.keep and args.keep.exists() else {}
-    try:
-        for name in [args.only] if args.only else EXPERIMENTS:
-            repeat(name, kept, args.seeds, until)
-    finally:  # a target that does not start on a busy computer costs one repetition
-        if args.keep:
-            args.keep.write_text(json.dumps(kept))
+    for name in [args.only] if args.only else EXPERIMENTS:
+        repeat(name, kept, args.seeds, until, args.keep)
     tables = [section(name, kept[name]) for name in EXPERIMENTS if len(kept.get(name, [])) > 1]
     print("\n".join(tables))
     if args.page:

@@ -22,7 +22,9 @@ def half_width(std: float | Array, free: int) -> Array:
     return np.asarray(std) * (stdtrit(free, 0.975) if free > 0 else np.inf)
 
 
-def mean_of(values: Sequence[float], unit: str, systematic: float = 0.0) -> Estimate:
+def mean_of(
+    values: Sequence[float], unit: str, systematic: float = 0.0, beside: Sequence[float] = ()
+) -> Estimate:
     """Mean of repeated measurements.
 
     Parameters
@@ -32,14 +34,20 @@ def mean_of(values: Sequence[float], unit: str, systematic: float = 0.0) -> Esti
     unit : str
     systematic : float
         Standard deviation of what all of them share and their spread does not show.
+    beside : sequence of float
+        Others, of another mean, that scatter in the same proportion to it.
 
     Returns
     -------
     Estimate
     """
-    spread = float(np.std(values, ddof=1) / np.sqrt(len(values)))
-    half = float(half_width(spread, len(values) - 1))
-    return Estimate(float(np.mean(values)), float(np.hypot(half / NORMAL, systematic)), unit)
+    mean = float(np.mean(values))
+    squares, free = float(np.sum((np.asarray(values) - mean) ** 2)), len(values) - 1
+    if len(beside):
+        other = np.asarray(beside) * (mean / float(np.mean(beside)))
+        squares, free = squares + float(np.sum((other - mean) ** 2)), free + len(beside) - 1
+    half = float(half_width(float(np.sqrt(squares / free / len(values))), free))
+    return Estimate(mean, float(np.hypot(half / NORMAL, systematic)), unit)
 
 
 def least_squares(

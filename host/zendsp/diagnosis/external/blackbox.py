@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -28,14 +27,21 @@ from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.signals import Signals, with_same_columns
 from zendsp.diagnosis.data.split import split
 from zendsp.diagnosis.decide.result import Diagnosis, FitTable, Rejected, SimulatorErrors
-from zendsp.diagnosis.external.hunt import Hunt, findings_of, next_of
-from zendsp.diagnosis.external.output_error import Output, errors, fit_output, sensor_noise
+from zendsp.diagnosis.external.hunt import Hunt, findings_of, indistinct, next_of
+from zendsp.diagnosis.external.nearby import Near
+from zendsp.diagnosis.external.output_error import (
+    Output,
+    errors,
+    fit_output,
+    sensor_noise,
+    weights,
+)
 from zendsp.diagnosis.external.simulator import Bench, Simulator, bench, on_input, simulator_of
 from zendsp.diagnosis.measure.where import Missing, Region, intervals, regions, units
 from zendsp.errors import RecordingError
 from zendsp.physics.calibration.handles import free_handles
 from zendsp.physics.effects import library
-from zendsp.physics.model import Model, per_joint
+from zendsp.physics.model import Model
 from zendsp.physics.term_numbers import file_model
 
 Array = npt.NDArray[np.float64]
@@ -44,6 +50,7 @@ Progress = Callable[[str], None]
 # s: each window is simulated from the smoothed motion, where the simulator starts from its first
 # row
 WINDOW = 0.25
+FEW, PER_JOINT = 4, 3  # effects that are taken at most: of one joint, and of each of several
 OVER_NOISE = 3  # times the sensor's noise: what is left below is no mismatch
 RESTARTS = 0.02  # of the span, and START_NOISE times the noise: so near a simulation must begin
 START_NOISE = 4
@@ -54,35 +61,20 @@ REMAINS = (
 )
 
 
-def missing_over_time(benches: Sequence[Bench], output: Output) -> dict[int, list[Missing]]:
-    """Torque over time that would remove the remaining error: bumps of half a second, by finite
-    differences and regularised least squares.
+def missing_over_time(near: Near) -> dict[int, list[Missing]]:
+    """Torque over time that would remove the remaining error: bumps of half a second, and
+    regularised least squares.
     """
     out: dict[int, list[Missing]] = {}
-    for b in benches:
-        e = b.error(output.model)
+    for k, b in enumerate(near.true):
+        e = b.error(near.current.model)
         seconds = b.records[0].scale.seconds
         centres = np.linspace(0, seconds, int(min(60, max(8, 3 * seconds))))
         width = centres[1] - centres[0]
         t = b.signals.time - b.signals.time[0]
         shapes = np.maximum(0.0, 1 - np.abs(t[None, :] - centres[:, None]) / width)
         for i, record in enumerate(b.records):
-            step = 0.01 * record.scale.torque
-            columns = []
-            for shape in shapes:
-                pushed = replace(b.signals, command=b.signals.command.copy())
-                pushed.command[:, i] -= (
-                    step * shape / per_joint(output.model.actuator.gain, i + 1, 1.0)
-                )
-                moved = tuple(
-                    replace(r, command=np.ascontiguousarray(pushed.command[:, k]))
-                    for k, r in enumerate(b.records)
-                )
-                columns.append(
-                    (e[:, i] - Bench(pushed, moved, b.simulator, b.size).error(output.model)[:, i])
-                    / step
-                )
-            a = np.stack(columns, axis=1) / sensor_noise(b, i)
+            a = near.bumps(k, i, shapes) / sensor_noise(b, i)
             ridge = 1e-6 * float(np.trace(a.T @ a)) / a.shape[1] * np.eye(a.shape[1])
             # least squares: a simulator that does not look at its command leaves nothing to solve
             # for
@@ -96,7 +88,7 @@ def missing_over_time(benches: Sequence[Bench], output: Output) -> dict[int, lis
                 torque,
                 np.zeros_like(torque),
                 {"velocity": qd, "position": q, "acceleration": qdd, "command": record.command},
-                units(output.model, i + 1),
+                units(near.current.model, i + 1),
             )
             out.setdefault(i + 1, []).append(item)
     return out
@@ -153,15 +145,16 @@ def _diagnose(
     train, test, notes = _recordings(sources, heldout, model, simulator)
     tell("calibrating the simulator")
     given_error = errors(train, model)
-    base = fit_output(train, model, free_handles(model, offsets=False), evaluations=25)
+    base = fit_output(train, model, free_handles(model, offsets=False), given_error, 25)
     # a fit must not be worse than what it began with
-    if float(given_error @ given_error) < base.fit.cost:
-        base = fit_output(train, model, ())
+    if float(np.sum((weights(train, given_error) * given_error) ** 2)) < base.fit.cost:
+        base = fit_output(train, model, (), given_error)
     hunt = Hunt(train, test, tell)
     current, steps = _hunted(hunt, base, train)
     findings, names = findings_of(model, base, current, steps, train)
     tell("looking at what remains")
-    before, after = missing_over_time(train, base), missing_over_time(train, current)
+    before = missing_over_time(Near(train, base))
+    after = missing_over_time(Near(train, current)) if steps else before
     left = _left(after, train)
     floor = _floor(test)
     rest = _rms(test, current.model)
@@ -204,18 +197,25 @@ def _diagnose(
 def _hunted(
     hunt: Hunt, base: Output, train: Sequence[Bench]
 ) -> tuple[Output, list[tuple[Any, Any, Output]]]:
-    """Effects taken one after another while they pay, at most four, refitted together at the end;
-    each step with its rivals and what stood before it.
+    """Effects taken one after another while they pay, refitted together at the end, less those of
+    which nothing is then left; each step with its rivals and what stood before it.
     """
     current, steps = base, []
-    for _ in range(4):
+    for _ in range(max(FEW, PER_JOINT * len(train[0].records))):
         claim, rivals = hunt.step(current)
         if claim is None:
             break
         steps.append((claim, rivals, current))
         current = claim.output
-    if steps:
-        current = fit_output(train, current.model, current.fit.handles, evaluations=25)
+    while steps:
+        current = fit_output(train, current.model, current.fit.handles, current.error, 25)
+        gone = [t for claim, _, _ in steps for t in indistinct(current, claim.term)]
+        if not gone:
+            break
+        model = current.model.with_terms(tuple(t for t in current.model.terms if t is not gone[-1]))
+        steps = [s for s in steps if (s[0].term.effect, s[0].term.joint) in
+                 {(t.effect, t.joint) for t in model.terms}]  # fmt: skip
+        current = fit_output(train, model, free_handles(model, offsets=False), current.error)
     return current, steps
 
 
@@ -259,7 +259,7 @@ def _restarts(b: Bench, model: Model) -> bool:
     ones, window after window.
     """
     size = max(16, round(WINDOW / b.signals.sample_time))
-    windowed = Bench(b.signals, b.records, b.simulator, size)
+    windowed = Bench(b.signals, b.records, b.simulator, model, size)
     y = windowed.simulate(model)[::size]
     off = np.sqrt(np.mean((y - b.signals.position[::size]) ** 2, axis=0))
     return bool(

@@ -11,20 +11,21 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.decide.findings import estimates, new_terms, sentence
 from zendsp.diagnosis.decide.result import Finding, Next
+from zendsp.diagnosis.external.nearby import Near
 from zendsp.diagnosis.external.output_error import (
     BLOCK,
     Output,
+    by_joint,
     errors,
-    fit_output,
     gain,
     held_z,
     late_candidates,
     screen,
+    weights,
     with_term,
 )
 from zendsp.diagnosis.external.simulator import Bench
-from zendsp.diagnosis.measure.significance import SIGNIFICANT, vanishes
-from zendsp.physics.calibration.handles import free_handles
+from zendsp.diagnosis.measure.significance import SIGNIFICANT, counterpart, vanishes
 from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.model import Model, Term
 
@@ -36,6 +37,7 @@ MIN_GAIN = 20.0
 MIN_Z = 2.5
 SUFFICIENT = 0.85  # share of the best gain with which a special case goes first
 SHORTLIST = 5
+BESIDE = 0.25  # times what stays unexplained on its joint: an effect that explains less has no name
 PROMISING = 0.01  # share of the cost that a screen must promise
 SAME, SAME_SHARE = 5.0, 0.1  # cost, and of the gain: rivals nearer cannot be told apart
 
@@ -50,17 +52,46 @@ class Claim:
     z: float
 
 
-def _none(claim: Claim) -> bool:
-    """Whether an effect cannot be told from none: what it is by, or every number of it, is zero
-    within its uncertainty. A free parameter of the simulator may be the same thing.
+def indistinct(output: Output, claimed: Term) -> list[Term]:
+    """The term of a claim in a fit, if it cannot be told from none: what it is by, or every number
+    of it, is zero within its uncertainty. A free parameter of the simulator may be the same thing.
     """
-    done = claim.output.fit
+    done, at = output.fit, (claimed.effect, claimed.joint)
+    if at not in {(t.effect, t.joint) for t in done.model.terms}:
+        return []  # a later one took its place
+    term = counterpart(done.model.terms, claimed)
     own = [
         abs(done.x[i]) < SIGNIFICANT * done.std[i]
         for i, h in enumerate(done.handles)
-        if h.place == "term" and done.model.terms[h.index] is claim.term
+        if h.place == "term" and done.model.terms[h.index] is term
     ]
-    return vanishes(done, claim.term) or (bool(own) and all(own))
+    return [term] if vanishes(done, term) or (bool(own) and all(own)) else []
+
+
+def _ended(output: Output) -> bool:
+    """Whether a parameter of the simulator lies at the end of its range."""
+    fit = output.fit
+    return any(b for b, h in zip(fit.at_bound, fit.handles, strict=True) if h.place == "mechanism")
+
+
+def _runs_away(claim: Claim, current: Output) -> bool:
+    """Whether an effect drives a parameter of the simulator to the end of its range. Effects act
+    along the measured motion: an inertia taken away here and added there holds a simulator to it,
+    and explains whatever it is.
+    """
+    return _ended(claim.output) and not _ended(current)
+
+
+def _shortlist(options: Sequence[tuple[float, Term]]) -> list[Term]:
+    """The best of the options, and the special cases of these."""
+    best = [term for _, term in options[:SHORTLIST]]
+    return best + [
+        term
+        for _, term in options[SHORTLIST:]
+        if any(
+            b.joint == term.joint and term.effect in get_effect(b.effect).replaces for b in best
+        )
+    ]
 
 
 class Hunt:
@@ -73,41 +104,28 @@ class Hunt:
 
     def step(self, current: Output) -> tuple[Claim | None, list[Claim]]:
         """The best hypothesis that passes, and the fitted rivals."""
+        self.tell("pushing each joint a little")
+        near = self.near = Near(self.train, current)
         options: list[tuple[float, Term]] = []
         for joint in range(1, len(self.train[0].records) + 1):
             options += [
-                *screen(self.train, current, joint, self.tell),
-                *late_candidates(self.train, current, joint),
+                *screen(self.train, current, joint, near.errors, self.tell),
+                *late_candidates(self.train, current, joint, near.errors),
             ]
         options.sort(key=lambda item: -item[0])
-        before = errors(self.test, current.model)
-        claims = []
-        for promise, term in options[:SHORTLIST]:
-            if promise < PROMISING:
-                continue
-            self.tell(f"joint {term.joint}: fitting {term.effect}")
-            model = with_term(current.model, term)
-            output = fit_output(self.train, model, free_handles(model, offsets=False))
-            after = errors(self.test, output.model)
-            fitted = sum(p.fitted for p in get_effect(term.effect).parameters)
-            claim = Claim(
-                output.model.terms[-1],
-                output,
-                gain(current.error, output.error, fitted),
-                held_z(before, after, self.block),
-            )
-            claims.append(claim)
-            self.tried[(term.effect, term.joint)] = (claim.gain, claim.z, self._why(claim))
-        for promise, term in options[SHORTLIST:]:
+        chosen = _shortlist([item for item in options if item[0] > PROMISING])
+        fitted = []
+        for term in chosen:
+            self.tell(f"joint {term.joint}: fitting {term.effect}{self._so_far()}")
+            fitted.append(near.fit(with_term(current.model, term)))
+        claims = self._judged(current, fitted)
+        for promise, term in options:
             self.tried.setdefault(
                 (term.effect, term.joint),
                 (0.0, 0.0, f"promises only {100 * promise:.1f} % of the error"),
             )
-        passed = [
-            c
-            for c in claims
-            if c.gain > MIN_GAIN and c.z > MIN_Z and not _none(c)
-        ]
+        passed = [c for c in claims if not self._why(c, current)]
+        passed = [c for c in passed if not _ended(c.output)] or passed
         if not passed:
             return None, claims
         best = max(passed, key=lambda c: c.gain)
@@ -120,16 +138,53 @@ class Hunt:
         ]
         return (special[0] if special else best), claims
 
-    def _why(self, c: Claim) -> str:
-        if _none(c):
+    def _judged(self, current: Output, fitted: Sequence[Output]) -> list[Claim]:
+        if not fitted:
+            return []
+        before = errors(self.test, current.model)
+        best = min(fitted, key=lambda o: o.fit.cost).error  # all weighted alike
+        claims = []
+        for output in fitted:
+            term = output.model.terms[-1]
+            price = sum(p.fitted for p in get_effect(term.effect).parameters)
+            claim = Claim(
+                term,
+                output,
+                gain(self.train, current.error, output.error, price, best),
+                held_z(before, errors(self.test, output.model), self.block),
+            )
+            claims.append(claim)
+            why = self._why(claim, current) or "explains less than the winner"
+            self.tried[(term.effect, term.joint)] = (claim.gain, claim.z, why)
+        return claims
+
+    def _so_far(self) -> str:
+        return f" ({sum(b.calls for b in (*self.train, *self.test))} simulations)"
+
+    def _why(self, c: Claim, current: Output) -> str:
+        """Why an effect is not claimed; empty where it is."""
+        if indistinct(c.output, c.term):
             return "cannot be told from none"
+        if _runs_away(c, current):
+            return "drives a parameter of the simulator to the end of its range"
         if c.gain <= MIN_GAIN:
             return "no more likely than the calibrated model"
+        if c.z <= MIN_Z:
+            return f"does not hold on the held-out recording (z = {c.z:.1f})"
+        explained, left = self._parts(c, current)
         return (
-            f"does not hold on the held-out recording (z = {c.z:.1f})"
-            if c.z <= MIN_Z
-            else "explains less than the winner"
+            "too small beside what stays unexplained"
+            if explained < BESIDE * left
+            else ""
         )
+
+    def _parts(self, c: Claim, current: Output) -> tuple[float, float]:
+        """Of the squared error of a claim's joint: what it explains, and what stays beyond the
+        sensor's noise.
+        """
+        part = by_joint(self.train)[c.term.joint - 1]
+        before, after = (float(np.sum(o.error[part] ** 2)) for o in (current, c.output))
+        return before - after, after - len(part)
 
 
 def _apart(claim: Any, rivals: Sequence[Any], term: Term) -> tuple[tuple[str, ...], float]:
@@ -156,7 +211,12 @@ def findings_of(
     given: Model, base: Output, final: Output, steps: list[Any], train: Sequence[Bench]
 ) -> tuple[tuple[Finding, ...], set[tuple[str, int]]]:
     out = []
-    total = max(base.fit.cost - final.fit.cost, 1e-300)
+
+    def power(output: Output) -> float:
+        return float(np.sum((weight * output.error) ** 2))
+
+    weight = weights(train, base.error)
+    total = max(power(base) - power(final), 1e-300)
     for claim, rivals, before in steps:
         terms = [
             t
@@ -175,7 +235,7 @@ def findings_of(
         text = sentence(term, values)
         if same:
             text += f" This recording cannot tell it from {', '.join(same)}."
-        share = float(np.clip((before.fit.cost - claim.output.fit.cost) / total, 0.0, 1.0))
+        share = float(np.clip((power(before) - power(claim.output)) / total, 0.0, 1.0))
         out.append(
             Finding(
                 term.effect,

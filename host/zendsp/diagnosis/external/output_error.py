@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.external.simulator import Bench, on_input, on_timing
 from zendsp.physics.calibration.bounds import parameter_bounds
-from zendsp.physics.calibration.fit import Fit, robust_covariance
+from zendsp.physics.calibration.fit import NEAR, TOO_FAR, Fit, robust_covariance
 from zendsp.physics.calibration.handles import Handle, get_values, set_values
 from zendsp.physics.calibration.terms import grid_of, make_term, usable
 from zendsp.physics.effects import Effect, get_effect, is_supported, library
@@ -22,10 +23,14 @@ from zendsp.physics.model import Model, Term
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[str], None]
+Guess = Callable[[Model], Array]  # errors of a model near another
 
 BLOCK = 0.25  # s
+DIFFERENCE = 1e-4  # of a number's size: the step of a finite difference
+LONGEST = 10  # times two samples: as late as a screen begins a delay
+FIRST = 25  # guesses before the first simulation of a fit
 FEWEST = 4  # blocks: of fewer no scatter is known
-SCREENED = 400  # simulations that one screen may take
+SCREENED = 400  # trials that one screen may take
 
 
 @dataclass(frozen=True)
@@ -73,17 +78,26 @@ def _bounds(
             high.append(b)
             size.append(max(value, 0.02 * unit))
         else:  # a simulator's own parameters keep their sign
-            signed = float(get_values(model, [h])[0])
-            low.append(1e-3 * signed if signed > 0 else 1e3 * signed)
-            high.append(1e3 * signed if signed > 0 else 1e-3 * signed)
+            signed = float(get_values(benches[0].given, [h])[0])
+            ends = signed / TOO_FAR, signed * TOO_FAR
+            low.append(min(ends))
+            high.append(max(ends))
             size.append(value)
     return np.array(low), np.array(high), np.array(size)
 
 
 def fit_output(
-    benches: Sequence[Bench], model: Model, handles: Sequence[Handle], evaluations: int = 12
+    benches: Sequence[Bench],
+    model: Model,
+    handles: Sequence[Handle],
+    before: Array,
+    evaluations: int = 12,
+    guess: Guess | None = None,
 ) -> Output:
-    """Least squares on the simulated position, all free numbers together."""
+    """Least squares on the simulated position, all free numbers together. Each joint counts by
+    the scatter that it has in ``before``. With a ``guess`` the fit begins where that ends, and
+    takes the slopes from it.
+    """
     from scipy.optimize import least_squares
 
     handles = tuple(handles)
@@ -105,23 +119,43 @@ def fit_output(
     low, high, size = _bounds(benches, model, handles)
     start = np.clip(get_values(model, handles), low + 1e-9 * size, high - 1e-9 * size)
 
-    def evaluate(z: Array) -> Array:
-        return errors(benches, set_values(model, handles, z * size))
+    weight = weights(benches, before)
 
-    done = least_squares(
-        evaluate,
-        start / size,
-        bounds=(low / size, high / size),
-        diff_step=np.full(len(size), 1e-4),
-        max_nfev=evaluations,
-        ftol=1e-5,
-        xtol=1e-6,
-    )
+    def solve(ask: Guess, begin: Array, most: int, jac: Any = "2-point") -> Any:
+        def evaluate(z: Array) -> Array:
+            return weight * ask(set_values(model, handles, z * size))
+
+        return least_squares(
+            evaluate,
+            begin,
+            jac=jac,
+            bounds=(low / size, high / size),
+            diff_step=np.full(len(size), DIFFERENCE),
+            max_nfev=most,
+            ftol=1e-5,
+            xtol=1e-6,
+        )
+
+    def slopes(z: Array) -> Array:
+        assert guess is not None
+        at = guess(set_values(model, handles, z * size))
+        moved = (z + DIFFERENCE * row for row in np.eye(len(z)))
+        columns = [guess(set_values(model, handles, x * size)) - at for x in moved]
+        return weight[:, None] * np.stack(columns, axis=1) / DIFFERENCE
+
+    truly = partial(errors, benches)
+    if guess is None:
+        done = solve(truly, start / size, evaluations)
+    else:
+        near = solve(guess, start / size, FIRST).x
+        near = np.clip(near, low / size + 1e-9, high / size - 1e-9)
+        done = solve(truly, near, evaluations, slopes)
     x = done.x * size
     jacobian = np.asarray(done.jac, dtype=np.float64) / size
     block = max(10, round(BLOCK / benches[0].signals.sample_time))
     covariance = robust_covariance(jacobian, done.fun, block)
-    bound = tuple(bool(v) for v in (np.isclose(x, low) | np.isclose(x, high)))
+    ends = np.isclose(x, low, rtol=NEAR) | np.isclose(x, high, rtol=NEAR)
+    bound = tuple(bool(v) for v in ends)
     result = Fit(
         set_values(model, handles, x),
         handles,
@@ -129,10 +163,18 @@ def fit_output(
         covariance,
         float(done.fun @ done.fun),
         bound,
-        jacobian,
-        done.fun,
+        jacobian / weight[:, None],
+        done.fun / weight,
     )
-    return Output(result, done.fun)
+    return Output(result, done.fun / weight)
+
+
+def weights(benches: Sequence[Bench], error: Array) -> Array:
+    """One over the scatter of each joint, (N,), at the places of ``errors``."""
+    out = np.ones(len(error))
+    for part in by_joint(benches):
+        out[part] = 1.0 / max(float(np.sqrt(np.mean(error[part] ** 2))), 1e-12)
+    return out
 
 
 def effective(error: Array) -> float:
@@ -145,14 +187,27 @@ def effective(error: Array) -> float:
     return max(10.0, len(e) * (1 - rho) / (1 + rho))
 
 
-def gain(before: Array, after: Array, parameters: int) -> float:
-    """Log-likelihood ratio of two output errors with the effective number of samples, less the
-    price of the parameters.
+def gain(
+    benches: Sequence[Bench], before: Array, after: Array, parameters: int, best: Array
+) -> float:
+    """Log-likelihood ratio of two output errors, less the price of the parameters.
+
+    Each joint has its own scatter: one that is simulated badly hides nothing of another. The
+    effective number of samples is that of the ``best`` rival's error, for all rivals.
     """
-    n = max(effective(after), len(after) / 100.0)
-    return 0.5 * n * math.log(
-        max(float(before @ before), 1e-300) / max(float(after @ after), 1e-300)
-    ) - 0.5 * parameters * math.log(n)
+    total, samples = 0.0, 0.0
+    for part in by_joint(benches):
+        n = max(effective(best[part]), len(part) / 100.0)
+        power = [max(float(e[part] @ e[part]), 1e-300) for e in (before, after)]
+        total += 0.5 * n * math.log(power[0] / power[1])
+        samples += n
+    return total - 0.5 * parameters * math.log(samples)
+
+
+def by_joint(benches: Sequence[Bench]) -> list[npt.NDArray[np.int64]]:
+    """The places of each joint in what ``errors`` gives."""
+    joint = np.concatenate([np.repeat(np.arange(len(b.records)), b.n) for b in benches])
+    return [np.flatnonzero(joint == j) for j in range(len(benches[0].records))]
 
 
 def held_z(before: Array, after: Array, block: int) -> float:
@@ -172,12 +227,12 @@ def held_z(before: Array, after: Array, block: int) -> float:
 
 
 def screen(
-    benches: Sequence[Bench], current: Output, joint: int, tell: Progress
+    benches: Sequence[Bench], current: Output, joint: int, guess: Guess, tell: Progress
 ) -> list[tuple[float, Term]]:
-    """Each effect at its best grid point by finite differences: share of the squared error that it
-    promises to remove, best first.
+    """Each effect at its best grid point by finite differences of a guess: share of the squared
+    error that it promises to remove, best first.
     """
-    left, basis = _projected(current)
+    weight, left, basis = _projected(benches, current)
     cost = float(left @ left)
     record = benches[0].records[joint - 1]
     found, calls = [], 0
@@ -187,7 +242,7 @@ def screen(
         if (tenth := 10 * done // len(every)) > told:
             told = tenth
             bar = "█" * tenth + "░" * (10 - tenth)
-            tell(f"joint {joint}: screening the library {bar} {calls} simulations")
+            tell(f"joint {joint}: screening the library {bar} {calls} trials")
         if (
             not on_input(effect)
             or effect.retime is not None
@@ -207,9 +262,9 @@ def screen(
             for name_values in linear:
                 step = _step(effect, record, name_values)
                 trial = make_term(effect, joint, {**values, **step})
-                columns.append(errors(benches, with_term(current.model, trial)) - current.error)
+                columns.append(guess(with_term(current.model, trial)) - current.error)
                 calls += 1
-            b = np.stack(columns)
+            b = weight * np.stack(columns)
             b = b - (b @ basis) @ basis.T
             gram, moment = b @ b.T, b @ left
             theta: Array = np.asarray(
@@ -221,16 +276,22 @@ def screen(
                 best = (promise, make_term(effect, joint, start))
         if best is not None:
             found.append(best)
-    tell(f"joint {joint}: {calls} simulations screened the library")
+    tell(f"joint {joint}: {calls} trials screened the library")
     return sorted(found, key=lambda item: -item[0])
 
 
-def _projected(current: Output) -> tuple[Array, Array]:
-    jac = current.fit.jacobian
+def _projected(benches: Sequence[Bench], current: Output) -> tuple[Array, Array, Array]:
+    """The weights of the errors; the weighted errors that no free number explains; an orthonormal
+    basis of what these explain.
+    """
+    weight = weights(benches, current.error)
+    # a parameter at the end of its range does not give way
+    jac = weight[:, None] * current.fit.jacobian[:, ~np.array(current.fit.at_bound, dtype=bool)]
     norms = np.linalg.norm(jac, axis=0)
     jac = jac[:, norms > 0] / norms[norms > 0]
     basis = np.linalg.qr(jac)[0] if jac.shape[1] else np.zeros((len(current.error), 0))
-    return current.error - basis @ (basis.T @ current.error), basis
+    error = weight * current.error
+    return weight, error - basis @ (basis.T @ error), basis
 
 
 def with_term(model: Model, term: Term) -> Model:
@@ -312,14 +373,20 @@ def _start(
 
 
 def late_candidates(
-    benches: Sequence[Bench], current: Output, joint: int
+    benches: Sequence[Bench], current: Output, joint: int, guess: Guess
 ) -> list[tuple[float, Term]]:
     """What acts on the command's timing."""
+    weight, left, basis = _projected(benches, current)
     out = []
     for effect in on_timing():
         if effect.name not in {t.effect for t in current.model.at(joint)}:
             step = 2 * benches[0].signals.sample_time
             term = make_term(effect, joint, dict.fromkeys(effect.linear, step))
-            trial = errors(benches, with_term(current.model, term))
-            out.append((1 - float(trial @ trial) / current.fit.cost, term))
-    return [item for item in out if item[0] > 0]
+            change = weight * (guess(with_term(current.model, term)) - current.error)
+            change = change - basis @ (basis.T @ change)
+            times = -float(change @ left) / max(float(change @ change), 1e-300)
+            if times > 0:
+                promise = times**2 * float(change @ change) / float(left @ left)
+                start = dict.fromkeys(effect.linear, min(times, LONGEST) * step)
+                out.append((promise, make_term(effect, joint, start)))
+    return out

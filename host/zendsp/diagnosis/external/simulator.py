@@ -127,6 +127,7 @@ class Bench:
     signals: Signals
     records: tuple[JointRecord, ...]
     simulator: Simulator
+    given: Model
     size: int = 0
     calls: int = 0
 
@@ -144,7 +145,10 @@ class Bench:
         ModelError
             Where the user's function fails or returns something else.
         """
-        command = self._command(model)
+        return self.sensed(self.run(self.command(model), model), model)
+
+    def run(self, command: Array, model: Model) -> Array:
+        """What the simulator answers to a command, (n, joints): without effects on the sensor."""
         parameters = {
             k: items[0].value if len(items) == 1 else [q.value for q in items]
             for k, items in model.mechanism.items()
@@ -165,7 +169,7 @@ class Bench:
                 )
             parts.append(out)
         self.calls += 1
-        return self._sensor(np.concatenate(parts), model)
+        return np.concatenate(parts)
 
     def _recording(self, command: Array, rows: slice) -> Columns:
         """Rows of the recording as a simulator gets them."""
@@ -191,41 +195,48 @@ class Bench:
         """Measured minus simulated position, (n, joints); of windows without what an error of their
         first position and velocity explains.
         """
-        e = self.signals.position - self.simulate(model)
+        return self.told(self.signals.position - self.simulate(model))
+
+    def told(self, e: Array) -> Array:
+        """Of errors (n, joints) what windows tell: each less its mean and slope."""
         if not self.size:
             return e
         out = np.empty_like(e)
-        for a in range(0, self.n, self.size):
-            part = e[a : a + self.size]
-            x = np.linspace(-1.0, 1.0, len(part))[:, None] if len(part) > 1 else np.zeros((1, 1))
-            level = part.mean(axis=0)
-            out[a : a + self.size] = (
-                part - level - x * ((x * part).sum(axis=0) / max(float((x * x).sum()), 1e-300))
-            )
+        whole = self.n - self.n % self.size
+        for rows, count in ((slice(0, whole), self.size), (slice(whole, None), self.n - whole)):
+            if count:
+                part = e[rows].reshape(-1, count, e.shape[1])
+                x = np.linspace(-1.0, 1.0, count)[None, :, None] if count > 1 else np.zeros(1)
+                slope = (x * part).sum(axis=1, keepdims=True) / max(float((x * x).sum()), 1e-300)
+                left = part - part.mean(axis=1, keepdims=True) - x * slope
+                out[rows] = left.reshape(-1, e.shape[1])
         return out
 
-    def _command(self, model: Model) -> Array:
-        columns = []
-        for i, record in enumerate(self.records):
-            gain = per_joint(model.actuator.gain, i + 1, 1.0)
-            effects = [(t, get_effect(t.effect)) for t in model.at(i + 1)]
-            terms = tuple(t for t, effect in effects if effect.site not in ("setup", "sensor"))
-            floor = max(
-                2.0 * float(np.sqrt(np.median(record.motion.variances[1]))),
-                0.01 * record.scale.speed,
-            )
-            torque = trace(record, model, terms, floor) if terms else np.zeros(record.n)
-            motion, command = along(record, model), record.command
-            for term, effect in effects:
-                numbers = {name: q.value for name, q in term.parameters.items()}
-                if effect.retime is not None:
-                    command = effect.retime(command, record.sample_time, numbers)
-                elif effect.column is not None and on_input(effect):
-                    torque = torque + effect.column(motion, numbers)
-            columns.append(command - torque / gain)
-        return np.stack(columns, axis=1)
+    def command(self, model: Model) -> Array:
+        """The recorded command less the torque of a model's effects, (n, joints)."""
+        return np.stack([self.command_of(i, model) for i in range(len(self.records))], axis=1)
 
-    def _sensor(self, out: Array, model: Model) -> Array:
+    def command_of(self, i: int, model: Model) -> Array:
+        """That of one joint (0-based), (n,)."""
+        record = self.records[i]
+        gain = per_joint(model.actuator.gain, i + 1, 1.0)
+        effects = [(t, get_effect(t.effect)) for t in model.at(i + 1)]
+        terms = tuple(t for t, effect in effects if effect.site not in ("setup", "sensor"))
+        floor = max(
+            2.0 * float(np.sqrt(np.median(record.motion.variances[1]))),
+            0.01 * record.scale.speed,
+        )
+        torque = trace(record, model, terms, floor) if terms else np.zeros(record.n)
+        motion, command = along(record, model), record.command
+        for term, effect in effects:
+            numbers = {name: q.value for name, q in term.parameters.items()}
+            if effect.retime is not None:
+                command = effect.retime(command, record.sample_time, numbers)
+            elif effect.column is not None and on_input(effect):
+                torque = torque + effect.column(motion, numbers)
+        return np.asarray(command - torque / gain, dtype=np.float64)
+
+    def sensed(self, out: Array, model: Model) -> Array:
         out = out.copy()
         for i, record in enumerate(self.records):
             if terms := tuple(t for t in model.at(i + 1) if get_effect(t.effect).site == "sensor"):
@@ -281,4 +292,4 @@ def bench(signals: Signals, model: Model, simulator: Simulator) -> Bench:
                 columns=joint_columns(signals, i),
             )
         )
-    return Bench(signals, tuple(records), simulator)
+    return Bench(signals, tuple(records), simulator, model)

@@ -1,0 +1,136 @@
+"""What a simulator would answer near a model: to first order, without calling it.
+
+A small push of each joint is simulated once. In a window of a quarter of a second what a simulator
+answers to it depends on little but the time since: its step response there, taken apart into rows,
+answers to any other small torque by convolution. The simulator's own parameters move the answer by
+the Jacobian of the last fit. A library of effects is then screened at the cost of a simulation a
+joint, and a fit begins near its end; what is claimed is simulated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.diagnosis.external.output_error import Output, errors, fit_output
+from zendsp.diagnosis.external.simulator import Bench
+from zendsp.physics.calibration.handles import Handle, free_handles, get_values, set_values
+from zendsp.physics.model import Model, per_joint
+
+Array = npt.NDArray[np.float64]
+
+PUSH = 0.01  # of the RMS torque
+STEP = 1e-4  # of a parameter of the simulator
+
+
+class Pushed(Bench):
+    """A bench near a model: its simulator is what small pushes did to the true one."""
+
+    def __init__(self, b: Bench, base: Model) -> None:
+        super().__init__(b.signals, b.records, b.simulator, b.given, b.size)
+        self.base, self.before = base, b.command(base)
+        self.answer = b.run(self.before, base)
+        # (joints pushed, windows, frequencies, joints)
+        self.response = np.stack([self._pushed(b, i) for i in range(len(b.records))])
+
+    def _pushed(self, b: Bench, i: int) -> npt.NDArray[np.complex128]:
+        """The spectra of what a push of joint i (0-based) does, from the second row of each window
+        on.
+        """
+        gain = abs(per_joint(self.base.actuator.gain, i + 1, 1.0))
+        push = PUSH * b.records[i].scale.torque / gain
+        told, joints = self.before.copy(), self.before.shape[1]
+        told[np.arange(b.n) % b.size > 0, i] += push
+        step = np.zeros((-(-b.n // b.size) * b.size, joints))
+        step[: b.n] = (b.run(told, self.base) - self.answer) / push
+        # a row later: a simulator may hold a command from its row on, or up to it
+        rows = np.diff(step.reshape(-1, b.size, joints), axis=1)
+        rows = np.concatenate([rows, 2 * rows[:, -1:] - rows[:, -2:-1]], axis=1)
+        if short := b.n % b.size:  # the last window ends before the others
+            rows[-1, short - 1 :] = rows[-1, max(short - 2, 0)]
+        return np.fft.rfft(rows, 2 * b.size, axis=1)
+
+    def run(self, command: Array, model: Model) -> Array:
+        """The answer to a command, (n, joints), by convolution."""
+        change = command - self.before
+        count = self.response.shape[1]
+        out = np.zeros((count, self.response.shape[2], self.answer.shape[1]), dtype=complex)
+        for i in np.flatnonzero(np.any(change != 0.0, axis=0)):
+            rows = np.zeros(count * self.size)
+            rows[: self.n] = change[:, i]
+            there = np.fft.rfft(rows.reshape(count, self.size), 2 * self.size, axis=1)
+            out += there[:, :, None] * self.response[i]
+        moved = np.fft.irfft(out, 2 * self.size, axis=1)[:, : self.size]
+        return self.answer + moved.reshape(-1, self.answer.shape[1])[: self.n]
+
+    def command_of(self, i: int, model: Model) -> Array:
+        """As it was, where the terms are."""
+        same = model.at(i + 1) == self.base.at(i + 1) and model.actuator == self.base.actuator
+        return self.before[:, i] if same else super().command_of(i, model)
+
+
+class Near:
+    """The errors of models near a fitted one.
+
+    Parameters
+    ----------
+    benches : sequence of Bench
+    current : Output
+        The fit to stand on.
+    """
+
+    def __init__(self, benches: Sequence[Bench], current: Output) -> None:
+        self.current, self.true = current, benches
+        # over whole recordings errors accumulate, and no response is the same everywhere
+        self.linear = all(b.size for b in benches)
+        if not self.linear:
+            return
+        self.benches = [Pushed(b, current.model) for b in benches]
+        fit = current.fit
+        known = {h: fit.jacobian[:, k] for k, h in enumerate(fit.handles) if h.place == "mechanism"}
+        self.own = tuple(
+            h for h in free_handles(current.model, offsets=False) if h.place == "mechanism"
+        )
+        self.at = get_values(current.model, self.own)
+        columns = [known[h] if h in known else self._column(h) for h in self.own]
+        self.jacobian = np.stack(columns, axis=1) if columns else np.zeros((len(current.error), 0))
+
+    def _column(self, handle: Handle) -> Array:
+        """What a parameter of the simulator does that the last fit did not move."""
+        model = self.current.model
+        value = float(get_values(model, [handle])[0])
+        moved = set_values(model, [handle], np.array([(1 + STEP) * value]))
+        return (errors(self.true, moved) - self.current.error) / (STEP * value)
+
+    def errors(self, model: Model) -> Array:
+        """Measured minus simulated position over its noise, (N,), to first order; simulated where
+        that does not hold.
+        """
+        if not self.linear:
+            return errors(self.true, model)
+        own = self.jacobian @ (get_values(model, self.own) - self.at)
+        return np.asarray(errors(self.benches, model) + own, dtype=np.float64)
+
+    def fit(self, model: Model) -> Output:
+        """A model with another term, fitted; the slopes are those from here."""
+        handles = free_handles(model, offsets=False)
+        guess = self.errors if self.linear else None
+        return fit_output(self.true, model, handles, self.current.error, guess=guess)
+
+    def bumps(self, k: int, joint: int, shapes: Array) -> Array:
+        """What torques over time at one joint (0-based) do to its error on recording k, (n,
+        shapes) rad or m per N m or N.
+        """
+        b, model = (self.benches if self.linear else self.true)[k], self.current.model
+        e, before = b.error(model)[:, joint], b.command(model)
+        gain = per_joint(model.actuator.gain, joint + 1, 1.0)
+        size = PUSH * b.records[joint].scale.torque
+        columns = []
+        for shape in shapes:
+            command = before.copy()
+            command[:, joint] -= size * shape / gain
+            moved = b.signals.position - b.sensed(b.run(command, model), model)
+            columns.append((e - b.told(moved)[:, joint]) / size)
+        return np.stack(columns, axis=1)
