@@ -39,7 +39,7 @@ REACH = 0.4  # of the sample rate: a line above is too near to half of it
 
 @dataclass(frozen=True, repr=False)
 class FrequencyResponse:
-    """What :func:`frequency_response` measured.
+    """What `frequency_response` measured.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class FrequencyResponse:
     input, output, unit : str
     periods : int
     recording : Recording
-        Input and output, all of it; it carries the response with it, see :meth:`of`.
+        Input and output, all of it; it carries the response with it, see `of`.
     """
 
     f: Floats

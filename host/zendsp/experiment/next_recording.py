@@ -43,7 +43,7 @@ def run_next(
     progress : callable, optional
         Receives a sentence at each stage.
     **options
-        For :func:`zendsp.diagnose`: seed, jobs.
+        For `zendsp.diagnose`: seed, jobs.
 
     Returns
     -------

@@ -32,7 +32,7 @@ MOST = 10_000  # runs
 
 @dataclass(frozen=True, repr=False)
 class Sweep:
-    """What :func:`sweep` measured.
+    """What `sweep` measured.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class Sweep:
         return self.rows[k]
 
     def best_row(self, result: str = "") -> int | None:
-        """Return the number of the row that :meth:`best` returns; None where no run came to its
+        """Return the number of the row that `best` returns; None where no run came to its
         end.
         """
         name = result or self.results[0]
@@ -286,7 +286,7 @@ def tried_of(words: Sequence[str]) -> dict[str, list[float]]:
     Parameters
     ----------
     words : sequence of str
-        ``NAME=VALUES`` each; VALUES as :func:`values_of` reads them.
+        ``NAME=VALUES`` each; VALUES as `values_of` reads them.
 
     Raises
     ------

@@ -99,7 +99,7 @@ class Recorder(Transfers):
         Refused
             The program does not run, or another host is recording.
         RunnerDied
-            The program crashed meanwhile; :meth:`acquire_load` brings home what was recorded until
+            The program crashed meanwhile; `acquire_load` brings home what was recorded until
             then.
         """
         status: m.Status = self.request("status")
@@ -315,7 +315,7 @@ class Recorder(Transfers):
         timeout : float, s, optional
             Of real time; None waits for ever.
         note, progress, patience
-            As for :meth:`acquire_load`.
+            As for `acquire_load`.
 
         Returns
         -------
@@ -326,7 +326,7 @@ class Recorder(Transfers):
         Incomplete
             Not within ``timeout``, or the program no longer runs.
         RunnerDied
-            The program crashed; :meth:`acquire_load` brings home what there is.
+            The program crashed; `acquire_load` brings home what there is.
         """
         status: m.AcquireStatus = self.insist("acquire_status", patience)
         if status.wanted == 0 and status.state == RecorderState.RUNNING:

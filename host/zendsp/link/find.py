@@ -64,7 +64,7 @@ def discover(
     connect : str or sequence of str, optional
         Endpoints of targets or routers elsewhere; default ``$ZENDSP_CONNECT``.
     timeout : float, s
-        For each to answer, as long as :func:`zendsp.connect` waits; all are asked at once.
+        For each to answer, as long as `zendsp.connect` waits; all are asked at once.
 
     Returns
     -------

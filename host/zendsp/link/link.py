@@ -119,7 +119,7 @@ class Link:
         self._returned.append(callback)
 
     def forget(self, callback: Callable[[], None]) -> None:
-        """End what :meth:`on_return` asked for; what it was asked by can be freed then."""
+        """End what `on_return` asked for; what it was asked by can be freed then."""
         with contextlib.suppress(ValueError):  # asked of another link, or forgotten already
             self._returned.remove(callback)
 

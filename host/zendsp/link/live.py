@@ -97,8 +97,8 @@ class _Window:
 class LiveView:
     """A subscription to the newest samples; close it, or use it in a ``with``.
 
-    Three ways to read it: iterate over blocks, give a callback, or pull :meth:`latest` and
-    :meth:`window` whenever the screen is drawn (the cheapest).
+    Three ways to read it: iterate over blocks, give a callback, or pull `latest` and
+    `window` whenever the screen is drawn (the cheapest).
     """
 
     def __init__(
@@ -290,9 +290,9 @@ class LiveViews(Room):
             Between messages at the least: 1 ms for the least lag, 20 ms for a screen at a fraction
             of the cost.
         history : float, s
-            Kept for :meth:`LiveView.window`.
+            Kept for `LiveView.window`.
         callback : callable, optional
-            Called with each :class:`LiveBlock` in a thread of the view's own; a slow one loses
+            Called with each `LiveBlock` in a thread of the view's own; a slow one loses
             rows.
         """
         names = [n for c in channels for n in ([c] if isinstance(c, str) else c)]

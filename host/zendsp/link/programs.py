@@ -32,7 +32,7 @@ def at_rest(status: m.Status) -> bool:
 
 
 def stopped(status: m.Status) -> str:
-    """Say how a STOP ended, from what :meth:`Programs.stop` returned."""
+    """Say how a STOP ended, from what `Programs.stop` returned."""
     if status.trip is None or status.state in (ProgramState.EMPTY, ProgramState.CRASHED):
         what = (
             "no program is loaded" if status.state == ProgramState.EMPTY else "the program crashed"
@@ -100,12 +100,12 @@ class Programs(Room):
         self.request("load", key=key)
 
     def download(self, source: Source, flags: Sequence[str] = ()) -> m.CompileResult:
-        """Compile and load; afterwards the state is ``loaded`` and :meth:`start` runs it.
+        """Compile and load; afterwards the state is ``loaded`` and `start` runs it.
 
         Parameters
         ----------
         source, flags
-            As for :meth:`compile`.
+            As for `compile`.
 
         Returns
         -------
@@ -172,7 +172,7 @@ class Programs(Room):
             raise NotStopped(f"NOT STOPPED: use the machine's emergency stop ({error})") from error
 
     def stop_page(self) -> StopPage | None:
-        """The file through which :meth:`stop` goes first: only of a target of this user on this
+        """The file through which `stop` goes first: only of a target of this user on this
         computer, None elsewhere.
         """
         instance = self.link.instance
@@ -194,7 +194,7 @@ class Programs(Room):
         )
 
     def acknowledge(self) -> None:
-        """Acknowledge a STOP or a trip; nothing moves before the next :meth:`start`."""
+        """Acknowledge a STOP or a trip; nothing moves before the next `start`."""
         self.request("acknowledge")
 
     def unload(self) -> None:
@@ -275,7 +275,7 @@ class Programs(Room):
         timeout : float, s
             Of real time.
         on_status : callable, optional
-            Called with each :class:`Status` met while waiting.
+            Called with each `Status` met while waiting.
 
         Raises
         ------

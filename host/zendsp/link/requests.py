@@ -50,7 +50,7 @@ class Requests:
 
 
 class Room:
-    """Base of the parts of a target: each asks through the same :class:`Requests`.
+    """Base of the parts of a target: each asks through the same `Requests`.
 
     Parameters
     ----------

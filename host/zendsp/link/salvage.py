@@ -38,7 +38,7 @@ class Salvage:
     begun : float, Unix s
     rows, columns : int
     folder : Path
-        In shared memory; it is freed by :meth:`drop`.
+        In shared memory; it is freed by `drop`.
     """
 
     target: str
@@ -49,7 +49,7 @@ class Salvage:
     folder: Path
 
     def load(self, note: str = "") -> Recording:
-        """Read it; it stays in shared memory until :meth:`drop`.
+        """Read it; it stays in shared memory until `drop`.
 
         Parameters
         ----------

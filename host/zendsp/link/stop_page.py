@@ -42,7 +42,7 @@ class StopPage:
         self._words = memoryview(self._map).cast("Q")  # read whole, unlike by `struct`
 
     def ask(self) -> int:
-        """STOP, from the next sample on; returns what :meth:`taken` wants. Never waits."""
+        """STOP, from the next sample on; returns what `taken` wants. Never waits."""
         before = self._words[page.TAKEN // 8]
         self._map[page.STOP] = 1
         return before
@@ -53,7 +53,7 @@ class StopPage:
         Parameters
         ----------
         asked : int
-            From :meth:`ask`.
+            From `ask`.
         timeout : float, s
 
         Returns

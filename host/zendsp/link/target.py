@@ -68,7 +68,7 @@ def _quoted(name: str) -> str:
 class Target:
     """A target that runs somewhere: load programs, tune variables, record, watch.
 
-    Made by :func:`zendsp.connect` and :func:`zendsp.local`. Safe to use from several threads. Its
+    Made by `zendsp.connect` and `zendsp.local`. Safe to use from several threads. Its
     rooms hold the methods; each of them is a method of the target too, so that ``target.start()``
     is ``target.programs.start()``.
 
@@ -215,12 +215,12 @@ class Target:
 
     @property
     def staged(self) -> dict[str, Assignable]:
-        """What is staged for the next :meth:`update`."""
+        """What is staged for the next `update`."""
         return self.variables.staged
 
     @property
     def link(self) -> Link:
-        """The present link; :meth:`reconnect` makes another."""
+        """The present link; `reconnect` makes another."""
         return self.requests.link
 
     @property
@@ -257,7 +257,7 @@ class Target:
         link.take_over(old)
 
     def close(self) -> None:
-        """End the connection; a target started by :func:`zendsp.local` ends with it, others go on.
+        """End the connection; a target started by `zendsp.local` ends with it, others go on.
         """
         self.link.close()
         if self._on_close is not None:

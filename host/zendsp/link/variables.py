@@ -97,7 +97,7 @@ class Variables(Room):
         return written.sequence
 
     def stage(self, /, **values: Assignable) -> dict[str, Assignable]:
-        """Note values for the next :meth:`update`, which the target has checked; returns all that
+        """Note values for the next `update`, which the target has checked; returns all that
         is staged.
 
         Raises
@@ -164,7 +164,7 @@ class Variables(Room):
         return tick
 
     def update_alone(self, values: Mapping[str, Assignable]) -> int:
-        """As :meth:`update`, of these values only: what is staged stays staged."""
+        """As `update`, of these values only: what is staged stays staged."""
         staged, self._staged = self._staged, {}
         try:
             return self.update(None, **values)

@@ -48,7 +48,7 @@ TIMES = ("t", "time", "Time", "T")
 
 
 def save(recording: Samples, path: Path) -> Path:
-    """See :meth:`Recording.save`."""
+    """See `Recording.save`."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     writer = _writer(path)
     try:
@@ -151,7 +151,7 @@ def _plain(value: Any) -> Any:
 
 
 def load(path: Path, kind: type[Kind]) -> Kind:
-    """See :meth:`Recording.load`."""
+    """See `Recording.load`."""
     raw = read_raw(path)
     return _own(path, raw, kind) if raw.metadata else _foreign(path, raw, kind)
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def to_pandas(recording: Samples) -> pandas.DataFrame:
-    """See :meth:`Recording.to_pandas`."""
+    """See `Recording.to_pandas`."""
     pd = need("pandas", "frames", "to_pandas()", RecordingError)
     index = pd.Index(recording.t, name="t")
     frame: pandas.DataFrame = pd.DataFrame(
@@ -26,7 +26,7 @@ def to_pandas(recording: Samples) -> pandas.DataFrame:
 
 
 def to_xarray(recording: Samples) -> xarray.Dataset:
-    """See :meth:`Recording.to_xarray`."""
+    """See `Recording.to_xarray`."""
     xr = need("xarray", "frames", "to_xarray()", RecordingError)
     variables = {}
     for channel in recording.channels:

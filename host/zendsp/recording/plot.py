@@ -19,7 +19,7 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#0
 
 
 def plot(recording: Samples, names: Sequence[str] | None, path: str | Path | None) -> Figure:
-    """See :meth:`Recording.plot`."""
+    """See `Recording.plot`."""
     from matplotlib.figure import Figure
 
     chosen = list(names) if names is not None else list(recording.names)

@@ -98,7 +98,7 @@ class Recording(Samples):
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Read a recording written by :meth:`save`, or any table with a column of time, in SI
+        """Read a recording written by `save`, or any table with a column of time, in SI
         units.
 
         Raises

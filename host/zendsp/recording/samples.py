@@ -1,5 +1,5 @@
 """Samples of chosen signals on one time base, with all that is needed to repeat the run: what a
-:class:`zendsp.recording.Recording` holds.
+`zendsp.recording.Recording` holds.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class ParameterChange:
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """The data of a :class:`~zendsp.recording.recording.Recording`, where each field is described.
+    """The data of a `zendsp.recording.recording.Recording`, where each field is described.
     """
 
     t: FloatArray
@@ -100,7 +100,7 @@ class Samples:
             Default: 0, sample_time, 2 sample_time, …
         units : mapping of name to unit
         **metadata
-            Any other attribute of :class:`Recording`.
+            Any other attribute of `Recording`.
 
         Raises
         ------

@@ -93,7 +93,7 @@ def save_reference(
 
 
 def load_reference(path: str | Path) -> Reference:
-    """Read a reference that :func:`save_reference` wrote.
+    """Read a reference that `save_reference` wrote.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def load_reference(path: str | Path) -> Reference:
 
 
 def is_reference(path: Path) -> bool:
-    """Whether a file is one that :func:`save_reference` wrote, and no other table.
+    """Whether a file is one that `save_reference` wrote, and no other table.
 
     Parameters
     ----------

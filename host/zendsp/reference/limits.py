@@ -184,7 +184,7 @@ def raise_violations(found: Sequence[Violation], machine: str) -> None:
     Parameters
     ----------
     found : sequence of Violation
-        From :func:`find_violations`.
+        From `find_violations`.
     machine : str
         Named in the message.
 

@@ -85,8 +85,8 @@ def make_reference(
     Returns
     -------
     Reference
-        Not yet checked against the machine's limits: :meth:`Machine.check` or
-        :func:`save_reference` does that.
+        Not yet checked against the machine's limits: `Machine.check` or
+        `save_reference` does that.
 
     Raises
     ------

@@ -95,7 +95,7 @@ def compensation(
 
 
 def compensation_values(terms: Sequence[Term], model: Model) -> dict[str, float]:
-    """The numbers of a compensation by the names that :func:`compensation` gives them.
+    """The numbers of a compensation by the names that `compensation` gives them.
 
     A running program that was built with the same effects takes them by one synchronous update.
 

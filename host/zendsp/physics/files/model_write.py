@@ -1,4 +1,4 @@
-"""The text of a model file: what :func:`load_model` reads again."""
+"""The text of a model file: what `load_model` reads again."""
 
 from __future__ import annotations
 

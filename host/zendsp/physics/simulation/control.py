@@ -56,9 +56,9 @@ def simulate_loop(
     temperature : float or array_like, shape (N,), optional
         Of the machine, °C; the last one stays. 20 where absent.
     inner : int
-        Integration steps per sample, as for :func:`simulate`.
+        Integration steps per sample, as for `simulate`.
     check : bool
-        Halve the step until nothing changes, as for :func:`simulate`.
+        Halve the step until nothing changes, as for `simulate`.
 
     Returns
     -------

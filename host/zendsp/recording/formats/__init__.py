@@ -1,4 +1,4 @@
-"""File formats: each reads a :class:`Raw` table and writes a recording."""
+"""File formats: each reads a `Raw` table and writes a recording."""
 
 from zendsp.recording.formats.raw import Raw
 

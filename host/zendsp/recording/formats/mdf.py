@@ -47,7 +47,7 @@ def read(path: Path) -> Raw:
 
 
 def parse(path: Path) -> Raw:
-    """What :func:`read` returns, in this process."""
+    """What `read` returns, in this process."""
     asammdf = library()
     with asammdf.MDF(path) as file:
         attached = _attached(file)

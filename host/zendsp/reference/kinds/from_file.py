@@ -64,7 +64,7 @@ def make_from_file(machine: Machine, *, path: str, sample_time: float | None = N
     machine : Machine
         Gives the number of joints and the sample time.
     path : str
-        Any file that :func:`zendsp.recording.read_table` reads; see docs/references.md for the
+        Any file that `zendsp.recording.read_table` reads; see docs/references.md for the
         columns.
     sample_time : float, optional
         s.

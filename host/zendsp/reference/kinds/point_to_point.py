@@ -64,7 +64,7 @@ def make_point_to_point(
     duration : float
         s; 0 takes the shortest that the speed and acceleration limits allow.
     law : {"quintic", "trapezoid"}
-        Time law, see :func:`zendsp.reference.profiles.rest_to_rest`.
+        Time law, see `zendsp.reference.profiles.rest_to_rest`.
     blend : float
         Share of each ramp of the trapezoid.
     sample_time : float, optional
