@@ -240,7 +240,7 @@ async def test_what_is_saved_at_once_is_the_motion_of_the_form(
         file = folder / "imi_planar-circle-2.mat"
         await until(pilot, file.is_file, "the newer one is saved, with the plan of meanwhile")
         assert load_reference(file).duration == pytest.approx(3.5, abs=0.01)
-        monkeypatch.setattr("zendsp.tui.screens.reference.SETTLE_S", 3600.0)
+        monkeypatch.setattr("zendsp.tui.screens.reference_form.SETTLE_S", 3600.0)
         duration.value = "4.5"
         await pilot.press("ctrl+s", "enter")
         await until(pilot, lambda: screen._to_save is not None, "it waits for its plan")

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from zendsp.extras import need
-from zendsp.proof.draft import Draft
+from zendsp.proof.draft import Array, Draft
 from zendsp.proof.reality import Run
+
+Columns = Mapping[str, str | list[str]]  # of [columns]: one name, or one a joint
 
 FORMATS = ("csv", "npz", "mat", "parquet", "h5")
 NAMES = (
@@ -19,7 +22,7 @@ NAMES = (
 )
 
 
-def columns_of(names: dict[str, str], joints: int, split: bool) -> dict[str, Any]:
+def columns_of(names: dict[str, str], joints: int, split: bool) -> Columns:
     """The ``[columns]`` table: one name, or one a joint where vectors are split."""
     if joints == 1 or not split:
         return dict(names)
@@ -28,10 +31,10 @@ def columns_of(names: dict[str, str], joints: int, split: bool) -> dict[str, Any
     }
 
 
-def recording(run: Run, columns: dict[str, Any]) -> dict[str, Any]:
+def recording(run: Run, columns: Columns) -> dict[str, Array]:
     """Column name -> array, of what a laboratory would have."""
     data = {"position": run.measured, "command": run.command, "reference": run.reference}
-    out: dict[str, Any] = {columns["time"]: run.time}
+    out: dict[str, Array] = {str(columns["time"]): run.time}
     for key, value in data.items():
         if key not in columns:
             continue
@@ -43,12 +46,12 @@ def recording(run: Run, columns: dict[str, Any]) -> dict[str, Any]:
     return out
 
 
-def write_recording(path: Path, table: dict[str, Any]) -> None:
+def write_recording(path: Path, table: dict[str, Array]) -> None:
     """Write `table` in the format that the suffix names; ``.mat`` is v5 here, see
     :func:`write_hdf`.
     """
     if path.suffix == ".npz":
-        np.savez_compressed(path, **table)
+        np.savez_compressed(path, **table)  # type: ignore[arg-type]
     elif path.suffix == ".mat":
         from scipy.io import savemat
 
@@ -76,7 +79,7 @@ def write_recording(path: Path, table: dict[str, Any]) -> None:
         )
 
 
-def write_hdf(path: Path, table: dict[str, Any]) -> None:
+def write_hdf(path: Path, table: dict[str, Array]) -> None:
     """MAT v7.3: HDF5 with MATLAB's transposed arrays and its header block of 512 bytes."""
     h5py = need("h5py", "hdf5", "a MAT file of version 7.3")
     with h5py.File(path, "w", userblock_size=512) as file:
@@ -89,7 +92,7 @@ def write_hdf(path: Path, table: dict[str, Any]) -> None:
         raw.write(head)
 
 
-def save(folder: Path, stem: str, form: str, run: Run, columns: dict[str, Any]) -> Path:
+def save(folder: Path, stem: str, form: str, run: Run, columns: Columns) -> Path:
     """Write one run under `folder`; returns the path."""
     table = recording(run, columns)
     path = folder / f"{stem}.{'mat' if form == 'h5' else form}"

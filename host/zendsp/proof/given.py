@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from zendsp.proof.draft import Array, Draft, Scale
+from zendsp.proof.files import Columns
 from zendsp.proof.reality import inverse_dynamics
 
 PARAMETER = {"viscous": "coefficient", "coulomb": "level", "quadratic_drag": "coefficient"}
@@ -102,7 +103,7 @@ def known_torque(d: Draft, joint: int, s: Scale) -> Array:
 
 
 def model_file(
-    d: Draft, scales: list[Scale], columns: dict[str, Any], rng: np.random.Generator, name: str
+    d: Draft, scales: list[Scale], columns: Columns, rng: np.random.Generator, name: str
 ) -> dict[str, Any]:
     """The given model as the table that ``model.toml`` holds."""
     parameters = given_parameters(d, rng)

@@ -18,7 +18,7 @@ import numpy as np
 
 from zendsp.proof.case import Case, Request, Unusable
 from zendsp.proof.draft import Array, Scale
-from zendsp.proof.files import NAMES, columns_of
+from zendsp.proof.files import NAMES, Columns, columns_of
 from zendsp.proof.measure import apply_faults, format_of, jittered
 from zendsp.proof.reality import Run
 from zendsp.proof.references import make_reference
@@ -232,7 +232,7 @@ def conceal(r: Rig, request: Request, joint: int, s: Scale, rng: Rng) -> None:
     )
 
 
-def given(r: Rig, columns: dict[str, Any], rng: Rng, name: str) -> dict[str, Any]:
+def given(r: Rig, columns: Columns, rng: Rng, name: str) -> dict[str, Any]:
     """The model file: figures off by 3 %, friction by 5 %; exact where inertial figures are fixed.
     """
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from zendsp.extras import need
 from zendsp.proof.draft import Array
+from zendsp.proof.files import Columns
 
 
 @dataclass(frozen=True)
@@ -44,19 +45,20 @@ def read_columns(path: Path) -> dict[str, Array]:
             return {k: np.asarray(file[k], float).T for k in file}
 
 
-def read_recording(path: Path, columns: dict[str, Any]) -> Table:
+def read_recording(path: Path, columns: Columns) -> Table:
     """The signals that ``[columns]`` names."""
     raw = read_columns(path)
+    time = raw[str(columns["time"])].ravel()
 
     def signal(key: str) -> Array:
         names = columns[key]
         if isinstance(names, list):
             return np.stack([raw[n].ravel() for n in names], 1)
         value = raw[names]
-        rows = raw[columns["time"]].size
+        rows = time.size
         return value.reshape(rows, -1) if value.shape[0] == rows else value.T.reshape(rows, -1)
 
-    return Table(raw[columns["time"]].ravel(), signal("position"), signal("command"))
+    return Table(time, signal("position"), signal("command"))
 
 
 def read_case(folder: Path) -> tuple[dict[str, Any], list[Table], list[Table]]:

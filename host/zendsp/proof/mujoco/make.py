@@ -8,7 +8,7 @@ import numpy as np
 
 from zendsp.proof.case import Case, Request, Unusable
 from zendsp.proof.draft import Array, Concealed, Scale
-from zendsp.proof.files import NAMES, columns_of
+from zendsp.proof.files import NAMES, Columns, columns_of
 from zendsp.proof.forms import FORMS, foreign
 from zendsp.proof.measure import DRESSINGS, apply_faults, format_of
 from zendsp.proof.mujoco.chain import Joint, World, mjcf, urdf
@@ -261,7 +261,7 @@ def truth_of(b: Bench, request: Request, train: Record) -> Truth:
     }  # fmt: skip
 
 
-def given(b: Bench, columns: dict[str, Any], rng: Rng, name: str) -> dict[str, Any]:
+def given(b: Bench, columns: Columns, rng: Rng, name: str) -> dict[str, Any]:
     """The model file: inertial figures off by 3 %, known friction by 5 %; exact where they are
     fixed.
     """
