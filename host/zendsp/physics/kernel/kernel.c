@@ -102,6 +102,9 @@ static void share_inertia(const zk_model *M, double J, double extra, double load
 /* Steps of a gap's contact for each of the others: a contact begins and ends within a step. */
 enum { CONTACT_STEPS = 2 };
 
+/* Samples of what the rigid body does that are brought beside one another at a time. */
+enum { BLOCK = 16 };
+
 #define EACH _Pragma("omp simd") for (int l = 0; l < LANES; l++)
 
 #define LANES 1
@@ -120,7 +123,8 @@ int zk_run(const zk_model *M, double *r, double *xq, double *xqd, double *torque
     return pass_1(M, r, xq, xqd, torque);
 }
 
-/* LANES parameter sets M[LANES] of one recording: innovations r[n x LANES]. */
+/* LANES parameter sets M[LANES] of one recording, by the observer (no loop, no restarts):
+ * innovations r[n x LANES]. */
 int zk_run_lanes(const zk_model *M, double *r)
 {
     return pass_many(M, r, 0, 0, 0);
@@ -143,8 +147,7 @@ void zk_trace(const zk_model *M, const double *motion, const double *u, double v
                       : first < n - LANES ? first
                                           : n - LANES,
                   some = n < LANES ? n : LANES; /* the last ones twice */
-        double torque[LANES], scale[LANES], level[LANES], acted[LANES], asked[LANES],
-            in[LANES] = {0};
+        lane_many torque, scale, level, acted, asked, in = {0};
         for (int l = 0; l < some; l++) {
             S->q[l] = motion[k + l];
             S->qd[l] = motion[n + k + l];
@@ -153,9 +156,9 @@ void zk_trace(const zk_model *M, const double *motion, const double *u, double v
             in[l] = S->u[l] = u[k + l];
             asked[l] = S->tau[l] = M->gain * u[k + l];
         }
-        gather_many(M, N, S, k, some == LANES, torque, scale);
-        dry_many(M, N, S, S->qd, scale, level);
-        act_many(M, N, S, in, acted);
+        gather_many(M, N, S, k, some == LANES, &torque, &scale);
+        dry_many(M, N, S, &S->qd, &scale, &level);
+        act_many(M, N, S, &in, &acted);
         for (int l = 0; l < some; l++)
             out[k + l] = torque[l] + (level[l] != 0 ? level[l] * tanh(S->qd[l] / v0) : 0.0) +
                          (asked[l] - acted[l]);
@@ -173,9 +176,9 @@ void zk_sense(const zk_model *M, const double *q, double *out)
     set_up_many(same, N);
     for (int first = 0; first < M->n; first += LANES) {
         const int some = M->n - first < LANES ? M->n - first : LANES;
-        double at[LANES] = {0}, seen[LANES];
+        lane_many at = {0}, seen;
         for (int l = 0; l < some; l++) at[l] = q[first + l];
-        sense_many(M, N, S, at, seen);
+        sense_many(M, N, S, &at, &seen);
         for (int l = 0; l < some; l++) out[first + l] = seen[l] - at[l];
     }
 }

@@ -52,23 +52,23 @@ void zf_swing(int n, double T, double first, double second, const double *a, dou
 LANES = 8  # parameter sets that ``zk_run_lanes`` takes at once
 
 _PLACES = {  # of an effect: the mark in observer.c, and what is done there for each lane
-    "torque": ("FORCE", "EACH torque[l] += OF(fx_{name})(p, S, l);"),
+    "torque": ("FORCE", "EACH (*torque)[l] += OF(fx_{name})(p, S, l);"),
     "viscous": ("FORCE", "EACH visc[l] += OF(fx_{name})(p, S, l);"),
     "scale": (
         "FORCE",
-        "EACH {{ const double c = OF(fx_{name})(p, S, l); scale[l] *= c; thick[l] *= c; }}",
+        "EACH {{ const double c = OF(fx_{name})(p, S, l); (*scale)[l] *= c; thick[l] *= c; }}",
     ),
-    "dry_scale": ("FORCE", "EACH scale[l] *= OF(fx_{name})(p, S, l);"),
+    "dry_scale": ("FORCE", "EACH (*scale)[l] *= OF(fx_{name})(p, S, l);"),
     "drive": (
         "FORCE",
         (
-            "EACH {{ const double c = OF(fx_{name})(p, S, l, S->tau[l]); torque[l] += S->tau[l] -"
-            " c; S->tau[l] = c; }}"
+            "EACH {{ const double c = OF(fx_{name})(p, S, l, S->tau[l]);"
+            " (*torque)[l] += S->tau[l] - c; S->tau[l] = c; }}"
         ),
     ),
-    "dry": ("DRY", "EACH level[l] += OF(fx_{name})(p, S, l, v[l] > 0 ? 1 : -1);"),
+    "dry": ("DRY", "EACH (*level)[l] += OF(fx_{name})(p, S, l, (*v)[l] > 0 ? 1 : -1);"),
     "actuator": ("ACTUATOR", "EACH u[l] = OF(fx_{name})(p, S, l, u[l]);"),
-    "sensor": ("SENSOR", "EACH out[l] += OF(fx_{name})(p, S, l);"),
+    "sensor": ("SENSOR", "EACH (*out)[l] += OF(fx_{name})(p, S, l);"),
     "setup": ("SETUP", "{c}"),
 }
 # what is fetched where an effect's C names it

@@ -16,11 +16,17 @@ typedef struct {
         hidden; /* whether any lane has it */
 } OF(numbers);
 
+#if LANES > 1 /* a vector, which stays in a register where an array would not */
+typedef double OF(lane) __attribute__((vector_size(8 * LANES)));
+#else
+typedef double OF(lane)[LANES];
+#endif
+
 typedef struct { /* what an effect may look at */
-    double q[LANES], qd[LANES], qdd[LANES]; /* of the joint; qdd only where a trace is asked for */
-    double u[LANES], tau[LANES];            /* command (its own unit) and actuator torque */
+    OF(lane) q, qd, qdd; /* of the joint; qdd only where a trace is asked for */
+    OF(lane) u, tau;     /* command (its own unit) and actuator torque */
     /* time, degrees C; motion of the other joint, for couplings */
-    double t[LANES], temp[LANES], oq[LANES], oqd[LANES], oqdd[LANES];
+    OF(lane) t, temp, oq, oqd, oqdd;
 } OF(state);
 
 /* EFFECT_FUNCTIONS */
@@ -87,10 +93,10 @@ static void OF(set_up)(const zk_model *M, OF(numbers) *N)
  * and S->tau then is what it gives. */
 static inline __attribute__((always_inline)) void OF(gather)(const zk_model *M,
                                                              const OF(numbers) * N, OF(state) * S,
-                                                             int k, int stride, double *torque,
-                                                             double *scale) {
-    double visc[LANES], thick[LANES];
-    EACH { torque[l] = 0; scale[l] = thick[l] = 1; visc[l] = 0; }
+                                                             int k, int stride, OF(lane) *torque,
+                                                             OF(lane) *scale) {
+    OF(lane) visc, thick;
+    EACH { (*torque)[l] = 0; (*scale)[l] = thick[l] = 1; visc[l] = 0; }
     for (int i = 0; i < M->nfx; i++) {
         const double *p = N->p[i];
         switch (M->kind[i]) {
@@ -98,15 +104,15 @@ static inline __attribute__((always_inline)) void OF(gather)(const zk_model *M,
         default: break;
         }
     }
-    EACH torque[l] += visc[l] * thick[l];
+    EACH (*torque)[l] += visc[l] * thick[l];
     (void)k; (void)stride;
 }
 
 /* dry friction for motion in the direction of v */
 static inline __attribute__((always_inline)) void OF(dry)(const zk_model *M, const OF(numbers) * N,
-                                                          const OF(state) * S, const double *v,
-                                                          const double *scale, double *level) {
-    EACH level[l] = 0;
+                                                          const OF(state) * S, const OF(lane) *v,
+                                                          const OF(lane) *scale, OF(lane) *level) {
+    EACH (*level)[l] = 0;
     for (int i = 0; i < M->nfx; i++) {
         const double *p = N->p[i];
         switch (M->kind[i]) {
@@ -114,15 +120,15 @@ static inline __attribute__((always_inline)) void OF(dry)(const zk_model *M, con
         default: break;
         }
     }
-    EACH level[l] *= scale[l];
+    EACH (*level)[l] *= (*scale)[l];
     (void)v; (void)S;
 }
 
 static inline __attribute__((always_inline)) void OF(act)(const zk_model *M, const OF(numbers) * N,
                                                           const OF(state) * S,
-                                                          const double *command, double *tau) {
-    double u[LANES];
-    EACH u[l] = clip(command[l], N->limit[l]);
+                                                          const OF(lane) *command, OF(lane) *tau) {
+    OF(lane) u;
+    EACH u[l] = clip((*command)[l], N->limit[l]);
     for (int i = 0; i < M->nfx; i++) {
         const double *p = N->p[i];
         switch (M->kind[i]) {
@@ -130,13 +136,14 @@ static inline __attribute__((always_inline)) void OF(act)(const zk_model *M, con
         default: break;
         }
     }
-    EACH tau[l] = N->gain[l] * u[l];
+    EACH (*tau)[l] = N->gain[l] * u[l];
     (void)S;
 }
 
 static inline __attribute__((always_inline)) void
-OF(sense)(const zk_model *M, const OF(numbers) * N, OF(state) * S, const double *q, double *out) {
-    EACH { S->q[l] = q[l]; out[l] = q[l]; }
+OF(sense)(const zk_model *M, const OF(numbers) * N, OF(state) * S, const OF(lane) *q,
+          OF(lane) *out) {
+    EACH { S->q[l] = (*q)[l]; (*out)[l] = (*q)[l]; }
     for (int i = 0; i < M->nfx; i++) {
         const double *p = N->p[i];
         switch (M->kind[i]) {
@@ -153,18 +160,21 @@ static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, 
                                                              double *r, double *xq, double *xqd,
                                                              double *torque, const int two_mass,
                                                              const int hidden, const int wavy,
-                                                             const int filtered, const int drives) {
+                                                             const int filtered, const int drives,
+                                                             const int looped) {
     OF(state) state, *S = &state;
     memset(S, 0, sizeof *S);
     /* rub: dry friction in the step before */
-    double q[LANES], qd[LANES], ql[LANES], qdl[LANES], z[LANES], zh[LANES], a[LANES], rub[LANES];
-    double wave[LANES], slope[LANES], bend[LANES], load[LANES], from[LANES], seen[LANES],
-        fade[LANES]; /* see below, where any lane is wavy or filtered */
-    double usum[LANES], u[LANES] = {0}, tau[LANES] = {0}, f[LANES], scale[LANES], level[LANES],
-                        y[LANES], e[LANES], ex[LANES], mean[LANES], past[LANES];
+    OF(lane) q, qd, ql, qdl, z, zh, a, rub;
+    /* see below, where any lane is wavy or filtered */
+    OF(lane) wave, slope, bend, load, from, seen, fade;
+    OF(lane) usum, u = {0}, tau = {0}, f, scale, level, y, e, ex, mean, past, at;
+    double inertias[BLOCK][LANES], biases[BLOCK][LANES];
     int gone[LANES], left = LANES;
     const int geared = wavy && !two_mass; /* a rigid transmission with an error */
-    const int sub = N->gapped ? CONTACT_STEPS * M->sub : M->sub, n = M->n, side = M->load_sensor;
+    const int sub = N->gapped ? CONTACT_STEPS * M->sub : M->sub, n = M->n;
+    /* where motor and load are one, it does not matter which the sensor sees */
+    const int side = (two_mass || wavy) && M->load_sensor;
     const double h = M->T / sub, per_h = 1.0 / h, per_T = 1.0 / M->T;
     double yloop = M->q0, vloop = 0;
     for (int l = 0; l < LANES; l++) {
@@ -207,18 +217,19 @@ static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, 
     }
     for (int k = 0; k < n; k++) {
         double *out = r + (size_t)k * LANES;
-        OF(sense)(M, N, S, filtered ? seen : side ? ql : q, y);
-        if (M->kp > 0) { /* simulated in closed loop: the innovations are the measured position */
-            double at =
+        EACH at[l] = filtered ? seen[l] : side ? ql[l] : q[l];
+        OF(sense)(M, N, S, &at, &y);
+        if (looped && M->kp > 0) { /* a closed loop: the innovations are the measured position */
+            const double read =
                 M->resolution > 0 ? M->resolution * floor(y[0] / M->resolution + 0.5) : y[0];
-            out[0] = at;
-            vloop += 0.2 * ((at - yloop) / M->T - vloop);
-            yloop = at;
+            out[0] = read;
+            vloop += 0.2 * ((read - yloop) / M->T - vloop);
+            yloop = read;
             M->uloop[k + 1] =
-                M->uloop[k] + clip(M->kp * (M->ref[k] - at) - M->kd * vloop, N->limit[0]) * M->T;
-        } else if (M->reset > 0) {
+                M->uloop[k] + clip(M->kp * (M->ref[k] - read) - M->kd * vloop, N->limit[0]) * M->T;
+        } else if (looped && M->reset > 0) {
             if (k % M->reset == 0) { /* a state of which the sensor would say what is recorded */
-                double rate[LANES], off[LANES];
+                OF(lane) rate, off;
                 for (int i = 0; i < (N->senses ? 4 : 1); i++) {
                     EACH {
                         double dq = M->rq[k] + N->shift[l] - y[l];
@@ -226,12 +237,13 @@ static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, 
                         ql[l] += dq;
                         seen[l] += dq;
                     }
-                    if (N->senses) OF(sense)(M, N, S, filtered ? seen : side ? ql : q, y);
+                    EACH at[l] = filtered ? seen[l] : side ? ql[l] : q[l];
+                    if (N->senses) OF(sense)(M, N, S, &at, &y);
                 }
                 EACH rate[l] = M->rqd[k];
                 if (N->senses) {
                     EACH off[l] = (filtered ? seen[l] : side ? ql[l] : q[l]) + 1e-5;
-                    OF(sense)(M, N, S, off, e);
+                    OF(sense)(M, N, S, &off, &e);
                     EACH rate[l] = M->rqd[k] * 1e-5 / (e[l] - y[l]);
                 }
                 if (filtered) { /* the joint is ahead of what is seen of it */
@@ -245,7 +257,8 @@ static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, 
                 }
                 EACH { double dv = rate[l] - (side ? qdl[l] : qd[l]); qd[l] += dv; qdl[l] += dv; }
             }
-            OF(sense)(M, N, S, filtered ? seen : side ? ql : q, y);
+            EACH at[l] = filtered ? seen[l] : side ? ql[l] : q[l];
+            OF(sense)(M, N, S, &at, &y);
             EACH out[l] = M->w[k] * (M->m[k] + N->shift[l] - y[l]);
         } else {
             const double w = M->w[k], half = M->half[k], k1 = M->k1[k], k2 = M->k2[k], m = M->m[k];
@@ -261,11 +274,11 @@ static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, 
             }
             if (filtered) EACH seen[l] += k1 * e[l];
         }
-        const double near = M->kp > 0 ? M->ref[k] : M->m[k];
-        int lost = 0;
-        for (int l = 0; l < LANES; l++)
-            lost |= !(fabs((side ? ql[l] : q[l]) - near) < 1e3) | !(fabs(qd[l]) < 1e5);
-        if (lost)
+        const double near = looped && M->kp > 0 ? M->ref[k] : M->m[k];
+        double lost = 0;
+        _Pragma("omp simd reduction(+ : lost)") for (int l = 0; l < LANES; l++)
+            lost += (fabs((side ? ql[l] : q[l]) - near) < 1e3) & (fabs(qd[l]) < 1e5) ? 0.0 : 1.0;
+        if (lost > 0)
             for (int l = 0; l < LANES; l++)
                 if (!gone[l] &&
                     (!(fabs((side ? ql[l] : q[l]) - near) < 1e3) || !(fabs(qd[l]) < 1e5))) {
@@ -282,16 +295,22 @@ static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, 
         if (xqd) xqd[k] = shown ? qdl[0] : qd[0];
         if (k == n - 1) { if (torque) torque[k] = k ? torque[k - 1] : 0; break; }
         const double added = M->extra ? M->extra[k] : 0;
-        double jm[LANES], jl[LANES], per_jm[LANES], per_jl[LANES], bias[LANES];
-        for (int l = 0; l < LANES; l++) {
-            jm[l] = M[l].inertia[k] + N->j_extra[l];
-            bias[l] = M[l].bias[k];
-        }
+        OF(lane) jm, jl, per_jm, per_jl, bias;
+        const int ahead = k % BLOCK;
+        if (ahead == 0) /* written long before it is read: a lane at a time, read all at once */
+            for (int l = 0; l < LANES; l++)
+                for (int i = 0; i < BLOCK && k + i < n; i++) {
+                    inertias[i][l] = M[l].inertia[k + i];
+                    biases[i][l] = M[l].bias[k + i];
+                }
+        EACH { jm[l] = inertias[ahead][l] + N->j_extra[l]; bias[l] = biases[ahead][l]; }
         if (geared) EACH load[l] = jm[l] - N->j_extra[l];
         if (two_mass)
             for (int l = 0; l < LANES; l++) {
-                share_inertia(&M[l], jm[l], N->j_extra[l], N->j_load[l], &jm[l], &jl[l]);
-                per_jl[l] = 1.0 / jl[l];
+                double motor, beyond;
+                share_inertia(&M[l], jm[l], N->j_extra[l], N->j_load[l], &motor, &beyond);
+                jm[l] = motor; jl[l] = beyond;
+                per_jl[l] = 1.0 / beyond;
             }
         EACH { per_jm[l] = 1.0 / jm[l]; usum[l] = 0; }
         /* the command is held over the sample */
@@ -300,7 +319,7 @@ static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, 
         if (steady) {
             const double held = (M->ucum[k + 1] - M->ucum[k]) / M->T, now = M->t0 + (k + 0.5) * M->T;
             EACH { u[l] = held; S->t[l] = now; }
-            OF(act)(M, N, S, u, tau);
+            OF(act)(M, N, S, &u, &tau);
         }
         for (int i = 0; i < sub; i++) {
             /* record time for the command, absolute time for effects */
@@ -318,9 +337,9 @@ static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, 
                         u[l] = held + (before - held) * mean[l];
                         a[l] = held + (before - held) * ex[l];
                     }
-                OF(act)(M, N, S, u, tau);
+                OF(act)(M, N, S, &u, &tau);
             }
-            double push[LANES], vfree[LANES], spring[LANES], free[LANES], vn[LANES];
+            OF(lane) push, vfree, spring, free, vn;
             if (filtered) EACH from[l] = side ? ql[l] : q[l];
             EACH {
                 S->u[l] = u[l]; S->tau[l] = tau[l];
@@ -341,11 +360,13 @@ static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, 
             if (geared)
                 EACH {
                     jm[l] = load[l] * slope[l] * slope[l] + N->j_extra[l]; per_jm[l] = 1.0 / jm[l];
-                    push[l] = tau[l] - added -
-                              slope[l] * (bias[l] + N->gravity[l] * sin(S->q[l] + wave[l]));
+                    push[l] = tau[l] - added - slope[l] * bias[l];
                 }
+            if (geared && N->pulled)
+                EACH push[l] = tau[l] - added -
+                               slope[l] * (bias[l] + N->gravity[l] * sin(S->q[l] + wave[l]));
             if (two_mass) {
-                double fall[LANES];
+                OF(lane) fall;
                 EACH fall[l] = bias[l];
                 if (N->pulled) EACH fall[l] += N->gravity[l] * sin(ql[l] + 0.5 * h * qdl[l]);
                 EACH {
@@ -375,11 +396,11 @@ static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, 
             } else if (N->pulled && !geared)
                 EACH push[l] -= N->gravity[l] * sin(S->q[l]);
             EACH push[l] -= wavy ? slope[l] * spring[l] : spring[l];
-            OF(gather)(M, N, S, k, 0, f, scale);
+            OF(gather)(M, N, S, k, 0, &f, &scale);
             if (geared) EACH f[l] += bend[l] * S->qd[l] * S->qd[l];
             EACH S->qd[l] = qd[l] + 0.5 * h * (push[l] - f[l] - rub[l]) * per_jm[l];
             if (drives) EACH S->tau[l] = tau[l];
-            OF(gather)(M, N, S, k, 0, f, scale);
+            OF(gather)(M, N, S, k, 0, &f, &scale);
             if (geared) EACH f[l] += bend[l] * S->qd[l] * S->qd[l];
             EACH free[l] = push[l] - f[l];
             if (hidden && N->bent) /* Bouc-Wen, |z| <= 1 */
@@ -392,7 +413,7 @@ static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, 
                     zh[l] = zn;
                 }
             EACH vfree[l] = qd[l] + h * free[l] * per_jm[l];
-            OF(dry)(M, N, S, vfree, scale, level);
+            OF(dry)(M, N, S, &vfree, &scale, &level);
             EACH {
                 level[l] = level[l] > 0 ? level[l] : 0.0;
                 vn[l] = soft(vfree[l], h * level[l] * per_jm[l]);
@@ -415,7 +436,7 @@ static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, 
                 usum[l] += S->tau[l];
             }
             if (!two_mass) EACH { ql[l] = q[l]; qdl[l] = qd[l]; }
-            if (geared)
+            if (geared && (side || M->beyond)) /* or else nobody looks at it */
                 EACH {
                     ql[l] += N->w_amp[l] * sin(N->w_order[l] * q[l] + N->w_phase[l]);
                     qdl[l] *= slope[l];
@@ -434,12 +455,30 @@ static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, 
     return 0;
 }
 
+/* predict for models of one sort; each a function of its own, which the compiler sees through
+ * sooner */
+#define SORT(sort, two_mass, hidden, wavy, filtered, drives, looped)                              \
+    static __attribute__((noinline)) int OF(sort)(const zk_model *M, OF(numbers) * N, double *r,  \
+                                                  double *xq, double *xqd, double *torque) {      \
+        return OF(predict)(M, N, r, xq, xqd, torque, two_mass, hidden, wavy, filtered, drives,    \
+                           looped);                                                               \
+    }
+SORT(plain, 0, 0, 0, 0, 0, 0)
+SORT(hidden, 0, 1, 0, 0, 0, 0)
+SORT(geared, 0, N->hidden, 1, 0, 0, 0)
+SORT(sprung, 1, N->hidden, 0, 0, 0, 0)
+SORT(any, N->two_mass, 1, N->wavy, N->filtered, N->drives, LANES == 1)
+#undef SORT
+
 static int OF(pass)(const zk_model *M, double *r, double *xq, double *xqd, double *torque)
 {
     OF(numbers) numbers, *N = &numbers;
     OF(set_up)(M, N);
-    if (N->wavy || N->filtered || N->drives)
-        return OF(predict)(M, N, r, xq, xqd, torque, N->two_mass, 1, N->wavy, N->filtered,
-                           N->drives);
-    return OF(predict)(M, N, r, xq, xqd, torque, N->two_mass, N->hidden, 0, 0, 0);
+    const int looped = LANES == 1 && (M->kp > 0 || M->reset > 0);
+    const int any = looped || N->filtered || N->drives || (N->wavy && N->two_mass);
+    return (any           ? OF(any)
+            : N->wavy     ? OF(geared)
+            : N->two_mass ? OF(sprung)
+            : N->hidden   ? OF(hidden)
+                          : OF(plain))(M, N, r, xq, xqd, torque);
 }
