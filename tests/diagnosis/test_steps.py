@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import reality
 
-from zendsp.diagnosis.data.prepare import prepare
+from zendsp.diagnosis.data.prepare import one_sensor, prepare
 from zendsp.diagnosis.data.signals import Parts, Signals
 from zendsp.diagnosis.decide.assemble import with_disagreement
 from zendsp.diagnosis.decide.thresholds import LAWFUL
@@ -287,3 +287,22 @@ def test_a_round_has_one_entry_an_effect_also_where_a_second_look_is_taken(
     effects = [r.effect for r in each.round(calibrate_joint(data, model, 1))]
     assert len(looked) == 2 and set(looked) <= set(effects)
     assert len(effects) == len(set(effects)), effects
+
+
+def test_a_recording_in_which_the_joint_hardly_moves_has_the_noise_of_the_sensor() -> None:
+    count, t = reality.RESOLUTION, np.arange(4000) / RATE
+    random = np.random.default_rng(0)
+
+    def seen(motion: np.ndarray) -> Signals:
+        q = np.round(motion / count + 0.5 * random.standard_normal(len(t))) * count
+        u = np.zeros((len(t), 1))
+        return Signals("run", t, 1.0 / RATE, q[:, None], u, None, np.array([count]))
+
+    moves = [seen(np.sin(w * t)) for w in (2.0, 3.0)]
+    rests = replace(moves[0], position=np.zeros((len(t), 1)))
+    model = model_of(VISCOUS, COULOMB)
+    alone = prepare([rests], model).records[0][0].measurement.noise
+    beside = prepare(one_sensor([rests, *moves])[:1], model).records[0][0].measurement.noise
+    twice = one_sensor([rests, moves[0], moves[0], moves[1]])[0].least_noise
+    assert alone == 0.0 and beside == pytest.approx(0.5 * count, rel=0.15)
+    assert twice is not None and twice[0] == beside

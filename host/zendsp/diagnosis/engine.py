@@ -7,6 +7,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from zendsp.diagnosis.data.checks import check_excitation, check_motion, check_signals
-from zendsp.diagnosis.data.prepare import prepare
+from zendsp.diagnosis.data.prepare import one_sensor, prepare
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.signals import Parts, Signals, with_same_columns
 from zendsp.diagnosis.data.split import halves, split
@@ -184,8 +185,10 @@ def _ready(
     tell("reading the recordings")
     fit_signals, choose_signals, test_signals, notes = _read(recordings, heldout, given)
     tell("smoothing the motion")
+    of_one = iter(one_sensor([*fit_signals, *choose_signals, *test_signals]))
     fit, choose, test = (
-        prepare(s, given, 64.0) for s in (fit_signals, choose_signals, test_signals)
+        prepare(list(islice(of_one, len(s))), given, 64.0)
+        for s in (fit_signals, choose_signals, test_signals)
     )
     parts = Parts(fit, choose, choose if choose_signals is test_signals else test)
     names = [s.name for s in (*fit_signals, *choose_signals, *test_signals)]

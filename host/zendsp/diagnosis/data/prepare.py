@@ -5,6 +5,7 @@ scales.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -47,6 +48,24 @@ def prepare(signals: Sequence[Signals], model: Model, bandwidth: float = 32.0) -
     """
     records = tuple(_records(s, model) for s in signals)
     return Data(records, (bandwidth,) * model.joints, ranges=inertia_ranges(records, model))
+
+
+def one_sensor(signals: Sequence[Signals]) -> list[Signals]:
+    """The same recordings, each with at least the noise that half of them have: it is one sensor,
+    and a recording in which a joint hardly moves says next to nothing of its noise.
+    """
+    noises = {
+        (
+            len(s.time),
+            *map(noise_beside_quantisation, s.position.T, map(float, s.resolution)),
+        )
+        for s in signals
+    }  # a recording that is given twice counts once
+    usual = np.median(np.array(list(noises))[:, 1:], axis=0)
+    return [
+        replace(s, least_noise=usual if s.least_noise is None else np.maximum(s.least_noise, usual))
+        for s in signals
+    ]
 
 
 def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
