@@ -101,6 +101,11 @@ def test_a_session_at_the_command_line(target: Target, tmp_path: Path) -> None:
     answer("run")
     answer("stop")  # whatever there is of this user's
     until(lambda: target.status().state == "stopped", "without a name too")
+    answer("stop", "--acknowledge")
+    answer("run")
+    both = zendsp_("stop", "nobody", target.name)
+    assert both.returncode != 0 and "nobody: NOT STOPPED" in both.stderr
+    assert target.status().state == "stopped", "a wrong name holds up no other"
 
 
 OBEYED = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202e]")  # by a terminal

@@ -150,3 +150,15 @@ def wander(runtime: Runtime, seed: int, steps: int = 25) -> None:
 @pytest.mark.parametrize("seed", range(12))
 def test_a_stop_stands_until_it_is_acknowledged(runtime: Runtime, seed: int) -> None:
     wander(runtime, seed)
+
+
+def test_what_a_pause_held_is_held_no_more_after_a_stop(runtime: Runtime) -> None:
+    lab = Lab(runtime, 0)
+    lab.ask("load", key=lab.good)
+    lab.ask("start", ticks=20)
+    runtime.wait_paused()
+    held = lab.desk.ask("status").io["aout"]
+    assert np.any(held), "a simulated machine stands still in time, with its command"
+    lab.ask("stop")
+    until(lambda: lab.desk.ask("status").trip is not None, "it stands", lab.told)
+    assert not np.any(lab.desk.ask("status").io["aout"])

@@ -17,10 +17,12 @@ if TYPE_CHECKING:
 
 
 @click.command("stop")
-@click.argument("name", default="", shell_complete=targets)
+@click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=targets)
 @click.option("--acknowledge", is_flag=True, help="Instead, acknowledge an earlier STOP or trip.")
 @target_options
-def command(name: str, acknowledge: bool, target: str, connect: str | None, as_json: bool) -> None:
+def command(
+    names: tuple[str, ...], acknowledge: bool, target: str, connect: str | None, as_json: bool
+) -> None:
     """STOP: outputs are safe from the next sample on, and stay so until acknowledged.
 
     NAME is a target, as with --target. Without one it stops every target of yours on this machine.
@@ -28,16 +30,17 @@ def command(name: str, acknowledge: bool, target: str, connect: str | None, as_j
 
     Example:  zendsp stop
     """
-    target = name or target
     if acknowledge:
-        with open_target(target, connect) as t:
+        if len(names) > 1:
+            raise click.UsageError("acknowledge one target at a time")
+        with open_target("".join(names) or target, connect) as t:
             t.acknowledge()
             status = t.status()
             emit(status, as_json, f"{status.state}, drive {status.drive}")
         return
     from zendsp.link.programs import stopped
 
-    all_asked = [_ask(name, connect) for name in _meant(target, connect)]
+    all_asked = [_ask(name, connect) for name in names or _meant(target, connect)]
     if len(all_asked) == 1:
         status = all_asked[0].end()
         emit(status, as_json, stopped(status))
