@@ -411,13 +411,15 @@ def _sensor(page: _Page, position: Group, linear: bool, machine: Machine | None)
     page.line()
     page.line("[sensor]")
     steps = [find_resolution(finite(column)) for column in position.values.T]
+    units, told = {"m" if linear else "rad"}, "as the numbers are spaced"
     if machine is not None:
         steps = [1.0 / abs(float(joint["counts_per_unit"])) for joint in machine.joints]
-    unit = "m" if linear else "rad"
+        units, told = {str(joint["unit"]) for joint in machine.joints}, "as the machine says"
+    unit = " or ".join(sorted(units))
     if all(steps):
-        said = f"{unit} per count, as the numbers are spaced"
+        said = f"{unit} per count, {told}"
         turns = [2 * np.pi / s for s in steps]
-        if not linear and all(
+        if unit == "rad" and all(
             abs(turn - round(turn)) < WHOLE * max(1.0, turn / 1e4) for turn in turns
         ):
             said += (
