@@ -6,6 +6,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ import reality
 from click.testing import CliRunner
 
 from zendsp.cli.model import check
+from zendsp.diagnosis.data import checks
 from zendsp.diagnosis.data.checks import check_excitation, check_motion, check_signals
 from zendsp.diagnosis.data.plausibility import check_driven
 from zendsp.diagnosis.data.prepare import prepare
@@ -505,3 +508,20 @@ def test_a_tool_that_pulls_against_the_links_own_inertia_is_no_bad_recording(too
         looked_at(angles, command * [1.0, -1.0])
     with pytest.raises(RecordingError, match="different runs"):
         looked_at(angles, np.stack([command[:, 0], run(0.0, seed=6)[1][:, 1]], axis=1))
+
+
+def test_a_joint_without_a_drive_is_no_mistake_where_another_has_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    seen: list[str] = []
+    monkeypatch.setattr(checks, "check_driven", lambda where, rec, model: seen.extend(where))
+    pushed, silent = (SimpleNamespace(command=c) for c in (np.sin(np.arange(9.0)), np.zeros(9)))
+    model: Any = SimpleNamespace(columns={"command": "tau"})
+    for k, record in enumerate((pushed, silent), 1):
+        record.joint = k
+    cart_and_pole: Any = SimpleNamespace(records=[[pushed, silent]])
+    assert check_motion(cart_and_pole, model, ["run"]) == []
+    assert seen == ["run: joint 1", "run: joint 2"]
+    pole: Any = SimpleNamespace(records=[[silent, silent]])
+    with pytest.raises(RecordingError, match="zero throughout"):
+        check_motion(pole, model, ["run"])

@@ -251,6 +251,10 @@ def test_of_its_own_machine_without_a_model_the_rest_is_asked(tmp_path: Path) ->
     shipped = own_recording(tmp_path, msgspec.structs.replace(info, name="single_pendulum"))
     asked = draft_model(read_table(shipped), machine=machine_of(shipped, tmp_path)).questions
     assert any("--model single_pendulum.toml" in question for question in asked)
+    pole = JointInfo("pole", counts_per_unit=1000.0)
+    cart = own_recording(tmp_path, msgspec.structs.replace(info, joints=(*info.joints, pole)))
+    asked = draft_model(read_table(cart), machine=machine_of(cart, tmp_path)).questions
+    assert any("2 joints (axis, pole), and only q looks like" in question for question in asked)
 
 
 def test_a_file_of_others_has_no_machine(tmp_path: Path) -> None:

@@ -84,6 +84,9 @@ static int check_time(robot *r, const char *config, double period, char *error, 
                       const char *file) {
     char clock[8] = "", text[320];
     double takes = time_sample(r, period);
+    int drives = 0;
+    for (int32_t j = 0; j < r->plant.joints; j++)
+        drives += r->plant.drive[j].torque_limit > 0.0;
     machine_config_text(config, "clock", clock, sizeof clock);
     /* a coarser step that is stable too */
     if (takes > 0.5 * period && r->plant.substep < r->longest) {
@@ -92,9 +95,9 @@ static int check_time(robot *r, const char *config, double period, char *error, 
         takes = time_sample(r, period);
     }
     snprintf(r->info.text, sizeof r->info.text,
-             "MuJoCo model %.60s, %d joints with a drive of %d (simulated): steps of %.3g us, %.3g "
-             "us for a sample of %.4g us.",
-             r->info.name, r->plant.joints, (int)r->model->njnt, 1e6 * r->plant.substep,
+             "MuJoCo model %.60s, %d of its %d joints, %d with a drive (simulated): steps of %.3g us, "
+             "%.3g us for a sample of %.4g us.",
+             r->info.name, r->plant.joints, (int)r->model->njnt, drives, 1e6 * r->plant.substep,
              1e6 * takes, 1e6 * period);
     if (strcmp(clock, "real") != 0 || takes < 0.9 * period)
         return 0;

@@ -235,7 +235,7 @@ def check_motion(data: Data, model: Model, names: Sequence[str]) -> list[str]:
         driven = False
         for place, record in zip(where, rec, strict=True):
             if not np.any(record.command):
-                if model.columns.get("command"):
+                if model.columns.get("command") and not any(np.any(r.command) for r in rec):
                     raise RecordingError(
                         f"{place}: the command is zero throughout; a machine that is not driven has"
                         " no command column in [columns]"

@@ -27,6 +27,7 @@ from zendsp.physics.files.shipped import model_folder
 from zendsp.physics.kernel.signals import find_resolution
 from zendsp.recording import Table
 from zendsp.recording.roles import Role
+from zendsp_protocol.texts import counted
 
 Array = npt.NDArray[np.float64]
 
@@ -128,6 +129,8 @@ def draft_model(table: Table, name: str = "", machine: Machine | None = None) ->
     page.line()
     linear = position.unit == "m"
     known = machine if machine is not None and len(machine.joints) == joints else None
+    if machine is not None and known is None:
+        page.line(ask=_others(machine, position))
     if known is not None and known.model:
         _mujoco(page, known)
     else:
@@ -181,6 +184,17 @@ def _sample_time(page: _Page, clock: Group | None, file: str) -> float:
             + gaps,
         )
     return shown
+
+
+def _others(machine: Machine, position: Group) -> str:
+    """The question of a recording of some joints of a machine."""
+    names = ", ".join(str(joint["name"]) for joint in machine.joints)
+    return (
+        f"the machine has {counted(len(machine.joints), 'joint')} ({names}), and only"
+        f" {', '.join(position.names)} {'looks' if len(position.names) == 1 else 'look'} like a"
+        " position: do the others matter? Record all positions as one array, 'q', and all commands"
+        " as 'tau'; then what zendsp knows of the machine stands here"
+    )
 
 
 def _mujoco(page: _Page, machine: Machine) -> None:
@@ -397,13 +411,15 @@ def _sensor(page: _Page, position: Group, linear: bool, machine: Machine | None)
     page.line()
     page.line("[sensor]")
     steps = [find_resolution(finite(column)) for column in position.values.T]
+    units, told = {"m" if linear else "rad"}, "as the numbers are spaced"
     if machine is not None:
         steps = [1.0 / abs(float(joint["counts_per_unit"])) for joint in machine.joints]
-    unit = "m" if linear else "rad"
+        units, told = {str(joint["unit"]) for joint in machine.joints}, "as the machine says"
+    unit = " or ".join(sorted(units))
     if all(steps):
-        said = f"{unit} per count, as the numbers are spaced"
+        said = f"{unit} per count, {told}"
         turns = [2 * np.pi / s for s in steps]
-        if not linear and all(
+        if unit == "rad" and all(
             abs(turn - round(turn)) < WHOLE * max(1.0, turn / 1e4) for turn in turns
         ):
             said += (

@@ -46,6 +46,9 @@ NOTHING = (
     "s compares the recordings that are marked on the left with the model, and names what the model"
     " lacks."
 )
+NO_RECORDING = (
+    "No recording yet: record on Console (F2, r), play a motion on Execute (F3), or add a file (a)."
+)
 
 
 class DiagnoseScreen(LoopActions):
@@ -143,6 +146,9 @@ class DiagnoseScreen(LoopActions):
             path = str(run.folder / DATA)
             self._row(table, path, run.name, when, f"{run.seconds:.1f}", run.machine)
         table.move_cursor(row=min(at, table.row_count - 1))
+        if self.shown is None and not self.said:
+            hint = NOTHING if here else NO_RECORDING
+            self.query_one("#words", Static).update(hint)
         self._painted = None
 
     def _row(self, table: DataTable[Text], path: str, *cells: str) -> None:

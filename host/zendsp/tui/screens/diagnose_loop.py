@@ -155,7 +155,8 @@ class LoopActions(LabScreen):
         c = self.compensation
         if state == "nothing" or c is None:
             why = not_compensated(d.folder / FILE) if (d.folder / FILE).is_file() else ""
-            self.app.push_screen(Message("Compensation", Text(f"{words}\n\n{why}".strip())))
+            text = why or "Nothing of it can be cancelled by a torque."
+            self.app.push_screen(Message("Compensation", Text(text)))
         elif state == "no program":
             self.say(words, "warning")
         elif state == "no room":
