@@ -354,6 +354,17 @@ def test_many_parameter_sets_at_once_predict_what_each_of_them_predicts_alone(na
     np.testing.assert_array_equal(together[:, 11], together[:, 3])
 
 
+def test_a_small_inertia_behind_much_viscous_friction_is_followed() -> None:
+    """As the last joint of an arm: it comes to rest in a fifteenth of a sample."""
+    damping = 15.0 * J / T
+    position = rigid(lambda q, v, t, u: damping * v, sub=200)
+    model, record = recorded(position, [{"kind": "viscous", "coefficient": damping}])
+    followed = run(record, model, 16.0).innovations
+    finely = run(record, model, 16.0, inner=128).innovations
+    wrong = run(record, varied(model, 1.05), 16.0, inner=128).innovations  # 5 % of the friction
+    assert np.std(followed - finely) < 0.2 * np.std(wrong - finely)
+
+
 def test_a_prediction_that_runs_away_leaves_those_beside_it_alone() -> None:
     model, record = recorded(
         rigid(lambda q, v, t, u: dry(0.04)(v), sub=STIFF),

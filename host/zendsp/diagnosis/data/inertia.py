@@ -5,7 +5,8 @@ While much physics is missing, the most likely model under a fast observer is a 
 inertia ignores the wrong torques. Low-pass filtered inverse dynamics with rich friction, gravity
 and coupling columns as nuisance gives the inertia within a few percent whatever is missing (Gautier
 1997), and the calibration may move only around it. Where a joint hardly accelerates, the noise of
-its acceleration makes the estimate too small; a stronger low-pass tells, and the range holds both.
+its acceleration makes the estimate too small; a stronger low-pass tells. Where joints accelerate
+together, the coupling columns take from it; it is also asked without them. The range holds all.
 """
 
 from __future__ import annotations
@@ -57,7 +58,11 @@ def inertia_ranges(
     ranges = {}
     for joint in range(1, model.joints + 1):
         own = [rec[joint - 1] for rec in records]
-        around = [_around(*_estimate(own, model, window)) for window in WINDOWS]
+        around = [
+            _around(*_estimate(own, model, window, coupled=coupled))
+            for coupled in (True, False)
+            for window in WINDOWS
+        ]
         if around[0]:
             lows, highs = zip(*filter(None, around), strict=True)
             ranges[own_key(model, joint)] = (min(lows), max(highs))
@@ -72,11 +77,13 @@ def _around(value: float, t: float) -> tuple[float, float] | None:
     return value / spread, value * spread
 
 
-def _estimate(records: list[JointRecord], model: Model, window: float) -> tuple[float, float]:
+def _estimate(
+    records: list[JointRecord], model: Model, window: float, *, coupled: bool
+) -> tuple[float, float]:
     """The inertia, and its ratio to its standard deviation."""
     rows, targets = [], []
     for rec in records:
-        a, y = _system(rec, model, window)
+        a, y = _system(rec, model, window, coupled)
         rows.append(a)
         targets.append(y)
     a, y = np.concatenate(rows), np.concatenate(targets)
@@ -94,7 +101,9 @@ def _estimate(records: list[JointRecord], model: Model, window: float) -> tuple[
     return float(theta[0] / scale[0]), float(theta[0] / max(np.sqrt(max(spread, 0.0)), 1e-300))
 
 
-def _system(rec: JointRecord, model: Model, window: float) -> tuple[Array, Array]:
+def _system(
+    rec: JointRecord, model: Model, window: float, coupled: bool
+) -> tuple[Array, Array]:
     width = max(3, round(window / rec.sample_time))
 
     def low(v: Array) -> Array:
@@ -128,7 +137,7 @@ def _system(rec: JointRecord, model: Model, window: float) -> tuple[Array, Array
     ]
     if model.kind == "rotary":
         columns += [np.sin(q), np.cos(q)]
-    for other in range(rec.others.shape[0]):
+    for other in range(rec.others.shape[0] if coupled else 0):
         if other + 1 != rec.joint and model.kind in TREES:
             _, vd, vdd = rec.others[other]
             columns += [vd, vdd, np.tanh((qd + vd) / slow)]

@@ -94,6 +94,21 @@ def missing_over_time(near: Near) -> dict[int, list[Missing]]:
     return out
 
 
+class _Stages:
+    """Tells the stage, and within it how many simulations were done."""
+
+    def __init__(self, tell: Progress) -> None:
+        self.tell, self.stage, self.count = tell, "", 0
+
+    def __call__(self, text: str) -> None:
+        self.stage = text
+        self.tell(text)
+
+    def ran(self) -> None:
+        self.count += 1
+        self.tell(f"{self.stage} ({self.count} simulations)")
+
+
 def diagnose_simulator(
     sources: Sequence[Any],
     model: Model,
@@ -141,8 +156,10 @@ def _diagnose(
     simulator: Simulator,
     tell: Progress,
 ) -> Diagnosis:
-    begin = time.perf_counter()
+    begin, tell = time.perf_counter(), _Stages(tell)
     train, test, notes = _recordings(sources, heldout, model, simulator)
+    for b in (*train, *test):
+        b.ran = tell.ran
     tell("calibrating the simulator")
     given_error = errors(train, model)
     base = fit_output(train, model, free_handles(model, offsets=False), given_error, 25)

@@ -116,7 +116,7 @@ class Hunt:
         chosen = _shortlist([item for item in options if item[0] > PROMISING])
         fitted = []
         for term in chosen:
-            self.tell(f"joint {term.joint}: fitting {term.effect}{self._so_far()}")
+            self.tell(f"joint {term.joint}: fitting {term.effect}")
             fitted.append(near.fit(with_term(current.model, term)))
         claims = self._judged(current, fitted)
         for promise, term in options:
@@ -157,9 +157,6 @@ class Hunt:
             why = self._why(claim, current) or "explains less than the winner"
             self.tried[(term.effect, term.joint)] = (claim.gain, claim.z, why)
         return claims
-
-    def _so_far(self) -> str:
-        return f" ({sum(b.calls for b in (*self.train, *self.test))} simulations)"
 
     def _why(self, c: Claim, current: Output) -> str:
         """Why an effect is not claimed; empty where it is."""

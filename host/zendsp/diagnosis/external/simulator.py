@@ -130,6 +130,7 @@ class Bench:
     given: Model
     size: int = 0
     calls: int = 0
+    ran: Callable[[], None] = lambda: None  # is told of each simulation
 
     @property
     def n(self) -> int:
@@ -169,6 +170,7 @@ class Bench:
                 )
             parts.append(out)
         self.calls += 1
+        self.ran()
         return np.concatenate(parts)
 
     def _recording(self, command: Array, rows: slice) -> Columns:

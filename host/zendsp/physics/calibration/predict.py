@@ -15,6 +15,7 @@ from zendsp.physics.effects import get_effect
 from zendsp.physics.kernel.native import LANES, native
 from zendsp.physics.model import Model, Term, per_joint
 from zendsp.physics.robots.bodies import body_terms
+from zendsp.physics.term_numbers import added_inertia
 
 Array = npt.NDArray[np.float64]
 
@@ -23,6 +24,8 @@ _NOTHING = np.zeros(0)
 # what the kernel writes from where a prediction leaves the track: 1000 rad or m off, or at 1e5
 # rad/s or m/s
 RAN_AWAY = 1e9
+LONGEST = 1.5  # of an integration step, times inertia over damping
+MOST_STEPS = 64  # a sample
 AT_FIRST = 0.03  # s, over which the acceleration at the beginning is measured
 
 
@@ -152,8 +155,11 @@ def run_many(
             fill(m[i], record, model, bandwidth, inner, known, tables[begin + i])
             for i, model in enumerate(some)
         ]
-        for i in range(len(some), LANES):
-            m[i] = m[0]  # idle
+        finest = max(m[i].sub for i in range(len(some)))  # all take the same steps
+        for i in range(LANES):
+            if i >= len(some):
+                m[i] = m[0]  # idle
+            m[i].sub = finest
         r = np.empty((n, LANES))
         lib.lib.zk_run_lanes(m, lib.doubles(r))
         out[:, begin : begin + len(some)] = r[:, : len(some)]
@@ -206,7 +212,7 @@ def fill(
     rq, rqd = record.motion.states[0], record.motion.states[1]
     m.n, m.sub, m.T, m.ucum, m.delay = (
         n,
-        inner,
+        steps(record, model, inertia, inner),
         record.sample_time,
         p(record.integral),
         model.actuator.delay,
@@ -232,6 +238,23 @@ def fill(
     m.load_sensor = 1 if model.sensor.side == "load" else 0
     m.reset, m.rq, m.rqd, m.t0 = 0, p(rq), p(rqd), record.t0
     return [kinds, table, inertia, bias, k1, k2, w]
+
+
+def steps(record: JointRecord, model: Model, inertia: Array, inner: int) -> int:
+    """Integration steps per sample: ``inner``, or as many more as follow what damps the joint. A
+    small inertia behind much viscous friction comes to rest in less than a step, and an explicit
+    step that is longer than twice that time runs away.
+    """
+    damping = sum(
+        max([0.0, *(term.value(p.name) for p in effect.parameters if p.size == "torque/speed")])
+        for term in model.at(record.joint)
+        if (effect := get_effect(term.effect)).mechanism == "fluid_friction"
+    )
+    least = max(float(np.min(inertia)) + added_inertia(model, record.joint), 1e-12)
+    wanted = min(damping * record.sample_time / (LONGEST * least), MOST_STEPS)
+    while inner < wanted:
+        inner *= 2
+    return inner
 
 
 def fill_rigid(m: Any, record: JointRecord, model: Model, inertia: Array, bias: Array) -> None:
