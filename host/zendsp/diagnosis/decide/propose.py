@@ -15,7 +15,6 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.signals import Signals
-from zendsp.diagnosis.decide.assemble import Assembled
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.result import Finding, Next
 from zendsp.diagnosis.measure.likelihood import deviance
@@ -84,7 +83,6 @@ def motions(
 def propose(
     train: Sequence[Signals],
     given: Model,
-    whole: Assembled,
     searches: Sequence[JointSearch],
     findings: Sequence[Finding],
     decisions: Sequence[Decision],
@@ -96,7 +94,6 @@ def propose(
     ----------
     train : sequence of Signals
     given : Model
-    whole : Assembled
     searches : sequence of JointSearch
     findings : sequence of Finding
     decisions : sequence of Decision
