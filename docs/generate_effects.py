@@ -70,6 +70,7 @@ FILM = Effect(
 | `essence`, `shape` | parameters without which, at zero or at a bound, it is not itself (the one that it is linear in where empty); a parameter that means nothing without any size |
 | `needs`, `replaces` | effects without which it means nothing (`dry`: any dry friction, `friction`: also viscous); effects that it contains as special cases |
 | `reads` | optional columns of a recording (`temperature`) that it needs; where one is missing the report says so |
+| `sized` | reports say the smallest size of it that the recordings would have shown |
 | `slow` | a fast observer follows it: it is fitted under a slow one |
 | `sentence` | what the report says, parameters in braces |
 | `experiment` | what to record to confirm it |

@@ -136,7 +136,7 @@ def _diagnose(
     lacking = {j: mismatch(parts.fit, whole.calibrated, j) for j in joints}
     places, times = _where({j: lacking[j] for j in _lacking(found, findings, joints)})
     tell("proposing the next recording")
-    proposal = propose(fit_signals, given, whole, found.searches, findings, decisions, seed)
+    proposal = propose(fit_signals, given, found.searches, findings, decisions, seed)
     tell("asking what could have been seen")
     seen = detectable(parts, given, decisions, jobs)
     alone = by_one_sensor(parts, found.bodies.model, decisions)

@@ -17,6 +17,8 @@ from zendsp.reference.machine import MACHINES
 from zendsp_protocol.texts import counted
 
 FRICTION = ("dry_friction", "fluid_friction")  # mechanisms
+# a mechanism that any number of joints fits: only the effects are read through it
+_SHELL = {"kind": "rotary", "parameters": {"inertia": 1.0}}
 
 
 def fit_model(names: Sequence[str], path: str | Path) -> list[str]:
@@ -102,7 +104,7 @@ def put_into(result: Result, path: str | Path) -> list[str]:
     found = parse_model(
         {
             "name": "found",
-            "mechanism": _shell(result),
+            "mechanism": _SHELL,
             "effect": result.effects,
             "columns": {"position": [f"q{j}" for j in range(8)]},
         },
@@ -140,8 +142,3 @@ def put_into(result: Result, path: str | Path) -> list[str]:
 def _of_speed(effect: Effect) -> bool:
     """Whether it is friction over the speed, which is what the experiments measure anew."""
     return effect.mechanism in FRICTION and effect.over == "velocity"
-
-
-def _shell(result: Result) -> dict[str, object]:
-    """A mechanism that any number of joints fits: only the effects are read through it."""
-    return {"kind": "rotary", "parameters": {"inertia": 1.0}}

@@ -180,7 +180,7 @@ def sweep(
         for number, run in enumerate(runs, 1):
             tell = _part(progress, number - 1, len(runs))
             recording, ended = _one(target, run, channels, settle + seconds, tell)
-            results = _measured(recording, channels, measures, settle, ended)
+            results = _measured(recording, measures, settle, ended)
             rows.append({**run, **results, "ended": ended})
             if folder is not None and recording is not None:
                 recording.save(folder / f"{number:03}.mat")
@@ -249,7 +249,6 @@ def _trouble(target: Target) -> str:
 
 def _measured(
     recording: Recording | None,
-    channels: Sequence[str],
     measures: Sequence[str],
     settle: float,
     ended: str,

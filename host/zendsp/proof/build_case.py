@@ -74,7 +74,7 @@ def attempt_case(request: Request, rng: Rng) -> Case:
     check(d, train)
     check(d, held)
     scales = scales_of(d, train)
-    form, split = format_for(d, rng)
+    form, split = format_for(rng)
     names = dict(NAMES[rng.integers(len(NAMES))])
     if d.open_loop:
         names.pop("reference")

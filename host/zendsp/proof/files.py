@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from zendsp.extras import need
-from zendsp.proof.draft import Array, Draft
+from zendsp.proof.draft import Array
 from zendsp.proof.reality import Run
 
 Columns = Mapping[str, str | list[str]]  # of [columns]: one name, or one a joint
@@ -147,7 +147,7 @@ def plain(value: Any) -> Any:
     return float(f"{float(value):.12g}")
 
 
-def format_for(d: Draft, rng: np.random.Generator) -> tuple[str, bool]:
+def format_for(rng: np.random.Generator) -> tuple[str, bool]:
     """A file format and whether vectors are split into columns (tables of columns must be)."""
     form = str(rng.choice(FORMATS))
     return form, form in ("csv", "parquet") or bool(rng.random() < 0.5)

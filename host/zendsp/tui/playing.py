@@ -26,6 +26,8 @@ TABLES = ("ref", "reference", "q_ref", "qref")
 HOLD = ("hold", "parameter", "bool")  # name, kind and type of what brings the reference to rest
 APPROACH_S = 0.2  # of a program that blends into the table by itself
 SETTLE_S = 0.5  # at rest before and after the motion
+SAME = 1e-9  # of rounding: positions, rad, and sample times, relative, that are the same
+AT_START = 1e-3  # rad: nearer, no move to the start is needed
 
 
 @dataclass(frozen=True)
@@ -120,7 +122,7 @@ def smooth_move(
     at which the slowest joint reaches the given share of its limits.
     """
     way = np.abs(goal - start)
-    if not np.any(way > 1e-9):
+    if not np.any(way > SAME):
         return start[None, :].copy()
     pace = machine.with_headroom(share).pace
     speed, acceleration = pace.speed, pace.acceleration
@@ -184,12 +186,12 @@ def make_playlist(
                 "this reference is a torque law and the program has no table ref_tau: build one"
                 " that has"
             )
-        if abs(reference.sample_time - period) > 1e-12:
+        if abs(reference.sample_time - period) > SAME * period:
             raise ReferenceError_(
                 "the chosen references have different sample times: play them one by one"
             )
         away = float(np.abs(reference.q[0] - here).max())
-        if away > 1e-3 and not setup.preposition:
+        if away > AT_START and not setup.preposition:
             raise ReferenceError_(
                 f"the arm is {away:.3g} rad away from the start: switch pre-positioning on (a)"
             )
@@ -197,7 +199,7 @@ def make_playlist(
         add("pre-position", np.vstack((move, np.repeat(move[-1:], still, axis=0))))
         for cycle in range(setup.cycles):
             name = f"play {cycle + 1}/{setup.cycles}" if setup.cycles > 1 else "play"
-            if cycle and float(np.abs(reference.q[0] - here).max()) > 1e-3:
+            if cycle and float(np.abs(reference.q[0] - here).max()) > AT_START:
                 add(
                     "return to start",
                     smooth_move(here, reference.q[0], machine, setup.share, period),

@@ -36,6 +36,7 @@ STATE_MARKS = {
 
 LEAST = 4  # columns that words are wrapped to
 LEAST_NAME = 12  # columns of a target's name, however much there is to be said
+BUSY = 0.8  # of the period, by the longest execution: more is shown as a warning
 
 
 def microseconds(ns: float) -> str:
@@ -258,7 +259,7 @@ class StatusBar(Widget):
         item(
             "exec",
             mean_and_max(s.exec_mean_ns, s.exec_max_ns) + share,
-            bool(share) and s.share > 0.8,
+            bool(share) and s.share > BUSY,
         )
         item("over", str(s.overruns), s.overruns > 0)
         item("lost", str(s.lost), s.lost > 0)

@@ -21,6 +21,7 @@ from zendsp_target.runtime.programs import Programs
 from zendsp_target.runtime.session import Session
 
 MOST_TICKS = 1 << 53  # more than a thousand years, and still exact in a float
+LONGEST_RAMP_S = 60.0  # of soft start and stop
 
 
 class Motion:
@@ -228,8 +229,8 @@ class Motion:
 
     def set_ramp(self, seconds: float) -> None:
         """Duration of soft start and soft stop, s; 0: at once."""
-        if not 0.0 <= seconds <= 60.0:
-            raise Refused(f"ramp of {seconds!r} s: give 0 … 60 s")
+        if not 0.0 <= seconds <= LONGEST_RAMP_S:
+            raise Refused(f"ramp of {seconds!r} s: give 0 … {LONGEST_RAMP_S:g} s")
         self._apply({"drive.ramp": seconds})
 
     def set_overrun(self, policy: str, limit: int = 10) -> None:

@@ -25,6 +25,7 @@ MIN_COUNTS = 8
 STILL = 1e-9  # of the largest position: a span below is a constant
 NOISE_SPANS = 15  # standard deviations: 20 000 samples of white noise span 8
 FOLLOWED = 0.8  # R^2 of position on reference from which the slope says unit and sign
+MOSTLY = 0.5  # of the samples
 OPPOSITE = -0.5  # slope
 NEAR = (0.7, 1.4)  # of a factor between units
 OTHER_UNITS = 10  # times the actuator's limit, and most of the time beyond it
@@ -128,7 +129,7 @@ def _follows(where: str, y: Array, r: Array, kind: str) -> None:
 
 def _limits(where: str, u: Array, limit: float) -> list[str]:
     top = float(np.max(np.abs(u)))
-    if limit > 0 and top > OTHER_UNITS * limit and float(np.mean(np.abs(u) > limit)) > 0.5:
+    if limit > 0 and top > OTHER_UNITS * limit and float(np.mean(np.abs(u) > limit)) > MOSTLY:
         raise RecordingError(
             f"{where}: the command reaches {top:.4g} and is most of the time beyond the actuator's"
             f" limit of {limit:.4g}: is it in other units than the model's [actuator]?"

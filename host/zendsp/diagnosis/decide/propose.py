@@ -15,7 +15,6 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.signals import Signals
-from zendsp.diagnosis.decide.assemble import Assembled
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.result import Finding, Next
 from zendsp.diagnosis.measure.likelihood import deviance
@@ -84,7 +83,6 @@ def motions(
 def propose(
     train: Sequence[Signals],
     given: Model,
-    whole: Assembled,
     searches: Sequence[JointSearch],
     findings: Sequence[Finding],
     decisions: Sequence[Decision],
@@ -96,7 +94,6 @@ def propose(
     ----------
     train : sequence of Signals
     given : Model
-    whole : Assembled
     searches : sequence of JointSearch
     findings : sequence of Finding
     decisions : sequence of Decision
@@ -122,16 +119,12 @@ def propose(
     if rival is None:
         return Next(
             f"To tell {finding.effect} from {names} at joint {finding.joint}: {experiment}",
-            None,
-            (finding.effect, *finding.indistinguishable),
         )
     best = _best_motion(train[0], given, search, rival, finding.joint, seed)
     if best is None:
         return Next(
             f"No motion within the reach of these recordings separates {finding.effect} from"
             f" {names}: there they are the same torque.",
-            None,
-            (finding.effect, *finding.indistinguishable),
         )
     name, motion, gain = best
     q = np.tile(
@@ -144,7 +137,7 @@ def propose(
         f" {'m' if given.joint_kind(finding.joint) == 'linear' else 'rad'}): if {finding.effect} is"
         f" true, {rival.effect} will be {gain / 2:.0f} units of log-likelihood less likely."
     )
-    return Next(text, (q, train[0].sample_time), (finding.effect, rival.effect))
+    return Next(text, (q, train[0].sample_time))
 
 
 def _without_rival(
@@ -155,7 +148,6 @@ def _without_rival(
         return Next(
             f"Record joint {joint} again through the same states in another order and at other"
             " speeds: what repeats with the state is physics.",
-            None,
         )
     weak = [
         f for f in findings if f.confidence < WEAK and f.effect not in ("disturbance", "unknown")
@@ -164,7 +156,6 @@ def _without_rival(
         return Next(
             f"To confirm {weak[0].effect} at joint {weak[0].joint}:"
             f" {get_effect(weak[0].effect).experiment}",
-            None,
         )
     return None
 

@@ -133,13 +133,10 @@ class Detectable:
 
 @dataclass(frozen=True)
 class Next:
-    """The next recording: what to do and why, and the reference (rad or m over s) that separates
-    what is open.
-    """
+    """What to record next and why, and the reference that separates what is open, rad or m."""
 
     sentence: str
-    reference: Any = None  # (time, position, per joint) or None
-    separates: tuple[str, ...] = ()
+    reference: tuple[Array, float] | None = None  # positions (n, joints), sample time in s
 
 
 @dataclass(frozen=True)

@@ -259,6 +259,4 @@ def next_of(findings: Sequence[Finding]) -> Next | None:
     return Next(
         f"To separate {f.effect} from {', '.join(f.indistinguishable)} on joint {f.joint}:"
         f" {get_effect(f.effect).experiment}",
-        None,
-        (f.effect, *f.indistinguishable),
     )

@@ -11,6 +11,7 @@ from zendsp.diagnosis.decide.findings import number
 from zendsp.diagnosis.decide.result import Diagnosis, Finding, FitTable
 from zendsp.diagnosis.report.summary import WORDS, headline, percent
 
+SMALLER = 1.05  # times: a smaller fall of the error is not told as one
 STYLE = """
 body{font:15px/1.5 system-ui,sans-serif;color:#222;max-width:54rem;margin:2rem auto;padding:0 1rem}
 h1{font-size:1.5rem;margin:0}h2{font-size:1.1rem;margin:2rem 0 .5rem;border-bottom:1px solid #ccc}
@@ -92,7 +93,7 @@ def _untouched(d: Diagnosis) -> str:
         )
     times = t.calibrated / t.improved if t.improved > 0 else float("inf")
     smaller = f"{times:.0f}" if times >= 10.0 else f"{times:.2g}"
-    told = f" ({smaller} times smaller)" if times >= 1.05 else ""
+    told = f" ({smaller} times smaller)" if times >= SMALLER else ""
     return (
         f"<p><b>Untouched recordings:</b> RMS position error {t.calibrated:.3g} → {t.improved:.3g}"
         f" {d.unit}{told}; the sensor alone {d.noise_floor:.2g} {d.unit}.</p>"

@@ -135,7 +135,7 @@ def draft_model(table: Table, name: str = "", machine: Machine | None = None) ->
         _mujoco(page, known)
     else:
         _mechanism(page, position, command, step, linear, known)
-    _actuator(page, command, step, joints, known)
+    _actuator(page, command, step, known)
     _sensor(page, position, linear, known)
     page.line()
     page.line(
@@ -338,7 +338,7 @@ def _idea(q: Array, u: Array, step: float, linear: bool) -> _Idea | None:
 
 
 def _actuator(
-    page: _Page, command: Group | None, step: float, joints: int, machine: Machine | None
+    page: _Page, command: Group | None, step: float, machine: Machine | None
 ) -> None:
     page.line()
     page.line("[actuator]")

@@ -25,6 +25,7 @@ from zendsp_protocol.values import Assignable
 
 STEP, COARSE, FINE = 1 / 200, 1 / 20, 1 / 2000  # of the range
 SEND_S = 0.1  # between writes while a slider moves
+QUIET = 5  # of these without a move, until what the target has is shown again
 NAME, VALUE = 14, 22  # columns
 MOST_ELEMENTS = 16  # of an array that has sliders
 
@@ -236,7 +237,7 @@ class Sliders(Dialog[None]):
             self._write(moved, False)
             return
         self._quiet += 1
-        if self._quiet < 5:  # the target's word is on its way
+        if self._quiet < QUIET:  # the target's word is on its way
             return
         now = self._values()
         for slider in self.query(Slider):

@@ -33,6 +33,8 @@ from zendsp.tui.scope.path import PathPlot
 from zendsp.tui.screens.base import WIDE
 from zendsp.tui.screens.reference_form import ReferenceForm, Wanted
 
+NEAR = 0.9  # of a limit: more is shown as a warning
+
 
 @dataclass(frozen=True)
 class Plan:
@@ -148,7 +150,7 @@ class ReferenceScreen(ReferenceForm):
                 colour = (
                     c["error"]
                     if share > 1.0 + 1e-9
-                    else c["warning"] if share > 0.9 else c["success"]
+                    else c["warning"] if share > NEAR else c["success"]
                 )
                 text.append(words_, colour)
             text.append("\n")

@@ -18,6 +18,7 @@ from zendsp_target.runtime.variables.dictionary import Place
 from zendsp_target.runtime.variables.plans import set_part
 
 FloatArray = npt.NDArray[np.float64]
+SHOWN = 40  # characters of a wrong value, in the sentence that refuses it
 
 
 def numbers_of(name: str, place: Place, value: object) -> FloatArray:
@@ -107,7 +108,7 @@ def _numbers(name: str, value: object, kind: str) -> FloatArray:
 
 def _short(value: object) -> str:
     text = repr(value)
-    return text if len(text) <= 40 else text[:37] + "…"
+    return text if len(text) <= SHOWN else text[: SHOWN - 1] + "…"
 
 
 def _as_elements(name: str, place: Place, array: npt.NDArray[Any]) -> FloatArray:
