@@ -47,6 +47,8 @@ class JointRecord:
     _thinned: JointRecord | None = None
     # fits to it, by all that they depend on: the latest, see ``fit``
     fits: dict[Any, Any] = field(default_factory=dict)
+    # predictions of it, by all that they depend on: the latest, see ``run``
+    runs: dict[Any, Any] = field(default_factory=dict)
     # torques of single terms along it, see ``Screen``
     traces: dict[Any, Array] = field(default_factory=dict)
 
@@ -133,13 +135,14 @@ class JointRecord:
                 _integral=None,
                 _thinned=None,
                 fits={},
+                runs={},
                 traces={},
             )
         return self._thinned
 
     def __getstate__(self) -> dict[str, Any]:
         """To another process goes what the rest follows from."""
-        empty: dict[str, Any] = {key: {} for key in ("_gains", "fits", "traces")}
+        empty: dict[str, Any] = {key: {} for key in ("_gains", "fits", "runs", "traces")}
         return {**self.__dict__, **empty, "_integral": None, "_thinned": None}
 
     def inertia_and_bias(self, model: Model) -> tuple[Array, Array]:
