@@ -149,15 +149,18 @@ class JointRecord:
         """Inertia and known torque along the record for the mechanism parameters of a model, each
         (n,).
         """
-        inertia, bias = np.zeros(self.n), np.zeros(self.n)
+        inertias, biases = [], []
         for key, basis in self.basis.items():
             value = 1.0 if key == "fixed" else mechanism_value(model, key, self.joint)
-            inertia += value * basis.inertia
-            bias += value * basis.bias
+            if basis.acts[0]:
+                inertias.append(value * basis.inertia)
+            if basis.acts[1]:
+                biases.append(value * basis.bias)
         if self.links is not None and (terms := body_terms(model)):
             change = self.links.change(terms, self.joint - 1)
-            inertia += means(change.inertia, self.every)
-            bias += means(change.bias, self.every)
+            inertias.append(means(change.inertia, self.every))
+            biases.append(means(change.bias, self.every))
+        inertia, bias = _sum(inertias, self.n), _sum(biases, self.n)
         return np.maximum(inertia, 1e-9 * self.scale.inertia), bias
 
     def reference_inertia(self, model: Model, inertia: Array) -> float:
@@ -173,6 +176,15 @@ class JointRecord:
                 for key in constant
             )
         )
+
+
+def _sum(parts: list[Array], n: int) -> Array:
+    """Sum of some series (n,), the first of which may be written to where there are more."""
+    if not parts:
+        return np.zeros(n)
+    for part in parts[1:]:
+        parts[0] += part
+    return parts[0]
 
 
 def facts(
