@@ -53,18 +53,33 @@ def as_torque(record: JointRecord, model: Model, innovations: Array, band: float
     """Torque by which an observer with such weighted innovations corrects a model, (..., n), N m or
     N; its own delay taken out.
     """
-    _, k2, w = record.gains(band)
-    factor = (
-        np.where(w > 0, k2 / np.maximum(w, 1e-300), 0.0)
-        * effective_inertia(record, model)
-        / record.sample_time
-    )
+    factor, lag = correction(record, effective_inertia(record, model), band)
     n = innovations.shape[-1]
-    lag = min(n, round(np.sqrt(2) / band / record.sample_time))
     moved = np.empty_like(innovations)
-    np.multiply(innovations[..., lag:], -factor[lag:], out=moved[..., : n - lag])
+    np.multiply(innovations[..., lag:], factor[lag:], out=moved[..., : n - lag])
     moved[..., n - lag :] = 0.0
     return moved
+
+
+def correction(record: JointRecord, inertia: Array, band: float) -> tuple[Array, int]:
+    """Torque by which an observer corrects a model for a unit of weighted innovation, (n,), and
+    the samples by which it is late.
+    """
+    _, k2, w = record.gains(band)
+    factor = np.where(w > 0, k2 / np.maximum(w, 1e-300), 0.0) * inertia / record.sample_time
+    return -factor, min(record.n, round(np.sqrt(2) / band / record.sample_time))
+
+
+def as_seen(
+    record: JointRecord, model: Model, band: float, raw: Array, *, on_sensor: bool = False
+) -> Array:
+    """Torques over time, (m, n), as an observer of a band sees them; ``on_sensor``: what it takes
+    for torques of what the sensor adds to the position.
+    """
+    here, inertia = band_of(record, band), effective_inertia(record, model)
+    per, lag = correction(record, inertia, here)
+    still = np.zeros(record.n)
+    return response(record, here, inertia, still, raw, on_sensor=on_sensor, per=per, lag=lag)
 
 
 def lacking(data: Data, model: Model, joint: int, band: float) -> list[Array]:
@@ -87,13 +102,10 @@ def kept(record: JointRecord, band: float) -> slice:
 
 def noise(record: JointRecord, model: Model, band: float) -> float:
     """Mean square of the torque that the sensor's noise alone makes, (N m)² or N²."""
-    here = band_of(record, band)
     draws = np.random.default_rng(0).standard_normal((DRAWS, record.n))
     draws *= np.sqrt(np.maximum(record.measurement.variance, 0.0))
-    r = response(
-        record, here, effective_inertia(record, model), np.zeros(record.n), draws, on_sensor=True
-    )
-    return float(np.mean(as_torque(record, model, r, here)[:, kept(record, band)] ** 2))
+    seen = as_seen(record, model, band, draws, on_sensor=True)
+    return float(np.mean(seen[:, kept(record, band)] ** 2))
 
 
 def energy_blocks(

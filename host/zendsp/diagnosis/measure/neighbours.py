@@ -16,13 +16,14 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.measure.discrepancy import (
     BANDS,
+    as_seen,
     deviation,
     energy_blocks,
     kept,
     lacking,
 )
 from zendsp.diagnosis.measure.likelihood import Scored
-from zendsp.diagnosis.measure.structure import Ranges, as_seen, counted, ranges_of, unit
+from zendsp.diagnosis.measure.structure import Ranges, counted, ranges_of, unit
 from zendsp.physics.calibration.fit import Data, bounds_and_steps, joint_handles
 from zendsp.physics.calibration.handles import Handle, get_values, set_values
 from zendsp.physics.calibration.joint import JointRecord

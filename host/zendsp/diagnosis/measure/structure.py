@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.measure.discrepancy import (
     BANDS,
-    as_torque,
+    as_seen,
     band_of,
     deviation,
     energy_blocks,
@@ -22,8 +22,7 @@ from zendsp.diagnosis.measure.discrepancy import (
     reversals,
 )
 from zendsp.physics.calibration.fit import Data
-from zendsp.physics.calibration.joint import JointRecord, effective_inertia
-from zendsp.physics.calibration.predict import response
+from zendsp.physics.calibration.joint import JointRecord
 from zendsp.physics.kernel.native import swung
 from zendsp.physics.model import Model
 
@@ -288,10 +287,3 @@ def _drawn(
     """The shapes of all mechanisms, (m, n)."""
     made = [shapes(rec, joint, m, ranges, detail) for m in mechanisms]
     return np.ascontiguousarray(np.concatenate(made))
-
-
-def as_seen(record: JointRecord, model: Model, band: float, raw: Array) -> Array:
-    """Torques over time, (m, n), as an observer of a band sees them."""
-    here = band_of(record, band)
-    r = response(record, here, effective_inertia(record, model), np.zeros(record.n), raw)
-    return as_torque(record, model, r, here)

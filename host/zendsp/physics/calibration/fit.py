@@ -270,7 +270,9 @@ class _Problem:
         )
         return base, np.asarray((columns[:, : len(at)] - behind) / widths)
 
-    def trials(self, x: Array, r: Array, jac: Array, dampings: Sequence[float]) -> list[Array]:
+    def ways(
+        self, x: Array, r: Array, jac: Array
+    ) -> Callable[[Sequence[float]], list[Array]]:
         """Where Levenberg-Marquardt goes from a point, by its damping."""
         # of each number: a gap in mm and a stiffness in MN/m meet in one matrix
         unit = np.maximum(np.abs(x), self.size)
@@ -279,14 +281,15 @@ class _Problem:
         least = 1e-12 * max(float(np.max(np.diag(normal))), 1e-300)
         diagonal = np.maximum(np.diag(normal), least)
         use = ~(((x <= self.low) & (gradient > 0)) | ((x >= self.high) & (gradient < 0)))
-        out = []
-        for damping in dampings:
+
+        def way(damping: float) -> Array:
             step = np.zeros_like(x)
             if use.any():
                 a = normal[np.ix_(use, use)] + damping * np.diag(diagonal[use])
                 step[use] = -unit[use] * np.linalg.lstsq(a, gradient[use], rcond=1e-14)[0]
-            out.append(np.clip(x + step, self.low, self.high))
-        return out
+            return np.clip(x + step, self.low, self.high)
+
+        return lambda dampings: [way(damping) for damping in dampings]
 
     def better(
         self, x: Array, r: Array, jac: Array, damping: float, last: bool
@@ -296,8 +299,9 @@ class _Problem:
         """
         cost = float(r @ r)
         shorter = [max(damping, 1e-6 / 6.0) * 6.0**i for i in range(1, TRIES)]
+        ways = self.ways(x, r, jac)
         for dampings in ([damping], shorter):  # then shorter steps, all of them at once
-            trials = self.trials(x, r, jac, dampings)
+            trials = ways(dampings)
             slope: Array | None = None
             if len(trials) == 1 and not last:  # most first steps are taken, idle lanes cost nothing
                 first, slope = self.jacobian(trials[0])

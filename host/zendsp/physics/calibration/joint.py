@@ -47,6 +47,8 @@ class JointRecord:
     _thinned: JointRecord | None = None
     # fits to it, by all that they depend on: the latest, see ``fit``
     fits: dict[Any, Any] = field(default_factory=dict)
+    # predictions of it, by all that they depend on: the latest, see ``run``
+    runs: dict[Any, Any] = field(default_factory=dict)
     # torques of single terms along it, see ``Screen``
     traces: dict[Any, Array] = field(default_factory=dict)
 
@@ -133,28 +135,32 @@ class JointRecord:
                 _integral=None,
                 _thinned=None,
                 fits={},
+                runs={},
                 traces={},
             )
         return self._thinned
 
     def __getstate__(self) -> dict[str, Any]:
         """To another process goes what the rest follows from."""
-        empty: dict[str, Any] = {key: {} for key in ("_gains", "fits", "traces")}
+        empty: dict[str, Any] = {key: {} for key in ("_gains", "fits", "runs", "traces")}
         return {**self.__dict__, **empty, "_integral": None, "_thinned": None}
 
     def inertia_and_bias(self, model: Model) -> tuple[Array, Array]:
         """Inertia and known torque along the record for the mechanism parameters of a model, each
         (n,).
         """
-        inertia, bias = np.zeros(self.n), np.zeros(self.n)
+        inertias, biases = [], []
         for key, basis in self.basis.items():
             value = 1.0 if key == "fixed" else mechanism_value(model, key, self.joint)
-            inertia += value * basis.inertia
-            bias += value * basis.bias
+            if basis.acts[0]:
+                inertias.append(value * basis.inertia)
+            if basis.acts[1]:
+                biases.append(value * basis.bias)
         if self.links is not None and (terms := body_terms(model)):
             change = self.links.change(terms, self.joint - 1)
-            inertia += means(change.inertia, self.every)
-            bias += means(change.bias, self.every)
+            inertias.append(means(change.inertia, self.every))
+            biases.append(means(change.bias, self.every))
+        inertia, bias = _sum(inertias, self.n), _sum(biases, self.n)
         return np.maximum(inertia, 1e-9 * self.scale.inertia), bias
 
     def reference_inertia(self, model: Model, inertia: Array) -> float:
@@ -170,6 +176,15 @@ class JointRecord:
                 for key in constant
             )
         )
+
+
+def _sum(parts: list[Array], n: int) -> Array:
+    """Sum of some series (n,), the first of which may be written to where there are more."""
+    if not parts:
+        return np.zeros(n)
+    for part in parts[1:]:
+        parts[0] += part
+    return parts[0]
 
 
 def facts(

@@ -21,9 +21,9 @@ def _column(along: Along, p: Numbers) -> Array:
         order * np.cos(order * along.q + p["phase"]),
     )
     inert = along.inertia * (2 * slope * along.qdd - order**2 * error * along.qd**2)
-    return np.asarray(
-        amplitude * (inert + along.gravity * (slope * np.sin(along.q) + error * np.cos(along.q)))
-    )
+    if along.gravity:
+        inert += along.gravity * (slope * np.sin(along.q) + error * np.cos(along.q))
+    return np.asarray(amplitude * inert)
 
 
 EFFECT = Effect(

@@ -183,28 +183,43 @@ void zk_sense(const zk_model *M, const double *q, double *out)
     }
 }
 /* What added torque columns d (cols x n) do to the innovations, to first order: the observer's
- * error dynamics, out (cols x n). meas: columns act on the measurement instead. */
+ * error dynamics, out (cols x n). meas: columns act on the measurement instead. per: what each
+ * innovation is multiplied by (n), or null; lag: samples by which out is earlier, its end 0. */
 void zk_filter(int n, double T, const double *k1, const double *k2, const double *w,
                const double *e_active, const double *inertia, const double *damp, int cols,
-               const double *d, int meas, double *out) {
-    for (int first = 0; first < cols; first += LANES) {
-        const int some = cols - first < LANES ? cols - first : LANES;
+               const double *d, int meas, const double *per, int lag, double *out) {
+    enum { WIDE = 4 * LANES }; /* columns side by side: each waits for itself only */
+    for (int first = 0; first < cols; first += WIDE) {
+        const int some = cols - first < WIDE ? cols - first : WIDE,
+                  groups = (some + LANES - 1) / LANES;
         const double *dc = d + (size_t)first * n;
-        double *oc = out + (size_t)first * n, q[LANES] = {0}, v[LANES] = {0}, in[LANES] = {0},
-               r[LANES];
-        for (int k = 0; k < n; k++) {
-            const double on = w[k] > 0 && e_active[k] != 0.0 ? 1.0 : 0.0, per = 1.0 / inertia[k],
-                         ex = 1.0 / (1.0 + damp[k] * T * per);
-            for (int l = 0; l < some; l++) in[l] = dc[(size_t)l * n + k];
-            EACH {
-                double e = on * ((meas ? in[l] : 0.0) - q[l]);
-                r[l] = w[k] * e;
-                q[l] += k1[k] * e; v[l] += k2[k] * e;
-                double vn = (v[l] - (meas ? 0.0 : in[l]) * per * T) * ex;
-                q[l] += 0.5 * T * (v[l] + vn);
-                v[l] = vn;
+        double *oc = out + (size_t)first * n, q[WIDE] = {0}, v[WIDE] = {0}, in[BLOCK][WIDE] = {{0}},
+               r[BLOCK][WIDE];
+        for (int begin = 0; begin < n; begin += BLOCK) {
+            const int here = n - begin < BLOCK ? n - begin : BLOCK;
+            for (int c = 0; c < some; c++)
+                for (int i = 0; i < here; i++) in[i][c] = dc[(size_t)c * n + begin + i];
+            for (int i = 0; i < here; i++) {
+                const int k = begin + i;
+                const double on = w[k] > 0 && e_active[k] != 0.0 ? 1.0 : 0.0,
+                             light = 1.0 / inertia[k], ex = 1.0 / (1.0 + damp[k] * T * light),
+                             as = per ? per[k] : 1.0;
+                for (int g = 0; g < groups * LANES; g += LANES)
+                    EACH {
+                        const int c = g + l;
+                        double e = on * ((meas ? in[i][c] : 0.0) - q[c]);
+                        r[i][c] = w[k] * e * as;
+                        q[c] += k1[k] * e; v[c] += k2[k] * e;
+                        double vn = (v[c] - (meas ? 0.0 : in[i][c]) * light * T) * ex;
+                        q[c] += 0.5 * T * (v[c] + vn);
+                        v[c] = vn;
+                    }
             }
-            for (int l = 0; l < some; l++) oc[(size_t)l * n + k] = r[l];
+            for (int c = 0; c < some; c++)
+                for (int i = begin < lag ? lag - begin : 0; i < here; i++)
+                    oc[(size_t)c * n + begin + i - lag] = r[i][c];
         }
+        for (int c = 0; c < some; c++)
+            for (int k = n - lag; k < n; k++) oc[(size_t)c * n + k] = 0;
     }
 }

@@ -9,6 +9,7 @@ tau_i. Both are linear in the parameters of the mechanism.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +31,11 @@ class Basis:
 
     inertia: Array
     bias: Array
+
+    @cached_property
+    def acts(self) -> tuple[bool, bool]:
+        """Whether inertia and bias are anything but 0."""
+        return bool(self.inertia.any()), bool(self.bias.any())
 
 
 def bases(model: Model, motion: list[Array]) -> list[dict[str, Basis]]:
