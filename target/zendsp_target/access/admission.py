@@ -11,7 +11,7 @@ there, and nothing else: only the target answers and publishes under its name.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -182,19 +182,7 @@ def settle(name: str, listen: Sequence[str], connect: Sequence[str], security: S
             f' {security.roles}: add a line there, {without[0]} = "observe" for example, or take'
             f" {without[0]} out of the users"
         )
-    both = {_protocol(e) for e in connect} & {_protocol(e) for e in endpoints}
-    if both and users:
-        raise Refused(
-            f"--connect {', '.join(connect)} and --listen over {', '.join(sorted(both))}: a host"
-            " could not be told from the router, for which --users does not hold. Listen there or"
-            " connect to the router, not both; the router has rules of its own"
-        )
-    if connect and roles is not None:
-        raise Refused(
-            f"--roles with --connect {', '.join(connect)}: roles do not hold behind a router, since"
-            " the target cannot see who asks there. Leave out --roles and let the router decide"
-            " who comes in, or have hosts connect to the target itself"
-        )
+    _check_router(endpoints, connect, users, roles)
     if (
         roles is None
         and not users
@@ -225,6 +213,25 @@ def settle(name: str, listen: Sequence[str], connect: Sequence[str], security: S
         token,
         bool(connect),
     )
+
+
+def _check_router(
+    endpoints: Sequence[str], connect: Sequence[str], users: Collection[str], roles: object
+) -> None:
+    """Refuse what a router beside the target's own doors would make void."""
+    both = {_protocol(e) for e in connect} & {_protocol(e) for e in endpoints}
+    if both and users:
+        raise Refused(
+            f"--connect {', '.join(connect)} and --listen over {', '.join(sorted(both))}: a host"
+            " could not be told from the router, for which --users does not hold. Listen there or"
+            " connect to the router, not both; the router has rules of its own"
+        )
+    if connect and roles is not None:
+        raise Refused(
+            f"--roles with --connect {', '.join(connect)}: roles do not hold behind a router, since"
+            " the target cannot see who asks there. Leave out --roles and let the router decide"
+            " who comes in, or have hosts connect to the target itself"
+        )
 
 
 class _Rules:

@@ -102,20 +102,7 @@ def fit_output(
 
     handles = tuple(handles)
     if not handles:
-        error = errors(benches, model)
-        return Output(
-            Fit(
-                model,
-                (),
-                np.zeros(0),
-                np.zeros((0, 0)),
-                float(error @ error),
-                (),
-                np.zeros((len(error), 0)),
-                error,
-            ),
-            error,
-        )
+        return _nothing_to_fit(errors(benches, model), model)
     low, high, size = _bounds(benches, model, handles)
     start = np.clip(get_values(model, handles), low + 1e-9 * size, high - 1e-9 * size)
 
@@ -167,6 +154,12 @@ def fit_output(
         done.fun / weight,
     )
     return Output(result, done.fun / weight)
+
+
+def _nothing_to_fit(error: Array, model: Model) -> Output:
+    none, square = np.zeros(0), float(error @ error)
+    empty = np.zeros((len(error), 0))
+    return Output(Fit(model, (), none, np.zeros((0, 0)), square, (), empty, error), error)
 
 
 def weights(benches: Sequence[Bench], error: Array) -> Array:
