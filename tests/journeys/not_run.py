@@ -106,6 +106,8 @@ NOT_RUN: dict[tuple[str, str], str] = {
     ): DRAWING,
     ("docs/security.md", "pip install 'zendsp[keys]'"): NETWORK,
     ("docs/tour.md", "pip install 'zendsp[foxglove]'"): NETWORK,
+    ("docs/tour.md", "pip install 'zendsp[rerun]'"): NETWORK,
+    ("docs/tour.md", "zendsp bridge rerun"): "needs its viewer: tests/host/test_rerun.py",
     ("docs/tour.md", "zendsp tui --web"): BROWSER,
     (
         "docs/tour.md",

@@ -41,6 +41,8 @@ def test_the_site_has_every_page_and_no_link_is_broken(tree: Path) -> None:
     assert len(made) > 25 and all((p / "index.html").is_file() for p in made)
     text = (tree / "site" / "tui" / "index.html").read_text()
     assert "fonts.googleapis" not in text, "nothing is fetched from elsewhere"
+    api = (tree / "site" / "api" / "index.html").read_text()
+    assert 'id="zendsp.link.programs.Programs.download"' in api, "made from the docstrings"
 
 
 def test_a_page_that_the_nav_lacks_or_a_broken_link_is_noticed(tree: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import pytest
 from waiting import PATIENCE_S
 
 from zendsp.cli import COMMANDS, LazyGroup, cli, main
+from zendsp.cli.lines import fitted
 from zendsp.cli.stats import bars
 
 
@@ -185,3 +187,28 @@ main()
     )
     assert done.returncode == 130, done.stderr
     assert done.stderr.strip() == "interrupted"
+
+
+def test_a_diagnosis_that_does_not_begin_leaves_no_folder(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    asked = ("gone.csv", "--model", "imi_planar.toml", "--out", str(tmp_path / "a" / "report"))
+    status, text = said(capsys, "diagnose", *asked)
+    assert status == 2 and "gone.csv" in text
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_prose_is_broken_between_words_where_a_terminal_shows_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    monkeypatch.setenv("COLUMNS", "30")
+    table = "q    1.0   2.0   3.0   4.0   5.0"
+    text = f"note: a sentence that is longer than the terminal is wide\n{table}"
+    assert fitted(text, io.StringIO()) == text, "a line of a pipe stays one line"
+    *prose, columns = fitted(text, Terminal()).split("\n")
+    assert len(prose) == 3 and all(len(line) <= 30 for line in prose)
+    assert prose[1].startswith("      ") and columns == table

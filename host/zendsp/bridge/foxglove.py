@@ -179,7 +179,7 @@ class Bridge:
             return
         self._offset = float("nan")
         every = max(1, round(status.rate_hz / self._rate))
-        self._columns = _columns(wanted, infos)
+        self._columns = columns_of(wanted, infos)
         units = {n: infos[n].unit for n, _, _ in self._columns if n in infos}
         if self._signals is not None:
             self._signals.close()
@@ -282,7 +282,7 @@ class _Listener:
 foxglove = Bridge  # zendsp.bridge.foxglove(target) serves it until it is closed
 
 
-def _columns(
+def columns_of(
     names: Sequence[str], infos: dict[str, m.VariableInfo]
 ) -> list[tuple[str, slice, bool]]:
     """Where each signal stands in a row, and whether it is one number."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from pathlib import Path
 
 import click
 
@@ -55,4 +56,36 @@ def foxglove(
     ):
         words = f"{t.name} at {bridge.url} (Foxglove: Open connection, Foxglove WebSocket)"
         emit({"url": bridge.url, "target": t.name}, as_json, words)
+        threading.Event().wait()  # until Ctrl-C
+
+
+@command.command("rerun")
+@click.argument("channels", nargs=-1, shell_complete=variables)
+@click.option(
+    "--save",
+    type=click.Path(path_type=Path),
+    help="Write this .rrd file; without it, to the viewer that runs here.",
+)
+@click.option("--rate", type=float, default=100.0, show_default=True, help="Rows a second.")
+@target_options
+def rerun(
+    channels: tuple[str, ...],
+    save: Path | None,
+    rate: float,
+    target: str,
+    connect: str | None,
+    as_json: bool,
+) -> None:
+    """Show signals in the Rerun viewer, or write its file, until Ctrl-C.
+
+    CHANNELS are signals; without them, all of the program that is loaded. 'rerun --bind 127.0.0.1'
+    starts a viewer that only this computer reaches.
+
+    Example:  zendsp bridge rerun q tau -t imi --save run.rrd
+    """
+    from zendsp.bridge import rerun as show
+
+    with open_target(target, connect) as t, show(t, channels, rate=rate, save=save):
+        where = save if save is not None else "the Rerun viewer"
+        emit({"target": t.name, "to": str(where)}, as_json, f"{t.name} to {where}; Ctrl-C ends it")
         threading.Event().wait()  # until Ctrl-C
