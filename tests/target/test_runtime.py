@@ -115,12 +115,13 @@ def test_one_wrong_variable_stops_the_whole_update_and_each_is_named(runtime: Ru
     assert runtime.log() == ()
 
 
-def test_stop_is_latched_until_acknowledged(runtime: Runtime) -> None:
+@pytest.mark.parametrize("reason", ["stop", "host lost"])
+def test_stop_is_latched_until_acknowledged(runtime: Runtime, reason: str) -> None:
     runtime.start()
-    runtime.stop()
+    runtime.trip(reason)
     runtime_state_is(runtime, "stopped")
     trip = runtime.status().trip
-    assert trip is not None and trip.reason == "stop"
+    assert trip is not None and trip.reason == reason
     with pytest.raises(Refused, match="acknowledge"):
         runtime.pause()
         runtime.start()
