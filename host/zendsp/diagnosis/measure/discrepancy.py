@@ -77,9 +77,8 @@ def as_seen(
     for torques of what the sensor adds to the position.
     """
     here, inertia = band_of(record, band), effective_inertia(record, model)
-    per, lag = correction(record, inertia, here)
-    still = np.zeros(record.n)
-    return response(record, here, inertia, still, raw, on_sensor=on_sensor, per=per, lag=lag)
+    then, still = correction(record, inertia, here), np.zeros(record.n)
+    return response(record, here, inertia, still, raw, on_sensor=on_sensor, then=then)
 
 
 def lacking(data: Data, model: Model, joint: int, band: float) -> list[Array]:

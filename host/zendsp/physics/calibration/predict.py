@@ -382,11 +382,10 @@ def response(
     columns: Array,
     *,
     on_sensor: bool = False,
-    per: Array | None = None,
-    lag: int = 0,
+    then: tuple[Array, int] | None = None,
 ) -> Array:
     """What torque columns (m, n) do to the weighted innovations, to first order (m, n);
-    ``on_sensor``: position columns. ``per``: what each sample is multiplied by, (n,); ``lag``:
+    ``on_sensor``: position columns. ``then``: what each sample is multiplied by, (n,), and the
     samples by which the result is earlier, its end 0.
     """
     lib, n = native(), record.n
@@ -407,8 +406,8 @@ def response(
         len(columns),
         p(columns),
         int(on_sensor),
-        lib.ffi.NULL if per is None else p(per),
-        lag,
+        lib.ffi.NULL if then is None else p(then[0]),
+        0 if then is None else then[1],
         p(out),
     )
     return out
