@@ -86,6 +86,15 @@ def _bounds(
     return np.array(low), np.array(high), np.array(size)
 
 
+def _unmoved(benches: Sequence[Bench], model: Model) -> Output:
+    """A model of which nothing is fitted."""
+    error = errors(benches, model)
+    none = np.zeros((len(error), 0))
+    cost = float(error @ error)
+    fit = Fit(model, (), np.zeros(0), np.zeros((0, 0)), cost, (), none, error)
+    return Output(fit, error)
+
+
 def fit_output(
     benches: Sequence[Bench],
     model: Model,
@@ -102,20 +111,7 @@ def fit_output(
 
     handles = tuple(handles)
     if not handles:
-        error = errors(benches, model)
-        return Output(
-            Fit(
-                model,
-                (),
-                np.zeros(0),
-                np.zeros((0, 0)),
-                float(error @ error),
-                (),
-                np.zeros((len(error), 0)),
-                error,
-            ),
-            error,
-        )
+        return _unmoved(benches, model)
     low, high, size = _bounds(benches, model, handles)
     start = np.clip(get_values(model, handles), low + 1e-9 * size, high - 1e-9 * size)
 
