@@ -86,6 +86,15 @@ def _bounds(
     return np.array(low), np.array(high), np.array(size)
 
 
+def _unmoved(benches: Sequence[Bench], model: Model) -> Output:
+    """A model of which nothing is fitted."""
+    error = errors(benches, model)
+    none = np.zeros((len(error), 0))
+    cost = float(error @ error)
+    fit = Fit(model, (), np.zeros(0), np.zeros((0, 0)), cost, (), none, error)
+    return Output(fit, error)
+
+
 def fit_output(
     benches: Sequence[Bench],
     model: Model,
@@ -102,7 +111,7 @@ def fit_output(
 
     handles = tuple(handles)
     if not handles:
-        return _nothing_to_fit(errors(benches, model), model)
+        return _unmoved(benches, model)
     low, high, size = _bounds(benches, model, handles)
     start = np.clip(get_values(model, handles), low + 1e-9 * size, high - 1e-9 * size)
 
@@ -154,12 +163,6 @@ def fit_output(
         done.fun / weight,
     )
     return Output(result, done.fun / weight)
-
-
-def _nothing_to_fit(error: Array, model: Model) -> Output:
-    none, square = np.zeros(0), float(error @ error)
-    empty = np.zeros((len(error), 0))
-    return Output(Fit(model, (), none, np.zeros((0, 0)), square, (), empty, error), error)
 
 
 def weights(benches: Sequence[Bench], error: Array) -> Array:
