@@ -364,6 +364,25 @@ def test_only_what_untouched_recordings_bear_out_by_chance_too_rarely_is_claimed
     assert claimed == [sure] and rest == [unlikely, uneven, small]
 
 
+@pytest.mark.parametrize(
+    ("effect", "size", "claims"),
+    [("elasticity", 0.002, False), ("elasticity", 0.003, True), ("ripple", 0.002, True)],
+)
+def test_what_another_integration_step_makes_is_no_spring(
+    effect: str, size: float, claims: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pieces, "discrepancy", lambda *_: Size(0.0001, 0.0, 0.01))
+    monkeypatch.setattr(pieces, "structure", lambda *_: Structure(0.0, 0.0, 0.0))
+    monkeypatch.setattr(pieces, "kept_laws", lambda *_: [])
+    monkeypatch.setattr(pieces, "known_discrepancy", lambda *_: Known())
+    monkeypatch.setattr(pieces, "_rubbing", lambda *_: [])
+    parts = SimpleNamespace(test=SimpleNamespace(joints=1), each=())
+    one = piece(size, 5.0, 20.0, effect)
+    search, final = SimpleNamespace(joint=1), SimpleNamespace(model=None)
+    claimed, _ = pieces.held_apart(parts, None, search, final, [one])  # type: ignore[arg-type]
+    assert claimed == ([one] if claims else [])
+
+
 def test_what_a_mechanism_is_worth_is_asked_of_the_recordings_to_test_on(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

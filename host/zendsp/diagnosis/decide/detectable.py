@@ -20,9 +20,9 @@ import numpy as np
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import LAWS_OF, Decision
 from zendsp.diagnosis.decide.confidence import least_stated
-from zendsp.diagnosis.decide.pieces import dependence, kept_laws, torque_of
+from zendsp.diagnosis.decide.pieces import dependence, finest, kept_laws, torque_of
 from zendsp.diagnosis.decide.result import Detectable
-from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES, FINEST, LAW_ERROR, LEFT_BY_A_LAW
+from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES, LAW_ERROR, LEFT_BY_A_LAW
 from zendsp.diagnosis.measure.discrepancy import BANDS, as_torque, band_of, kept, mean_square
 from zendsp.diagnosis.search.screen import Screen
 from zendsp.physics.calibration.fit import Data, fit
@@ -68,7 +68,7 @@ def _joint(test: Data, given: Model, decision: Decision, jobs: int) -> list[Dete
     needed = math.log(test.joints * len(LAWS_OF) / FALSE_DISCOVERIES)
     # a gain of G = |c|² s² / σ² is 2 log e in the mean, with standard deviation 2 √G
     root = POWER + math.sqrt(POWER**2 + 2.0 * needed)
-    after = max(decision.after.value, FINEST)
+    after = decision.after.value
     sized = [effect for effect in library().values() if effect.sized]
     kinds = {mechanism_of(effect.name) for effect in sized}
     # what the model's own laws of the kind may be wrong by, where a law by itself leaves too much
@@ -84,7 +84,7 @@ def _joint(test: Data, given: Model, decision: Decision, jobs: int) -> list[Dete
         if any(key in given.mechanism for key in effect.same_as):
             continue
         beyond = min(math.hypot(after, error[mechanism_of(name)]), after / LEFT_BY_A_LAW)
-        beyond = max(after, beyond, least_stated(name, decision))
+        beyond = max(after, beyond, least_stated(name, decision), finest(name))
         size = _smallest(screen, name, variance, root, beyond, scale)
         if size is None:
             continue

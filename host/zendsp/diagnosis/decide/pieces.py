@@ -22,6 +22,7 @@ from zendsp.diagnosis.decide.thresholds import (
     LAW_ERROR,
     LEFT_BY_A_LAW,
     MOST,
+    STEPPED,
 )
 from zendsp.diagnosis.measure.discrepancy import (
     at_reversals,
@@ -189,10 +190,14 @@ def held_apart(
         own = timed or unknown <= may_leave(piece)
         error = 0.0 if own else LAW_ERROR * larger
         sure = piece.log_e > needed and piece.evidence.z > CLAIMED
-        (
-            claimed if sure and piece.size > max(FINEST, part, math.hypot(left, error)) else rest
-        ).append(piece)
+        least = max(*map(finest, piece.effects), part, math.hypot(left, error))
+        (claimed if sure and piece.size > least else rest).append(piece)
     return claimed, rest
+
+
+def finest(effect: str) -> float:
+    """The least size of an effect that is a finding, as a part of the RMS torque."""
+    return STEPPED if get_effect(effect).family in ("timing", "transmission") else FINEST
 
 
 def _rubbing(parts: Parts, search: JointSearch, final: Scored, piece: Piece) -> list[Term]:

@@ -10,7 +10,7 @@ import numpy as np
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.result import Detectable
-from zendsp.diagnosis.decide.thresholds import FINEST
+from zendsp.diagnosis.decide.pieces import finest
 from zendsp.diagnosis.transmission.sets import torque_unit
 from zendsp.diagnosis.transmission.torsion import OF_BODIES, has_bodies, of_bodies
 from zendsp.physics.effects import unit_of
@@ -48,7 +48,7 @@ def by_one_sensor(
             count += len(bend[edge:-edge])
         if squares <= 0.0:  # too short, or at rest: no compliance would have shown
             continue
-        hidden = max(decision.after.value, FINEST) * decision.scale
+        hidden = max(decision.after.value, finest("elasticity")) * decision.scale
         least = hidden / math.sqrt(squares / count)
         unit = unit_of("position", model.joint_kind(joint)) + "/(" + torque_unit(model, joint) + ")"
         out.append(Detectable(joint, "transmission", "elasticity", least, unit, 0.0))
