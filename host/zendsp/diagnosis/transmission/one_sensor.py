@@ -9,8 +9,8 @@ import numpy as np
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Decision
-from zendsp.diagnosis.decide.result import Detectable
 from zendsp.diagnosis.decide.pieces import finest
+from zendsp.diagnosis.decide.result import Detectable
 from zendsp.diagnosis.transmission.sets import torque_unit
 from zendsp.diagnosis.transmission.torsion import OF_BODIES, has_bodies, of_bodies
 from zendsp.physics.effects import unit_of
