@@ -103,7 +103,7 @@ class ZendspApp(App[None]):
         self._expected = 0.0  # until when keys wait for a dialog
         self._held: list[events.Key] = []
         self._given: WeakKeyDictionary[events.Key, MessagePump] = WeakKeyDictionary()
-        self._blind = False  # before the first picture
+        self._blind = self._marked = False  # before the first picture; its end is told
         self._screens: dict[str, LabScreen] = {}
         self._awaited: tuple[Path, Callable[[Run], None]] | None = None
 
@@ -129,9 +129,9 @@ class ZendspApp(App[None]):
         for name, maker in makers.items():
             self.add_mode(name, lambda name=name,
                 maker=maker: self._screens.setdefault(name, maker()))  # type: ignore[misc]
+        self._blind = not self.is_headless
         await self.switch_mode(self._first)
         if not self.is_headless:  # in the queue of the keys: those that are pressed meanwhile wait
-            self._blind = True
             self.call_after_refresh(self._first_picture, makers)
         if self._target:
             self.session.connect(self._target)
@@ -140,13 +140,24 @@ class ZendspApp(App[None]):
         elif self._find is not None:
             self.run_worker(self._look_around, thread=True, group="discovery")
 
+    def post_display_hook(self) -> None:
+        """Tell the process of the keys of the first picture, as soon as it is drawn."""
+        if self._blind and self.screen_stack and isinstance(self.screen, LabScreen):
+            self._mark_picture()
+
     def _first_picture(self, names: Iterable[str]) -> None:
+        self._mark_picture()
+        self.call_later(self._build_others, names)
+
+    def _mark_picture(self) -> None:
+        if self._marked:
+            return
+        self._marked = True
         stopper = self.session.stopper
         if stopper is not None and stopper.picture():
             self.set_timer(HELD_S, self._see)  # should its word not come
         else:
             self._see()
-        self.call_later(self._build_others, names)
 
     def _see(self) -> None:
         """From now on keys are meant for what is seen."""

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
     from zendsp.link import Target
 
-PICTURE, _PICTURE = "f20", b"\x1b[34~"  # the key, and how a terminal writes it
+PICTURE, _PICTURE = "f20", b"\x1b[57383u"  # the key, and how a terminal writes it
 F9_MARKS = (b"\x1b[20~", b"\x1b[20;")  # with modifiers and kinds of event
 HERE = "here"
 EMERGENCY = "NOT STOPPED: use the machine's emergency stop"
