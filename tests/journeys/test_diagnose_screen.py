@@ -65,7 +65,7 @@ def test_a_csv_is_diagnosed_in_the_terminal_and_the_better_model_saved(
         screen.keys(b"\x03")
         screen.until("— cancelled —")
         screen.click("Start s")
-        screen.until("Missing physics: dry friction (coulomb) at joint 1")
+        screen.until("Missing physics: dry friction (coulomb")
         screen.until("without coulomb")
         until(
             lambda: any(0x2800 < ord(c) <= 0x28FF for c in screen.text()),
