@@ -140,25 +140,10 @@ def _nothing_named(
         lost=lost,
     )
     depends = of_state > OF_STATE and state.z > SURE
-    # a push may not come in the part to test on
-    others = (discrepancy(part, base.model, joint).value for part in (parts.fit, parts.choose))
-    somewhere = beyond(max(before.value, *others), known.all)
-    if somewhere > LAWFUL and state.share < MOST:
-        # a push may lie where the held-out recording was cut, or in the recordings of the fit
-        # alone: there what comes when the joint turns round may be its friction, however seldom
-        often = OFTEN if lacks > LAWFUL else 0.0
-        here = bursts(parts.held, base.model, joint, turning=turning, often=often) or bursts(
-            parts.fit, base.model, joint, many=FEW, turning=turning, often=0.0
-        )
-        if here is None and somewhere > MACHINE:
-            other = _fitted_to_others(parts, base, joint, jobs)
-            after = discrepancy(parts.test, other.model, joint)
-            if beyond(after.value, known.all) < LAWFUL:
-                here = bursts(parts.fit, other.model, joint, many=FEW, turning=turning, often=0.0)
-                out = out if here is None else replace(out, final=other, after=after)
-        if here is not None:
-            both = everywhere(here, (parts.fit, parts.held), out.final.model, joint)
-            return replace(out, kind="disturbance", bursts=both)
+    if state.share < MOST:
+        pushed = _pushed(out, parts, turning, jobs)
+        if pushed is not None:
+            return pushed
     if depends:
         claim = _without_law(parts, search, state, before, turning)
         if claim is not None:
@@ -167,6 +152,36 @@ def _nothing_named(
     if depends or lawful or lacks > MACHINE:
         return replace(out, kind="unexplained")
     return out
+
+
+def _pushed(out: Decision, parts: Parts, turning: bool, jobs: int) -> Decision | None:
+    """The decision with a disturbance, where one explains what lacks. It may come in any part of
+    the data; one in the recordings of the fit alone bends the calibration, which is then that of
+    the recordings to choose by.
+    """
+    joint, base, known = out.joint, out.base.model, out.known.all
+    others = (discrepancy(part, base, joint).value for part in (parts.fit, parts.choose))
+    somewhere = beyond(max(out.before.value, *others), known)
+    if somewhere < LAWFUL:
+        return None
+    # a push may lie where the held-out recording was cut, or in the recordings of the fit alone:
+    # there what comes when the joint turns round may be its friction, however seldom
+    often = OFTEN if beyond(out.before.value, known) > LAWFUL else 0.0
+    here = bursts(parts.held, base, joint, turning=turning, often=often) or bursts(
+        parts.fit, base, joint, many=FEW, turning=turning, often=0.0
+    )
+    bent = here is None or not everywhere(here, (parts.choose,), base, joint).intervals
+    if bent and somewhere > (MACHINE if here is None else 0.0):
+        other = _fitted_to_others(parts, out.base, joint, jobs)
+        after = discrepancy(parts.test, other.model, joint)
+        if here is None and beyond(after.value, known) < LAWFUL:
+            here = bursts(parts.fit, other.model, joint, many=FEW, turning=turning, often=0.0)
+        if here is not None and after.value <= out.before.value:
+            out = replace(out, final=other, after=after)
+    if here is None:
+        return None
+    both = everywhere(here, (parts.fit, parts.held), out.final.model, joint)
+    return replace(out, kind="disturbance", bursts=both)
 
 
 def _fitted_to_others(parts: Parts, base: Scored, joint: int, jobs: int) -> Scored:
