@@ -16,6 +16,7 @@ from zendsp.physics.effects import library
 Array = npt.NDArray[np.float64]
 MOST_JOINTS = 7  # that get figures of their own
 FINE = 40  # repetitions over the travel: a pattern with more is a smear, not a curve
+JOINED = "time [s], one recording after the other"
 IN_A_BIN = 5  # samples: a mean of fewer is not drawn
 
 
@@ -93,7 +94,9 @@ def torque_chart(d: Diagnosis, joint: int) -> Chart:
     before: list[Missing] = d.missing[joint]
     after: list[Missing] = d.remaining[joint]
     unit = _units(d, joint)["torque"]
-    offset = 0.0
+    # several recordings stand one after the other, from 0 on
+    begin, axis = (0.0, "time [s]") if len(before) == 1 else (before[0].time[0], JOINED)
+    offset = float(before[0].time[0]) - begin
     series = []
     for k, (a, b) in enumerate(zip(before, after, strict=True)):
         cut = _thin(len(a.time))
@@ -102,14 +105,13 @@ def torque_chart(d: Diagnosis, joint: int) -> Chart:
             name = "" if k else label
             series.append(Series("line", role, t[cut], part.torque[cut], name))
         offset += float(t[-1] - t[0])
-    begin = before[0].time[0]
     return Chart(
         "where",
         f"Joint {joint}: the torque that the calibrated model lacks",
         f"torque_joint{joint}",
         (
             Panel(
-                "time [s]",
+                axis,
                 _torque_label(unit),
                 tuple(series),
                 f"Joint {joint}: what the model lacks along the recordings of the fit",
