@@ -25,6 +25,7 @@ from zendsp.diagnosis.measure import structure as measure_structure
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.structure import Structure
+from zendsp.diagnosis.report.figures import torque_chart
 from zendsp.physics.calibration.terms import make_term
 from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.files.model_file import parse_model
@@ -112,6 +113,11 @@ def test_a_push_in_the_recording_of_the_fit_alone_is_told_though_it_bends_the_ca
     assert [f.effect for f in d.findings] == ["disturbance"]
     spans = np.array(d.findings[0].numbers["intervals"])
     assert spans == pytest.approx(np.array([[4.0, 6.0]]), abs=0.2)
+    assert d.test is not None and d.test.improved < 1.2 * d.test.given
+    (panel,) = torque_chart(d, 1).panels  # on the same clock
+    lacking = panel.series[0]
+    there = lacking.x[np.abs(lacking.y) > 0.5 * np.max(np.abs(lacking.y))]
+    assert there == pytest.approx(5.0, abs=1.2)
 
 
 def test_one_mechanism_is_one_finding(tmp_path: Path) -> None:
