@@ -9,7 +9,7 @@ from rich.text import Text
 
 from zendsp.diagnosis.decide.contract import FindingReport, Report
 from zendsp.diagnosis.report.chart import Chart
-from zendsp.diagnosis.report.summary import verdict_sentence
+from zendsp.diagnosis.report.summary import percent, verdict_sentence
 from zendsp.tui.diagnoses import Diagnosed
 from zendsp_protocol.texts import counted
 
@@ -125,8 +125,8 @@ def _left(r: Report, charts: Sequence[Chart]) -> list[Entry]:
         if share is None or None in between:
             continue
         line = (
-            f"joint {joint}: nothing named explains {100 * share:.2g} % of its torque"
-            f" ({100 * between[0]:.2g} … {100 * between[1]:.2g} %)"
+            f"joint {joint}: nothing named explains {percent(share)} of its torque (at most"
+            f" {percent(between[1])})"
         )
         words = "\n".join([line, "", *refined])
         made.append(Entry(f"left-{joint}", _plain("left", line), white.get(joint), words))

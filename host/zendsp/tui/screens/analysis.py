@@ -256,6 +256,8 @@ def _shipped(machine: str) -> Path | None:
 
 def existing(text: str) -> str:
     """Check that a text names a file; its full path."""
+    if not text.strip():
+        raise ValueError("the path of a file")
     path = Path(text.strip()).expanduser()
     if not path.is_file():
         raise ValueError("no such file")
