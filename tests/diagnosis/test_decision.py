@@ -4,6 +4,7 @@ has touched.
 
 from __future__ import annotations
 
+import re
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -118,6 +119,16 @@ def test_a_push_in_the_recording_of_the_fit_alone_is_told_though_it_bends_the_ca
     lacking = panel.series[0]
     there = lacking.x[np.abs(lacking.y) > 0.5 * np.max(np.abs(lacking.y))]
     assert there == pytest.approx(5.0, abs=1.2)
+
+
+def test_a_push_beside_what_is_found_is_told(tmp_path: Path) -> None:
+    """Dry friction is missing too: it is the finding, and the push stands in what is left."""
+    pushed = reality.Machine(push=(0.08, 4.0, 6.0))
+    d = decided(tmp_path, pushed, reality.Machine(), KNOWN[0])
+    assert [f.effect for f in d.findings] == ["coulomb"]
+    assert re.search(r"acts at (3\.9|4\.0)\d–(5\.9|6\.[01])\d s that no state", d.unexplained)
+    alone = decided(tmp_path, reality.Machine(), None, KNOWN[0])
+    assert "push" not in alone.unexplained
 
 
 def test_one_mechanism_is_one_finding(tmp_path: Path) -> None:

@@ -83,6 +83,8 @@ class Decision:
     alone: Scored  # the claims by themselves
     scale: float  # RMS torque of the recordings to test on, N m or N
     bursts: Bursts | None = None
+    # times of the recordings of the fit at which what the claims leave acts
+    beside: Bursts | None = None
     known: Known = Known()  # what the given model says that this machine leaves unexplained
     # hypotheses that were tried where nothing is claimed
     lost: tuple[tuple[str, str, float], ...] = ()

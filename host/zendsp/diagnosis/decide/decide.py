@@ -30,7 +30,7 @@ from zendsp.diagnosis.decide.pieces import (
     worth_choosing,
 )
 from zendsp.diagnosis.decide.thresholds import CLAIMED, LAWFUL, MACHINE, MOST, OF_STATE, RIVAL, SURE
-from zendsp.diagnosis.measure.bursts import FEW, OFTEN, bursts, everywhere, periodic
+from zendsp.diagnosis.measure.bursts import FEW, OFTEN, Bursts, bursts, everywhere, periodic
 from zendsp.diagnosis.measure.discrepancy import Size, beyond, discrepancy
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
@@ -90,7 +90,7 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
             better = errors[1] <= errors[0] and decision.after.value <= least
             if decision.claims and better:
                 if any(c.effect != "unknown" for c in decision.claims):
-                    return decision
+                    return replace(decision, beside=_beside(decision, parts))
                 # which mechanism, if any, is for the lacking torque itself to say
                 plain = _nothing_named(parts, given, search, before, pieces, jobs)
                 most = decision.after.value**2 < (1.0 - MOST) * before.value**2
@@ -99,6 +99,15 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
                 stands = plain.kind == "complete" or (most and not plain.claims) or same
                 return decision if stands else plain
     return _nothing_named(parts, given, search, before, pieces, jobs)
+
+
+def _beside(decision: Decision, parts: Parts) -> Bursts | None:
+    """A push in the recordings of the fit, beside what is claimed."""
+    model, joint = decision.final.model, decision.joint
+    if discrepancy(parts.fit, model, joint).value < LAWFUL:
+        return None
+    turning = not rubs(model, joint)
+    return bursts(parts.fit, model, joint, many=FEW, turning=turning, often=0.0)
 
 
 # --- nothing is named

@@ -18,6 +18,7 @@ from zendsp.diagnosis.decide.laws import draws_a_curve
 from zendsp.diagnosis.decide.pieces import weight_of_payload
 from zendsp.diagnosis.decide.result import Estimate, Finding, Rejected
 from zendsp.diagnosis.decide.thresholds import ALONE, CLAIMED, OF_STATE, PLAIN
+from zendsp.diagnosis.measure.bursts import Bursts
 from zendsp.diagnosis.measure.likelihood import fit_scored
 from zendsp.diagnosis.measure.significance import counterpart, essence_of
 from zendsp.physics.calibration.fit import Data, Fit, joint_handles
@@ -236,10 +237,9 @@ def between(refined: dict[str, Estimate], alone: dict[str, Estimate]) -> dict[st
 def _disturbance(decision: Decision, given: Model) -> Finding:
     joint, found = decision.joint, decision.bursts
     assert found is not None
-    spans = ", ".join(f"{a:.2f}–{b:.2f} s" for a, b in found.intervals[:4])
     unit = given.torque_unit(joint)
     text = (
-        f"A torque over time that no state explains acts on joint {joint} at {spans}, up to"
+        f"A torque over time that no state explains acts on joint {joint} at {_spans(found)}, up to"
         f" {found.peak:.3g} {unit}."
     )
     values = {
@@ -262,6 +262,10 @@ def _disturbance(decision: Decision, given: Model) -> Finding:
         "disturbance",
         {"disturbance": 1.0},
     )
+
+
+def _spans(found: Bursts) -> str:
+    return ", ".join(f"{a:.2f}–{b:.2f} s" for a, b in found.intervals[:4])
 
 
 def left_over(decisions: Sequence[Decision], given: Model) -> str:
@@ -293,5 +297,11 @@ def left_over(decisions: Sequence[Decision], given: Model) -> str:
             words.append(
                 f"Joint {d.joint}: beside what was found, {d.after.value * d.scale:.2g} {unit} RMS "
                 f"({percent(d.after.value)} % of the torque) stays unexplained"
+            )
+        if d.beside is not None:
+            words.append(
+                f"Joint {d.joint}: in the recordings of the fit a torque of up to"
+                f" {d.beside.peak:.2g} {unit} acts at {_spans(d.beside)} that no state explains:"
+                " a push bends the numbers of what was found"
             )
     return ". ".join(words)
