@@ -232,3 +232,25 @@ def test_the_word_of_the_loops_waits_for_no_target_that_is_frozen(
     assert not both.broken
     for target in targets:
         until(lambda target=target: target.status().trip is not None, "it is latched")
+
+
+def test_that_one_is_not_stopped_is_told_while_another_is_silent(
+    typed: Callable[..., tuple[object, str, str]],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    heard: list[str] = []
+
+    def linked(name: str, *_: Any, **__: Any) -> Target:
+        def told() -> bool:
+            heard.append(capsys.readouterr().err)
+            return "gone: NOT STOPPED" in "".join(heard)
+
+        if name == "silent":
+            until(told, "the word on the other")
+        raise LinkError(f"{name} does not answer")
+
+    monkeypatch.setattr("zendsp.link.connect", linked)
+    status, _, wrong = typed("stop", "silent", "gone")
+    assert status == 2
+    assert "silent: NOT STOPPED: use the machine's emergency stop (silent does not" in wrong

@@ -46,17 +46,19 @@ def command(
             status = t.status()
             emit(status, as_json, f"{status.state}, drive {status.drive}")
         return
+    from zendsp.cli import say
     from zendsp.link.programs import stopped
 
     asked = _ask_all(names or ((target,) if target else ()), connect)
     several = len(asked) > 1 or isinstance(asked[0], _Place)
     ended: dict[str, m.Status] = {}
-    failed: list[str] = []
+    failed = 0
     told = set()
     for name, how in _ends(asked):
         head = f"{name}: " if several else ""
         if isinstance(how, NotStopped):
-            failed.append(f"{head}{how}")
+            failed += 1
+            say(NotStopped(f"{head}{how}"))
             continue
         ended[name] = how
         text = f"{head}{stopped(how)}"
@@ -64,9 +66,9 @@ def command(
             told.add(text)
             emit(how, False, text)
     if as_json and ended:
-        emit(ended if len(ended) + len(failed) > 1 else ended.popitem()[1], True)
+        emit(ended if len(ended) + failed > 1 else ended.popitem()[1], True)
     if failed:
-        raise NotStopped("; ".join(failed))
+        raise click.exceptions.Exit(2)
 
 
 @dataclass(frozen=True)
