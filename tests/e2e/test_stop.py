@@ -6,15 +6,17 @@ import os
 import signal
 import struct
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
-from waiting import PATIENCE_S, until
+from waiting import PATIENCE_S, freeze, until
 
-from zendsp.errors import NotStopped, Refused
+from zendsp.errors import LinkError, NotStopped, Refused
 from zendsp.link import Target, connect
 from zendsp.link.programs import stopped
+from zendsp.link.registered import local_entries
 from zendsp.link.stop_page import StopPage, find
 from zendsp_protocol import stop_page as page
 from zendsp_target.monitor import Monitor, Options
@@ -149,3 +151,106 @@ def test_only_the_page_of_this_run_and_version_is_used(
     assert (
         Path(runtime.stop_page()).stat().st_mode & 0o077 == 0
     ), "nobody else may stop it past the target"
+
+
+def test_stop_without_a_name_stops_what_is_here_and_what_the_environment_leads_to(
+    start: Callable[..., Target],
+    typed: Callable[..., tuple[object, str, str]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    users = tmp_path / "users"
+    users.write_text("anna:a\n")
+    users.chmod(0o600)
+    doors = ["--listen", "here", "--listen", "tcp/127.0.0.1:0", "--users", str(users)]
+    near, far = start(name="near", options=doors), start(name="far", options=doors)
+
+    def stopped_of(*words: str) -> list[tuple[str, str]]:
+        for target in (near, far):
+            target.download("pd.c")
+            target.start()
+        status, said, _ = typed("stop", *words)
+        assert status == 0
+        for target in (near, far):
+            assert target.status().trip is not None
+            target.acknowledge()
+        lines = [line.partition(": ") for line in said.splitlines()]
+        assert all(text.startswith("stopped, at sample") for _, _, text in lines)
+        return sorted((name, text) for name, _, text in lines)
+
+    monkeypatch.setenv("ZENDSP_CONNECT", find_tcp("far"))
+    for user, password in (("", ""), ("anna", "a")):  # let in by its entry, then as anna
+        monkeypatch.setenv("ZENDSP_USER", user)
+        monkeypatch.setenv("ZENDSP_PASSWORD", password)
+        assert [name for name, _ in stopped_of()] == ["far", "near"]
+        assert typed("info", "--json")[0] == 0, "where one target answers, it needs no name"
+    (Path(os.environ["ZENDSP_RUNTIME_DIR"]) / "far.json").unlink()  # as on another computer
+    assert [name for name, _ in stopped_of()] == ["far", "near"]
+    monkeypatch.setenv("ZENDSP_CONNECT", f"{find_tcp('near')},tcp/127.0.0.1:1")
+    status, said, wrong = typed("stop")
+    assert status == 2 and said.startswith("near: stopped")
+    assert "tcp/127.0.0.1:1: NOT STOPPED" in wrong and "near" not in wrong
+
+
+def find_tcp(name: str) -> str:
+    return next(e for entry in local_entries() if entry.name == name for e in entry.endpoints[1:])
+
+
+def test_the_word_of_the_loops_waits_for_no_target_that_is_frozen(
+    start: Callable[..., Target],
+    typed: Callable[..., tuple[object, str, str]],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    targets = [start(name=name, options=["--no-realtime"]) for name in ("left", "right")]
+    for target in targets:
+        target.download("pd.c")
+        target.start()
+    both, heard = threading.Barrier(2), [""]
+
+    def linked(name: str, *_: Any, **__: Any) -> Target:
+        """A link that nobody answers, until both words have come."""
+        both.wait(PATIENCE_S)
+
+        def told() -> bool:
+            heard[0] += capsys.readouterr().out
+            return "left: stopped, at sample" in heard[0] and "right: stopped" in heard[0]
+
+        until(told, "the word of both loops", lambda: heard[0])
+        both.wait(PATIENCE_S)
+        raise LinkError("nobody answers")
+
+    monkeypatch.setattr("zendsp.link.connect", linked)
+    pids = [target.info.pid for target in targets]
+    try:
+        for pid in pids:
+            freeze(pid)
+        assert typed("stop")[0] == 0
+    finally:
+        for pid in pids:
+            os.kill(pid, signal.SIGCONT)
+    assert not both.broken
+    for target in targets:
+        until(lambda target=target: target.status().trip is not None, "it is latched")
+
+
+def test_that_one_is_not_stopped_is_told_while_another_is_silent(
+    typed: Callable[..., tuple[object, str, str]],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    heard: list[str] = []
+
+    def linked(name: str, *_: Any, **__: Any) -> Target:
+        def told() -> bool:
+            heard.append(capsys.readouterr().err)
+            return "gone: NOT STOPPED" in "".join(heard)
+
+        if name == "silent":
+            until(told, "the word on the other")
+        raise LinkError(f"{name} does not answer")
+
+    monkeypatch.setattr("zendsp.link.connect", linked)
+    status, _, wrong = typed("stop", "silent", "gone")
+    assert status == 2
+    assert "silent: NOT STOPPED: use the machine's emergency stop (silent does not" in wrong

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from queue import SimpleQueue
+from typing import TYPE_CHECKING, TypeAlias
 
 import click
 
@@ -15,6 +17,11 @@ if TYPE_CHECKING:
     from zendsp.link.stop_page import StopPage
     from zendsp_protocol import messages as m
 
+    _Tell: TypeAlias = Callable[[str, m.Status | NotStopped], None]
+
+LINK_S = 3.0  # for the link to a target of which nothing is known yet
+MORE_S = 1.0  # for the link to say more, once the loop itself has said that it stopped
+
 
 @click.command("stop")
 @click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=targets)
@@ -25,7 +32,8 @@ def command(
 ) -> None:
     """STOP: outputs are safe from the next sample on, and stay so until acknowledged.
 
-    NAME is a target, as with --target. Without one it stops every target of yours on this machine.
+    NAME is a target, as with --target. Without one it stops every target of yours on this machine,
+    and all that $ZENDSP_CONNECT leads to; with --connect, all that is there.
     Ends with "stopped, at sample N", or with "NOT STOPPED" and a status other than 0.
 
     Example:  zendsp stop
@@ -38,33 +46,29 @@ def command(
             status = t.status()
             emit(status, as_json, f"{status.state}, drive {status.drive}")
         return
+    from zendsp.cli import say
     from zendsp.link.programs import stopped
 
-    all_asked = [_ask(name, connect) for name in names or _meant(target, connect)]
-    if len(all_asked) == 1:
-        status = all_asked[0].end()
-        emit(status, as_json, stopped(status))
-        return
+    asked = _ask_all(names or ((target,) if target else ()), connect)
+    several = len(asked) > 1 or isinstance(asked[0], _Place)
     ended: dict[str, m.Status] = {}
-    failed = []
-    for asked in all_asked:
-        try:
-            ended[asked.name] = asked.end()
-        except NotStopped as error:
-            failed.append(f"{asked.name}: {error}")
-    emit(ended, as_json, "\n".join(f"{name}: {stopped(status)}" for name, status in ended.items()))
+    failed = 0
+    told = set()
+    for name, how in _ends(asked):
+        head = f"{name}: " if several else ""
+        if isinstance(how, NotStopped):
+            failed += 1
+            say(NotStopped(f"{head}{how}"))
+            continue
+        ended[name] = how
+        text = f"{head}{stopped(how)}"
+        if not as_json and text not in told:
+            told.add(text)
+            emit(how, False, text)
+    if as_json and ended:
+        emit(ended if len(ended) + failed > 1 else ended.popitem()[1], True)
     if failed:
-        raise NotStopped("; ".join(failed))
-
-
-def _meant(target: str, connect: str | None) -> list[str]:
-    """Return which targets the user means: without a name all of this machine."""
-    from zendsp.link.find import remote_endpoints
-    from zendsp.link.registered import local_entries
-
-    if target or remote_endpoints(connect):
-        return [target]
-    return [entry.name for entry in local_entries()] or [target]
+        raise click.exceptions.Exit(2)
 
 
 @dataclass(frozen=True)
@@ -72,30 +76,97 @@ class _Asked:
     """A STOP that was asked of one target, through shared memory where that can be."""
 
     name: str
-    connect: str | None
-    page: StopPage | None
-    before: int  # what the page said
+    connect: str | Sequence[str] | None
+    page: StopPage | None = None
+    before: int = 0  # what the page said
 
-    def end(self) -> m.Status:
-        """Wait until it has stopped; ask over the link too."""
+    def end(self, tell: _Tell) -> None:
+        """Tell the word of the loop as soon as it is there, then that of the target itself."""
         from zendsp.link import connect as open_link
         from zendsp.link.programs import TAKEN_S, stopped_at
 
         sample = None if self.page is None else self.page.taken(self.before, TAKEN_S)
+        if sample is not None:
+            tell(self.name, stopped_at(sample))
         try:
-            t = open_link(self.name, self.connect)
-        except ZendspError as error:
+            t = open_link(self.name, self.connect, timeout=LINK_S if sample is None else MORE_S)
+        except ZendspError:
+            if sample is None and self.page is not None:  # of a loop that was late
+                sample = self.page.taken(self.before, 0.0)
+                if sample is not None:
+                    tell(self.name, stopped_at(sample))
             if sample is None:
-                raise NotStopped(
-                    f"NOT STOPPED: use the machine's emergency stop ({error})"
-                ) from error
-            return stopped_at(sample)
+                raise
+            return
         with t:
-            return t.stop()
+            tell(self.name, t.stop())
 
 
-def _ask(name: str, connect: str | None) -> _Asked:
-    from zendsp.link.stop_page import here
+@dataclass(frozen=True)
+class _Place:
+    """Where all that answer are to be stopped, except the runs ``but``."""
 
-    page = here(name, connect)  # it needs neither Zenoh nor the target's own process
-    return _Asked(name, connect, page, 0 if page is None else page.ask())
+    name: str  # its endpoint
+    but: frozenset[str]
+
+    def end(self, tell: _Tell) -> None:
+        """Ask them, and tell how each ended."""
+        from zendsp.link.find import there
+
+        found = [
+            one for one in there([self.name]) if not one.info or one.info.instance not in self.but
+        ]
+        _at_once([_Asked(one.name, self.name) for one in found], tell)
+
+
+def _ask_all(names: Sequence[str], connect: str | None) -> list[_Asked | _Place]:
+    """Ask those named; without names what is at ``--connect``, or else every target of this machine
+    and what ``$ZENDSP_CONNECT`` leads to. Never waits.
+    """
+    from zendsp.link.find import own_entries, remote_endpoints
+    from zendsp.link.stop_page import find
+
+    def ask(name: str, connect: str | Sequence[str] | None, here: bool) -> _Asked:
+        page = find(name) if here else None  # it needs neither Zenoh nor the target's own process
+        return _Asked(name, connect, page, 0 if page is None else page.ask())
+
+    if names:
+        return [ask(name, connect, bool(own_entries(name, connect))) for name in names]
+    endpoints = remote_endpoints(connect)
+    entries = [one for one in own_entries() if not connect or {*endpoints} & {*one.endpoints}]
+    all_asked: list[_Asked | _Place] = [ask(one.name, (), True) for one in entries]
+    ours = {endpoint for one in entries for endpoint in one.endpoints}
+    but = frozenset(one.instance for one in entries)
+    all_asked += [_Place(endpoint, but) for endpoint in endpoints if endpoint not in ours]
+    return all_asked or [ask("", connect, False)]
+
+
+def _ends(asked: Sequence[_Asked | _Place]) -> Iterator[tuple[str, m.Status | NotStopped]]:
+    """How each ended, as they tell; the last word on a target counts."""
+    from zendsp.link.background import background
+
+    words: SimpleQueue[tuple[str, m.Status | NotStopped] | None] = SimpleQueue()
+
+    def all_of_them() -> None:
+        _at_once(asked, lambda name, how: words.put((name, how)))
+        words.put(None)
+
+    background("stop", all_of_them)
+    while (word := words.get()) is not None:
+        yield word
+
+
+def _at_once(asked: Sequence[_Asked | _Place], tell: _Tell) -> None:
+    """Have each end in a thread of its own: one that is silent holds up no other."""
+    from zendsp.link.background import background
+
+    def end(one: _Asked | _Place) -> None:
+        try:
+            one.end(tell)
+        except NotStopped as error:
+            tell(one.name, error)
+        except Exception as error:  # whatever it is: nothing says that it stopped
+            tell(one.name, NotStopped(f"NOT STOPPED: use the machine's emergency stop ({error})"))
+
+    for thread in [background("stop", end, one) for one in asked]:
+        thread.join()

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
 from zendsp.errors import LinkError
-from zendsp.link.find import CONNECT, reach, remote_endpoints
+from zendsp.link.find import CONNECT, own_entries, reach, remote_endpoints, there
 from zendsp.link.link import Link
 from zendsp.link.registered import local_entries
 from zendsp.link.settings import Credentials
@@ -87,24 +87,18 @@ def locate(
     """
     entries = {entry.name: entry for entry in local_entries()}
     endpoints = remote_endpoints(connect)
-    if not name and endpoints:
-        from zendsp.link.find import discover
-
-        names = [
-            found.name for found in discover("*", endpoints) if found.endpoints[0] in endpoints
-        ]
-        if not names:
-            raise LinkError(
-                f"no target answers at {', '.join(endpoints)}: is it running, and may this host"
-                " reach it?"
-            )
+    if endpoints:
+        own = own_entries(name, endpoints)
+        if own and Credentials.from_environment() == Credentials():
+            return own[0].name, endpoints, reach(own[0])[1]
+        if name:
+            return name, endpoints, None
+        names = [found.name for found in there(endpoints)]
         if len(names) > 1:
             raise LinkError(
                 f"name the target: at {', '.join(endpoints)} there are {', '.join(names)}"
             )
         return names[0], endpoints, None
-    if endpoints:
-        return name, endpoints, None
     running = ", ".join(entries) or "none"
     if not name:
         if not entries:

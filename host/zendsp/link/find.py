@@ -87,6 +87,36 @@ def discover(
     return [found[name] for name in sorted(found)]
 
 
+def there(endpoints: Sequence[str], timeout: float = 3.0) -> list[Found]:
+    """List the targets that answer at ``endpoints``, by name, whatever runs on this machine.
+
+    Raises
+    ------
+    LinkError
+        None.
+    """
+    answers = _ask_all([([endpoint], None) for endpoint in endpoints], timeout)
+    found = {one.name: one for some in answers for one in some}
+    if not found:
+        raise LinkError(
+            f"no target answers at {', '.join(endpoints)}: is it running, and may this host"
+            " reach it?"
+        )
+    return [found[name] for name in sorted(found)]
+
+
+def own_entries(name: str = "", connect: str | Sequence[str] | None = ()) -> list[registry.Entry]:
+    """Targets of this user on this machine that are meant: where endpoints are given, those that
+    listen there.
+    """
+    endpoints = {*remote_endpoints(connect)}
+    return [
+        entry
+        for entry in local_entries()
+        if name in ("", entry.name) and endpoints <= {*entry.endpoints}
+    ]
+
+
 def reach(entry: registry.Entry) -> tuple[list[str], Credentials | None]:
     """Where a target of this user listens for its own user, and what lets it in; None where it asks
     for what anyone needs.

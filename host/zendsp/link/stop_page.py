@@ -9,7 +9,6 @@ import os
 import struct
 import time
 
-from zendsp.link.find import remote_endpoints
 from zendsp.link.registered import local_entries
 from zendsp_protocol import stop_page as page
 
@@ -68,23 +67,6 @@ class StopPage:
                 return None
             time.sleep(POLL_S)
         return self._words[page.SAMPLE // 8]
-
-
-def here(name: str, connect: str | None) -> StopPage | None:
-    """Map the stop page of the target that a user means, as `connect` would find it; None where
-    that is elsewhere, or not the only one.
-
-    Parameters
-    ----------
-    name : str
-        Empty: the only one there is.
-    connect : str or None
-        Endpoint, as given by the user.
-    """
-    if remote_endpoints(connect):
-        return None
-    entries = [entry for entry in local_entries() if name in ("", entry.name)]
-    return find(entries[0].name) if len(entries) == 1 else None
 
 
 def find(name: str, instance: bytes | None = None) -> StopPage | None:
