@@ -251,6 +251,32 @@ def test_pd_goes_to_a_changed_circle_without_a_step(change: dict[str, float]) ->
     assert np.allclose(radius, change.get("radius", 0.4), atol=1e-6), "it got there"
 
 
+@pytest.mark.parametrize("program", ["pd.c", "inverse_dynamics.c", "joint_pd.c"])
+def test_a_start_far_from_a_table_takes_the_time_that_the_way_needs(program: str) -> None:
+    """As after a STOP in a run whose host is gone: the table begins where the run began."""
+    far = make_point_to_point(
+        load_machine("imi_planar"), start=[1.0, -1.0], goal=[0.5, 0.0], duration=2.0
+    )
+    with running("imi_planar", program, q1=-0.6, q2=1.2) as runtime:
+        runtime.write({"ref": far.q, "use_table": True, "approach_time": 0.2}, "test")
+        out = record(runtime, 6.0, "q", "tau")
+    assert np.all(np.abs(out["tau"]).max(axis=0) < [0.5 * 245.0, 0.5 * 39.2])
+    assert np.abs(np.diff(out["q"], axis=0)).max() < 4.0e-3, "rad a sample"
+    assert np.abs(out["q"][-1] - far.q[-1]).max() < 0.05, "and it is played to its end"
+
+
+@pytest.mark.parametrize("program", ["pd.c", "inverse_dynamics.c", "joint_pd.c"])
+def test_another_approach_time_or_row_rate_does_not_move_what_is_played(program: str) -> None:
+    """Execute puts them back after a run, at whose end the reference stands."""
+    motion = make_point_to_point(load_machine("imi_planar"), start=0.0, goal=0.5, duration=1.0)
+    reference = "r1" if program == "pd.c" else "r"
+    with running("imi_planar", program) as runtime:
+        runtime.write({"ref": motion.q, "use_table": True, "approach_time": 0.2}, "test")
+        record(runtime, 1.3, reference)
+        after = record(runtime, 1.5, reference, approach_time=1.5, row_rate=300)
+    assert np.ptp(after[reference], axis=0).max() < 1e-12
+
+
 def test_changing_play_repeats_the_motion_from_where_the_machine_stands() -> None:
     reference = make_point_to_point(
         load_machine("imi_planar"), start=0.0, goal=[0.3, 0.0], duration=0.3

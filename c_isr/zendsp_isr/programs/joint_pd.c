@@ -10,6 +10,7 @@
 #define N JOINTS
 #define MOTION_MOST 8
 #define MOTION_APPROACH 3.0
+#define MOTION_SPEED 2.0 /* two thirds of what the WAM allows */
 #include "motion.h"
 
 static double bandwidth, damping, reset, amplitude, period;

@@ -13,7 +13,9 @@
  * The host downloads the table `ref`, one row a step, N columns of positions (the q of a reference
  * file), and with it, if the program wants a torque as well, `ref_tau`. Both in one synchronous
  * update; the motion begins when they switch over, when `play` changes, or when the drives come on:
- * from where the machine stands, over `approach_time`, into the first row. Between rows the
+ * from where the machine stands, over `approach_time` as it then is, into the first row. A joint
+ * that has far to go makes that longer; 0 is at once, for a table that begins where the machine
+ * stands. `row_rate` is taken until the first row is reached. Between rows the
  * position is interpolated; its speed and acceleration are differences over one row. While `hold`
  * is set the reference's time slows down within MOTION_HALT seconds and stands: the machine comes
  * to rest on its path and goes on from there. Only a program that follows r may offer it, with
@@ -38,6 +40,12 @@
 #define MOTION_APPROACH                                                                            \
     1.0 /* s, initial value of approach_time; longer for a machine whose joints come from far */
 #endif
+#ifndef MOTION_SPEED
+#define MOTION_SPEED 3.0 /* rad/s (or m/s), at the most during an approach */
+#endif
+#ifndef MOTION_TORQUE
+#define MOTION_TORQUE 0.4 /* of a joint's largest torque, at the most to accelerate an approach */
+#endif
 #ifndef MOTION_ROWS
 #define MOTION_ROWS 60000 /* 60 s at 1 kHz */
 #endif
@@ -58,7 +66,9 @@ static struct motion {
     bool tabled;    /* use_table, as it was */
     /* positions one sample ago and at the beginning, and when that was */
     double last[MOTION_MOST], start[MOTION_MOST], t0;
-    double pace; /* of the reference's time: 1 runs, 0 stands */
+    double approach; /* s, of this motion */
+    double rate;     /* rows a second, of this motion */
+    double pace;     /* of the reference's time: 1 runs, 0 stands */
     uint32_t seen;
     int32_t played;
 } motion;
@@ -102,8 +112,8 @@ static inline double MotionAt(double t, int32_t j) {
     if (!use_table || ref.rows == 0)
         return from;
     /* before row 0 and after the last: these hold */
-    const double goal = TableValue(&ref, (t - approach_time) * row_rate, j);
-    return from + (approach_time > 0.0 ? MotionSmooth(t / approach_time) : 1.0) * (goal - from);
+    const double goal = TableValue(&ref, (t - motion.approach) * motion.rate, j);
+    return from + (motion.approach > 0.0 ? MotionSmooth(t / motion.approach) : 1.0) * (goal - from);
 }
 
 static inline void MotionMeasure(void) {
@@ -115,10 +125,26 @@ static inline void MotionMeasure(void) {
     }
 }
 
+/* Time of the approach: the step of fifth order has the peak speed 15/8 d/T and the peak
+ * acceleration 10/sqrt(3) d/T^2. */
+static inline double MotionApproach(void) {
+    double time = approach_time;
+    if (!use_table || ref.rows == 0 || time <= 0.0)
+        return time;
+    for (int32_t j = 0; j < N; j++) {
+        const double d = fabs(TableValue(&ref, 0.0, j) - motion.start[j]);
+        const double most = TORQUE_MAX(j), J = JOINT_INERTIA(j);
+        const double a = J > 0.0 && most > 0.0 ? MOTION_TORQUE * most / J : 100.0 * MOTION_TORQUE;
+        time = fmax(time, fmax(1.875 * d / MOTION_SPEED, sqrt(5.7735 * d / a)));
+    }
+    return time > approach_time ? ceil(time / SAMPLE_PERIOD) * SAMPLE_PERIOD : time;
+}
+
 static inline void MotionBegin(void) {
     for (int32_t j = 0; j < N;
          j++) /* while the drives are on, from the reference, so that nothing jumps */
         motion.start[j] = !FIRST_SAMPLE && DRIVE_ENABLED ? r[j] : q[j];
+    motion.approach = MotionApproach();
     motion.t0 = SAMPLE_TIME;
     motion.seen = ref.version;
     motion.played = play;
@@ -141,8 +167,11 @@ static inline void MotionStep(void) {
         motion.tabled != use_table)
         MotionBegin();
     const double slowing = MotionPace(), pace = motion.pace;
-    const double t = SAMPLE_TIME - motion.t0, h = 1.0 / row_rate;
-    play_time = t - approach_time;
+    const double t = SAMPLE_TIME - motion.t0;
+    play_time = t - motion.approach;
+    if (play_time <= 0.0)
+        motion.rate = row_rate;
+    const double h = 1.0 / motion.rate;
     playing = use_table && ref.rows > 0 && play_time >= 0.0 && play_time <= (ref.rows - 1) * h;
     for (int32_t j = 0; j < N; j++) {
         const double before = MotionAt(t - h, j), after = MotionAt(t + h, j);
@@ -153,7 +182,7 @@ static inline void MotionStep(void) {
         e[j] = r[j] - q[j];
         /* a torque is held, not interpolated; it belongs to the motion, and fades with it */
         tau_ff[j] =
-            playing ? pace * TableValue(&ref_tau, floor(play_time * row_rate + 1e-6), j) : 0.0;
+            playing ? pace * TableValue(&ref_tau, floor(play_time * motion.rate + 1e-6), j) : 0.0;
     }
 }
 

@@ -9,7 +9,8 @@
  *
  * The circle: r1 = center1 + radius cos(phi), r2 = center2 + radius sin(phi), entered and left
  * smoothly from where the arm stands. When it is changed the reference is led over to the new one,
- * within approach_time.
+ * within approach_time. A table whose first row is far away makes that longer; approach_time is that
+ * of the beginning, and row_rate that of the first row.
  */
 #include "isr.h"
 #if __has_include("compensation.c")
@@ -22,6 +23,8 @@
 enum { N = 2, ROWS = 60000 }; /* reference of 60 s at 1 kHz */
 #define HALT 0.3              /* s that the reference takes to come to rest */
 #define STEP_SPEED 40.0        /* rad/s; the drives trip at 15 at the latest */
+#define APPROACH_SPEED 3.0     /* rad/s at the most, to the first row */
+#define APPROACH_TORQUE 0.4    /* of the largest torque at the most, to accelerate to it */
 
 static double Kp1, Kd1, Kp2, Kd2, cutoff;
 static double center1, center2, radius, turn_time, approach_time;
@@ -35,6 +38,7 @@ static double r[N], rd[N], rdd[N];
 
 static double rd1, rd2;
 static double start[N], last_q[N], last_r[N], t0;
+static double approach, rate; /* approach_time and row_rate of this motion */
 static double pace; /* of the reference's time: 1 runs, 0 stands */
 static uint32_t seen;
 static bool tabled;
@@ -79,11 +83,26 @@ static double smooth(double s) {
     return s < 1.0 ? s * s * s * (10.0 + s * (6.0 * s - 15.0)) : 1.0;
 }
 
+/* Time to the first row: the step of fifth order has the peak speed 15/8 d/T and the peak
+ * acceleration 10/sqrt(3) d/T^2. */
+static double time_to_table(void) {
+    double time = approach_time;
+    for (int32_t j = 0; j < N && ref.rows > 0; j++) {
+        const double d = fabs(TableValue(&ref, 0.0, j) - start[j]);
+        const double most = TORQUE_MAX(j), J = JOINT_INERTIA(j);
+        const double a = J > 0.0 && most > 0.0 ? APPROACH_TORQUE * most / J : INFINITY;
+        time = fmax(time, fmax(1.875 * d / APPROACH_SPEED, sqrt(5.7735 * d / a)));
+    }
+    return time;
+}
+
 static void reference(double t) {
-    const double blend = smooth(t / approach_time);
+    const double blend = smooth(t / approach);
     double target1, target2;
     if (use_table) {
-        const double row = t > approach_time ? (t - approach_time) * row_rate : 0.0;
+        if (t <= approach)
+            rate = row_rate;
+        const double row = t > approach ? (t - approach) * rate : 0.0;
         target1 = TableValue(&ref, row, 0);
         target2 = TableValue(&ref, row, 1);
     } else {
@@ -122,6 +141,7 @@ static void begin(void) {
         t0 = SAMPLE_TIME;
         seen = ref.version;
         tabled = use_table;
+        approach = use_table ? time_to_table() : approach_time;
         led = (struct circle){center1, center2, radius, turn_time};
     }
 }

@@ -6,6 +6,7 @@
 #include "isr.h"
 #define N 7
 #define MOTION_APPROACH 4.0 /* s: a joint may have 3 rad to go, and the drives allow 3 rad/s */
+#define MOTION_SPEED 2.0
 #include "motion.h"
 #include "wam_gravity.h"
 

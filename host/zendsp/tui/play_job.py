@@ -26,6 +26,7 @@ from zendsp.tui.trial import Plan, Trial, make_plan
 
 LOOK_S = 0.05
 REST_S = 1.0  # for an arm to come to rest under its control law
+SAFE = ("off", "ready", "homed", "stopped", "tripped")  # of the drives: no command moves the arm
 USUAL = ("r", "q", "qd", "e", "tau")  # recorded where the user chose no channels
 
 
@@ -106,24 +107,49 @@ class PlayJob:
             port.pause()
             snapshot = port.snapshot()
         plan = make_plan(snapshot, self._references, self._machine, self._setup)
-        player, playlist, lead, total = plan.player, plan.playlist, plan.lead, plan.seconds
         if not self._rehearse(port, plan):
             return None
+        try:
+            first, outcome = self._move(port, plan)
+            if self._setup.acquire:
+                self._end_acquisition(port, outcome)
+        finally:
+            self._put_back(port, plan)
+        if not self._setup.acquire:
+            return None
+        begins, ends = plan.playlist.play
+        return self._keep(port, first, outcome, (begins + plan.lead, ends + plan.lead))
+
+    def _move(self, port: Port, plan: Plan) -> tuple[Snapshot, str]:
+        """Play; returns what was before the first sample, and the outcome in words."""
+        playlist = plan.playlist
         for name, rows in plan.tables.items():
             port.fill(name, rows)
         if plan.values:
             port.update(plan.values)
         before = port.snapshot()
-        begins, ends = playlist.play
         if self._setup.acquire:
-            port.arm(self._shot(snapshot, total))
-        ticks = round(total * before.rate_hz) if before.clock == "fast" else None
+            port.arm(self._shot(before, plan.seconds))
+        ticks = round(plan.seconds * before.rate_hz) if before.clock == "fast" else None
         self._session.events.add(f"run: {playlist.duration:.2f} s, {len(playlist.rows)} rows")
         port.start(ticks)
-        outcome = self._follow(port, player, before.tick, lead, total, playlist)
-        if not self._setup.acquire:
-            return None
-        return self._keep(port, player, before, outcome, (begins + lead, ends + lead))
+        return before, self._follow(port, plan, before.tick)
+
+    def _put_back(self, port: Port, plan: Plan) -> None:
+        """Write back the parameters that the run changed, as a later start relies on them.
+
+        The program is paused before: use_table of a running one would move the arm.
+        """
+        try:
+            snapshot = port.snapshot()
+            if snapshot.state == "running" and snapshot.drive not in SAFE:
+                port.pause()
+            if plan.before and snapshot.program == plan.program:
+                port.update(plan.before)
+        except ZendspError as error:
+            self._session.events.add(
+                f"run: {', '.join(plan.before)} stay as they were played: {error}", "warning"
+            )
 
     def _rehearse(self, port: Port, plan: Plan) -> bool:
         """Try the run on a simulated twin before anything moves, if the preflight has not; False
@@ -170,10 +196,9 @@ class PlayJob:
         if holds:
             port.update({"hold": False})
 
-    def _follow(
-        self, port: Port, player: Player, first: int, lead: float, total: float, playlist: Any
-    ) -> str:
+    def _follow(self, port: Port, plan: Plan, first: int) -> str:
         """Watch until the end; returns the outcome in words."""
+        playlist, lead, total = plan.playlist, plan.lead, plan.seconds
         while True:
             s = port.snapshot()
             t = (s.tick - first) / s.rate_hz - lead
@@ -192,17 +217,17 @@ class PlayJob:
             if s.state == "paused":
                 return "paused by somebody"
             if self._abort.wait(LOOK_S):
-                self._come_to_rest(port, player, s.clock)
+                self._come_to_rest(port, plan.player, s.clock)
                 return "aborted"
 
-    def _keep(
-        self, port: Port, player: Player, before: Snapshot, outcome: str, play: tuple[float, float]
-    ) -> Run:
+    def _end_acquisition(self, port: Port, outcome: str) -> None:
         self.progress = replace(self.progress, phase="loading")
         if outcome != "complete":
             port.end_acquisition()
         else:
             self._wait_acquired(port)
+
+    def _keep(self, port: Port, before: Snapshot, outcome: str, play: tuple[float, float]) -> Run:
         recording = port.load(self._setup.note)
         if outcome == "complete" and not self._setup.trigger:
             recording = cut(recording, before.tick, before.rate_hz, play)

@@ -44,6 +44,7 @@ class Plan:
     player: Player
     playlist: Playlist
     values: Mapping[str, Any]
+    before: Mapping[str, Any]  # what these parameters are now
     lead: float
 
     @property
@@ -94,20 +95,19 @@ def make_plan(
     if player is None or here is None:
         raise Refused("the loaded program cannot play a table: see the preflight list")
     playlist = make_playlist(references, machine, here, setup, player)
-    own = [
-        v.name
+    values = player_values(player, playlist)
+    now = {
+        v.name: np.asarray(snapshot.values[v.name]).tolist()
         for v in snapshot.variables
-        if v.kind == "parameter" and v.name not in player.parameters
-    ]
-    parameters = {
-        name: np.asarray(snapshot.values[name]).tolist() for name in own if name in snapshot.values
+        if v.kind == "parameter" and v.name in snapshot.values
     }
     return Plan(
         snapshot.program,
-        parameters,
+        {name: value for name, value in now.items() if name not in values},
         player,
         playlist,
-        player_values(player, playlist),
+        values,
+        {name: value for name, value in now.items() if name in values},
         lead_time(player),
     )
 
