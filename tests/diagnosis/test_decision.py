@@ -457,11 +457,13 @@ def test_what_leaves_more_unexplained_than_there_was_or_is_at_all_is_no_finding(
     monkeypatch.setattr(decision, "named", lambda *_: found)
     monkeypatch.setattr(decision, "believed", lambda d, *_: d)
     monkeypatch.setattr(decision, "window_error", lambda *_: np.zeros(3))
-    monkeypatch.setattr(decision, "_nothing_named", lambda *_: "nothing")
+    monkeypatch.setattr(decision, "_beside", lambda *_: None)
+    other: Any = SimpleNamespace(claims=())
+    monkeypatch.setattr(decision, "_nothing_named", lambda *_: other)
     parts = SimpleNamespace(fit=None, choose=None, test=None)
     search = SimpleNamespace(joint=1, base=one)
     outcome = decision.decide(parts, None, search, 1, lambda _: None)  # type: ignore[arg-type]
-    assert outcome is (found if stands else "nothing")
+    assert outcome.claims is (found if stands else other).claims
     if after > 1.0:
         words = left_over([found], model)
         assert "does not follow" in words and "%" not in words
