@@ -88,11 +88,11 @@ def locate(
     entries = {entry.name: entry for entry in local_entries()}
     endpoints = remote_endpoints(connect)
     if endpoints:
+        if name:
+            return name, endpoints, None
         own = own_entries(name, endpoints)
         if own and Credentials.from_environment() == Credentials():
             return own[0].name, endpoints, reach(own[0])[1]
-        if name:
-            return name, endpoints, None
         names = [found.name for found in there(endpoints)]
         if len(names) > 1:
             raise LinkError(
