@@ -179,7 +179,10 @@ def _pushed(out: Decision, parts: Parts, turning: bool, jobs: int) -> Decision |
     here = bursts(parts.held, base, joint, turning=turning, often=often) or bursts(
         parts.fit, base, joint, many=FEW, turning=turning, often=0.0
     )
-    bent = here is None or not everywhere(here, (parts.choose,), base, joint).intervals
+    bent = here is None or bool(
+        everywhere(here, (parts.fit,), base, joint).intervals
+        and not everywhere(here, (parts.choose,), base, joint).intervals
+    )
     if bent and somewhere > (MACHINE if here is None else 0.0):
         other = _fitted_to_others(parts, out.base, joint, jobs)
         after = discrepancy(parts.test, other.model, joint)

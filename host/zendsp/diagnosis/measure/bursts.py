@@ -37,8 +37,8 @@ MOSTLY, OFTEN = 0.5, 0.3
 # Of the mean energy where the joint turns round, and of the time: a torque that has so much in so
 # much of its time elsewhere does not come from turning round.
 LASTING, ELSEWHERE = 0.25, 0.1
-# intervals among which its energy is spread: in recordings that no model was fitted to, and in the
-# others
+# Intervals among which its energy is spread: in recordings that no model was fitted to, and in the
+# others. There five pushes had 1.4 at most, a strap at the ends of the travel 2.6.
 MANY, FEW = 12, 2
 
 
