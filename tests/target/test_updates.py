@@ -7,6 +7,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -226,6 +227,43 @@ def test_updates_for_later_samples_do_not_hold_up_earlier_ones(make_runtime: Mak
     assert np.array_equal(
         rows, np.where(np.arange(400) < 100, 0.0, np.where(np.arange(400) < 300, 2.0, 3.0))
     )
+
+
+def test_the_log_is_in_the_order_of_the_samples_whenever_it_is_taken_down(
+    monkeypatch: pytest.MonkeyPatch, make_runtime: Make
+) -> None:
+    """The loop applies what waits between two looks of the harvest; also what waits for its sample
+    and was written first.
+    """
+    runtime = make_runtime(WITNESS)
+    session = runtime.programs.session
+    assert session is not None
+    updates = session.updates
+
+    class Meanwhile:
+        """The monitor's functions; after the first look into memory the loop runs 400 samples."""
+
+        looked = False
+
+        def __getattr__(self, name: str) -> object:
+            found = getattr(layout()[1], name)
+            return partial(self.look, found) if name.startswith("monitor_") else found
+
+        def look(self, function: Callable[..., object], *arguments: object) -> object:
+            seen = function(*arguments)
+            if not self.looked:
+                self.looked = True
+                runtime.start(ticks=400)
+                runtime.wait_paused()
+            return seen
+
+    monkeypatch.setattr(updates, "_lib", Meanwhile())
+    order = [(3, 300), (1, 100), (2, 100), (0, None)]
+    for value, tick in order:
+        runtime.write({"alone": value}, "me", at_tick=tick)
+    updates.harvest()
+    assert [change.new for change in runtime.log()] == [0, 1, 2, 3]
+    assert [change.old for change in runtime.log()] == [0, 0, 1, 2]
 
 
 def test_more_updates_than_fit_are_refused_and_those_that_fit_are_all_applied(

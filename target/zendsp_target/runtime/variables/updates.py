@@ -73,6 +73,7 @@ class Updates:
         self._starts = [offset + slot * stride for slot in range(lib.LAYOUT_BATCHES)]
         self._batches = [data.pointer("batch", start) for start in self._starts]
         self._states = [ffi.addressof(batch[0], "state") for batch in self._batches]
+        self._newest = ffi.addressof(control, "newest")
         self._entries_at: int = ffi.sizeof("batch")
         self._room = stride - self._entries_at
         period = int(control.period_ns)
@@ -366,17 +367,34 @@ class Updates:
         self._log.settle(_WORDED_AT_ONCE)
 
     def _harvest(self) -> None:
-        for sequence, flight in list(self._flights.items()):
+        # What the loop applies while this looks is left for the next time: else a later batch
+        # could be seen, and logged, before an earlier one.
+        done = self._applied_by(self._lib.monitor_load64(self._newest))
+        if len(done) < len(self._flights) and not self._alive():
+            done = self._applied_by(_LAST_TICK)  # those that no snapshot shows, nor ever will
+        for sequence in done:
+            flight = self._flights.pop(sequence)
             slot = flight.slot
-            if not self._in_effect(slot):
-                continue
             batch = self._batches[slot]
             tick = int(batch.applied)
             body = self._starts[slot] + self._entries_at
             self._log.append(flight, tick, bytes(self._view[body : body + flight.size]))
             batch.state = self._lib.BATCH_FREE
-            del self._flights[sequence]
             self._free.append(slot)
             self._applied[sequence] = tick
             if len(self._applied) > _MAX_ACKS:
                 del self._applied[next(iter(self._applied))]
+
+    def _applied_by(self, newest: int) -> list[int]:
+        """Numbers of the batches that are applied and that snapshot ``newest`` shows, in the order
+        in which the loop applied them.
+        """
+        found = []
+        for sequence, flight in self._flights.items():
+            batch = self._batches[flight.slot]
+            if (
+                self._lib.monitor_load32(self._states[flight.slot]) == self._lib.BATCH_APPLIED
+                and batch.shown <= newest
+            ):
+                found.append((batch.applied, batch.at_tick, sequence))
+        return [sequence for *_, sequence in sorted(found)]
