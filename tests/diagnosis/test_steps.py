@@ -13,7 +13,7 @@ import reality
 from zendsp.diagnosis.data.prepare import one_sensor, prepare
 from zendsp.diagnosis.data.signals import Parts, Signals
 from zendsp.diagnosis.decide.assemble import with_disagreement
-from zendsp.diagnosis.decide.thresholds import LAWFUL
+from zendsp.diagnosis.decide.thresholds import BY_CHANCE, LAWFUL, OF_STATE, SURE
 from zendsp.diagnosis.measure.bursts import bursts, periodic
 from zendsp.diagnosis.measure.discrepancy import deviation, discrepancy
 from zendsp.diagnosis.measure.evidence import compare
@@ -24,7 +24,7 @@ from zendsp.diagnosis.measure.likelihood import (
     fit_scored,
     informative,
 )
-from zendsp.diagnosis.measure.structure import MEMORY, structure
+from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, Structure, structure
 from zendsp.diagnosis.search import rounds
 from zendsp.diagnosis.search.candidates import as_given, simulated
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival, Step
@@ -175,6 +175,28 @@ def test_what_repeats_itself_and_what_remembers_are_told_from_unrest() -> None:
     assert max(*seen(quiet), *seen(restless)) < LAWFUL
     assert seen(with_sine)[0] == pytest.approx(0.03 / np.sqrt(2), rel=0.2)
     assert seen(with_swing)[1] > 0.02
+
+
+def test_a_torque_that_acts_seldom_is_told_from_chance() -> None:
+    """At four places of a minute; what it gains, it gains in four of many blocks of time."""
+    reference = reality.multisine(40.0, RATE, 3)
+    model = model_of(VISCOUS, COULOMB)
+    quiet = reality.simulate(reality.Machine(), reference, RATE)
+    restless = reality.simulate(reality.Machine(unrest=0.01), reference, RATE)
+    rms, half = float(np.sqrt(np.mean(quiet["u"] ** 2))), len(reference) // 2
+    place = min(quiet["q"][:half].max(), quiet["q"][half:].max())
+    bump = np.exp(-(((quiet["q"] - place) / (0.03 * np.ptp(quiet["q"]))) ** 2))
+
+    def seen(columns: dict[str, np.ndarray]) -> Structure:
+        parts = [
+            data_of({key: x[a : a + half] for key, x in columns.items()}, model)
+            for a in (0, half)
+        ]
+        return structure(parts, model, 1, STRUCTURED)
+
+    seldom, never = seen({**quiet, "u": quiet["u"] + 0.05 * rms * bump}), seen(restless)
+    assert seldom.size > OF_STATE and seldom.z < SURE and seldom.apart > BY_CHANCE
+    assert never.size < OF_STATE or never.apart < BY_CHANCE
 
 
 def test_the_other_joint_feels_the_link_behind_a_spring() -> None:

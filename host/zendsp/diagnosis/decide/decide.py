@@ -29,7 +29,16 @@ from zendsp.diagnosis.decide.pieces import (
     rubs,
     worth_choosing,
 )
-from zendsp.diagnosis.decide.thresholds import CLAIMED, LAWFUL, MACHINE, MOST, OF_STATE, RIVAL, SURE
+from zendsp.diagnosis.decide.thresholds import (
+    BY_CHANCE,
+    CLAIMED,
+    LAWFUL,
+    MACHINE,
+    MOST,
+    OF_STATE,
+    RIVAL,
+    SURE,
+)
 from zendsp.diagnosis.measure.bursts import FEW, OFTEN, Bursts, bursts, everywhere, periodic
 from zendsp.diagnosis.measure.discrepancy import Size, beyond, discrepancy
 from zendsp.diagnosis.measure.evidence import Evidence
@@ -148,7 +157,7 @@ def _nothing_named(
         known=known,
         lost=lost,
     )
-    depends = of_state > OF_STATE and state.z > SURE
+    depends = of_state > OF_STATE and (state.z > SURE or state.apart > BY_CHANCE)
     if state.share < MOST:
         pushed = _pushed(out, parts, turning, jobs)
         if pushed is not None:
@@ -158,7 +167,7 @@ def _nothing_named(
         if claim is not None:
             return replace(out, kind="missing", claims=(claim,))
     lawful = lacks > LAWFUL and _lawful(parts, base, joint, turning)
-    if depends or lawful or lacks > MACHINE:
+    if depends or lawful or (lacks > MACHINE and before.low > 0.0):
         return replace(out, kind="unexplained")
     return out
 

@@ -34,6 +34,7 @@ DETAILS = (1, 3)
 MEMORY = "memory"  # not a mechanism: any of them may remember
 SWINGING = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0)  # Hz
 SWINGS = 0.15  # damping ratio: neighbours among these overlap
+SHIFTED = 0.5  # s: a torque that is moved by more comes at another time
 SLOWER = 0.1  # of the sampling: a swing that the recording shows
 
 
@@ -149,12 +150,15 @@ class Structure:
     the prediction was not fitted to.
 
     ``size`` is its RMS as a part of the RMS torque. ``share`` is its part of the lacking energy
-    beyond the noise. ``z`` is its evidence in standard deviations over blocks of time.
+    beyond the noise. ``z`` is its evidence in standard deviations over blocks of time: how evenly
+    it is gained. ``apart`` is the same beside what the prediction would gain by chance, had the
+    torque come at another time: a torque that acts seldom gains seldom, and yet not by chance.
     """
 
     size: float
     share: float
     z: float
+    apart: float = 0.0
 
 
 def structure(
@@ -186,7 +190,6 @@ def structure(
     whole = replace(parts[0], records=tuple(r for part in parts for r in part.records))
     scale = mean_square(whole, joint)
     ranges = ranges_of(whole, joint)
-    stride = max(1, sum(rec[0].n for rec in whole.records) // ROWS)
     drawn = {
         d: [[_drawn(rec, joint, mechanisms, ranges, d) for rec in part.records] for part in parts]
         for d in DETAILS
@@ -202,31 +205,17 @@ def structure(
             for part, columns, lack in zip(parts, drawn[detail], lacks[band], strict=True)
         ]
         used = [[counted(rec[joint - 1], band, turning) for rec in p.records] for p in parts]
-        if not made[0][0][0].shape[0]:
+        guesses = _predicted(parts, made, used, joint, band)
+        if guesses is None:
             return best
-        normals = [
-            _normal(part, seen, use, joint, band, stride)
-            for part, seen, use in zip(parts, made, used, strict=True)
-        ]
         sums, counts, excess = [], [], 0.0
-        for k, (part, seen) in enumerate(zip(parts, made, strict=True)):
-            others = [n for i, n in enumerate(normals) if i != k]
-            square = np.sum([n[0] for n in others], axis=0)
-            level = float(np.trace(square)) / len(square)
-            if not level > 0.0:  # nothing of the others counts: a joint that only turns round
-                return best
-            theta = np.linalg.solve(
-                square + 1e-3 * level * np.eye(len(square)), np.sum([n[1] for n in others], axis=0)
-            )
+        for part, guess, use, noisy in zip(parts, guesses, used, noises[band], strict=True):
             gains = [
-                (lack**2 - (lack - theta @ columns) ** 2) * use
-                for (columns, lack), use in zip(seen, used[k], strict=True)
+                (lack**2 - (lack - here) ** 2) * there
+                for (here, lack), there in zip(guess, use, strict=True)
             ]
-            for (_, lack), rec, use, noisy in zip(
-                seen, part.records, used[k], noises[band][k], strict=True
-            ):
-                beyond = (lack**2 - noisy) * use
-                excess += float(np.sum(beyond[kept(rec[joint - 1], band)]))
+            for (_, lack), there, rec, v in zip(guess, use, part.records, noisy, strict=True):
+                excess += float(np.sum(((lack**2 - v) * there)[kept(rec[joint - 1], band)]))
             found = energy_blocks(part, gains, joint, band)
             sums.append(found[0])
             counts.append(found[1])
@@ -235,8 +224,66 @@ def structure(
         z = total / error if error > 0 else 0.0
         size = float(np.sqrt(max(0.0, total) / np.concatenate(counts).sum() / scale))
         if size > best.size and z > 1.0:
-            best = Structure(size, min(1.0, total / excess) if excess > 0 else 1.0, z)
+            share = min(1.0, total / excess) if excess > 0 else 1.0
+            best = Structure(size, share, z, _apart(parts, guesses, used, joint, band))
     return best
+
+
+def _predicted(
+    parts: Sequence[Data],
+    made: Sequence[Sequence[tuple[Array, Array]]],
+    used: Sequence[Sequence[npt.NDArray[np.bool_]]],
+    joint: int,
+    band: float,
+) -> list[list[tuple[Array, Array]]] | None:
+    """What the function that was fitted to all other parts predicts, and what lacks, (n,) each, one
+    pair a recording of each part; None where there is nothing to fit, or nothing to fit it to.
+    """
+    if not made[0][0][0].shape[0]:
+        return None
+    stride = max(1, sum(rec[0].n for part in parts for rec in part.records) // ROWS)
+    normals = [
+        _normal(part, seen, use, joint, band, stride)
+        for part, seen, use in zip(parts, made, used, strict=True)
+    ]
+    out = []
+    for k, seen in enumerate(made):
+        others = [n for i, n in enumerate(normals) if i != k]
+        square = np.sum([n[0] for n in others], axis=0)
+        level = float(np.trace(square)) / len(square)
+        if not level > 0.0:  # nothing of the others counts: a joint that only turns round
+            return None
+        theta = np.linalg.solve(
+            square + 1e-3 * level * np.eye(len(square)), np.sum([n[1] for n in others], axis=0)
+        )
+        out.append([(theta @ columns, lack) for columns, lack in seen])
+    return out
+
+
+def _apart(
+    parts: Sequence[Data],
+    guesses: Sequence[Sequence[tuple[Array, Array]]],
+    used: Sequence[Sequence[npt.NDArray[np.bool_]]],
+    joint: int,
+    band: float,
+) -> float:
+    """How far what a prediction gains is from what it would gain by chance, in standard
+    deviations: the lacking torque is moved round in time by all that is longer than the observer
+    remembers.
+    """
+    total = variance = 0.0
+    for part, guess, use in zip(parts, guesses, used, strict=True):
+        for (here, lack), there, rec in zip(guess, use, part.records, strict=True):
+            record = rec[joint - 1]
+            settled = kept(record, band)
+            p = np.where(there, here, 0.0)[settled]
+            n = len(p)
+            with_lack = np.fft.irfft(np.fft.rfft(lack[settled]) * np.conj(np.fft.rfft(p)), n)
+            away = min(n // 4, round(max(SHIFTED, 8.0 / band) / record.sample_time))
+            moved = with_lack[away : n - away]
+            total += 2.0 * float(with_lack[0] - moved.mean())
+            variance += 4.0 * float(moved.var())
+    return total / float(np.sqrt(variance)) if variance > 0.0 else 0.0
 
 
 def counted(record: JointRecord, band: float, turning: bool) -> npt.NDArray[np.bool_]:
