@@ -18,7 +18,7 @@ from zendsp.diagnosis.decide.assemble import Assembled, assemble
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.decide import decide
 from zendsp.diagnosis.measure.evidence import compare
-from zendsp.diagnosis.measure.likelihood import Scored, calibrate_joint
+from zendsp.diagnosis.measure.likelihood import Scored, calibrate_joint, deviance
 from zendsp.diagnosis.measure.windows import model_error
 from zendsp.diagnosis.search.forward import Searcher
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
@@ -78,9 +78,9 @@ def with_their_links(
             with_it = with_links(measured_motion, explained[2].improved, felt | {joint})
             same = {joint: (explained[0][joint - 1], explained[1][joint - 1])}
             again = explain(with_bodies(with_it, beneath), given, beneath, jobs, tell, same)
-            tried.append((_cost(with_it.test, again), joint, with_it, again))
+            tried.append((_cost(with_it.choose, again), joint, with_it, again))
         best = min(tried, key=lambda t: t[0])
-        before = _cost(now.test, explained)
+        before = _cost(now.choose, explained)
         if best[0][0] > before[0] or best[0][1] > before[1]:
             break
         felt, now, explained = felt | {best[1]}, best[2], best[3]
@@ -95,9 +95,14 @@ def _transmissions(explained: Explained) -> frozenset[int]:
     return divided(explained[2].improved) & claimed
 
 
-def _cost(test: Data, explained: Explained) -> tuple[int, float]:
-    """How much an explanation claims, and how far off it predicts."""
-    return sum(len(d.claims) for d in explained[1]), float(model_error(test, explained[2].improved))
+def _cost(choose: Data, explained: Explained) -> tuple[int, float]:
+    """How much an explanation claims, and how unlikely the recordings to choose by are under it."""
+    unlikely = 0.0
+    for decision in explained[1]:
+        joint, final = decision.joint, decision.final
+        data = choose.at_bandwidth(joint, final.data.bandwidth[joint - 1])
+        unlikely += deviance(data, final.model, (joint,))
+    return sum(len(d.claims) for d in explained[1]), unlikely
 
 
 def explain(
