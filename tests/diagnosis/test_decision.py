@@ -93,6 +93,34 @@ def test_a_small_function_of_state_is_seen_and_gets_no_name_that_it_only_resembl
     assert all(f.effect == "unknown" for f in d.findings), d.findings
 
 
+def test_numbers_fitted_to_slow_motion_that_are_off_in_a_fast_one_are_no_missing_physics(
+    tmp_path: Path,
+) -> None:
+    machine = reality.Machine(unrest=0.001)
+    slow = reality.multisine(20.0, RATE, 1, size=0.1, low=0.05, high=0.2)
+    runs = [
+        reality.save(tmp_path / f"{k}.csv", reality.simulate(machine, reference, RATE, k))
+        for k, reference in ((1, slow), (2, reality.multisine(12.0, RATE, 2)))
+    ]
+    model = reality.model_file(tmp_path / "model.toml", RATE, *KNOWN)
+    d = diagnose(runs[0], model, runs[1])
+    assert d.verdict == "complete"
+    assert any("hardly determine the numbers" in note for note in d.notes), d.notes
+    lacking = diagnose(runs[0], reality.model_file(tmp_path / "less.toml", RATE, KNOWN[0]), runs[1])
+    assert lacking.verdict != "complete"
+
+
+def test_what_acts_surely_and_drowns_in_what_stays_unexplained_is_not_complete(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    machine = reality.Machine(ripple=0.003)
+    assert [f.effect for f in decided(tmp_path, machine).findings] == ["ripple"]
+    monkeypatch.setattr(decision, "held_apart", lambda *a: ([], a[-1]))
+    monkeypatch.setattr(decision, "_asked", lambda out, *_: out)
+    assert decided(tmp_path, machine).verdict == "unexplained"
+    assert decided(tmp_path, reality.Machine()).verdict == "complete"
+
+
 def test_a_push_is_a_disturbance_with_its_times(tmp_path: Path) -> None:
     d = decided(
         tmp_path, reality.Machine(push=(0.06, 2.0, 4.0)), reality.Machine(push=(0.06, 8.0, 10.0))

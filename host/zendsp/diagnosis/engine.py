@@ -25,7 +25,7 @@ from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.decide_bodies import BodyClaim, decide_bodies, rejected_bodies, settled
 from zendsp.diagnosis.decide.detectable import detectable
 from zendsp.diagnosis.decide.fast_ripple import FineRipple, fine_ripples, fixed
-from zendsp.diagnosis.decide.naming import left_over, name_findings
+from zendsp.diagnosis.decide.naming import left_over, loosely_fitted, name_findings
 from zendsp.diagnosis.decide.propose import propose
 from zendsp.diagnosis.decide.remember import remembered
 from zendsp.diagnosis.decide.result import Diagnosis, Finding, FitTable, Left, Rejected, Workings
@@ -142,6 +142,7 @@ def _diagnose(
     alone = by_one_sensor(parts, found.bodies.model, decisions)
     seen += (*(d for m in found.measured for d in m.detectable), *alone)
     notes += said(alone)
+    notes += loosely_fitted(decisions)
     return Diagnosis(
         verdict=verdict,
         findings=findings,

@@ -68,6 +68,11 @@ class Parts:
         return tuple({id(part): part for part in (self.fit, self.choose, self.test)}.values())
 
     @property
+    def all(self) -> Data:
+        """Everything."""
+        return replace(self.fit, records=tuple(rec for part in self.each for rec in part.records))
+
+    @property
     def held(self) -> Data:
         """Everything that no model is fitted to."""
         if self.choose is self.test:

@@ -27,6 +27,7 @@ from zendsp.diagnosis.decide.pieces import (
     piece_of,
     rms_torque,
     rubs,
+    sure,
     worth_choosing,
 )
 from zendsp.diagnosis.decide.thresholds import (
@@ -43,11 +44,11 @@ from zendsp.diagnosis.measure.bursts import FEW, OFTEN, Bursts, bursts, everywhe
 from zendsp.diagnosis.measure.discrepancy import Size, beyond, discrepancy
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
-from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, Structure, structure
+from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, structure
 from zendsp.diagnosis.measure.windows import rms, window_error
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
 from zendsp.diagnosis.search.rounds import WAIT
-from zendsp.physics.calibration.fit import joint_handles
+from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.model import Model, Term
 
 Array = npt.NDArray[np.float64]
@@ -138,9 +139,6 @@ def _nothing_named(
     # how a known dry friction turns round is no missing physics: bristles, a simulator's softness
     turning = not rubs(base.model, joint)
     state = structure(parts.each, base.model, joint, STRUCTURED, turning)
-    lost = tuple(_why(r, base, pieces, before) for r in search.tried[:6])
-    known = known_discrepancy(given, parts.test, joint)
-    lacks, of_state = beyond(before.value, known.all), beyond(state.size, known.of_state)
     out = Decision(
         joint,
         "complete",
@@ -154,20 +152,45 @@ def _nothing_named(
         before,
         base,
         rms_torque(parts.test, joint),
-        known=known,
-        lost=lost,
+        known=known_discrepancy(given, parts.test, joint),
+        lost=tuple(_why(r, base, pieces, before) for r in search.tried[:6]),
     )
-    depends = of_state > OF_STATE and (state.z > SURE or state.apart > BY_CHANCE)
     if state.share < MOST:
         pushed = _pushed(out, parts, turning, jobs)
         if pushed is not None:
             return pushed
-    if depends:
-        claim = _without_law(parts, search, state, before, turning)
+    asked = _asked(out, parts, turning)
+    # something acts there surely, though what it is drowns in what stays unexplained
+    drowned = any(sure(parts.test, p) and beyond(p.size, out.known.all) > OF_STATE for p in pieces)
+    if drowned and asked.kind == "complete":
+        return replace(out, kind="unexplained")
+    if drowned or asked.kind == "complete":
+        return asked
+    # numbers that were fitted to slow motion may be off by so much in a fast one
+    whole = _fitted_to(parts.all, base, joint, jobs)
+    size = discrepancy(parts.test, whole.model, joint)
+    state = structure(parts.each, whole.model, joint, STRUCTURED, turning)
+    again = _asked(
+        replace(out, base=whole, final=whole, before=size, after=size, state=state), parts, turning
+    )
+    if again.kind != "complete":
+        return asked
+    return replace(out, final=whole, after=size, state=state)
+
+
+def _asked(out: Decision, parts: Parts, turning: bool) -> Decision:
+    """The decision by what the calibrated model lacks as a function of the state, of the motion
+    before, of time, or of nothing.
+    """
+    lacks = beyond(out.before.value, out.known.all)
+    of_state = beyond(out.state.size, out.known.of_state)
+    if of_state > OF_STATE and (out.state.z > SURE or out.state.apart > BY_CHANCE):
+        claim = _without_law(parts, out, turning)
         if claim is not None:
             return replace(out, kind="missing", claims=(claim,))
-    lawful = lacks > LAWFUL and _lawful(parts, base, joint, turning)
-    if depends or lawful or (lacks > MACHINE and before.low > 0.0):
+        return replace(out, kind="unexplained")
+    lawful = lacks > LAWFUL and _lawful(parts, out.base, out.joint, turning)
+    if lawful or (lacks > MACHINE and out.before.low > 0.0):
         return replace(out, kind="unexplained")
     return out
 
@@ -193,7 +216,8 @@ def _pushed(out: Decision, parts: Parts, turning: bool, jobs: int) -> Decision |
         and not everywhere(here, (parts.choose,), base, joint).intervals
     )
     if bent and somewhere > (MACHINE if here is None else 0.0):
-        other = _fitted_to_others(parts, out.base, joint, jobs)
+        # a push in the recordings of the fit bends the calibration
+        other = _fitted_to(parts.choose, out.base, joint, jobs)
         after = discrepancy(parts.test, other.model, joint)
         if here is None and beyond(after.value, known) < LAWFUL:
             here = bursts(parts.fit, other.model, joint, many=FEW, turning=turning, often=0.0)
@@ -205,9 +229,9 @@ def _pushed(out: Decision, parts: Parts, turning: bool, jobs: int) -> Decision |
     return replace(out, kind="disturbance", bursts=both)
 
 
-def _fitted_to_others(parts: Parts, base: Scored, joint: int, jobs: int) -> Scored:
-    """The model calibrated on the recordings to choose by: a push in those of the fit bends it."""
-    data = parts.choose.at_bandwidth(joint, base.data.bandwidth[joint - 1])
+def _fitted_to(data: Data, base: Scored, joint: int, jobs: int) -> Scored:
+    """The model calibrated on other recordings."""
+    data = data.at_bandwidth(joint, base.data.bandwidth[joint - 1])
     handles = joint_handles(data, base.model, joint)
     return fit_scored(data, base.model, handles, (joint,), jobs=jobs, rounds=2)
 
@@ -238,17 +262,15 @@ def _why(
     return rival.effect, why, 0.5 * gain
 
 
-def _without_law(
-    parts: Parts, search: JointSearch, state: Structure, before: Size, turning: bool
-) -> Claim | None:
+def _without_law(parts: Parts, out: Decision, turning: bool) -> Claim | None:
     """The one mechanism whose own variables predict most of what lacks, and of what any function of
     state does; None where several do, or none.
     """
-    joint, base = search.joint, search.base
+    joint, base = out.joint, out.base
     alone = {m: structure(parts.each, base.model, joint, [m], turning) for m in STRUCTURED}
     order = sorted(alone, key=lambda m: -alone[m].size)
     best = alone[order[0]]
-    least = MOST * max(state.size, before.value) ** 2
+    least = MOST * max(out.state.size, out.before.value) ** 2
     if best.z < SURE or best.size**2 < least or best.share < MOST:
         return None
     other = next(alone[m] for m in order[1:] if m not in kind_of(order[0]))

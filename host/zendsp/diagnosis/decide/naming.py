@@ -268,6 +268,20 @@ def _spans(found: Bursts) -> str:
     return ", ".join(f"{a:.2f}–{b:.2f} s" for a, b in found.intervals[:4])
 
 
+def loosely_fitted(decisions: Sequence[Decision]) -> list[str]:
+    """Where nothing is missing, and yet numbers fitted to the first recordings do not predict the
+    untouched ones.
+    """
+    return [
+        f"joint {d.joint}: with numbers fitted to the first recordings, {percent(d.before.value)} %"
+        " of the torque of the untouched ones stays unexplained; with numbers fitted to all,"
+        f" {percent(d.after.value)} %. So no physics is missing, but the first recordings hardly"
+        " determine the numbers for such motion: fit one that has it too"
+        for d in decisions
+        if d.kind == "complete" and d.final is not d.base
+    ]
+
+
 def left_over(decisions: Sequence[Decision], given: Model) -> str:
     """What nothing named explains, joint by joint, in words; empty where it is too little to
     matter.

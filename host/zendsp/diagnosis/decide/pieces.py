@@ -168,7 +168,6 @@ def held_apart(
     than the laws of the larger ones of its kind, found or given, may be wrong by.
     """
     joint = search.joint
-    needed = math.log(parts.test.joints * len(LAWS_OF) / FALSE_DISCOVERIES)
     after = discrepancy(parts.test, final.model, joint).value
     known = known_discrepancy(given, parts.test, joint)
     unknown = beyond(after, known.all)
@@ -189,10 +188,17 @@ def held_apart(
         timed = all(get_effect(e).over == "time" for e in piece.effects)
         own = timed or unknown <= may_leave(piece)
         error = 0.0 if own else LAW_ERROR * larger
-        sure = piece.log_e > needed and piece.evidence.z > CLAIMED
         least = max(*map(finest, piece.effects), part, math.hypot(left, error))
-        (claimed if sure and piece.size > least else rest).append(piece)
+        (claimed if sure(parts.test, piece) and piece.size > least else rest).append(piece)
     return claimed, rest
+
+
+def sure(test: Data, piece: Piece) -> bool:
+    """Whether untouched recordings are surely less likely without a mechanism, by chance among all
+    of them at all joints.
+    """
+    needed = math.log(test.joints * len(LAWS_OF) / FALSE_DISCOVERIES)
+    return piece.log_e > needed and piece.evidence.z > CLAIMED
 
 
 def finest(effect: str) -> float:
