@@ -28,6 +28,7 @@ class Machine:
     gravity: float = 0.0
     breakaway: float = 0.0
     stribeck: float = 0.1
+    tail: float = 2.0  # exponent of Stribeck's curve
     ripple: float = 0.0
     order: int = 7
     spring: float = 0.0
@@ -132,7 +133,7 @@ def simulate(
             torque = max(-m.weak, min(m.weak, torque)) + unrest
             torque += m.push[0] if m.push[1] <= k * T < m.push[2] else 0.0
             level = m.coulomb + (
-                (m.breakaway - m.coulomb) * math.exp(-((v / m.stribeck) ** 2))
+                (m.breakaway - m.coulomb) * math.exp(-(abs(v / m.stribeck) ** m.tail))
                 if m.breakaway
                 else 0.0
             )

@@ -93,6 +93,14 @@ def test_a_small_function_of_state_is_seen_and_gets_no_name_that_it_only_resembl
     assert all(f.effect == "unknown" for f in d.findings), d.findings
 
 
+def test_the_tail_of_a_stribeck_curve_is_chosen(tmp_path: Path) -> None:
+    """Tustin's exponential, where Armstrong-Hélouvry has a Gaussian."""
+    d = decided(tmp_path, reality.Machine(breakaway=0.05, stribeck=0.4, tail=1.0))
+    (found,) = d.findings
+    assert found.effect == "stribeck" and found.parameters["exponent"].value == 1.0
+    assert found.parameters["breakaway"].value == pytest.approx(0.05, rel=0.1)
+
+
 def test_numbers_fitted_to_slow_motion_that_are_off_in_a_fast_one_are_no_missing_physics(
     tmp_path: Path,
 ) -> None:

@@ -15,7 +15,7 @@ from zendsp.diagnosis.data.signals import Parts, Signals
 from zendsp.diagnosis.decide.assemble import with_disagreement
 from zendsp.diagnosis.decide.thresholds import BY_CHANCE, LAWFUL, OF_STATE, SURE
 from zendsp.diagnosis.measure.bursts import bursts, periodic
-from zendsp.diagnosis.measure.discrepancy import deviation, discrepancy
+from zendsp.diagnosis.measure.discrepancy import at_reversals, deviation, discrepancy
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import (
     Scored,
@@ -197,6 +197,18 @@ def test_a_torque_that_acts_seldom_is_told_from_chance() -> None:
     seldom, never = seen({**quiet, "u": quiet["u"] + 0.05 * rms * bump}), seen(restless)
     assert seldom.size > OF_STATE and seldom.z < SURE and seldom.apart > BY_CHANCE
     assert never.size < OF_STATE or never.apart < BY_CHANCE
+
+
+def test_a_constant_torque_does_not_act_where_a_joint_turns_round() -> None:
+    """However long it turns: a slow motion spends most of its time there."""
+    t = 2 * np.pi * np.arange(6000) / RATE
+    columns = reality.simulate(reality.Machine(), 0.2 * np.sin(0.3 * t), RATE)
+    plain = model_of(VISCOUS, COULOMB)
+    constant = model_of(VISCOUS, COULOMB, {"kind": "torque_offset", "joint": 1, "level": 0.002})
+    bristles = model_of(VISCOUS, COULOMB, {"kind": "presliding", "joint": 1, "stiffness": 3.0})
+    data = data_of(columns, plain)
+    assert abs(at_reversals(data, plain, constant, 1)) < 0.2
+    assert at_reversals(data, plain, bristles, 1) > 0.9
 
 
 def test_the_other_joint_feels_the_link_behind_a_spring() -> None:

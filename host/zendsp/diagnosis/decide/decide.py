@@ -253,7 +253,7 @@ def _why(
     seen = next((p for p in pieces if rival.effect in p.effects), None)
     if seen is not None and seen.log_e > 0 and seen.evidence.z > CLAIMED:
         sizes = f"{percent(seen.size)} % of the torque beside {percent(before.value)} %"
-        return rival.effect, f"too small beside what stays unexplained: {sizes}", 0.5 * gain
+        return rival.effect, f"not clearly more than what stays unexplained: {sizes}", 0.5 * gain
     why = (
         "no more likely than the calibrated model"
         if gain < WAIT

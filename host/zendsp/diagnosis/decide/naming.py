@@ -30,7 +30,7 @@ from zendsp.physics.term_numbers import chosen
 IN_TIME = 0.85
 VARIABLE = {
     "position_torque": "position",
-    "dry_friction": "direction and position",
+    "dry_friction": "direction of motion, and speed or position,",
     "fluid_friction": "speed",
     "actuator": "command",
 }
@@ -95,7 +95,9 @@ def _finding(
     share = min(1.0, share)
     sure = confidence(claim, decision)
     if claim.effect == "unknown":
-        size = Estimate(claim.size * scale, 0.25 * claim.size * scale, unit)
+        # of an energy that stands out by z deviations, its root by 2 z
+        std = claim.size / (2.0 * max(claim.evidence.z, 1.0))
+        size = Estimate(claim.size * scale, std * scale, unit)
         what = VARIABLE.get(claim.mechanism, "state")
         text = (
             f"A torque that depends on the {what} of joint {joint} is missing,"

@@ -210,7 +210,9 @@ def reversals(record: JointRecord, band: float) -> npt.NDArray[np.bool_]:
 
 
 def at_reversals(data: Data, one: Model, other: Model, joint: int) -> float:
-    """Part of the energy of the torque between two models that acts where the joint turns round."""
+    """Part of the energy of the torque between two models that acts where the joint turns round,
+    beyond the part of the time that it does: 0 for what acts always, 1 for what acts only there.
+    """
     band = BANDS[0]
     pairs = zip(
         lacking(data, one, joint, band),
@@ -218,14 +220,17 @@ def at_reversals(data: Data, one: Model, other: Model, joint: int) -> float:
         data.records,
         strict=True,
     )
-    there = total = 0.0
+    there = total = turning = count = 0.0
     for a, b, rec in pairs:
         record = rec[joint - 1]
         use = kept(record, band)
-        energy = (a[use] - b[use]) ** 2
-        there += float(energy[reversals(record, band)[use]].sum())
+        energy, turns = (a[use] - b[use]) ** 2, reversals(record, band)[use]
+        there += float(energy[turns].sum())
         total += float(energy.sum())
-    return there / max(total, 1e-300)
+        turning += float(turns.sum())
+        count += len(turns)
+    time = turning / max(count, 1.0)
+    return (there / max(total, 1e-300) - time) / max(1.0 - time, 1e-300)
 
 
 def mean_square(data: Data, joint: int) -> float:
