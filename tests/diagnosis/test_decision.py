@@ -26,7 +26,7 @@ from zendsp.diagnosis.measure import structure as measure_structure
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.structure import Structure
-from zendsp.diagnosis.report.figures import torque_chart
+from zendsp.diagnosis.report.figures import law_chart, torque_chart
 from zendsp.physics.calibration.terms import make_term
 from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.files.model_file import parse_model
@@ -503,3 +503,15 @@ def test_what_leaves_more_unexplained_than_there_was_or_is_at_all_is_no_finding(
     if after > 1.0:
         words = left_over([found], model)
         assert "does not follow" in words and "%" not in words
+
+
+def test_the_figure_of_a_friction_over_position_shows_its_law(tmp_path: Path) -> None:
+    """Both directions of travel, one turned over: their mean would hide what was found."""
+    d = decided(tmp_path, reality.Machine(uneven=0.01))
+    (found,) = d.findings
+    assert found.effect == "position_friction" and d.workings is not None
+    panel = law_chart(d, d.workings, found, 0).panels[0]
+    means = next(series for series in panel.series if series.kind == "means")
+    assert "against the motion" in panel.ylabel
+    amplitude = found.parameters["amplitude"].value
+    assert np.max(means.y) == pytest.approx(amplitude, rel=0.2)

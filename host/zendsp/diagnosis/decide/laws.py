@@ -204,7 +204,7 @@ def _goes_on(claim: Claim, decision: Decision, alone: Scored, parts: Parts) -> b
     """Whether a law goes on as the torque does: none of its neighbours predicts better, or surely
     better where every machine has it.
     """
-    if claim.mechanism not in STRUCTURED and not get_effect(claim.effect).coupled:
+    if claim.mechanism not in STRUCTURED:
         return True
     joint = decision.joint
     term = counterpart(alone.model.at(joint), claim.term)

@@ -11,12 +11,13 @@ from zendsp.diagnosis.measure.windows import window_error
 from zendsp.diagnosis.report.chart import Chart, Mesh, Panel, Series
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.calibration.predict import run
-from zendsp.physics.effects import library
+from zendsp.physics.effects import library, mechanism_of
 
 Array = npt.NDArray[np.float64]
 MOST_JOINTS = 7  # that get figures of their own
 FINE = 40  # repetitions over the travel: a pattern with more is a smear, not a curve
 JOINED = "time [s], one recording after the other"
+SLOW = 0.02  # of a joint's speed: below, it has no direction
 IN_A_BIN = 5  # samples: a mean of fewer is not drawn
 
 
@@ -171,10 +172,20 @@ def law_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Chart:
     joint, units = finding.joint, _units(d, finding.joint)
     name = axis_of(finding.effect)
     terms = [t for t in whole.improved.at(joint) if t.effect == finding.effect]
-    without = whole.improved.with_terms(tuple(t for t in whole.improved.terms if t not in terms))
+    replaced = [t for t in whole.calibrated.at(joint) if t.effect in finding.replaces]
+    without = whole.improved.with_terms(
+        (*[t for t in whole.improved.terms if t not in terms], *replaced)
+    )
     lacks, left = mismatch(train, without, joint), mismatch(train, whole.improved, joint)
     x = np.concatenate([m.time if name == "time" else m.variables[name] for m in lacks])
     before, after = (np.concatenate([m.torque for m in found]) for found in (lacks, left))
+    label = _torque_label(units["torque"])
+    if mechanism_of(finding.effect) == "dry_friction" and name != "velocity":
+        # both directions of travel would hide one another
+        v = np.concatenate([m.variables["velocity"] for m in lacks])
+        moves = np.abs(v) > SLOW * np.quantile(np.abs(v), 0.98)
+        x, before, after = (y[moves] for y in (x, -np.sign(v) * before, -np.sign(v) * after))
+        label = label.replace(" [", " against the motion [")
     cut = _thin(len(x), 5000)
     low, high = np.quantile(before, [0.005, 0.995])
     limits = (float(low - 0.15 * (high - low)), float(high + 0.15 * (high - low)))
@@ -190,21 +201,12 @@ def law_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Chart:
         (after, "after", f"with {finding.effect}", ()),
     ):
         at, mean, spread = _binned(x, y)
-        label = "what the model lacks: samples, means"
         series = (
             Series("dots", "data", x[cut], y[cut]),
-            Series("means", role, at, mean, label, spread),
+            Series("means", role, at, mean, f"{title}: means", spread),
             *curves,
         )
-        panels.append(
-            Panel(
-                f"{name} [{units[name]}]",
-                _torque_label(units["torque"]),
-                series,
-                title,
-                limits=limits,
-            )
-        )
+        panels.append(Panel(f"{name} [{units[name]}]", label, series, title, limits=limits))
     return Chart(
         "law",
         finding.sentence,
