@@ -30,13 +30,14 @@ Number = tuple[float, float]
 
 @dataclass(frozen=True)
 class Sides:
-    """Dry and viscous friction before and after a torque sensor, and what the actuator gives of
-    what it is told; each with its standard deviation.
+    """Dry and viscous friction before and after a torque sensor, what the actuator gives of what it
+    is told, and the inertia before the sensor; each with its standard deviation.
     """
 
     dry: tuple[Number, Number]
     viscous: tuple[Number, Number]
     gain: Number
+    motor: Number
 
     @property
     def side(self) -> str:
@@ -63,6 +64,13 @@ class Rows:
     qd: Array
     qdd: Array
     s: Array  # direction
+    sin: Array  # of the angle
+    cos: Array
+
+    @property
+    def free(self) -> list[Array]:
+        """Columns of a load that the model does not know: inertia and gravity."""
+        return [self.qdd, self.sin, self.cos]
 
 
 def sides_of(parts: Parts, model: Model, joint: int) -> Sides | None:
@@ -73,11 +81,9 @@ def sides_of(parts: Parts, model: Model, joint: int) -> Sides | None:
     rows = [_rows(r, model, joint) for r in records]
     whole = has_bodies(model)
     before = _fit([(r.drive - r.sensed, [r.qdd, r.qd, r.s], r) for r in rows])
-    after = _fit(
-        [(r.sensed - r.bodies, [r.qd, r.s] if whole else [r.qd, r.s, r.qdd], r) for r in rows]
-    )
+    after = _fit([(r.sensed - r.bodies, [r.qd, r.s, *([] if whole else r.free)], r) for r in rows])
     gain = _fit([(r.sensed, [r.drive, r.qdd, r.qd, r.s], r) for r in rows])
-    return Sides((before[2], after[1]), (before[1], after[0]), gain[0])
+    return Sides((before[2], after[1]), (before[1], after[0]), gain[0], before[0])
 
 
 def _rows(record: JointRecord, model: Model, joint: int) -> Rows:
@@ -85,7 +91,7 @@ def _rows(record: JointRecord, model: Model, joint: int) -> Rows:
 
     fs = 1.0 / record.sample_time
     sos = butter(4, min(OF_MOTOR, 0.2 * fs), fs=fs, output="sos")
-    _, qd, qdd = record.motion.states
+    q, qd, qdd = record.motion.states
     inertia, bias = record.inertia_and_bias(model)
     fast = STANDING * max(float(np.quantile(np.abs(qd), 0.98)), 1e-12)
     use = np.abs(qd) > fast
@@ -98,6 +104,8 @@ def _rows(record: JointRecord, model: Model, joint: int) -> Rows:
         qd,
         qdd,
         np.tanh(qd / fast),
+        np.sin(q),
+        np.cos(q),
     )
     return Rows(record.sample_time, *(sosfiltfilt(sos, x)[use] for x in signals))
 
