@@ -14,12 +14,13 @@ from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.confidence import MOST
+from zendsp.diagnosis.decide.result import Finding
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.transmission import one_sensor
 from zendsp.diagnosis.transmission.claims import Claim
 from zendsp.diagnosis.transmission.findings import findings_of
 from zendsp.diagnosis.transmission.measured import Measured, measured_transmissions
-from zendsp.diagnosis.transmission.torque_sensor import sides_of
+from zendsp.diagnosis.transmission.torque_sensor import Sides, _with_sides, sides_of
 from zendsp.errors import RecordingError
 from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.model import Model
@@ -205,6 +206,17 @@ def test_friction_before_and_after_a_torque_sensor_is_told_apart(
     (before, _), (after, _) = sides.dry
     assert before == pytest.approx(motor, abs=0.003)  # a tenth: the direction is smoothed
     assert after == pytest.approx(load, abs=0.003)
+
+
+def test_each_kind_of_friction_has_its_own_sides_of_a_torque_sensor() -> None:
+    dry, viscous = ((0.2, 0.001), (0.01, 0.001)), ((0.001, 0.001), (0.04, 0.001))
+    sides = Sides(dry, viscous, (1.0, 0.01), (0.03, 0.001))
+    said = [
+        _with_sides(Finding("", 1, {}, 0.9, 1.0, (), (), "F.", {}, kind), sides, unit).sentence
+        for kind, unit in (("dry_friction", "N m"), ("fluid_friction", "N m s/rad"))
+    ]
+    assert "motor's side: dry friction 0.2 and 0.01 N m." in said[0]
+    assert "load's side: viscous friction 0.001 and 0.04 N m s/rad." in said[1]
 
 
 def test_friction_over_temperature_between_recordings_that_are_each_at_one_temperature() -> None:

@@ -21,7 +21,8 @@ from zendsp.diagnosis.transmission.torsion import STILL as STANDING
 from zendsp.physics.calibration.joint import JointRecord
 from zendsp.physics.model import Model
 
-FRICTION = ("dry_friction", "fluid_friction")
+FLUID = "fluid_friction"
+FRICTION = ("dry_friction", FLUID)
 ONE_SIDE = 0.2  # of the other side's: less is not said to be there
 GAIN = 0.05  # standard deviation of a gain beyond which nothing is said of it
 
@@ -41,16 +42,19 @@ class Sides:
 
     @property
     def side(self) -> str:
-        """``"before"``, ``"after"`` or ``"both"``, by the dry friction; by the viscous one where
-        there is no dry.
-        """
-        for (before, b), (after, a) in (self.dry, self.viscous):
-            sure = before > SURE * b, after > SURE * a
-            if any(sure):
-                if not sure[1] or after < ONE_SIDE * before:
-                    return "before"
-                return "after" if not sure[0] or before < ONE_SIDE * after else "both"
+        """Of the dry friction; of the viscous one where there is no dry."""
+        return side_of(self.dry) or side_of(self.viscous)
+
+
+def side_of(friction: tuple[Number, Number]) -> str:
+    """``"before"``, ``"after"`` or ``"both"``; empty where there is surely none."""
+    (before, b), (after, a) = friction
+    sure = before > SURE * b, after > SURE * a
+    if not any(sure):
         return ""
+    if not sure[1] or after < ONE_SIDE * before:
+        return "before"
+    return "after" if not sure[0] or before < ONE_SIDE * after else "both"
 
 
 @dataclass(frozen=True)
@@ -139,26 +143,31 @@ def sided(findings: Sequence[Finding], parts: Parts, model: Model) -> tuple[Find
         if f.joint not in known:
             known[f.joint] = sides_of(parts, model, f.joint)
         sides = known[f.joint]
-        out.append(f if sides is None else _with_sides(f, sides, model.torque_unit(f.joint)))
+        unit = model.torque_unit(f.joint)
+        if f.mechanism == FLUID:
+            unit += " s/m" if model.joint_kind(f.joint) == "linear" else " s/rad"
+        out.append(f if sides is None else _with_sides(f, sides, unit))
     return tuple(out)
 
 
 def _with_sides(f: Finding, sides: Sides, unit: str) -> Finding:
-    if f.mechanism in FRICTION and sides.side:
+    own, name = (sides.viscous, "viscous") if f.mechanism == FLUID else (sides.dry, "dry")
+    side = (side_of(own) or sides.side) if f.mechanism in FRICTION else ""
+    if side:
         words = {
             "before": "before the torque sensor, on the motor's side",
             "after": "after the torque sensor, on the load's side",
             "both": "on both sides of the torque sensor",
-        }[sides.side]
-        (before, _), (after, _) = sides.dry
+        }[side]
+        (before, _), (after, _) = own
         details = {
-            "side": sides.side,
+            "side": side,
             "dry_before": sides.dry[0][0],
             "dry_after": sides.dry[1][0],
             "viscous_before": sides.viscous[0][0],
             "viscous_after": sides.viscous[1][0],
         }
-        text = f"{f.sentence} It acts {words}: dry friction {before:.2g} and {after:.2g} {unit}."
+        text = f"{f.sentence} It acts {words}: {name} friction {before:.2g} and {after:.2g} {unit}."
         had = f.numbers.get("details", {})
         return replace(f, sentence=text, numbers={**f.numbers, "details": {**had, **details}})
     gain, std = sides.gain
