@@ -255,3 +255,33 @@ def test_what_no_joint_feels_of_a_centre_is_no_number_to_look_for() -> None:
     # about the vertical nothing tells how high it is; behind the second joint all is felt
     assert felt(upright, 0) == ("com_x", "com_y")
     assert felt(upright, 1) == ("com_x", "com_y", "com_z")
+
+
+def test_the_inertia_of_joints_that_accelerate_together_stays_in_its_range(tmp_path: Path) -> None:
+    """The model knows a third of a rotor. Joints 1 and 3 accelerate nearly as joint 2 does, so the
+    coupling columns take part of its inertia: by them alone it would be 0.22 kg m² at most.
+    """
+    import pinocchio as pin
+
+    rotor, arm = 0.3, pin.buildModelFromXML(urdf(LINKS))
+    work, t, rng = arm.createData(), np.arange(10 * RATE) / RATE, np.random.default_rng(1)
+    w = 2 * np.pi * rng.uniform(0.3, 1.2, (6, 1))
+    alike, own = (np.exp(1j * (w * t + rng.uniform(0, 6.28, (6, 1)))) * 0.2 for _ in range(2))
+    waves = np.stack([alike, 0.1 * own - alike, 0.07 * own + alike])
+    q, v, a = (((1j * w) ** k * waves).sum(1).real.T for k in range(3))
+    q = q + np.array([0.0, 0.5, -0.9])
+    u = np.array([pin.rnea(arm, work, *x) for x in zip(q, v, a, strict=True)])
+    u += 0.5 * np.tanh(v / 0.005) + rotor * a * np.array([0, 1, 0])
+    u += rng.normal(0, 0.01, u.shape)
+    np.savez(tmp_path / "run.npz", t=t, q=RESOLUTION * np.round(q / RESOLUTION), u=u)
+    (tmp_path / "arm.urdf").write_text(urdf(LINKS))
+    (tmp_path / "model.toml").write_text(
+        f'name = "arm"\nsample_time = {1 / RATE}\n[mechanism]\nkind = "urdf"\nfile = "arm.urdf"\n'
+        '[[effect]]\nkind = "inertia"\njoint = 2\namount = { value = 0.1 }\n'
+        f'[sensor]\nposition_resolution = {RESOLUTION}\n'
+        '[columns]\ntime = "t"\nposition = "q"\ncommand = "u"\n'
+    )
+    model = load_model(tmp_path / "model.toml")
+    data = prepare([read_signals(tmp_path / "run.npz", model)], model, 64.0)
+    low, high = data.ranges["inertia 2"]
+    assert low < rotor < high

@@ -20,7 +20,7 @@ from zendsp.diagnosis.external.simulator import Entry, bench
 from zendsp.diagnosis.report.files import write_report
 from zendsp.errors import ModelError
 from zendsp.physics import load_model
-from zendsp.physics.calibration.handles import Handle, set_values
+from zendsp.physics.calibration.handles import Handle, free_handles, set_values
 from zendsp.physics.calibration.terms import make_term
 from zendsp.physics.effects import get_effect
 
@@ -145,6 +145,28 @@ def test_what_a_small_torque_does_is_guessed_from_one_push(tmp_path: Path) -> No
     ways = near.errors, partial(errors, [b])
     guessed, simulated = (ask(inertia) - near.current.error for ask in ways)
     assert np.linalg.norm(guessed - simulated) < 0.05 * np.linalg.norm(simulated)
+
+
+def test_intervals_of_a_simulators_numbers_hold_the_truth(tmp_path: Path) -> None:
+    """An inertia was two of 1000 too large, by four of its standard deviations: friction acted half
+    a sample early.
+    """
+    machine = reality.Machine(gravity=0.2)
+    _, _, file = files(tmp_path, machine)
+    model = with_term(load_model(file), make_term(get_effect("coulomb"), 1, {"level": 0.028}))
+    true = {"inertia": 0.010, "gravity": 0.2, "viscous": 0.004, "level": 0.03}
+    off = []
+    for seed in (1, 2, 3, 4):
+        run = reality.simulate(machine, reality.multisine(6.0, RATE, seed), RATE)
+        path = reality.save(tmp_path / "run.csv", run)
+        b = bench(read_signals(path, model), model, Entry(model))
+        b.size = round(WINDOW * RATE)
+        fit = fit_output([b], model, free_handles(model, offsets=False), errors([b], model), 25).fit
+        names = [handle.key for handle in fit.handles]
+        off.append((fit.x - [true[name] for name in names]) / fit.std)
+        assert all(fit.std < 0.06 * fit.x), "an interval of anything would hold too"
+    # four draws of a unit normal have an RMS above 1.7 in one of fifty
+    assert all(np.sqrt(np.mean(np.square(off), axis=0)) < 1.7), off
 
 
 def test_complete_simulator_raises_no_alarm(tmp_path: Path) -> None:

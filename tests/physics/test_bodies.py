@@ -144,9 +144,9 @@ def test_a_wrong_body_is_a_difference_and_none_is_nothing() -> None:
     body = read_urdf(str(ARM))[0][1]
     assert np.all(change_of(term("body", 2), body) == 0.0)
     heavier = change_of(term("body", 2, mass=0.4), body)
-    # as if the difference sat at the centre of mass
-    scaled = numbers_of(0.4, body.com, np.zeros((3, 3)))
-    assert np.abs(heavier - scaled).max() < 1e-12
+    # as if the link were denser everywhere
+    denser = 0.4 / body.mass * numbers_of(body.mass, body.com, body.inertia)
+    assert np.abs(heavier - denser).max() < 1e-12
 
 
 def test_a_link_without_mass_left_is_refused_by_name_and_number() -> None:

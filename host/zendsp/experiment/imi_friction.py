@@ -76,9 +76,10 @@ def static(lab: Lab, count: int = 6) -> Result:
                 bristles[joint] += [(push.stiffness, push.apart) for push in pushes]
                 early[joint] += [push.torque - push.fast_torque for push in pushes]
         result.recordings, result.target = bench.recordings, bench.where
+        lost = {joint: too_early(joint, early[joint]) for joint in JOINTS}
         for joint in JOINTS:
-            _report_static(result, joint, found, bristles[joint], too_early(joint, early[joint]))
-        result.figure = _draw_static(found, bench)
+            _report_static(result, joint, found, bristles[joint], lost[joint])
+        result.figure = _draw_static(found, lost, bench)
     return result
 
 
@@ -258,11 +259,17 @@ def bristle_stiffness(
     return 1e4 * float(least_squares(miss, [first, 0.0, 0.0]).x[0])
 
 
-def _draw_static(found: dict[tuple[int, int], list[tuple[float, float]]], bench: Bench) -> str:
+def _draw_static(
+    found: dict[tuple[int, int], list[tuple[float, float]]],
+    early: dict[int, Estimate],
+    bench: Bench,
+) -> str:
+    """Each push where it was made, corrected as their mean is."""
     figure, axes = make_figure(1, 2)
     for axis, joint in zip(axes[0], JOINTS, strict=True):
         for direction, colour, word in ((1, BLUE, "counterclockwise"), (-1, RED, "clockwise")):
             positions, torques = np.array(found[joint, direction]).T
+            torques = torques + early[joint].value
             axis.plot(positions, torques, "o", color=colour, label=word, markersize=6)
             axis.axhline(float(np.mean(torques)), color=colour, linewidth=0.8, linestyle="--")
         low, high = axis.get_ylim()

@@ -90,8 +90,9 @@ machines' sources:
 The machines are the simulated ones that ship with zendsp (`docs/machines_simulated.md`) with their
 noise and imperfections, driven through the link like real ones. The host's simulation is another
 program, with the model that the experiments found. *Paper* is what the publication reports;
-*machine* what the simulated machine has. An interval is of 95 %, and holds the machine's value or
-does not; `docs/measurements/experiments.md` counts that over many repetitions.
+*machine* what the simulated machine has. ± is one standard deviation. An interval is of
+95 %: 1.96 of them to either side. It holds the machine's value or does not;
+`docs/measurements/experiments.md` counts that over many repetitions.
 
 **What is recovered by construction, and what is not.** The machines are built from laws that the
 experiments assume: friction with a level for each direction, a viscous part, bristles that bend as

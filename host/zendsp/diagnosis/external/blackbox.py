@@ -28,7 +28,7 @@ from zendsp.diagnosis.data.signals import Signals, with_same_columns
 from zendsp.diagnosis.data.split import split
 from zendsp.diagnosis.decide.result import Diagnosis, FitTable, Rejected, SimulatorErrors
 from zendsp.diagnosis.external.hunt import Hunt, findings_of, indistinct, next_of
-from zendsp.diagnosis.external.nearby import Near
+from zendsp.diagnosis.external.nearby import Near, spread_over
 from zendsp.diagnosis.external.output_error import (
     Output,
     errors,
@@ -233,7 +233,8 @@ def _hunted(
         steps = [s for s in steps if (s[0].term.effect, s[0].term.joint) in
                  {(t.effect, t.joint) for t in model.terms}]  # fmt: skip
         current = fit_output(train, model, free_handles(model, offsets=False), current.error)
-    return current, steps
+    hunt.tell("asking the untouched recordings for the same numbers")
+    return (spread_over(current, hunt.test) if steps else current), steps
 
 
 def _untried(train: Sequence[Bench], test: Sequence[Bench]) -> str:

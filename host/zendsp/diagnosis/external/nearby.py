@@ -10,12 +10,14 @@ joint, and a fit begins near its end; what is claimed is simulated.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.external.output_error import Output, errors, fit_output
+from zendsp.diagnosis.external.output_error import BLOCK, Output, errors, fit_output, weights
 from zendsp.diagnosis.external.simulator import Bench
+from zendsp.physics.calibration.fit import robust_covariance
 from zendsp.physics.calibration.handles import Handle, free_handles, get_values, set_values
 from zendsp.physics.model import Model, per_joint
 
@@ -69,6 +71,27 @@ class Pushed(Bench):
         """As it was, where the terms are."""
         same = model.at(i + 1) == self.base.at(i + 1) and model.actuator == self.base.actuator
         return self.before[:, i] if same else super().command_of(i, model)
+
+
+def spread_over(final: Output, others: Sequence[Bench]) -> Output:
+    """A fit with standard deviations that grow to what its numbers differ by on other recordings.
+
+    What a fit leaves unexplained comes back with the motion, and pulls at the numbers by more than
+    the scatter of its windows shows. Other recordings have another motion.
+    """
+    fit = final.fit
+    if not fit.handles:
+        return final
+    near = Near(others, fit_output(others, fit.model, (), errors(others, fit.model)))
+    at, weight = near.current.error, weights(others, near.current.error)
+    steps = STEP * np.maximum(np.abs(fit.x), fit.std)
+    moved = (set_values(fit.model, fit.handles, fit.x + row) for row in np.diag(steps))
+    slopes = weight[:, None] * np.stack([near.errors(m) - at for m in moved], axis=1) / steps
+    off = np.linalg.lstsq(slopes * steps, weight * at, rcond=1e-9)[0] * steps
+    block = max(10, round(BLOCK / others[0].signals.sample_time))
+    there = np.diag(robust_covariance(slopes, weight * at, block))
+    apart = float(np.mean(off**2 / np.maximum(fit.std**2 + there, 1e-300)))
+    return replace(final, fit=replace(fit, covariance=fit.covariance * max(1.0, apart)))
 
 
 class Near:

@@ -129,6 +129,7 @@ class Bench:
     simulator: Simulator
     given: Model
     size: int = 0
+    blur: float = 1.0  # times the speed below which the direction of motion is not known
     calls: int = 0
     ran: Callable[[], None] = lambda: None  # is told of each simulation
 
@@ -227,7 +228,7 @@ class Bench:
         floor = max(
             2.0 * float(np.sqrt(np.median(record.motion.variances[1]))),
             0.01 * record.scale.speed,
-        )
+        ) * self.blur
         torque = trace(record, model, terms, floor) if terms else np.zeros(record.n)
         motion, command = along(record, model), record.command
         for term, effect in effects:
@@ -236,7 +237,9 @@ class Bench:
                 command = effect.retime(command, record.sample_time, numbers)
             elif effect.column is not None and on_input(effect):
                 torque = torque + effect.column(motion, numbers)
-        return np.asarray(command - torque / gain, dtype=np.float64)
+        # held from its row to the next: what acts meanwhile is the mean of both
+        held = 0.5 * (torque + np.r_[torque[1:], torque[-1:]])
+        return np.asarray(command - held / gain, dtype=np.float64)
 
     def sensed(self, out: Array, model: Model) -> Array:
         out = out.copy()

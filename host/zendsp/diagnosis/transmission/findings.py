@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from zendsp.diagnosis.data.signals import Parts
+from zendsp.diagnosis.decide.absorbed import TOLERANCE
 from zendsp.diagnosis.decide.confidence import MOST
 from zendsp.diagnosis.decide.findings import number, sentence
 from zendsp.diagnosis.decide.result import Estimate, Finding
@@ -15,23 +16,25 @@ from zendsp.diagnosis.decide.thresholds import PLAIN
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import calibrate_joint
 from zendsp.diagnosis.transmission.claims import Claim
-from zendsp.diagnosis.transmission.torsion import has_bodies, joint_inertia
+from zendsp.diagnosis.transmission.torsion import Motor, has_bodies, joint_inertia
 from zendsp.physics.effects import get_effect, unit_of
 from zendsp.physics.model import Model, Quantity, Term
 
 OF_A_GAP = 0.05  # of its width: so much too narrow it came out of a simulated one of 20 mrad
 
 
-def load_behind(model: Model, inertia: float, motor: tuple[float, float]) -> tuple[float, float]:
-    """Inertia behind the transmission, with its standard deviation; 0 where the bodies say it."""
+def load_behind(model: Model, inertia: float, motor: Motor) -> tuple[float, float]:
+    """Inertia behind the transmission, with its standard deviation; 0 where the bodies say it. The
+    joint's whole inertia is a given figure.
+    """
     if has_bodies(model):
         return 0.0, 0.0
-    return max(inertia - motor[0], 0.02 * inertia), motor[1]
+    return max(inertia - motor.inertia, 0.02 * inertia), math.hypot(motor.std, TOLERANCE * inertia)
 
 
 def _sure(claim: Claim) -> float:
-    ratio = (claim.size / max(claim.left, 1e-300)) ** 1.5
-    return float(min(MOST, ratio / (0.5 + ratio)))
+    size, left = claim.size**1.5, claim.left**1.5
+    return float(min(MOST, size / (size + 0.5 * left)))
 
 
 def findings_of(

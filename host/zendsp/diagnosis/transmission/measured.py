@@ -8,17 +8,20 @@ touched decides (``decide.py``). The search guesses no transmission where one is
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.result import Detectable, Finding
-from zendsp.diagnosis.transmission.claims import claims_of, least_compliance
+from zendsp.diagnosis.transmission.claims import Claim, claims_of, least_compliance
 from zendsp.diagnosis.transmission.findings import findings_of, helpful, load_behind
-from zendsp.diagnosis.transmission.sets import lag_of, sets_of, torque_scale, torque_unit
+from zendsp.diagnosis.transmission.sets import Sets, lag_of, sets_of, torque_scale, torque_unit
 from zendsp.diagnosis.transmission.terms import choose
+from zendsp.diagnosis.transmission.torque_sensor import sides_of
 from zendsp.diagnosis.transmission.torsion import (
     OF_BODIES,
     OF_MOTOR,
+    Motor,
     has_bodies,
     joint_inertia,
     lowpass,
@@ -28,6 +31,7 @@ from zendsp.diagnosis.transmission.waves import waves_of
 from zendsp.physics.effects import get_effect, unit_of
 from zendsp.physics.model import Model, Term
 
+PASSES = 2  # of the lag and the errors over the angle by turns
 LATE = 0.1  # of a row: a column that is later than this is moved
 MOVING = 100  # samples of a set in motion: of fewer a transmission tells nothing
 
@@ -71,20 +75,20 @@ def _measured(parts: Parts, model: Model, joint: int, jobs: int) -> Measured:
         why = f"joint {joint} hardly moves: its position_load was not used"
         return Measured(joint, notes=(why,))
     notes = []
-    band = OF_BODIES if has_bodies(model) else OF_MOTOR
+    sides = sides_of(parts, model, joint)
+    known_motor = Motor(*sides.motor) if sides else Motor() if has_bodies(model) else None
+    band = OF_BODIES if has_bodies(model) and not sides else OF_MOTOR
     inertia = joint_inertia(parts.fit, model, joint)
-    lag = lag_of(raw, band)
-    if abs(lag) > LATE * raw.fit[0].sample_time:
-        raw = raw.each(lambda t: moved(t, lag))
+    lag, waves, straight = _in_time(raw, model, band)
+    if lag:
         late = "late" if lag > 0 else "early"
         notes.append(
             f"joint {joint}: position_load is {1e3 * abs(lag):.3g} ms {late} against position;"
             " taken out"
         )
-    waves, raw = waves_of(raw, model)
-    chosen, slow, motor = choose(raw.each(lambda t: lowpass(t, band)), model, inertia)
+    chosen, slow, motor = choose(straight.each(lambda t: lowpass(t, band)), inertia, known_motor)
     scale = torque_scale(slow.fit)
-    claims = claims_of(slow, chosen, scale, model)
+    claims = [_spread(c, motor) for c in claims_of(slow, chosen, scale, model)]
     if known:
         said = ", ".join(f"{c.name} {abs(c.value):.3g}" for c in claims) or "nothing beyond it"
         notes.append(
@@ -105,3 +109,27 @@ def _measured(parts: Parts, model: Model, joint: int, jobs: int) -> Measured:
         )
     terms = helpful(parts, model, joint, terms, jobs)
     return Measured(joint, findings, terms, seen, tuple(notes))
+
+
+def _in_time(raw: Sets, model: Model, band: float) -> tuple[float, list[Claim], Sets]:
+    """The lag of the second sensor's column, s, 0 where it is small; errors over the angle; the
+    torsion without either. An error over the angle may look like a lag, and a lag moves the error:
+    what it does not explain is asked again.
+    """
+    lag, waves, straight = 0.0, list[Claim](), raw
+    for _ in range(PASSES):
+        more = lag_of(straight, band)
+        lag = lag + more if abs(lag + more) > LATE * raw.fit[0].sample_time else 0.0
+        shift = lag
+        there = raw.each(lambda t, by=shift: moved(t, by)) if lag else raw  # type: ignore[misc]
+        waves, straight = waves_of(there, model)
+        if not waves:
+            break
+    return lag, waves, straight
+
+
+def _spread(claim: Claim, motor: Motor) -> Claim:
+    """A spring with what it owes to a motor's inertia that is not better known."""
+    if claim.name != "spring":
+        return claim
+    return replace(claim, std=math.hypot(claim.std, motor.compliance * claim.value))

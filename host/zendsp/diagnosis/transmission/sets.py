@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from zendsp.diagnosis.data.series import repeats
 from zendsp.diagnosis.data.signals import Parts
-from zendsp.diagnosis.transmission.torsion import Twist, joined, lowpass, rms, twists
+from zendsp.diagnosis.decide.thresholds import SURE
+from zendsp.diagnosis.transmission.torsion import Twist, gap_shape, joined, lowpass, rms, twists
 from zendsp.physics.model import Model
 
 
@@ -46,19 +49,23 @@ def _follows(parts: Parts, joint: int) -> bool:
 
 def lag_of(raw: Sets, band: float) -> float:
     """Time by which the second sensor's column is late, s: torsion that goes with speed beside all
-    that a transmission may do.
+    that a transmission may do; 0 where it is not surely another.
     """
     slow = [lowpass(t, band) for t in raw.fit]
     columns, y = [], []
     for t in slow:
-        parts = [t.qd, t.torque, t.drive, t.qdd, t.extra["direction"]]
+        parts = [t.qd, t.torque, t.drive, t.qdd, t.extra["direction"], gap_shape(t.torque)]
         parts += [np.ones_like(t.q), np.sin(t.q), np.cos(t.q)]
         columns.append(np.stack(parts, axis=1)[t.kept])
         y.append(t.torsion[t.kept])
     a = np.concatenate(columns)
     norms = np.linalg.norm(a, axis=0)
-    x = np.linalg.lstsq(a / np.where(norms > 0, norms, 1.0), np.concatenate(y), rcond=1e-9)[0]
-    return -float(x[0] / norms[0])
+    a /= np.where(norms > 0, norms, 1.0)
+    x = np.linalg.lstsq(a, np.concatenate(y), rcond=1e-9)[0]
+    left = np.split(np.concatenate(y) - a @ x, np.cumsum([len(v) for v in y])[:-1])
+    alike = max(repeats(e, t.sample_time) for e, t in zip(left, slow, strict=True))
+    std = rms(left) * math.sqrt(alike * np.linalg.pinv(a.T @ a, rcond=1e-9)[0, 0])
+    return -float(x[0] / norms[0]) if abs(x[0]) > SURE * std else 0.0
 
 
 def torque_scale(twists: Sequence[Twist]) -> float:

@@ -21,7 +21,8 @@ from zendsp.diagnosis.transmission.torsion import STILL as STANDING
 from zendsp.physics.calibration.joint import JointRecord
 from zendsp.physics.model import Model
 
-FRICTION = ("dry_friction", "fluid_friction")
+FLUID = "fluid_friction"
+FRICTION = ("dry_friction", FLUID)
 ONE_SIDE = 0.2  # of the other side's: less is not said to be there
 GAIN = 0.05  # standard deviation of a gain beyond which nothing is said of it
 
@@ -30,26 +31,30 @@ Number = tuple[float, float]
 
 @dataclass(frozen=True)
 class Sides:
-    """Dry and viscous friction before and after a torque sensor, and what the actuator gives of
-    what it is told; each with its standard deviation.
+    """Dry and viscous friction before and after a torque sensor, what the actuator gives of what it
+    is told, and the inertia before the sensor; each with its standard deviation.
     """
 
     dry: tuple[Number, Number]
     viscous: tuple[Number, Number]
     gain: Number
+    motor: Number
 
     @property
     def side(self) -> str:
-        """``"before"``, ``"after"`` or ``"both"``, by the dry friction; by the viscous one where
-        there is no dry.
-        """
-        for (before, b), (after, a) in (self.dry, self.viscous):
-            sure = before > SURE * b, after > SURE * a
-            if any(sure):
-                if not sure[1] or after < ONE_SIDE * before:
-                    return "before"
-                return "after" if not sure[0] or before < ONE_SIDE * after else "both"
+        """Of the dry friction; of the viscous one where there is no dry."""
+        return side_of(self.dry) or side_of(self.viscous)
+
+
+def side_of(friction: tuple[Number, Number]) -> str:
+    """``"before"``, ``"after"`` or ``"both"``; empty where there is surely none."""
+    (before, b), (after, a) = friction
+    sure = before > SURE * b, after > SURE * a
+    if not any(sure):
         return ""
+    if not sure[1] or after < ONE_SIDE * before:
+        return "before"
+    return "after" if not sure[0] or before < ONE_SIDE * after else "both"
 
 
 @dataclass(frozen=True)
@@ -63,6 +68,13 @@ class Rows:
     qd: Array
     qdd: Array
     s: Array  # direction
+    sin: Array  # of the angle
+    cos: Array
+
+    @property
+    def free(self) -> list[Array]:
+        """Columns of a load that the model does not know: inertia and gravity."""
+        return [self.qdd, self.sin, self.cos]
 
 
 def sides_of(parts: Parts, model: Model, joint: int) -> Sides | None:
@@ -73,11 +85,9 @@ def sides_of(parts: Parts, model: Model, joint: int) -> Sides | None:
     rows = [_rows(r, model, joint) for r in records]
     whole = has_bodies(model)
     before = _fit([(r.drive - r.sensed, [r.qdd, r.qd, r.s], r) for r in rows])
-    after = _fit(
-        [(r.sensed - r.bodies, [r.qd, r.s] if whole else [r.qd, r.s, r.qdd], r) for r in rows]
-    )
+    after = _fit([(r.sensed - r.bodies, [r.qd, r.s, *([] if whole else r.free)], r) for r in rows])
     gain = _fit([(r.sensed, [r.drive, r.qdd, r.qd, r.s], r) for r in rows])
-    return Sides((before[2], after[1]), (before[1], after[0]), gain[0])
+    return Sides((before[2], after[1]), (before[1], after[0]), gain[0], before[0])
 
 
 def _rows(record: JointRecord, model: Model, joint: int) -> Rows:
@@ -85,7 +95,7 @@ def _rows(record: JointRecord, model: Model, joint: int) -> Rows:
 
     fs = 1.0 / record.sample_time
     sos = butter(4, min(OF_MOTOR, 0.2 * fs), fs=fs, output="sos")
-    _, qd, qdd = record.motion.states
+    q, qd, qdd = record.motion.states
     inertia, bias = record.inertia_and_bias(model)
     fast = STANDING * max(float(np.quantile(np.abs(qd), 0.98)), 1e-12)
     use = np.abs(qd) > fast
@@ -98,6 +108,8 @@ def _rows(record: JointRecord, model: Model, joint: int) -> Rows:
         qd,
         qdd,
         np.tanh(qd / fast),
+        np.sin(q),
+        np.cos(q),
     )
     return Rows(record.sample_time, *(sosfiltfilt(sos, x)[use] for x in signals))
 
@@ -131,26 +143,31 @@ def sided(findings: Sequence[Finding], parts: Parts, model: Model) -> tuple[Find
         if f.joint not in known:
             known[f.joint] = sides_of(parts, model, f.joint)
         sides = known[f.joint]
-        out.append(f if sides is None else _with_sides(f, sides, model.torque_unit(f.joint)))
+        unit = model.torque_unit(f.joint)
+        if f.mechanism == FLUID:
+            unit += " s/m" if model.joint_kind(f.joint) == "linear" else " s/rad"
+        out.append(f if sides is None else _with_sides(f, sides, unit))
     return tuple(out)
 
 
 def _with_sides(f: Finding, sides: Sides, unit: str) -> Finding:
-    if f.mechanism in FRICTION and sides.side:
+    own, name = (sides.viscous, "viscous") if f.mechanism == FLUID else (sides.dry, "dry")
+    side = (side_of(own) or sides.side) if f.mechanism in FRICTION else ""
+    if side:
         words = {
             "before": "before the torque sensor, on the motor's side",
             "after": "after the torque sensor, on the load's side",
             "both": "on both sides of the torque sensor",
-        }[sides.side]
-        (before, _), (after, _) = sides.dry
+        }[side]
+        (before, _), (after, _) = own
         details = {
-            "side": sides.side,
+            "side": side,
             "dry_before": sides.dry[0][0],
             "dry_after": sides.dry[1][0],
             "viscous_before": sides.viscous[0][0],
             "viscous_after": sides.viscous[1][0],
         }
-        text = f"{f.sentence} It acts {words}: dry friction {before:.2g} and {after:.2g} {unit}."
+        text = f"{f.sentence} It acts {words}: {name} friction {before:.2g} and {after:.2g} {unit}."
         had = f.numbers.get("details", {})
         return replace(f, sentence=text, numbers={**f.numbers, "details": {**had, **details}})
     gain, std = sides.gain

@@ -5,8 +5,9 @@ transmitted, a step with direction, a gap, an error over the angle. What the pai
 by itself is taken out of each recording: its zero, a time by which one column is late, and, where a
 turn was not completed, a disc that is off centre.
 
-The transmitted torque is that of the rigid bodies behind the transmission where the model has
-bodies, otherwise the actuator's less what accelerates the motor (whose inertia is fitted too).
+The transmitted torque is what a joint torque sensor says. Where there is none it is that of the
+rigid bodies behind the transmission, if the model has bodies; otherwise the actuator's less what
+accelerates the motor (whose inertia is fitted too).
 """
 
 from __future__ import annotations
@@ -58,6 +59,7 @@ class Twist:
     band: float
     kept: npt.NDArray[np.bool_]
     judging: npt.NDArray[np.bool_]  # rows that are evidence; the others only give zeros
+    blur: float  # standard deviation of qdd
     extra: dict[str, Array] = field(default_factory=dict)
 
 
@@ -82,15 +84,17 @@ def twists(data: Data, model: Model, joint: int) -> list[Twist]:
         load = record.columns["position_load"]
         drive = held_drive(record, model, joint)
         torque = of_bodies(record, model) if has_bodies(model) else drive
+        torque = record.columns.get("torque_measured", torque)
         still = STILL * float(np.quantile(np.abs(qd), 0.98))
         edge = max(2, round(0.05 / record.sample_time))
+        blur = float(np.sqrt(np.median(record.motion.variances[2])))
         kept = np.abs(qd) > still
         kept[:edge] = kept[-edge:] = False
         noise = float(np.hypot(white(record.position), white(load)))
         out.append(
             Twist(
                 load - record.position, q, qd, qdd, drive, torque, record.sample_time, noise, 0.0,
-                kept, np.ones(record.n, bool),
+                kept, np.ones(record.n, bool), blur,
             )
         )
     return out
@@ -149,6 +153,7 @@ def lowpass(twist: Twist, band: float) -> Twist:
         band,
         twist.kept[::step],
         twist.judging[::step],
+        twist.blur,
         {"direction": slow(direction), "rate": np.asarray(rate)},
     )
 
@@ -173,6 +178,7 @@ def joined(first: Twist, second: Twist, judging: int) -> Twist:
         first.band,
         np.concatenate([first.kept, second.kept]),
         np.repeat([judging == 0, judging == 1], [len(first.q), len(second.q)]),
+        first.blur,
     )
 
 
@@ -295,15 +301,26 @@ def rms(parts: Sequence[Array]) -> float:
 # --- the transmitted torque where only the joint's whole inertia is known
 
 
+@dataclass(frozen=True)
+class Motor:
+    """Inertia before the transmission, its standard deviation, and that of the compliance for want
+    of a better known one, as a part of it.
+    """
+
+    inertia: float = 0.0
+    std: float = 0.0
+    compliance: float = 0.0
+
+
 def with_motor_torque(
     fit: Sequence[Twist], others: Sequence[Sequence[Twist]], inertia: float, off_centre: bool
-) -> tuple[list[Twist], list[list[Twist]], float, float]:
+) -> tuple[list[Twist], list[list[Twist]], Motor]:
     """The transmitted torque from the motor's side: the drive's less what accelerates the motor and
     its dry friction, both fitted with the spring.
 
     Returns
     -------
-    fit, others, motor inertia, its standard deviation
+    fit, others, motor
     """
 
     from scipy.optimize import minimize_scalar  # takes half a second
@@ -334,7 +351,7 @@ def with_motor_torque(
         parts = [t.drive, t.qdd, t.extra["direction"], t.extra["rate"], side]
         apart.append(np.stack(parts, axis=1)[t.kept])
     loose = regress(fit, apart, off_centre)
-    spread = float(np.sqrt(loose.covariance[1, 1]) / max(abs(loose.x[0]), 1e-300))
+    compliance, spread = np.sqrt(np.diag(loose.covariance)[:2]) / max(abs(loose.x[0]), 1e-300)
 
     def with_torque(ts: Sequence[Twist]) -> list[Twist]:
         return [
@@ -342,7 +359,24 @@ def with_motor_torque(
             for t in ts
         ]
 
-    return with_torque(fit), [with_torque(ts) for ts in others], best * inertia, spread
+    # of a load that is all inertia only the ratio to the compliance is known: any share may be its
+    guessed = _blurred(fit, apart, off_centre) / np.sqrt(12.0)
+    motor = Motor(
+        best * inertia,
+        float(np.hypot(spread, guessed * inertia)),
+        float(np.hypot(compliance, guessed / max(1.0 - best, 0.02))),
+    )
+    return with_torque(fit), [with_torque(ts) for ts in others], motor
+
+
+def _blurred(fit: Sequence[Twist], columns: Sequence[Array], off_centre: bool) -> float:
+    """How much of what tells the acceleration (column 1) from the other columns is its own noise,
+    as a part of its variance, 0 to 1.
+    """
+    own = [replace(t, torsion=np.where(t.kept, t.qdd, 0.0)) for t in fit]
+    rest = [np.delete(c, 1, axis=1) for c in columns]
+    left = rms(regress(own, rest, off_centre).residual)
+    return float(min(1.0, (max(t.blur for t in fit) / max(left, 1e-300)) ** 2))
 
 
 def joint_inertia(data: Data, model: Model, joint: int) -> float:

@@ -9,7 +9,9 @@ EFFECT = Effect(
     site="body",
     mechanism="inertia",
     parameters=(
-        Parameter("mass", "mass", default=0.0, meaning="difference from the file"),
+        Parameter(
+            "mass", "mass", default=0.0, meaning="difference from the file, spread as the link is"
+        ),
         *(
             Parameter(
                 f"com_{axis}", "length", lower=-3, upper=3, default=0.0,
@@ -21,7 +23,7 @@ EFFECT = Effect(
             "inertia",
             "body_inertia",
             default=0.0,
-            meaning="difference, about the centre of mass, the same about every axis",
+            meaning="difference beyond that, about the centre of mass, the same about every axis",
         ),
     ),
     c="",

@@ -56,13 +56,17 @@ def turned_gravity(gravity: Array, terms: Sequence[Term]) -> Array:
 
 
 def change_of(term: Term, body: Body) -> Array:
-    """What a ``payload`` or a wrong ``body`` adds to the ten numbers of its link, (10,)."""
+    """What a ``payload`` or a wrong ``body`` adds to the ten numbers of its link, (10,).
+
+    A wrong mass is that of another density: the inertia is more in proportion.
+    """
     com = np.array([term.value("com_x"), term.value("com_y"), term.value("com_z")])
     mass, spread = term.value("mass"), term.value("inertia") * np.eye(3)
     if term.effect == "payload":
         return numbers_of(mass, com, spread)
     given = numbers_of(body.mass, body.com, body.inertia)
-    return numbers_of(body.mass + mass, body.com + com, body.inertia + spread) - given
+    denser = 1.0 + mass / body.mass if body.mass > 0.0 else 1.0
+    return numbers_of(body.mass + mass, body.com + com, denser * body.inertia + spread) - given
 
 
 def changed(bodies: Sequence[Body], terms: Sequence[Term]) -> list[Body]:
