@@ -19,6 +19,7 @@ from zendsp.recording import Recording
 from zendsp.tui.port import Build, Remark, Shot, Sink, Tell
 from zendsp.tui.snapshot import Snapshot, TripView, Variable
 from zendsp_protocol import messages as m
+from zendsp_protocol.values import Assignable, Value
 
 if TYPE_CHECKING:
     from zendsp.experiment import FrequencyResponse, Sweep
@@ -53,7 +54,7 @@ class LinkPort:
         drive = self.target.drive_status()
         if s.program != self._program or (s.program and not self._variables):
             self._learn(s.program)
-        values: Mapping[str, Any] = {}
+        values: Mapping[str, Value] = {}
         if self._names and s.state not in ("empty", "crashed"):
             with contextlib.suppress(RunnerDied):
                 values = self.target.read(self._names).values
@@ -62,9 +63,7 @@ class LinkPort:
         ):
             with contextlib.suppress(ZendspError):
                 self._recorder = self.target.acquire_status()
-        if self._described is not None and (
-            self._limits is None or self._looked % LOST_EVERY == 0
-        ):
+        if self._described is not None and (self._limits is None or self._looked % LOST_EVERY == 0):
             with contextlib.suppress(RunnerDied):
                 self._limits = self.target.limits()
         self._looked += 1
@@ -73,7 +72,7 @@ class LinkPort:
         return self._make(s, drive, values, latency)
 
     def _make(
-        self, s: m.Status, drive: m.DriveStatus, values: Mapping[str, Any], latency: float
+        self, s: m.Status, drive: m.DriveStatus, values: Mapping[str, Value], latency: float
     ) -> Snapshot:
         t, recorder, described = s.timing, self._recorder, self._described
         io = {name: np.ravel(np.asarray(plain(value))) for name, value in s.io.items()}
@@ -187,13 +186,13 @@ class LinkPort:
     # -- variables
     # ----------------------------------------------------------------------------------------------
 
-    def write(self, values: Mapping[str, Any]) -> int:
+    def write(self, values: Mapping[str, Assignable]) -> int:
         """Write asynchronously, then wait for the word that it acts."""
         sequence = self.target.write(**values)
         applied: m.Applied = self.target.request("wait_applied", sequence=sequence, timeout=2.0)
         return applied.tick
 
-    def update(self, values: Mapping[str, Any]) -> int:
+    def update(self, values: Mapping[str, Assignable]) -> int:
         """Apply all in one sample."""
         return self.target.update(None, **values)
 
@@ -204,7 +203,7 @@ class LinkPort:
     def rehearse(
         self,
         tables: Mapping[str, npt.NDArray[np.float64]],
-        values: Mapping[str, Any],
+        values: Mapping[str, Assignable],
         seconds: float,
         tell: Callable[[float], None],
     ) -> Rehearsal:
@@ -219,7 +218,7 @@ class LinkPort:
 
     def sweep(
         self,
-        values: Mapping[str, Sequence[Any]],
+        values: Mapping[str, Sequence[Assignable]],
         channels: Sequence[str],
         settings: Mapping[str, Any],
         tell: Tell,

@@ -7,7 +7,6 @@ import threading
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -28,6 +27,7 @@ from zendsp.tui.playing import (
 )
 from zendsp.tui.port import Port
 from zendsp.tui.snapshot import Snapshot
+from zendsp_protocol.values import Assignable
 
 STILL_S = 0.5  # that a plan must stay the same before it is tried
 AGAIN_S = 10.0  # after one that failed
@@ -40,11 +40,11 @@ class Plan:
     """All that decides how a run goes."""
 
     program: str
-    parameters: Mapping[str, Any]
+    parameters: Mapping[str, Assignable]
     player: Player
     playlist: Playlist
-    values: Mapping[str, Any]
-    before: Mapping[str, Any]  # what these parameters are now
+    values: Mapping[str, Assignable]
+    before: Mapping[str, Assignable]  # what these parameters are now
     lead: float
 
     @property

@@ -7,7 +7,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any
@@ -232,7 +232,7 @@ class Server:
     def _variable(self, query: zenoh.Query) -> None:
         self._answer(query, lambda: self._values(query.key_expr))
 
-    def _values(self, wanted: zenoh.KeyExpr) -> dict[str, Any]:
+    def _values(self, wanted: zenoh.KeyExpr) -> Mapping[str, object]:
         user = keys.user_of(str(wanted))
         if user:
             check_role(user, self._doors.role_of(user), verbs.VERBS["read"])
@@ -254,7 +254,7 @@ class Server:
             for name, value in read.items()
         }  # fmt: skip
 
-    def _answer(self, query: zenoh.Query, find: Callable[[], dict[str, Any]]) -> None:
+    def _answer(self, query: zenoh.Query, find: Callable[[], Mapping[str, object]]) -> None:
         try:
             with query:
                 try:

@@ -26,6 +26,7 @@ from zendsp.recording.names import gather_vectors
 from zendsp.reference import Reference, load_reference
 from zendsp_isr.sources import Source
 from zendsp_protocol.texts import counted
+from zendsp_protocol.values import Assignable
 
 Array = npt.NDArray[np.float64]
 Controller = Callable[[float, Array, Array], npt.ArrayLike]
@@ -39,7 +40,7 @@ def simulate(
     *,
     reference: Reference | str | Path | None = None,
     seconds: float | None = None,
-    parameters: Mapping[str, Any] | None = None,
+    parameters: Mapping[str, Assignable] | None = None,
     channels: Sequence[str] | None = None,
     position: npt.ArrayLike | None = None,
     velocity: npt.ArrayLike | None = None,
@@ -275,8 +276,9 @@ def recording(
                 columns[name], units[name] = values[:, j], unit
         else:
             columns[str(names)], units[str(names)] = (
-                values if values.shape[1] > 1 else values[:, 0]
-            ), unit
+                (values if values.shape[1] > 1 else values[:, 0]),
+                unit,
+            )
 
     put("position", out["measured"], unit)
     put("command", out["command"], model.actuator.unit or torque)

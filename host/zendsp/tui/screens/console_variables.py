@@ -29,7 +29,7 @@ from zendsp.tui.panels.variables import VariablesPanel
 from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.snapshot import Variable
 from zendsp.tui.values import differs, reader, show_exact, show_limits, show_value
-from zendsp_protocol.values import Assignable
+from zendsp_protocol.values import Assignable, Value
 
 UNDO_DEPTH = 100
 
@@ -119,7 +119,7 @@ class VariableActions(LabScreen):
 
         self.ask(f"write {v.name}", lambda port: port.write({v.name: value}), done)
 
-    def _remember(self, old: Mapping[str, Any]) -> None:
+    def _remember(self, old: Mapping[str, Value | None]) -> None:
         self._undo.append({name: value for name, value in old.items() if value is not None})
         del self._undo[:-UNDO_DEPTH]
 
@@ -228,6 +228,7 @@ class VariableActions(LabScreen):
             self.say("no parameter has a slider: it needs two finite limits", "warning")
             return
         found.sort(key=lambda v: v.name != self.variables.marked)  # the marked one first
+
         def write(values: Mapping[str, float], together: bool) -> None:
             verb = "update" if together else "write"
             self.ask(f"sliders {verb}", lambda port: getattr(port, verb)(values))

@@ -9,7 +9,7 @@ import webbrowser
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.text import Text
@@ -23,7 +23,6 @@ from zendsp.tui.compensating import (
     Compensation,
     compensation_of,
     has_room,
-    not_compensated,
 )
 from zendsp.tui.diagnoses import Diagnosed, compare
 from zendsp.tui.dialogs import Field, Form, Message, not_empty
@@ -154,8 +153,8 @@ class LoopActions(LabScreen):
         state, words = self._standing(s)
         c = self.compensation
         if state == "nothing" or c is None:
-            why = not_compensated(d.folder / FILE) if (d.folder / FILE).is_file() else ""
-            text = why or "Nothing of it can be cancelled by a torque."
+            left_out = "\n".join(c.left_out) if c else ""
+            text = left_out or "Nothing of it can be cancelled by a torque."
             self.app.push_screen(Message("Compensation", Text(text)))
         elif state == "no program":
             self.say(words, "warning")
@@ -166,7 +165,7 @@ class LoopActions(LabScreen):
 
     def _switch(self, c: Compensation, *, on: bool) -> None:
         self.query_one("#findings", OptionList).highlighted = len(self.entries) - 1
-        values: Mapping[str, Any] = {**c.values, SHARE: 1.0} if on else {SHARE: 0.0}
+        values: Mapping[str, float] = {**c.values, SHARE: 1.0} if on else {SHARE: 0.0}
         if on:
             self.before = self._rms()
         fade = self.lab.session.snapshot.values.get("comp_fade", 0.0)
