@@ -49,10 +49,6 @@ class Built:
 def source_root() -> Path:
     """Folder of the C sources that ship with the package: include, runtime, machines, programs.
 
-    Returns
-    -------
-    Path
-
     Examples
     --------
     >>> (source_root() / "include" / "isr.h").exists()

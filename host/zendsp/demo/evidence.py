@@ -73,10 +73,6 @@ def compare_loop(recording: Recording, simulated: Recording) -> Hidden:
     ----------
     recording, simulated : Recording
         With q and tau, from the same first sample.
-
-    Returns
-    -------
-    Hidden
     """
     rows = min(len(recording), len(simulated))
     q, tau = columns(recording, "q")[:rows], columns(recording, "tau")[:rows]
@@ -117,10 +113,6 @@ def compare_tracking(recording: Recording, tick: int, first_s: float, last_s: fl
         Sample at which the update took effect.
     first_s, last_s : float
         Between which the machine works, s.
-
-    Returns
-    -------
-    Tracking
     """
     at = (tick - recording.start_tick) * recording.sample_time
     t = np.arange(len(recording)) * recording.sample_time
@@ -207,10 +199,6 @@ def judge(diagnosis: Diagnosis, effects: Sequence[TrueEffect]) -> Judged:
     diagnosis : Diagnosis
     effects : sequence of mapping
         Of :class:`zendsp.link.concealed.Truth`.
-
-    Returns
-    -------
-    Judged
     """
     found = diagnosis.findings
     named = all(any(matches(f, truth) for f in found) for truth in effects)

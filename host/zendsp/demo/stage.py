@@ -78,10 +78,6 @@ def nominal_model(
         s.
     folder : Path
         For the description of the bodies, where the model has one.
-
-    Returns
-    -------
-    Model
     """
     plan = stage.plan
     effects: list[Mapping[str, object]] = []

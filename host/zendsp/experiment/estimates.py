@@ -36,10 +36,6 @@ def mean_of(
         Standard deviation of what all of them share and their spread does not show.
     beside : sequence of float
         Others, of another mean, that scatter in the same proportion to it.
-
-    Returns
-    -------
-    Estimate
     """
     mean = float(np.mean(values))
     squares, free = float(np.sum((np.asarray(values) - mean) ** 2)), len(values) - 1

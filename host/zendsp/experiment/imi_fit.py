@@ -78,10 +78,6 @@ def fit_curve(speed: Array, friction: Array, weight: Array) -> Curve:
         rad/s and N m, signed.
     weight : ndarray, shape (N,)
         Of each point.
-
-    Returns
-    -------
-    Curve
     """
     best: Curve | None = None
     root = np.sqrt(weight)

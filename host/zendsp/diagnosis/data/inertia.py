@@ -45,15 +45,6 @@ def inertia_ranges(
 ) -> dict[str, tuple[float, float]]:
     """Range of each joint's own inertia, kg m² or kg, by ``own_key``; only where the recordings
     determine it.
-
-    Parameters
-    ----------
-    records : sequence of recordings, each a sequence of JointRecord
-    model : Model
-
-    Returns
-    -------
-    dict of str to (float, float)
     """
     ranges = {}
     for joint in range(1, model.joints + 1):

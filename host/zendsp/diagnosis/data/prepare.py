@@ -41,10 +41,6 @@ def prepare(signals: Sequence[Signals], model: Model, bandwidth: float = 32.0) -
         The given model (its values only scale the smoothing).
     bandwidth : float
         First guess of the observers, rad/s.
-
-    Returns
-    -------
-    Data
     """
     records = tuple(_records(s, model) for s in signals)
     return Data(records, (bandwidth,) * model.joints, ranges=inertia_ranges(records, model))

@@ -133,10 +133,6 @@ def diagnose_simulator(
     progress : callable, optional
         Receives a sentence at each stage.
 
-    Returns
-    -------
-    Diagnosis
-
     Raises
     ------
     RecordingError, ModelError

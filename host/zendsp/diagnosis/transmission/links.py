@@ -41,10 +41,6 @@ def with_links(parts: Parts, model: Model, joints: Collection[int]) -> Parts:
         In kernel form.
     joints : collection of int
         1-based; those of ``divided(model)`` or some of them.
-
-    Returns
-    -------
-    Parts
     """
     if not joints:
         return parts

@@ -40,10 +40,6 @@ def free_handles(
         Only terms of these joints (1-based); all where empty.
     offsets : bool
         Also the sensor's zero within one count, where a torque depends on position.
-
-    Returns
-    -------
-    tuple of Handle
     """
     wanted = set(joints or range(1, model.joints + 1))
     handles: list[Handle] = []

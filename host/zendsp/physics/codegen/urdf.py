@@ -31,10 +31,6 @@ def dh_urdf(
     comment : str
         Goes to the top.
 
-    Returns
-    -------
-    str
-
     Examples
     --------
     >>> bar = dict(a=0.0, alpha_deg=0.0, d=0.1, mass=1.0, com=[0, 0, 0], inertia=[1, 1, 1, 0, 0, 0])

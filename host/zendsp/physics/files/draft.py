@@ -80,10 +80,6 @@ def draft_model(table: Table, name: str = "", machine: Machine | None = None) ->
     machine : Machine, optional
         What zendsp's own recording says beside its rows: limits, encoders, delay, MuJoCo model.
 
-    Returns
-    -------
-    Draft
-
     Raises
     ------
     RecordingError

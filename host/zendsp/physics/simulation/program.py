@@ -112,10 +112,6 @@ def compile_program(program: Source, flags: Sequence[str] = ()) -> Build:
     flags : sequence of str
         Further flags for the compiler.
 
-    Returns
-    -------
-    Build
-
     Raises
     ------
     CompileFailed
@@ -147,10 +143,6 @@ def run_program(build: Build, plant: Plant, job: Job, timeout_s: float) -> Outco
     job : Job
     timeout_s : float
         Of real time, s.
-
-    Returns
-    -------
-    Outcome
 
     Raises
     ------
