@@ -133,7 +133,6 @@ class Bridge:
         self.close()
 
     # -- what goes out
-    # ----------------------------------------------------------------------------------------------
 
     def _poll(self) -> None:
         while not self._closing.wait(POLL_S):
@@ -215,7 +214,6 @@ class Bridge:
             self._server.publish_status(text, self._fox.websocket.StatusLevel.Warning)
 
     # -- parameters
-    # ----------------------------------------------------------------------------------------------
 
     def parameters(self) -> dict[str, Any]:
         """Return all parameters of the program, from one sample."""

@@ -44,7 +44,6 @@ class LinkPort:
         self._recorder: m.AcquireStatus | None = None
 
     # -- what is
-    # ----------------------------------------------------------------------------------------------
 
     def snapshot(self) -> Snapshot:
         """Ask for everything a screen shows; six quick requests at the most."""
@@ -140,7 +139,6 @@ class LinkPort:
         ]
 
     # -- live
-    # ----------------------------------------------------------------------------------------------
 
     def live(self, names: Sequence[str], sink: Sink) -> Callable[[], None]:
         """Follow signals; returns what ends it."""
@@ -156,7 +154,6 @@ class LinkPort:
         return view.close
 
     # -- program
-    # ----------------------------------------------------------------------------------------------
 
     def stop(self) -> str:
         """STOP; returns how it ended."""
@@ -184,7 +181,6 @@ class LinkPort:
         return Build(True, result.seconds, result.cached, _remarks(result))
 
     # -- variables
-    # ----------------------------------------------------------------------------------------------
 
     def write(self, values: Mapping[str, Assignable]) -> int:
         """Write asynchronously, then wait for the word that it acts."""
@@ -229,7 +225,6 @@ class LinkPort:
         return sweep(self.target, values, channels, **settings, progress=tell)
 
     # -- drives
-    # ----------------------------------------------------------------------------------------------
 
     def drive(self, verb: str, **values: Any) -> str:
         """Ask something of the drives; homing is waited for."""
@@ -239,7 +234,6 @@ class LinkPort:
         return said.text
 
     # -- acquisition
-    # ----------------------------------------------------------------------------------------------
 
     def arm(self, shot: Shot) -> None:
         """Configure and start the recorder."""

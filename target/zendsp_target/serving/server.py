@@ -92,7 +92,6 @@ class Server:
             thread.join(JOIN_S)
 
     # requests
-    # ----------------------------------------------------------------------------------------------
 
     def _serve(self, key: str, answers: Sequence[Callable[[zenoh.Query], None]]) -> None:
         """Answer what comes for a key, in as many threads.
@@ -222,7 +221,6 @@ class Server:
             query.drop()  # type: ignore[no-untyped-call]
 
     # for any Zenoh client
-    # --------------------------------------------------------------------------------------------
 
     def _info(self, query: zenoh.Query) -> None:
         self._answer(

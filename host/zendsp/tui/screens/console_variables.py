@@ -70,7 +70,6 @@ class VariableActions(LabScreen):
         return v
 
     # -- one variable
-    # ----------------------------------------------------------------------------------------------
 
     @on(LiveTable.Chosen)
     def _row_chosen(self) -> None:
@@ -124,7 +123,6 @@ class VariableActions(LabScreen):
         del self._undo[:-UNDO_DEPTH]
 
     # -- many variables in one sample
-    # ---------------------------------------------------------------------------------
 
     def action_initial(self) -> None:
         """Stage the initial value of the marked variable."""
@@ -218,7 +216,6 @@ class VariableActions(LabScreen):
             self.say("nothing to undo")
 
     # -- sliders
-    # ----------------------------------------------------------------------------------------------
 
     def action_sliders(self) -> None:
         """Move parameters by sliders."""
@@ -241,7 +238,6 @@ class VariableActions(LabScreen):
         self.app.push_screen(dialog, closed)
 
     # -- parameter sets
-    # ----------------------------------------------------------------------------------------------
 
     def action_sets(self) -> None:
         """Save, compare and load."""

@@ -61,7 +61,6 @@ class LoopActions(LabScreen):
         return self.shown
 
     # -- compensation in the running program
-    # ----------------------------------------------------------------------------------------------
 
     def loop_entry(self, d: Diagnosed) -> Entry:
         """Return the line about the compensation of a diagnosis."""
@@ -254,7 +253,6 @@ class LoopActions(LabScreen):
         self.ask("build", job, done)
 
     # -- files
-    # ----------------------------------------------------------------------------------------------
 
     def action_report(self) -> None:
         """Open the report in a browser."""
@@ -303,7 +301,6 @@ class LoopActions(LabScreen):
             self.app.push_screen(Message("Compare", Text(text)))
 
     # -- the next motion
-    # ----------------------------------------------------------------------------------------------
 
     def action_next(self) -> None:
         """Open the proposed motion on Execute; its run is diagnosed together with the others."""

@@ -50,7 +50,6 @@ class ReferenceForm(LabScreen):
         raise NotImplementedError
 
     # -- layout
-    # ----------------------------------------------------------------------------------------------
 
     def body(self) -> ComposeResult:
         with Horizontal(id="reference-body"):
@@ -133,7 +132,6 @@ class ReferenceForm(LabScreen):
         return self.machine.name if self.machine.modelled else TARGET
 
     # -- the form
-    # ----------------------------------------------------------------------------------------------
 
     async def _fill_form(self, values: Mapping[str, Any] | None = None) -> None:
         """Make a line for each parameter, with its default unless ``values`` has it."""
