@@ -16,7 +16,7 @@ from zendsp_protocol.texts import counted
 
 Array = npt.NDArray[np.float64]
 Getter = Callable[[str], Array]  # from a column's name to its numbers in SI
-Columns = Mapping[str, Any]  # a model's [columns]: a name, or a list of them, by role
+Columns = Mapping[str, str | list[str]]  # a model's [columns]: a name, or a list of them, by role
 
 
 LARGEST = 1e100  # of a value: its square is a number yet

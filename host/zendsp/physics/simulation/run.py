@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -203,9 +203,24 @@ def beyond(model: Model, outcome: Outcome) -> list[str]:
     return said
 
 
+class Halving(TypedDict):
+    """How far each position moved when the steps of a sample were doubled."""
+
+    inner: int
+    change: list[float]
+
+
+class StepCheck(TypedDict):
+    """Whether more steps a sample would still move the positions, as the recording keeps it."""
+
+    converged: bool
+    allowed: list[float]
+    halvings: list[Halving]
+
+
 def converge(
     model: Model, inner: int, positions: Callable[[int], Array]
-) -> tuple[int, dict[str, Any]]:
+) -> tuple[int, StepCheck]:
     """Double the steps until the positions stand still to one count; the count that suffices, and
     what was found.
     """
@@ -213,7 +228,7 @@ def converge(
         [per_joint(model.sensor.resolution, j + 1, 0.0) or 1e-5 for j in range(joint_count(model))]
     )
     last = positions(inner)
-    changes = []
+    changes: list[Halving] = []
     while True:
         finer = positions(2 * inner)
         rows = min(len(last), len(finer))
