@@ -8,10 +8,7 @@ from typing import Any
 
 
 def dh_urdf(
-    name: str,
-    links: Sequence[Mapping[str, Any]],
-    limits: Mapping[str, Sequence[float]],
-    comment: str = "",
+    name: str, links: Sequence[Mapping[str, Any]], limits: Mapping[str, Sequence[float]]
 ) -> str:
     """A URDF whose joints turn about the same axes as the frames of a Denavit-Hartenberg table
     (distal convention).
@@ -28,8 +25,6 @@ def dh_urdf(
         mass: xx yy zz xy xz yz).
     limits : mapping
         position_min, position_max (rad), torque (N m), speed (rad/s): one number a joint.
-    comment : str
-        Goes to the top.
 
     Examples
     --------
@@ -40,7 +35,6 @@ def dh_urdf(
     """  # noqa: E501
     out = [
         '<?xml version="1.0"?>',
-        *([f"<!-- {comment.replace('--', '- -')} -->"] if comment else []),
         f'<robot name="{name}">',
         '  <link name="base"/>',
     ]

@@ -64,7 +64,7 @@ class _Page:
             self.lines.append(f"{text:<38} # {comment}")
 
 
-def draft_model(table: Table, name: str = "", machine: Machine | None = None) -> Draft:
+def draft_model(table: Table, machine: Machine | None = None) -> Draft:
     """A commented model file for the machine that a recording shows.
 
     Columns are told by their names and units; sample time, resolution of the encoder, number of
@@ -75,8 +75,6 @@ def draft_model(table: Table, name: str = "", machine: Machine | None = None) ->
     ----------
     table : Table
         As ``read_table`` gives it.
-    name : str
-        Of the model; default: of the machine, else of the file.
     machine : Machine, optional
         What zendsp's own recording says beside its rows: limits, encoders, delay, MuJoCo model.
 
@@ -118,7 +116,7 @@ def draft_model(table: Table, name: str = "", machine: Machine | None = None) ->
         bad = 0 if group is None else int(np.sum(~np.isfinite(group.values)))
         if group is not None and bad:
             page.line(ask=f"{group.names[0]} has {bad} values that are no finite numbers: why?")
-    name = name or (machine.name if machine else table.path.name.partition(".")[0]) or "machine"
+    name = (machine.name if machine else table.path.name.partition(".")[0]) or "machine"
     page.line(f"name = {json.dumps(name, ensure_ascii=False)}")
     clock = best_group(groups, Role.TIME)
     step = _sample_time(page, clock, table.path.name)
