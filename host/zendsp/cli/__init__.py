@@ -149,9 +149,10 @@ def main() -> None:
         click.echo("interrupted", err=True)
         sys.exit(130)
     except (MemoryError, ImportError) as error:
-        if not (isinstance(error, MemoryError) or _memory_is_limited(error)):
+        lacking = _too_little_memory(error)
+        if lacking is None:
             raise
-        say(MemoryError(*error.args))
+        say(MemoryError(*lacking.args))
         sys.exit(2)
     except OSError as error:  # a full disk, a folder without the right to write, a full output
         say(error)
@@ -159,12 +160,16 @@ def main() -> None:
         sys.exit(2)
 
 
-def _memory_is_limited(error: ImportError) -> bool:
-    """Whether a library that is there cannot be loaded and memory is limited (``ulimit -v``)."""
+def _too_little_memory(error: BaseException | None) -> BaseException | None:
+    """What did not fit into memory: where it is limited (``ulimit -v``), a library that is there and
+    cannot be loaded; NumPy raises an error of its own upon that one. None: another error.
+    """
     import resource
 
+    while isinstance(error, ImportError) and error.path is None:
+        error = error.__cause__
     limited = resource.getrlimit(resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY
-    return limited and error.path is not None
+    return error if limited or isinstance(error, MemoryError) else None
 
 
 def say(error: Exception) -> None:
