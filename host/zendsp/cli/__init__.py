@@ -161,8 +161,8 @@ def main() -> None:
 
 
 def _too_little_memory(error: BaseException | None) -> BaseException | None:
-    """What did not fit into memory: where it is limited (``ulimit -v``), a library that is there and
-    cannot be loaded; NumPy raises an error of its own upon that one. None: another error.
+    """What did not fit into memory: where it is limited (``ulimit -v``), a library that is there
+    and cannot be loaded; NumPy raises an error of its own upon that one. None: another error.
     """
     import resource
 
