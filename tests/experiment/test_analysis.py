@@ -285,14 +285,8 @@ def test_what_cannot_go_into_a_model_is_refused(tmp_path: Path) -> None:
 
 
 def test_what_goes_into_a_model_is_known_before_a_machine_moves() -> None:
-    assert fit_model(list(EXPERIMENTS), MODELS / "imi_planar.toml") == [
-        "friction",
-        "imi-fit",
-    ]
-    assert fit_model(list(EXPERIMENTS), MODELS / "wam7.toml") == [
-        "friction",
-        "wam-friction",
-    ]
+    assert fit_model(list(EXPERIMENTS), MODELS / "imi_planar.toml") == ["friction", "imi-fit"]
+    assert fit_model(list(EXPERIMENTS), MODELS / "wam7.toml") == ["friction", "wam-friction"]
     with pytest.raises(
         ModelError,
         match=r"finds nothing .* friction, imi-fit, pendulum-mechanical, wam-friction do",

@@ -67,9 +67,7 @@ def _alone(folder: Path) -> ZendspApp:
 
 
 @pytest.mark.covers("diagnose.start", "diagnose.add", "diagnose.model")
-async def test_a_file_is_diagnosed_and_the_finding_is_drawn(
-    tmp_path: Path, until: Until
-) -> None:
+async def test_a_file_is_diagnosed_and_the_finding_is_drawn(tmp_path: Path, until: Until) -> None:
     run, model = cases.bench(tmp_path)
     app = _alone(tmp_path)
     async with app.run_test(size=(80, 24)) as pilot:
@@ -102,9 +100,7 @@ async def test_a_file_is_diagnosed_and_the_finding_is_drawn(
         assert figure.chart is not None and figure.chart.name == law.name
         assert np.array_equal(figure.plots[0].curves[0].xy[:, 1], law.panels[0].series[0].y)
         _drawn(screen)
-        assert [d.folder for d in list_diagnoses(tmp_path / "diagnoses")] == [
-            screen.shown.folder
-        ]
+        assert [d.folder for d in list_diagnoses(tmp_path / "diagnoses")] == [screen.shown.folder]
         assert not list((tmp_path / "diagnoses").glob(".*")), "nothing half is left"
 
 
@@ -210,9 +206,7 @@ async def test_the_last_run_is_marked_and_others_can_be_held_out(
         assert not screen.chosen("fit") and not screen.chosen("held out")
 
 
-@pytest.mark.covers(
-    "diagnose.report", "diagnose.save", "diagnose.earlier", "diagnose.compare"
-)
+@pytest.mark.covers("diagnose.report", "diagnose.save", "diagnose.earlier", "diagnose.compare")
 async def test_an_earlier_diagnosis_is_opened_saved_and_compared(
     tmp_path: Path, until: Until, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -65,9 +65,7 @@ def command(
     from zendsp.demo.narrator import Narrator
 
     narrator = Narrator(quiet=as_json)
-    told = run_demo(
-        out, machine=machine, effect=effect, seed=seed, clock=clock, narrator=narrator
-    )
+    told = run_demo(out, machine=machine, effect=effect, seed=seed, clock=clock, narrator=narrator)
     emit(json.loads((out / "story.json").read_text(encoding="utf-8")), as_json)
     if web and not as_json:
         click.launch(str((out / "report.html").resolve()))

@@ -49,11 +49,7 @@ def _text(status: m.Status) -> str:
     for name, binned in (("execution", t.exec_histogram), ("lateness", t.late_histogram)):
         counts = np.asarray(from_wire(binned))
         if counts.ndim == 1 and len(edges) == len(counts) + 1 and counts.sum():
-            lines += [
-                "",
-                f"{name}, µs; bars: log of the samples",
-                *bars(counts, edges),
-            ]
+            lines += ["", f"{name}, µs; bars: log of the samples", *bars(counts, edges)]
     return "\n".join(lines)
 
 

@@ -46,9 +46,7 @@ def mean_of(
     return Estimate(mean, float(np.hypot(half / NORMAL, systematic)), unit)
 
 
-def least_squares(
-    A: Array, b: Array, independent: int | None = None
-) -> tuple[Array, Array, Array]:
+def least_squares(A: Array, b: Array, independent: int | None = None) -> tuple[Array, Array, Array]:
     """Solution of A x = b, 95 % half widths, and the covariance over the residual's variance.
 
     ``independent``: how many of the rows are, where not all are.

@@ -163,10 +163,7 @@ def _report(result: Result, joint: int, curve: Curve, static: Result) -> None:
     rest = zip(("slope", "curve", "cubic", "high_curve"), p[2:], strict=True)
     block = {name: Estimate(float(value)) for name, value in rest}
     block |= {"level": Estimate(base, float(curve.std[0]), "N m"), "split": Estimate(curve.split)}
-    uneven = {
-        "level_pos": Estimate(float(p[0] - base)),
-        "level_neg": Estimate(float(p[1] - base)),
-    }
+    uneven = {"level_pos": Estimate(float(p[0] - base)), "level_neg": Estimate(float(p[1] - base))}
     bristles = {"stiffness": Estimate(stiffness), "damping": Estimate(float(damping))}
     result.effects += [
         FoundEffect("friction_block", joint, block),

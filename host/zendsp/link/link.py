@@ -205,12 +205,7 @@ class Link:
             " is back"
         ) from None
 
-    def stream(
-        self,
-        verb: str,
-        arguments: Any,
-        on_part: Callable[[bytes, bytes], None],
-    ) -> None:
+    def stream(self, verb: str, arguments: Any, on_part: Callable[[bytes, bytes], None]) -> None:
         """Send a request that is answered in many parts, each with an attachment, and a last one
         without.
 

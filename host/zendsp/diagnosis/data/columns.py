@@ -56,9 +56,7 @@ def refuse_no_number(what: str, values: Array) -> None:
     )
 
 
-def getter(
-    source: str | Path | Recording | Table,
-) -> tuple[str, Getter, tuple[str, ...]]:
+def getter(source: str | Path | Recording | Table) -> tuple[str, Getter, tuple[str, ...]]:
     """Its name, a function from a column's name to its numbers in SI, and what was done to get
     these.
     """

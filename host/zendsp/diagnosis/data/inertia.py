@@ -92,9 +92,7 @@ def _estimate(
     return float(theta[0] / scale[0]), float(theta[0] / max(np.sqrt(max(spread, 0.0)), 1e-300))
 
 
-def _system(
-    rec: JointRecord, model: Model, window: float, coupled: bool
-) -> tuple[Array, Array]:
+def _system(rec: JointRecord, model: Model, window: float, coupled: bool) -> tuple[Array, Array]:
     width = max(3, round(window / rec.sample_time))
 
     def low(v: Array) -> Array:

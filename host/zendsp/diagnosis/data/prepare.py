@@ -51,10 +51,7 @@ def one_sensor(signals: Sequence[Signals]) -> list[Signals]:
     and a recording in which a joint hardly moves says next to nothing of its noise.
     """
     noises = {
-        (
-            len(s.time),
-            *map(noise_beside_quantisation, s.position.T, map(float, s.resolution)),
-        )
+        (len(s.time), *map(noise_beside_quantisation, s.position.T, map(float, s.resolution)))
         for s in signals
     }  # a recording that is given twice counts once
     usual = np.median(np.array(list(noises))[:, 1:], axis=0)

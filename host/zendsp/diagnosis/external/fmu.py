@@ -319,9 +319,7 @@ class _Instance:
     def _calls(self) -> tuple[Any, Any, Any]:
         """What each row calls: with a buffer of outputs, with one of inputs, with time and step."""
         dll, c, p = self.slave.dll, self.slave.component, self.ports
-        reads, writes = (
-            (ctypes.c_uint * len(r))(*r) for r in (p.outputs, p.inputs)
-        )
+        reads, writes = ((ctypes.c_uint * len(r))(*r) for r in (p.outputs, p.inputs))
         n, m = len(reads), len(writes)
         if not self.three:
             get, put, do = dll.fmi2GetReal, dll.fmi2SetReal, dll.fmi2DoStep

@@ -33,11 +33,7 @@ def dh_urdf(
     >>> text.count("<joint ")
     1
     """  # noqa: E501
-    out = [
-        '<?xml version="1.0"?>',
-        f'<robot name="{name}">',
-        '  <link name="base"/>',
-    ]
+    out = ['<?xml version="1.0"?>', f'<robot name="{name}">', '  <link name="base"/>']
     place, parent = (0.0, 0.0, 0.0), "base"
     for k, link in enumerate(links, start=1):
         a, d, alpha = float(link["a"]), float(link["d"]), math.radians(float(link["alpha_deg"]))

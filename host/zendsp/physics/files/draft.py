@@ -331,9 +331,7 @@ def _idea(q: Array, u: Array, step: float, linear: bool) -> _Idea | None:
     return _Idea(float(x[0]), gravity, share) if share > EXPLAINS and x[0] > 0 else None
 
 
-def _actuator(
-    page: _Page, command: Group | None, step: float, machine: Machine | None
-) -> None:
+def _actuator(page: _Page, command: Group | None, step: float, machine: Machine | None) -> None:
     page.line()
     page.line("[actuator]")
     if command is None:

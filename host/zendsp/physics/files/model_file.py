@@ -126,12 +126,7 @@ class _Reader:
         if std < 0:
             raise self.fail(f"{key}.std", "a number of at least 0", std)
         return tuple(
-            Quantity(
-                v,
-                free,
-                str(table.get("unit", "")),
-                std,
-            )
+            Quantity(v, free, str(table.get("unit", "")), std)
             for v in self.numbers(f"{key}.value", table["value"])
         )
 
@@ -218,9 +213,7 @@ def parse_model(data: Mapping[str, Any], path: str = "model") -> Model:
     effects = data.get("effect", [])
     if not isinstance(effects, list):
         raise read.fail("[[effect]]", "an array of tables", effects)
-    return model.with_terms(
-        (*own, *(_term(read, item, model.joints) for item in effects))
-    )
+    return model.with_terms((*own, *(_term(read, item, model.joints) for item in effects)))
 
 
 def _check_keys(read: _Reader, data: Mapping[str, Any]) -> None:

@@ -218,9 +218,7 @@ class StepCheck(TypedDict):
     halvings: list[Halving]
 
 
-def converge(
-    model: Model, inner: int, positions: Callable[[int], Array]
-) -> tuple[int, StepCheck]:
+def converge(model: Model, inner: int, positions: Callable[[int], Array]) -> tuple[int, StepCheck]:
     """Double the steps until the positions stand still to one count; the count that suffices, and
     what was found.
     """

@@ -394,9 +394,7 @@ class DiagnoseScreen(LoopActions):
         if not known:
             self.say("there is no other diagnosis yet", "warning")
             return
-        options = [
-            Line(str(d.folder), f"{d.name}  {_when(d)}", headline(d.report)) for d in known
-        ]
+        options = [Line(str(d.folder), f"{d.name}  {_when(d)}", headline(d.report)) for d in known]
 
         def take(keys: list[str] | None) -> None:
             if keys:
