@@ -16,7 +16,9 @@ import zenoh
 from fake_runtime import FakeRuntime
 from waiting import PATIENCE_S, until
 
-from zendsp.errors import (LinkError,)
+from zendsp.errors import (
+    LinkError,
+)
 from zendsp.link import Target, connect, discover
 from zendsp.link.connect import locate
 from zendsp.link.registered import local_entries

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from zendsp.proof.answer import (Finding,)
+from zendsp.proof.answer import (
+    Finding,
+)
 
 
 def truth(

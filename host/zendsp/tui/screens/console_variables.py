@@ -14,7 +14,7 @@ from textual import on
 
 from zendsp.errors import ZendspError
 from zendsp.link import ParameterSet
-from zendsp.tui.dialogs import (Choose, Field, Form, Message, Option, Sliders, not_empty, slides)
+from zendsp.tui.dialogs import Choose, Field, Form, Message, Option, Sliders, not_empty, slides
 from zendsp.tui.panels.table import LiveTable
 from zendsp.tui.panels.variables import VariablesPanel
 from zendsp.tui.screens.base import LabScreen

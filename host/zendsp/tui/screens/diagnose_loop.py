@@ -16,7 +16,7 @@ from rich.text import Text
 from textual.widgets import OptionList, Static
 
 from zendsp.errors import ZendspError
-from zendsp.tui.compensating import (FILE, LINES, SHARE, Compensation, compensation_of, has_room)
+from zendsp.tui.compensating import FILE, LINES, SHARE, Compensation, compensation_of, has_room
 from zendsp.tui.diagnoses import Diagnosed, compare
 from zendsp.tui.dialogs import Field, Form, Message, not_empty
 from zendsp.tui.panels.findings import LOOP, Entry

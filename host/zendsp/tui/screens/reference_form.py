@@ -13,7 +13,7 @@ from textual.containers import Horizontal, Vertical, VerticalScroll
 from textual.timer import Timer
 from textual.widgets import Button, Input, Select, Static, Switch
 
-from zendsp.reference import (KINDS, MACHINES, Machine, Parameter, load_machine)
+from zendsp.reference import KINDS, MACHINES, Machine, Parameter, load_machine
 from zendsp.reference.registry import HEADROOM
 from zendsp.tui.preflight import machine_of
 from zendsp.tui.scope import Scope
