@@ -167,7 +167,7 @@ class Hunt:
         if c.z <= MIN_Z:
             return f"does not hold on the held-out recording (z = {c.z:.1f})"
         explained, left = self._parts(c, current)
-        return ("too small beside what stays unexplained" if explained < BESIDE * left else "")
+        return "too small beside what stays unexplained" if explained < BESIDE * left else ""
 
     def _parts(self, c: Claim, current: Output) -> tuple[float, float]:
         """Of the squared error of a claim's joint: what it explains, and what stays beyond the
