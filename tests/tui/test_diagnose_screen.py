@@ -16,10 +16,14 @@ from textual.widgets import DataTable, Input, OptionList, Static
 from zendsp.diagnosis.report.chart import load_chart
 from zendsp.link import Target
 from zendsp.physics import load_model
+from zendsp.physics.codegen.terms import why_not
+from zendsp.physics.files.model_write import model_text
+from zendsp.physics.model import Quantity, Term
 from zendsp.recording import Recording
 from zendsp.reference import make_reference
 from zendsp.tui import command
 from zendsp.tui.app import ZendspApp
+from zendsp.tui.compensating import compensation_of
 from zendsp.tui.diagnoses import list_diagnoses
 from zendsp.tui.dialogs import Choose, Message
 from zendsp.tui.link_port import open_port
@@ -319,6 +323,17 @@ async def test_a_program_without_room_is_told_what_to_add(
         await pilot.press("enter")
         await until(pilot, (folder / "compensation.c").is_file, "written")
         assert screen.compensation is not None and screen.compensation.left_out == ()
+
+
+def test_what_a_torque_cannot_cancel_is_left_out_and_said(tmp_path: Path) -> None:
+    d = cases.stored(tmp_path)
+    model = load_model(d.folder / "model.toml")
+    late = Term("lag", 1, {"time_constant": Quantity(0.002)})
+    (d.folder / "model.toml").write_text(model_text(model.with_terms((*model.terms, late))))
+    d.report["findings"].append({**d.report["findings"][0], "effect": "lag"})
+    made = compensation_of(d)
+    assert made.left_out == (f"Not compensated: lag of joint 1 ({why_not('lag')}).",)
+    assert made.values and not any("lag" in name for name in made.values)
 
 
 @pytest.mark.covers("diagnose.next")
