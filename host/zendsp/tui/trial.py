@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -43,8 +44,8 @@ class Plan:
     parameters: Mapping[str, Assignable]
     player: Player
     playlist: Playlist
-    values: Mapping[str, Assignable]
-    before: Mapping[str, Assignable]  # what these parameters are now
+    values: Mapping[str, Any]
+    before: Mapping[str, Any]  # what these parameters are now
     lead: float
 
     @property
