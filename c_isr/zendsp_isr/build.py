@@ -49,10 +49,6 @@ class Built:
 def source_root() -> Path:
     """Folder of the C sources that ship with the package: include, runtime, machines, programs.
 
-    Returns
-    -------
-    Path
-
     Examples
     --------
     >>> (source_root() / "include" / "isr.h").exists()
@@ -267,12 +263,7 @@ def _compile(
         # the folder is gone afterwards: what the debugger and the linker say shall be the user's
         # own names
         own_names = f"-ffile-prefix-map={work}=."
-        arguments = [
-            *flags,
-            own_names,
-            "-I.",
-            *(f"-I{folder}" for folder in include),
-        ]
+        arguments = [*flags, own_names, "-I.", *(f"-I{folder}" for folder in include)]
         outcome = run_compiler(
             compiler, [*arguments, *units, "-o", str(output), *libraries], work, timeout_s, include
         )

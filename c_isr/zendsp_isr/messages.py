@@ -29,10 +29,6 @@ def parse_messages(text: str) -> tuple[Message, ...]:
     """Diagnostics from a compiler's standard error: gcc's JSON, and the common ``file:line:column:
     severity: text``.
 
-    Parameters
-    ----------
-    text : str
-
     Returns
     -------
     tuple of Message

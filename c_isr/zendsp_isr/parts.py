@@ -45,10 +45,6 @@ RUNNER_SOURCES = (
 def build_runner() -> Path:
     """The native runner for this machine.
 
-    Returns
-    -------
-    Path
-
     Raises
     ------
     CompileFailed
@@ -68,10 +64,6 @@ def build_runner() -> Path:
 
 def build_monitor() -> Path:
     """The shared-memory helper that the monitor loads through cffi.
-
-    Returns
-    -------
-    Path
 
     Raises
     ------
@@ -120,10 +112,6 @@ def build_machine(machine: str) -> Path:
         For example ``"imi_planar"``, ``"/home/me/my_arm.c"``, or ``"arm.xml"``: a model that MuJoCo
         reads.
 
-    Returns
-    -------
-    Path
-
     Raises
     ------
     CompileFailed
@@ -149,14 +137,6 @@ def build_machine(machine: str) -> Path:
 def is_model(machine: str) -> bool:
     """Whether a machine is given as a file that MuJoCo reads.
 
-    Parameters
-    ----------
-    machine : str
-
-    Returns
-    -------
-    bool
-
     Examples
     --------
     >>> is_model("arm.xml"), is_model("imi_planar")
@@ -167,14 +147,6 @@ def is_model(machine: str) -> bool:
 
 def machine_title(machine: str) -> str:
     """Name of a machine for people and for keys: a shipped one's own, else that of its file.
-
-    Parameters
-    ----------
-    machine : str
-
-    Returns
-    -------
-    str
 
     Examples
     --------
@@ -210,10 +182,6 @@ def _build_mujoco(machine: str) -> Path:
 
 def machine_names() -> tuple[str, ...]:
     """Names of the machines that ship with zendsp.
-
-    Returns
-    -------
-    tuple of str
 
     Examples
     --------

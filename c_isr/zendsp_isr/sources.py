@@ -29,10 +29,6 @@ def shipped_programs() -> list[Path]:
 def find_program(name: str | Path) -> Path:
     """Return the file that a name means: a path, or else the shipped program of that bare name.
 
-    Parameters
-    ----------
-    name : str or Path
-
     Returns
     -------
     Path
@@ -73,10 +69,6 @@ def gather(source: Source) -> dict[str, str]:
     ----------
     source : path, or mapping of file name to text
         A path as in :func:`find_program`; a mapping is taken as it is.
-
-    Returns
-    -------
-    dict of str to str
 
     Raises
     ------

@@ -20,10 +20,6 @@ def unknown_keys(data: Mapping[str, Any], allowed: Collection[str], where: str) 
     where : str
         File and table, for example ``"bench.toml: [actuator]"``.
 
-    Returns
-    -------
-    str
-
     Examples
     --------
     >>> unknown_keys({"dealy": 0.004}, ("gain", "delay"), "bench.toml: [actuator]")

@@ -36,10 +36,6 @@ def did_you_mean(name: str, known: Collection[str]) -> str:
     known : collection of str
         What could stand there.
 
-    Returns
-    -------
-    str
-
     Examples
     --------
     >>> did_you_mean("dealy", ("gain", "delay"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -32,3 +33,18 @@ def model(tmp_path: Path) -> Path:
         reality.effect("viscous", coefficient=0.004),
         reality.effect("coulomb", level=0.03),
     )
+
+
+@pytest.fixture
+def refuse(typed: Callable[..., tuple[object, str, str]]) -> Callable[..., str]:
+    """Run `zendsp diagnose` and give the one sentence that it ends with."""
+
+    def run(*args: object) -> str:
+        status, out, err = typed("diagnose", *args)
+        assert status == 2, out + err
+        assert "Traceback" not in err and out == ""
+        lines = err.strip().splitlines()
+        assert len(lines) == 1 and lines[0].startswith("zendsp: "), err
+        return lines[0]
+
+    return run

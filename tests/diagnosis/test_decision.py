@@ -481,9 +481,7 @@ def test_what_leaves_more_unexplained_than_there_was_or_is_at_all_is_no_finding(
     nothing = Structure(0.0, 0.0, 0.0)
     model: Any = SimpleNamespace(at=lambda _: (), torque_unit=lambda _: "N m")
     one: Any = SimpleNamespace(model=model)
-    found = Decision(
-        1, "missing", (claim,), (), one, one, before, left, nothing, left, one, 7.0
-    )
+    found = Decision(1, "missing", (claim,), (), one, one, before, left, nothing, left, one, 7.0)
     monkeypatch.setattr(decision, "worth_choosing", lambda *_: one)
     monkeypatch.setattr(decision, "discrepancy", lambda *_: before)
     monkeypatch.setattr(decision, "new_terms", lambda *_: [term])

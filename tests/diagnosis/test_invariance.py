@@ -83,9 +83,7 @@ def _diagnosed(folder: Path, name: str, change: str) -> Diagnosis:
 
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Diagnosis]:
-    return {
-        name: _diagnosed(tmp_path_factory.mktemp("plain"), name, "none") for name in MACHINES
-    }
+    return {name: _diagnosed(tmp_path_factory.mktemp("plain"), name, "none") for name in MACHINES}
 
 
 @pytest.mark.parametrize("change", [c for c in CHANGES if c != "none"])

@@ -90,9 +90,7 @@ def diagnosed(
     """Diagnose (once) what one MJCF gives against another."""
     done: dict[str, tuple[Diagnosis, Path]] = {}
 
-    def make(
-        name: str, real: str, given: str, command: str = "torque"
-    ) -> tuple[Diagnosis, Path]:
+    def make(name: str, real: str, given: str, command: str = "torque") -> tuple[Diagnosis, Path]:
         if name not in done:
             folder = tmp_path_factory.mktemp(name.replace(" ", "_"))
             runs = [record(real, folder / f"{k}.npz", k, command) for k in (1, 2)]

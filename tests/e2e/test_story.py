@@ -153,7 +153,7 @@ def test_the_true_payload_is_taken_up_while_the_seven_joint_arm_moves(tmp_path: 
         update = plan_update(machine.model, improved, target.variables())
         whole = stage.work(stage.plan)
         work = machine.run(whole, "half-way", (6.0, update.values))
-    joints = bearing(machine.model, improved, whole, stage.gains["Kp"])
+    joints = bearing(machine.model, improved, whole, stage.Kp)
     tracking = compare_tracking(work, 6000, 4.0, 8.5)
     assert set(joints) >= {4, 6, 7} and not update.left_out
     # `zendsp demo --machine wam7 --seed 1` left 2 to 8 % over twice the time, the swing of the

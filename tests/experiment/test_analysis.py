@@ -23,6 +23,7 @@ from zendsp.experiment.imi_friction import (
 )
 from zendsp.experiment.pendulum_motor import fit_parameters, pendulum_model, steady_means
 from zendsp.experiment.report import table, wrapped, write_report
+from zendsp.experiment.result import FoundEffect
 from zendsp.experiment.wam_friction import Sliding, cannot_separate, fit_friction
 from zendsp.physics import library, load_model, simulate_loop
 from zendsp.recording import Recording
@@ -191,13 +192,7 @@ def test_inertia_torque_is_that_of_the_published_model() -> None:
 def result() -> Result:
     r = Result("imi-fit", "Friction", "imi_planar", target="imi_planar (simulated, fast clock)")
     r.values["level"] = Estimate(8.4, 0.1, "N m")
-    r.effects = [
-        {
-            "kind": "coulomb",
-            "joint": 1,
-            "level": {"value": np.float64(8.4), "std": 0.1, "unit": "N m"},
-        }
-    ]
+    r.effects = [FoundEffect("coulomb", 1, {"level": Estimate(np.float64(8.4), 0.1, "N m")})]
     r.mechanism = {"p1": Estimate(3.5, 0.01, "kg m^2")}
     r.tables = {"points": [{"joint": 1, "speed": np.float64(0.5)}]}
     r.warnings = ["take care"]
@@ -263,7 +258,7 @@ def test_a_urdf_stays_beside_its_model_file(tmp_path: Path) -> None:
     for name in ("wam7.toml", "wam7.urdf"):
         (tmp_path / name).write_text((MODELS / name).read_text())
     put_into(
-        Result("x", "x", "wam7", effects=[{"kind": "coulomb", "joint": 7, "level": 0.1}]),
+        Result("x", "x", "wam7", effects=[FoundEffect("coulomb", 7, {"level": Estimate(0.1)})]),
         tmp_path / "wam7.toml",
     )
     assert 'file = "wam7.urdf"' in (tmp_path / "wam7.toml").read_text()
@@ -281,21 +276,17 @@ def test_what_cannot_go_into_a_model_is_refused(tmp_path: Path) -> None:
             ModelError, match=rf"has 2 joints and {machine}, which was measured, {joints}"
         ):
             put_into(
-                Result("x", "x", machine, effects=[{"kind": "coulomb", "joint": 1, "level": 1.0}]),
+                Result(
+                    "x", "x", machine, effects=[FoundEffect("coulomb", 1, {"level": Estimate(1.0)})]
+                ),
                 model,
             )
     assert model.read_text() == before and not list(tmp_path.glob("*.new"))
 
 
 def test_what_goes_into_a_model_is_known_before_a_machine_moves() -> None:
-    assert fit_model(list(EXPERIMENTS), MODELS / "imi_planar.toml") == [
-        "friction",
-        "imi-fit",
-    ]
-    assert fit_model(list(EXPERIMENTS), MODELS / "wam7.toml") == [
-        "friction",
-        "wam-friction",
-    ]
+    assert fit_model(list(EXPERIMENTS), MODELS / "imi_planar.toml") == ["friction", "imi-fit"]
+    assert fit_model(list(EXPERIMENTS), MODELS / "wam7.toml") == ["friction", "wam-friction"]
     with pytest.raises(
         ModelError,
         match=r"finds nothing .* friction, imi-fit, pendulum-mechanical, wam-friction do",

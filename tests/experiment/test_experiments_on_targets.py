@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from zendsp.experiment import Lab, Result, run_experiment
+from zendsp.experiment import Estimate, Lab, Result, run_experiment
 from zendsp.experiment.imi_circle import circle, compensation_values
 from zendsp.experiment.imi_fit import fit
 from zendsp.experiment.imi_friction import low_speed, static, viscous
 from zendsp.experiment.pendulum_motor import electrical, mechanical
+from zendsp.experiment.result import FoundEffect
 from zendsp.experiment.wam_friction import friction
 from zendsp.experiment.wam_tracking import tracking
+from zendsp.physics import load_model
 from zendsp.recording import Recording
 
 MODELS = Path(__file__).parents[2] / "examples" / "models"
@@ -123,7 +124,10 @@ def test_an_experiment_for_any_machine_asks_for_one(tmp_path: Path) -> None:
 def test_machine_and_simulation_have_the_same_joint_error(tmp_path: Path) -> None:
     lab = Lab(tmp_path)
     (tmp_path / "wam-friction").mkdir()
-    effects = tomllib.loads((MODELS / "wam7.toml").read_text())["effect"]
+    effects = [
+        FoundEffect(t.effect, t.joint, {k: Estimate(q.value) for k, q in t.parameters.items()})
+        for t in load_model(MODELS / "wam7.toml").terms
+    ]
     Result("wam-friction", "the published friction", "wam7", effects=effects).save(
         tmp_path / "wam-friction" / "result.toml"
     )

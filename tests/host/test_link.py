@@ -11,12 +11,7 @@ import pytest
 from fake_runtime import FakeRuntime
 from waiting import PATIENCE_S, until
 
-from zendsp.errors import (
-    AcquisitionError,
-    CompileFailed,
-    Refused,
-    VariableError,
-)
+from zendsp.errors import AcquisitionError, CompileFailed, Refused, VariableError
 from zendsp.link import ParameterSet, Target, connect
 
 

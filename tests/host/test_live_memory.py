@@ -32,9 +32,7 @@ class Quiet:
 
 @pytest.fixture
 def view() -> LiveView:
-    opened = m.LiveOpened(
-        stream=1, key="k", channels=COLUMNS, units=("", "", ""), sample_time=1e-3
-    )
+    opened = m.LiveOpened(stream=1, key="k", channels=COLUMNS, units=("", "", ""), sample_time=1e-3)
     link = SimpleNamespace(
         session=SimpleNamespace(declare_subscriber=lambda *_: Quiet()), on_return=lambda _: None
     )

@@ -10,11 +10,7 @@ import zenoh
 from fake_runtime import FakeRuntime
 from waiting import PATIENCE_S
 
-from zendsp.errors import (
-    LinkError,
-    Refused,
-    VersionMismatch,
-)
+from zendsp.errors import LinkError, Refused, VersionMismatch
 from zendsp.link import Target
 from zendsp.link.settings import Credentials, zenoh_config
 from zendsp_protocol import codec, keys

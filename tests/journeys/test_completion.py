@@ -51,9 +51,7 @@ def test_other_shells_get_a_script(installed: Installed) -> None:
         assert word in installed.run("completion", shell).stdout
 
 
-def test_the_shell_runs_commands_over_one_link_and_survives_mistakes(
-    installed: Installed,
-) -> None:
+def test_the_shell_runs_commands_over_one_link_and_survives_mistakes(installed: Installed) -> None:
     installed.target("imi")
     assert installed.run("run", "pd.c", "-t", "imi").returncode == 0
     lines = "set Kp1=450\nget Kp1\nget nothing\nset Kp1\n'\nnonsense\nhelp\nhelp set\n"

@@ -135,9 +135,7 @@ def test_what_was_salvaged_stays_until_it_is_written(installed: Installed, full:
     assert rows(installed, installed.folder / "shot.npz") == 1000
 
 
-def test_a_target_that_cannot_compile_says_so_and_goes_on(
-    installed: Installed, full: Full
-) -> None:
+def test_a_target_that_cannot_compile_says_so_and_goes_on(installed: Installed, full: Full) -> None:
     """Before it starts, where not even its own parts can be built; then, for a program."""
     done = full("zendsp", "target", "--name", "imi", XDG_CACHE_HOME="cache")
     assert done.returncode == 2

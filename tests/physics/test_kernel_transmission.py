@@ -10,15 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from integrated import (
-    J,
-    N,
-    T,
-    command,
-    integrate,
-    kernel,
-    rigid,
-)
+from integrated import J, N, T, command, integrate, kernel, rigid
 from scipy.optimize import brentq
 
 from zendsp.diagnosis.data.prepare import prepare

@@ -187,9 +187,7 @@ def test_what_a_tree_does_not_have_is_refused_in_one_sentence(tmp_path: Path, na
 
 def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match=r"file = 'none.xml': no such file"):
-        parse_model(
-            {"mechanism": {"kind": "mjcf", "file": "none.xml"}}, str(tmp_path / "arm.toml")
-        )
+        parse_model({"mechanism": {"kind": "mjcf", "file": "none.xml"}}, str(tmp_path / "arm.toml"))
 
 
 def test_a_warning_of_mujoco_leaves_no_file_in_the_folder_of_the_user(

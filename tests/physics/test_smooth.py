@@ -19,9 +19,7 @@ def test_a_moving_mean_is_that_of_scipy(n: int, width: int) -> None:
     x = np.random.default_rng(n).normal(size=n).cumsum()
     # the same sums in the same order
     assert np.array_equal(moving_mean(x, width), uniform_filter1d(x, width))
-    assert np.array_equal(
-        moving_mean(x, width, "edge"), uniform_filter1d(x, width, mode="nearest")
-    )
+    assert np.array_equal(moving_mean(x, width, "edge"), uniform_filter1d(x, width, mode="nearest"))
 
 
 @pytest.mark.parametrize("n", SIZES)

@@ -11,13 +11,7 @@ from typing import Any
 import pytest
 from known import truth
 
-from zendsp.proof.answer import (
-    Answer,
-    ContractError,
-    Estimate,
-    Smallest,
-    read_report,
-)
+from zendsp.proof.answer import Answer, ContractError, Estimate, Smallest, read_report
 from zendsp.proof.judge import judge
 from zendsp.proof.score import answers, diagnose
 from zendsp.proof.scoreboard import (

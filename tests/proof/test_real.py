@@ -210,10 +210,7 @@ def test_implant_counts_only_as_the_first_finding() -> None:
 
 def test_implants_above_the_stated_size_are_counted_apart() -> None:
     seen = (Smallest(1, "stiffness", 1.0),)
-    named = Answer(
-        "missing",
-        (Finding("stiffness", 1, {"coefficient": Estimate(2.1, 0.1)}, 0.9),),
-    )
+    named = Answer("missing", (Finding("stiffness", 1, {"coefficient": Estimate(2.1, 0.1)}, 0.9),))
     done = [
         Implant("stiffness", 1.0, {"coefficient": 2.0}, named, seen),
         Implant("stiffness", 0.5, {"coefficient": 1.5}, Answer("complete"), seen),

@@ -8,12 +8,7 @@ from dataclasses import replace
 import pytest
 from known import effect, found, truth
 
-from zendsp.proof.answer import (
-    Answer,
-    Estimate,
-    Region,
-    Smallest,
-)
+from zendsp.proof.answer import Answer, Estimate, Region, Smallest
 from zendsp.proof.judge import judge
 from zendsp.proof.page import proof_page
 from zendsp.proof.scoreboard import (

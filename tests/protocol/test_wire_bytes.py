@@ -82,10 +82,7 @@ MESSAGES: dict[str, Callable[[], bytes]] = {
     "nothing": lambda: codec.encode_result(m.Empty()),
     "none": lambda: codec.encode_result(None),
     "dataclasses": lambda: codec.encode_result(
-        (
-            m.Change(3, 1.5, "Kp1", 1.0, np.array([2.0, 3.0]), "me"),
-            m.Trigger("q", 0.0, "both", 0.0),
-        )
+        (m.Change(3, 1.5, "Kp1", 1.0, np.array([2.0, 3.0]), "me"), m.Trigger("q", 0.0, "both", 0.0))
     ),
     "texts": lambda: codec.encode(
         {"a" * 31: "b" * 32, "c": "d" * 256, "e": None, "f": [], "g": {}, "h": list(range(16))}

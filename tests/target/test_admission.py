@@ -48,10 +48,7 @@ def test_a_users_file_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
         read_users(str(tmp_path / "none"))
     path = write(tmp_path / "users", "anna:secret\nbo:x:y\n")
     os.chmod(path, 0o640)
-    assert read_users(path) == {
-        "anna": "secret",
-        "bo": "x:y",
-    }
+    assert read_users(path) == {"anna": "secret", "bo": "x:y"}
 
 
 @pytest.mark.parametrize(

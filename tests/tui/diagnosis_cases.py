@@ -20,10 +20,7 @@ RATE = 250.0
 GIVEN: dict[str, Any] = {
     "name": "bench",
     "sample_time": 1.0 / RATE,
-    "mechanism": {
-        "kind": "rotary",
-        "parameters": {"inertia": {"value": 0.01, "unit": "kg m^2"}},
-    },
+    "mechanism": {"kind": "rotary", "parameters": {"inertia": {"value": 0.01, "unit": "kg m^2"}}},
     "sensor": {"position_resolution": 1e-5},
     "controller": {"kind": "pd", "kp": [4.0], "kd": [0.2], "cutoff": 40.0},
     "columns": {"time": "t", "position": "q", "command": "u", "reference": "r"},
@@ -65,9 +62,7 @@ def stored(
     made.mkdir(parents=True)
     sentences = [f"Joint {t.joint} lacks Coulomb friction [N m]." for t in found]
     (made / "model.toml").write_text(model_text(improved))
-    (made / "compensation.c").write_text(
-        compensation(found, model=improved, sentences=sentences)
-    )
+    (made / "compensation.c").write_text(compensation(found, model=improved, sentences=sentences))
     (made / "report.html").write_text("<title>report</title>")
     (made / "report.json").write_text(json.dumps(_report(found, sentences, verdict, motion)))
     x = np.linspace(-2.0, 2.0, 400)
@@ -100,9 +95,7 @@ def _report(
             {
                 "effect": t.effect,
                 "joint": t.joint,
-                "parameters": {
-                    "level": {"value": t.value("level"), "std": 0.01, "unit": "N m"}
-                },
+                "parameters": {"level": {"value": t.value("level"), "std": 0.01, "unit": "N m"}},
                 "confidence": 0.97,
                 "share": 0.6,
                 "indistinguishable": ["stribeck"],

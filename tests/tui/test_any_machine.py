@@ -86,9 +86,7 @@ def _look(snapshot: Snapshot, folder: Path, trial: Trial, **settings: Any) -> li
     assert machine is not None
     reference = make_reference("point_to_point", machine, **settings)
     port: Any = _Port()
-    return preflight(
-        snapshot, (reference,), (folder / "way.mat",), Setup(), False, trial, port
-    )
+    return preflight(snapshot, (reference,), (folder / "way.mat",), Setup(), False, trial, port)
 
 
 def test_start_is_free_where_there_is_no_simulation_and_the_list_says_so(tmp_path: Path) -> None:

@@ -361,9 +361,7 @@ async def test_record_then_open_simulation_and_diagnosis(
         await type_first(pilot, str(folder / "arm.toml"))
         view = lab.screen
         assert isinstance(view, ProcessView)
-        await until(
-            pilot, lambda: view.status is not None, "the worker process ends and says so"
-        )
+        await until(pilot, lambda: view.status is not None, "the worker process ends and says so")
         await pilot.press("escape", "D")
         await until(pilot, lambda: isinstance(lab.screen, DiagnoseScreen), "Diagnose is shown")
         assert isinstance(lab.screen, DiagnoseScreen)

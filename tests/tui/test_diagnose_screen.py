@@ -16,11 +16,14 @@ from textual.widgets import DataTable, Input, OptionList, Static
 from zendsp.diagnosis.report.chart import load_chart
 from zendsp.link import Target
 from zendsp.physics import load_model
+from zendsp.physics.codegen.terms import why_not
+from zendsp.physics.files.model_write import model_text
+from zendsp.physics.model import Quantity, Term
 from zendsp.recording import Recording
 from zendsp.reference import make_reference
 from zendsp.tui import command
 from zendsp.tui.app import ZendspApp
-from zendsp.tui.compensating import not_compensated
+from zendsp.tui.compensating import compensation_of
 from zendsp.tui.diagnoses import list_diagnoses
 from zendsp.tui.dialogs import Choose, Message
 from zendsp.tui.link_port import open_port
@@ -68,9 +71,7 @@ def _alone(folder: Path) -> ZendspApp:
 
 
 @pytest.mark.covers("diagnose.start", "diagnose.add", "diagnose.model")
-async def test_a_file_is_diagnosed_and_the_finding_is_drawn(
-    tmp_path: Path, until: Until
-) -> None:
+async def test_a_file_is_diagnosed_and_the_finding_is_drawn(tmp_path: Path, until: Until) -> None:
     run, model = cases.bench(tmp_path)
     app = _alone(tmp_path)
     async with app.run_test(size=(80, 24)) as pilot:
@@ -103,9 +104,7 @@ async def test_a_file_is_diagnosed_and_the_finding_is_drawn(
         assert figure.chart is not None and figure.chart.name == law.name
         assert np.array_equal(figure.plots[0].curves[0].xy[:, 1], law.panels[0].series[0].y)
         _drawn(screen)
-        assert [d.folder for d in list_diagnoses(tmp_path / "diagnoses")] == [
-            screen.shown.folder
-        ]
+        assert [d.folder for d in list_diagnoses(tmp_path / "diagnoses")] == [screen.shown.folder]
         assert not list((tmp_path / "diagnoses").glob(".*")), "nothing half is left"
 
 
@@ -211,9 +210,7 @@ async def test_the_last_run_is_marked_and_others_can_be_held_out(
         assert not screen.chosen("fit") and not screen.chosen("held out")
 
 
-@pytest.mark.covers(
-    "diagnose.report", "diagnose.save", "diagnose.earlier", "diagnose.compare"
-)
+@pytest.mark.covers("diagnose.report", "diagnose.save", "diagnose.earlier", "diagnose.compare")
 async def test_an_earlier_diagnosis_is_opened_saved_and_compared(
     tmp_path: Path, until: Until, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -325,7 +322,18 @@ async def test_a_program_without_room_is_told_what_to_add(
         assert "CompensationInit();" in shown and "tau[j] += Compensation(" in shown
         await pilot.press("enter")
         await until(pilot, (folder / "compensation.c").is_file, "written")
-        assert not_compensated(folder / "compensation.c") == ""
+        assert screen.compensation is not None and screen.compensation.left_out == ()
+
+
+def test_what_a_torque_cannot_cancel_is_left_out_and_said(tmp_path: Path) -> None:
+    d = cases.stored(tmp_path)
+    model = load_model(d.folder / "model.toml")
+    late = Term("lag", 1, {"time_constant": Quantity(0.002)})
+    (d.folder / "model.toml").write_text(model_text(model.with_terms((*model.terms, late))))
+    d.report["findings"].append({**d.report["findings"][0], "effect": "lag"})
+    made = compensation_of(d)
+    assert made.left_out == (f"Not compensated: lag of joint 1 ({why_not('lag')}).",)
+    assert made.values and not any("lag" in name for name in made.values)
 
 
 @pytest.mark.covers("diagnose.next")

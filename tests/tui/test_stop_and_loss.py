@@ -168,7 +168,6 @@ async def test_stop_during_a_run_ends_it_and_keeps_the_data(
 
 
 # -- loss
-# --------------------------------------------------------------------------------------------------
 
 
 def _spawn(name: str) -> subprocess.Popen[bytes]:

@@ -58,24 +58,31 @@ def test_every_wrong_use_is_one_line_that_says_what_to_do(
     assert text.startswith("zendsp: ") and len(text.splitlines()) == 1, text
 
 
+UNLOADABLE = ImportError("cannot load it", path="libx.so")
+OF_NUMPY = ImportError("numpy's advice on how to install it")
+OF_NUMPY.__cause__ = UNLOADABLE
+
+
 @pytest.mark.parametrize(
-    "error",
+    ("error", "why"),
     [
-        MemoryError("Unable to allocate 20.6 MiB"),
-        MemoryError(),
-        ImportError("libx.so: failed to map segment from shared object"),
+        (MemoryError("Unable to allocate 20.6 MiB"), "Unable to allocate 20.6 MiB"),
+        (MemoryError(), "none is left"),
+        (UNLOADABLE, "cannot load it"),
+        (OF_NUMPY, "cannot load it"),
     ],
 )
 def test_too_little_memory_is_told_in_a_line(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, error: Exception
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, error: Exception, why: str
 ) -> None:
     def fail(**_: object) -> None:
         raise error
 
     monkeypatch.setattr("zendsp.cli.cli", fail)
+    monkeypatch.setattr("resource.getrlimit", lambda _: (2**30, 2**30))
     status, text = said(capsys, "diagnose")
     assert status == 2 and len(text.splitlines()) == 1
-    assert text.startswith(f"zendsp: too little memory ({str(error) or 'none is left'})")
+    assert text.startswith(f"zendsp: too little memory ({why})")
 
 
 def test_the_terminal_is_refused_where_there_is_none(capsys: pytest.CaptureFixture[str]) -> None:

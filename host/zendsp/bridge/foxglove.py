@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from types import TracebackType
 from typing import Any
 
@@ -23,6 +23,7 @@ from zendsp.link.background import background
 from zendsp.link.live import LiveBlock, LiveView
 from zendsp_protocol import messages as m
 from zendsp_protocol.states import ProgramState
+from zendsp_protocol.values import Assignable
 
 HOST = "127.0.0.1"
 PORT = 8765  # where viewers look first
@@ -133,7 +134,6 @@ class Bridge:
         self.close()
 
     # -- what goes out
-    # ----------------------------------------------------------------------------------------------
 
     def _poll(self) -> None:
         while not self._closing.wait(POLL_S):
@@ -215,20 +215,19 @@ class Bridge:
             self._server.publish_status(text, self._fox.websocket.StatusLevel.Warning)
 
     # -- parameters
-    # ----------------------------------------------------------------------------------------------
 
-    def parameters(self) -> dict[str, Any]:
+    def parameters(self) -> dict[str, Assignable]:
         """Return all parameters of the program, from one sample."""
         if not self._names:
             return {}
         values = self.target.read(self._names).values
         return {name: np.asarray(value).tolist() for name, value in values.items()}
 
-    def as_parameters(self, names: Sequence[str], values: dict[str, Any]) -> list[Any]:
+    def as_parameters(self, names: Sequence[str], values: Mapping[str, Assignable]) -> list[Any]:
         """Return parameters as the protocol has them."""
         return [self._fox.Parameter(n, value=values[n]) for n in names or values if n in values]
 
-    def write(self, values: dict[str, Any]) -> None:
+    def write(self, values: Mapping[str, Assignable]) -> None:
         """Write parameters for a viewer, all in one sample, or say why not."""
         if not self._writable:
             self._say("parameters are read only here: start the bridge with --write", WARNING)

@@ -4,6 +4,7 @@ nothing heavy.
 
 from __future__ import annotations
 
+import difflib
 import importlib
 import os
 import re
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
 from zendsp.cli.lines import fitted
-from zendsp.errors import ZendspError, did_you_mean
+from zendsp.errors import ZendspError
 from zendsp_protocol.texts import shown
 
 # name -> (module:attribute, one-line help shown by `zendsp --help`)
@@ -148,14 +149,27 @@ def main() -> None:
         click.echo("interrupted", err=True)
         sys.exit(130)
     except (MemoryError, ImportError) as error:
-        if isinstance(error, ImportError) and "map segment" not in str(error):
+        lacking = _too_little_memory(error)
+        if lacking is None:
             raise
-        say(MemoryError(*error.args))
+        say(MemoryError(*lacking.args))
         sys.exit(2)
     except OSError as error:  # a full disk, a folder without the right to write, a full output
         say(error)
         _let_go_of_output()
         sys.exit(2)
+
+
+def _too_little_memory(error: BaseException | None) -> BaseException | None:
+    """What did not fit into memory: where it is limited (``ulimit -v``), a library that is there
+    and cannot be loaded; NumPy raises an error of its own upon that one. None: another error.
+    """
+    import resource
+
+    while isinstance(error, ImportError) and error.path is None:
+        error = error.__cause__
+    limited = resource.getrlimit(resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY
+    return error if limited or isinstance(error, MemoryError) else None
 
 
 def say(error: Exception) -> None:
@@ -179,8 +193,8 @@ def _wrong_use(error: click.ClickException) -> str:
     if context is not None and isinstance(error, click.exceptions.NoSuchCommand):
         group = context.command
         known = group.list_commands(context) if isinstance(group, click.Group) else []
-        near = did_you_mean(error.command_name, known).partition(" Allowed: ")[0]
-        near = f"{near} " if near.startswith("did you mean") else ""
+        close = difflib.get_close_matches(error.command_name, known, 1)
+        near = f"did you mean {close[0]}? " if close else ""
         return (
             f"no command {error.command_name!r}; {near}'{context.command_path} --help' lists them"
         )

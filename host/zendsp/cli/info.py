@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from typing import Any
+from collections.abc import Collection, Mapping
 
 import click
 
 from zendsp.cli.common import emit, open_target, show, table, target_options
+from zendsp_protocol import messages as m
 
 
 @click.command("info")
@@ -31,7 +31,7 @@ def command(target: str, connect: str | None, as_json: bool) -> None:
         emit(body, as_json, lambda: _text(t.info, status, machine, variables, sources))
 
 
-def _sizes(v: Any) -> str:
+def _sizes(v: m.VariableInfo) -> str:
     if v.columns > 1 and v.kind != "table":
         return f"[{v.length // v.columns}][{v.columns}]"
     return f"[{v.length}]" if v.length > 1 else ""
@@ -46,7 +46,11 @@ def _program(key: str, sources: Collection[str]) -> str:
 
 
 def _text(
-    info: Any, status: Any, machine: Any, variables: dict[str, Any], sources: Collection[str]
+    info: m.Info,
+    status: m.Status,
+    machine: m.MachineInfo | None,
+    variables: Mapping[str, m.VariableInfo],
+    sources: Collection[str],
 ) -> str:
     if machine is None:
         described = f"{status.machine} (joints and variables are known when a program is loaded)"

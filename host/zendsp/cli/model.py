@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from zendsp.cli.common import emit
 from zendsp.errors import ModelError
+
+if TYPE_CHECKING:
+    from zendsp.physics.model import Model
 
 FILE = click.Path(path_type=Path)
 
@@ -120,7 +123,7 @@ def check(file: Path, recording: Path | None, as_json: bool) -> None:
     emit(body, as_json, "\n".join(lines))
 
 
-def _about(model: Any) -> dict[str, Any]:
+def _about(model: Model) -> dict[str, Any]:
     free = [
         key for key, quantities in model.mechanism.items() if any(q.free for q in quantities)
     ] + [f"{t.effect} {name}" for t in model.terms for name, q in t.parameters.items() if q.free]

@@ -240,9 +240,7 @@ def command(
     sys.exit(1 if missed or any(j.trouble for j in outcome.judged) else 0)
 
 
-def _words(
-    makers: Sequence[str], seed: int, quick: bool, sample: int | None, given: str
-) -> str:
+def _words(makers: Sequence[str], seed: int, quick: bool, sample: int | None, given: str) -> str:
     """The command that makes these cases again, for the page."""
     words = ["zendsp prove", *(["--quick"] if quick else [])]
     words.append(f"--reality {','.join(makers)} --seed {seed}")

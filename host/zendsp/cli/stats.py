@@ -8,6 +8,8 @@ import click
 import numpy as np
 
 from zendsp.cli.common import emit, open_target, target_options
+from zendsp_protocol import messages as m
+from zendsp_protocol.values import from_wire
 
 WIDTH = 40  # of the longest bar
 MOST_LINES = 18  # both pictures and what stands above them are a screenful
@@ -31,27 +33,23 @@ def command(target: str, connect: str | None, as_json: bool) -> None:
             "scheduling": status.scheduling,
             "timing": timing,
         }
-        emit(body, as_json, lambda: _text(status, timing))
+        emit(body, as_json, lambda: _text(status))
 
 
-def _text(status: Any, timing: dict[str, Any]) -> str:
-    period_us = 1e6 / status.rate_hz
+def _text(status: m.Status) -> str:
+    t, period_us = status.timing, 1e6 / status.rate_hz
     lines = [
         f"{status.state} at {status.rate_hz:g} Hz (period {period_us:g} µs), {status.clock} clock",
         status.scheduling,
-        f"samples    {timing['ticks']}, overruns {timing['overruns']}, missed {timing['missed']}",
-        _summary("execution", timing["exec_mean_ns"], timing["exec_max_ns"], period_us),
-        _summary("lateness ", timing["late_mean_ns"], timing["late_max_ns"], period_us),
+        f"samples    {t.ticks}, overruns {t.overruns}, missed {t.missed}",
+        _summary("execution", t.exec_mean_ns, t.exec_max_ns, period_us),
+        _summary("lateness ", t.late_mean_ns, t.late_max_ns, period_us),
     ]
-    edges = np.asarray(timing["histogram_edges_ns"], dtype=float) / 1e3
-    for name in ("exec", "late"):
-        counts = np.asarray(timing[f"{name}_histogram"])
+    edges = np.asarray(from_wire(t.histogram_edges_ns), dtype=float) / 1e3
+    for name, binned in (("execution", t.exec_histogram), ("lateness", t.late_histogram)):
+        counts = np.asarray(from_wire(binned))
         if counts.ndim == 1 and len(edges) == len(counts) + 1 and counts.sum():
-            lines += [
-                "",
-                f"{'execution' if name == 'exec' else 'lateness'}, µs; bars: log of the samples",
-                *bars(counts, edges),
-            ]
+            lines += ["", f"{name}, µs; bars: log of the samples", *bars(counts, edges)]
     return "\n".join(lines)
 
 

@@ -35,14 +35,6 @@ def slots(joints: int) -> tuple[Term, ...]:
     """Every effect that a torque can cancel, on every joint, of size zero; couplings where there
     are two joints (between more, the mechanism makes them).
 
-    Parameters
-    ----------
-    joints : int
-
-    Returns
-    -------
-    tuple of Term
-
     Examples
     --------
     >>> [t.effect for t in slots(1)][:2]
@@ -124,10 +116,6 @@ def plan_update(given: Model, improved: Model, variables: Collection[str]) -> Up
         In file form.
     variables : collection of str
         Names that the running program declares.
-
-    Returns
-    -------
-    Update
     """
     values: dict[str, float | list[float]] = {}
     left_out: list[str] = []

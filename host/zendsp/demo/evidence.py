@@ -4,14 +4,14 @@ was found.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis import Diagnosis, Finding
+from zendsp.link.concealed import TrueEffect, TrueValue
 from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model
 from zendsp.physics.term_numbers import summed
@@ -73,10 +73,6 @@ def compare_loop(recording: Recording, simulated: Recording) -> Hidden:
     ----------
     recording, simulated : Recording
         With q and tau, from the same first sample.
-
-    Returns
-    -------
-    Hidden
     """
     rows = min(len(recording), len(simulated))
     q, tau = columns(recording, "q")[:rows], columns(recording, "tau")[:rows]
@@ -117,22 +113,16 @@ def compare_tracking(recording: Recording, tick: int, first_s: float, last_s: fl
         Sample at which the update took effect.
     first_s, last_s : float
         Between which the machine works, s.
-
-    Returns
-    -------
-    Tracking
     """
     at = (tick - recording.start_tick) * recording.sample_time
     t = np.arange(len(recording)) * recording.sample_time
     e = columns(recording, "e")
     before = e[(t >= first_s) & (t < at)]
     after = e[(t >= at + BOUNDARY_S) & (t < last_s)]
-    return Tracking(
-        tick, tuple(rms(before).tolist()), tuple(rms(after).tolist()), first_s, last_s
-    )
+    return Tracking(tick, tuple(rms(before).tolist()), tuple(rms(after).tolist()), first_s, last_s)
 
 
-def matches(finding: Finding, truth: Mapping[str, Any]) -> bool:
+def matches(finding: Finding, truth: TrueEffect) -> bool:
     """Whether a finding, or one of those that the recordings cannot tell from it, is a concealed
     effect.
     """
@@ -144,7 +134,7 @@ def matches(finding: Finding, truth: Mapping[str, Any]) -> bool:
     )
 
 
-def in_model_frame(effect: Mapping[str, Any], plan: Machine) -> Mapping[str, Any]:
+def in_model_frame(effect: TrueEffect, plan: Machine) -> TrueEffect:
     """A concealed payload with its place in the frame of the model's link: the machine states it
     behind the link's own twist (distal Denavit-Hartenberg). Other effects as they are.
     """
@@ -159,7 +149,7 @@ def in_model_frame(effect: Mapping[str, Any], plan: Machine) -> Mapping[str, Any
         np.cos(twist) * y - np.sin(twist) * z,
         link["d"] + np.sin(twist) * y + np.cos(twist) * z,
     )
-    com = {
+    com: dict[str, TrueValue] = {
         f"com_{k}": {"value": float(v), "unit": "m"} for k, v in zip("xyz", place, strict=True)
     }
     return {**effect, "parameters": {"mass": told["mass"], **com}}
@@ -201,7 +191,7 @@ class Judged:
     parameters: tuple[tuple[str, float, float, float, str], ...]
 
 
-def judge(diagnosis: Diagnosis, effects: Sequence[Mapping[str, Any]]) -> Judged:
+def judge(diagnosis: Diagnosis, effects: Sequence[TrueEffect]) -> Judged:
     """Compare a diagnosis with what the machine revealed.
 
     Parameters
@@ -209,10 +199,6 @@ def judge(diagnosis: Diagnosis, effects: Sequence[Mapping[str, Any]]) -> Judged:
     diagnosis : Diagnosis
     effects : sequence of mapping
         Of :class:`zendsp.link.concealed.Truth`.
-
-    Returns
-    -------
-    Judged
     """
     found = diagnosis.findings
     named = all(any(matches(f, truth) for f in found) for truth in effects)

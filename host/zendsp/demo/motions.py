@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -92,10 +92,10 @@ def arm_work(machine: Machine) -> Reference:
     return lap
 
 
-def arm_mechanism(machine: Machine, folder: Path) -> dict[str, Any]:
+def arm_mechanism(machine: Machine, folder: Path) -> Mapping[str, object]:
     """The ``[mechanism]`` of the arm's nominal model."""
     numbers = machine.parameters
-    parameters: dict[str, Any] = {key: {"value": numbers[key]} for key in ("p1", "p2", "p3")}
+    parameters: dict[str, object] = {key: {"value": numbers[key]} for key in ("p1", "p2", "p3")}
     parameters |= {key: {"value": numbers[key], "free": False} for key in ("l1", "l2")}
     return {"kind": "planar2r", "parameters": parameters}
 
@@ -123,7 +123,7 @@ def pendulum_work(machine: Machine) -> Reference:
     return lap
 
 
-def pendulum_mechanism(machine: Machine, folder: Path) -> dict[str, Any]:
+def pendulum_mechanism(machine: Machine, folder: Path) -> Mapping[str, object]:
     """The ``[mechanism]`` of the pendulum's nominal model."""
     numbers = machine.parameters
     return {
@@ -167,7 +167,7 @@ def wam_work(machine: Machine) -> Reference:
     return lap
 
 
-def wam_mechanism(machine: Machine, folder: Path) -> dict[str, Any]:
+def wam_mechanism(machine: Machine, folder: Path) -> Mapping[str, object]:
     """The ``[mechanism]`` of the seven-joint arm's nominal model: a URDF, written into the folder.
     """
     file = folder / "wam7.urdf"

@@ -35,9 +35,9 @@ def run_demo(
     seed: int | None = None,
     clock: str = "fast",
     narrator: Narrator | None = None,
-) -> dict[str, Any]:
+) -> Told:
     """Start a target that conceals an effect, find it, compensate it, reveal it, and write the
-    report.
+    report and story.json.
 
     Parameters
     ----------
@@ -56,9 +56,7 @@ def run_demo(
 
     Returns
     -------
-    dict
-        As JSON holds it: "true", "why" (what is not true), "truth", "findings", "tracking",
-        "files", "seconds", "said".
+    Told
     """
     teller = narrator or Narrator(quiet=True)
     stage = get_stage(machine)
@@ -79,7 +77,7 @@ def run_demo(
     (out / "story.json").write_text(
         json.dumps(outcome, indent=1, ensure_ascii=False, allow_nan=False), encoding="utf-8"
     )
-    return outcome
+    return told
 
 
 def _write(told: Told, out: Path, teller: Narrator) -> list[Path]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from zendsp.demo.controller import flags, sources
 from zendsp.demo.stage import Stage, nominal_model
@@ -15,6 +14,7 @@ from zendsp.physics.model import Model
 from zendsp.physics.simulation.run import simulate
 from zendsp.recording import Recording
 from zendsp.reference import Reference
+from zendsp_protocol.values import Assignable
 
 CHANNELS = ("q", "r", "tau", "e", "aout", "tau_comp")
 REST_S = 0.3  # after the last row
@@ -81,9 +81,10 @@ class Machine:
             self.target.acknowledge()
             raise Refused(f"{note}: the machine stopped itself: {trip.text}")
 
-    def settings(self) -> dict[str, Any]:
+    def settings(self) -> dict[str, Assignable]:
         """Parameters of the control program on this machine."""
-        return {"approach_time": self.stage.approach_s, **self.stage.gains}
+        s = self.stage
+        return {"approach_time": s.approach_s, "Kp": s.Kp, "Kd": s.Kd, "cutoff": s.cutoff}
 
     def simulate(self, motion: Reference) -> Recording:
         """The same program and motion against the model that the host believes, in closed loop."""
@@ -100,9 +101,7 @@ class Machine:
         )
 
 
-def prepare_machine(
-    target: Target, stage: Stage, folder: Path = Path()
-) -> tuple[Machine, float]:
+def prepare_machine(target: Target, stage: Stage, folder: Path = Path()) -> tuple[Machine, float]:
     """Ask the target for its encoders, write down the nominal model (its bodies into the folder,
     where they have a file), and compile the control program on the target.
 

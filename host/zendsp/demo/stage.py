@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -28,8 +27,10 @@ class Stage:
     ----------
     machine : str
         Name of the simulated machine.
-    gains : mapping
-        Kp (N m/rad), Kd (N m s/rad), one per joint, and cutoff (Hz) of the velocity filter.
+    Kp, Kd : tuple of float
+        Gains of the joints, N m/rad and N m s/rad.
+    cutoff : float
+        Of the velocity filter, Hz.
     train, heldout, work : callable
         Make the motion that is recorded for the diagnosis, the one it is judged on, and one lap of
         the work that is repeated.
@@ -43,11 +44,13 @@ class Stage:
     """
 
     machine: str
-    gains: Mapping[str, Any]
+    Kp: tuple[float, ...]
+    Kd: tuple[float, ...]
+    cutoff: float
     train: Callable[[Machine], Reference]
     heldout: Callable[[Machine], Reference]
     work: Callable[[Machine], Reference]
-    mechanism: Callable[[Machine, Path], dict[str, Any]]
+    mechanism: Callable[[Machine, Path], Mapping[str, object]]
     pool: tuple[str, ...]
     approach_s: float = 1.0
 
@@ -75,13 +78,9 @@ def nominal_model(
         s.
     folder : Path
         For the description of the bodies, where the model has one.
-
-    Returns
-    -------
-    Model
     """
     plan = stage.plan
-    effects: list[dict[str, Any]] = []
+    effects: list[Mapping[str, object]] = []
     for j, (viscous, level) in enumerate(_friction(plan), start=1):
         effects.append(
             {"kind": "viscous", "joint": j, "coefficient": {"value": viscous, "unit": "N m s/rad"}}
@@ -115,7 +114,9 @@ def _friction(plan: Machine) -> list[tuple[float, float]]:
 STAGES = {
     "imi_planar": Stage(
         machine="imi_planar",
-        gains={"Kp": [2000.0, 300.0], "Kd": [120.0, 12.0], "cutoff": 40.0},
+        Kp=(2000.0, 300.0),
+        Kd=(120.0, 12.0),
+        cutoff=40.0,
         train=motions.arm_train,
         heldout=motions.arm_heldout,
         work=motions.arm_work,
@@ -124,7 +125,9 @@ STAGES = {
     ),
     "pendulum": Stage(
         machine="pendulum",
-        gains={"Kp": [4.0], "Kd": [0.06], "cutoff": 30.0},
+        Kp=(4.0,),
+        Kd=(0.06,),
+        cutoff=30.0,
         train=motions.pendulum_train,
         heldout=motions.pendulum_heldout,
         work=motions.pendulum_work,
@@ -133,11 +136,9 @@ STAGES = {
     ),
     "wam7": Stage(
         machine="wam7",
-        gains={
-            "Kp": [900.0, 1200.0, 300.0, 200.0, 25.0, 25.0, 6.0],
-            "Kd": [40.0, 50.0, 8.0, 6.0, 0.3, 0.3, 0.02],
-            "cutoff": 80.0,
-        },
+        Kp=(900.0, 1200.0, 300.0, 200.0, 25.0, 25.0, 6.0),
+        Kd=(40.0, 50.0, 8.0, 6.0, 0.3, 0.3, 0.02),
+        cutoff=80.0,
         train=motions.wam_train,
         heldout=motions.wam_heldout,
         work=motions.wam_work,

@@ -228,7 +228,7 @@ def _compensate(machine: Machine, told: Told, out: Path, narrator: Narrator) -> 
     narrator.chapter("4  Into the running program")
     update = plan_update(d.given, d.improved, machine.target.variables())
     motion = machine.stage.work(machine.stage.plan)
-    borne = bearing(d.given, d.improved, motion, machine.stage.gains["Kp"])
+    borne = bearing(d.given, d.improved, motion, machine.stage.Kp)
     told.left_out = update.left_out
     told.compensated = tuple(sorted({*update.joints, *borne}))
     for sentence in update.left_out:

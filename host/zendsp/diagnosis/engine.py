@@ -224,9 +224,7 @@ def _find(parts: Parts, given: Model, jobs: int, tell: Progress) -> _Found:
     known = tuple(t for m in measured for t in m.terms)
     beneath, bare = bodies.model.with_terms((*bodies.model.terms, *known)), parts
     explained = explain(with_bodies(bare, beneath), given, beneath, jobs, tell)
-    bare, explained = with_their_links(
-        measured_motion, bare, given, beneath, explained, jobs, tell
-    )
+    bare, explained = with_their_links(measured_motion, bare, given, beneath, explained, jobs, tell)
     parts, (searches, decisions, whole) = with_bodies(bare, beneath), explained
     claims = decide_bodies(parts, bodies, decisions, jobs)
     if len(claims) < len(bodies.found):  # what is no body has to be explained at the joints

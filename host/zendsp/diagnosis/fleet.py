@@ -157,10 +157,6 @@ def table(items: Sequence[Item], common: bool = True) -> str:
     items : sequence of Item
     common : bool
         Append what the recordings agree on.
-
-    Returns
-    -------
-    str
     """
     width = max([len(Path(i.recording).name) for i in items] + [9])
     lines = [

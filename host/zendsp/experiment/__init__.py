@@ -6,13 +6,14 @@ from zendsp.experiment.frequency import FrequencyResponse, frequency_response
 from zendsp.experiment.lab import Lab
 from zendsp.experiment.model_update import fit_model, put_into
 from zendsp.experiment.registry import EXPERIMENTS, Experiment, run_experiment
-from zendsp.experiment.result import Estimate, Result
+from zendsp.experiment.result import Estimate, FoundEffect, Result
 from zendsp.experiment.sweep import Sweep, sweep
 
 __all__ = [
     "EXPERIMENTS",
     "Estimate",
     "Experiment",
+    "FoundEffect",
     "FrequencyResponse",
     "Lab",
     "Result",

@@ -36,10 +36,6 @@ def mean_of(
         Standard deviation of what all of them share and their spread does not show.
     beside : sequence of float
         Others, of another mean, that scatter in the same proportion to it.
-
-    Returns
-    -------
-    Estimate
     """
     mean = float(np.mean(values))
     squares, free = float(np.sum((np.asarray(values) - mean) ** 2)), len(values) - 1
@@ -50,9 +46,7 @@ def mean_of(
     return Estimate(mean, float(np.hypot(half / NORMAL, systematic)), unit)
 
 
-def least_squares(
-    A: Array, b: Array, independent: int | None = None
-) -> tuple[Array, Array, Array]:
+def least_squares(A: Array, b: Array, independent: int | None = None) -> tuple[Array, Array, Array]:
     """Solution of A x = b, 95 % half widths, and the covariance over the residual's variance.
 
     ``independent``: how many of the rows are, where not all are.

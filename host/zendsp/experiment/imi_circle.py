@@ -93,7 +93,7 @@ def measured_model(curves: Result) -> Model:
             "name": "imi_planar, measured",
             "sample_time": 0.001,
             "mechanism": {"kind": "planar2r", "parameters": {"p1": P1, "p2": P2, "p3": P3}},
-            "effect": curves.effects,
+            "effect": [effect.table() for effect in curves.effects],
             "actuator": {"gain": [1.0, 1.0], "limit": [245.0, 39.2], "delay": 0.00116},
             "sensor": {"position_resolution": 4.0906154344e-5},
         }

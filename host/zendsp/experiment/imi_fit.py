@@ -13,7 +13,7 @@ import numpy.typing as npt
 from zendsp.experiment import imi_friction
 from zendsp.experiment.figures import AMBER, BLUE, GREY, RED, label, make_figure, save
 from zendsp.experiment.lab import Lab, needed
-from zendsp.experiment.result import Estimate, Result
+from zendsp.experiment.result import Estimate, FoundEffect, Result
 
 Array = npt.NDArray[np.float64]
 
@@ -78,10 +78,6 @@ def fit_curve(speed: Array, friction: Array, weight: Array) -> Curve:
         rad/s and N m, signed.
     weight : ndarray, shape (N,)
         Of each point.
-
-    Returns
-    -------
-    Curve
     """
     best: Curve | None = None
     root = np.sqrt(weight)
@@ -162,33 +158,17 @@ def _report(result: Result, joint: int, curve: Curve, static: Result) -> None:
         }
     )
     base = float(min(p[0], p[1]))
+    stiffness = static.values[f"stiffness{joint}"].value
+    damping = 0.6 * np.sqrt(stiffness * {1: 3.957, 2: 0.196}[joint])  # 0.3 of the critical
+    rest = zip(("slope", "curve", "cubic", "high_curve"), p[2:], strict=True)
+    block = {name: Estimate(float(value)) for name, value in rest}
+    block |= {"level": Estimate(base, float(curve.std[0]), "N m"), "split": Estimate(curve.split)}
+    uneven = {"level_pos": Estimate(float(p[0] - base)), "level_neg": Estimate(float(p[1] - base))}
+    bristles = {"stiffness": Estimate(stiffness), "damping": Estimate(float(damping))}
     result.effects += [
-        {
-            "kind": "friction_block",
-            "joint": joint,
-            "level": {"value": base, "std": float(curve.std[0]), "unit": "N m"},
-            "slope": float(p[2]),
-            "curve": float(p[3]),
-            "cubic": float(p[4]),
-            "split": curve.split,
-            "high_curve": float(p[5]),
-        },
-        {
-            "kind": "coulomb_asymmetry",
-            "joint": joint,
-            "level_pos": float(p[0] - base),
-            "level_neg": float(p[1] - base),
-        },
-        {
-            "kind": "presliding",
-            "joint": joint,
-            "stiffness": static.values[f"stiffness{joint}"].value,
-            "damping": float(
-                2
-                * 0.3
-                * np.sqrt(static.values[f"stiffness{joint}"].value * {1: 3.957, 2: 0.196}[joint])
-            ),
-        },
+        FoundEffect("friction_block", joint, block),
+        FoundEffect("coulomb_asymmetry", joint, uneven),
+        FoundEffect("presliding", joint, bristles),
     ]
 
 

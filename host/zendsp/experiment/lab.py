@@ -178,10 +178,6 @@ class Bench:
         **values
             Parameters of the program.
 
-        Returns
-        -------
-        Recording
-
         Raises
         ------
         Refused

@@ -105,7 +105,7 @@ def put_into(result: Result, path: str | Path) -> list[str]:
         {
             "name": "found",
             "mechanism": _SHELL,
-            "effect": result.effects,
+            "effect": [effect.table() for effect in result.effects],
             "columns": {"position": [f"q{j}" for j in range(8)]},
         },
         result.name,

@@ -12,7 +12,7 @@ from zendsp.errors import RecordingError
 from zendsp.experiment.estimates import NORMAL, least_squares
 from zendsp.experiment.figures import BLUE, GREEN, RED, label, make_figure, save
 from zendsp.experiment.lab import Lab
-from zendsp.experiment.result import Estimate, Result
+from zendsp.experiment.result import Estimate, FoundEffect, Result
 from zendsp.physics import parse_model, simulate_loop
 from zendsp.physics.model import Model
 from zendsp.recording import Recording
@@ -107,7 +107,7 @@ def steady_means(rec: Recording) -> tuple[float, float, float]:
     )
 
 
-def pendulum_model(theta: Array, smooth: float = 0.0) -> Model:
+def pendulum_model(theta: Array) -> Model:
     """theta1 qdd + theta2 g sin q + theta3 sign(qd) + viscous qd = tau, one sample late."""
     effects: list[dict[str, Any]] = [{"kind": "coulomb", "joint": 1, "level": float(theta[2])}]
     if len(theta) > 3:
@@ -177,11 +177,8 @@ def mechanical(lab: Lab, seconds: float = 6.0, brake: float = 0.08) -> Result:
             "gravity": Estimate(t["theta2"].value * G, t["theta2"].std * G, "N m"),
         }
         result.effects = [
-            {"kind": kind, "joint": 1, key: {"value": x.value, "std": x.std, "unit": unit}}
-            for kind, key, x, unit in (
-                ("coulomb", "level", t["theta3"], "N m"),
-                ("viscous", "coefficient", t["viscous"], "N m s/rad"),
-            )
+            FoundEffect("coulomb", 1, {"level": t["theta3"]}),
+            FoundEffect("viscous", 1, {"coefficient": t["viscous"]}),
         ]
         figure = _mechanical_figure(train, test, paper[0], extended[0])
         result.figure = save(figure, bench.folder / "mechanical.png")

@@ -137,11 +137,7 @@ def _draw(recs: dict[str, Recording], with_friction: Reference, without: Referen
         rows = _rows(rec, with_friction)
         t = rec.t[rows] - rec.t[rows.start]
         position.plot(t, rec["q"][rows], color=colour, linewidth=1.4, label=words[name])
-        for axis, values in (
-            (speed, rec["qd"]),
-            (torque, rec["tau"]),
-            (current, rec["adc"][:, 0]),
-        ):
+        for axis, values in ((speed, rec["qd"]), (torque, rec["tau"]), (current, rec["adc"][:, 0])):
             axis.plot(t, values[rows], color=colour, linewidth=1.0)
     label(position, "", "position (rad)", legend=True)
     label(speed, "", "speed (rad/s)")

@@ -31,10 +31,6 @@ def write_report(folder: Path, path: Path) -> Path:
     path : Path
         Markdown file; figures are copied to ``figures/`` beside it.
 
-    Returns
-    -------
-    Path
-
     Raises
     ------
     RecordingError

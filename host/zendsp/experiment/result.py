@@ -30,6 +30,20 @@ class Estimate:
         return f"{text} {self.unit}".rstrip()
 
 
+@dataclass(frozen=True)
+class FoundEffect:
+    """An effect of the library at one joint (1-based), with its parameters as measured."""
+
+    kind: str
+    joint: int
+    parameters: Mapping[str, Estimate]
+
+    def table(self) -> dict[str, Any]:
+        """The ``[[effect]]`` of a model file."""
+        parameters = {name: _table(e) for name, e in self.parameters.items()}
+        return {"kind": self.kind, "joint": self.joint, **parameters}
+
+
 @dataclass(repr=False)
 class Result:
     """One experiment's outcome.
@@ -38,8 +52,8 @@ class Result:
     ----------
     name, title, machine : str
     values : dict of str to Estimate
-    effects : list of dict
-        ``[[effect]]`` tables that a model file can take in.
+    effects : list of FoundEffect
+        That a model file can take in.
     mechanism : dict of str to Estimate
         ``[mechanism.parameters]`` that it can take in.
     tables : dict of str to list of dict
@@ -58,7 +72,7 @@ class Result:
     title: str
     machine: str
     values: dict[str, Estimate] = field(default_factory=dict)
-    effects: list[dict[str, Any]] = field(default_factory=list)
+    effects: list[FoundEffect] = field(default_factory=list)
     mechanism: dict[str, Estimate] = field(default_factory=dict)
     tables: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
     findings: list[str] = field(default_factory=list)
@@ -93,7 +107,7 @@ class Result:
         if self.mechanism:
             data["mechanism"] = {name: _table(e) for name, e in self.mechanism.items()}
         if self.effects:
-            data["effect"] = [_plain(effect) for effect in self.effects]
+            data["effect"] = [effect.table() for effect in self.effects]
         if self.tables:
             data["table"] = _plain(self.tables)
         return tomli_w.dumps(data)
@@ -119,7 +133,8 @@ class Result:
             raise RecordingError(f"{path}: is not the result of an experiment: {error}") from error
         result.values = {k: _estimate(v) for k, v in data.get("values", {}).items()}
         result.mechanism = {k: _estimate(v) for k, v in data.get("mechanism", {}).items()}
-        result.effects, result.tables = data.get("effect", []), data.get("table", {})
+        result.effects = [_effect(row) for row in data.get("effect", [])]
+        result.tables = data.get("table", {})
         for key in ("findings", "warnings", "recordings", "figure", "target"):
             setattr(result, key, data.get(key, getattr(result, key)))
         return result
@@ -131,6 +146,15 @@ def _table(e: Estimate) -> dict[str, Any]:
         **({"std": float(e.std)} if e.std > 0 else {}),
         **({"unit": e.unit} if e.unit else {}),
     }
+
+
+def _effect(row: Mapping[str, Any]) -> FoundEffect:
+    parameters = {
+        name: _estimate(value if isinstance(value, Mapping) else {"value": value})
+        for name, value in row.items()
+        if name not in ("kind", "joint")
+    }
+    return FoundEffect(str(row["kind"]), int(row["joint"]), parameters)
 
 
 def _estimate(data: Mapping[str, Any]) -> Estimate:

@@ -39,10 +39,6 @@ def run_reference(
     like : Recording, optional
         An earlier recording of this machine, with its program.
 
-    Returns
-    -------
-    Recording
-
     Raises
     ------
     Refused

@@ -304,10 +304,6 @@ def tried_of(words: Sequence[str]) -> dict[str, list[float]]:
 def values_of(text: str) -> list[float]:
     """Read values as typed: ``100,200,400``, or ``100:500:5`` for five from 100 to 500.
 
-    Parameters
-    ----------
-    text : str
-
     Raises
     ------
     VariableError

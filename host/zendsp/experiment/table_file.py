@@ -26,10 +26,6 @@ def write_rows(
     rows : iterable of mapping
         Values by column.
 
-    Returns
-    -------
-    Path
-
     Raises
     ------
     RecordingError

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from zendsp.experiment.estimates import NORMAL, least_squares, line_fit
 from zendsp.experiment.figures import BLUE, GREY, RED, label, make_figure, save
 from zendsp.experiment.lab import Bench, Lab, playing
-from zendsp.experiment.result import Estimate, Result
+from zendsp.experiment.result import Estimate, FoundEffect, Result
 from zendsp.recording import Recording
 from zendsp.reference import Reference, load_machine, make_trapezoid
 
@@ -73,9 +73,7 @@ def friction(
     return result
 
 
-def _map(
-    bench: Bench, joint: int, speeds: tuple[float, ...], travel: float, name: str
-) -> Sliding:
+def _map(bench: Bench, joint: int, speeds: tuple[float, ...], travel: float, name: str) -> Sliding:
     reference = _moves(joint, speeds, travel)
     rec = bench.record(
         name, "wam_pd_gravity.c", CHANNELS, reference=reference, before=3.0, decimation=DECIMATION
@@ -230,28 +228,16 @@ def _fit_joint(result: Result, joint: int, sliding: Sliding) -> Array:
     return points
 
 
-def friction_effects(joint: int, fitted: Friction) -> list[dict[str, Any]]:
-    """A joint's friction as ``[[effect]]`` tables of a model."""
-    found = fitted.value
+def friction_effects(joint: int, fitted: Friction) -> list[FoundEffect]:
+    """A joint's friction as effects of a model."""
+    coulomb, viscous = {}, {}
+    for word, end in (("+", "pos"), ("-", "neg")):
+        level, slope, half_level, half_slope = fitted.value[word]
+        coulomb[f"level_{end}"] = Estimate(level, half_level / NORMAL)
+        viscous[f"coefficient_{end}"] = Estimate(max(0.0, slope), half_slope / NORMAL)
     return [
-        {
-            "kind": "coulomb_asymmetry",
-            "joint": joint,
-            "level_pos": {"value": float(found["+"][0]), "std": float(found["+"][2] / NORMAL)},
-            "level_neg": {"value": float(found["-"][0]), "std": float(found["-"][2] / NORMAL)},
-        },
-        {
-            "kind": "viscous_asymmetry",
-            "joint": joint,
-            "coefficient_pos": {
-                "value": max(0.0, float(found["+"][1])),
-                "std": float(found["+"][3] / NORMAL),
-            },
-            "coefficient_neg": {
-                "value": max(0.0, float(found["-"][1])),
-                "std": float(found["-"][3] / NORMAL),
-            },
-        },
+        FoundEffect("coulomb_asymmetry", joint, coulomb),
+        FoundEffect("viscous_asymmetry", joint, viscous),
     ]
 
 

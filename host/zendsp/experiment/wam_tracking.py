@@ -84,7 +84,7 @@ def measured_model(measured: Result, folder: Path) -> Model:
             "name": "wam7, measured",
             "sample_time": 0.001,
             "mechanism": {"kind": "urdf", "file": str(file.resolve())},
-            "effect": measured.effects,
+            "effect": [effect.table() for effect in measured.effects],
             "actuator": {
                 "gain": [1.0] * JOINTS,
                 "limit": [float(x) for x in machine.limits.torque],

@@ -3,13 +3,27 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TypedDict
 
 from zendsp.errors import LinkError
 from zendsp.link.requests import Room
 from zendsp_protocol import messages as m
+
+
+class TrueValue(TypedDict):
+    """A parameter of a concealed effect; the law of a coupling is a word."""
+
+    value: float | str
+    unit: str
+
+
+class TrueEffect(TypedDict):
+    """What is concealed at one joint (1-based)."""
+
+    effect: str
+    joint: int
+    parameters: dict[str, TrueValue]
 
 
 @dataclass(frozen=True)
@@ -18,9 +32,8 @@ class Truth:
 
     Attributes
     ----------
-    effects : tuple of mapping
-        Each with "effect", "joint" (1-based) and "parameters" {name: {"value", "unit"}}, as a
-        report's findings.
+    effects : tuple of TrueEffect
+        In the form of a report's findings.
     source : str
         "seed:17", the name of a file, or "none".
     friction : str
@@ -31,7 +44,7 @@ class Truth:
         Sample at which it was told.
     """
 
-    effects: tuple[Mapping[str, Any], ...]
+    effects: tuple[TrueEffect, ...]
     source: str
     friction: str
     sha256: str

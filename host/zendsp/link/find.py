@@ -87,7 +87,7 @@ def discover(
     return [found[name] for name in sorted(found)]
 
 
-def there(endpoints: Sequence[str], timeout: float = 3.0) -> list[Found]:
+def there(endpoints: Sequence[str]) -> list[Found]:
     """List the targets that answer at ``endpoints``, by name, whatever runs on this machine.
 
     Raises
@@ -95,7 +95,7 @@ def there(endpoints: Sequence[str], timeout: float = 3.0) -> list[Found]:
     LinkError
         None.
     """
-    answers = _ask_all([([endpoint], None) for endpoint in endpoints], timeout)
+    answers = _ask_all([([endpoint], None) for endpoint in endpoints], 3.0)
     found = {one.name: one for some in answers for one in some}
     if not found:
         raise LinkError(

@@ -205,13 +205,7 @@ class Link:
             " is back"
         ) from None
 
-    def stream(
-        self,
-        verb: str,
-        arguments: Any,
-        on_part: Callable[[bytes, bytes], None],
-        timeout: float | None = None,
-    ) -> None:
+    def stream(self, verb: str, arguments: Any, on_part: Callable[[bytes, bytes], None]) -> None:
         """Send a request that is answered in many parts, each with an attachment, and a last one
         without.
 
@@ -227,8 +221,7 @@ class Link:
         """
         row = self._row(verb)
         payload = codec.encode_request(verb, arguments, self.author)
-        patience = timeout or row.timeout
-        with self._replies(row, payload, patience, zenoh.Priority.DATA_LOW) as replies:
+        with self._replies(row, payload, row.timeout, zenoh.Priority.DATA_LOW) as replies:
             for reply in replies:
                 sample = reply.ok
                 if sample is None:

@@ -10,14 +10,14 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import zenoh
 
 from zendsp.errors import LinkError, ZendspError
 from zendsp.link.background import Listener, background
 from zendsp.link.requests import Requests, Room
-from zendsp_protocol import codec
+from zendsp_protocol import codec, verbs
 from zendsp_protocol import messages as m
 from zendsp_protocol.lazily import Lazily
 from zendsp_protocol.views import curves, sentence
@@ -104,12 +104,12 @@ class LiveView:
     def __init__(
         self,
         requests: Requests,
-        arguments: dict[str, Any],
+        asked: verbs.LiveOpen,
         history: float,
         callback: Callable[[LiveBlock], None] | None,
     ) -> None:
         self._requests = requests
-        self._arguments = arguments
+        self._asked = asked
         self._callback = callback
         self._history = history
         self._lock = threading.Condition()
@@ -129,12 +129,12 @@ class LiveView:
         self.received = 0
 
     def _open(self) -> None:
-        opened: m.LiveOpened = self._requests.request("live_open", **self._arguments)
+        opened: m.LiveOpened = self._requests.link.request("live_open", self._asked)
         self.columns = opened.channels
         self.units = opened.units
         self.sample_time = opened.sample_time
         self._rows_kept = max(1, round(self._history / opened.sample_time))
-        self._rate = self._arguments["decimation"] / opened.sample_time
+        self._rate = self._asked.decimation / opened.sample_time
         self._stream = opened.stream
         # A ring: a slow callback loses its own oldest rows (counted as lost), and never holds up
         # the link.
@@ -296,5 +296,5 @@ class LiveViews(Room):
             rows.
         """
         names = [n for c in channels for n in ([c] if isinstance(c, str) else c)]
-        arguments = {"channels": names, "decimation": decimation, "interval": interval}
-        return LiveView(self._requests, arguments, history, callback)
+        asked = verbs.LiveOpen(channels=names, decimation=decimation, interval=interval)
+        return LiveView(self._requests, asked, history, callback)

@@ -13,7 +13,7 @@ from zendsp.link.requests import Requests, Room
 from zendsp.link.variables import Reading, Variables, plain
 from zendsp_protocol import messages as m
 from zendsp_protocol.lazily import Lazily
-from zendsp_protocol.values import from_wire
+from zendsp_protocol.values import Assignable, from_wire
 
 if TYPE_CHECKING:
     import numpy as np
@@ -44,7 +44,7 @@ class ParameterSet:
     [Difference(name='Kp', mine=1.0, other=3.0), Difference(name='Kd', mine=2.0, other=None)]
     """
 
-    values: Mapping[str, Any]  # bool, int, float, or a list of these
+    values: Mapping[str, Assignable]  # bool, int, float, or a list of these
     program: str = ""
     target: str = ""
     note: str = field(default="")
@@ -135,7 +135,7 @@ class ParameterSets(Room):
         values = {name: np.asarray(value).tolist() for name, value in read.items()}
         return ParameterSet(values, self.request("status").program, self.link.target)
 
-    def restore(self, parameters: ParameterSet | Mapping[str, Any] | str | Path) -> int:
+    def restore(self, parameters: ParameterSet | Mapping[str, Assignable] | str | Path) -> int:
         """Put a set back, in one sample; returns the sample at which it took effect.
 
         Parameters

@@ -6,7 +6,7 @@ import socket
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from zendsp.errors import LinkError
 from zendsp.link.connect import local
@@ -14,6 +14,7 @@ from zendsp.link.target import Target
 from zendsp.link.variables import plain
 from zendsp_protocol import messages as m
 from zendsp_protocol.lazily import Lazily
+from zendsp_protocol.values import Assignable
 
 if TYPE_CHECKING:
     import numpy as np
@@ -85,7 +86,7 @@ class Rehearsal:
 def rehearse(
     target: Target,
     tables: Mapping[str, npt.ArrayLike],
-    values: Mapping[str, Any],
+    values: Mapping[str, Assignable],
     seconds: float,
     on_progress: Callable[[float], None] | None = None,
     timeout: float = LONGEST_S,
@@ -141,7 +142,7 @@ def rehearse(
             limits.torque_clamp,
         )
         if present or values:
-            twin.update(**{**present, **values})
+            twin.update(None, **{**present, **values})
         for name, rows in tables.items():
             twin.upload(name, rows)
         decimation = 1 + ticks // MOST_ROWS

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import zenoh
@@ -45,7 +45,7 @@ class Credentials:
         return self.user or (common_name(self.certificate) if self.certificate else "")
 
     @classmethod
-    def from_environment(cls, environment: Mapping[str, str] = os.environ) -> Credentials:
+    def from_environment(cls) -> Credentials:
         """Read ``ZENDSP_TLS_CA``, ``ZENDSP_TLS_CERT``, ``ZENDSP_TLS_KEY``, ``ZENDSP_USER`` and
         ``ZENDSP_PASSWORD``.
         """
@@ -56,7 +56,7 @@ class Credentials:
             "ZENDSP_USER",
             "ZENDSP_PASSWORD",
         )
-        authority, certificate, key, user, password = (environment.get(name, "") for name in names)
+        authority, certificate, key, user, password = (os.environ.get(name, "") for name in names)
         return cls(authority, certificate, key, user, password)
 
 

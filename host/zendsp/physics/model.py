@@ -137,6 +137,19 @@ class Robot:
 
 
 @dataclass(frozen=True)
+class FmuPorts:
+    """Names of an FMU's variables by role, one a joint (empty: named like the columns, or not
+    stated), and the longest that one simulation may take, s (0: not stated).
+    """
+
+    inputs: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
+    start_position: tuple[str, ...] = ()
+    start_velocity: tuple[str, ...] = ()
+    time_limit: float = 0.0
+
+
+@dataclass(frozen=True)
 class Model:
     """A model file. ``mechanism`` holds one tuple of Quantity (a number a joint, or one) for each
     parameter.
@@ -150,7 +163,7 @@ class Model:
     actuator: Actuator = Actuator()
     sensor: Sensor = Sensor()
     controller: Mapping[str, Any] = field(default_factory=dict)
-    columns: Mapping[str, Any] = field(default_factory=dict)
+    columns: Mapping[str, str | list[str]] = field(default_factory=dict)
     file: str = ""  # urdf, mjcf, fmu
     entry: str = ""  # python
     joint_kinds: tuple[str, ...] = ()
@@ -158,9 +171,7 @@ class Model:
     discrepancy: Discrepancy = Discrepancy()
     folder: Path = Path(".")
     robot: Robot = Robot()
-    # fmu: names of its variables by role (inputs, outputs, start_position, start_velocity), and
-    # time_limit, s
-    fmu: Mapping[str, Any] = field(default_factory=dict)
+    fmu: FmuPorts = FmuPorts()
 
     @property
     def joints(self) -> int:

@@ -37,12 +37,8 @@ FILES = {
         "tx40/tx40.urdf": "8d678db7e0ff23f5004050cefe2bbda6ca7e00c1b0e707b05f792e7522900453",
     },
     "kuka_kr300": {
-        "kuka_kr300/A.npz": (
-            "6245d546c58879c52dca4f90ed6fcfd0966acd7ef2dabb10dd91618f6c8112d9"
-        ),
-        "kuka_kr300/B.npz": (
-            "4ba8900d061fb59a01a19ab5438fa9dba6130bca391d9dc2693a9845675fe77f"
-        ),
+        "kuka_kr300/A.npz": ("6245d546c58879c52dca4f90ed6fcfd0966acd7ef2dabb10dd91618f6c8112d9"),
+        "kuka_kr300/B.npz": ("4ba8900d061fb59a01a19ab5438fa9dba6130bca391d9dc2693a9845675fe77f"),
         "kuka_kr300/kr300.urdf": (
             "df69b0751fd89dbe9cf5e5df82f16814934ea231cc7f90f0c69fc1c358a3d839"
         ),

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -334,12 +334,3 @@ def sysidentpy_trouble() -> str:
     except Exception as error:  # whatever it raises is the finding
         return f"{type(error).__name__}: {str(error).splitlines()[0]}"
     return ""
-
-
-def ask_all(folders: Sequence[Path], method: str, told: Callable[[str], None]) -> dict[str, Answer]:
-    """Answers of one peer on many cases."""
-    out = {}
-    for folder in folders:
-        out[folder.name] = ask_peer(method, folder)
-        told(f"{method}: {folder.name}")
-    return out

@@ -103,10 +103,6 @@ def rescue(recording: Samples, name: str) -> Path | None:
 def check_suffix(path: str | Path) -> None:
     """Refuse a name that no recording can be saved under, before there is one.
 
-    Parameters
-    ----------
-    path : path
-
     Raises
     ------
     RecordingError

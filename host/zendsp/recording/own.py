@@ -57,9 +57,7 @@ def checked(
 
 def bad_description(path: Path, error: Exception) -> RecordingError:
     """Return the error for a description that is not as zendsp writes it."""
-    return RecordingError(
-        f"{path}: its description is damaged ({type(error).__name__}: {error})"
-    )
+    return RecordingError(f"{path}: its description is damaged ({type(error).__name__}: {error})")
 
 
 def checksum(text: str, t: FloatArray, data: FloatArray) -> str:

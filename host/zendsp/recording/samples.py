@@ -16,6 +16,7 @@ import numpy.typing as npt
 from zendsp.errors import RecordingError
 from zendsp.recording.names import FloatArray, element_names, listing, pick
 from zendsp_protocol.texts import counted
+from zendsp_protocol.values import Assignable
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ class Samples:
     lost: int = 0
     timing: Mapping[str, Any] = field(default_factory=dict)
     log: tuple[ParameterChange, ...] = ()
-    parameters: Mapping[str, Any] = field(default_factory=dict)
+    parameters: Mapping[str, Assignable] = field(default_factory=dict)
     sources: Mapping[str, str] = field(default_factory=dict)
     compiler: str = ""
     flags: tuple[str, ...] = ()

@@ -7,6 +7,8 @@ import numpy.typing as npt
 
 from zendsp.reference.core import Array
 
+SWAPS = 300  # rounds; the best seen is kept
+
 
 def crest_factor(x: Array) -> float:
     """Largest magnitude over root mean square; 1.414 for a sine.
@@ -28,7 +30,7 @@ def crest_factor(x: Array) -> float:
     return float(np.max(np.abs(x)) / np.sqrt(np.mean(x**2)))
 
 
-def low_crest_phases(lines: npt.NDArray[np.int64], amplitudes: Array, rounds: int = 300) -> Array:
+def low_crest_phases(lines: npt.NDArray[np.int64], amplitudes: Array) -> Array:
     """Phases of a multisine that keep its peaks low.
 
     Schroeder's phases first (Schroeder 1970), then time–frequency swapping (Van der Ouderaa,
@@ -42,8 +44,6 @@ def low_crest_phases(lines: npt.NDArray[np.int64], amplitudes: Array, rounds: in
         Harmonic numbers, each at least 1.
     amplitudes : ndarray, shape (F,)
         Amplitude of each line.
-    rounds : int
-        Number of swaps.
 
     Returns
     -------
@@ -64,14 +64,14 @@ def low_crest_phases(lines: npt.NDArray[np.int64], amplitudes: Array, rounds: in
     phases = -2 * np.pi * np.array([np.sum((n - index[:n]) * share[:n]) for n in index])
     points = 2 ** int(np.ceil(np.log2(16 * lines[-1])))
     best, lowest = phases, np.inf
-    for swap in range(rounds):
+    for swap in range(SWAPS):
         spectrum = np.zeros(points // 2 + 1, dtype=np.complex128)
         spectrum[lines] = 0.5 * points * amplitudes * np.exp(1j * phases)
         x = np.fft.irfft(spectrum, points)
         crest = crest_factor(x)
         if crest < lowest:
             best, lowest = phases, crest
-        level = (0.75 + 0.22 * swap / rounds) * np.max(np.abs(x))
+        level = (0.75 + 0.22 * swap / SWAPS) * np.max(np.abs(x))
         phases = np.asarray(
             np.angle(np.fft.rfft(np.clip(x, -level, level))[lines]), dtype=np.float64
         )

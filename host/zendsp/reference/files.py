@@ -146,14 +146,6 @@ def load_reference(path: str | Path) -> Reference:
 def is_reference(path: Path) -> bool:
     """Whether a file is one that `save_reference` wrote, and no other table.
 
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    bool
-
     Examples
     --------
     >>> is_reference(Path("way.csv"))

@@ -146,9 +146,7 @@ class Machine:
         where there is no model.
         """
         if not self.modelled:
-            raise ReferenceError_(
-                f"{self.name}: {UNPREDICTED}; plan a position instead"
-            )
+            raise ReferenceError_(f"{self.name}: {UNPREDICTED}; plan a position instead")
         return make_dynamics(self.kind, self.parameters)
 
     def torque(self, reference: Reference) -> Array | None:

@@ -108,7 +108,6 @@ class ZendspApp(App[None]):
         self._awaited: tuple[Path, Callable[[Run], None]] | None = None
 
     # -- life
-    # ----------------------------------------------------------------------------------------------
 
     async def on_mount(self) -> None:
         from zendsp.tui.screens.console import ConsoleScreen
@@ -177,7 +176,6 @@ class ZendspApp(App[None]):
         self.session.close()
 
     # -- actions of the table that belong to no screen
-    # ------------------------------------------------------------------
 
     async def action_stop(self) -> None:
         """STOP."""
@@ -302,7 +300,6 @@ class ZendspApp(App[None]):
         self.drive("acknowledge", "acknowledge")
 
     # -- keys
-    # ----------------------------------------------------------------------------------------------
 
     def get_driver_class(self) -> type[Driver]:
         """Read the keys that the process of STOP hands on."""
@@ -361,7 +358,6 @@ class ZendspApp(App[None]):
         return bool(self._expected)
 
     # -- helpers of the screens
-    # -------------------------------------------------------------------------------------------
 
     def drive(self, label: str, verb: str, **values: object) -> None:
         """Ask something of the drives; a refusal is shown with its reason."""

@@ -6,11 +6,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from zendsp.physics import load_model
 from zendsp.physics.codegen.compensation import SETTINGS, compensation_values
+from zendsp.physics.codegen.terms import compensable, why_not
 from zendsp.tui.diagnoses import Diagnosed
+from zendsp_protocol.values import Value
 
 FILE = "compensation.c"
 SHARE = "comp_share"
@@ -25,13 +26,14 @@ class Compensation:
 
     values: Mapping[str, float]
     source: Path  # compensation.c of the report
+    left_out: tuple[str, ...]  # what a torque cannot cancel, and why
 
     def fits(self, names: Iterable[str]) -> bool:
         """Whether a program with these variables takes just these numbers."""
         own = {n for n in names if n.startswith("comp_") and n not in SETTINGS}
         return bool(self.values) and own == set(self.values)
 
-    def acts(self, present: Mapping[str, Any]) -> bool:
+    def acts(self, present: Mapping[str, Value]) -> bool:
         """Whether a program with these values adds it now."""
         same = all(float(present.get(n, float("nan"))) == v for n, v in self.values.items())
         return same and float(present.get(SHARE, 0.0)) > 0.0
@@ -48,14 +50,12 @@ def compensation_of(d: Diagnosed) -> Compensation:
     model = load_model(d.folder / "model.toml")
     found = {(f["effect"], f["joint"]) for f in d.report["findings"]}
     terms = [t for t in model.terms if (t.effect, t.joint) in found]
-    return Compensation(compensation_values(terms, model), d.folder / FILE)
-
-
-def not_compensated(source: Path) -> str:
-    """Return the lines of compensation.c that say what a torque cannot cancel, and why."""
-    lines = source.read_text(encoding="utf-8").splitlines()
-    said = (line.strip(" *") for line in lines)
-    return "\n".join(line for line in said if line.startswith("Not compensated:"))
+    left_out = tuple(
+        f"Not compensated: {t.effect} of joint {t.joint} ({why_not(t.effect)})."
+        for t in terms
+        if not compensable(t)
+    )
+    return Compensation(compensation_values(terms, model), d.folder / FILE, left_out)
 
 
 def has_room(sources: Mapping[str, str]) -> bool:

@@ -19,6 +19,7 @@ from zendsp.recording import Recording
 from zendsp.tui.port import Build, Remark, Shot, Sink, Tell
 from zendsp.tui.snapshot import Snapshot, TripView, Variable
 from zendsp_protocol import messages as m
+from zendsp_protocol.values import Assignable, Value
 
 if TYPE_CHECKING:
     from zendsp.experiment import FrequencyResponse, Sweep
@@ -43,7 +44,6 @@ class LinkPort:
         self._recorder: m.AcquireStatus | None = None
 
     # -- what is
-    # ----------------------------------------------------------------------------------------------
 
     def snapshot(self) -> Snapshot:
         """Ask for everything a screen shows; six quick requests at the most."""
@@ -53,7 +53,7 @@ class LinkPort:
         drive = self.target.drive_status()
         if s.program != self._program or (s.program and not self._variables):
             self._learn(s.program)
-        values: Mapping[str, Any] = {}
+        values: Mapping[str, Value] = {}
         if self._names and s.state not in ("empty", "crashed"):
             with contextlib.suppress(RunnerDied):
                 values = self.target.read(self._names).values
@@ -62,9 +62,7 @@ class LinkPort:
         ):
             with contextlib.suppress(ZendspError):
                 self._recorder = self.target.acquire_status()
-        if self._described is not None and (
-            self._limits is None or self._looked % LOST_EVERY == 0
-        ):
+        if self._described is not None and (self._limits is None or self._looked % LOST_EVERY == 0):
             with contextlib.suppress(RunnerDied):
                 self._limits = self.target.limits()
         self._looked += 1
@@ -73,7 +71,7 @@ class LinkPort:
         return self._make(s, drive, values, latency)
 
     def _make(
-        self, s: m.Status, drive: m.DriveStatus, values: Mapping[str, Any], latency: float
+        self, s: m.Status, drive: m.DriveStatus, values: Mapping[str, Value], latency: float
     ) -> Snapshot:
         t, recorder, described = s.timing, self._recorder, self._described
         io = {name: np.ravel(np.asarray(plain(value))) for name, value in s.io.items()}
@@ -141,7 +139,6 @@ class LinkPort:
         ]
 
     # -- live
-    # ----------------------------------------------------------------------------------------------
 
     def live(self, names: Sequence[str], sink: Sink) -> Callable[[], None]:
         """Follow signals; returns what ends it."""
@@ -157,7 +154,6 @@ class LinkPort:
         return view.close
 
     # -- program
-    # ----------------------------------------------------------------------------------------------
 
     def stop(self) -> str:
         """STOP; returns how it ended."""
@@ -185,15 +181,14 @@ class LinkPort:
         return Build(True, result.seconds, result.cached, _remarks(result))
 
     # -- variables
-    # ----------------------------------------------------------------------------------------------
 
-    def write(self, values: Mapping[str, Any]) -> int:
+    def write(self, values: Mapping[str, Assignable]) -> int:
         """Write asynchronously, then wait for the word that it acts."""
         sequence = self.target.write(**values)
         applied: m.Applied = self.target.request("wait_applied", sequence=sequence, timeout=2.0)
         return applied.tick
 
-    def update(self, values: Mapping[str, Any]) -> int:
+    def update(self, values: Mapping[str, Assignable]) -> int:
         """Apply all in one sample."""
         return self.target.update(None, **values)
 
@@ -204,7 +199,7 @@ class LinkPort:
     def rehearse(
         self,
         tables: Mapping[str, npt.NDArray[np.float64]],
-        values: Mapping[str, Any],
+        values: Mapping[str, Assignable],
         seconds: float,
         tell: Callable[[float], None],
     ) -> Rehearsal:
@@ -219,7 +214,7 @@ class LinkPort:
 
     def sweep(
         self,
-        values: Mapping[str, Sequence[Any]],
+        values: Mapping[str, Sequence[Assignable]],
         channels: Sequence[str],
         settings: Mapping[str, Any],
         tell: Tell,
@@ -230,7 +225,6 @@ class LinkPort:
         return sweep(self.target, values, channels, **settings, progress=tell)
 
     # -- drives
-    # ----------------------------------------------------------------------------------------------
 
     def drive(self, verb: str, **values: Any) -> str:
         """Ask something of the drives; homing is waited for."""
@@ -240,7 +234,6 @@ class LinkPort:
         return said.text
 
     # -- acquisition
-    # ----------------------------------------------------------------------------------------------
 
     def arm(self, shot: Shot) -> None:
         """Configure and start the recorder."""

@@ -48,7 +48,6 @@ class MeasureJob(Generic[T]):
         return not self.result.done()
 
     # -- on the thread
-    # ----------------------------------------------------------------------------------------------
 
     def _tell(self, share: float) -> None:
         if self._abort.is_set():

@@ -87,7 +87,6 @@ class PlayJob:
         return not self.result.done()
 
     # -- on the thread
-    # ----------------------------------------------------------------------------------------------
 
     def _run(self) -> None:
         try:

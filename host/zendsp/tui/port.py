@@ -13,6 +13,7 @@ import numpy.typing as npt
 from zendsp.link import Rehearsal
 from zendsp.recording import Recording
 from zendsp.tui.snapshot import Snapshot
+from zendsp_protocol.values import Assignable
 
 if TYPE_CHECKING:  # the experiments are loaded when one is asked for
     from zendsp.experiment import FrequencyResponse, Sweep
@@ -64,8 +65,8 @@ class Port(Protocol):
     def start(self, ticks: int | None = None) -> None: ...
     def pause(self) -> None: ...
     def build(self, sources: Mapping[str, str]) -> Build: ...
-    def write(self, values: Mapping[str, Any]) -> int: ...
-    def update(self, values: Mapping[str, Any]) -> int: ...
+    def write(self, values: Mapping[str, Assignable]) -> int: ...
+    def update(self, values: Mapping[str, Assignable]) -> int: ...
     def drive(self, verb: str, **values: Any) -> str: ...
     def arm(self, shot: Shot) -> None: ...
     def progress(self) -> tuple[str, float]: ...  # state and share done
@@ -77,7 +78,7 @@ class Port(Protocol):
     def rehearse(
         self,
         tables: Mapping[str, npt.NDArray[np.float64]],
-        values: Mapping[str, Any],
+        values: Mapping[str, Assignable],
         seconds: float,
         tell: Tell,
     ) -> Rehearsal: ...
@@ -85,7 +86,7 @@ class Port(Protocol):
     def respond(self, settings: Mapping[str, Any], tell: Tell) -> FrequencyResponse: ...
     def sweep(
         self,
-        values: Mapping[str, Sequence[Any]],
+        values: Mapping[str, Sequence[Assignable]],
         channels: Sequence[str],
         settings: Mapping[str, Any],
         tell: Tell,

@@ -167,9 +167,7 @@ def joint_positions(machine: Machine, q: Floats) -> Floats:
     return np.stack(places, axis=1)
 
 
-def _spatial_path(
-    machine: Machine, reference: Reference
-) -> tuple[list[Curve], Axes]:
+def _spatial_path(machine: Machine, reference: Reference) -> tuple[list[Curve], Axes]:
     """Path of the tip seen along the axis in which it moves least."""
     places = joint_positions(machine, np.asarray(reference.q)[:: max(reference.samples // 2000, 1)])
     tip = places[:, -1]

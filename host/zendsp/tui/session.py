@@ -75,7 +75,6 @@ class Session:
         self._threads = [background(f"tui-stop-{number}", self._stop) for number in range(STOPPERS)]
 
     # -- life
-    # ----------------------------------------------------------------------------------------------
 
     def start(self) -> None:
         """Start the threads."""
@@ -151,7 +150,6 @@ class Session:
             self.stopper.want(name)
 
     # -- what the user asks
-    # ---------------------------------------------------------------------------------------------
 
     def do(self, label: str, job: Callable[[Port], T]) -> Future[T]:
         """Run a job against the target on the worker thread. What goes wrong becomes an event and
@@ -226,7 +224,6 @@ class Session:
         return self.history
 
     # -- the poller
-    # ----------------------------------------------------------------------------------------------
 
     def _poll(self) -> None:
         while not self._closing.is_set():
@@ -365,7 +362,6 @@ class Session:
             self.events.add(f"scope: {error}", "warning")
 
     # -- the worker
-    # ----------------------------------------------------------------------------------------------
 
     def _work(self) -> None:
         while True:

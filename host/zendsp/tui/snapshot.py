@@ -8,7 +8,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from zendsp_protocol.messages import Limits, MachineInfo
+from zendsp_protocol.values import Value
 
 
 @dataclass(frozen=True)
@@ -22,7 +26,7 @@ class Variable:
     unit: str
     minimum: float
     maximum: float
-    initial: Any
+    initial: Value
     description: str
     columns: int = 1  # of a table: values a row
 
@@ -87,12 +91,12 @@ class Snapshot:
     crash: str = ""
     unsafe: str = ""  # why the machine may still move where no program runs
     scheduling: str = ""
-    io: Mapping[str, Any] = field(default_factory=dict)
+    io: Mapping[str, npt.NDArray[np.float64]] = field(default_factory=dict)
     # of each joint by its encoder, rad or m; also while no program computes anything
     position: tuple[float, ...] = ()
     conditions: tuple[tuple[str, bool, str], ...] = ()  # of enabling: name, met, what to do
     variables: tuple[Variable, ...] = ()
-    values: Mapping[str, Any] = field(default_factory=dict)
+    values: Mapping[str, Value] = field(default_factory=dict)
 
     @property
     def share(self) -> float:

@@ -28,6 +28,7 @@ from zendsp.tui.playing import (
 )
 from zendsp.tui.port import Port
 from zendsp.tui.snapshot import Snapshot
+from zendsp_protocol.values import Assignable
 
 STILL_S = 0.5  # that a plan must stay the same before it is tried
 AGAIN_S = 10.0  # after one that failed
@@ -40,7 +41,7 @@ class Plan:
     """All that decides how a run goes."""
 
     program: str
-    parameters: Mapping[str, Any]
+    parameters: Mapping[str, Assignable]
     player: Player
     playlist: Playlist
     values: Mapping[str, Any]

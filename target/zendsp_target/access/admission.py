@@ -150,10 +150,6 @@ def settle(name: str, listen: Sequence[str], connect: Sequence[str], security: S
         Endpoints; ``here``, and an empty ``listen``: the socket that only this user can open.
     security : Security
 
-    Returns
-    -------
-    Doors
-
     Raises
     ------
     Refused

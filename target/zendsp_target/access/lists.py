@@ -120,10 +120,6 @@ class RolesFile(Mapping[str, str]):
     A file that is damaged later gives nobody a role. The names that the target lets in are those of
     its start.
 
-    Parameters
-    ----------
-    path : str
-
     Raises
     ------
     Refused

@@ -146,10 +146,6 @@ def create(
     free_bytes : int
         Of the shared memory and of the computer's.
 
-    Returns
-    -------
-    Stream
-
     Raises
     ------
     AcquisitionError

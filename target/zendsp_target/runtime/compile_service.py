@@ -150,10 +150,6 @@ def program_path(key: str) -> Path:
     key : str
         From `compile_program`.
 
-    Returns
-    -------
-    Path
-
     Raises
     ------
     Refused

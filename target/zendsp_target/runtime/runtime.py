@@ -35,10 +35,6 @@ def program_text(name: str) -> str:
     name : str
         ``"template"``, ``"pd"``, …
 
-    Returns
-    -------
-    str
-
     Examples
     --------
     >>> "UserISR_INT2" in program_text("template")

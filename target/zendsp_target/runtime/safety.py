@@ -209,10 +209,6 @@ def check_limits(machine: MachineInfo, changes: Mapping[str, Value]) -> dict[str
 def histogram_edges(bins: int) -> npt.NDArray[np.float64]:
     """Edges of the timing histograms: four bins an octave, the last one open.
 
-    Parameters
-    ----------
-    bins : int
-
     Returns
     -------
     ndarray, shape (bins + 1,)

@@ -95,7 +95,6 @@ class Drives:
             self._off()
 
     # -- what is
-    # ----------------------------------------------------------------------------------------------
 
     def state(self, status: Status) -> DriveState:
         """Return where in the sequence a status is. Takes no lock: who waits for the loop holds it,
@@ -190,7 +189,6 @@ class Drives:
             )
 
     # -- who may
-    # ----------------------------------------------------------------------------------------------
 
     def check_right(self, by: str) -> None:
         """Refuse unless ``by`` may command."""
@@ -245,7 +243,6 @@ class Drives:
         return True
 
     # -- the sequence
-    # ----------------------------------------------------------------------------------------------
 
     def act(self, args: verbs.Drive, by: str) -> str:
         """Do what a ``drive`` request asks; returns a sentence."""
@@ -363,7 +360,6 @@ class Drives:
         self._runtime.set_drive("off")
 
     # -- before and after the other verbs
-    # -------------------------------------------------------------------------------
 
     def guard(self, handlers: dict[str, Callable[[Any, str], Any]]) -> None:
         """Put the rules before every handler that could move something, and add the verbs of the

@@ -29,12 +29,6 @@ _PROBE = -0.1  # likewise
 class Repeats:
     """Answers to requests that came before; of one user and one thread, since a reply is filled in
     where the last one stood.
-
-    Parameters
-    ----------
-    runtime : RuntimeApi
-    drives : Drives
-    lane : str
     """
 
     def __init__(self, runtime: RuntimeApi, drives: Drives, lane: str) -> None:

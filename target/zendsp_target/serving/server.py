@@ -7,7 +7,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any
@@ -92,7 +92,6 @@ class Server:
             thread.join(JOIN_S)
 
     # requests
-    # ----------------------------------------------------------------------------------------------
 
     def _serve(self, key: str, answers: Sequence[Callable[[zenoh.Query], None]]) -> None:
         """Answer what comes for a key, in as many threads.
@@ -222,7 +221,6 @@ class Server:
             query.drop()  # type: ignore[no-untyped-call]
 
     # for any Zenoh client
-    # --------------------------------------------------------------------------------------------
 
     def _info(self, query: zenoh.Query) -> None:
         self._answer(
@@ -232,7 +230,7 @@ class Server:
     def _variable(self, query: zenoh.Query) -> None:
         self._answer(query, lambda: self._values(query.key_expr))
 
-    def _values(self, wanted: zenoh.KeyExpr) -> dict[str, Any]:
+    def _values(self, wanted: zenoh.KeyExpr) -> Mapping[str, object]:
         user = keys.user_of(str(wanted))
         if user:
             check_role(user, self._doors.role_of(user), verbs.VERBS["read"])
@@ -254,7 +252,7 @@ class Server:
             for name, value in read.items()
         }  # fmt: skip
 
-    def _answer(self, query: zenoh.Query, find: Callable[[], dict[str, Any]]) -> None:
+    def _answer(self, query: zenoh.Query, find: Callable[[], Mapping[str, object]]) -> None:
         try:
             with query:
                 try:

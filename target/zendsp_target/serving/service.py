@@ -77,7 +77,6 @@ class Service:
         self.drives.guard(self.handlers)
 
     # the target
-    # ----------------------------------------------------------------------------------------------
 
     def do_info(self, args: verbs.Nothing, by: str) -> m.Info:
         status = self.runtime.status()
@@ -131,7 +130,6 @@ class Service:
         return self._shown(self.runtime.status())
 
     # what a simulated machine conceals
-    # ----------------------------------------------------------------------------------
 
     def do_seal(self, args: verbs.Nothing, by: str) -> m.Seal:
         return m.Seal(sha256=self.runtime.seal())
@@ -141,7 +139,6 @@ class Service:
         return m.Revealed(record=record, sha256=sha256, tick=self.runtime.status().tick)
 
     # programs
-    # ----------------------------------------------------------------------------------------------
 
     def do_compile(self, args: verbs.Compile, by: str) -> m.CompileResult:
         result = self.runtime.compile(args.sources, args.flags)
@@ -197,7 +194,6 @@ class Service:
         return msgspec.structs.replace(program, log_start=self._log_start)
 
     # acquisition
-    # ----------------------------------------------------------------------------------------------
 
     def do_acquire_configure(self, args: verbs.AcquireConfigure, by: str) -> m.AcquireStatus:
         config = AcquireConfig(
@@ -252,7 +248,6 @@ class Service:
         return self.runtime.acquire_held(RECORDER)
 
     # live
-    # ----------------------------------------------------------------------------------------------
 
     def open_live(self, args: verbs.LiveOpen, by: str, user: str) -> m.LiveOpened:
         """Answer ``live_open``: the key is that of the name under which the host is known."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, cast
+from typing import cast
 
 import msgspec
 import numpy as np
@@ -34,7 +34,7 @@ class VariableVerbs:
     def do_builtins(self, args: verbs.Nothing, by: str) -> tuple[m.VariableInfo, ...]:
         return self.runtime.builtins()
 
-    def do_read(self, args: verbs.Read, by: str) -> dict[str, Any]:
+    def do_read(self, args: verbs.Read, by: str) -> Mapping[str, object]:
         ended = self.runtime.ended()  # first: what is read then is not older
         tick, found = self.runtime.read(args.names)
         return (

@@ -16,7 +16,7 @@ from zendsp_protocol.texts import counted
 
 Array = npt.NDArray[np.float64]
 Getter = Callable[[str], Array]  # from a column's name to its numbers in SI
-Columns = Mapping[str, Any]  # a model's [columns]: a name, or a list of them, by role
+Columns = Mapping[str, str | list[str]]  # a model's [columns]: a name, or a list of them, by role
 
 
 LARGEST = 1e100  # of a value: its square is a number yet
@@ -56,9 +56,7 @@ def refuse_no_number(what: str, values: Array) -> None:
     )
 
 
-def getter(
-    source: str | Path | Recording | Table,
-) -> tuple[str, Getter, tuple[str, ...]]:
+def getter(source: str | Path | Recording | Table) -> tuple[str, Getter, tuple[str, ...]]:
     """Its name, a function from a column's name to its numbers in SI, and what was done to get
     these.
     """

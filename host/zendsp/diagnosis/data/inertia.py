@@ -45,15 +45,6 @@ def inertia_ranges(
 ) -> dict[str, tuple[float, float]]:
     """Range of each joint's own inertia, kg m² or kg, by ``own_key``; only where the recordings
     determine it.
-
-    Parameters
-    ----------
-    records : sequence of recordings, each a sequence of JointRecord
-    model : Model
-
-    Returns
-    -------
-    dict of str to (float, float)
     """
     ranges = {}
     for joint in range(1, model.joints + 1):
@@ -101,9 +92,7 @@ def _estimate(
     return float(theta[0] / scale[0]), float(theta[0] / max(np.sqrt(max(spread, 0.0)), 1e-300))
 
 
-def _system(
-    rec: JointRecord, model: Model, window: float, coupled: bool
-) -> tuple[Array, Array]:
+def _system(rec: JointRecord, model: Model, window: float, coupled: bool) -> tuple[Array, Array]:
     width = max(3, round(window / rec.sample_time))
 
     def low(v: Array) -> Array:

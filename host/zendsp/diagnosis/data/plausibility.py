@@ -104,10 +104,6 @@ def look(positions: Array, commands: Array, sample_time: float, noise: Array) ->
     noise : ndarray, shape (joints,)
         Standard deviation of the position's noise, rad or m: the cutoff falls until its share of
         the acceleration does not matter.
-
-    Returns
-    -------
-    Slow
     """
     nyquist = 0.5 / sample_time
     for cutoff in BAND:

@@ -41,10 +41,6 @@ def prepare(signals: Sequence[Signals], model: Model, bandwidth: float = 32.0) -
         The given model (its values only scale the smoothing).
     bandwidth : float
         First guess of the observers, rad/s.
-
-    Returns
-    -------
-    Data
     """
     records = tuple(_records(s, model) for s in signals)
     return Data(records, (bandwidth,) * model.joints, ranges=inertia_ranges(records, model))
@@ -55,10 +51,7 @@ def one_sensor(signals: Sequence[Signals]) -> list[Signals]:
     and a recording in which a joint hardly moves says next to nothing of its noise.
     """
     noises = {
-        (
-            len(s.time),
-            *map(noise_beside_quantisation, s.position.T, map(float, s.resolution)),
-        )
+        (len(s.time), *map(noise_beside_quantisation, s.position.T, map(float, s.resolution)))
         for s in signals
     }  # a recording that is given twice counts once
     usual = np.median(np.array(list(noises))[:, 1:], axis=0)

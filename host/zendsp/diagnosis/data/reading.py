@@ -44,15 +44,6 @@ Array = npt.NDArray[np.float64]
 def read_signals(source: str | Path | Recording | Table, model: Model) -> Signals:
     """Read a recording by the column names of a model.
 
-    Parameters
-    ----------
-    source : path, Recording or Table
-    model : Model
-
-    Returns
-    -------
-    Signals
-
     Raises
     ------
     RecordingError

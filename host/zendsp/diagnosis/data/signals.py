@@ -105,17 +105,7 @@ def joint_columns(signals: Signals, joint: int) -> dict[str, Array]:
 
 
 def unused_effects(signals: Sequence[Signals], model: Model) -> list[str]:
-    """A note for each effect that a recording lacks a column for.
-
-    Parameters
-    ----------
-    signals : sequence of Signals
-    model : Model
-
-    Returns
-    -------
-    list of str
-    """
+    """A note for each effect that a recording lacks a column for."""
     notes = []
     for effect in library().values():
         for role in effect.reads:

@@ -133,10 +133,6 @@ def diagnose_simulator(
     progress : callable, optional
         Receives a sentence at each stage.
 
-    Returns
-    -------
-    Diagnosis
-
     Raises
     ------
     RecordingError, ModelError
@@ -197,10 +193,7 @@ def _diagnose(
         rejected=tuple(sorted(rejected, key=lambda r: -r.score)[:12]),
         next_recording=next_of(findings),
         seconds=time.perf_counter() - begin,
-        notes=(
-            *notes,
-            _untried(train, test),
-        ),
+        notes=(*notes, _untried(train, test)),
         given=file_model(model),
         calibrated=file_model(base.model),
         improved=file_model(current.model),

@@ -67,7 +67,7 @@ class Fmu:
         self.name = f"[mechanism] file = {model.file!r}"
         if not path.is_file():
             raise ModelError(f"{self.name}: no such file beside the model ({path})")
-        self.path, self.limit = path, float(model.fmu.get("time_limit", TIME_LIMIT))
+        self.path, self.limit = path, model.fmu.time_limit or TIME_LIMIT
         self.fmpy = need("fmpy", "fmpy", 'a model of kind = "fmu"', ModelError)
         self.description = self._described()
         self.ports = self._ports(model)
@@ -119,12 +119,13 @@ class Fmu:
                 out.append(int(v.valueReference))
             return tuple(out)
 
-        def of(role: str, column: str) -> list[str]:
-            spec = model.fmu.get(role) or model.columns.get(column, [])
+        def column(role: str) -> Sequence[str]:
+            spec = model.columns.get(role, [])
             return [spec] if isinstance(spec, str) else list(spec)
 
-        inputs, outputs = of("inputs", "command"), of("outputs", "position")
-        starts = [list(model.fmu.get(key, ())) for key in ("start_position", "start_velocity")]
+        inputs = model.fmu.inputs or column("command")
+        outputs = model.fmu.outputs or column("position")
+        starts = (model.fmu.start_position, model.fmu.start_velocity)
         for key, names in zip(("inputs", "start_position", "start_velocity"), (inputs, *starts),
                               strict=True):  # fmt: skip
             if names and len(names) != len(outputs):
@@ -318,9 +319,7 @@ class _Instance:
     def _calls(self) -> tuple[Any, Any, Any]:
         """What each row calls: with a buffer of outputs, with one of inputs, with time and step."""
         dll, c, p = self.slave.dll, self.slave.component, self.ports
-        reads, writes = (
-            (ctypes.c_uint * len(r))(*r) for r in (p.outputs, p.inputs)
-        )
+        reads, writes = ((ctypes.c_uint * len(r))(*r) for r in (p.outputs, p.inputs))
         n, m = len(reads), len(writes)
         if not self.three:
             get, put, do = dll.fmi2GetReal, dll.fmi2SetReal, dll.fmi2DoStep

@@ -88,9 +88,7 @@ def _shortlist(options: Sequence[tuple[float, Term]]) -> list[Term]:
     return best + [
         term
         for _, term in options[SHORTLIST:]
-        if any(
-            b.joint == term.joint and term.effect in get_effect(b.effect).replaces for b in best
-        )
+        if any(b.joint == term.joint and term.effect in get_effect(b.effect).replaces for b in best)
     ]
 
 
@@ -169,11 +167,7 @@ class Hunt:
         if c.z <= MIN_Z:
             return f"does not hold on the held-out recording (z = {c.z:.1f})"
         explained, left = self._parts(c, current)
-        return (
-            "too small beside what stays unexplained"
-            if explained < BESIDE * left
-            else ""
-        )
+        return "too small beside what stays unexplained" if explained < BESIDE * left else ""
 
     def _parts(self, c: Claim, current: Output) -> tuple[float, float]:
         """Of the squared error of a claim's joint: what it explains, and what stays beyond the

@@ -77,17 +77,7 @@ class Chart:
 
 
 def save_chart(chart: Chart, folder: Path) -> Path:
-    """Write the numbers of a chart as JSON beside its picture.
-
-    Parameters
-    ----------
-    chart : Chart
-    folder : Path
-
-    Returns
-    -------
-    Path
-    """
+    """Write the numbers of a chart as JSON beside its picture."""
     path = folder / f"{chart.name}{SUFFIX}"
     path.write_text(json.dumps(_plain(chart), ensure_ascii=False), encoding="utf-8")
     return path
@@ -95,14 +85,6 @@ def save_chart(chart: Chart, folder: Path) -> Path:
 
 def load_chart(path: Path) -> Chart:
     """Read what :func:`save_chart` wrote.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    Chart
 
     Raises
     ------

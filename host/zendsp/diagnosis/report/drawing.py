@@ -31,16 +31,7 @@ STYLE: Any = {
 
 
 def draw(chart: Chart) -> Figure:
-    """Draw one chart.
-
-    Parameters
-    ----------
-    chart : Chart
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-    """
+    """Draw one chart."""
     n = len(chart.panels)
     ratio = list(chart.ratio) or [1] * n
     shape: dict[str, Any] = (
@@ -119,11 +110,6 @@ def _legend(figure: Figure, axes: Sequence[Axes]) -> None:
 
 def draw_all(charts: Sequence[Chart], folder: Path) -> list[tuple[str, str, Path]]:
     """Write a PNG for each chart.
-
-    Parameters
-    ----------
-    charts : sequence of Chart
-    folder : Path
 
     Returns
     -------

@@ -309,16 +309,7 @@ def simulator_charts(d: Diagnosis, errors: SimulatorErrors) -> list[Chart]:
 
 
 def charts(d: Diagnosis) -> list[Chart]:
-    """Every figure of a report, in its order.
-
-    Parameters
-    ----------
-    d : Diagnosis
-
-    Returns
-    -------
-    list of Chart
-    """
+    """Every figure of a report, in its order."""
     w = d.workings
     if w is None:
         return []

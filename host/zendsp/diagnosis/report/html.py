@@ -30,10 +30,6 @@ def page(d: Diagnosis, figures: list[tuple[str, str, Path]]) -> str:
     ----------
     d : Diagnosis
     figures : list of (section, caption, path)
-
-    Returns
-    -------
-    str
     """
     first = next((f for f in figures if f[0] == "law"), None) or next(
         (f for f in figures if f[0] in ("where", "fit")), None

@@ -38,10 +38,6 @@ def verdict_sentence(verdict: str, found: Sequence[tuple[str, Sequence[str], int
     found : sequence of (mechanism, effects, joint)
         The effect that is named, and those that cannot be told from it.
 
-    Returns
-    -------
-    str
-
     Examples
     --------
     >>> verdict_sentence("missing", [("actuator", ("lag", "delay"), 1), ("actuator", ("lag",), 2)])

@@ -41,10 +41,6 @@ def with_links(parts: Parts, model: Model, joints: Collection[int]) -> Parts:
         In kernel form.
     joints : collection of int
         1-based; those of ``divided(model)`` or some of them.
-
-    Returns
-    -------
-    Parts
     """
     if not joints:
         return parts
@@ -61,9 +57,7 @@ def _felt(rec: Records, data: Data, model: Model, joints: Collection[int]) -> Re
     links = rec[0].others.copy()
     for joint in joints:
         record = rec[joint - 1]
-        beyond = run(
-            record, model, data.bandwidth[joint - 1], inner=data.inner, states="beyond"
-        )
+        beyond = run(record, model, data.bandwidth[joint - 1], inner=data.inner, states="beyond")
         if beyond.diverged:
             continue
         assert beyond.q is not None and beyond.qd is not None

@@ -18,10 +18,6 @@ def parameter_bounds(effect_name: str, name: str, record: JointRecord) -> tuple[
         Effect and parameter.
     record : JointRecord
         The longest recording of the joint.
-
-    Returns
-    -------
-    tuple of float
     """
     parameter = get_effect(effect_name).parameter(name)
     if parameter.limits is None:

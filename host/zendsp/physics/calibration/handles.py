@@ -40,10 +40,6 @@ def free_handles(
         Only terms of these joints (1-based); all where empty.
     offsets : bool
         Also the sensor's zero within one count, where a torque depends on position.
-
-    Returns
-    -------
-    tuple of Handle
     """
     wanted = set(joints or range(1, model.joints + 1))
     handles: list[Handle] = []
@@ -91,22 +87,20 @@ def get_values(model: Model, handles: Sequence[Handle]) -> Array:
     return np.array(out, float)
 
 
-def set_values(
-    model: Model, handles: Sequence[Handle], x: Array, std: Array | None = None
-) -> Model:
-    """A copy of the model with the numbers behind the handles replaced (and their standard
-    deviations noted).
+def set_values(model: Model, handles: Sequence[Handle], x: Array) -> Model:
+    """A copy of the model with the numbers behind the handles replaced; of the new ones no standard
+    deviation is known.
     """
     mechanism = {key: list(items) for key, items in model.mechanism.items()}
     terms = [dict(term.parameters) for term in model.terms]
     gain = [_pick(model.actuator.gain, j, 1.0) for j in range(model.joints)]
     offset = [_pick(model.sensor.offset, j, 0.0) for j in range(model.joints)]
     for i, h in enumerate(handles):
-        value, spread = float(x[i]), float(std[i]) if std is not None else 0.0
+        value = float(x[i])
         if h.place == "mechanism":
-            mechanism[h.key][h.index] = replace(mechanism[h.key][h.index], value=value, std=spread)
+            mechanism[h.key][h.index] = replace(mechanism[h.key][h.index], value=value, std=0.0)
         elif h.place == "term":
-            terms[h.index][h.key] = replace(terms[h.index][h.key], value=value, std=spread)
+            terms[h.index][h.key] = replace(terms[h.index][h.key], value=value, std=0.0)
         elif h.place == "gain":
             gain[h.index] = value
         else:

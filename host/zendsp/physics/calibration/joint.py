@@ -199,10 +199,6 @@ def facts(
         Gives inertia and friction level.
     replaced : mapping, optional
         Numbers of the term that an effect would replace.
-
-    Returns
-    -------
-    Facts
     """
     if record._facts is None:
         q, qd = record.motion.states[:2]

@@ -67,10 +67,6 @@ def simulate_joint_loop(
         Integration steps per sample.
     temperature : float
         °C.
-
-    Returns
-    -------
-    Looped
     """
     lib, n = native(), len(reference)
     p, ffi = lib.doubles, lib.ffi

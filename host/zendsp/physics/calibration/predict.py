@@ -97,10 +97,6 @@ def run(
         observer.
     extra : ndarray or None, shape (n,)
         Resisting torque added from outside, N m or N.
-
-    Returns
-    -------
-    Run
     """
     lib, n = native(), record.n
     p = lib.doubles

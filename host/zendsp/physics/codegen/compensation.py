@@ -105,10 +105,6 @@ def compensation_values(terms: Sequence[Term], model: Model) -> dict[str, float]
     model : Model
         The whole model that the terms are part of.
 
-    Returns
-    -------
-    dict of str to float
-
     Examples
     --------
     >>> from zendsp.physics import parse_model

@@ -18,10 +18,6 @@ Array = npt.NDArray[np.float64]
 def rigid_code(model: Model) -> tuple[list[Variable], str, str, str]:
     """C of M(q) qdd + C(q, qd) qd + g(q) for one model.
 
-    Parameters
-    ----------
-    model : Model
-
     Returns
     -------
     variables : list of Variable

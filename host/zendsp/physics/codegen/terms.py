@@ -46,16 +46,7 @@ class Line:
 
 
 def why_not(effect: str) -> str:
-    """Why an effect has no line in C.
-
-    Parameters
-    ----------
-    effect : str
-
-    Returns
-    -------
-    str
-    """
+    """Why an effect has no line in C."""
     return (
         get_effect(effect).why_not
         or "a torque that depends on position, speed and acceleration cannot undo it"
@@ -63,16 +54,7 @@ def why_not(effect: str) -> str:
 
 
 def compensable(term: Term) -> bool:
-    """Whether a torque can cancel a term.
-
-    Parameters
-    ----------
-    term : Term
-
-    Returns
-    -------
-    bool
-    """
+    """Whether a torque can cancel a term."""
     effect = get_effect(term.effect)
     return bool(effect.inverse or effect.compensable or effect.across)
 
@@ -180,10 +162,6 @@ def _bound(value: float, none: str) -> str:
 
 def declare(variables: Sequence[Variable]) -> tuple[str, str]:
     """Definitions of the variables, and their PARAMETER lines for UserInit.
-
-    Parameters
-    ----------
-    variables : sequence of Variable
 
     Returns
     -------

@@ -8,10 +8,7 @@ from typing import Any
 
 
 def dh_urdf(
-    name: str,
-    links: Sequence[Mapping[str, Any]],
-    limits: Mapping[str, Sequence[float]],
-    comment: str = "",
+    name: str, links: Sequence[Mapping[str, Any]], limits: Mapping[str, Sequence[float]]
 ) -> str:
     """A URDF whose joints turn about the same axes as the frames of a Denavit-Hartenberg table
     (distal convention).
@@ -28,12 +25,6 @@ def dh_urdf(
         mass: xx yy zz xy xz yz).
     limits : mapping
         position_min, position_max (rad), torque (N m), speed (rad/s): one number a joint.
-    comment : str
-        Goes to the top.
-
-    Returns
-    -------
-    str
 
     Examples
     --------
@@ -42,12 +33,7 @@ def dh_urdf(
     >>> text.count("<joint ")
     1
     """  # noqa: E501
-    out = [
-        '<?xml version="1.0"?>',
-        *([f"<!-- {comment.replace('--', '- -')} -->"] if comment else []),
-        f'<robot name="{name}">',
-        '  <link name="base"/>',
-    ]
+    out = ['<?xml version="1.0"?>', f'<robot name="{name}">', '  <link name="base"/>']
     place, parent = (0.0, 0.0, 0.0), "base"
     for k, link in enumerate(links, start=1):
         a, d, alpha = float(link["a"]), float(link["d"]), math.radians(float(link["alpha_deg"]))

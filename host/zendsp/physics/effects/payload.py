@@ -27,9 +27,7 @@ EFFECT = Effect(
         "The link of joint {joint} carries {mass} that the model lacks, with its centre at"
         " {com_x}, {com_y}, {com_z} in the link's frame."
     ),
-    experiment=(
-        "Weigh the tool, or repeat the motion without it: all joints change together."
-    ),
+    experiment=("Weigh the tool, or repeat the motion without it: all joints change together."),
     equation="m, c, J fixed to a link: Y(q, q̇, q̈) φ(m, c, J) at every joint that moves it",
     over="position",
     why_not="it acts on all joints: the improved model in C has it (zendsp model2c)",

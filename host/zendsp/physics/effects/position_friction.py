@@ -43,10 +43,7 @@ EFFECT = Effect(
     equation="A sin(2π q/P + φ) sign(q̇)",
     over="position",
     linear=("amplitude",),
-    grid={
-        "period": _periods,
-        "phase": (0.0, 1.5707963267948966),
-    },
+    grid={"period": _periods, "phase": (0.0, 1.5707963267948966)},
     rivals=("ripple", "coulomb"),
     repeatable=True,
     compensable="p[0] * sin(6.283185307179586 * q / p[1] + p[2]) * sgn(qd)",

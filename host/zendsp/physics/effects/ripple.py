@@ -15,9 +15,7 @@ EFFECT = Effect(
         Parameter("phase", "angle", lower=-6.5, upper=6.5),
     ),
     c="return p[1] * sin(p[0] * s->q + p[2]);",
-    sentence=(
-        "A torque ripple of {amplitude} acts on joint {joint}, {repeats}."
-    ),
+    sentence=("A torque ripple of {amplitude} acts on joint {joint}, {repeats}."),
     experiment=("A slow constant-speed pass over the whole range."),
     equation="A sin(n q + φ)",
     over="position",

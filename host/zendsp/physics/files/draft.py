@@ -64,7 +64,7 @@ class _Page:
             self.lines.append(f"{text:<38} # {comment}")
 
 
-def draft_model(table: Table, name: str = "", machine: Machine | None = None) -> Draft:
+def draft_model(table: Table, machine: Machine | None = None) -> Draft:
     """A commented model file for the machine that a recording shows.
 
     Columns are told by their names and units; sample time, resolution of the encoder, number of
@@ -75,14 +75,8 @@ def draft_model(table: Table, name: str = "", machine: Machine | None = None) ->
     ----------
     table : Table
         As ``read_table`` gives it.
-    name : str
-        Of the model; default: of the machine, else of the file.
     machine : Machine, optional
         What zendsp's own recording says beside its rows: limits, encoders, delay, MuJoCo model.
-
-    Returns
-    -------
-    Draft
 
     Raises
     ------
@@ -122,7 +116,7 @@ def draft_model(table: Table, name: str = "", machine: Machine | None = None) ->
         bad = 0 if group is None else int(np.sum(~np.isfinite(group.values)))
         if group is not None and bad:
             page.line(ask=f"{group.names[0]} has {bad} values that are no finite numbers: why?")
-    name = name or (machine.name if machine else table.path.name.partition(".")[0]) or "machine"
+    name = (machine.name if machine else table.path.name.partition(".")[0]) or "machine"
     page.line(f"name = {json.dumps(name, ensure_ascii=False)}")
     clock = best_group(groups, Role.TIME)
     step = _sample_time(page, clock, table.path.name)
@@ -337,9 +331,7 @@ def _idea(q: Array, u: Array, step: float, linear: bool) -> _Idea | None:
     return _Idea(float(x[0]), gravity, share) if share > EXPLAINS and x[0] > 0 else None
 
 
-def _actuator(
-    page: _Page, command: Group | None, step: float, machine: Machine | None
-) -> None:
+def _actuator(page: _Page, command: Group | None, step: float, machine: Machine | None) -> None:
     page.line()
     page.line("[actuator]")
     if command is None:

@@ -19,6 +19,7 @@ from zendsp.physics.model import (
     REQUIRED,
     Actuator,
     Discrepancy,
+    FmuPorts,
     Model,
     Quantity,
     Robot,
@@ -125,12 +126,7 @@ class _Reader:
         if std < 0:
             raise self.fail(f"{key}.std", "a number of at least 0", std)
         return tuple(
-            Quantity(
-                v,
-                free,
-                str(table.get("unit", "")),
-                std,
-            )
+            Quantity(v, free, str(table.get("unit", "")), std)
             for v in self.numbers(f"{key}.value", table["value"])
         )
 
@@ -206,7 +202,7 @@ def parse_model(data: Mapping[str, Any], path: str = "model") -> Model:
         limits=dict(read.table(data, "limits")),
         discrepancy=_discrepancy(read, read.table(data, "discrepancy")),
         folder=folder,
-        fmu=_fmu(read, mechanism) if kind == "fmu" else {},
+        fmu=_fmu(read, mechanism),
     )
     own: tuple[Term, ...] = ()
     if kind == "mjcf":
@@ -217,9 +213,7 @@ def parse_model(data: Mapping[str, Any], path: str = "model") -> Model:
     effects = data.get("effect", [])
     if not isinstance(effects, list):
         raise read.fail("[[effect]]", "an array of tables", effects)
-    return model.with_terms(
-        (*own, *(_term(read, item, model.joints) for item in effects))
-    )
+    return model.with_terms((*own, *(_term(read, item, model.joints) for item in effects)))
 
 
 def _check_keys(read: _Reader, data: Mapping[str, Any]) -> None:
@@ -271,20 +265,21 @@ def _mechanism(
     return kind, values
 
 
-def _fmu(read: _Reader, mechanism: Mapping[str, Any]) -> dict[str, Any]:
-    out: dict[str, Any] = {}
+def _fmu(read: _Reader, mechanism: Mapping[str, Any]) -> FmuPorts:
+    ports: dict[str, tuple[str, ...]] = {}
     for key in OF_FMU:
-        if key not in mechanism:
+        if key not in mechanism or key == "time_limit":
             continue
         value = mechanism[key]
-        if key == "time_limit":
-            out[key] = read.number("[mechanism] time_limit", value, positive=True)
-            continue
         names = [value] if isinstance(value, str) else value
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
             raise read.fail(f"[mechanism] {key}", "a variable's name, or a list of names", value)
-        out[key] = names
-    return out
+        ports[key] = tuple(names)
+    limit = mechanism.get("time_limit")
+    seconds = 0.0
+    if limit is not None:
+        seconds = read.number("[mechanism] time_limit", limit, positive=True)
+    return FmuPorts(**ports, time_limit=seconds)
 
 
 def _robot(read: _Reader, mechanism: Mapping[str, Any], commands: bool) -> Robot:

@@ -75,7 +75,8 @@ def _mechanism_table(model: Model, beside: bool) -> dict[str, Any]:
             mechanism["take"] = "servos" if model.robot.servos else "bodies"
         if model.robot.joints:
             mechanism["joints"] = list(model.robot.joints)
-    mechanism |= model.fmu
+    stated = asdict(model.fmu).items()
+    mechanism |= {k: list(v) if isinstance(v, tuple) else v for k, v in stated if v}
     if model.entry:
         mechanism["entry"] = model.entry
         mechanism["folder"] = str(model.folder.resolve())

@@ -208,7 +208,5 @@ def swung(a: Array, sample_time: float, first: float, second: float) -> Array:
     """
     lib, place = native(), np.empty(len(a))
     motion = np.ascontiguousarray(a)
-    lib.lib.zf_swing(
-        len(a), sample_time, first, second, lib.doubles(motion), lib.doubles(place)
-    )
+    lib.lib.zf_swing(len(a), sample_time, first, second, lib.doubles(motion), lib.doubles(place))
     return place

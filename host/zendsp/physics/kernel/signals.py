@@ -122,10 +122,6 @@ def measure(y: Array, sample_time: float, resolution: float, noise: float = 0.0)
         Counts step, rad or m; 0 where unknown or continuous.
     noise : float
         Standard deviation of the sensor noise beside quantisation, rad or m.
-
-    Returns
-    -------
-    Measurement
     """
     n = len(y)
     white = resolution**2 / 12 + noise**2
@@ -213,10 +209,6 @@ def smooth(measurement: Measurement, sample_time: float, known_acceleration: Arr
         s.
     known_acceleration : ndarray, shape (n,)
         rad/s² or m/s², held over each sample.
-
-    Returns
-    -------
-    Motion
     """
     lib = native()
     n = len(measurement.value)

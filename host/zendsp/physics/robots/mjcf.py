@@ -81,10 +81,6 @@ def read_mjcf(path: str, joints: Sequence[str] = ()) -> Mjcf:
         The joints that the recording has; all others are held at their reference position. Empty:
         every joint, each of which needs an actuator of its own (or no joint has one).
 
-    Returns
-    -------
-    Mjcf
-
     Raises
     ------
     ModelError

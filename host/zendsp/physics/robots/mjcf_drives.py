@@ -68,9 +68,7 @@ class Drive:
         if self.lag > 0.0:
             u = _lagged(u, self.lag, sample_time)
         q, qd = (np.append(0.5 * (x[1:] + x[:-1]), x[-1]) for x in (q, qd))
-        force = (
-            self.gain * u + self.bias[0] + self.gear * (self.bias[1] * q + self.bias[2] * qd)
-        )
+        force = self.gain * u + self.bias[0] + self.gear * (self.bias[1] * q + self.bias[2] * qd)
         return np.clip(self.gear * np.clip(force, *self.force), *self.torque)
 
 

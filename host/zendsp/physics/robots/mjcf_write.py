@@ -183,9 +183,7 @@ _JOINT: dict[str, tuple[str, str]] = {
 def _joint(out: Split, taken: Mjcf, j: int, terms: Sequence[Term]) -> None:
     """Attributes of a joint: sums, since several terms act as one."""
     m, joint = taken.model, taken.joints[j]
-    values = {
-        attribute: _sum(terms, effect, key) for effect, (attribute, key) in _JOINT.items()
-    }
+    values = {attribute: _sum(terms, effect, key) for effect, (attribute, key) in _JOINT.items()}
     # what the rotors of its actuators add stays with them
     values["armature"] = max(0.0, values["armature"] - armature_of(m, joint) + float(
         m.dof_armature[taken.dof(j)]))  # fmt: skip

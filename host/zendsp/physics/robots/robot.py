@@ -84,12 +84,6 @@ def stated(model: Model, robot: Robot) -> tuple[tuple[Term, ...], Actuator, Robo
     robot : Robot
         ``take`` says what of the MJCF counts; ``commands`` whether the model file says itself what
         a command means.
-
-    Returns
-    -------
-    terms : tuple of Term
-    actuator : Actuator
-    robot : Robot
     """
     taken, path = mjcf_of(model), robot_path(model)
     terms = list(stated_terms(taken)) if robot.take == "all" else []

@@ -99,14 +99,6 @@ def source_text(effects: dict[str, Effect]) -> str:
     """The complete C source for a library of effects; the index of an effect is its place in the
     mapping.
 
-    Parameters
-    ----------
-    effects : dict of str to Effect
-
-    Returns
-    -------
-    str
-
     Raises
     ------
     ZendspError
@@ -183,12 +175,7 @@ _opened: dict[tuple[str, ...], SimulatorLibrary] = {}
 
 
 def simulator_library() -> SimulatorLibrary:
-    """The library for the present set of effects, compiled at first use.
-
-    Returns
-    -------
-    SimulatorLibrary
-    """
+    """The library for the present set of effects, compiled at first use."""
     effects = library()
     key = tuple(effects)
     if key not in _opened:

@@ -25,6 +25,7 @@ from zendsp.errors import AcquisitionError, CompileFailed, RunnerDied, VariableE
 from zendsp.physics.simulation.plant import Plant
 from zendsp_isr.sources import Source, gather
 from zendsp_protocol.texts import counted
+from zendsp_protocol.values import Assignable
 
 Array = npt.NDArray[np.float64]
 
@@ -80,7 +81,7 @@ class Outcome:
 
     columns: Mapping[str, Array]
     units: Mapping[str, str]
-    parameters: Mapping[str, Any]
+    parameters: Mapping[str, Assignable]
     ticks: int
     wanted: int
     reached: tuple[Reached, ...]
@@ -92,8 +93,8 @@ class Job:
     ``parameters`` does not name them.
     """
 
-    parameters: Mapping[str, Any]
-    defaults: Mapping[str, Any]
+    parameters: Mapping[str, Assignable]
+    defaults: Mapping[str, float]
     tables: Mapping[str, Array]
     seconds: float | None
     channels: Sequence[str] | None
@@ -110,10 +111,6 @@ def compile_program(program: Source, flags: Sequence[str] = ()) -> Build:
         A path brings the files beside it that it includes.
     flags : sequence of str
         Further flags for the compiler.
-
-    Returns
-    -------
-    Build
 
     Raises
     ------
@@ -146,10 +143,6 @@ def run_program(build: Build, plant: Plant, job: Job, timeout_s: float) -> Outco
     job : Job
     timeout_s : float
         Of real time, s.
-
-    Returns
-    -------
-    Outcome
 
     Raises
     ------
@@ -338,8 +331,8 @@ class _Session:
     def _value(self, name: str) -> float:
         return float(self._pointer(name)[0])
 
-    def _parameters(self) -> dict[str, Any]:
-        out: dict[str, Any] = {}
+    def _parameters(self) -> dict[str, Assignable]:
+        out: dict[str, Assignable] = {}
         for name, v in self.variables.items():
             if v.kind == _PARAMETER:
                 pointer = self._pointer(name)
@@ -368,7 +361,7 @@ class _Session:
             entry.version + 1,
         )
 
-    def _write(self, given: Mapping[str, Any]) -> None:
+    def _write(self, given: Mapping[str, Assignable]) -> None:
         wrong = []
         for name, value in given.items():
             v = self.variables.get(name)

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +26,7 @@ from zendsp.recording.names import gather_vectors
 from zendsp.reference import Reference, load_reference
 from zendsp_isr.sources import Source
 from zendsp_protocol.texts import counted
+from zendsp_protocol.values import Assignable
 
 Array = npt.NDArray[np.float64]
 Controller = Callable[[float, Array, Array], npt.ArrayLike]
@@ -39,7 +40,7 @@ def simulate(
     *,
     reference: Reference | str | Path | None = None,
     seconds: float | None = None,
-    parameters: Mapping[str, Any] | None = None,
+    parameters: Mapping[str, Assignable] | None = None,
     channels: Sequence[str] | None = None,
     position: npt.ArrayLike | None = None,
     velocity: npt.ArrayLike | None = None,
@@ -202,9 +203,22 @@ def beyond(model: Model, outcome: Outcome) -> list[str]:
     return said
 
 
-def converge(
-    model: Model, inner: int, positions: Callable[[int], Array]
-) -> tuple[int, dict[str, Any]]:
+class Halving(TypedDict):
+    """How far each position moved when the steps of a sample were doubled."""
+
+    inner: int
+    change: list[float]
+
+
+class StepCheck(TypedDict):
+    """Whether more steps a sample would still move the positions, as the recording keeps it."""
+
+    converged: bool
+    allowed: list[float]
+    halvings: list[Halving]
+
+
+def converge(model: Model, inner: int, positions: Callable[[int], Array]) -> tuple[int, StepCheck]:
     """Double the steps until the positions stand still to one count; the count that suffices, and
     what was found.
     """
@@ -212,7 +226,7 @@ def converge(
         [per_joint(model.sensor.resolution, j + 1, 0.0) or 1e-5 for j in range(joint_count(model))]
     )
     last = positions(inner)
-    changes = []
+    changes: list[Halving] = []
     while True:
         finer = positions(2 * inner)
         rows = min(len(last), len(finer))
@@ -275,8 +289,9 @@ def recording(
                 columns[name], units[name] = values[:, j], unit
         else:
             columns[str(names)], units[str(names)] = (
-                values if values.shape[1] > 1 else values[:, 0]
-            ), unit
+                (values if values.shape[1] > 1 else values[:, 0]),
+                unit,
+            )
 
     put("position", out["measured"], unit)
     put("command", out["command"], model.actuator.unit or torque)

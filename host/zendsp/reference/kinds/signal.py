@@ -44,7 +44,6 @@ def make_signal(
     signal: tuple[Array, Array, Array],
     sample_time: float,
     parameters: Mapping[str, Any],
-    cyclic: bool = False,
 ) -> Reference:
     """A signal and its derivatives as a reference: added to ``start``, or as torque with the motion
     it should cause.
@@ -65,8 +64,6 @@ def make_signal(
         s.
     parameters : mapping
         Stored with the reference.
-    cyclic : bool
-        Whether it may repeat.
 
     Returns
     -------
@@ -86,14 +83,7 @@ def make_signal(
     x, xd, xdd = signal
     if quantity == "position":
         return Reference(
-            base + x,
-            sample_time,
-            xd,
-            xdd,
-            kind=kind,
-            parameters=used,
-            machine=machine.name,
-            cyclic=cyclic,
+            base + x, sample_time, xd, xdd, kind=kind, parameters=used, machine=machine.name
         )
     if quantity != "torque":
         raise ReferenceError_(f'quantity is "{quantity}"; expected "position" or "torque"')

@@ -208,7 +208,7 @@ class Sliders(Dialog[None]):
         self._values: Callable[[], dict[str, float]] = lambda: numbers(variables, values())
         self._variables = tuple(part for v in variables for part in elements(v))
         now = self._values()
-        self._before = {v.name: now.get(v.name, v.initial) for v in self._variables}
+        self._before = {v.name: now.get(v.name, float(v.initial)) for v in self._variables}
         self._moved: dict[str, float] = {}  # not handed on yet
         self.before: dict[str, float] = {}  # of what was moved and is not back again
         self._quiet = 0  # ticks since something was handed on

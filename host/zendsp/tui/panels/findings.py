@@ -73,9 +73,7 @@ def _of(section: str, charts: Sequence[Chart]) -> list[Chart]:
     return sorted(drawn, key=lambda c: c.joint)
 
 
-def _finding(
-    k: int, f: FindingReport, charts: Sequence[Chart], theme: Mapping[str, str]
-) -> Entry:
+def _finding(k: int, f: FindingReport, charts: Sequence[Chart], theme: Mapping[str, str]) -> Entry:
     text = Text(f"{100 * f['confidence']:3.0f} %  ", f"bold {theme['success']}")
     text.append(f["sentence"], "bold")
     words = [f["sentence"], ""]

@@ -64,7 +64,6 @@ class LiveTable(ScrollView, can_focus=True):
         self._back: Style | None = None
 
     # -- content
-    # ----------------------------------------------------------------------------------------------
 
     @property
     def row_count(self) -> int:
@@ -106,7 +105,6 @@ class LiveTable(ScrollView, can_focus=True):
             self.refresh(Region(0, y, self.size.width, 1))
 
     # -- cursor
-    # ----------------------------------------------------------------------------------------------
 
     def mark(self, key: str) -> None:
         """Put the cursor on a row."""
@@ -153,7 +151,6 @@ class LiveTable(ScrollView, can_focus=True):
         self._paint(self._cursor)
 
     # -- painting
-    # ----------------------------------------------------------------------------------------------
 
     def notify_style_update(self) -> None:
         """Another theme has another ground."""

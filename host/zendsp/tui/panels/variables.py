@@ -5,7 +5,6 @@ or changed.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from rich.style import Style
 from textual import on
@@ -17,6 +16,7 @@ from zendsp.tui.colours import trace_colours
 from zendsp.tui.panels.table import Cell, Column, LiveTable
 from zendsp.tui.snapshot import Snapshot, Variable
 from zendsp.tui.values import differs, show_limits, show_value
+from zendsp_protocol.values import Assignable
 
 COLUMNS = (
     Column("", 2),
@@ -70,7 +70,9 @@ class VariablesPanel(Vertical):
             self.query_one("#filter", Input).remove_class("-shown")
         self.table.focus()
 
-    def show(self, snapshot: Snapshot, staged: Mapping[str, Any], plotted: Sequence[str]) -> None:
+    def show(
+        self, snapshot: Snapshot, staged: Mapping[str, Assignable], plotted: Sequence[str]
+    ) -> None:
         """Bring the table up to date; only rows that differ are painted."""
         wanted = [
             v

@@ -51,10 +51,6 @@ def export(seen: Seen, path: Path) -> Path:
     path : Path
         Its suffix chooses.
 
-    Returns
-    -------
-    Path
-
     Raises
     ------
     RecordingError

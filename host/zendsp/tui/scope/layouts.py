@@ -11,13 +11,7 @@ import msgspec
 
 from zendsp.errors import ZendspError
 from zendsp.tui.scope.formula import Formula
-from zendsp.tui.scope.settings import (
-    LANES,
-    MOST_CHANNELS,
-    VIEWS,
-    Channel,
-    ScopeSettings,
-)
+from zendsp.tui.scope.settings import LANES, MOST_CHANNELS, VIEWS, Channel, ScopeSettings
 
 FORM = 1
 

@@ -37,10 +37,6 @@ def measure(t: Floats, y: Floats, a: float, b: float) -> Measured:
     a, b : float
         s, in either order.
 
-    Returns
-    -------
-    Measured
-
     Examples
     --------
     >>> t = np.linspace(0.0, 1.0, 101)

@@ -236,9 +236,7 @@ class PathPlot(Widget):
         self._lines = []
 
     def on_mount(self) -> None:
-        self.app.theme_changed_signal.subscribe(
-            self, lambda _: self.show(self._curves, self._axes)
-        )
+        self.app.theme_changed_signal.subscribe(self, lambda _: self.show(self._curves, self._axes))
 
     def _draw(self) -> None:
         back = Style(bgcolor=self.background_colors[1].rich_color)

@@ -81,7 +81,6 @@ class Scope(Widget, can_focus=True):
         self._grown = (-1, 0.0)  # rows of the history, and when they became so many
 
     # -- data
-    # ----------------------------------------------------------------------------------------------
 
     def show_channels(self, channels: Sequence[Channel], history: History | None = None) -> None:
         """Take other channels; ``history`` is made anew unless given. At most eight."""
@@ -146,7 +145,6 @@ class Scope(Widget, can_focus=True):
             self.set(replace(s, cursor_b=float(np.clip(s.cursor_b + share, 0.0, 1.0))))
 
     # -- painting
-    # ----------------------------------------------------------------------------------------------
 
     def on_mount(self) -> None:
         self.app.theme_changed_signal.subscribe(self, self._theme_changed)
@@ -437,7 +435,6 @@ class Scope(Widget, can_focus=True):
         return container.height
 
     # -- mouse
-    # ----------------------------------------------------------------------------------------------
 
     def on_click(self, event: events.Click) -> None:
         """Left sets cursor A, right (or shift) cursor B; a click on the first row selects the next

@@ -204,7 +204,7 @@ def simulation_of(run: Run, runs: Path) -> tuple[list[str], Callable[[], str]]:
         if not out.is_file():
             return ""
         made = Recording.load(out)
-        approach = float(made.parameters.get("approach_time", 0.0)) if played else 0.0
+        approach = np.asarray(made.parameters.get("approach_time", 0.0)).item() if played else 0.0
         first = min(round(approach / made.sample_time), len(made))
         same = slice(first, first + max(round(run.seconds / made.sample_time), 1))
         made = replace(

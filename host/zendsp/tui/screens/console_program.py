@@ -44,7 +44,6 @@ class ProgramActions(LabScreen):
         self.remarks: tuple[Remark, ...] = ()
 
     # -- the sequence
-    # ----------------------------------------------------------------------------------------------
 
     def action_power(self) -> None:
         """Power on or off."""
@@ -89,7 +88,6 @@ class ProgramActions(LabScreen):
         self.app.push_screen(Choose("If this host disappears", options), chosen)
 
     # -- the program
-    # ----------------------------------------------------------------------------------------------
 
     def action_open_source(self) -> None:
         """Choose a C file."""
@@ -175,7 +173,6 @@ class ProgramActions(LabScreen):
         self.app.push_screen(view, lambda build: self.action_build() if build else None)
 
     # -- recording
-    # ----------------------------------------------------------------------------------------------
 
     def curve_names(self) -> list[str]:
         """Return the names of the curves on the scope."""

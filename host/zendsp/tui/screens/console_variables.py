@@ -14,22 +14,13 @@ from textual import on
 
 from zendsp.errors import ZendspError
 from zendsp.link import ParameterSet
-from zendsp.tui.dialogs import (
-    Choose,
-    Field,
-    Form,
-    Message,
-    Option,
-    Sliders,
-    not_empty,
-    slides,
-)
+from zendsp.tui.dialogs import Choose, Field, Form, Message, Option, Sliders, not_empty, slides
 from zendsp.tui.panels.table import LiveTable
 from zendsp.tui.panels.variables import VariablesPanel
 from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.snapshot import Variable
 from zendsp.tui.values import differs, reader, show_exact, show_limits, show_value
-from zendsp_protocol.values import Assignable
+from zendsp_protocol.values import Assignable, Value
 
 UNDO_DEPTH = 100
 
@@ -70,7 +61,6 @@ class VariableActions(LabScreen):
         return v
 
     # -- one variable
-    # ----------------------------------------------------------------------------------------------
 
     @on(LiveTable.Chosen)
     def _row_chosen(self) -> None:
@@ -119,12 +109,11 @@ class VariableActions(LabScreen):
 
         self.ask(f"write {v.name}", lambda port: port.write({v.name: value}), done)
 
-    def _remember(self, old: Mapping[str, Any]) -> None:
+    def _remember(self, old: Mapping[str, Value | None]) -> None:
         self._undo.append({name: value for name, value in old.items() if value is not None})
         del self._undo[:-UNDO_DEPTH]
 
     # -- many variables in one sample
-    # ---------------------------------------------------------------------------------
 
     def action_initial(self) -> None:
         """Stage the initial value of the marked variable."""
@@ -218,7 +207,6 @@ class VariableActions(LabScreen):
             self.say("nothing to undo")
 
     # -- sliders
-    # ----------------------------------------------------------------------------------------------
 
     def action_sliders(self) -> None:
         """Move parameters by sliders."""
@@ -228,6 +216,7 @@ class VariableActions(LabScreen):
             self.say("no parameter has a slider: it needs two finite limits", "warning")
             return
         found.sort(key=lambda v: v.name != self.variables.marked)  # the marked one first
+
         def write(values: Mapping[str, float], together: bool) -> None:
             verb = "update" if together else "write"
             self.ask(f"sliders {verb}", lambda port: getattr(port, verb)(values))
@@ -240,7 +229,6 @@ class VariableActions(LabScreen):
         self.app.push_screen(dialog, closed)
 
     # -- parameter sets
-    # ----------------------------------------------------------------------------------------------
 
     def action_sets(self) -> None:
         """Save, compare and load."""

@@ -72,7 +72,6 @@ class DiagnoseScreen(LoopActions):
         self._painted: object = None
 
     # -- layout
-    # ----------------------------------------------------------------------------------------------
 
     def body(self) -> ComposeResult:
         with Container(id="diagnose-body"):
@@ -120,7 +119,6 @@ class DiagnoseScreen(LoopActions):
             self.fill()
 
     # -- what is given
-    # ----------------------------------------------------------------------------------------------
 
     def fill(self) -> None:
         """List the recordings; the last run is marked where nothing is."""
@@ -227,7 +225,6 @@ class DiagnoseScreen(LoopActions):
         self._painted = None
 
     # -- the diagnosis
-    # ----------------------------------------------------------------------------------------------
 
     @property
     def busy(self) -> bool:
@@ -338,7 +335,6 @@ class DiagnoseScreen(LoopActions):
             self.command.end()
 
     # -- what was found
-    # ----------------------------------------------------------------------------------------------
 
     def open(self, d: Diagnosed) -> None:
         """Show a diagnosis."""
@@ -398,9 +394,7 @@ class DiagnoseScreen(LoopActions):
         if not known:
             self.say("there is no other diagnosis yet", "warning")
             return
-        options = [
-            Line(str(d.folder), f"{d.name}  {_when(d)}", headline(d.report)) for d in known
-        ]
+        options = [Line(str(d.folder), f"{d.name}  {_when(d)}", headline(d.report)) for d in known]
 
         def take(keys: list[str] | None) -> None:
             if keys:
@@ -409,7 +403,6 @@ class DiagnoseScreen(LoopActions):
         self.app.push_screen(Choose(title, options), take)
 
     # -- the screen
-    # ----------------------------------------------------------------------------------------------
 
     def pull(self, snapshot: Snapshot, fresh: bool) -> None:
         """Show what goes on."""

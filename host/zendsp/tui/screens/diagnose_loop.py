@@ -9,22 +9,14 @@ import webbrowser
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.text import Text
 from textual.widgets import OptionList, Static
 
 from zendsp.errors import ZendspError
-from zendsp.tui.compensating import (
-    FILE,
-    LINES,
-    SHARE,
-    Compensation,
-    compensation_of,
-    has_room,
-    not_compensated,
-)
+from zendsp.tui.compensating import FILE, LINES, SHARE, Compensation, compensation_of, has_room
 from zendsp.tui.diagnoses import Diagnosed, compare
 from zendsp.tui.dialogs import Field, Form, Message, not_empty
 from zendsp.tui.panels.findings import LOOP, Entry
@@ -62,7 +54,6 @@ class LoopActions(LabScreen):
         return self.shown
 
     # -- compensation in the running program
-    # ----------------------------------------------------------------------------------------------
 
     def loop_entry(self, d: Diagnosed) -> Entry:
         """Return the line about the compensation of a diagnosis."""
@@ -154,8 +145,8 @@ class LoopActions(LabScreen):
         state, words = self._standing(s)
         c = self.compensation
         if state == "nothing" or c is None:
-            why = not_compensated(d.folder / FILE) if (d.folder / FILE).is_file() else ""
-            text = why or "Nothing of it can be cancelled by a torque."
+            left_out = "\n".join(c.left_out) if c else ""
+            text = left_out or "Nothing of it can be cancelled by a torque."
             self.app.push_screen(Message("Compensation", Text(text)))
         elif state == "no program":
             self.say(words, "warning")
@@ -166,7 +157,7 @@ class LoopActions(LabScreen):
 
     def _switch(self, c: Compensation, *, on: bool) -> None:
         self.query_one("#findings", OptionList).highlighted = len(self.entries) - 1
-        values: Mapping[str, Any] = {**c.values, SHARE: 1.0} if on else {SHARE: 0.0}
+        values: Mapping[str, float] = {**c.values, SHARE: 1.0} if on else {SHARE: 0.0}
         if on:
             self.before = self._rms()
         fade = self.lab.session.snapshot.values.get("comp_fade", 0.0)
@@ -255,7 +246,6 @@ class LoopActions(LabScreen):
         self.ask("build", job, done)
 
     # -- files
-    # ----------------------------------------------------------------------------------------------
 
     def action_report(self) -> None:
         """Open the report in a browser."""
@@ -304,7 +294,6 @@ class LoopActions(LabScreen):
             self.app.push_screen(Message("Compare", Text(text)))
 
     # -- the next motion
-    # ----------------------------------------------------------------------------------------------
 
     def action_next(self) -> None:
         """Open the proposed motion on Execute; its run is diagnosed together with the others."""

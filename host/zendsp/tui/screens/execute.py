@@ -55,7 +55,6 @@ class ExecuteScreen(MeasureActions):
         self._checked: object = None
 
     # -- layout
-    # ----------------------------------------------------------------------------------------------
 
     def body(self) -> ComposeResult:
         with Container(id="execute-body"):
@@ -98,7 +97,6 @@ class ExecuteScreen(MeasureActions):
         self.query_one("#runs", DataTable).focus()
 
     # -- what is shown
-    # ----------------------------------------------------------------------------------------------
 
     def pull(self, snapshot: Snapshot, fresh: bool) -> None:
         """Show a snapshot."""
@@ -234,7 +232,6 @@ class ExecuteScreen(MeasureActions):
         )
 
     # -- the run
-    # ----------------------------------------------------------------------------------------------
 
     @on(Button.Pressed, "#run-start")
     def action_start(self) -> None:
@@ -339,7 +336,6 @@ class ExecuteScreen(MeasureActions):
         self.lab.run_made(run)
 
     # -- choosing
-    # ----------------------------------------------------------------------------------------------
 
     def action_choose(self) -> None:
         """Choose references."""

@@ -46,7 +46,6 @@ class MeasureActions(RunActions):
         self._asked: dict[str, Mapping[str, Any]] = {}  # last answers of the two forms
 
     # -- frequency response
-    # ----------------------------------------------------------------------------------------------
 
     @on(Button.Pressed, "#run-bode")
     def action_respond(self) -> None:
@@ -118,7 +117,6 @@ class MeasureActions(RunActions):
             self.show_only("#run-response")
 
     # -- sweep
-    # ----------------------------------------------------------------------------------------------
 
     @on(Button.Pressed, "#run-sweep-button")
     def action_sweep(self) -> None:
@@ -179,7 +177,6 @@ class MeasureActions(RunActions):
         self.lab.toast(words)
 
     # -- both
-    # ----------------------------------------------------------------------------------------------
 
     def _ready_to_measure(self) -> Snapshot | None:
         """What is there, or a word on what is missing."""

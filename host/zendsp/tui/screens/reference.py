@@ -60,7 +60,6 @@ class ReferenceScreen(ReferenceForm):
         self.view = "all"
 
     # -- planning
-    # ----------------------------------------------------------------------------------------------
 
     def plan_now(self) -> None:
         """Plan on a thread: an optimal swing takes seconds."""
@@ -168,7 +167,6 @@ class ReferenceScreen(ReferenceForm):
         return text
 
     # -- actions
-    # ----------------------------------------------------------------------------------------------
 
     def action_machine(self) -> None:
         """Open the list of machines."""

@@ -13,13 +13,7 @@ from textual.containers import Horizontal, Vertical, VerticalScroll
 from textual.timer import Timer
 from textual.widgets import Button, Input, Select, Static, Switch
 
-from zendsp.reference import (
-    KINDS,
-    MACHINES,
-    Machine,
-    Parameter,
-    load_machine,
-)
+from zendsp.reference import KINDS, MACHINES, Machine, Parameter, load_machine
 from zendsp.reference.registry import HEADROOM
 from zendsp.tui.preflight import machine_of
 from zendsp.tui.scope import Scope
@@ -50,7 +44,6 @@ class ReferenceForm(LabScreen):
         raise NotImplementedError
 
     # -- layout
-    # ----------------------------------------------------------------------------------------------
 
     def body(self) -> ComposeResult:
         with Horizontal(id="reference-body"):
@@ -133,7 +126,6 @@ class ReferenceForm(LabScreen):
         return self.machine.name if self.machine.modelled else TARGET
 
     # -- the form
-    # ----------------------------------------------------------------------------------------------
 
     async def _fill_form(self, values: Mapping[str, Any] | None = None) -> None:
         """Make a line for each parameter, with its default unless ``values`` has it."""

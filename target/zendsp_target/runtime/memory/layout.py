@@ -49,10 +49,6 @@ def text_of(field: Any) -> str:
     Parameters
     ----------
     field : cffi char array
-
-    Returns
-    -------
-    str
     """
     ffi, _ = layout()
     return bytes(ffi.string(field)).decode(errors="replace")

@@ -239,10 +239,6 @@ class RunnerProcess:
     def wait_death(self, timeout_s: float) -> bool:
         """Sleep until the process ends.
 
-        Parameters
-        ----------
-        timeout_s : float
-
         Returns
         -------
         bool

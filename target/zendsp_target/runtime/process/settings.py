@@ -78,10 +78,6 @@ def split_options(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str,
     """Options as a command line gives them: fields of `Settings`, as text or as values, and
     ``machine.KEY``.
 
-    Parameters
-    ----------
-    options : mapping
-
     Returns
     -------
     settings : dict

@@ -157,14 +157,6 @@ class Dictionary:
         """Find a variable (``"Kp"``) or an element (``"q[0]"``; of a matrix ``"K[1,2]"``, or one
         index that counts row after row).
 
-        Parameters
-        ----------
-        name : str
-
-        Returns
-        -------
-        Place
-
         Raises
         ------
         VariableError

@@ -1,0 +1,234 @@
+"""Recordings that are unusual and right are accepted, and what was done to them is said."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import reality
+
+from zendsp.diagnosis.data import checks
+from zendsp.diagnosis.data.checks import check_excitation, check_motion, check_signals
+from zendsp.diagnosis.data.plausibility import check_driven
+from zendsp.diagnosis.data.prepare import prepare
+from zendsp.diagnosis.data.reading import read_signals
+from zendsp.diagnosis.data.sampling import resample_held
+from zendsp.diagnosis.data.signals import Signals
+from zendsp.errors import RecordingError
+from zendsp.physics.files.model_file import load_model, parse_model
+from zendsp.physics.term_numbers import kernel_model
+
+RATE = 500.0
+Columns = dict[str, np.ndarray]
+
+
+def _accepted(file: Path, model: Path) -> list[str]:
+    given = kernel_model(load_model(model))
+    signals = [read_signals(file, given)]
+    notes = check_signals(signals, given)
+    data = prepare(signals, given, 64.0)
+    return [*notes, *check_motion(data, given, [str(file)]), *check_excitation(data)]
+
+
+UNUSUAL = {
+    "saturated at the stated limit": (reality.Machine(limit=0.25), {}),
+    "a spring that is not in the model": (reality.Machine(spring=1.5), {}),
+    "a pendulum whose gravity is not in the model": (reality.Machine(gravity=0.5), {"size": 1.5}),
+    "friction ten times the model's": (reality.Machine(coulomb=0.3, kp=20.0, kd=0.4), {}),
+    "slow and coarse": (reality.Machine(resolution=2 * np.pi / 2048), {"size": 0.12, "high": 0.8}),
+    "twice the inertia": (reality.Machine(inertia=0.02), {}),
+    "late by two samples": (reality.Machine(delay=0.004), {"high": 8.0}),
+    "a coarse sensor in fast motion": (reality.Machine(resolution=2 * np.pi / 1024), {"high": 8.0}),
+}
+
+
+@pytest.mark.parametrize("name", UNUSUAL)
+def test_unusual_but_right_recordings_are_accepted(name: str, tmp_path: Path) -> None:
+    machine, reference = UNUSUAL[name]
+    columns = reality.simulate(machine, reality.multisine(10.0, RATE, 3, **reference), RATE)
+    model = reality.model_file(
+        tmp_path / "model.toml",
+        RATE,
+        reality.effect("viscous", coefficient=0.004),
+        reality.effect("coulomb", level=0.03),
+        resolution=machine.resolution,
+    )
+    if machine.limit < 3.0:
+        model.write_text(model.read_text().replace("limit = 3.0", f"limit = {machine.limit}"))
+    _accepted(reality.save(tmp_path / "run.csv", columns), model)
+
+
+def test_a_jittered_clock_is_resampled_and_the_report_says_so(
+    good: Columns, model: Path, tmp_path: Path
+) -> None:
+    r = np.random.default_rng(5)
+    t = good["t"] + r.uniform(-0.2, 0.2, len(good["t"])) / RATE
+    columns = {"t": t, **{k: np.interp(t, good["t"], good[k]) for k in ("q", "r")}, "u": good["u"]}
+    notes = _accepted(reality.save(tmp_path / "run.csv", columns), model)
+    assert any("jitter" in n and "resampled" in n for n in notes), notes
+
+
+def test_a_held_command_is_not_late_after_a_jittered_clock_was_resampled() -> None:
+    r = np.random.default_rng(1)
+    steps = np.arange(4000) / RATE
+    time = steps + r.uniform(-0.25, 0.25, len(steps)) / RATE
+    fine = np.arange(0.0, 7.9, 0.02 / RATE)
+    held = np.sin(2 * np.pi * time)[np.searchsorted(time, fine, side="right") - 1]
+    grid = np.arange(time[0], time[-1], 1.0 / RATE)
+    again = resample_held(grid, time, np.sin(2 * np.pi * time)[:, None])[:, 0]
+    after = again[np.clip(np.searchsorted(grid, fine, side="right") - 1, 0, None)]
+    slope = 2 * np.pi * np.cos(2 * np.pi * fine)
+    late = float((held - after) @ slope / (slope @ slope))  # s, to first order
+    assert abs(late) < 0.02 / RATE
+
+
+def test_a_free_swing_is_accepted_and_one_about_the_upright_is_not(
+    tmp_path: Path, refuse: Callable[..., str]
+) -> None:
+    machine = reality.Machine(kp=0.0, kd=0.0, gravity=0.4, coulomb=0.001, viscous=0.001)
+    swing = reality.simulate(machine, np.r_[1.2, np.zeros(4999)], RATE)
+    text = reality.model_file(
+        tmp_path / "model.toml", RATE, reality.effect("viscous", coefficient=0.001), gravity=0.4
+    ).read_text()
+    model = tmp_path / "free.toml"
+    model.write_text(
+        "\n".join(
+            line for line in text.splitlines() if not line.startswith(("command", "reference"))
+        )
+    )
+    _accepted(reality.save(tmp_path / "swing.csv", {"t": swing["t"], "q": swing["q"]}), model)
+    upright = reality.save(tmp_path / "upright.csv", {"t": swing["t"], "q": swing["q"] - np.pi})
+    assert "hanging down" in refuse(upright, "--model", model)
+    degrees = reality.save(tmp_path / "degrees.csv", {"t": swing["t"], "q": np.degrees(swing["q"])})
+    assert "degrees" in refuse(degrees, "--model", model)
+
+
+def test_what_is_said_of_several_recordings_alike_is_said_once(
+    good: Columns, model: Path, tmp_path: Path
+) -> None:
+    milli = {"t_ms": 1e3 * good["t"], **{k: v for k, v in good.items() if k != "t"}}
+    text = model.read_text()
+    assert 'time = "t"' in text
+    model.write_text(text.replace('time = "t"', 'time = "t_ms"'))
+    given = kernel_model(load_model(model))
+    both = [read_signals(reality.save(tmp_path / f"{n}.csv", milli), given) for n in (1, 2)]
+    assert check_signals(both, given).count("t_ms: ms converted to s") == 1
+
+
+def test_rows_that_repeat_the_row_before_are_left_out_and_said(
+    good: Columns, model: Path, tmp_path: Path
+) -> None:
+    rows = np.sort(np.r_[np.arange(len(good["t"])), [100, 101, 900]])
+    again = reality.save(tmp_path / "again.csv", {k: v[rows] for k, v in good.items()})
+    given = kernel_model(load_model(model))
+    signals = read_signals(again, given)
+    assert len(signals.time) == len(good["t"])
+    assert any("3 rows repeat the row before" in n for n in signals.notes)
+
+
+def test_a_position_that_was_not_read_anew_is_no_motion_and_said(
+    good: Columns, model: Path, tmp_path: Path
+) -> None:
+    given = kernel_model(load_model(model))
+    true = read_signals(reality.save(tmp_path / "good.csv", good), given).position[:, 0]
+    step = np.abs(np.diff(true))
+    parts = np.array_split(np.arange(2, len(step) - 2), 4)
+    fast = [int(part[np.argmax(step[part])]) for part in parts]  # steps of many counts
+    stale = {k: v.copy() for k, v in good.items()}
+    for k in fast:
+        stale["q"][k + 1] = stale["q"][k]
+    signals = read_signals(reality.save(tmp_path / "stale.csv", stale), given)
+    assert any(f"{len(fast)} positions repeat the one before" in n for n in signals.notes)
+    assert np.abs(signals.position[:, 0] - true).max() < 0.2 * step[fast].min()
+
+
+def test_a_joint_that_is_hardly_driven_is_not_read_in_degrees(tmp_path: Path) -> None:
+    free = reality.simulate(
+        reality.Machine(kp=0.0, kd=0.0, gravity=0.4, coulomb=0.001, viscous=0.002),
+        np.r_[1.2, np.zeros(4999)],
+        RATE,
+    )
+    speed = np.gradient(free["q"], 1.0 / RATE)
+    compensation = 0.001 * np.tanh(speed / 0.1) + 2e-4 * np.random.default_rng(0).standard_normal(
+        len(speed)
+    )
+    model = reality.model_file(
+        tmp_path / "model.toml", RATE, reality.effect("viscous", coefficient=0.002), gravity=0.4
+    )
+    _accepted(
+        reality.save(
+            tmp_path / "hardly.csv",
+            {"t": free["t"], "q": free["q"], "u": compensation, "r": 0 * speed},
+        ),
+        model,
+    )
+
+
+def swings(seed: int) -> np.ndarray:
+    """Angle, speed and acceleration over twelve seconds at 250 Hz, (3, n)."""
+    rng, t = np.random.default_rng(seed), np.arange(3000) / 250.0
+    w = 2 * np.pi * rng.uniform(0.2, 1.2, 5)
+    phase = np.outer(t, w) + rng.uniform(0, 2 * np.pi, 5)
+    own = np.sin(phase), np.cos(phase) * w, -np.sin(phase) * w**2
+    return np.stack([x.sum(axis=1) / 5 for x in own])
+
+
+@pytest.mark.parametrize("tool", [1.0, 3.0])
+def test_a_tool_that_pulls_against_the_links_own_inertia_is_no_bad_recording(tool: float) -> None:
+    """An arm of two links whose second moves against the first; most of its inertia is its motor's.
+    The same with the second command's sign flipped, or of another run, is bad.
+    """
+    p1, p2, p3, l1, l2, rotor = 1.0, 0.02, 0.005, 0.5, 0.3, 0.2
+    model = parse_model(
+        {
+            "sample_time": 0.004,
+            "mechanism": {
+                "kind": "planar2r",
+                "parameters": {"p1": p1, "p2": p2, "p3": p3, "l1": l1, "l2": l2},
+            },
+            "effect": [{"kind": "inertia", "joint": 2, "amount": rotor}],
+        }
+    )
+
+    def run(mass: float, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
+        q1 = 0.8 * swings(seed)
+        q2 = 0.1 * swings(seed + 1) - 0.7 * q1
+        m1, m2 = p1 + mass * (l1**2 + l2**2), p2 + mass * l2**2
+        c, s = (f(q2[0]) * (p3 + mass * l1 * l2) for f in (np.cos, np.sin))
+        coriolis = s * q2[1] * (2 * q1[1] + q2[1])
+        first = (m1 + 2 * c) * q1[2] + (m2 + c) * q2[2] - coriolis
+        second = (m2 + c) * q1[2] + (m2 + rotor) * q2[2] + s * q1[1] ** 2 + 0.1 * q2[1]
+        return np.stack([q1[0], q2[0]], axis=1), np.stack([first, second], axis=1)
+
+    def looked_at(angles: np.ndarray, command: np.ndarray) -> None:
+        t = np.arange(len(angles)) * 0.004
+        signals = Signals("run", t, 0.004, angles, command, None, np.full(2, 1e-5))
+        check_driven(["joint 1", "joint 2"], prepare([signals], model, 64.0).records[0], model)
+
+    looked_at(*run(tool))
+    angles, command = run(0.0)
+    with pytest.raises(RecordingError, match="sign"):
+        looked_at(angles, command * [1.0, -1.0])
+    with pytest.raises(RecordingError, match="different runs"):
+        looked_at(angles, np.stack([command[:, 0], run(0.0, seed=6)[1][:, 1]], axis=1))
+
+
+def test_a_joint_without_a_drive_is_no_mistake_where_another_has_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    seen: list[str] = []
+    monkeypatch.setattr(checks, "check_driven", lambda where, rec, model: seen.extend(where))
+    pushed, silent = (SimpleNamespace(command=c) for c in (np.sin(np.arange(9.0)), np.zeros(9)))
+    model: Any = SimpleNamespace(columns={"command": "tau"})
+    for k, record in enumerate((pushed, silent), 1):
+        record.joint = k
+    cart_and_pole: Any = SimpleNamespace(records=[[pushed, silent]])
+    assert check_motion(cart_and_pole, model, ["run"]) == []
+    assert seen == ["run: joint 1", "run: joint 2"]
+    pole: Any = SimpleNamespace(records=[[silent, silent]])
+    with pytest.raises(RecordingError, match="zero throughout"):
+        check_motion(pole, model, ["run"])
