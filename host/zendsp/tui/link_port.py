@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from zendsp.errors import CompileFailed, LinkError, RunnerDied, ZendspError
 from zendsp.link import Rehearsal, Target, Trigger, connect, discover, local, rehearse
 from zendsp.link.live import LiveBlock
 from zendsp.link.programs import stopped
+from zendsp.link.put_back import Before
 from zendsp.link.variables import plain
 from zendsp.recording import Recording
 from zendsp.tui.port import Build, Remark, Shot, Sink, Tell
@@ -196,6 +197,10 @@ class LinkPort:
     def update(self, values: Mapping[str, Any]) -> int:
         """Apply all in one sample."""
         return self.target.update(None, **values)
+
+    def before(self, names: Iterable[str]) -> Before:
+        """Variables as they are now, to be put back after a run."""
+        return Before(self.target, names)
 
     def fill(self, name: str, rows: npt.NDArray[np.float64]) -> int:
         """Send a table."""

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.link import Rehearsal
+from zendsp.link.put_back import Before
 from zendsp.recording import Recording
 from zendsp.tui.snapshot import Snapshot
 
@@ -66,6 +67,7 @@ class Port(Protocol):
     def build(self, sources: Mapping[str, str]) -> Build: ...
     def write(self, values: Mapping[str, Any]) -> int: ...
     def update(self, values: Mapping[str, Any]) -> int: ...
+    def before(self, names: Iterable[str]) -> Before: ...  # as they are now, to be put back
     def drive(self, verb: str, **values: Any) -> str: ...
     def arm(self, shot: Shot) -> None: ...
     def progress(self) -> tuple[str, float]: ...  # state and share done

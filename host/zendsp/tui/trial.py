@@ -44,7 +44,6 @@ class Plan:
     player: Player
     playlist: Playlist
     values: Mapping[str, Any]
-    before: Mapping[str, Any]  # what these parameters are now
     lead: float
 
     @property
@@ -107,7 +106,6 @@ def make_plan(
         player,
         playlist,
         values,
-        {name: value for name, value in now.items() if name in values},
         lead_time(player),
     )
 
