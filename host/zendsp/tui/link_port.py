@@ -33,8 +33,9 @@ SHOWN_ELEMENTS = 64  # longer arrays are not read for the table
 class LinkPort:
     """Implements ``zendsp.tui.port.Port``."""
 
-    def __init__(self, target: Target) -> None:
+    def __init__(self, target: Target, here: bool = False) -> None:
         self.target = target
+        self.here = here  # started by this terminal, and ends with it
         self._program = ""
         self._variables: tuple[Variable, ...] = ()
         self._names: list[str] = []
@@ -334,4 +335,4 @@ def find_targets() -> list[tuple[str, str]]:
 def start_machine(machine: str, clock: str = "real") -> tuple[str, LinkPort]:
     """Start a simulated machine in a process of its own; it ends with this terminal."""
     target = local(machine, clock=clock)
-    return target.name, LinkPort(target)
+    return target.name, LinkPort(target, here=True)

@@ -59,6 +59,8 @@ class Shot:
 class Port(Protocol):
     """Every call may raise ``ZendspError``; ``LinkError`` means that the target is out of reach."""
 
+    here: bool  # the target was started by this terminal, and ends with it
+
     def snapshot(self) -> Snapshot: ...
     def live(self, names: Sequence[str], sink: Sink) -> Callable[[], None]: ...
     def stop(self) -> str: ...  # how it ended; NotStopped where nothing says that it did
