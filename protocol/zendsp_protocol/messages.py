@@ -280,6 +280,7 @@ class AcquireStatus(Message, frozen=True):
     lost: int = 0  # rows that were overwritten or never stored
     start_tick: int = 0  # sample of row 0
     trigger_row: int = -1  # row at which the trigger fired; -1 where none
+    begun: int = 0  # how often it was configured or started: with another number, other rows
     replaced: bool = False  # the program that made the rows is loaded no more: see acquire_program
 
 

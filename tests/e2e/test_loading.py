@@ -157,3 +157,23 @@ def test_rows_of_a_program_that_crashed_keep_it_when_another_is_loaded(fast: Tar
     fast.download("pd.c")
     rows = fast.acquire_load()
     assert list(rows.sources) == ["crashes.c"] and len(rows) == 500 and "Kp1" not in rows.parameters
+
+
+def test_rows_of_two_recordings_are_never_mixed(
+    fast: Target, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fast.download("pd.c")
+    fast.acquire(["q"], 0.5, start=True)
+    load = fast.recorder.load_rows
+
+    def slowly(*given: Any) -> Any:
+        rows = load(*given)
+        fast.acquire_start()  # somebody else's script, say: its shot has as many rows
+        fast.run_for(0.6)
+        return rows
+
+    monkeypatch.setattr(fast.recorder, "load_rows", slowly)
+    with pytest.raises(AcquisitionError, match="started anew while its rows were loaded"):
+        fast.acquire_load()
+    monkeypatch.undo()
+    assert len(fast.acquire_load()) == 500

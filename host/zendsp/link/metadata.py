@@ -12,7 +12,7 @@ import msgspec
 import msgspec.json
 import numpy as np
 
-from zendsp.errors import Refused, RunnerDied
+from zendsp.errors import AcquisitionError, Refused, RunnerDied
 from zendsp.link.parameters import ParameterSets
 from zendsp.link.variables import Reading, plain
 from zendsp.recording import Channel, ParameterChange, Recording
@@ -50,7 +50,7 @@ def describe(
     start_tick = status.start_tick + first * status.decimation
     ticks = start_tick + status.decimation * np.arange(len(data))
     last = int(ticks[-1]) if len(ticks) else 0
-    program, read, changes, replaced = _made_by(parameters, last, patience)
+    program, read, changes, replaced = _made_by(parameters, status, last, patience)
     return Recording(
         t=ticks / overall.rate_hz,
         data=data,
@@ -78,7 +78,7 @@ def describe(
 
 
 def _made_by(
-    parameters: ParameterSets, last: int, patience: float
+    parameters: ParameterSets, status: m.AcquireStatus, last: int, patience: float
 ) -> tuple[m.Program, Reading, Sequence[m.Change], bool]:
     """The program that made the rows, its parameters at sample ``last`` or later, their changes
     between, and whether it is loaded no more.
@@ -91,6 +91,10 @@ def _made_by(
     # after the reading, so that it holds all changes that the reading shows
     changes: Sequence[m.Change] = parameters.insist("log", patience, since=program.log_start)
     now: m.AcquireStatus = parameters.insist("acquire_status", patience)
+    if now.begun != status.begun:
+        raise AcquisitionError(
+            "the recorder was started anew while its rows were loaded: record again"
+        )
     if not now.replaced:  # asked last: another may have been loaded meanwhile
         return program, read, changes, False
     gone: m.Replaced = parameters.insist("acquire_program", patience)
