@@ -35,6 +35,7 @@ _MAX_MEMORY_ALL = 3 << 30  # bytes in memory of all of them
 _MAX_FOLDER = 512 << 20  # bytes of all files
 _LOOK_S = 0.1  # between looks at these three
 _BUSY = 3.0  # times as long as it may compute: other work takes the rest
+_WAITS_S = 1.0  # past its time, without wanting a processor or a disk: for a pipe, say
 _MAX_MESSAGES = 200
 _MAX_TEXT = 2000  # characters of one message
 # what a compiler is made of; nothing else can be read while an upload is compiled
@@ -170,8 +171,8 @@ def run_compiler(
         Where it runs, and the only folder that it writes to; file names in its messages are
         relative to it.
     timeout_s : float
-        Limit, s: of the time it has computed, where the computer is busy with other work, and of
-        three times as much that has passed.
+        Limit, s: of the time that has passed; where the computer is busy with other work, of the
+        time it has computed, and of three times as much that has passed.
     readable : sequence of Path
         Folders of headers. It reads these, `cwd` and the toolchain; where the kernel has Landlock
         nothing else can be opened.
@@ -230,6 +231,7 @@ def _run(
     began = time.monotonic()
     deadline = began + _BUSY * timeout_s
     look = time.monotonic() + _LOOK_S
+    wanting = began  # a processor or a disk, the last time
     why = ""
     with subprocess.Popen(
         command,
@@ -244,8 +246,11 @@ def _run(
         try:
             while not why:
                 ready = select.select([process.stderr], [], [], _LOOK_S)[0]
-                late = time.monotonic() - began > timeout_s
-                if late and (time.monotonic() > deadline or _computed(process.pid) > timeout_s):
+                now = time.monotonic()
+                wanting = now if now < began + timeout_s or _wants(process.pid) else wanting
+                if now > began + timeout_s and (
+                    now > min(deadline, wanting + _WAITS_S) or _computed(process.pid) > timeout_s
+                ):
                     why = too_long
                     break
                 if time.monotonic() > look:
@@ -283,6 +288,11 @@ def _of(session: int) -> list[list[str]]:
             if int(fields[3]) == session:
                 found.append(fields)
     return found
+
+
+def _wants(session: int) -> bool:
+    """Whether a process of a session has a processor, or waits for one or for a disk."""
+    return any(fields[0] in ("R", "D") for fields in _of(session))
 
 
 def _computed(session: int) -> float:

@@ -280,6 +280,8 @@ class AcquireStatus(Message, frozen=True):
     lost: int = 0  # rows that were overwritten or never stored
     start_tick: int = 0  # sample of row 0
     trigger_row: int = -1  # row at which the trigger fired; -1 where none
+    begun: int = 0  # how often it was configured or started: with another number, other rows
+    replaced: bool = False  # the program that made the rows is loaded no more: see acquire_program
 
 
 class Held(Message, frozen=True, kw_only=True):
@@ -327,6 +329,15 @@ class Program(Message, frozen=True, kw_only=True):
     flags: tuple[str, ...] = ()  # for the compiler
     compiler: str = ""  # path and version
     log_start: int = 0  # lines of the parameter log from before it was loaded
+
+
+class Replaced(Message, frozen=True, kw_only=True):
+    """What the recorder's rows were made by, where that program is loaded no more."""
+
+    program: Program = Program()  # as it was sent
+    tick: int = 0  # sample of the values
+    values: dict[str, WireValue] = {}  # its parameters at the end; empty where it had crashed
+    log: tuple[Change, ...] = ()  # their changes
 
 
 class LiveOpened(Message, frozen=True, kw_only=True):

@@ -209,6 +209,7 @@ _ROWS = (
     Verb("acquire_stop", Nothing, m.Empty, "quick", role="tune"),
     Verb("acquire_status", Nothing, m.AcquireStatus, "quick", role="observe"),
     Verb("acquire_held", Nothing, m.Held, "quick", role="observe"),
+    Verb("acquire_program", Nothing, m.Replaced, "quick", role="observe"),
     Verb("acquire_read", AcquireRead, m.Empty, "bulk", 60.0, role="observe"),
     Verb("table_begin", TableBegin, TableState, "bulk", repeatable=False, role="tune"),
     Verb("table_chunk", TableChunk, TableState, "bulk", 20.0, role="tune"),

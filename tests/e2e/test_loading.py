@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import zendsp
-from zendsp.errors import AcquisitionError
+from zendsp.errors import AcquisitionError, RunnerDied
 from zendsp.link import Target
 from zendsp.link.transfer import open_held
 from zendsp_protocol import messages as m
@@ -128,3 +128,52 @@ def test_a_recording_holds_the_parameters_of_its_last_sample_not_those_of_its_lo
     assert later.parameters == held.parameters == {"gain": 2.0, "list": [0.0, 3.0, 0.0]}
     assert [(c.name, c.new) for c in later.log] == [(c.name, c.new) for c in held.log]
     assert fast.parameters().values == {"gain": 9.0, "list": [1.0, 2.0, 2.0]}
+
+
+def test_rows_keep_the_program_that_made_them_when_another_is_loaded(fast: Target) -> None:
+    fast.download("pd.c")
+    fast.update(Kp1=1234.0)
+    whole = fast.acquire(["q"], 0.1, start=True)
+    fast.update(Kp1=1500.0)
+    fast.download("joint_pd.c")
+    later = fast.acquire_load()
+    assert later.sources == whole.sources and later.source_hash == whole.source_hash
+    assert later.parameters == whole.parameters and later.parameters["Kp1"] == 1234.0
+    assert later.log == whole.log and later.extra == whole.extra
+    fast.unload()
+    assert fast.acquire_load().sources == whole.sources
+    fast.download("joint_pd.c")
+    assert list(fast.acquire(["q"], 0.1, start=True).sources) == ["joint_pd.c", "motion.h"]
+
+
+def test_rows_of_a_program_that_crashed_keep_it_when_another_is_loaded(fast: Target) -> None:
+    crashes = (
+        '#include "isr.h"\nvoid UserInit(void) {}\n'
+        "void UserISR_INT2(void) { if (SAMPLE_TICK == 500) *(volatile int *)0 = 1; }\n"
+    )
+    fast.download({"crashes.c": crashes})
+    with pytest.raises(RunnerDied):
+        fast.acquire(["t"], 1.0, start=True)
+    fast.download("pd.c")
+    rows = fast.acquire_load()
+    assert list(rows.sources) == ["crashes.c"] and len(rows) == 500 and "Kp1" not in rows.parameters
+
+
+def test_rows_of_two_recordings_are_never_mixed(
+    fast: Target, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fast.download("pd.c")
+    fast.acquire(["q"], 0.5, start=True)
+    load = fast.recorder.load_rows
+
+    def slowly(*given: Any) -> Any:
+        rows = load(*given)
+        fast.acquire_start()  # somebody else's script, say: its shot has as many rows
+        fast.run_for(0.6)
+        return rows
+
+    monkeypatch.setattr(fast.recorder, "load_rows", slowly)
+    with pytest.raises(AcquisitionError, match="started anew while its rows were loaded"):
+        fast.acquire_load()
+    monkeypatch.undo()
+    assert len(fast.acquire_load()) == 500

@@ -156,7 +156,7 @@ def test_a_recording_that_is_interrupted_is_kept_and_the_machine_stopped(tmp_pat
             Lab(tmp_path, target).bench("pendulum", "any") as bench,
         ):
             bench.record("long", "pendulum_torque.c", ["q", "tau"], seconds=2.0)
-        assert target.status().state == "stopped"
+        assert target.status().drive == "stopped"
     part = Recording.load(tmp_path / "any" / "long_ended.npz")
     assert len(part) >= 400 and "KeyboardInterrupt" in part.note
     assert not (tmp_path / "any" / "long.npz").exists()
@@ -182,7 +182,7 @@ def test_a_run_that_is_interrupted_leaves_the_target_stopped(tmp_path: Path) -> 
             bench.target.download("pd.c")
             bench.target.start()
             raise KeyboardInterrupt
-        assert target.status().state == "stopped"
+        assert target.status().drive == "stopped", "also where the experiment's program is gone"
 
 
 def test_an_experiment_refuses_another_machine_and_an_unknown_name(tmp_path: Path) -> None:

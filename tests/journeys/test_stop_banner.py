@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 from collections.abc import Iterator
@@ -90,6 +91,24 @@ def test_a_target_whose_own_process_hangs_is_stopped_all_the_same(
     screen.keys(F9)
     screen.until("stopped, at sample")
     assert "NOT STOPPED" not in screen.text()
+    os.kill(process.pid, signal.SIGCONT)
+    assert "stop" in installed.script(NOT_STOPPED).stdout
+
+
+def test_a_target_that_hangs_before_there_is_a_link_is_stopped_all_the_same(
+    installed: Installed, screens: list[Screen], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    process = installed.target("imi")
+    assert installed.script(PREPARE).returncode == 0
+    entry = json.loads((Path(installed.env["ZENDSP_RUNTIME_DIR"]) / "imi.json").read_text())
+    # the same target, named as one is that runs elsewhere
+    monkeypatch.setitem(installed.env, "ZENDSP_CONNECT", entry["endpoints"][0])
+    os.kill(process.pid, signal.SIGSTOP)
+    screen = Screen(installed, (80, 24), "imi", "--screen", "console")
+    screens.append(screen)
+    screen.until("F9")
+    screen.keys(F9)
+    screen.until("stopped, at sample")
     os.kill(process.pid, signal.SIGCONT)
     assert "stop" in installed.script(NOT_STOPPED).stdout
 

@@ -121,6 +121,20 @@ def test_a_compilation_without_end_is_stopped() -> None:
     assert result.diagnostics
 
 
+def test_a_compilation_that_waits_for_a_pipe_is_stopped_when_its_time_is_over(
+    tmp_path: Path,
+) -> None:
+    os.mkfifo(tmp_path / "x.h")
+    (tmp_path / "a.c").write_text('#include "x.h"\n')
+    limit = 4.0
+    begun = time.monotonic()
+    ended = run_compiler(find_compiler(), ["-c", "a.c"], tmp_path, timeout_s=limit)
+    took = time.monotonic() - begun
+    assert not ended.ok and "did not finish within 4 s" in ended.messages[0].message
+    # a second without wanting a processor; three times the limit is for those that do
+    assert limit < took < 2.0 * limit
+
+
 @pytest.mark.parametrize("name", ["../evil.c", "a/b.c", "/etc/x.c", "x.py", "-o.c", ""])
 def test_names_that_reach_outside_are_refused(name: str) -> None:
     with pytest.raises(Refused):

@@ -226,6 +226,27 @@ def test_the_right_falls_free_when_its_holder_leaves(target: Target) -> None:
     until(lambda: target.drive_status().commander == "", "freed")
 
 
+def test_the_host_lost_policy_of_a_commander_ends_with_its_command(target: Target) -> None:
+    with connect(target.name) as other:
+        other.set_host_lost("finish")
+        assert other.take_command() == "you command"
+        assert "taken over" in target.take_command(force=True)
+        assert target.drive_status().host_lost == "stop", "not that of the one before"
+        target.release_command()
+        other.take_command()
+        other.set_host_lost("finish")
+    until(lambda: target.drive_status().commander == "", "freed")
+    assert target.drive_status().host_lost == "stop"
+
+
+def test_the_host_lost_policy_of_one_who_does_not_command_stays_and_is_told(target: Target) -> None:
+    assert _cli(target, "host-lost", "hold").returncode == 0
+    said = target.take_command()
+    assert said.startswith("you command; if this host is lost: hold, as ") and "chose" in said
+    assert target.drive_status().host_lost == "hold"
+    target.set_host_lost("stop")
+
+
 def test_managed_targets_enforce_the_sequence() -> None:
     with local("imi_planar", clock="fast", options=["--speed", "20", "--managed"]) as target:
         target.download("pd.c")

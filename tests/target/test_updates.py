@@ -229,8 +229,15 @@ def test_updates_for_later_samples_do_not_hold_up_earlier_ones(make_runtime: Mak
     )
 
 
+@pytest.mark.parametrize("looks", [1, 2, 3])
+@pytest.mark.parametrize(
+    "order", [[(3, 300), (1, 100), (2, 100), (0, None)], [(0, None), (1, 100), (2, 100), (3, 300)]]
+)
 def test_the_log_is_in_the_order_of_the_samples_whenever_it_is_taken_down(
-    monkeypatch: pytest.MonkeyPatch, make_runtime: Make
+    monkeypatch: pytest.MonkeyPatch,
+    make_runtime: Make,
+    order: list[tuple[int, int | None]],
+    looks: int,
 ) -> None:
     """The loop applies what waits between two looks of the harvest; also what waits for its sample
     and was written first.
@@ -241,9 +248,9 @@ def test_the_log_is_in_the_order_of_the_samples_whenever_it_is_taken_down(
     updates = session.updates
 
     class Meanwhile:
-        """The monitor's functions; after the first look into memory the loop runs 400 samples."""
+        """The monitor's functions; after so many looks into memory the loop runs 400 samples."""
 
-        looked = False
+        looked = 0
 
         def __getattr__(self, name: str) -> object:
             found = getattr(layout()[1], name)
@@ -251,14 +258,13 @@ def test_the_log_is_in_the_order_of_the_samples_whenever_it_is_taken_down(
 
         def look(self, function: Callable[..., object], *arguments: object) -> object:
             seen = function(*arguments)
-            if not self.looked:
-                self.looked = True
+            self.looked += 1
+            if self.looked == looks:
                 runtime.start(ticks=400)
                 runtime.wait_paused()
             return seen
 
     monkeypatch.setattr(updates, "_lib", Meanwhile())
-    order = [(3, 300), (1, 100), (2, 100), (0, None)]
     for value, tick in order:
         runtime.write({"alone": value}, "me", at_tick=tick)
     updates.harvest()

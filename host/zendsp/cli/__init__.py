@@ -9,6 +9,7 @@ import importlib
 import os
 import re
 import sys
+import warnings
 from typing import TYPE_CHECKING, Any
 
 try:
@@ -133,6 +134,7 @@ def cli() -> None:
 
 def main() -> None:
     """Entry point: expected errors end with one sentence and exit status 2, Ctrl-C with 130."""
+    warnings.formatwarning = lambda message, *_, **__: f"zendsp: {message}\n"
     try:
         # click returns the status of a command that ended by Exit, and raises everything else
         status = cli(prog_name="zendsp", standalone_mode=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import signal
 import sys
 import textwrap
 from collections.abc import Callable, Iterator, Mapping
@@ -22,6 +23,7 @@ from zendsp_protocol.values import Assignable, Packed, from_wire
 if TYPE_CHECKING:
     from zendsp.link import Target
 
+ENDING = (signal.SIGTERM, signal.SIGHUP)
 F = TypeVar("F", bound=Callable[..., Any])
 
 
@@ -52,7 +54,8 @@ def target_options(function: F) -> F:
 @contextmanager
 def open_target(name: str, endpoint: str | None) -> Iterator[Target]:
     """Connect to the target that the options name, and at the end say on standard error if it is
-    tripped or its program crashed. In ``zendsp shell`` its one link is taken.
+    tripped or its program crashed. In ``zendsp shell`` its one link is taken. Until then SIGTERM
+    and the end of the terminal act as Ctrl-C: what was set for a run is put back.
     """
     held = _held(name, endpoint)
     if held is not None:
@@ -63,6 +66,9 @@ def open_target(name: str, endpoint: str | None) -> Iterator[Target]:
     from zendsp.link.programs import trouble
 
     with connect(name, endpoint) as target:
+        for number in ENDING:
+            if signal.getsignal(number) == signal.SIG_DFL:
+                signal.signal(number, signal.default_int_handler)
         try:
             yield target
         finally:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import shlex
+import signal
 
 import click
 from click.shell_completion import ShellComplete
 
-from zendsp.cli.common import open_target, target_options
+from zendsp.cli.common import ENDING, open_target, target_options
 
 LEAVE = ("exit", "quit")
 
@@ -26,6 +27,8 @@ def command(target: str, connect: str | None, as_json: bool) -> None:
     from zendsp.cli import cli
 
     with open_target(target, connect) as t:
+        for number in ENDING:  # Ctrl-C does not leave the prompt; these do
+            signal.signal(number, signal.SIG_DFL)
         complete = ShellComplete(cli, {"obj": t}, "zendsp", "_ZENDSP_COMPLETE")
         _complete_with(complete)
         while True:

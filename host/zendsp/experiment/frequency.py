@@ -226,8 +226,8 @@ def frequency_response(
     One joint swings about where it stands by a multisine of low crest factor whose lines are
     multiples of ``f_min``, nearly evenly spaced in log f; the others are held. The first period is
     not used: what the beginning left dies away in it. A target on the fast clock is paused and
-    starts with the recording; on the real clock the program goes on. Afterwards the machine holds
-    where it stood; ``use_table``, ``row_rate`` and ``approach_time`` stay as they were played.
+    starts with the recording; on the real clock the program goes on. Afterwards the machine is
+    where it stood, and the program does what it did before: parameters and tables are put back.
 
     Parameters
     ----------

@@ -17,11 +17,13 @@ import numpy as np
 from zendsp.errors import RecordingError, Refused, ZendspError
 from zendsp.experiment.result import Result
 from zendsp.link import Target
+from zendsp.link.put_back import Loaded
 from zendsp.recording import Recording
 from zendsp.recording.files import save_anyhow
 from zendsp.reference import Reference
 
 Say = Callable[[str], None]
+BRAKE_S = 1.0  # under the loop's eye, before the program is taken away
 
 
 class Lab:
@@ -66,7 +68,8 @@ class Lab:
 
     @contextmanager
     def bench(self, machine: str | None, name: str, **options: Any) -> Iterator[Bench]:
-        """A machine to experiment with; whatever ends the block, it is left standing still.
+        """A machine to experiment with. Whatever ends the block, it is left standing still, and the
+        program that was loaded before is loaded again, which is not started.
 
         Parameters
         ----------
@@ -111,14 +114,17 @@ class Lab:
         finally:
             target.close()
 
-    @staticmethod
-    def _guard(bench: Bench) -> Iterator[Bench]:
+    def _guard(self, bench: Bench) -> Iterator[Bench]:
+        before = Loaded(bench.target)
         try:
             yield bench
         except BaseException:  # Ctrl-C as well: the machine stands before the program ends
             with contextlib.suppress(ZendspError):
                 _stop(bench.target)
             raise
+        finally:
+            if why := before.put_back():
+                self.say(why)
 
 
 class Bench:
@@ -240,15 +246,12 @@ class Bench:
 
 
 def _stop(target: Target) -> None:
-    """STOP a machine that runs, and see that it has (it takes a sample; the deadline is for a busy
-    computer).
-    """
+    """STOP a machine that runs, and let it brake."""
     if target.status().state != "running":
         return
     target.stop()
-    deadline = time.monotonic() + 5.0
-    while target.status().state == "running" and time.monotonic() < deadline:
-        time.sleep(0.005)
+    if target.info.clock == "real":
+        time.sleep(BRAKE_S)
 
 
 def own_program(name: str) -> dict[str, str]:

@@ -4,20 +4,19 @@ columns.
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from zendsp.errors import Refused, ZendspError
+from zendsp.errors import Refused
+from zendsp.experiment.player import Player
 from zendsp.link import Target
 from zendsp.physics.model import Model
 from zendsp.recording import Recording
 from zendsp.reference import Reference
 
 REST_S = 0.3  # after the last row
-START_S = 1.0  # for the tables to arrive at a program that runs
 
 
 def run_reference(
@@ -27,7 +26,8 @@ def run_reference(
 
     The target's program must follow the table ``ref`` (pd.c, or any program with motion.h). Where
     it has none loaded, the program and the parameters of an earlier recording are used. A program
-    that runs goes on running; one that stood is paused afterwards.
+    that runs goes on as before; one that stood is paused afterwards, and its own tables and
+    parameters are put back.
 
     Parameters
     ----------
@@ -47,24 +47,12 @@ def run_reference(
     _ready(target, model, like)
     _check(target, reference)
     names = target.variables()
-    with _following(target, names):
-        approach = float(np.asarray(target["approach_time"])) if "approach_time" in names else 0.0
-        seconds = approach + reference.duration + REST_S
-        if "row_rate" in names:
-            target.update(None, row_rate=round(1.0 / reference.sample_time))
-        status = target.status()
-        if status.state == "running" and status.clock == "real":
-            target.acquire_configure(_channels(model, names), seconds + START_S)
-            target.acquire_start()
-            _send(target, reference, names)
-            recording = target.acquire_finish(2.0 * seconds + 10.0, "separating experiment")
-        else:
-            if status.state == "running":  # a fast clock does not wait for tables
-                target.pause()
-            _send(target, reference, names)
-            recording = target.acquire(
-                _channels(model, names), seconds, start=True, note="separating experiment"
-            )
+    approach = float(np.asarray(target["approach_time"])) if "approach_time" in names else 0.0
+    values = {"use_table": True, "row_rate": round(1.0 / reference.sample_time), "hold": False}
+    recording, _ = Player(
+        target, reference.tables(), values, _channels(model, names),
+        approach + reference.duration + REST_S, "separating experiment",
+    ).play()  # fmt: skip
     trip = target.status().trip
     if trip is not None and trip.reason:
         raise Refused(
@@ -112,25 +100,6 @@ def _check(target: Target, reference: Reference) -> None:
                 f"the reference moves joint {j + 1} at {fastest:.4g} /s; the target allows"
                 f" {limits.speed_max[j]:.4g}"
             )
-
-
-@contextlib.contextmanager
-def _following(target: Target, names: Any) -> Iterator[None]:
-    """Have the program follow its table, and as before afterwards."""
-    before = {name: target[name] for name in ("use_table", "row_rate") if name in names}
-    if "use_table" in before:
-        target.update(None, use_table=True)
-    try:
-        yield
-    finally:
-        with contextlib.suppress(ZendspError):
-            target.update(None, **before)
-
-
-def _send(target: Target, reference: Reference, names: Any) -> None:
-    for table, rows in reference.tables().items():
-        if table in names:
-            target.upload(table, rows)
 
 
 def _channels(model: Model, names: Any) -> Sequence[str]:

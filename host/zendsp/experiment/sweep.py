@@ -14,6 +14,7 @@ import numpy.typing as npt
 from zendsp.errors import AcquisitionError, VariableError, ZendspError
 from zendsp.experiment.table_file import write_rows
 from zendsp.link import Target
+from zendsp.link.put_back import kept
 from zendsp.recording import Recording
 from zendsp_protocol.texts import counted
 from zendsp_protocol.values import Assignable
@@ -174,9 +175,8 @@ def sweep(
     for run in runs:
         target.request("check", values=dict(run))
     folder = Path(keep) if keep is not None else None
-    before = {name: target[name] for name in values}
     rows: list[Mapping[str, Any]] = []
-    try:
+    with kept(target, values):
         for number, run in enumerate(runs, 1):
             tell = _part(progress, number - 1, len(runs))
             recording, ended = _one(target, run, channels, settle + seconds, tell)
@@ -188,9 +188,6 @@ def sweep(
                 progress(number / len(runs))
             if ended:
                 break
-    finally:
-        if target.alive:
-            target.variables.update_alone(before)
     names = [f"{m} {c}" for c in _columns(rows, channels, measures) for m in measures]
     return Sweep(tuple(values), tuple(names), tuple(rows))
 

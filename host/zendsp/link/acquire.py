@@ -166,6 +166,7 @@ class Recorder(Transfers):
         """
         deadline = None if timeout is None else time.monotonic() + timeout
         status: m.AcquireStatus = self.insist("acquire_status", patience)
+        begun = status.begun
         data: FloatArray = np.full((wanted, len(status.channels)), np.nan)
         have = gone = 0
         while have < wanted:
@@ -195,7 +196,9 @@ class Recorder(Transfers):
                 )
             time.sleep(POLL_S)
         self.request("acquire_stop")
-        status = msgspec.structs.replace(status, lost=max(status.lost, gone), wanted=wanted)
+        status = msgspec.structs.replace(
+            status, lost=max(status.lost, gone), wanted=wanted, begun=begun
+        )
         from zendsp.link.metadata import describe  # with NumPy: not before there are rows
 
         return describe(self._parameters, status, 0, data, note, patience)

@@ -12,13 +12,13 @@ import msgspec
 import msgspec.json
 import numpy as np
 
-from zendsp.errors import Refused, RunnerDied
+from zendsp.errors import AcquisitionError, Refused, RunnerDied
 from zendsp.link.parameters import ParameterSets
 from zendsp.link.variables import Reading, plain
 from zendsp.recording import Channel, ParameterChange, Recording
 from zendsp.recording.names import FloatArray, split_element
 from zendsp_protocol import messages as m
-from zendsp_protocol.values import Assignable
+from zendsp_protocol.values import Assignable, from_wire
 from zendsp_protocol.version import PROTOCOL
 
 
@@ -46,17 +46,11 @@ def describe(
         For a broken link to come back.
     """
     overall: m.Status = parameters.insist("status", patience)
-    program: m.Program = parameters.insist("program", patience)
     info: m.Info = parameters.insist("info", patience)
     start_tick = status.start_tick + first * status.decimation
     ticks = start_tick + status.decimation * np.arange(len(data))
     last = int(ticks[-1]) if len(ticks) else 0
-    try:
-        read = parameters.insist_on_all(patience)
-    except (Refused, RunnerDied):
-        read = Reading(last, {})  # the program is gone; its log still tells
-    # After the reading, so that it holds all changes that the reading shows.
-    changes: Sequence[m.Change] = parameters.insist("log", patience, since=program.log_start)
+    program, read, changes, replaced = _made_by(parameters, status, last, patience)
     return Recording(
         t=ticks / overall.rate_hz,
         data=data,
@@ -68,7 +62,7 @@ def describe(
         lost=status.lost,
         timing={
             name: plain(value) for name, value in msgspec.structs.asdict(overall.timing).items()
-        },
+        } if not replaced else {},
         log=tuple(_change(change) for change in changes if change.tick <= last),
         parameters=parameters_at(last, read, changes),
         sources=dict(program.sources),
@@ -79,8 +73,33 @@ def describe(
         versions={**info.versions, "protocol": str(PROTOCOL), "host": host_version()},
         created=time.time(),
         note=note,
-        extra=_extra(parameters, overall, patience),
+        extra=_extra(parameters, overall, patience) | {"program": program.key},
     )
+
+
+def _made_by(
+    parameters: ParameterSets, status: m.AcquireStatus, last: int, patience: float
+) -> tuple[m.Program, Reading, Sequence[m.Change], bool]:
+    """The program that made the rows, its parameters at sample ``last`` or later, their changes
+    between, and whether it is loaded no more.
+    """
+    program: m.Program = parameters.insist("program", patience)
+    try:
+        read = parameters.insist_on_all(patience)
+    except (Refused, RunnerDied):
+        read = Reading(last, {})  # the program is gone; its log still tells
+    # after the reading, so that it holds all changes that the reading shows
+    changes: Sequence[m.Change] = parameters.insist("log", patience, since=program.log_start)
+    now: m.AcquireStatus = parameters.insist("acquire_status", patience)
+    if now.begun != status.begun:
+        raise AcquisitionError(
+            "the recorder was started anew while its rows were loaded: record again"
+        )
+    if not now.replaced:  # asked last: another may have been loaded meanwhile
+        return program, read, changes, False
+    gone: m.Replaced = parameters.insist("acquire_program", patience)
+    values = {name: from_wire(value) for name, value in gone.values.items()}
+    return gone.program, Reading(gone.tick, values), gone.log, True
 
 
 def parameters_at(tick: int, read: Reading, changes: Sequence[m.Change]) -> dict[str, Assignable]:

@@ -127,7 +127,11 @@ class Programs(Room):
         self.request("start", ticks=ticks)
 
     def pause(self) -> None:
-        """Pause the program: outputs are safe, variables keep their values."""
+        """Pause the program: outputs are safe, variables keep their values.
+
+        A simulated machine stands still with its time. Hardware is in its safe state, speed zero:
+        what neither drives nor brakes hold sinks.
+        """
         self.request("pause")
 
     def stop(self) -> m.Status:

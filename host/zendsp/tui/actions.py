@@ -71,7 +71,7 @@ ACTIONS = (
            "Change the colours: night, day, contrast and Textual's own."),
     Action("app", "command_palette", "ctrl+p", "Palette", "Find any action by name.", footer=True),
     Action("app", "quit", "ctrl+q", "Quit",
-           "Leave; the target goes on as its host-lost setting says.", priority=True),
+           "Leave; where the machine moves, you are asked what is to become of it.", priority=True),
     # -- console: the drive sequence
     Action("console", "power", "o", "Power",
            "Switch the drives' power on (to ready) or off; from then on they are not switched by"

@@ -22,6 +22,7 @@ from zendsp.tui.actions import ACTIONS, bindings
 from zendsp.tui.colours import THEMES
 from zendsp.tui.dialogs import Choose, Message, Option
 from zendsp.tui.dialogs.base import Dialog
+from zendsp.tui.dialogs.leave import Leave, moves
 from zendsp.tui.port import Port
 from zendsp.tui.runs import Run
 from zendsp.tui.screens.base import LabScreen
@@ -30,6 +31,7 @@ from zendsp.tui.stopper import PICTURE, with_stop
 from zendsp.tui.workspace import Workspace
 from zendsp_isr.sources import gather, shipped_programs
 
+PUT_BACK_S = 5.0  # for a run that was stopped to put back what it has set
 HELD_S = 5.0  # that keys wait for a dialog that is on its way
 
 
@@ -182,6 +184,37 @@ class ZendspApp(App[None]):
         stopper = self.session.stopper
         if stopper is None or not stopper.stop():
             self.session.stop()
+
+    async def action_quit(self) -> None:
+        """Leave; where the machine moves, ask first what is to become of it."""
+        if not moves(self.session.snapshot):
+            self.exit()
+        elif not isinstance(self.screen, Leave):
+            port = self.session.port
+            here = port is not None and port.here
+            self.push_screen(Leave(self.session.snapshot, here, self._plays()), self._leave)
+
+    def _leave(self, keys: list[str] | None) -> None:
+        if keys == ["leave"]:
+            self.exit()
+        elif keys == ["stop"]:
+            self.run_worker(self._stop_and_leave, thread=True, group="leave")
+
+    def _stop_and_leave(self) -> None:
+        """Stay where nothing says that it stopped: the banner then tells what to do."""
+        try:
+            self.session.stop().result()
+        except Exception:
+            return
+        deadline = time.monotonic() + PUT_BACK_S
+        while self._plays() and time.monotonic() < deadline:
+            time.sleep(0.02)
+        self.call_from_thread(self.exit)
+
+    def _plays(self) -> bool:
+        """Whether a run is under way that will put back what it has set."""
+        job = getattr(self._screens.get("execute"), "job", None)
+        return job is not None and bool(job.busy)
 
     async def action_show(self, name: str) -> None:
         """Show a screen; not while a dialog waits for an answer."""

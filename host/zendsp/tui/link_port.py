@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from zendsp.errors import CompileFailed, LinkError, RunnerDied, ZendspError
 from zendsp.link import Rehearsal, Target, Trigger, connect, discover, local, rehearse
 from zendsp.link.live import LiveBlock
 from zendsp.link.programs import stopped
+from zendsp.link.put_back import Before
 from zendsp.link.variables import plain
 from zendsp.recording import Recording
 from zendsp.tui.port import Build, Remark, Shot, Sink, Tell
@@ -33,8 +34,9 @@ SHOWN_ELEMENTS = 64  # longer arrays are not read for the table
 class LinkPort:
     """Implements ``zendsp.tui.port.Port``."""
 
-    def __init__(self, target: Target) -> None:
+    def __init__(self, target: Target, here: bool = False) -> None:
         self.target = target
+        self.here = here  # started by this terminal, and ends with it
         self._program = ""
         self._variables: tuple[Variable, ...] = ()
         self._names: list[str] = []
@@ -192,6 +194,10 @@ class LinkPort:
         """Apply all in one sample."""
         return self.target.update(None, **values)
 
+    def before(self, names: Iterable[str]) -> Before:
+        """Variables as they are now, to be put back after a run."""
+        return Before(self.target, names)
+
     def fill(self, name: str, rows: npt.NDArray[np.float64]) -> int:
         """Send a table."""
         return self.target.upload(name, rows)
@@ -322,4 +328,4 @@ def find_targets() -> list[tuple[str, str]]:
 def start_machine(machine: str, clock: str = "real") -> tuple[str, LinkPort]:
     """Start a simulated machine in a process of its own; it ends with this terminal."""
     target = local(machine, clock=clock)
-    return target.name, LinkPort(target)
+    return target.name, LinkPort(target, here=True)

@@ -16,6 +16,7 @@ import numpy as np
 
 from zendsp.errors import Refused, ZendspError
 from zendsp.link.background import background
+from zendsp.link.put_back import Before
 from zendsp.recording import Recording
 from zendsp.reference import Machine, Reference
 from zendsp.tui.playing import Player, Setup, present_position
@@ -108,12 +109,13 @@ class PlayJob:
         plan = make_plan(snapshot, self._references, self._machine, self._setup)
         if not self._rehearse(port, plan):
             return None
+        before = port.before([*plan.values, *plan.tables])
         try:
             first, outcome = self._move(port, plan)
             if self._setup.acquire:
                 self._end_acquisition(port, outcome)
         finally:
-            self._put_back(port, plan)
+            self._put_back(port, before)
         if not self._setup.acquire:
             return None
         begins, ends = plan.playlist.play
@@ -134,21 +136,18 @@ class PlayJob:
         port.start(ticks)
         return before, self._follow(port, plan, before.tick)
 
-    def _put_back(self, port: Port, plan: Plan) -> None:
-        """Write back the parameters that the run changed, as a later start relies on them.
-
-        The program is paused before: use_table of a running one would move the arm.
+    def _put_back(self, port: Port, before: Before) -> None:
+        """Pause what still moves, and put back what the run has set, as a later start relies on it.
         """
         try:
             snapshot = port.snapshot()
             if snapshot.state == "running" and snapshot.drive not in SAFE:
                 port.pause()
-            if plan.before and snapshot.program == plan.program:
-                port.update(plan.before)
+            why = before.put_back()
         except ZendspError as error:
-            self._session.events.add(
-                f"run: {', '.join(plan.before)} stay as they were played: {error}", "warning"
-            )
+            why = f"the program is as the run has set it: {error}"
+        if why:
+            self._session.events.add(f"run: {why}", "warning")
 
     def _rehearse(self, port: Port, plan: Plan) -> bool:
         """Try the run on a simulated twin before anything moves, if the preflight has not; False

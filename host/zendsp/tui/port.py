@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.link import Rehearsal
+from zendsp.link.put_back import Before
 from zendsp.recording import Recording
 from zendsp.tui.snapshot import Snapshot
 from zendsp_protocol.values import Assignable
@@ -59,6 +60,8 @@ class Shot:
 class Port(Protocol):
     """Every call may raise ``ZendspError``; ``LinkError`` means that the target is out of reach."""
 
+    here: bool  # the target was started by this terminal, and ends with it
+
     def snapshot(self) -> Snapshot: ...
     def live(self, names: Sequence[str], sink: Sink) -> Callable[[], None]: ...
     def stop(self) -> str: ...  # how it ended; NotStopped where nothing says that it did
@@ -67,6 +70,7 @@ class Port(Protocol):
     def build(self, sources: Mapping[str, str]) -> Build: ...
     def write(self, values: Mapping[str, Assignable]) -> int: ...
     def update(self, values: Mapping[str, Assignable]) -> int: ...
+    def before(self, names: Iterable[str]) -> Before: ...  # as they are now, to be put back
     def drive(self, verb: str, **values: Any) -> str: ...
     def arm(self, shot: Shot) -> None: ...
     def progress(self) -> tuple[str, float]: ...  # state and share done

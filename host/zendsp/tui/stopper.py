@@ -34,7 +34,7 @@ from typing import TYPE_CHECKING, Any
 from zendsp.errors import NotStopped, ZendspError
 from zendsp.link import connect
 from zendsp.link.background import background
-from zendsp.link.find import remote_endpoints
+from zendsp.link.find import own_entries
 from zendsp.link.programs import TAKEN_S, stopped
 from zendsp.link.stop_page import StopPage, find
 
@@ -100,13 +100,13 @@ class Links:
         self._wanted.set()
 
     def page(self) -> StopPage | None:
-        """The stop page of the target, where it runs here: it needs no link."""
+        """The stop page of the target, where it is one of this machine: it needs no link."""
         target = self.target
         if target is not None and target.name == self.name:
             page = target.stop_page()
             if page is not None:
                 return page
-        return None if remote_endpoints(None) else find(self.name)
+        return find(self.name) if own_entries(self.name, None) else None
 
     def _keep(self) -> None:
         while True:

@@ -45,7 +45,6 @@ class Plan:
     player: Player
     playlist: Playlist
     values: Mapping[str, Any]
-    before: Mapping[str, Any]  # what these parameters are now
     lead: float
 
     @property
@@ -108,7 +107,6 @@ def make_plan(
         player,
         playlist,
         values,
-        {name: value for name, value in now.items() if name in values},
         lead_time(player),
     )
 

@@ -137,7 +137,7 @@ class Runtime:
         programs, session = self.programs, self.programs.session
         if session is None:
             return empty_status(programs.settings, programs.unsafe, programs.latched())
-        return status_of(session, programs.latched())
+        return status_of(session, programs.latched)
 
     def __enter__(self) -> Runtime:
         return self

@@ -34,6 +34,7 @@ _ASKED = {
     "host lost": "the host that commanded the motion is gone",
 }
 STOPS = ("stop", "stop input", "host lost")
+_LOOKS = 100  # until two are the same: one may be acknowledged, and another latched, meanwhile
 _ARRAYS = ("position_min", "position_max", "speed_max", "torque_max", "command_max")
 
 
@@ -65,11 +66,18 @@ def latched_trip(control: Any, machine: MachineInfo) -> Trip | None:
 
 
 def _trip_in(control: Any, machine: MachineInfo) -> Trip | None:
-    ffi, lib = layout()
-    reason = _REASONS.get(lib.monitor_load32(ffi.addressof(control.trip, "reason")))
+    ffi, _ = layout()
+    shared = ffi.addressof(control.trip)
+    copy = ffi.new(ffi.typeof(shared))
+    raw, seen = copy[0], bytes(ffi.buffer(shared))
+    for _ in range(_LOOKS):
+        before, seen = seen, bytes(ffi.buffer(shared))
+        if seen == before:
+            break
+    ffi.memmove(copy, seen, len(seen))
+    reason = _REASONS.get(raw.reason)
     if reason is None:
         return None
-    raw = control.trip
     joint, tick, value, limit = int(raw.joint), int(raw.tick), float(raw.value), float(raw.limit)
     return Trip(
         reason, joint, tick, value, limit, _sentence(machine, reason, joint, tick, value, limit)

@@ -81,7 +81,6 @@ class Session:
             self.process.handle,
             sequence,
         )
-        self._memory = memory
         # kept here, since user code with a wild pointer may overwrite what is shared: nothing there
         # shall steer a copy
         self.machine = machine_of(self.control)
@@ -223,7 +222,7 @@ class Session:
         found = decode(small, values)
         for name, place in places.items():
             if name not in small:
-                found[name] = self._table(place)
+                found[name] = self.updates.table(place)
         return tick, {name: found[name] for name in names}
 
     def show_trip(self) -> None:
@@ -255,18 +254,6 @@ class Session:
     ) -> Callable[[bytes], int] | None:
         """Make what writes one value again; see `RuntimeApi.repeat_write`."""
         return self.updates.repeat(self._ended, name, author, value_at, reply)
-
-    def _table(self, place: Place) -> Value:
-        entry = place.entry
-        word = int(self.control.variable[entry.index].table)
-        rows, columns = min(word & 0xFFFFFFFF, entry.rows), entry.info.columns
-        start = entry.banks[word >> 32 & 1]
-        return (
-            self._memory[start : start + rows * columns * 8]
-            .view("<f8")
-            .reshape(rows, columns)
-            .copy()
-        )
 
     def set_settings(self, values: Mapping[str, object], author: str) -> int:
         """Write the runtime's own settings as one update."""

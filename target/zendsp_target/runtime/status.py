@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from zendsp_protocol.errors import Refused, RunnerDied
@@ -47,19 +49,19 @@ def empty_status(settings: Settings, unsafe: str, trip: Trip | None) -> Status:
     )
 
 
-def status_of(session: Session, latched: Trip | None) -> Status:
+def status_of(session: Session, latched: Callable[[], Trip | None]) -> Status:
     """Status of a loaded program, dead or alive.
 
     Parameters
     ----------
     session : Session
-    latched : Trip or None
-        What is not acknowledged, carried out or not.
+    latched : callable
+        Tells what is not acknowledged, carried out or not.
     """
     control = session.control
     trip = safety.trip_of(control, session.machine)
     if not session.alive() and not session.unsafe:
-        trip = latched
+        trip = latched()  # now: what tripped at its very end was latched until then
     state = _state(session, trip is not None)
     tick = session.tick
     mode, homed = _MODES.get(int(control.drive_mode), "off"), bool(control.homed)

@@ -78,13 +78,15 @@ class Drives:
     policy : str
         What happens when the holder of the right to command disappears while the program runs:
         ``"stop"`` (zero velocity, latched), ``"hold"`` (the program's bool parameter ``hold`` is
-        set; without one, as stop), ``"finish"`` (goes on).
+        set; without one, as stop), ``"finish"`` (goes on). A commander may choose another for as
+        long as it commands.
     """
 
     def __init__(self, runtime: RuntimeApi, managed: bool = False, policy: str = "stop") -> None:
         self._runtime = runtime
         self._managed = managed
-        self._policy = policy
+        self._policy = self._own = policy
+        self._policy_by = ""  # who chose another one
         self._explicit = managed
         self._powered = False
         self._enabled = False
@@ -206,23 +208,34 @@ class Drives:
             before = self.commander
             if before and before != by and not force:
                 raise Refused(f"{before} has the right to command; take it over with force")
-            self.commander = by
-            return f"taken over from {before}" if before and before != by else "you command"
+            word = f"taken over from {before}" if before and before != by else "you command"
+            return word + self._pass_to(by)
 
     def release(self, by: str) -> str:
         """Give the right back."""
         with self._lock:
             self.check_right(by)
-            self.commander = ""
+            self._pass_to("")
             return "the right to command is free"
+
+    def _pass_to(self, host: str) -> str:
+        """Pass the right on, "" to nobody. A policy ends with the commander who chose it; returns
+        what a new one must know of another's.
+        """
+        before, self.commander = self.commander, host
+        if before not in ("", host) and self._policy_by == before:
+            self._policy, self._policy_by = self._own, ""
+        if host in ("", before) or self._policy_by in ("", host):
+            return ""
+        return f"; if this host is lost: {self._policy}, as {self._policy_by} chose"
 
     def host_gone(self, host: str) -> None:
         """Act on the disappearance of a host, by the policy."""
         with self._lock:
             if host != self.commander:
                 return
-            self.commander = ""
             policy = self._policy
+            self._pass_to("")
             try:
                 if self._runtime.status().state != ProgramState.RUNNING or policy == "finish":
                     return
@@ -256,7 +269,7 @@ class Drives:
             "disable": self.disable,
             "acknowledge": self.acknowledge,
             "auto": self.auto,
-            "host_lost": lambda: self.set_policy(args.policy),
+            "host_lost": lambda: self.set_policy(args.policy, by),
         }
         action = actions.get(args.action)
         if action is None:
@@ -266,7 +279,7 @@ class Drives:
                 self.check_right(by)
             said = action()
             if args.action in ("power_on", "home", "enable"):
-                self.commander = by
+                said += self._pass_to(by)
             return said
 
     def power_on(self) -> str:
@@ -348,11 +361,13 @@ class Drives:
         self._runtime.set_drive("auto")
         return "automatic: on at start, off at pause"
 
-    def set_policy(self, policy: str) -> str:
-        """Choose what happens when the commanding host is lost."""
+    def set_policy(self, policy: str, by: str) -> str:
+        """Choose what happens when the commanding host is lost: it ends with the command of whoever
+        chose it; from who does not come to command it stays.
+        """
         if policy not in POLICIES:
             raise Refused(f"host-lost policy {policy!r}: expected one of {', '.join(POLICIES)}")
-        self._policy = policy
+        self._policy, self._policy_by = policy, by
         return f"if the commanding host is lost: {policy}"
 
     def _off(self) -> None:

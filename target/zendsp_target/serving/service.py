@@ -10,6 +10,7 @@ import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib import metadata
 from typing import Any
@@ -18,9 +19,10 @@ import msgspec
 
 from zendsp_protocol import keys, verbs
 from zendsp_protocol import messages as m
-from zendsp_protocol.errors import Refused
+from zendsp_protocol.errors import Refused, RunnerDied
 from zendsp_protocol.kept import About
 from zendsp_protocol.states import ProgramState, RecorderState
+from zendsp_protocol.values import Value, to_wire
 from zendsp_protocol.version import PROTOCOL
 from zendsp_target.api import RECORDER, AcquireConfig, RuntimeApi
 from zendsp_target.serving.deferred import Later
@@ -34,6 +36,7 @@ from zendsp_target.serving.variable_verbs import VariableVerbs
 # answered by the server: they need more than arguments and author
 SPECIAL = ("acquire_read", "live_open")
 REMEMBERED = 32  # programs whose sources are kept for the recordings
+MOST_ELEMENTS = 1024  # of a parameter that is kept; longer arrays are data
 POST_MORTEM_S = 4.0  # at most, until it is known how a runner died
 
 
@@ -66,6 +69,9 @@ class Service:
         self._programs: OrderedDict[str, m.Program] = OrderedDict()
         self._repeats: list[Repeats] = []
         self._recorder_owner = ""
+        self._begun = 0  # how often the recorder was configured or started
+        self._recorded = False  # rows of the program that is loaded
+        self._replaced: m.Replaced | None = None  # what made the rows, where it is loaded no more
         self._log_start = 0
         self._lock = threading.Lock()
         self.handlers: dict[str, Callable[[Any, str], Any]] = {
@@ -157,15 +163,17 @@ class Service:
         return result
 
     def do_load(self, args: verbs.Load, by: str) -> m.Empty:
-        before = len(self.runtime.log())
+        before, gone = len(self.runtime.log()), self._made_by()
         self.runtime.load(args.key)
-        self._log_start = before
+        self._log_start, self._replaced = before, gone
         self._forget()
         self._recorder_owner = ""
         return m.Empty()
 
     def do_unload(self, args: verbs.Nothing, by: str) -> m.Empty:
+        gone = self._made_by()
         self.runtime.unload()
+        self._replaced = gone
         self._forget()
         return m.Empty()
 
@@ -209,11 +217,15 @@ class Service:
             )
             if busy and owner != by and owner in self.present() and not args.take:
                 raise Refused(f"{owner} is recording; wait, or take the recorder over (take=True)")
+            self._begun += 1
             status = self.runtime.acquire_configure(RECORDER, config)
             self._recorder_owner = by
+            self._recorded, self._replaced = True, None
         return status
 
     def do_acquire_start(self, args: verbs.AcquireStart, by: str) -> m.Empty:
+        with self._lock:
+            self._begun += 1
         self.runtime.acquire_start(RECORDER, args.force)
         self.runtime.acquire_keep(self._about())
         return m.Empty()
@@ -242,7 +254,31 @@ class Service:
         return m.Empty()
 
     def do_acquire_status(self, args: verbs.Nothing, by: str) -> m.AcquireStatus:
-        return self.runtime.acquire_status(RECORDER)
+        begun, replaced = self._begun, self._replaced is not None
+        status = self.runtime.acquire_status(RECORDER)
+        return msgspec.structs.replace(status, begun=begun, replaced=replaced)
+
+    def do_acquire_program(self, args: verbs.Nothing, by: str) -> m.Replaced:
+        if self._replaced is None:
+            raise Refused("the program that made the recorder's rows is loaded: ask for it")
+        return self._replaced
+
+    def _made_by(self) -> m.Replaced | None:
+        """What to tell of the recorder's rows once the program that is loaded is gone."""
+        if self._replaced is not None or not self._recorded:
+            return self._replaced
+        program = self.do_program(verbs.Nothing(), "")
+        tick, found = 0, dict[str, Value]()
+        with suppress(Refused, RunnerDied):
+            infos = self.runtime.variables()
+            names = [i.name for i in infos if i.kind == "parameter" and i.length <= MOST_ELEMENTS]
+            tick, found = self.runtime.read(names) if names else (0, {})
+        return m.Replaced(
+            program=program,
+            tick=tick,
+            values={name: to_wire(value) for name, value in found.items()},
+            log=self.runtime.log(program.log_start),
+        )
 
     def do_acquire_held(self, args: verbs.Nothing, by: str) -> m.Held:
         return self.runtime.acquire_held(RECORDER)

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from zendsp_protocol.errors import NotYet, Refused, RunnerDied, VariableError
+from zendsp_protocol.values import Value
 from zendsp_target.api import Blank
 from zendsp_target.bounded import keep
 from zendsp_target.runtime.memory.layout import layout
@@ -261,6 +262,16 @@ class Updates:
             )
             for (_, place), rows in zip(plan.places, numbers, strict=True)
         ]
+
+    def table(self, place: Place) -> Value:
+        """Rows of a table as they stand. They are whole: nobody fills a bank meanwhile."""
+        entry = place.entry
+        with self._lock:
+            word = int(self._control.variable[entry.index].table)
+            rows, columns = min(word & 0xFFFFFFFF, entry.rows), entry.info.columns
+            start = entry.banks[word >> 32 & 1]
+            found = self._memory[start : start + rows * columns * 8].copy()
+        return found.view("<f8").reshape(rows, columns)
 
     def _fill_bank(self, place: Place, rows: FloatArray) -> tuple[int, int]:
         """Write a table into the bank that the loop does not read; returns the bank and the rows.

@@ -1,0 +1,130 @@
+"""What a run sets in the program is put back when the run ends, however it ends."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from zendsp.errors import ZendspError
+from zendsp_protocol import messages as m
+from zendsp_protocol.states import ProgramState
+
+if TYPE_CHECKING:
+    from zendsp.link.target import Target
+
+GONE = (ProgramState.CRASHED, ProgramState.EMPTY)
+FOLLOW = "use_table"  # parameter of programs that follow a table only where it is set
+
+
+class Before:
+    """Variables of the loaded program as they are now, tables too, to be put back after a run.
+
+    Parameters
+    ----------
+    target : Target
+    names : iterable of str
+        What the run will set, elements ``"q[1]"`` too; names that the program lacks are left out.
+    """
+
+    def __init__(self, target: Target, names: Iterable[str]) -> None:
+        self._target = target
+        infos = target.variables()
+        wanted = [name for name in names if name.partition("[")[0] in infos]
+        self.values = dict(target.read(wanted).values) if wanted else {}
+        self._tables = {name for name in wanted if name in infos and infos[name].kind == "table"}
+        self._status: m.Status = target.status()
+
+    @property
+    def follows(self) -> bool:
+        """Whether the program followed its table."""
+        return bool(self.values.get(FOLLOW, True))
+
+    def put_back(self) -> str:
+        """Write everything back in one sample; returns why that failed, "" where it did not.
+
+        Nothing is written into another program, into one that was loaded afresh, or that crashed.
+        Of a program that runs and follows its tables, the rows that it had stay away: their
+        switch-over would begin their motion.
+        """
+        try:
+            now, then = self._target.status(), self._status
+            if now.state in GONE or now.program != then.program or now.tick < then.tick:
+                return ""
+            moves = now.state == ProgramState.RUNNING and now.trip is None and self.follows
+            values = {
+                name: value
+                for name, value in self.values.items()
+                if not (moves and name in self._tables and len(value))  # type: ignore[arg-type]
+            }
+            if values:
+                self._target.variables.update_alone(values)
+        except ZendspError as error:
+            return f"{', '.join(self.values)} stay as the run had set them: {error}"
+        return ""
+
+
+class Loaded:
+    """The loaded program as it is now, with parameters and tables, to be put back after others.
+
+    Parameters
+    ----------
+    target : Target
+    """
+
+    def __init__(self, target: Target) -> None:
+        self._target = target
+        self._empty = target.status().state in GONE
+        if not self._empty:
+            infos = target.variables().values()
+            names = [info.name for info in infos if info.kind in ("parameter", "table")]
+            self._program = target.program()
+            self._values = dict(target.read(names).values) if names else {}
+
+    def put_back(self) -> str:
+        """Load it again, and start nothing; returns why that failed, "" where it did not.
+
+        While a STOP or a trip is latched nothing can be loaded: then no program is.
+        """
+        target = self._target
+        try:
+            status = target.status()
+            if status.state == ProgramState.RUNNING and status.trip is None:
+                target.pause()
+            if self._empty or status.trip is not None:
+                target.unload()
+                return "" if self._empty else f"{self._name} is not loaded any more: load it again"
+            target.download(self._program.sources, self._program.flags)
+            if self._values:
+                target.variables.update_alone(self._values)
+        except ZendspError as error:
+            return f"what was loaded before the run is not put back: {error}"
+        return ""
+
+    @property
+    def _name(self) -> str:
+        return next(iter(self._program.sources), "the program")
+
+
+@contextmanager
+def kept(target: Target, names: Iterable[str]) -> Iterator[Before]:
+    """Put back, at the end of the block, what the block sets in the program.
+
+    Parameters
+    ----------
+    target : Target
+    names : iterable of str
+        Parameters and tables.
+
+    Warns
+    -----
+    UserWarning
+        They could not be put back; the message says why.
+    """
+    before = Before(target, names)
+    try:
+        yield before
+    finally:
+        if why := before.put_back():
+            warnings.warn(why, stacklevel=3)

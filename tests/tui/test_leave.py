@@ -1,0 +1,58 @@
+"""Who leaves while the machine moves is asked what is to become of it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from zendsp.errors import NotStopped
+from zendsp.link import Target
+from zendsp.tui.app import ZendspApp
+from zendsp.tui.dialogs.leave import Leave
+
+if TYPE_CHECKING:
+    from steps import Until
+
+
+@pytest.mark.parametrize("answer", ["stay", "stop", "leave", "not stopped"])
+@pytest.mark.parametrize("size", [(80, 24), (200, 60)], ids=["small", "large"])
+async def test_leaving_a_machine_that_moves_is_asked(
+    lab: ZendspApp, target: Target, until: Until, answer: str, size: tuple[int, int],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    target.download("pd.c")
+    target.start()
+    async with lab.run_test(size=size) as pilot:
+        await until(pilot, lambda: lab.session.snapshot.state == "running", "it runs")
+        await pilot.press("ctrl+q")
+        await until(pilot, lambda: isinstance(lab.screen, Leave), "the question")
+        await pilot.press("ctrl+q")
+        assert len(lab.screen_stack) == 2 and not lab._exit, "asked once, and not gone"
+        if answer == "not stopped":
+
+            def fails() -> str:
+                raise NotStopped("no word")
+
+            monkeypatch.setattr(lab.session.require(), "stop", fails)
+        downs = {"stay": 0, "stop": 1, "leave": 2, "not stopped": 1}[answer]
+        await pilot.press(*["down"] * downs, "enter")
+        if answer in ("stop", "leave"):
+            await until(pilot, lambda: lab._exit, "it ends")
+        else:
+            await until(pilot, lambda: not isinstance(lab.screen, Leave), "the question goes")
+        if answer == "not stopped":
+            verdict = lab.session.verdict
+            assert verdict is not None and verdict.state == "not stopped" and not lab._exit
+        assert (target.status().trip is not None) is (answer == "stop")
+        assert lab._exit is (answer in ("stop", "leave"))
+
+
+async def test_leaving_one_that_stands_is_not(
+    lab: ZendspApp, target: Target, until: Until
+) -> None:
+    target.download("pd.c")
+    async with lab.run_test(size=(80, 24)) as pilot:
+        await until(pilot, lambda: lab.session.snapshot.state == "loaded", "link")
+        await pilot.press("ctrl+q")
+        await until(pilot, lambda: lab._exit, "it ends")
