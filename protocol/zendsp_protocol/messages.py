@@ -154,8 +154,9 @@ class Status(Message, frozen=True):
     def _repr_html_(self) -> str:
         t = self.timing
         when = f"sample {self.tick} ({self.t:.3f} s at {self.rate_hz:g} Hz)"
+        joints = f"{counted(self.joints, 'joint')}, " if self.joints else ""  # told by the program
         rows = [
-            ("machine", f"{self.machine}, {counted(self.joints, 'joint')}, {self.clock} clock"),
+            ("machine", f"{self.machine}, {joints}{self.clock} clock"),
             ("program", f"{self.state}, {when}"),
             ("drives", f"{self.drive}, {self.drive_mode}"),
             ("time in ISR", f"{t.exec_mean_ns / 1e3:.1f} µs, at most {t.exec_max_ns / 1e3:.1f}"),

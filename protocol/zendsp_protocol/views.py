@@ -6,9 +6,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from html import escape
+from math import ceil, floor, log10
 
 COLOURS = ("#1f5fa8", "#b4451f", "#3a7d44", "#8a6d00", "#7a4fa0", "#2987a8", "#a23b78", "#555555")
-WIDTH, HEIGHT, LEFT, BOTTOM = 640, 200, 64, 22  # pixels
+WIDTH, HEIGHT, LEFT, RIGHT = 640, 200, 64, 8  # pixels
+LANE = 110  # pixels; of each where there are several
 MOST = 8  # curves
 
 
@@ -39,62 +41,126 @@ def html_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 
 def curves(
-    x: Sequence[float], columns: Sequence[tuple[str, Sequence[float]]], xlabel: str = "t [s]"
+    x: Sequence[float],
+    columns: Sequence[tuple[str, Sequence[float]]],
+    xlabel: str = "t [s]",
+    log: bool = False,
 ) -> str:
-    """Return curves over a common axis as SVG; at most eight.
+    """Return curves over a common axis as SVG, a lane for each unit and size; at most eight curves.
 
     Parameters
     ----------
     x : sequence of float
         Increasing.
     columns : sequence of (name, values)
-        Each as long as ``x``; what is not finite is a gap.
+        Each as long as ``x``; what is not finite is a gap. A name may end in its unit, ``q [rad]``.
     xlabel : str
+    log : bool
+        Whether ``x``, positive, is drawn by its logarithm.
 
     Examples
     --------
     >>> curves([0.0, 1.0], [("q [rad]", [0.0, 2.0])]).count("<polyline")
     1
     """
-    columns = columns[:MOST]
-    finite = [v for _, y in columns for v in y if v - v == 0.0]
-    if len(x) < 2 or not finite:
+    left_out, columns = len(columns) - MOST, columns[:MOST]
+    lanes = _lanes(columns)
+    if len(x) < 2 or not lanes:
         return sentence("no samples yet")
-    low, high = min(finite), max(finite)
-    if high == low:
-        low, high = low - 1.0, high + 1.0
-    wide, tall = WIDTH - LEFT - 8, HEIGHT - BOTTOM - 8
-    span = (x[-1] - x[0]) or 1.0
+    at = [log10(v) for v in x] if log else x
+    tall = HEIGHT if len(lanes) == 1 else LANE
     parts = []
-    for k, (_, y) in enumerate(columns):
-        for run in _runs(x, y):
-            points = " ".join(
-                f"{LEFT + wide * (a - x[0]) / span:.1f},{8 + tall * (high - b) / (high - low):.1f}"
-                for a, b in run
-            )
-            colour = COLOURS[k]
-            parts.append(f'<polyline points="{points}" fill="none" stroke="{colour}"/>')
+    for number, chosen in enumerate(lanes):
+        parts.append(f'<g transform="translate(0 {tall * number})">')
+        parts.append(_lane(at, {k: columns[k][1] for k in chosen}, tall))
+        parts.append("</g>")
+    bottom = tall * len(lanes)
+    scale = (WIDTH - LEFT - RIGHT) / ((at[-1] - at[0]) or 1.0)
+    marks = _decades(x[0], x[-1]) if log else ticks(x[0], x[-1])
+    for value in marks:
+        place = LEFT + scale * ((log10(value) if log else value) - at[0])
+        parts.append(_line(place, bottom - 4, place, bottom) + _text(place, bottom + 12, value))
+    parts.append(_text(LEFT + (WIDTH - LEFT - RIGHT) / 2, bottom + 28, xlabel))
     legend = " ".join(
         f'<span style="color:{COLOURS[k]}">▬ {escape(name)}</span>'
         for k, (name, _) in enumerate(columns)
-    )
-    frame = f'<rect x="{LEFT}" y="8" width="{wide}" height="{tall}" fill="none" stroke="#bbb"/>'
-    texts = (
-        (LEFT - 4, 16, "end", f"{high:.4g}"),
-        (LEFT - 4, 8 + tall, "end", f"{low:.4g}"),
-        (LEFT, HEIGHT - 6, "start", f"{x[0]:.4g}"),
-        (WIDTH - 8, HEIGHT - 6, "end", f"{x[-1]:.4g}"),
-        (LEFT + wide // 2, HEIGHT - 6, "middle", xlabel),
-    )
-    labels = "".join(
-        f'<text x="{a}" y="{b}" text-anchor="{anchor}" font-size="11" fill="currentColor">'
-        f"{escape(text)}</text>"
-        for a, b, anchor, text in texts
-    )
+    ) + (f" and {left_out} more" if left_out > 0 else "")
     return (
-        f'<div>{legend}</div><svg viewBox="0 0 {WIDTH} {HEIGHT}" width="{WIDTH}"'
-        f' height="{HEIGHT}" xmlns="http://www.w3.org/2000/svg">'
-        f"{frame}{''.join(parts)}{labels}</svg>"
+        f'<div>{legend}</div><svg viewBox="0 0 {WIDTH} {bottom + 34}" width="{WIDTH}"'
+        f' height="{bottom + 34}" xmlns="http://www.w3.org/2000/svg">{"".join(parts)}</svg>'
+    )
+
+
+def _lanes(columns: Sequence[tuple[str, Sequence[float]]]) -> list[list[int]]:
+    """Numbers of the curves of each lane: of one unit, and none a tenth as wide as another."""
+    lanes: list[tuple[str, float, list[int]]] = []
+    for k, (name, y) in enumerate(columns):
+        finite = [v for v in y if v - v == 0.0]
+        if not finite:
+            continue
+        unit, wide = name.rpartition(" [")[2] if " [" in name else "", max(finite) - min(finite)
+        for other, width, chosen in lanes:
+            if unit == other and 0.1 * width <= wide <= 10.0 * width:
+                chosen.append(k)
+                break
+        else:
+            lanes.append((unit, wide, [k]))
+    return [chosen for _, _, chosen in lanes]
+
+
+def _lane(x: Sequence[float], columns: dict[int, Sequence[float]], height: float) -> str:
+    """Curves of one unit in their frame; the keys are the numbers of their colours."""
+    finite = [v for y in columns.values() for v in y if v - v == 0.0]
+    low, high = min(finite), max(finite)
+    if high == low:
+        low, high = low - (abs(low) or 1.0), high + (abs(high) or 1.0)
+    wide, tall = WIDTH - LEFT - RIGHT, height - 12
+    across, up = wide / ((x[-1] - x[0]) or 1.0), tall / (high - low)
+    parts = [f'<rect x="{LEFT}" y="8" width="{wide}" height="{tall}" fill="none" stroke="#bbb"/>']
+    for value in ticks(low, high):
+        y = 8 + up * (high - value)
+        parts.append(_line(LEFT, y, WIDTH - RIGHT, y) + _text(LEFT - 4, y + 4, value, "end"))
+    for k, values in columns.items():
+        for run in _runs(x, values):
+            points = " ".join(
+                f"{LEFT + across * (a - x[0]):.1f},{8 + up * (high - b):.1f}" for a, b in run
+            )
+            parts.append(f'<polyline points="{points}" fill="none" stroke="{COLOURS[k]}"/>')
+    return "".join(parts)
+
+
+def ticks(low: float, high: float) -> list[float]:
+    """Return two to six round numbers between two numbers.
+
+    Examples
+    --------
+    >>> ticks(-0.0098, 0.0126)
+    [-0.005, 0.0, 0.005, 0.01]
+    """
+    decade = floor(log10((high - low) / 5)) if high > low else 0
+    step = next(
+        (m * 10.0**decade for m in (1, 2, 5) if (high - low) <= 5 * m * 10.0**decade),
+        10.0 ** (decade + 1),
+    )
+    return [float(f"{k * step:.12g}") for k in range(ceil(low / step), floor(high / step) + 1)]
+
+
+def _decades(low: float, high: float) -> list[float]:
+    """Marks of a logarithmic axis."""
+    first, last = floor(log10(low)), ceil(log10(high))
+    numbers = [float(f"{m}e{d}") for d in range(first, last + 1) for m in (1, 2, 5)]
+    return [v for v in numbers if low <= v <= high]
+
+
+def _line(x1: float, y1: float, x2: float, y2: float) -> str:
+    return f'<path d="M{x1:.1f} {y1:.1f}L{x2:.1f} {y2:.1f}" stroke="#bbb" stroke-width="0.5"/>'
+
+
+def _text(x: float, y: float, words: float | str, anchor: str = "middle") -> str:
+    shown = words if isinstance(words, str) else f"{words:.10g}"
+    return (
+        f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" font-size="11"'
+        f' fill="currentColor">{escape(shown)}</text>'
     )
 
 

@@ -29,7 +29,7 @@ class Machine:
     breakaway: float = 0.0
     stribeck: float = 0.1
     tail: float = 2.0  # exponent of Stribeck's curve
-    uneven: float = 0.0  # dry friction varies: uneven * sin(3 q)
+    uneven: float = 0.0  # dry friction varies: uneven * sin(7 q)
     ripple: float = 0.0
     order: int = 7
     spring: float = 0.0
@@ -133,7 +133,7 @@ def simulate(
             torque = max(-m.supply - m.back * v, min(m.supply - m.back * v, torque))
             torque = max(-m.weak, min(m.weak, torque)) + unrest
             torque += m.push[0] if m.push[1] <= k * T < m.push[2] else 0.0
-            level = m.coulomb + m.uneven * math.sin(3 * q) + (
+            level = m.coulomb + m.uneven * math.sin(7 * q) + (
                 (m.breakaway - m.coulomb) * math.exp(-(abs(v / m.stribeck) ** m.tail))
                 if m.breakaway
                 else 0.0

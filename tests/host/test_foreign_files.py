@@ -362,6 +362,14 @@ def test_one_process_reads_many_files_and_another_follows_where_it_ended(
         assert all(np.array_equal(first[c], other[c], equal_nan=True) for c in first.columns)
 
 
+def test_a_bag_with_bad_metadata_is_refused_in_a_few_words(tmp_path: Path) -> None:
+    (tmp_path / "metadata.yaml").write_text("rosbag2_bagfile_information: {version: 9, x: y\n" * 9)
+    with pytest.raises(RecordingError, match="no bag of ROS: it cannot be read") as refused:
+        read_table(tmp_path)
+    said = str(refused.value).replace(str(tmp_path), "")
+    assert len(said) < 300 and "\n" not in said
+
+
 def test_what_is_not_read_names_the_command_that_converts_it(tmp_path: Path) -> None:
     for name, command in (
         ("run.xlsx", "libreoffice --headless --convert-to csv"),

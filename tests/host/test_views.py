@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -54,13 +55,27 @@ def test_a_recording_is_drawn_with_its_spikes_and_gaps() -> None:
     y[54_321] = 7.0
     recording = Recording.from_columns({"q": y}, 1e-3, units={"q": "rad"})
     shown = recording._repr_html_()
-    assert shown.count("<polyline") == 1 and ">7</text>" in shown, "one sample in 100 000"
+    assert shown.count("<polyline") == 1 and ">6</text>" in shown, "one sample in 100 000"
+    assert ",8.0 " in shown, "the spike reaches the top of the frame"
     assert "q [rad]" in shown and len(shown) < 40_000
     y[40_000:60_000] = np.nan
     gap = Recording.from_columns({"q": y}, 1e-3)._repr_html_()
     assert gap.count("<polyline") == 2
     empty = replace(recording, t=recording.t[:0], data=recording.data[:0])
     assert "no samples yet" in empty._repr_html_()
+
+
+def test_an_error_is_not_drawn_flat_under_the_position_or_the_torque() -> None:
+    t = np.linspace(0.0, 1.0, 50)
+    columns = {"q1": t, "q2": 0.5 * t, "e1": 1e-3 * t, "tau": 20.0 * t}
+    units = {"q1": "rad", "q2": "rad", "e1": "rad", "tau": "N m"}
+    shown = Recording.from_columns(columns, 1e-3, units=units)._repr_html_()
+    heights = []
+    for points in re.findall(r'points="([^"]*)"', shown):
+        y = [float(point.partition(",")[2]) for point in points.split()]
+        heights.append(max(y) - min(y))
+    assert shown.count("<rect") == 3, "positions together, error and torque in lanes of their own"
+    assert min(heights) >= 0.5 * max(heights) > 40.0, "px"
 
 
 @pytest.fixture(scope="module")

@@ -57,6 +57,18 @@ def test_numbers_come_from_the_recording() -> None:
     assert not any("N m" in question for question in draft.questions)
 
 
+def test_an_effort_that_is_always_zero_is_no_command_where_another_column_moves() -> None:
+    columns = recording()
+    bag = {
+        "t": columns["t"],
+        "joint_states.elbow.position": columns["q"],
+        "joint_states.elbow.effort": np.zeros(N),  # a robot without torque sensors
+        "effort_cmd.data": columns["tau"],
+    }
+    draft = draft_model(Table(bag, {}, {}, Path("bag")))
+    assert model_of(draft.text).columns["command"] == "effort_cmd.data"
+
+
 def test_what_the_recording_cannot_say_is_asked() -> None:
     columns = recording()
     del columns["r"]

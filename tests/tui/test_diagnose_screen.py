@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -208,6 +209,25 @@ async def test_the_last_run_is_marked_and_others_can_be_held_out(
         assert screen.chosen("held out") == [str(old.folder / DATA)]
         await pilot.press("space", "up", "space", "space")
         assert not screen.chosen("fit") and not screen.chosen("held out")
+        screen.query_one("#findings", OptionList).focus()
+        await pilot.press("space")
+        assert not screen.chosen("fit"), "what is not in focus is not changed"
+
+
+async def test_two_runs_of_one_name_are_told_apart_by_their_seconds(
+    tmp_path: Path, until: Until
+) -> None:
+    recording = Recording.from_columns({"q": np.zeros(100)}, 1e-3, units={"q": "rad"})
+    for second in (1.0, 2.0):  # of the same minute
+        run = store_run(tmp_path / "runs", "pd", recording)
+        card = run.folder / "run.json"
+        card.write_text(json.dumps(json.loads(card.read_text()) | {"created": second}))
+    app = _alone(tmp_path)
+    async with app.run_test(size=(100, 30)) as pilot:
+        screen = await opened(app, pilot, until, DiagnoseScreen)
+        table = screen.query_one("#recordings", DataTable)
+        times = {str(table.get_row_at(k)[2]) for k in range(2)}
+        assert len(times) == 2, times
 
 
 @pytest.mark.covers("diagnose.report", "diagnose.save", "diagnose.earlier", "diagnose.compare")

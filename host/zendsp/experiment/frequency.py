@@ -197,12 +197,14 @@ class FrequencyResponse:
 
     def _repr_html_(self) -> str:
         """What a notebook shows: a sentence, magnitude and phase, the rows."""
-        x = np.log10(self.f).tolist()
         header = ("f [Hz]", "dB", "deg", "± dB", "± deg", "coherence")
         rows = [[f"{v:.4g}" for v in row.values()] for row in self.rows()]
-        magnitude = curves(x, [("magnitude [dB]", self.magnitude_db.tolist())], "log10 f [Hz]")
-        phase = curves(x, [("phase [deg]", self.phase_deg.tolist())], "log10 f [Hz]")
-        return sentence(self.summary()) + magnitude + phase + html_table(header, rows)
+        columns = [
+            ("magnitude [dB]", self.magnitude_db.tolist()),
+            ("phase [deg]", self.phase_deg.tolist()),
+        ]
+        drawn = curves(self.f.tolist(), columns, "f [Hz]", log=True)
+        return sentence(self.summary()) + drawn + html_table(header, rows)
 
 
 def frequency_response(

@@ -34,6 +34,7 @@ READERS = {  # suffix: module of zendsp.recording.formats
     ".tdms": "tdms",
 }
 BAG = "metadata.yaml"  # what makes a folder a bag of rosbag2
+SAID = 160  # characters of what another library said of a damaged file
 CONVERSIONS = {  # suffixes of what is not read: the command that makes something of it that is
     ".xlsx": "libreoffice --headless --convert-to csv {path}",
     ".xls": "libreoffice --headless --convert-to csv {path}",
@@ -200,9 +201,12 @@ def _convert(path: Path) -> str:
 
 
 def _damaged(path: Path, error: Exception) -> RecordingError:
+    kind = "bag of ROS" if path.is_dir() else f"{_suffix(path)} file"
+    said = " ".join(str(error).split())
+    said = said if len(said) <= SAID else f"{said[:SAID]} …"
     return RecordingError(
-        f"{path}: is damaged, cut short, or no {_suffix(path)} file: it cannot be read"
-        f" ({type(error).__name__}: {error})"
+        f"{path}: is damaged, cut short, or no {kind}: it cannot be read"
+        f" ({type(error).__name__}: {said})"
     )
 
 

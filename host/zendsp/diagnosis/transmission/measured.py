@@ -15,7 +15,13 @@ from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.result import Detectable, Finding
 from zendsp.diagnosis.transmission.claims import Claim, claims_of, least_compliance
 from zendsp.diagnosis.transmission.findings import findings_of, helpful, load_behind
-from zendsp.diagnosis.transmission.sets import Sets, lag_of, sets_of, torque_scale, torque_unit
+from zendsp.diagnosis.transmission.sets import (
+    Sets,
+    compliance_unit,
+    lag_of,
+    sets_of,
+    torque_scale,
+)
 from zendsp.diagnosis.transmission.terms import choose
 from zendsp.diagnosis.transmission.torque_sensor import sides_of
 from zendsp.diagnosis.transmission.torsion import (
@@ -28,7 +34,7 @@ from zendsp.diagnosis.transmission.torsion import (
     moved,
 )
 from zendsp.diagnosis.transmission.waves import waves_of
-from zendsp.physics.effects import get_effect, unit_of
+from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model, Term
 
 PASSES = 2  # of the lag and the errors over the angle by turns
@@ -101,7 +107,7 @@ def _measured(parts: Parts, model: Model, joint: int, jobs: int) -> Measured:
     seen: tuple[Detectable, ...] = ()
     if "spring" not in found:
         least = least_compliance(slow, chosen, scale, model)
-        unit = unit_of("position", model.joint_kind(joint)) + "/(" + torque_unit(model, joint) + ")"
+        unit = compliance_unit(model, joint)
         seen = (Detectable(joint, "transmission", "elasticity", least, unit, 0.0),)
         notes.append(
             f"joint {joint}: its two sensors show no compliance; one of {least:.2g} {unit} would"

@@ -11,9 +11,8 @@ from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.pieces import finest
 from zendsp.diagnosis.decide.result import Detectable
-from zendsp.diagnosis.transmission.sets import torque_unit
+from zendsp.diagnosis.transmission.sets import compliance_unit
 from zendsp.diagnosis.transmission.torsion import OF_BODIES, has_bodies, of_bodies
-from zendsp.physics.effects import unit_of
 from zendsp.physics.model import Model
 
 
@@ -50,7 +49,7 @@ def by_one_sensor(
             continue
         hidden = max(decision.after.value, finest("elasticity")) * decision.scale
         least = hidden / math.sqrt(squares / count)
-        unit = unit_of("position", model.joint_kind(joint)) + "/(" + torque_unit(model, joint) + ")"
+        unit = compliance_unit(model, joint)
         out.append(Detectable(joint, "transmission", "elasticity", least, unit, 0.0))
     return tuple(out)
 

@@ -75,3 +75,8 @@ def torque_scale(twists: Sequence[Twist]) -> float:
 def torque_unit(model: Model, joint: int) -> str:
     """N m, or N of a linear joint."""
     return "N" if model.joint_kind(joint) == "linear" else "N m"
+
+
+def compliance_unit(model: Model, joint: int) -> str:
+    """rad/(N m), or m/N of a linear joint."""
+    return "m/N" if model.joint_kind(joint) == "linear" else "rad/(N m)"

@@ -80,9 +80,10 @@ def best_group(groups: dict[Role, list[Group]], role: Role, joints: int = 0) -> 
         return max(some, key=lambda g: g.values.shape[1], default=None)
     rank = {word: k for k, word in enumerate(PREFERRED)}
 
-    def unlikely(group: Group) -> tuple[int, int]:
+    def unlikely(group: Group) -> tuple[bool, bool, int]:
         words = re.findall(r"[a-z]+", group.names[0].lower())
         return (
+            not np.nanstd(group.values, axis=0).any(),  # as the effort of a JointState without one
             group.unit not in ("N m", "Nm", "N"),
             min((rank.get(w, 9) for w in words), default=9),
         )

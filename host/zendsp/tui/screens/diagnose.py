@@ -140,7 +140,7 @@ class DiagnoseScreen(LoopActions):
         for path in self.added:
             self._row(table, path, Path(path).name, "", "", "file")
         for run in found:
-            when = time.strftime("%m-%d %H:%M", time.localtime(run.created))
+            when = time.strftime("%m-%d %H:%M:%S", time.localtime(run.created))
             path = str(run.folder / DATA)
             self._row(table, path, run.name, when, f"{run.seconds:.1f}", run.machine)
         table.move_cursor(row=min(at, table.row_count - 1))
@@ -177,6 +177,9 @@ class DiagnoseScreen(LoopActions):
     def action_use(self) -> None:
         """Use the marked recording for the fit, hold it out, or leave it out."""
         table = self.query_one("#recordings", DataTable)
+        if self.focused is self.query_one("#findings", OptionList):
+            self.say("space marks recordings: go to their list first (Tab)", "warning")
+            return
         try:
             key = table.coordinate_to_cell_key(table.cursor_coordinate).row_key.value
         except CellDoesNotExist:
