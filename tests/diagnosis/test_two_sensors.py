@@ -249,6 +249,6 @@ def test_of_a_recording_without_a_middle_no_compliance_is_said(
     swing = np.sin(0.02 * np.arange(rows))
     monkeypatch.setattr(one_sensor, "has_bodies", lambda model: True)
     monkeypatch.setattr(one_sensor, "of_bodies", lambda record, model: swing)
-    monkeypatch.setattr(one_sensor, "torque_unit", lambda model, joint: "N m")
+    monkeypatch.setattr(one_sensor, "compliance_unit", lambda model, joint: "rad/(N m)")
     found = one_sensor.by_one_sensor(parts, arm, [decision])  # type: ignore[arg-type]
     assert len(found) == told and all(d.size < 1.0 for d in found)
