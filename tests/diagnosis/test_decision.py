@@ -93,6 +93,13 @@ def test_a_small_function_of_state_is_seen_and_gets_no_name_that_it_only_resembl
     assert all(f.effect == "unknown" for f in d.findings), d.findings
 
 
+def test_a_function_of_state_is_seen_where_no_law_resembles_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(decision, "sure", lambda *_: False)  # no law predicts any of it
+    assert decided(tmp_path, reality.Machine(swirl=0.008)).verdict != "complete"
+
+
 def test_the_tail_of_a_stribeck_curve_is_chosen(tmp_path: Path) -> None:
     """Tustin's exponential, where Armstrong-Hélouvry has a Gaussian."""
     d = decided(tmp_path, reality.Machine(breakaway=0.05, stribeck=0.4, tail=1.0))
