@@ -24,6 +24,8 @@ def test_the_terminal_brings_its_own_machine_and_takes_it_along(installed: Insta
         screen.until("● running")
         assert "imi_planar" in installed.run("ls").stdout
         screen.keys(b"\x11")  # Ctrl+Q
+        screen.until("The machine moves")
+        screen.keys(b"\x1b[B\x1b[B\r")  # stay, STOP and quit, quit
         assert screen.ended() == 0
     finally:
         screen.end()
