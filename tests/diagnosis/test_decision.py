@@ -26,7 +26,7 @@ from zendsp.diagnosis.measure import structure as measure_structure
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.structure import Structure
-from zendsp.diagnosis.report.figures import law_chart, torque_chart
+from zendsp.diagnosis.report.figures import charts, law_chart, torque_chart
 from zendsp.physics.calibration.terms import make_term
 from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.files.model_file import parse_model
@@ -98,6 +98,22 @@ def test_a_function_of_state_is_seen_where_no_law_resembles_it(
 ) -> None:
     monkeypatch.setattr(decision, "sure", lambda *_: False)  # no law predicts any of it
     assert decided(tmp_path, reality.Machine(swirl=0.008)).verdict != "complete"
+
+
+def test_a_mechanism_without_a_law_has_the_curve_of_its_torque_and_a_figure(tmp_path: Path) -> None:
+    """swirl * sin(2 q̇): no law of the library."""
+    d = decided(tmp_path, reality.Machine(swirl=0.02))
+    (found,) = d.findings
+    assert (found.effect, found.mechanism) == ("unknown", "fluid_friction")
+    assert "depends on the speed of joint 1" in found.sentence
+    curve = found.as_dict()["curve"]  # type: ignore[typeddict-item]
+    assert (curve["variable"], curve["unit"]) == ("velocity", "rad/s")
+    speed, torque = np.array(curve["at"]), np.array(curve["torque"])
+    # calibration took up what resembles viscous and Coulomb friction
+    true, given = 0.02 * np.sin(2 * speed), np.stack([speed, np.sign(speed)], 1)
+    taken = given @ np.linalg.lstsq(given, true - torque, rcond=None)[0]
+    assert np.corrcoef(torque, true - taken)[0, 1] > 0.9
+    assert [c.name for c in charts(d) if c.section == "law"] == ["law_1_unknown_joint1"]
 
 
 def test_the_tail_of_a_stribeck_curve_is_chosen(tmp_path: Path) -> None:
@@ -520,3 +536,4 @@ def test_the_figure_of_a_friction_over_position_shows_its_law(tmp_path: Path) ->
     assert "against the motion" in panel.ylabel
     amplitude = found.parameters["amplitude"].value
     assert np.max(means.y) == pytest.approx(amplitude, rel=0.2)
+    assert np.corrcoef(means.y, np.sin(7 * means.x))[0, 1] > 0.95  # it resists

@@ -19,8 +19,10 @@ from zendsp.diagnosis.decide.pieces import weight_of_payload
 from zendsp.diagnosis.decide.result import Estimate, Finding, Rejected
 from zendsp.diagnosis.decide.thresholds import ALONE, CLAIMED, OF_STATE, PLAIN
 from zendsp.diagnosis.measure.bursts import Bursts
+from zendsp.diagnosis.measure.curve import curve_of
 from zendsp.diagnosis.measure.likelihood import fit_scored
 from zendsp.diagnosis.measure.significance import counterpart, essence_of
+from zendsp.diagnosis.measure.where import mismatch, units
 from zendsp.physics.calibration.fit import Data, Fit, joint_handles
 from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model
@@ -28,12 +30,7 @@ from zendsp.physics.term_numbers import chosen
 
 # stated of a disturbance; not learned: the cases have too few of them
 IN_TIME = 0.85
-VARIABLE = {
-    "position_torque": "position",
-    "dry_friction": "direction of motion, and speed or position,",
-    "fluid_friction": "speed",
-    "actuator": "command",
-}
+SAID = {"position": "position", "velocity": "speed", "command": "command"}
 
 
 def name_findings(
@@ -59,7 +56,11 @@ def name_findings(
         if decision.bursts is not None:
             ranked.append((math.inf, _disturbance(decision, given)))
         for claim in decision.claims:
-            finding = _finding(given, decision, whole, claim, claim.size**2 / everything)
+            share = min(1.0, claim.size**2 / everything)
+            if claim.effect == "unknown":
+                finding = _unknown(given, decision, claim, share, test)
+            else:
+                finding = _finding(given, decision, whole, claim, share)
             # by these recordings alone: on another day a machine's friction may be half of it
             if claim.effect != "unknown" and may_be_nothing(
                 claim.effect, _numbers(given, decision, whole, claim, alone=True)
@@ -71,7 +72,7 @@ def name_findings(
                 Rejected(effect, decision.joint, why, score) for effect, why, score in claim.lost
             ]
         refinements += [
-            _finding(given, decision, whole, c, c.size**2 / everything)
+            _finding(given, decision, whole, c, min(1.0, c.size**2 / everything))
             for c in decision.refinements
         ]
         rejected += [
@@ -86,37 +87,52 @@ def name_findings(
     return tuple(f for _, f in ranked), tuple(refinements), tuple(worst_first[:12])
 
 
+def _unknown(
+    given: Model, decision: Decision, claim: Claim, share: float, test: Data
+) -> Finding:
+    """A mechanism without a law: its size, and the curve of what the calibrated model lacks over
+    the variable on which it depends, on untouched recordings.
+    """
+    joint, model = decision.joint, decision.base.model
+    found = curve_of(mismatch(test, model, joint), claim.mechanism)
+    numbers: dict[str, object] = {}
+    what = "state"
+    if found is not None:
+        what = SAID[found.variable]
+        if claim.mechanism == "dry_friction":
+            what = f"direction of motion and {what}"
+        numbers["curve"] = {
+            "variable": found.variable,
+            "unit": units(model, joint)[found.variable],
+            "at": [float(f"{x:.5g}") for x in found.at],
+            "torque": [float(f"{y:.4g}") for y in found.mean],
+            "std": [float(f"{s:.2g}") for s in found.spread],
+            "against_motion": found.against,
+        }
+    # of an energy that stands out by z deviations, its root by 2 z
+    std = claim.size / (2.0 * max(claim.evidence.z, 1.0))
+    size = Estimate(claim.size * decision.scale, std * decision.scale, given.torque_unit(joint))
+    return Finding(
+        "unknown",
+        joint,
+        {"size": size},
+        confidence(claim, decision),
+        share,
+        (),
+        claim.replaces,
+        f"A torque that depends on the {what} of joint {joint} is missing,"
+        f" {percent(claim.size)} % of its torque; {_nearest(claim)}.",
+        numbers,
+        claim.mechanism,
+        claim.laws,
+    )
+
+
 def _finding(
     given: Model, decision: Decision, whole: Assembled, claim: Claim, share: float
 ) -> Finding:
     joint, term = decision.joint, claim.term
-    unit = given.torque_unit(joint)
-    scale = decision.scale
-    share = min(1.0, share)
     sure = confidence(claim, decision)
-    if claim.effect == "unknown":
-        # of an energy that stands out by z deviations, its root by 2 z
-        std = claim.size / (2.0 * max(claim.evidence.z, 1.0))
-        size = Estimate(claim.size * scale, std * scale, unit)
-        what = VARIABLE.get(claim.mechanism, "state")
-        text = (
-            f"A torque that depends on the {what} of joint {joint} is missing,"
-            f" {percent(claim.size)} % of its torque; {_nearest(claim)}."
-        )
-        laws = claim.laws
-        return Finding(
-            "unknown",
-            joint,
-            {"size": size},
-            sure,
-            share,
-            (),
-            claim.replaces,
-            text,
-            {},
-            claim.mechanism,
-            laws,
-        )
     values = _numbers(given, decision, whole, claim)
     text = sentence(term, values)
     if term.effect == "inertia":

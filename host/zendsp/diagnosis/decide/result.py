@@ -50,7 +50,7 @@ class Finding:
     indistinguishable: tuple[str, ...]
     replaces: tuple[str, ...]
     sentence: str
-    # from_joint and law of a coupling; intervals of a disturbance
+    # from_joint and law of a coupling; intervals of a disturbance; curve of an unknown
     numbers: Mapping[str, Any] = field(default_factory=dict)
     mechanism: str = ""
     # probabilities, given that the mechanism acts

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.decide.result import Diagnosis, Finding, SimulatorErrors, Workings
+from zendsp.diagnosis.measure.curve import Curve, binned, curve_of, curve_over
 from zendsp.diagnosis.measure.where import Missing, energy, mismatch
 from zendsp.diagnosis.measure.windows import window_error
 from zendsp.diagnosis.report.chart import Chart, Mesh, Panel, Series
@@ -17,8 +20,6 @@ Array = npt.NDArray[np.float64]
 MOST_JOINTS = 7  # that get figures of their own
 FINE = 40  # repetitions over the travel: a pattern with more is a smear, not a curve
 JOINED = "time [s], one recording after the other"
-SLOW = 0.02  # of a joint's speed: below, it has no direction
-IN_A_BIN = 5  # samples: a mean of fewer is not drawn
 
 
 def axis_of(effect: str) -> str:
@@ -168,56 +169,76 @@ def map_chart(d: Diagnosis, joint: int) -> Chart:
 
 def law_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Chart:
     """What does the law that was found look like over the data, and what stays when it is there?"""
-    whole, train = w.whole, w.train
-    joint, units = finding.joint, _units(d, finding.joint)
-    name = axis_of(finding.effect)
+    whole, joint = w.whole, finding.joint
     terms = [t for t in whole.improved.at(joint) if t.effect == finding.effect]
     replaced = [t for t in whole.calibrated.at(joint) if t.effect in finding.replaces]
     without = whole.improved.with_terms(
         (*[t for t in whole.improved.terms if t not in terms], *replaced)
     )
-    lacks, left = mismatch(train, without, joint), mismatch(train, whole.improved, joint)
-    x = np.concatenate([m.time if name == "time" else m.variables[name] for m in lacks])
-    before, after = (np.concatenate([m.torque for m in found]) for found in (lacks, left))
-    label = _torque_label(units["torque"])
-    if mechanism_of(finding.effect) == "dry_friction" and name != "velocity":
-        # both directions of travel would hide one another
-        v = np.concatenate([m.variables["velocity"] for m in lacks])
-        moves = np.abs(v) > SLOW * np.quantile(np.abs(v), 0.98)
-        x, before, after = (y[moves] for y in (x, -np.sign(v) * before, -np.sign(v) * after))
-        label = label.replace(" [", " against the motion [")
-    cut = _thin(len(x), 5000)
-    low, high = np.quantile(before, [0.005, 0.995])
-    limits = (float(low - 0.15 * (high - low)), float(high + 0.15 * (high - low)))
-    centre, law, _ = _binned(x, before - after, 120)
-    panels = []
-    for y, role, title, curves in (
-        (
-            before,
-            "before",
-            f"without {finding.effect}",
-            (Series("line", "law", centre, law, f"{finding.effect}, as found"),),
-        ),
-        (after, "after", f"with {finding.effect}", ()),
-    ):
-        at, mean, spread = _binned(x, y)
-        series = (
-            Series("dots", "data", x[cut], y[cut]),
-            Series("means", role, at, mean, f"{title}: means", spread),
-            *curves,
+    before, after = (
+        curve_over(
+            mismatch(w.train, model, joint), axis_of(finding.effect), mechanism_of(finding.effect)
         )
-        panels.append(Panel(f"{name} [{units[name]}]", label, series, title, limits=limits))
+        for model in (without, whole.improved)
+    )
+    centre, law, _ = binned(before.x, before.torque - after.torque, 120)
+    curve = Series("line", "law", centre, law, f"{finding.effect}, as found")
+    panels = (
+        _curve_panel(d, joint, before, "before", f"without {finding.effect}", curve),
+        _curve_panel(d, joint, after, "after", f"with {finding.effect}"),
+    )
+    limits = panels[0].limits
     return Chart(
         "law",
         finding.sentence,
         f"law_{index + 1}_{finding.effect}_joint{joint}",
-        tuple(panels),
+        (panels[0], replace(panels[1], limits=limits)),
         title=f"Joint {joint}: torque that the model lacks",
         beside=True,
         same=True,
         size=(7.2, 3.2),
         finding=index,
         joint=joint,
+    )
+
+
+def unknown_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Chart | None:
+    """What does the torque look like that no law describes?"""
+    joint = finding.joint
+    curve = curve_of(mismatch(w.train, w.whole.calibrated, joint), finding.mechanism)
+    if curve is None:
+        return None
+    return Chart(
+        "law",
+        finding.sentence,
+        f"law_{index + 1}_unknown_joint{joint}",
+        (_curve_panel(d, joint, curve, "before", "without a law"),),
+        title=f"Joint {joint}: torque that the model lacks",
+        size=(7.2, 3.2),
+        finding=index,
+        joint=joint,
+    )
+
+
+def _curve_panel(
+    d: Diagnosis, joint: int, curve: Curve, role: str, title: str, *lines: Series
+) -> Panel:
+    """Samples and means of a curve; the limits leave out what a few samples do."""
+    units = _units(d, joint)
+    label = _torque_label(units["torque"])
+    cut = _thin(len(curve.x), 5000)
+    low, high = np.quantile(curve.torque, [0.005, 0.995])
+    series = (
+        Series("dots", "data", curve.x[cut], curve.torque[cut]),
+        Series("means", role, curve.at, curve.mean, f"{title}: means", curve.spread),
+        *lines,
+    )
+    return Panel(
+        f"{curve.variable} [{units[curve.variable]}]",
+        label.replace(" [", " against the motion [") if curve.against else label,
+        series,
+        title,
+        limits=(float(low - 0.15 * (high - low)), float(high + 0.15 * (high - low))),
     )
 
 
@@ -232,19 +253,6 @@ def _too_fine(train: Data, finding: Finding) -> bool:
     order = finding.parameters.get("order")
     travel = max(rec[finding.joint - 1].scale.position for rec in train.records)
     return order is not None and order.value * travel > FINE * 2 * np.pi
-
-
-def _binned(x: Array, y: Array, count: int = 40) -> tuple[Array, Array, Array]:
-    edges = np.linspace(float(np.quantile(x, 0.001)), float(np.quantile(x, 0.999)), count + 1)
-    bins = np.searchsorted(edges, x, side="right") - 1
-    good = (bins >= 0) & (bins < count)
-    bins, y = bins[good], y[good]
-    n = np.bincount(bins, minlength=count)
-    use = n >= IN_A_BIN
-    mean = np.bincount(bins, y, count)[use] / n[use]
-    square = np.bincount(bins, y**2, count)[use] / n[use]
-    spread = np.sqrt(np.maximum(square - mean**2, 0) / n[use])
-    return (0.5 * (edges[1:] + edges[:-1]))[use], mean, spread
 
 
 def white_chart(w: Workings, joint: int) -> Chart:
@@ -322,6 +330,8 @@ def charts(d: Diagnosis) -> list[Chart]:
         known = any(t.effect == f.effect for t in w.whole.improved.at(f.joint))
         if known and not _too_fine(w.train, f):
             out.append(law_chart(d, w, f, k))
+        elif f.effect == "unknown" and (chart := unknown_chart(d, w, f, k)) is not None:
+            out.append(chart)
     for j in joints:
         out += [torque_chart(d, j), map_chart(d, j), white_chart(w, j)]
     return out
