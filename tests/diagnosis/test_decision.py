@@ -20,8 +20,9 @@ from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide import laws, pieces
 from zendsp.diagnosis.decide.claims import Claim, Decision, Known, Piece
 from zendsp.diagnosis.decide.confidence import least_stated, stated
-from zendsp.diagnosis.decide.naming import left_over
+from zendsp.diagnosis.decide.naming import bent, left_over
 from zendsp.diagnosis.decide.remember import remembered
+from zendsp.diagnosis.decide.result import FitTable
 from zendsp.diagnosis.measure import structure as measure_structure
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
@@ -114,6 +115,19 @@ def test_a_mechanism_without_a_law_has_the_curve_of_its_torque_and_a_figure(tmp_
     taken = given @ np.linalg.lstsq(given, true - torque, rcond=None)[0]
     assert np.corrcoef(torque, true - taken)[0, 1] > 0.9
     assert [c.name for c in charts(d) if c.section == "law"] == ["law_1_unknown_joint1"]
+
+
+def test_calibration_that_makes_untouched_recordings_worse_is_told() -> None:
+    assert bent(FitTable(1e-4, 2e-4, 2e-4), 1e-5) and not bent(FitTable(1e-4, 1.2e-4, 1e-4), 1e-5)
+    assert not bent(FitTable(1e-6, 1e-5, 1e-5), 1e-5), "both within the sensor's noise"
+
+
+def test_what_acts_in_the_recordings_to_choose_by_alone_is_not_complete(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(decision, "_pushed", lambda *_: None)  # nothing of it comes again
+    pushed = reality.Machine(push=(0.3, 2.0, 3.0))
+    assert decided(tmp_path, reality.Machine(), pushed).verdict == "unexplained"
 
 
 def test_the_tail_of_a_stribeck_curve_is_chosen(tmp_path: Path) -> None:

@@ -204,10 +204,13 @@ async def test_the_last_run_is_marked_and_others_can_be_held_out(
     async with app.run_test(size=(100, 30)) as pilot:
         screen = await opened(app, pilot, until, DiagnoseScreen)
         assert screen.chosen("fit") == [str(new.folder / DATA)]
+        new = store_run(tmp_path / "runs", "newer", replace(recording, note="3"))
+        screen.fill()
+        assert screen.chosen("fit") == [str(new.folder / DATA)], "made after the screen was shown"
         screen.query_one("#recordings", DataTable).focus()
-        await pilot.press("down", "space", "space")
+        await pilot.press("down", "down", "space", "space")
         assert screen.chosen("held out") == [str(old.folder / DATA)]
-        await pilot.press("space", "up", "space", "space")
+        await pilot.press("space", "up", "up", "space", "space")
         assert not screen.chosen("fit") and not screen.chosen("held out")
         screen.query_one("#findings", OptionList).focus()
         await pilot.press("space")

@@ -25,7 +25,7 @@ from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.decide_bodies import BodyClaim, decide_bodies, rejected_bodies, settled
 from zendsp.diagnosis.decide.detectable import detectable
 from zendsp.diagnosis.decide.fast_ripple import FineRipple, fine_ripples, fixed
-from zendsp.diagnosis.decide.naming import left_over, loosely_fitted, name_findings
+from zendsp.diagnosis.decide.naming import bent, left_over, loosely_fitted, name_findings
 from zendsp.diagnosis.decide.propose import propose
 from zendsp.diagnosis.decide.remember import remembered
 from zendsp.diagnosis.decide.result import Diagnosis, Finding, FitTable, Left, Rejected, Workings
@@ -143,6 +143,8 @@ def _diagnose(
     seen += (*(d for m in found.measured for d in m.detectable), *alone)
     notes += said(alone)
     notes += loosely_fitted(decisions)
+    test = _table(parts.test, given, whole.calibrated, improved)
+    notes += bent(test, noise_floor(parts.test))
     return Diagnosis(
         verdict=verdict,
         findings=findings,
@@ -152,7 +154,7 @@ def _diagnose(
         unit="m" if given.joint_kind(1) == "linear" else "rad",
         estimation=_table(parts.fit, given, whole.calibrated, improved),
         heldout=_table(parts.held, given, whole.calibrated, improved),
-        test=_table(parts.test, given, whole.calibrated, improved),
+        test=test,
         noise_floor=noise_floor(parts.test),
         discrepancy=tuple(_left(d) for d in decisions),
         detectable=seen,

@@ -31,6 +31,7 @@ from zendsp.diagnosis.decide.pieces import (
     worth_choosing,
 )
 from zendsp.diagnosis.decide.thresholds import (
+    AMISS,
     BY_CHANCE,
     CLAIMED,
     LAWFUL,
@@ -192,6 +193,10 @@ def _asked(out: Decision, parts: Parts, turning: bool) -> Decision:
     lawful = lacks > LAWFUL and _lawful(parts, out.base, out.joint, turning)
     if lawful or (lacks > MACHINE and out.before.low > 0.0):
         return replace(out, kind="unexplained")
+    if parts.choose is not parts.test:  # held out too: what acts there only is no less missing
+        chosen = discrepancy(parts.choose, out.base.model, out.joint)
+        if beyond(chosen.value, out.known.all) > AMISS:
+            return replace(out, kind="unexplained", after=chosen)
     return out
 
 

@@ -16,7 +16,7 @@ from zendsp.diagnosis.decide.decide_bodies import BodyClaim, body_finding
 from zendsp.diagnosis.decide.findings import estimates, new_terms, percent, sentence
 from zendsp.diagnosis.decide.laws import draws_a_curve
 from zendsp.diagnosis.decide.pieces import weight_of_payload
-from zendsp.diagnosis.decide.result import Estimate, Finding, Rejected
+from zendsp.diagnosis.decide.result import Estimate, Finding, FitTable, Rejected
 from zendsp.diagnosis.decide.thresholds import ALONE, CLAIMED, OF_STATE, PLAIN
 from zendsp.diagnosis.measure.bursts import Bursts
 from zendsp.diagnosis.measure.curve import curve_of
@@ -30,6 +30,7 @@ from zendsp.physics.term_numbers import chosen
 
 # stated of a disturbance; not learned: the cases have too few of them
 IN_TIME = 0.85
+BENT = 1.5  # times the error: calibration made it worse
 SAID = {"position": "position", "velocity": "speed", "command": "command"}
 
 
@@ -297,6 +298,17 @@ def loosely_fitted(decisions: Sequence[Decision]) -> list[str]:
         " determine the numbers for such motion: fit one that has it too"
         for d in decisions
         if d.kind == "complete" and d.final is not d.base
+    ]
+
+
+def bent(test: FitTable, floor: float) -> list[str]:
+    """Where calibration makes it worse: what was fitted to bends the numbers."""
+    if test.calibrated < BENT * test.given or test.calibrated < BENT * floor:
+        return []
+    return [
+        "calibrated, the model predicts the untouched recordings worse than as given"
+        f" ({test.calibrated:.3g} against {test.given:.3g}): a push or a wrong row in the"
+        " recordings of the fit bends its numbers. Keep the given ones, or fit other recordings"
     ]
 
 

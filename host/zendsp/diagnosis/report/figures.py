@@ -117,7 +117,7 @@ def torque_chart(d: Diagnosis, joint: int) -> Chart:
                 _torque_label(unit),
                 tuple(series),
                 f"Joint {joint}: what the model lacks along the recordings of the fit",
-                spans=tuple((a - begin, b - begin) for a, b in d.times[:4]),
+                spans=d.times[:4] if len(before) == 1 else (),  # of one recording's clock
             ),
         ),
         size=(7.2, 2.8),

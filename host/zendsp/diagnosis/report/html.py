@@ -9,7 +9,7 @@ from pathlib import Path
 
 from zendsp.diagnosis.decide.findings import number
 from zendsp.diagnosis.decide.result import Diagnosis, Finding, FitTable
-from zendsp.diagnosis.report.summary import WORDS, headline, percent
+from zendsp.diagnosis.report.summary import WORDS, headline, unnamed
 
 SMALLER = 1.05  # times: a smaller fall of the error is not told as one
 STYLE = """
@@ -97,10 +97,7 @@ def _untouched(d: Diagnosis) -> str:
 
 
 def _left(d: Diagnosis) -> str:
-    items = [
-        f"joint {x.joint}: {percent(x.share)} of its torque (at most {percent(x.interval[1])})"
-        for x in d.discrepancy
-    ]
+    items = [f"joint {x.joint}: {unnamed(x)}" for x in d.discrepancy]
     return f"<p><b>What nothing named explains:</b> {'; '.join(items)}.</p>" if items else ""
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from zendsp.diagnosis.decide.result import Detectable, Diagnosis
+    from zendsp.diagnosis.decide.result import Detectable, Diagnosis, Left
 
 LEAST = 1e-4  # of a torque: less is not told from nothing
 MOST = 9.99
@@ -105,10 +105,7 @@ def summary(d: Diagnosis) -> str:
         )
     for x in d.discrepancy[:7]:
         if d.verdict != "complete" or x.interval[1] < 1.0:
-            lines.append(
-                f"nothing named explains: joint {x.joint}, {percent(x.share)} of its torque (at"
-                f" most {percent(x.interval[1])})"
-            )
+            lines.append(f"nothing named explains: joint {x.joint}, {unnamed(x)}")
     if d.verdict == "complete" and d.detectable:
         small = sorted(d.detectable, key=lambda x: -x.share)[:3]
         lines.append(
@@ -125,6 +122,13 @@ def summary(d: Diagnosis) -> str:
 
 def _sized(x: Detectable) -> str:
     return f"{x.size:.2g} {x.unit}".removesuffix(" 1")  # a pure number has no unit to be read
+
+
+def unnamed(left: Left) -> str:
+    """What of a joint's torque nothing named explains, and at most where that says anything."""
+    high = left.interval[1]
+    most = f" (at most {percent(high)})" if LEAST < high < 1.0 else ""
+    return f"{percent(left.share)} of its torque{most}"
 
 
 def percent(share: float) -> str:

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from rich.style import Style
-from textual import on
+from textual import events, on
 from textual.app import ComposeResult
 from textual.containers import Vertical
 from textual.widgets import Input
@@ -63,6 +63,15 @@ class VariablesPanel(Vertical):
     @on(Input.Changed, "#filter")
     def _filter(self, event: Input.Changed) -> None:
         self._words = event.value.lower()
+
+    def on_key(self, event: events.Key) -> None:
+        """Esc leaves the filter line, and shows all again."""
+        line = self.query_one("#filter", Input)
+        if event.key == "escape" and line.has_focus:
+            event.stop()
+            line.value = ""
+            line.remove_class("-shown")
+            self.table.focus()
 
     @on(Input.Submitted, "#filter")
     def _filtered(self) -> None:

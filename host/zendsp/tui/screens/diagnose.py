@@ -67,6 +67,7 @@ class DiagnoseScreen(LoopActions):
         self.said: list[str] = []  # lines of the diagnosis that runs, or ran
         self.shown: Diagnosed | None = None
         self._marked_by_hand = False
+        self._marked = ""  # by itself: the last run
         self._began = 0.0
         self._cancelled = False
         self._painted: object = None
@@ -126,8 +127,9 @@ class DiagnoseScreen(LoopActions):
         self.runs = found
         here = {str(r.folder / DATA) for r in found} | set(self.added)
         self.roles = {path: role for path, role in self.roles.items() if path in here}
-        if not self.roles and found and not self._marked_by_hand:
-            self.roles[str(found[0].folder / DATA)] = "fit"
+        last = str(found[0].folder / DATA) if found else ""
+        if last and not self._marked_by_hand and set(self.roles) <= {self._marked}:
+            self.roles, self._marked = {last: "fit"}, last
         if not self.model:
             first, machine = next(iter(self._models()), None), self._machine()
             meant = first if first and (not machine or fits(first, machine)) else ""
@@ -168,6 +170,7 @@ class DiagnoseScreen(LoopActions):
     def take_run(self, run: Run, *, beside: Sequence[str] = ()) -> None:
         """Mark a run for the fit, alone or beside other recordings."""
         held = self.chosen("held out") if beside else []
+        self._marked = ""
         self.roles = dict.fromkeys((*beside, str(run.folder / DATA)), "fit")
         self.roles |= dict.fromkeys(held, "held out")
         self.added += [p for p in beside if p not in self.added and Path(p).name != DATA]
