@@ -117,6 +117,19 @@ def test_a_mechanism_without_a_law_has_the_curve_of_its_torque_and_a_figure(tmp_
     assert [c.name for c in charts(d) if c.section == "law"] == ["law_1_unknown_joint1"]
 
 
+def test_several_mechanisms_without_any_law_are_one_torque(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def doubled(*arguments: Any) -> Decision:
+        found = laws.believed(*arguments)
+        other = [replace(c, mechanism="position_torque") for c in found.claims]
+        return replace(found, claims=(*found.claims, *other))
+
+    monkeypatch.setattr(decision, "believed", doubled)
+    d = decided(tmp_path, reality.Machine(swirl=0.02))
+    assert d.verdict != "complete" and len(d.findings) <= 1
+
+
 def test_calibration_that_makes_untouched_recordings_worse_is_told() -> None:
     assert bent(FitTable(1e-4, 2e-4, 2e-4), 1e-5) and not bent(FitTable(1e-4, 1.2e-4, 1e-4), 1e-5)
     assert not bent(FitTable(1e-6, 1e-5, 1e-5), 1e-5), "both within the sensor's noise"

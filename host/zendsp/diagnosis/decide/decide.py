@@ -108,7 +108,10 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
                 kind = kind_of(decision.claims[0].mechanism)
                 same = any(c.mechanism in kind for c in plain.claims)
                 stands = plain.kind == "complete" or (most and not plain.claims) or same
-                return decision if stands else plain
+                if len(decision.claims) == 1:
+                    return decision if stands else plain
+                # several mechanisms, and no law of any: it is one torque that nobody knows
+                return replace(plain, kind="unexplained") if plain.kind == "complete" else plain
     return _nothing_named(parts, given, search, before, pieces, jobs)
 
 
