@@ -32,7 +32,7 @@ EXPLAINS = 0.1  # of a gain: a rival that reaches less does not explain the mism
 HANGING = 0.2  # sine of a gravity term's angle: nearer to 0 or pi it is a payload's weight
 SURE = 3.0  # standard deviations over blocks of time
 # the same, over shifts in time, of which there are few: of 32 foreign torques that depend on the
-# state 7 and more; of 180 complete models 0.05 % was the largest such function
+# state 7 and more; of 206 complete models 0.05 % was the largest such function
 BY_CHANCE = 5.0
 CLAIMED = 2.5  # the same, of a claim, beside its e-value; right ones had 2.8 and more
 PLAIN = 2.0  # the same, of what has another measure beside it
