@@ -12,6 +12,7 @@ import pytest
 from zendsp.link.live import LiveView
 from zendsp_protocol import codec
 from zendsp_protocol import messages as m
+from zendsp_protocol.verbs import LiveOpen
 from zendsp_protocol.version import PROTOCOL
 
 COLUMNS = ("a", "b", "c")
@@ -34,10 +35,12 @@ class Quiet:
 def view() -> LiveView:
     opened = m.LiveOpened(stream=1, key="k", channels=COLUMNS, units=("", "", ""), sample_time=1e-3)
     link = SimpleNamespace(
-        session=SimpleNamespace(declare_subscriber=lambda *_: Quiet()), on_return=lambda _: None
+        session=SimpleNamespace(declare_subscriber=lambda *_: Quiet()),
+        on_return=lambda _: None,
+        request=lambda *_: opened,
     )
-    requests: Any = SimpleNamespace(request=lambda *_, **__: opened, link=link)
-    return LiveView(requests, {"decimation": 1}, HISTORY * 1e-3, None)
+    requests: Any = SimpleNamespace(link=link)
+    return LiveView(requests, LiveOpen(channels=list(COLUMNS)), HISTORY * 1e-3, None)
 
 
 def deliver(view: LiveView, first: int, rows: int, session: int = 1) -> None:
