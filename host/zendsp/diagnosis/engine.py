@@ -144,7 +144,8 @@ def _diagnose(
     notes += said(alone)
     notes += loosely_fitted(decisions)
     test = _table(parts.test, given, whole.calibrated, improved)
-    notes += bent(test, noise_floor(parts.test))
+    if not findings:
+        notes += bent(test, noise_floor(parts.test))
     return Diagnosis(
         verdict=verdict,
         findings=findings,

@@ -224,7 +224,6 @@ def _pushed(out: Decision, parts: Parts, turning: bool, jobs: int) -> Decision |
         and not everywhere(here, (parts.choose,), base, joint).intervals
     )
     if bent and somewhere > (MACHINE if here is None else 0.0):
-        # a push in the recordings of the fit bends the calibration
         other = _fitted_to(parts.choose, out.base, joint, jobs)
         after = discrepancy(parts.test, other.model, joint)
         if here is None and beyond(after.value, known) < LAWFUL:

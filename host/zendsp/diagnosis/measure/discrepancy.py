@@ -211,7 +211,8 @@ def reversals(record: JointRecord, band: float) -> npt.NDArray[np.bool_]:
 
 def at_reversals(data: Data, one: Model, other: Model, joint: int) -> float:
     """Part of the energy of the torque between two models that acts where the joint turns round,
-    beyond the part of the time that it does: 0 for what acts always, 1 for what acts only there.
+    beyond the part of the time that it does: 0 for what acts always, 1 for what acts only there,
+    and where the joint does nothing else.
     """
     band = BANDS[0]
     pairs = zip(
@@ -229,8 +230,10 @@ def at_reversals(data: Data, one: Model, other: Model, joint: int) -> float:
         total += float(energy.sum())
         turning += float(turns.sum())
         count += len(turns)
-    time = turning / max(count, 1.0)
-    return (there / max(total, 1e-300) - time) / max(1.0 - time, 1e-300)
+    if turning >= count:
+        return 1.0
+    time = turning / count
+    return (there / max(total, 1e-300) - time) / (1.0 - time)
 
 
 def mean_square(data: Data, joint: int) -> float:
