@@ -35,6 +35,9 @@ void UserISR_INT2(void) {{
 }}
 """  # noqa: E501
 
+# writes doubles from an array on
+BEYOND = "volatile double *p = &x; for (volatile int i = 0; i < {}; i++) p[i] = 1.0;"
+
 GOOD = """
 #include "isr.h"
 static double x;
@@ -65,6 +68,8 @@ Wait = Callable[..., None]
         ("deeper(NULL);", "SIGSEGV in UserISR_INT2"),
         ("exit(3);", "status 3 in UserISR_INT2"),
         ("__builtin_trap();", "SIGILL in UserISR_INT2"),
+        (BEYOND.format(100000000), "SIGSEGV in UserISR_INT2"),
+        (BEYOND.format(600), "SIGSEGV in UserISR_INT2"),  # into the page behind
     ],
 )
 def test_a_crash_is_told_with_signal_and_last_sample_and_loses_nothing(

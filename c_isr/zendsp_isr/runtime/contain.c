@@ -173,8 +173,34 @@ static rlim_t used_memory(void) {
     return (rlim_t)pages * (rlim_t)sysconf(_SC_PAGESIZE);
 }
 
-/* A child does not get this memory. */
-void contain_memory(void *at, size_t bytes) { madvise(at, bytes, MADV_DONTFORK); }
+/* Bytes of a mapping and of the page on either side of it. */
+static size_t guarded(size_t bytes, size_t page) { return (bytes + 3 * page - 1) / page * page; }
+
+/* A file in shared memory, all its pages present, between two pages that nobody may touch: what
+ * runs beyond the end of a user's array meets them first. A child does not get this memory. NULL,
+ * with errno set, where it cannot be mapped. */
+void *contain_map(int file, size_t bytes) {
+    const size_t page = (size_t)sysconf(_SC_PAGESIZE), whole = guarded(bytes, page);
+    unsigned char *around =
+        mmap(NULL, whole, PROT_NONE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
+    if (around == MAP_FAILED)
+        return NULL;
+    void *at = mmap(around + page, bytes, PROT_READ | PROT_WRITE,
+                    MAP_SHARED | MAP_POPULATE | MAP_FIXED, file, 0);
+    if (at == MAP_FAILED) {
+        const int why = errno;
+        munmap(around, whole);
+        errno = why;
+        return NULL;
+    }
+    madvise(at, bytes, MADV_DONTFORK);
+    return at;
+}
+
+void contain_unmap(void *at, size_t bytes) {
+    const size_t page = (size_t)sysconf(_SC_PAGESIZE);
+    munmap((unsigned char *)at - page, guarded(bytes, page));
+}
 
 /* Before the first line of user code, constructors included; the machine is open and our own
  * threads run. */

@@ -6,7 +6,6 @@
 #include <stdio.h>    /* snprintf */
 #include <stdlib.h>   /* qsort */
 #include <string.h>   /* strcmp, strerror, memcpy */
-#include <sys/mman.h> /* mmap */
 #include <unistd.h>   /* ftruncate, close */
 
 #include "runner.h"
@@ -251,13 +250,12 @@ static int map_data(runner *r) {
             close(file);
         return -1;
     }
-    r->data = mmap(NULL, c->data_bytes, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE, file, 0);
+    r->data = contain_map(file, c->data_bytes);
     close(file);
-    if (r->data == MAP_FAILED) {
+    if (!r->data) {
         snprintf(c->error, sizeof c->error, "shared memory: %s", strerror(errno));
         return -1;
     }
-    contain_memory(r->data, c->data_bytes);
     return 0;
 }
 

@@ -13,7 +13,6 @@
 #include <signal.h>   /* sigaction */
 #include <stdio.h>    /* snprintf */
 #include <string.h>   /* strcmp, strerror */
-#include <sys/mman.h> /* mmap */
 #include <sys/stat.h> /* fstat */
 #include <ucontext.h> /* where a crash happened */
 #include <unistd.h>   /* close, _exit */
@@ -30,11 +29,8 @@ static void *map_file(const char *path, size_t size) {
         fprintf(stderr, "runner: %s: %s\n", path, file < 0 ? strerror(errno) : "too short");
         return NULL;
     }
-    void *at = mmap(NULL, size, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE, file, 0);
+    void *at = contain_map(file, size);
     close(file);
-    if (at == MAP_FAILED)
-        return NULL;
-    contain_memory(at, size);
     return at;
 }
 

@@ -142,7 +142,8 @@ void realtime_stay_awake(bool wanted); /* between runs only: opens or closes a f
 int service_start(runner *r);
 
 /* contain.c */
-void contain_memory(void *at, size_t bytes);
+void *contain_map(int file, size_t bytes);
+void contain_unmap(void *at, size_t bytes);
 void contain_enter(control *c);
 void contain_say(control *c);
 void contain_hear_of_end(const control *c, int signal);

@@ -47,7 +47,7 @@ static int resolve(const control *c, stream *s) {
 static void unmap(stream *s) {
     if (s) {
         if (s->head)
-            munmap(s->head, s->bytes);
+            contain_unmap(s->head, s->bytes);
         free(s);
     }
 }
@@ -65,11 +65,8 @@ static stream *map(const control *c, const char *path, int *failed) {
     stream *s = calloc(1, sizeof *s);
     if (s) {
         s->bytes = (uint64_t)status.st_size;
-        void *at = mmap(NULL, s->bytes, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE, file, 0);
-        s->head = at == MAP_FAILED ? NULL : at;
+        s->head = contain_map(file, s->bytes);
         *failed = s->head ? resolve(c, s) : errno;
-        if (s->head)
-            contain_memory(s->head, s->bytes);
         if (s->head && c->clock == CLOCK_REAL)
             mlock(s->head, s->bytes); /* refused beyond a limit: then present, though not locked */
     } else {

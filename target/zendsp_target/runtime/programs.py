@@ -25,11 +25,18 @@ from zendsp_target.runtime.variables.change_log import ChangeLog
 
 def make_stop_page(folder: Path) -> SharedFile:
     """Make the file by which programs of this user stop the loop."""
-    ffi, lib = layout()
+    ffi, _ = layout()
     file = SharedFile(folder / stop_page.NAME, ffi.sizeof("stop_page"))
+    set_up(file)
+    return file
+
+
+def set_up(file: SharedFile) -> None:
+    """Write the head of a stop page, which user code may have overwritten. A STOP stands."""
+    _, lib = layout()
     head = file.pointer("stop_page")
     head.magic, head.version = lib.LAYOUT_MAGIC, lib.STOP_PAGE_VERSION
-    return file
+    head.stop = head.stop == 1
 
 
 class Programs:
@@ -114,6 +121,7 @@ class Programs:
                 # a fresh runner begins with its drives off, and is switched on deliberately
                 self.drive_wish = "off"
             self._loads += 1
+            set_up(self._page)
             self.session = Session(
                 key,
                 self.settings,
