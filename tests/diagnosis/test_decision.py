@@ -151,6 +151,20 @@ def test_the_tail_of_a_stribeck_curve_is_chosen(tmp_path: Path) -> None:
     assert found.parameters["breakaway"].value == pytest.approx(0.05, rel=0.1)
 
 
+@pytest.mark.parametrize("speed", [0.08, 0.3])
+def test_all_friction_that_a_model_lacks_is_a_stribeck_curve_and_viscous(
+    tmp_path: Path, speed: float
+) -> None:
+    """Coulomb friction and a drag are found first, and give way."""
+    machine = reality.Machine(breakaway=0.06, stribeck=speed, tail=1.0)
+    d = decided(tmp_path, machine, None, "")
+    found = {f.effect: {n: q.value for n, q in f.parameters.items()} for f in d.findings}
+    assert set(found) == {"stribeck", "viscous"}
+    assert found["stribeck"]["breakaway"] == pytest.approx(0.06, rel=0.1)
+    assert found["stribeck"]["velocity"] == pytest.approx(speed, rel=0.2)
+    assert found["viscous"]["coefficient"] == pytest.approx(machine.viscous, rel=0.1)
+
+
 def test_numbers_fitted_to_slow_motion_that_are_off_in_a_fast_one_are_no_missing_physics(
     tmp_path: Path,
 ) -> None:

@@ -53,6 +53,7 @@ class Claim:
     # rivals: effect, why not, log-likelihood against the law's
     lost: tuple[tuple[str, str, float], ...]
     left: Structure | None = None  # what the law leaves in its own variables
+    instead: Scored | None = None  # with a law of the same mechanism that is likelier
 
 
 @dataclass(frozen=True)

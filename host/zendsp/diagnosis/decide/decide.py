@@ -44,11 +44,12 @@ from zendsp.diagnosis.decide.thresholds import (
 from zendsp.diagnosis.measure.bursts import FEW, OFTEN, Bursts, bursts, everywhere, periodic
 from zendsp.diagnosis.measure.discrepancy import Size, beyond, discrepancy
 from zendsp.diagnosis.measure.evidence import Evidence
-from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
+from zendsp.diagnosis.measure.likelihood import Scored, fit_scored, informative
 from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, structure
 from zendsp.diagnosis.measure.windows import rms, window_error
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
 from zendsp.diagnosis.search.rounds import WAIT
+from zendsp.diagnosis.search.simplify import simplify
 from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.model import Model, Term
 
@@ -89,9 +90,13 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
         pieces.sort(key=lambda p: -p.size)
         claimed, rest = held_apart(parts, given, search, final, pieces)
         if claimed:
-            decision = believed(
-                named(parts, given, search, final, claimed, rest, before, jobs, tell), parts, jobs
-            )
+            first = named(parts, given, search, final, claimed, rest, before, jobs, tell)
+            likelier = next((c.instead for c in first.claims if c.instead is not None), None)
+            if likelier is not None:  # each exchange is a gain: there is no circle
+                other = replace(search, best=likelier)
+                other.best, _ = simplify(other, informative(parts.fit, joint), jobs)
+                return decide(parts, given, other, jobs, tell)
+            decision = believed(first, parts, jobs)
             errors = [
                 rms(window_error(parts.test, m, joint)) for m in (base.model, decision.final.model)
             ]

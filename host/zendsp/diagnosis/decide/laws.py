@@ -47,7 +47,7 @@ from zendsp.diagnosis.measure.neighbours import against_neighbours
 from zendsp.diagnosis.measure.significance import counterpart
 from zendsp.diagnosis.measure.structure import STRUCTURED, Structure, structure
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival, price
-from zendsp.diagnosis.search.rounds import Rounds
+from zendsp.diagnosis.search.rounds import WAIT, Rounds
 from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.effects import get_effect, library, mechanism_of
 from zendsp.physics.model import Model, Term
@@ -82,6 +82,7 @@ def named(
     refinements: list[Claim] = []
     for piece in claimed:
         ranked = _ranked(parts.test, given, final, piece, search.base, jobs)
+        ranked = _upon(ranked, after.value)
         first = ranked[0]
         law = _law(parts, given, search, rounds, final, piece, first, jobs, tell)
         # how dry friction turns round (bristles, a simulator's softness) refines its law
@@ -92,10 +93,9 @@ def named(
         )
         own = [first]
         for other in ranked[1:]:
-            second = other.size**2 >= OWN_SHARE * piece.size**2 and other.size > math.hypot(
-                after.value, LAW_ERROR * first.size
-            )
-            if second and other.log_e > 0 and other.evidence.z > PLAIN:
+            large = other.size**2 >= OWN_SHARE * piece.size**2
+            beneath = set(other.effects) & set(get_effect(first.terms[0].effect).needs)
+            if large and not beneath and _counts(other, first, after.value):
                 own.append(other)
             else:
                 refinements += _plain(other)
@@ -305,6 +305,29 @@ def _ranked(
     return sorted(each, key=lambda p: -p.size)
 
 
+def _upon(ranked: Sequence[Piece], after: float) -> list[Piece]:
+    """Laws with the one first that stands upon another of them, as a Stribeck curve does upon
+    Coulomb friction: with it, it is one law. How a joint turns round (a state of its own) is none.
+    """
+    largest = ranked[0]
+    for other in ranked[1:]:
+        effect = get_effect(other.terms[0].effect)
+        if (
+            set(largest.effects) & set(effect.needs)
+            and not effect.hidden
+            and _counts(other, largest, after)
+        ):
+            whole = replace(other, size=largest.size, evidence=largest.evidence)
+            return [whole, *[p for p in ranked if p is not other]]
+    return list(ranked)
+
+
+def _counts(other: Piece, first: Piece, after: float) -> bool:
+    """Whether a second law of a mechanism is more than what is left, and than the first's error."""
+    more = other.size > math.hypot(after, LAW_ERROR * first.size)
+    return more and other.log_e > 0 and other.evidence.z > PLAIN
+
+
 def _plain(piece: Piece) -> list[Claim]:
     """What refines the fit, one entry a law; size and evidence are those of all of them."""
     at = (piece.size, piece.evidence, piece.log_e)
@@ -330,18 +353,15 @@ def _law(
     known = library()
     beside = (*LAWS_OF.get(piece.mechanism, ()), *get_effect(term.effect).rivals)
     names = frozenset(e for e in beside if e in known and not known[e].coupled) | {term.effect}
-    rivals = [
+    every = [
         r
         for r in rounds.stand_ins(first.without, names)
-        if r.effect != term.effect and not contains(r, term)
+        if r.effect == term.effect or not contains(r, term)
     ]
-    learn = together(parts.fit, parts.choose)
-    settle = max(settling(x, joint) for x in (final, *[r.scored for r in rivals]))
-    scores = np.stack(
-        [block_scores(x, learn, joint, settle) for x in (final, *[r.scored for r in rivals])]
-    )
-    own = price((term,), informative(parts.fit, joint))
-    scores += np.array([own, *[r.price for r in rivals]])[:, None] / scores.shape[1]
+    scores = _scores(parts, joint, final, term, every)
+    instead = _likelier(piece, final, every, scores)
+    other = [r.effect != term.effect for r in every]
+    rivals, scores = [r for r, o in zip(every, other, strict=True) if o], scores[[True, *other]]
     weights = _weights(scores)
     after = discrepancy(parts.choose, final.model, joint).value
     same, lost = [], []
@@ -384,7 +404,35 @@ def _law(
         tuple(dict.fromkeys(same)),
         gone,
         tuple(lost[:6]),
+        instead=instead,
     )
+
+
+def _scores(parts: Parts, joint: int, final: Scored, term: Term, every: Sequence[Rival]) -> Array:
+    """Deviance of each block with the price shared among them, first of the term in the final
+    model, then of what could stand in for it, (rivals + 1, blocks).
+    """
+    learn = together(parts.fit, parts.choose)
+    models = [final, *[r.scored for r in every]]
+    settle = max(settling(x, joint) for x in models)
+    scores = np.stack([block_scores(x, learn, joint, settle) for x in models])
+    prices = [price((term,), informative(parts.fit, joint)), *[r.price for r in every]]
+    return np.asarray(scores + np.array(prices)[:, None] / scores.shape[1])
+
+
+def _likelier(piece: Piece, final: Scored, every: Sequence[Rival], scores: Array) -> Scored | None:
+    """A law of the same mechanism, or the same one at other numbers, that is clearly more likely
+    than the one that stands in the final model, on the recordings to choose by too.
+    """
+    behind = scores[1:].sum(axis=1) - scores[0].sum()
+    better = [
+        (float(d), r.scored)
+        for d, r in zip(behind, every, strict=True)
+        if d < -WAIT
+        and mechanism_of(r.effect) == piece.mechanism
+        and r.scored.deviance < final.deviance - WAIT
+    ]
+    return min(better, key=lambda b: b[0])[1] if better else None
 
 
 def _sums(term: Term, model: Model) -> list[str]:

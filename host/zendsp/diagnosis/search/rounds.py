@@ -157,10 +157,10 @@ class Rounds:
         ]
         if len(listed) < LISTED:
             listed = [starts_of(c, current.data) for _, c in options[:LISTED]]
-        if not only:  # the commonest physics is tried whatever the first order says of it
+        if not only:
             first = {c.effect for group in listed for c in group}
-            rest = (c for _, c in options if c.effect not in first)
-            listed += [[c] for c in rest if get_effect(c.effect).common]
+            rest = [(c, get_effect(c.effect)) for _, c in options if c.effect not in first]
+            listed += [[c] for c, effect in rest if effect.common or effect.standing]
         # what takes longest comes first, so that no thread is left with it at the end
         listed = [
             *simulated(current.data, current.model, self.joint, only, self.jobs, self.given),
