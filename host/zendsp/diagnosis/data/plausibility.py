@@ -282,7 +282,8 @@ def _sign(name: str, found: Regression) -> None:
             f" {found.slope:.2g} of the model's): the sign of the command or of the position is"
             " flipped"
         )
-    drives = -FULL < found.friction < -DRIVES
+    # the other way round its inertia would be below nothing, where it shows at all
+    drives = -FULL < found.friction < -DRIVES and found.slope < ERRORS * error
     if sure and drives and found.slope + ERRORS * error < LITTLE:
         raise RecordingError(
             f"{name}: friction would have to drive the joint ({100 * found.friction:.0f} % of the"
