@@ -221,12 +221,25 @@ def test_a_push_in_the_recording_of_the_fit_alone_is_told_though_it_bends_the_ca
     assert there == pytest.approx(5.0, abs=1.2)
 
 
+@pytest.mark.parametrize("held", [False, True])
+def test_a_push_while_the_joint_turns_round_is_told_with_its_recording(
+    tmp_path: Path, held: bool
+) -> None:
+    """It holds the joint for all of its time, with more than friction does."""
+    pushed, quiet = reality.Machine(push=(0.3, 4.0, 5.0), kp=1.0), reality.Machine(kp=1.0)
+    d = decided(tmp_path, *((quiet, pushed) if held else (pushed, quiet)))
+    (found,) = d.findings
+    assert found.effect == "disturbance"
+    assert {Path(name).name for name in found.numbers["recordings"]} == {f"run{1 + held}.csv"}
+    assert f"of {tmp_path}/run{1 + held}.csv" in found.sentence
+
+
 def test_a_push_beside_what_is_found_is_told(tmp_path: Path) -> None:
     """Dry friction is missing too: it is the finding, and the push stands in what is left."""
     pushed = reality.Machine(push=(0.08, 4.0, 6.0))
     d = decided(tmp_path, pushed, reality.Machine(), KNOWN[0])
     assert [f.effect for f in d.findings] == ["coulomb"]
-    assert re.search(r"acts at (3\.9|4\.0)\d–(5\.9|6\.[01])\d s that no state", d.unexplained)
+    assert re.search(r"acts at (3\.9|4\.0)\d–(5\.9|6\.[01])\d s of \S+run1.csv that", d.unexplained)
     alone = decided(tmp_path, reality.Machine(), None, KNOWN[0])
     assert "push" not in alone.unexplained
 

@@ -270,20 +270,23 @@ def test_what_comes_at_most_reversals_is_how_friction_turns_round_and_no_disturb
     v = np.gradient(quiet["q"]) * RATE
     turns = np.flatnonzero(np.diff(np.sign(np.convolve(v, np.ones(15) / 15, "same"))))
 
-    def found(at: np.ndarray, turning: bool, often: float = 0.3, after: int = 20) -> bool:
+    def found(
+        at: np.ndarray, dry: float = 0.03, often: float = 0.3, after: int = 20, size: float = 0.02
+    ) -> bool:
         torque = np.zeros(len(v))
         for k in at:
-            torque[max(0, k - 20) : k + after] = 0.02
+            torque[max(0, k - 20) : k + after] = size
         data = data_of({**quiet, "u": quiet["u"] + torque}, model)
-        return bursts(data, model, 1, many=99, turning=turning, often=often) is not None
+        return bursts(data, model, 1, many=99, dry=dry, often=often) is not None
 
     some = turns[[len(turns) // 3, len(turns) // 2]]
-    assert found(some, turning=False), "a push happens to come when it turns"
-    assert not found(some, turning=False, often=0.0), "where no other recording shows one"
-    assert found(some, turning=False, often=0.0, after=600), "it lasts while the joint moves on"
+    assert found(some), "a push happens to come when it turns"
+    assert not found(some, often=0.0), "where no other recording shows one"
+    assert found(some, often=0.0, size=0.2), "no friction of 0.03 N m holds with 0.2"
+    assert found(some, often=0.0, after=600), "it lasts while the joint moves on"
     many = turns[np.random.default_rng(1).random(len(turns)) < 0.45]
-    assert found(many, turning=True)
-    assert not found(many, turning=False)
+    assert found(many, dry=0.0)
+    assert not found(many)
 
 
 def test_numbers_on_which_other_recordings_disagree_are_less_certain() -> None:

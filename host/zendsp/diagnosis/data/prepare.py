@@ -92,6 +92,7 @@ def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
             links=links,
             slides=model.joint_kind(j + 1) == "linear",
             columns=joint_columns(s, j),
+            recording=s.whole or s.name,
         )
         for j, (measurement, motion) in enumerate(smoothed)
     )

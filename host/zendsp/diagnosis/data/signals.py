@@ -36,6 +36,7 @@ class Signals:
     # (joints,): what a filter or averaging leaves of the quantiser's noise, however still a joint
     # stands
     least_noise: Array | None = None
+    whole: str = ""  # name of the recording that this is a part of; empty: it is no part
 
     def part(self, start: int, stop: int, name: str) -> Signals:
         """Rows start … stop - 1 as a recording of their own."""
@@ -43,6 +44,7 @@ class Signals:
         return replace(
             self,
             name=name,
+            whole=self.whole or self.name,
             time=self.time[cut],
             position=self.position[cut],
             command=self.command[cut],

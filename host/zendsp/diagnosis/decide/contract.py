@@ -32,6 +32,7 @@ class FindingReport(TypedDict):
     from_joint: NotRequired[int]  # of a coupling
     law: NotRequired[str]  # of a coupling
     intervals: NotRequired[list[list[float]]]  # of a disturbance, s
+    recordings: NotRequired[list[str]]  # those that they are times of
     body: NotRequired[str]
     details: NotRequired[dict[str, Any]]  # what further sensors say
 

@@ -20,6 +20,7 @@ from zendsp.diagnosis.decide.claims import Claim, Decision, Piece
 from zendsp.diagnosis.decide.findings import new_terms, percent
 from zendsp.diagnosis.decide.laws import believed, named
 from zendsp.diagnosis.decide.pieces import (
+    dry_torque,
     grouped,
     held_apart,
     kind_of,
@@ -125,8 +126,13 @@ def _beside(decision: Decision, parts: Parts) -> Bursts | None:
     model, joint = decision.final.model, decision.joint
     if discrepancy(parts.fit, model, joint).value < LAWFUL:
         return None
-    turning = not rubs(model, joint)
-    return bursts(parts.fit, model, joint, many=FEW, turning=turning, often=0.0)
+    return _in_fit(parts, model, joint)
+
+
+def _in_fit(parts: Parts, model: Model, joint: int) -> Bursts | None:
+    """A push in the recordings of the fit."""
+    dry = dry_torque(parts.fit, model, joint)
+    return bursts(parts.fit, model, joint, many=FEW, dry=dry, often=0.0, beside=(parts.held,))
 
 
 # --- nothing is named
@@ -164,10 +170,9 @@ def _nothing_named(
         known=known_discrepancy(given, parts.test, joint),
         lost=tuple(_why(r, base, pieces, before) for r in search.tried[:6]),
     )
-    if state.share < MOST:
-        pushed = _pushed(out, parts, turning, jobs)
-        if pushed is not None:
-            return pushed
+    pushed = _pushed(out, parts, jobs)
+    if pushed is not None:
+        return pushed
     asked = _asked(out, parts, turning)
     # something acts there surely, though what it is drowns in what stays unexplained
     drowned = any(sure(parts.test, p) and beyond(p.size, out.known.all) > OF_STATE for p in pieces)
@@ -208,10 +213,10 @@ def _asked(out: Decision, parts: Parts, turning: bool) -> Decision:
     return out
 
 
-def _pushed(out: Decision, parts: Parts, turning: bool, jobs: int) -> Decision | None:
+def _pushed(out: Decision, parts: Parts, jobs: int) -> Decision | None:
     """The decision with a disturbance, where one explains what lacks. It may come in any part of
-    the data; one in the recordings of the fit alone bends the calibration, which is then that of
-    the recordings to choose by.
+    the data; one in the recordings of the fit alone bends the calibration, so that it may lack a
+    function of the state, and is then that of the recordings to choose by.
     """
     joint, base, known = out.joint, out.base.model, out.known.all
     others = (discrepancy(part, base, joint).value for part in (parts.fit, parts.choose))
@@ -221,18 +226,20 @@ def _pushed(out: Decision, parts: Parts, turning: bool, jobs: int) -> Decision |
     # a push may lie where the held-out recording was cut, or in the recordings of the fit alone:
     # there what comes when the joint turns round may be its friction, however seldom
     often = OFTEN if beyond(out.before.value, known) > LAWFUL else 0.0
-    here = bursts(parts.held, base, joint, turning=turning, often=often) or bursts(
-        parts.fit, base, joint, many=FEW, turning=turning, often=0.0
-    )
-    bent = here is None or bool(
-        everywhere(here, (parts.fit,), base, joint).intervals
-        and not everywhere(here, (parts.choose,), base, joint).intervals
+    held = here = None
+    if out.state.share < MOST:
+        dry = dry_torque(parts.held, base, joint)
+        held = bursts(parts.held, base, joint, dry=dry, often=often, beside=(parts.fit,))
+        here = held or _in_fit(parts, base, joint)
+    bent = held is None or bool(
+        everywhere(held, (parts.fit,), base, joint).intervals
+        and not everywhere(held, (parts.choose,), base, joint).intervals
     )
     if bent and somewhere > (MACHINE if here is None else 0.0):
         other = _fitted_to(parts.choose, out.base, joint, jobs)
         after = discrepancy(parts.test, other.model, joint)
-        if here is None and beyond(after.value, known) < LAWFUL:
-            here = bursts(parts.fit, other.model, joint, many=FEW, turning=turning, often=0.0)
+        if held is None and beyond(after.value, known) < LAWFUL:
+            here = _in_fit(parts, other.model, joint) or here
         if here is not None and after.value <= out.before.value:
             out = replace(out, final=other, after=after)
     if here is None:

@@ -89,9 +89,7 @@ def name_findings(
     return tuple(f for _, f in ranked), tuple(refinements), tuple(worst_first[:12])
 
 
-def _unknown(
-    given: Model, decision: Decision, claim: Claim, share: float, test: Data
-) -> Finding:
+def _unknown(given: Model, decision: Decision, claim: Claim, share: float, test: Data) -> Finding:
     """A mechanism without a law: its size, and the curve of what the calibrated model lacks over
     the variable on which it depends, on untouched recordings.
     """
@@ -267,7 +265,8 @@ def _disturbance(decision: Decision, given: Model) -> Finding:
         "peak": Estimate(found.peak, found.beside, unit),
     }
     numbers: dict[str, object] = {
-        "intervals": [[round(a, 4), round(b, 4)] for a, b in found.intervals]
+        "intervals": [[round(a, 4), round(b, 4)] for a, b in found.intervals],
+        "recordings": list(found.recordings),
     }
     return Finding(
         "disturbance",
@@ -285,7 +284,17 @@ def _disturbance(decision: Decision, given: Model) -> Finding:
 
 
 def _spans(found: Bursts) -> str:
-    return ", ".join(f"{a:.2f}–{b:.2f} s" for a, b in found.intervals[:4])
+    """When it acts, and in which recordings."""
+    names = dict.fromkeys(found.recordings[:4])
+    return " and ".join(
+        ", ".join(
+            f"{a:.2f}–{b:.2f} s"
+            for (a, b), n in zip(found.intervals[:4], found.recordings, strict=False)
+            if n == name
+        )
+        + (f" of {name}" if name else "")
+        for name in names
+    )
 
 
 def loosely_fitted(decisions: Sequence[Decision]) -> list[str]:

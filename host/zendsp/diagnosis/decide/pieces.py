@@ -36,7 +36,7 @@ from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
 from zendsp.diagnosis.measure.structure import STRUCTURED, structure
 from zendsp.diagnosis.search.hypothesis import JointSearch
 from zendsp.physics.calibration.fit import Data, joint_handles
-from zendsp.physics.calibration.predict import run
+from zendsp.physics.calibration.predict import run, trace
 from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.model import Model, Term, per_joint
 
@@ -239,6 +239,14 @@ def torque_of(test: Data, terms: Sequence[Term], model: Model, joint: int) -> fl
         return 0.0
     apart = model.with_terms(tuple(t for t in model.terms if t not in terms))
     return difference(test, apart, model, joint)
+
+
+def dry_torque(data: Data, model: Model, joint: int) -> float:
+    """RMS of a model's dry friction at a joint along recordings, N m or N; 0: it has none."""
+    dry = tuple(t for t in model.at(joint) if mechanism_of(t.effect) == DRY)
+    records = [rec[joint - 1] for rec in data.records]
+    along = np.concatenate([trace(r, model, dry, 0.0) for r in records])
+    return float(np.sqrt(np.mean(along**2)))
 
 
 def rubs(model: Model, joint: int) -> bool:

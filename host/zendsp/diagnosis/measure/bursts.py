@@ -18,7 +18,6 @@ from zendsp.diagnosis.measure.discrepancy import (
 )
 from zendsp.diagnosis.measure.structure import unit
 from zendsp.physics.calibration.fit import Data
-from zendsp.physics.calibration.joint import JointRecord
 from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
@@ -34,6 +33,9 @@ AROUND = 20  # neighbours on either side, whose median says how large noise is t
 # Of the energy at reversals, and of the reversals: above both it is how the joint's friction turns
 # round. Soft friction came at 11 of 16 reversals and more, two pushes at 1 of 16 and 5 of 32.
 MOSTLY, OFTEN = 0.5, 0.3
+# Of the dry friction that a model has: it holds a joint with no more before it slides, and a model
+# in which it acts the other way round lacks twice of it.
+STICKS = 3.0
 # Of the mean energy where the joint turns round, and of the time: a torque that has so much in so
 # much of its time elsewhere does not come from turning round.
 LASTING, ELSEWHERE = 0.25, 0.1
@@ -45,7 +47,7 @@ MANY, FEW = 12, 2
 @dataclass(frozen=True)
 class Bursts:
     """Times (s) in which nearly all of a lacking torque acts, though the joint is in the same
-    states at other times.
+    states at other times, and the ``recordings`` that they are times of.
 
     ``share`` is their part of its energy, ``peak`` the largest torque (N m or N), ``rms`` its RMS
     within them, ``beside`` what is lacking outside of them; ``least`` the squared torque above
@@ -53,6 +55,7 @@ class Bursts:
     """
 
     intervals: tuple[tuple[float, float], ...]
+    recordings: tuple[str, ...]
     share: float
     peak: float
     rms: float
@@ -74,27 +77,30 @@ class _Acting:
     least: float
 
 
-def _states(
-    rec: Sequence[JointRecord], joint: int, use: slice, q: Array, v: Array
-) -> list[npt.NDArray[np.float64]]:
-    """Cells of the states that a joint is in, (n,) each: place, direction and speed; the way since
-    it last turned round; the place of each neighbour, with the direction.
+def _states(parts: Sequence[tuple[Data, _Acting]], joint: int) -> list[Array]:
+    """Cells of the states that a joint is in, recordings one after the other, (n,) each: place,
+    direction and speed; the way since it last turned round; the place of each neighbour, with the
+    direction.
     """
 
     def places(x: Array, count: int) -> Array:
         return np.floor((count - 0.01) * unit(x, (float(x.min()), float(x.max()))))
 
+    rows: list[list[Array]] = []
+    for data, acting in parts:
+        for rec, use in zip(data.records, acting.used, strict=True):
+            q, v = (x[use] for x in rec[joint - 1].motion.states[:2])
+            turns = np.flatnonzero(np.diff(v > 0)) + 1
+            since = np.zeros(len(q), int)
+            since[turns] = turns
+            way = np.abs(q - q[np.maximum.accumulate(since)])
+            beside = [k for k in (joint - 1, joint + 1) if 1 <= k <= len(rec)]
+            rows.append([q, v, way, *[rec[k - 1].motion.states[0][use] for k in beside]])
+    q, v, way, *others = (np.concatenate(column) for column in zip(*rows, strict=True))
     fast = np.minimum(2, np.floor(np.abs(v) / max(float(np.std(v)), 1e-300)))
     forward = (v > 0).astype(float)
-    turns = np.flatnonzero(np.diff(forward)) + 1
-    since = np.zeros(len(q), int)
-    since[turns] = turns
-    way = np.abs(q - q[np.maximum.accumulate(since)])
     cells = [6 * places(q, 20) + 3 * forward + fast, 2 * places(way, 20) + forward]
-    for other in (joint - 1, joint + 1):
-        if 1 <= other <= len(rec):
-            cells.append(2 * places(rec[other - 1].motion.states[0][use], 20) + forward)
-    return cells
+    return [*cells, *[2 * places(other, 20) + forward for other in others]]
 
 
 def bursts(
@@ -103,8 +109,9 @@ def bursts(
     joint: int,
     band: float = 32.0,
     many: int = MANY,
-    turning: bool = True,
+    dry: float = 0.0,
     often: float = OFTEN,
+    beside: Sequence[Data] = (),
 ) -> Bursts | None:
     """Find the times outside of which a model lacks next to nothing; None where there are none
     such.
@@ -119,27 +126,29 @@ def bursts(
         Of the observer, rad/s.
     many : int
         Intervals; more come and go with something else than time.
-    turning : bool
-        Whether what acts where the joint turns round, again and again, may be one.
+    dry : float
+        RMS of the model's dry friction, N m or N: what acts where the joint turns round, again and
+        again, and is no larger than ``STICKS`` times that, may be friction; 0: none.
     often : float
         At how many of these places it is "again and again".
+    beside : sequence of Data
+        Recordings that show, too, in which states nothing acts.
 
     Returns
     -------
     Bursts or None
     """
     acting = _acting(data, model, joint, band)
-    if not turning and _turns(data, acting, joint, band, often):
+    if dry > 0.0 and _peak(acting) < STICKS * dry and _turns(data, acting, joint, band, often):
         return None
-    met = 0
-    for high, use, rec in zip(acting.masks, acting.used, data.records, strict=True):
-        motion = rec[joint - 1].motion.states
-        cells = _states(rec, joint, use, motion[0][use], motion[1][use])
-        seen = [np.isin(c, np.unique(c[~high])) for c in cells]
-        met += int(np.all(seen, axis=0)[high].sum())
     covered = sum(int(high.sum()) for high in acting.masks)
     count = sum(len(high) for high in acting.masks)
-    if not covered or covered > BRIEF * count or met < REVISITED * covered:
+    if not covered or covered > BRIEF * count:
+        return None
+    every = [(data, acting), *[(d, _acting(d, model, joint, band, acting.least)) for d in beside]]
+    high = np.concatenate([mask for _, a in every for mask in a.masks])
+    seen = [np.isin(c, np.unique(c[~high])) for c in _states(every, joint)]
+    if int(np.all(seen, axis=0)[:count][high[:count]].sum()) < REVISITED * covered:
         return None
     out = _summed([(data, acting)], joint)
     normal = NormalDist()
@@ -154,23 +163,30 @@ def _turns(data: Data, acting: _Acting, joint: int, band: float, often: float) -
     """Whether what acts comes where the joint turns round alone, and not at a few of these
     places.
     """
-    there = total = 0.0
+    from scipy.ndimage import binary_erosion  # takes a third of a second
+
+    there = total = resting = elsewhere = 0.0
     turning = moving = met = count = 0
+    # smoothed: where the joint starts from rest, the observer's answer is a spike
     for high, lack, use, rec in zip(
-        acting.masks, acting.lacks, acting.used, data.records, strict=True
+        acting.masks, acting.smooth, acting.used, data.records, strict=True
     ):
         record = rec[joint - 1]
         turns = reversals(record, band_of(record, band))[use]
         energy = lack**2 * high
         there += float(energy[turns].sum())
         total += float(energy.sum())
-        turning += int((high & turns).sum())
-        moving += int((high & ~turns).sum())
+        # at either end it is the observer that comes late
+        inside = binary_erosion(high, iterations=max(1, round(2.0 / band / record.sample_time)))
+        turning += int((inside & turns).sum())
+        moving += int((inside & ~turns).sum())
+        resting += float(energy[inside & turns].sum())
+        elsewhere += float(energy[inside & ~turns].sum())
         change = np.flatnonzero(np.diff(np.r_[0, turns.astype(int), 0]))
         count += len(change) // 2
         met += sum(bool(high[a:b].any()) for a, b in zip(change[::2], change[1::2], strict=True))
     if moving > ELSEWHERE * (turning + moving) and (
-        (total - there) * turning > LASTING * there * moving
+        elsewhere * turning > LASTING * resting * moving
     ):
         return False
     return there > MOSTLY * total and met > often * count
@@ -214,9 +230,21 @@ def _acting(
     return _Acting(tuple(masks), tuple(lacks), tuple(smooth), tuple(used), above)
 
 
+def _largest(within: Array) -> float:
+    """Not the largest of all: the observer rings at the edges."""
+    return float(np.quantile(np.abs(within), 0.95)) if len(within) else 0.0
+
+
+def _peak(acting: _Acting) -> float:
+    """The largest torque that acts, N m or N."""
+    parts = zip(acting.smooth, acting.masks, strict=True)
+    return _largest(np.concatenate([smooth[high] for smooth, high in parts]))
+
+
 def _summed(parts: Sequence[tuple[Data, _Acting]], joint: int) -> Bursts:
     """Intervals and sizes of what acts."""
     spans: list[tuple[float, float]] = []
+    names: list[str] = []
     inside: list[Array] = []
     outside: list[Array] = []
     energy = [0.0, 0.0]
@@ -232,17 +260,18 @@ def _summed(parts: Sequence[tuple[Data, _Acting]], joint: int) -> Bursts:
                 (start + (use.start + a) * step, start + (use.start + b - 1) * step)
                 for a, b in ends
             ]
+            names += [rec[joint - 1].recording] * len(ends)
             each += [float(np.sum(lack[a:b] ** 2)) for a, b in ends]
             inside.append(smooth[high])
             outside.append(smooth[~high])
             energy[0] += float(np.sum(lack[high] ** 2))
             energy[1] += float(np.sum(lack[~high] ** 2))
     within, beside = np.concatenate(inside), np.concatenate(outside)
-    # not the largest of all: the observer rings at the edges
-    peak = float(np.quantile(np.abs(within), 0.95)) if len(within) else 0.0
+    peak = _largest(within)
     within = np.minimum(np.abs(within), peak)
     return Bursts(
         tuple(spans),
+        tuple(names),
         energy[0] / max(sum(energy), 1e-300),
         peak,
         float(np.sqrt(np.sum(within**2) / max(len(within), 1))),

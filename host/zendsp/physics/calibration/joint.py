@@ -40,6 +40,7 @@ class JointRecord:
     slides: bool = False  # a linear joint
     # optional ones by their role in [columns], (n,)
     columns: Mapping[str, Array] = field(default_factory=dict)
+    recording: str = ""  # its name
     every: int = 1  # samples of the recording that one stands for, see ``thinned``
     _gains: dict[float, tuple[Array, Array, Array]] = field(default_factory=dict)
     _integral: Array | None = None
