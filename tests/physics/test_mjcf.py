@@ -318,3 +318,6 @@ def test_a_mesh_is_still_found_from_where_the_model_is_written(tmp_path: Path) -
     out = tmp_path / "out"
     out.mkdir()
     assert write_mjcf(model, out / "model.mjcf") is not None
+    mechanism = {"kind": "mjcf", "file": "model.mjcf"}
+    again = parse_model({"mechanism": mechanism}, str(out / "model.toml"))
+    assert write_mjcf(again, out / "again.mjcf") is not None, "what was written is a model again"

@@ -22,7 +22,13 @@ from zendsp.diagnosis.data.split import halves, split
 from zendsp.diagnosis.decide.across import across_joints
 from zendsp.diagnosis.decide.assemble import Assembled, calibrated_machine
 from zendsp.diagnosis.decide.claims import Decision
-from zendsp.diagnosis.decide.decide_bodies import BodyClaim, decide_bodies, rejected_bodies, settled
+from zendsp.diagnosis.decide.decide_bodies import (
+    BodyClaim,
+    beside_bodies,
+    decide_bodies,
+    rejected_bodies,
+    settled,
+)
 from zendsp.diagnosis.decide.detectable import detectable
 from zendsp.diagnosis.decide.fast_ripple import FineRipple, fine_ripples, fixed
 from zendsp.diagnosis.decide.naming import bent, left_over, loosely_fitted, name_findings
@@ -266,6 +272,7 @@ def _find(parts: Parts, given: Model, jobs: int, tell: Progress) -> _Found:
         ]
         calibrated = calibrated_machine(bare.fit, given, bases, jobs)
         whole = replace(whole, improved=improved, calibrated=calibrated)
+        decisions = beside_bodies(claims, decisions)
     decisions = across_joints(decisions)
     return _Found(parts, bodies, measured, searches, decisions, whole, claims, tuple(fine))
 

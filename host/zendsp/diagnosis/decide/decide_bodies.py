@@ -21,7 +21,7 @@ from zendsp.diagnosis.decide.confidence import MOST as SUREST
 from zendsp.diagnosis.decide.findings import NUMERIC, number
 from zendsp.diagnosis.decide.pieces import dependence
 from zendsp.diagnosis.decide.result import Estimate, Finding, Rejected
-from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES, PLAIN
+from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES, LAW_ERROR, PLAIN
 from zendsp.diagnosis.measure.discrepancy import difference
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import fit_scored
@@ -30,6 +30,7 @@ from zendsp.diagnosis.search.body_columns import Layout
 from zendsp.diagnosis.search.body_explain import Explained
 from zendsp.diagnosis.search.body_hypotheses import COM, LIMITS
 from zendsp.physics.calibration.fit import joint_handles
+from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model
 from zendsp.physics.robots.bodies import Links
 
@@ -138,6 +139,28 @@ def _decided(
         sure *= 0.5 + 0.5 / (1 + len(found.indistinguishable))
     sizes = {joint: h.size for joint, h in heard.items()}
     return BodyClaim(found, sizes, gain, float(min(SUREST, max(0.05, sure))))
+
+
+def beside_bodies(claims: Sequence[BodyClaim], decisions: Sequence[Decision]) -> list[Decision]:
+    """Decisions in which a constant or a function of the position that is no larger than what a
+    body's weight may be wrong by refines the fit.
+    """
+    out = []
+    for decision in decisions:
+        least = LAW_ERROR * max((c.sizes.get(decision.joint, 0.0) for c in claims), default=0.0)
+        weight = [
+            c
+            for c in decision.claims
+            if c.size < least
+            and (c.mechanism == "position_torque" or get_effect(c.term.effect).constant)
+        ]
+        keep = tuple(c for c in decision.claims if not any(c is w for w in weight))
+        if weight:
+            kind = decision.kind if keep else "complete"
+            more = (*decision.refinements, *weight)
+            decision = replace(decision, kind=kind, claims=keep, refinements=more)
+        out.append(decision)
+    return out
 
 
 def unsure(explained: Explained) -> bool:

@@ -2,10 +2,12 @@
 decision would have claimed.
 
 An effect of some size leaves its trace in the innovations of the model that was found; what the
-calibrated parameters can imitate is taken out of it. From the trace's energy in the recordings to
-test on follows the evidence that an effect of that size would have had there, and from its torque
-whether it would have stood out of the discrepancy, and been named: the smallest size that passes
-all of these is stated.
+calibrated parameters can imitate is taken out of it. From the trace's energy
+in the recordings to test on follows the evidence that an effect of that size would have had there,
+and from its torque whether it would have stood out of the discrepancy, and been named: the smallest
+size that passes all of these is stated. It is looked for to first order, then implanted, and all
+calibrated numbers, the sensor's zero among them, are fitted beside it: a command that is too large
+by a part is no more than inertia, weight and friction that are.
 The decision itself is not run again for every size; ``zendsp prove --implant`` measures how well
 the figures hold.
 """
@@ -14,8 +16,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import LAWS_OF, Decision
@@ -23,15 +27,30 @@ from zendsp.diagnosis.decide.confidence import least_stated
 from zendsp.diagnosis.decide.pieces import dependence, finest, kept_laws, torque_of
 from zendsp.diagnosis.decide.result import Detectable
 from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES, LAW_ERROR, LEFT_BY_A_LAW
-from zendsp.diagnosis.measure.discrepancy import BANDS, as_torque, band_of, kept, mean_square
+from zendsp.diagnosis.measure.discrepancy import (
+    BANDS,
+    as_torque,
+    band_of,
+    difference,
+    kept,
+    mean_square,
+)
+from zendsp.diagnosis.measure.windows import rms, window_error
 from zendsp.diagnosis.search.screen import Screen
-from zendsp.physics.calibration.fit import Data, fit
+from zendsp.physics.calibration.fit import Data, Fit, fit
+from zendsp.physics.calibration.handles import Handle
 from zendsp.physics.calibration.terms import grid_of, make_term, usable
-from zendsp.physics.effects import get_effect, library, mechanism_of, unit_of
-from zendsp.physics.model import Model
+from zendsp.physics.effects import Effect, get_effect, library, mechanism_of, unit_of
+from zendsp.physics.model import Model, Term
+
+Array = npt.NDArray[np.float64]
 
 POWER = 1.28  # standard deviations: nine in ten
-HELD = 1.0  # of the RMS torque: an effect that is larger is not in these recordings
+HELD = 0.3  # of the RMS torque: an effect that is larger is not small
+IMPLANTS = 8  # of growing size, until one is seen
+AMPLE = 1.05  # by which one is larger than the last seems to need
+LARGER, FARTHER = 2.0, 10.0  # times the last at least, and at most
+BESIDE = 15  # iterations of the fit beside it
 GRID = 12  # points of an effect's grid at most; of them the one that is seen worst is stated
 
 
@@ -63,6 +82,7 @@ def _joint(test: Data, given: Model, decision: Decision, jobs: int) -> list[Dete
     data = test.at_bandwidth(joint, final.data.bandwidth[joint - 1])
     result = fit(data, final.model, final.fit.handles, joints=(joint,), iterations=0, jobs=jobs)
     screen = Screen(data, result, joint, (joint,))
+    base = _beside(data, final.model, final.fit.handles, joint, jobs)
     variance = float(result.residual @ result.residual) / max(len(result.residual), 1)
     variance *= dependence(final, test, joint)
     needed = math.log(test.joints * len(LAWS_OF) / FALSE_DISCOVERIES)
@@ -85,52 +105,96 @@ def _joint(test: Data, given: Model, decision: Decision, jobs: int) -> list[Dete
             continue
         beyond = min(math.hypot(after, error[mechanism_of(name)]), after / LEFT_BY_A_LAW)
         beyond = max(after, beyond, least_stated(name, decision), finest(name))
-        size = _smallest(screen, name, variance, root, beyond, scale)
+        least = root * math.sqrt(variance), beyond * scale
+        term = _smallest(screen, name, *least)
+        size = None if term is None else _implanted(data, base, term, *least, jobs)
         if size is None:
             continue
-        key = effect.linear[0] if effect.linear else effect.parameters[0].name
-        parameter = effect.parameter(key)
+        parameter = effect.parameter(_key(effect))
         unit = unit_of(
             parameter.size,
             given.joint_kind(joint),
             given.actuator.unit,
             given.torque_unit(joint),
         )
-        out.append(Detectable(joint, mechanism_of(name), name, size[0], unit, size[1]))
+        out.append(Detectable(joint, mechanism_of(name), name, size[0], unit, size[1] / scale))
     return out
 
 
-def _smallest(
-    screen: Screen, name: str, variance: float, root: float, beyond: float, scale: float
-) -> tuple[float, float] | None:
-    """Size, and the torque that it makes as a part of the RMS torque; None where the recording
-    shows nothing of it at all.
+def _key(effect: Effect) -> str:
+    """Name of the parameter that is an effect's size."""
+    return effect.linear[0] if effect.linear else effect.parameters[0].name
+
+
+def _smallest(screen: Screen, name: str, energy: float, torque: float) -> Term | None:
+    """An effect, at the point of its grid where it is seen worst, of the size that leaves so much
+    in the innovations (root of its energy) and in the torque (RMS, N m or N); None where the
+    recording shows nothing of it at all.
     """
     effect = get_effect(name)
+    key = _key(effect)
     points = grid_of(effect, screen.records[0], screen.model) or [{}]
     points = points[:: max(1, len(points) // GRID)]
-    worst: tuple[float, float] | None = None
+    worst: tuple[float, dict[str, float]] | None = None
     for point in points:
         values = screen._directions(effect, point)[0]
-        key = effect.linear[0] if effect.linear else effect.parameters[0].name
         unit = values.get(key, 1.0) or 1.0
         term = make_term(effect, screen.joint, {**values, key: unit})
         column = screen.series([(term,)])[0] / unit
-        whole = _torque(screen, column) / scale
         column = column - screen.q @ (screen.q.T @ column)
-        energy = float(column @ column)
-        if energy <= 0:
+        left = float(np.linalg.norm(column))
+        if left <= 0:
             return None
-        torque = _torque(screen, column) / scale
-        size = max(root * math.sqrt(variance / energy), beyond / max(torque, 1e-300))
-        if size * whole > HELD:  # more than the recording holds: it shows nothing of it
-            return None
+        size = max(energy / left, torque / max(_torque(screen, column), 1e-300))
         if worst is None or size > worst[0]:
-            worst = size, size * torque
-    return worst
+            worst = size, values
+    return worst and make_term(effect, screen.joint, {**worst[1], key: worst[0]})
 
 
-def _torque(screen: Screen, column: np.ndarray) -> float:  # type: ignore[type-arg]
+def _implanted(
+    test: Data, base: Fit, term: Term, energy: float, torque: float, jobs: int
+) -> tuple[float, float] | None:
+    """Size of an effect that leaves so much though all calibrated numbers are fitted beside it, and
+    the torque that it leaves, N m or N; None where it does not.
+    """
+    key, joint = _key(get_effect(term.effect)), term.joint
+    scale = math.sqrt(mean_square(test, joint))
+    error = _error(test, base.model, joint)
+    for _ in range(IMPLANTS):
+        number = term.parameters[key]
+        model = base.model.with_terms((*base.model.terms, term))
+        if difference(test, model, base.model, joint) > HELD:
+            return None
+        result = _beside(test, model, base.handles, joint, jobs)
+        left = math.sqrt(max(_squares(test, result, joint) - _squares(test, base, joint), 0.0))
+        rms = scale * difference(test, result.model, base.model, joint)
+        needed = max(energy / max(left, 1e-300), torque / max(rms, 1e-300))
+        if needed <= 1.0 and _error(test, result.model, joint) > error:
+            return number.value, rms
+        needed = max(needed, LARGER)
+        number = replace(number, value=AMPLE * min(needed, FARTHER) * number.value)
+        term = replace(term, parameters={**term.parameters, key: number})
+    return None
+
+
+def _error(test: Data, model: Model, joint: int) -> float:
+    """RMS error of prediction, rad or m: a finding makes it less."""
+    return rms(window_error(test, model, joint))
+
+
+def _beside(
+    test: Data, model: Model, handles: Sequence[Handle], joint: int, jobs: int
+) -> Fit:
+    return fit(test, model, handles, joints=(joint,), iterations=BESIDE, jobs=jobs, brief=True)
+
+
+def _squares(test: Data, result: Fit, joint: int) -> float:
+    """Of the innovations alone: what a prior says is no evidence of these recordings."""
+    innovations = result.residual[: sum(rec[joint - 1].n for rec in test.records)]
+    return float(innovations @ innovations)
+
+
+def _torque(screen: Screen, column: Array) -> float:
     """RMS torque of a trace in the innovations, N m or N."""
     total, count, at = 0.0, 0, 0
     for record in screen.records:

@@ -160,7 +160,7 @@ class Rounds:
         if not only:
             first = {c.effect for group in listed for c in group}
             rest = [(c, get_effect(c.effect)) for _, c in options if c.effect not in first]
-            listed += [[c] for c, effect in rest if effect.common or effect.standing]
+            listed += [[c] for c, effect in rest if effect.common or effect.hides]
         # what takes longest comes first, so that no thread is left with it at the end
         listed = [
             *simulated(current.data, current.model, self.joint, only, self.jobs, self.given),

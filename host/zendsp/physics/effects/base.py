@@ -298,9 +298,9 @@ class Effect:
     common : bool
         Every machine has some of it: it is tried whatever a screen promises, and the evidence for
         its mechanism is enough to name it.
-    standing : bool
-        It acts where a joint hardly moves, which no first order along the measured motion shows: it
-        is tried whatever a screen promises.
+    hides : bool
+        A first order along the measured motion hardly shows it, where a joint all but stands or the
+        sensor's zero takes it upon itself: it is tried whatever a screen promises.
     sized : bool
         Reports say the smallest size of it that the recordings would have shown.
     slow : bool
@@ -375,7 +375,7 @@ class Effect:
     possible: Callable[[Numbers], bool] | None = None
     odds: float = 0.0
     common: bool = False
-    standing: bool = False
+    hides: bool = False
     sized: bool = False
     slow: bool = False
     rough: bool = False

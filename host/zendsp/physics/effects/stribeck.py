@@ -32,7 +32,7 @@ EFFECT = Effect(
     grid={"velocity": of_speed(0.01, 0.02, 0.05, 0.1, 0.2, 0.4)},
     needs=("coulomb",),
     rivals=("coulomb", "presliding"),
-    standing=True,
+    hides=True,
     tries=({"exponent": 1.0},),
     compensable="p[0] * exp(-pow(fabs(qd) / p[1], p[2])) * sgn(qd)",
 )

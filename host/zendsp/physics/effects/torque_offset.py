@@ -15,6 +15,7 @@ EFFECT = Effect(
     equation="τ0",
     linear=("level",),
     odds=0.01,
+    hides=True,
     sized=True,
     rivals=("coulomb_asymmetry", "gravity", "stiffness"),
     compensable="p[0]",

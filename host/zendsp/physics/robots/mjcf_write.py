@@ -292,7 +292,9 @@ def _name(m: Any, what: str, index: int) -> str:
 def _text(model: Model, split: Split) -> str:
     """The MJCF in one file: includes resolved, assets by absolute paths."""
     mj, source = library(), robot_path(model)
-    spec = mj.MjSpec.from_file(source)
+    # MuJoCo takes a file for XML by its name only, and a model.mjcf of ours includes no other
+    xml = Path(source).suffix == ".xml"
+    spec = mj.MjSpec.from_file(source) if xml else mj.MjSpec.from_string(Path(source).read_text())
     folder = Path(source).resolve().parent
     for key in ("meshdir", "texturedir"):
         setattr(spec, key, str((folder / getattr(spec, key)).resolve()))
