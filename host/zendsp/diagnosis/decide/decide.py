@@ -92,10 +92,8 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
         claimed, rest = held_apart(parts, given, search, final, pieces)
         if claimed:
             first = named(parts, given, search, final, claimed, rest, before, jobs, tell)
-            likelier = next((c.instead for c in first.claims if c.instead is not None), None)
-            if likelier is not None:  # each exchange is a gain: there is no circle
-                other = replace(search, best=likelier)
-                other.best, _ = simplify(other, informative(parts.fit, joint), jobs)
+            other = _exchanged(parts, search, final, first, jobs)
+            if other is not None:
                 return decide(parts, given, other, jobs, tell)
             decision = believed(first, parts, jobs)
             errors = [
@@ -119,6 +117,21 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
                 # several mechanisms, and no law of any: it is one torque that nobody knows
                 return replace(plain, kind="unexplained") if plain.kind == "complete" else plain
     return _nothing_named(parts, given, search, before, pieces, jobs)
+
+
+def _exchanged(
+    parts: Parts, search: JointSearch, final: Scored, first: Decision, jobs: int
+) -> JointSearch | None:
+    """The search with a likelier law in the place of a claimed one; None where there is none, or
+    where in its simplest words it is no likelier: each exchange is a gain, so that they end.
+    """
+    for claim in first.claims:
+        if claim.instead is not None:
+            other = replace(search, best=claim.instead)
+            other.best, _ = simplify(other, informative(parts.fit, search.joint), jobs)
+            if other.best.deviance < final.deviance - WAIT:
+                return other
+    return None
 
 
 def _beside(decision: Decision, parts: Parts) -> Bursts | None:
