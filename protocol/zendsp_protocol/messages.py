@@ -119,6 +119,7 @@ class Trip(Message, frozen=True):
     value: float = 0.0  # that broke the limit
     limit: float = 0.0  # that was broken, same unit
     text: str = ""  # a sentence for people
+    cause: str = ""  # its first words: what broke which limit
 
 
 class Status(Message, frozen=True):
