@@ -231,7 +231,7 @@ def _hunted(
 
 
 def _untried(train: Sequence[Bench], test: Sequence[Bench]) -> str:
-    """A note of what a black box does not let anybody try."""
+    """A note on the effects that cannot be tried on a simulator that can only be called."""
     inside = ", ".join(e.name for e in library().values() if not on_input(e))
     return (
         f"black box: {sum(b.calls for b in (*train, *test))} simulations; what has states of its"
