@@ -24,7 +24,7 @@ from zendsp.tui.dialogs import Choose, Message, Option
 from zendsp.tui.dialogs.base import Dialog
 from zendsp.tui.dialogs.leave import Leave, moves
 from zendsp.tui.port import Port
-from zendsp.tui.runs import Run
+from zendsp.tui.runs import Outcome, Run
 from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.session import Session
 from zendsp.tui.stopper import PICTURE, with_stop
@@ -429,7 +429,7 @@ class ZendspApp(App[None]):
         if self._awaited is None or run.references != (self._awaited[0].name,):
             return
         (_, then), self._awaited = self._awaited, None
-        if run.outcome == "complete":
+        if run.outcome == Outcome.COMPLETE:
             self.call_later(self.action_show, "diagnose")
             self.call_later(then, run)
 
