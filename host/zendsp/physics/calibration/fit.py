@@ -35,6 +35,7 @@ T = TypeVar("T")
 TOO_FAR = 3.0
 TRIES = 8  # ever shorter steps before a fit ends
 FEW_BLOCKS = 20  # as many blocks as the classical variance counts for
+BLOCK_S = 0.25
 UNKNOWN = 1e30  # variance of a number of which nothing is known
 NEAR = 0.02  # of a bound, and a number counts as lying at it
 # rad: no position sensor's zero is set better; prior standard deviation 0.3 of it
@@ -202,9 +203,9 @@ def bounds_and_steps(
     return np.array(low), np.array(high), np.array(size)
 
 
-def block_count(data: Data, seconds: float = 0.25) -> int:
+def block_count(data: Data) -> int:
     """Samples in one block of the robust statistics."""
-    return max(10, round(seconds / data.records[0][0].sample_time))
+    return max(10, round(BLOCK_S / data.records[0][0].sample_time))
 
 
 class _Problem:
