@@ -91,7 +91,7 @@ class Programs(Part):
             error = CompileFailed(
                 "\n".join(describe(message) for message in result.diagnostics) or "no reason given"
             )
-            error.result = result  # type: ignore[attr-defined]
+            error.result = result
             raise error
         return result
 

@@ -170,7 +170,7 @@ class Transfers(Part):
         now: m.Held = self.insist("acquire_held", patience)
         if (now.device, now.inode) != (held.device, held.inode):
             raise AcquisitionError(
-                "the recorder was configured anew while its rows were loaded: record again"
+                "the recorder was configured again while its rows were loaded: record again"
             )
         _check_held(now, first, count, columns)
         return data
