@@ -26,6 +26,7 @@ from zendsp.diagnosis.data.checks import check_signals
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.signals import Signals, with_same_columns
 from zendsp.diagnosis.data.split import split
+from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.result import Diagnosis, FitTable, Rejected, SimulatorErrors
 from zendsp.diagnosis.external.hunt import Hunt, findings_of, indistinct, next_of
 from zendsp.diagnosis.external.nearby import Near, spread_over
@@ -172,7 +173,7 @@ def _diagnose(
     floor = _floor(test)
     rest = _rms(test, current.model)
     open_ = left > UNEXPLAINED and rest > OVER_NOISE * floor
-    verdict = "missing" if findings else "unexplained" if open_ else "complete"
+    verdict: Verdict = "missing" if findings else "unexplained" if open_ else "complete"
     places, spans = _where(before)
     rejected = tuple(
         Rejected(e, j, why, score - (steps[0][0].gain if steps else 0.0))
