@@ -1,4 +1,4 @@
-"""Print files and lines of each room, and imports between rooms.
+"""Print files and lines of each package, and imports between packages.
 
 ``python docs/measure_structure.py [REVISION]``
 """
@@ -67,14 +67,14 @@ def main() -> None:
         files[room(name, known)] += 1
         lines[room(name, known)] += text.count("\n")
     between = arrows(known)
-    print("| room | files | lines | rooms it imports |\n|---|---|---|---|")
+    print("| package | files | lines | packages it imports |\n|---|---|---|---|")
     for here in sorted(files):
         out = sum(1 for (source, _) in between if source == here)
         print(f"| `{here}` | {files[here]} | {lines[here]} | {out} |")
     large = sum(count > 12 for count in files.values())
     print(
         f"| **all** | {len(known)} | {sum(lines.values())} | {len(between)} arrows;"
-        f" {large} rooms of more than 12 files |"
+        f" {large} packages of more than 12 files |"
     )
 
 

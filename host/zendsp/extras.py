@@ -1,6 +1,4 @@
-"""Packages that only one room needs: imported where they are used, named with their pip line where
-missing.
-"""
+"""Optional packages: imported where they are used, named with their pip line where missing."""
 
 from __future__ import annotations
 

@@ -24,6 +24,10 @@ Every message names what, the value, the limit and what to do next.
 from __future__ import annotations
 
 from collections.abc import Collection
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from zendsp_protocol.messages import CompileResult
 
 
 def did_you_mean(name: str, known: Collection[str]) -> str:
@@ -91,7 +95,9 @@ class EndedWarning(UserWarning):
 
 
 class CompileFailed(ZendspError, RuntimeError):
-    """The C code did not compile."""
+    """The C code did not compile; ``result`` holds what the compiler said of each place."""
+
+    result: CompileResult | None = None
 
 
 class RunnerDied(ZendspError, RuntimeError):

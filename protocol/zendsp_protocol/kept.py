@@ -28,7 +28,7 @@ MOST = 3  # recordings of killed targets that are kept; the next start removes o
 
 
 class About(msgspec.Struct, frozen=True, kw_only=True):
-    """What was recorded, and under which circumstances."""
+    """What was recorded, by whom, and how."""
 
     target: str
     machine: str

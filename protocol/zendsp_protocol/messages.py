@@ -119,6 +119,7 @@ class Trip(Message, frozen=True):
     value: float = 0.0  # that broke the limit
     limit: float = 0.0  # that was broken, same unit
     text: str = ""  # a sentence for people
+    cause: str = ""  # its first words: what broke which limit
 
 
 class Status(Message, frozen=True):
@@ -357,7 +358,7 @@ class LiveHeader(Message, frozen=True, kw_only=True):
     """
 
     v: int  # protocol version
-    session: int  # changes whenever the stream is configured anew
+    session: int  # changes whenever the stream is configured again
     first: int  # index of the first row; a gap to the last message means rows that were skipped
     rows: int  # in this message
     columns: tuple[str, ...]  # names

@@ -172,8 +172,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _take_files() -> None:
-    """Allow as many open files as the system does: whoever knocks at a port takes one, also one who
-    is not let in.
+    """Raise the limit of open files to what the system allows: every connection takes one, also
+    one that is refused.
     """
     most = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
     with contextlib.suppress(OSError, ValueError):
@@ -262,7 +262,7 @@ def _serve(args: argparse.Namespace, listen: Sequence[str], security: Security) 
 
 
 def leave(status: int) -> NoReturn:
-    """End the process without taking the interpreter apart.
+    """End the process without the shutdown of the interpreter.
 
     Everything is closed by now. A thread that is just returning from Zenoh's compiled code while
     the interpreter goes would abort the process ("exception not rethrown") and make a clean end

@@ -77,7 +77,7 @@ def test_rows_that_are_overwritten_while_they_are_read_are_refused(
     monkeypatch.setattr(fast.recorder, "_load_streamed", refuse)
     with pytest.raises(AcquisitionError, match="are not held"):
         fast.load_rows(0, 500, 1, progress=lambda _: fast.run_for(0.1))
-    with pytest.raises(AcquisitionError, match="configured anew"):
+    with pytest.raises(AcquisitionError, match="configured again"):
         fast.load_rows(200, 300, 1, progress=lambda _: fast.acquire_configure(["tick"], 0.5))
 
 

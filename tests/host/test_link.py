@@ -69,7 +69,8 @@ def test_parameter_sets_save_diff_restore_and_reset(running: Target, tmp_path: o
 def test_compile_errors_name_file_line_and_column(target: Target) -> None:
     with pytest.raises(CompileFailed, match=r"^bad.c:3:7: error: expected ';'$") as caught:
         target.compile({"bad.c": "syntax error"})
-    assert caught.value.result.diagnostics[0].line == 3  # type: ignore[attr-defined]
+    result = caught.value.result
+    assert result is not None and result.diagnostics[0].line == 3
 
 
 def test_a_slow_compile_holds_up_neither_stop_nor_reads(

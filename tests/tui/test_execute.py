@@ -24,7 +24,7 @@ from zendsp.tui.events import EventLog
 from zendsp.tui.link_port import LinkPort, open_port
 from zendsp.tui.play_job import PlayJob
 from zendsp.tui.playing import Setup
-from zendsp.tui.runs import SIMULATED, list_runs, store_run
+from zendsp.tui.runs import Outcome, list_runs, store_run
 from zendsp.tui.scope import Scope
 from zendsp.tui.screens.analysis import ProcessView, simulation_of
 from zendsp.tui.screens.diagnose import DiagnoseScreen
@@ -405,7 +405,7 @@ def test_simulate_this_repeats_the_run_and_keeps_the_result_beside_it(folder: Pa
     simulated.save(Path(words[words.index("--out") + 1]))
     assert "circle simulated" in keep()
     newest = list_runs(folder / "runs")[0]
-    assert newest.outcome == SIMULATED and len(newest.recording()) == len(taken)
+    assert newest.outcome == Outcome.SIMULATED and len(newest.recording()) == len(taken)
     assert newest.recording()["q"][0] == pytest.approx(
         0.2
     ), "from the first row of the reference on, as in the run"

@@ -17,7 +17,7 @@ from zendsp.tui.dialogs import Form
 from zendsp.tui.measure_job import MeasureJob
 from zendsp.tui.panels.response import ResponseView
 from zendsp.tui.panels.sweep import SweepView
-from zendsp.tui.runs import RESPONSE, list_runs
+from zendsp.tui.runs import Outcome, list_runs
 from zendsp.tui.scope.path import PathPlot
 from zendsp.tui.screens.console import ConsoleScreen
 from zendsp.tui.screens.diagnose import DiagnoseScreen
@@ -83,7 +83,7 @@ async def test_a_frequency_response_is_measured_kept_and_laid_over_another(
             )
             marked, screen.marked_runs = screen.marked_runs, []
         runs = list_runs(lab.workspace.runs)
-        assert [r.outcome for r in runs] == [RESPONSE, RESPONSE]
+        assert [r.outcome for r in runs] == [Outcome.RESPONSE] * 2
         assert {"e[0]", "tau[0]", "q[1]"} <= set(runs[0].recording().columns), "to be diagnosed"
         assert (runs[0].folder / "response.csv").read_text().startswith("f,magnitude_db,")
         soft, stiff = (FrequencyResponse.of(r.recording()) for r in runs)

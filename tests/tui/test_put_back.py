@@ -69,7 +69,7 @@ def test_a_run_leaves_the_parameters_as_they_were(how: str, arm: Target, tmp_pat
     if how == "stopped":
         arm.acknowledge()
     stood = position(arm)
-    assert run is not None and (how in run.outcome or "STOP" in run.outcome), "its rows are kept"
+    assert run is not None and (how in run.ending or "STOP" in run.ending), "its rows are kept"
     assert {name: arm[name] for name in CHANGED} == OWN
     recording = run.recording()
     kept = recording.parameters

@@ -85,6 +85,13 @@ def test_too_little_memory_is_told_in_a_line(
     assert text.startswith(f"zendsp: too little memory ({why})")
 
 
+def test_numpy_is_not_begun_with_where_it_would_look_for_memory_without_end() -> None:
+    words = f"ulimit -v 100000; exec {sys.executable} -m zendsp reference circle"
+    done = subprocess.run(["sh", "-c", words], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2 and len(done.stderr.splitlines()) == 1
+    assert done.stderr.startswith("zendsp: too little memory (it needs 512 MB")
+
+
 def test_the_terminal_is_refused_where_there_is_none(capsys: pytest.CaptureFixture[str]) -> None:
     status, text = said(capsys, "tui")  # pytest's standard output is a file
     assert status == 2 and "--web" in text and len(text.splitlines()) == 1

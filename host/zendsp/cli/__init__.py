@@ -8,6 +8,7 @@ import difflib
 import importlib
 import os
 import re
+import resource
 import sys
 import warnings
 from typing import TYPE_CHECKING, Any
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 try:
     import click
 except ModuleNotFoundError:
-    # a bare target has four packages; the entry point of the command is there all the same
+    # a bare target has no click; the entry point of the command is there all the same
     raise SystemExit(
         "zendsp: this is a bare target, without the packages of the host. It runs with 'python -m"
         " zendsp_target --help'; 'pip install zendsp' installs the rest"
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 from zendsp.cli.lines import fitted
 from zendsp.errors import ZendspError
 from zendsp_protocol.texts import shown
+
+LEAST_MEMORY = 512 << 20  # bytes of addresses
 
 # name -> (module:attribute, one-line help shown by `zendsp --help`)
 COMMANDS: dict[str, tuple[str, str]] = {
@@ -132,9 +135,21 @@ def cli() -> None:
     """
 
 
+class _NoNumPy:
+    """Refuses NumPy where little memory is allowed: its library would look for more without end."""
+
+    @staticmethod
+    def find_spec(name: str, *_: object) -> None:
+        """Raise for NumPy; find nothing."""
+        if name == "numpy":
+            raise MemoryError(f"it needs {LEAST_MEMORY >> 20} MB of addresses")
+
+
 def main() -> None:
     """Entry point: expected errors end with one sentence and exit status 2, Ctrl-C with 130."""
     warnings.formatwarning = lambda message, *_, **__: f"zendsp: {message}\n"
+    if 0 <= resource.getrlimit(resource.RLIMIT_AS)[0] < LEAST_MEMORY:
+        sys.meta_path.insert(0, _NoNumPy)
     try:
         # click returns the status of a command that ended by Exit, and raises everything else
         status = cli(prog_name="zendsp", standalone_mode=False)
@@ -166,8 +181,6 @@ def _too_little_memory(error: BaseException | None) -> BaseException | None:
     """What did not fit into memory: where it is limited (``ulimit -v``), a library that is there
     and cannot be loaded; NumPy raises an error of its own upon that one. None: another error.
     """
-    import resource
-
     while isinstance(error, ImportError) and error.path is None:
         error = error.__cause__
     limited = resource.getrlimit(resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY

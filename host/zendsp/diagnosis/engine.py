@@ -22,6 +22,7 @@ from zendsp.diagnosis.data.split import halves, split
 from zendsp.diagnosis.decide.across import across_joints
 from zendsp.diagnosis.decide.assemble import Assembled, calibrated_machine
 from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.decide_bodies import (
     BodyClaim,
     beside_bodies,
@@ -136,7 +137,9 @@ def _diagnose(
     notes += [note for m in found.measured for note in m.notes]
     findings, refinements, rejected = _name(found, given)
     kinds = {d.kind for d in decisions}
-    verdict = "missing" if findings else "complete" if kinds == {"complete"} else "unexplained"
+    verdict: Verdict = "complete" if kinds == {"complete"} else "unexplained"
+    if findings:
+        verdict = "missing"
     improved = remembered(whole.improved if findings else whole.calibrated, given, decisions)
     joints = range(1, given.joints + 1)
     lacking = {j: mismatch(parts.fit, whole.calibrated, j) for j in joints}
@@ -256,7 +259,7 @@ def _find(parts: Parts, given: Model, jobs: int, tell: Progress) -> _Found:
             parts.fit, parts.choose, search, given.joint_kind(search.joint), jobs
         )
     ]
-    # a ripple that nobody models lends itself to effects that are not there: decide again upon it
+    # a ripple that the model lacks may be taken for other effects: decide again beside it
     if fine:
         beneath = beneath.with_terms((*beneath.terms, *(fixed(ripple.term) for ripple in fine)))
         rippled = {ripple.term.joint for ripple in fine}

@@ -77,7 +77,7 @@ def wrapped(page: str) -> str:
 
 _HEAD = """# Results of the experiments
 
-Written by one command, which makes every experiment anew and takes some minutes. Tables, and the
+Written by one command, which makes every experiment again and takes some minutes. Tables, and the
 sentences that judge them, are computed; typed by hand are the papers' numbers and those of the
 machines' sources:
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TypedDict
 
 from zendsp.errors import LinkError
-from zendsp.link.requests import Room
+from zendsp.link.requests import Part
 from zendsp_protocol import messages as m
 
 
@@ -51,7 +51,7 @@ class Truth:
     tick: int
 
 
-class Concealment(Room):
+class Concealment(Part):
     """Methods of a target whose simulated machine may carry physics that no model has."""
 
     def seal(self) -> str:

@@ -8,14 +8,14 @@ import time
 from collections.abc import Sequence
 
 from zendsp.errors import Refused
-from zendsp.link.requests import Room
+from zendsp.link.requests import Part
 from zendsp_protocol import messages as m
 from zendsp_protocol.states import ProgramState
 
 POLL_S = 0.02
 
 
-class Drives(Room):
+class Drives(Part):
     """Methods of a target that concern the machine, its power, and who commands.
 
     Off → ready → homed → enabled → running → stopped or tripped. A script need not use this

@@ -16,7 +16,7 @@ import zenoh
 
 from zendsp.errors import LinkError, ZendspError
 from zendsp.link.background import Listener, background
-from zendsp.link.requests import Requests, Room
+from zendsp.link.requests import Part, Requests
 from zendsp_protocol import codec, verbs
 from zendsp_protocol import messages as m
 from zendsp_protocol.lazily import Lazily
@@ -266,7 +266,7 @@ class LiveView:
         self.close()
 
 
-class LiveViews(Room):
+class LiveViews(Part):
     """Methods of a target that concern live views."""
 
     def live(

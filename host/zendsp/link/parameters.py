@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from zendsp.errors import VariableError
-from zendsp.link.requests import Requests, Room
+from zendsp.link.requests import Part, Requests
 from zendsp.link.variables import Reading, Variables, plain
 from zendsp_protocol import messages as m
 from zendsp_protocol.lazily import Lazily
@@ -114,7 +114,7 @@ class ParameterSet:
             ) from error
 
 
-class ParameterSets(Room):
+class ParameterSets(Part):
     """Methods of a target that concern sets of parameters.
 
     Parameters

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from zendsp.errors import CompileFailed, LinkError, NotStopped, RunnerDied, ZendspError
-from zendsp.link.requests import Room
+from zendsp.link.requests import Part
 from zendsp.link.stop_page import StopPage, find
 from zendsp_protocol import messages as m
 from zendsp_protocol.states import DriveState, ProgramState
@@ -56,7 +56,7 @@ def stopped_at(sample: int) -> m.Status:
     return m.Status(state=ProgramState.STOPPED, drive=DriveState.STOPPED, tick=sample, trip=trip)
 
 
-class Programs(Room):
+class Programs(Part):
     """Methods of a target that concern its program."""
 
     _page: StopPage | None = None
@@ -91,7 +91,7 @@ class Programs(Room):
             error = CompileFailed(
                 "\n".join(describe(message) for message in result.diagnostics) or "no reason given"
             )
-            error.result = result  # type: ignore[attr-defined]
+            error.result = result
             raise error
         return result
 

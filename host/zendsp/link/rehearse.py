@@ -229,9 +229,8 @@ def _peaks(record: Recording, joints: Sequence[m.JointInfo], limits: m.Limits) -
 
 
 def _words(trip: m.Trip, rate: float) -> str:
-    what = (trip.text or trip.reason).split(" (sample")[0]
     beyond = f", {100 * (abs(trip.value / trip.limit) - 1):.0f} % beyond it" if trip.limit else ""
     return (
-        f"in the simulation {what} at {trip.tick / rate:.2f} s{beyond}: plan it slower or smaller"
-        " (headroom), begin nearer to its start, or lower the gains"
+        f"in the simulation {trip.cause or trip.reason} at {trip.tick / rate:.2f} s{beyond}: plan"
+        " it slower or smaller (headroom), begin nearer to its start, or lower the gains"
     )

@@ -49,7 +49,7 @@ class Requests:
                     raise
 
 
-class Room:
+class Part:
     """Base of the parts of a target: each asks through the same `Requests`.
 
     Parameters

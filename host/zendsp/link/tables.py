@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from zendsp.errors import VariableError
-from zendsp.link.requests import PATIENCE_S, Room
+from zendsp.link.requests import PATIENCE_S, Part
 from zendsp_protocol import messages as m
 from zendsp_protocol.chunks import CHUNK, crc, spans
 from zendsp_protocol.lazily import Lazily
@@ -21,7 +21,7 @@ else:
 _DTYPES = {"double": "<f8", "float": "<f4", "int32": "<i4", "bool": "|b1"}
 
 
-class Tables(Room):
+class Tables(Part):
     """Methods of a target that concern large arrays."""
 
     def upload(

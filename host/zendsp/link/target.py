@@ -20,7 +20,7 @@ from zendsp_protocol import messages as m
 from zendsp_protocol.values import Assignable
 from zendsp_protocol.views import html_table, sentence
 
-_ROOMS = (
+_PARTS = (
     "variables",
     "parameter_sets",
     "programs",
@@ -30,17 +30,17 @@ _ROOMS = (
     "drives",
     "concealment",
 )
-_ATTRIBUTES = ("info", "requests", *_ROOMS)
+_ATTRIBUTES = ("info", "requests", *_PARTS)
 
 Given = ParamSpec("Given")
 Result = TypeVar("Result")
 
 
 class _of(Generic[Given, Result]):
-    """A method of a room, as a method of the target, without a call between them."""
+    """A method of a part, as a method of the target, without a call between them."""
 
-    def __init__(self, room: str, method: Callable[Concatenate[Any, Given], Result]) -> None:
-        self._room, self._method = room, method
+    def __init__(self, part: str, method: Callable[Concatenate[Any, Given], Result]) -> None:
+        self._part, self._method = part, method
 
     @overload
     def __get__(self, target: None, kind: type) -> Callable[Concatenate[Any, Given], Result]: ...
@@ -49,7 +49,7 @@ class _of(Generic[Given, Result]):
     def __get__(self, target: object | None, kind: type) -> Callable[..., Result]:
         if target is None:
             return self._method
-        bound: Callable[..., Result] = getattr(getattr(target, self._room), self._method.__name__)
+        bound: Callable[..., Result] = getattr(getattr(target, self._part), self._method.__name__)
         return bound
 
 
@@ -69,7 +69,7 @@ class Target:
     """A target that runs somewhere: load programs, tune variables, record, watch.
 
     Made by `zendsp.connect` and `zendsp.local`. Safe to use from several threads. Its
-    rooms hold the methods; each of them is a method of the target too, so that ``target.start()``
+    parts hold the methods; each of them is a method of the target too, so that ``target.start()``
     is ``target.programs.start()``.
 
     Attributes

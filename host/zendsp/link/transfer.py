@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from zendsp.errors import AcquisitionError, LinkError
-from zendsp.link.requests import PATIENCE_S, Room
+from zendsp.link.requests import PATIENCE_S, Part
 from zendsp_protocol import codec
 from zendsp_protocol import messages as m
 from zendsp_protocol.chunks import CHUNK, KERNEL, folded_crc, gaps, spans
@@ -120,7 +120,7 @@ def read_held(file: int, held: m.Held, first: int, rows: FloatArray) -> None:
         done += min(len(rows) - done, held.capacity - place)
 
 
-class Transfers(Room):
+class Transfers(Part):
     """Methods of a target that fetch rows of the recorder."""
 
     def load_rows(
@@ -170,7 +170,7 @@ class Transfers(Room):
         now: m.Held = self.insist("acquire_held", patience)
         if (now.device, now.inode) != (held.device, held.inode):
             raise AcquisitionError(
-                "the recorder was configured anew while its rows were loaded: record again"
+                "the recorder was configured again while its rows were loaded: record again"
             )
         _check_held(now, first, count, columns)
         return data

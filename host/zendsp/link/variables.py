@@ -11,7 +11,7 @@ from typing import Any, cast
 import msgspec
 
 from zendsp.errors import EndedWarning, VariableError
-from zendsp.link.requests import Requests, Room
+from zendsp.link.requests import Part, Requests
 from zendsp_protocol import messages as m
 from zendsp_protocol.values import Assignable, Packed, Value, WireValue, from_wire, to_wire
 
@@ -33,7 +33,7 @@ class Reading(msgspec.Struct, frozen=True):
         return self.values[name]
 
 
-class Variables(Room):
+class Variables(Part):
     """Methods of a target that concern its variables; called, it gives their dictionary."""
 
     def __init__(self, requests: Requests) -> None:

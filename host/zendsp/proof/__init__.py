@@ -1,1 +1,1 @@
-"""proof of zendsp."""
+"""The proof: concealed cases of three realities, real machines and implants, judged and counted."""

@@ -10,9 +10,9 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 
 
-def soft_start(t: Array, seconds: float = 0.6) -> Array:
-    """Window from 0 to 1 with zero slope at both ends, so that a run starts at rest."""
-    x = np.clip(t / seconds, 0.0, 1.0)
+def soft_start(t: Array) -> Array:
+    """From 0 to 1 within 0.6 s with zero slope at both ends, so that a run starts at rest."""
+    x = np.clip(t / 0.6, 0.0, 1.0)
     return np.asarray(x**3 * (10 - 15 * x + 6 * x**2))
 
 

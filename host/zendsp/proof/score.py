@@ -26,7 +26,7 @@ from zendsp.proof.judge import Judgement, judge
 from zendsp.proof.scoreboard import failures, headline, text
 from zendsp.proof.seal import BrokenSeal, open_truth
 
-# rooms below zendsp/ whose code gives the answers
+# packages below zendsp/ whose code gives the answers
 JUDGED = (
     "diagnosis",
     "physics",
@@ -106,15 +106,15 @@ def tried(recording: Path, model: Path, out: Path, limit: float) -> tuple[float,
     return float(calibrated), float(improved)
 
 
-def identity(*rooms: str) -> str:
+def identity(*packages: str) -> str:
     """Hash of the code that answers: an answer of other code is not taken for one of this.
 
     Only bytes are read; nothing of the judged code is imported.
     """
     root = Path(__file__).resolve().parents[1]
     digest = hashlib.sha256()
-    for room in rooms or JUDGED:
-        base = root / room
+    for package in packages or JUDGED:
+        base = root / package
         for path in sorted(base.rglob("*")) if base.is_dir() else [base]:
             if path.suffix in (".py", ".c", ".h"):
                 digest.update(

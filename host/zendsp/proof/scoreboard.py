@@ -17,11 +17,11 @@ BINS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0000001)
 FEWEST = 20  # findings in a tenth, below which its hit rate says nothing
 
 
-def upper_bound(bad: int, total: int, level: float = 0.95) -> float:
-    """One-sided Clopper-Pearson bound of a rate: with confidence `level` it is not above this."""
+def upper_bound(bad: int, total: int) -> float:
+    """One-sided Clopper-Pearson bound of a rate: with 95 % confidence it is not above this."""
     if total == 0:
         return 1.0
-    return 1.0 if bad == total else float(beta.ppf(level, bad + 1, total - bad))
+    return 1.0 if bad == total else float(beta.ppf(0.95, bad + 1, total - bad))
 
 
 def rate(values: Iterable[bool | None]) -> tuple[int, int]:
@@ -142,9 +142,9 @@ class Marks:
     worse: float = 0.1  # cases whose findings make untouched data worse
 
 
-def missed_marks(judged: Sequence[Judgement], marks: Marks | None = None) -> list[str]:
+def missed_marks(judged: Sequence[Judgement]) -> list[str]:
     """One line for each mark that a run does not reach; a mark that no case asks for is reached."""
-    marks = marks or Marks()
+    marks = Marks()
     answered = [j for j in judged if not j.trouble]
     rates = (
         ("mechanism first", [j.mechanism for j in judged if j.detectable], marks.mechanism, True),

@@ -1,1 +1,1 @@
-"""tui of zendsp."""
+"""The terminal application: Console, Execute, Reference and Diagnose."""

@@ -24,7 +24,7 @@ from zendsp.tui.dialogs import Choose, Message, Option
 from zendsp.tui.dialogs.base import Dialog
 from zendsp.tui.dialogs.leave import Leave, moves
 from zendsp.tui.port import Port
-from zendsp.tui.runs import Run
+from zendsp.tui.runs import Outcome, Run
 from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.session import Session
 from zendsp.tui.stopper import PICTURE, with_stop
@@ -239,7 +239,7 @@ class ZendspApp(App[None]):
         self.run_worker(self._ask_target, thread=True, exclusive=True, group="discovery")
 
     def _look_around(self) -> None:
-        """Say what there is to begin with."""
+        """Log the targets that answer, or what can be done without one."""
         assert self._find is not None
         try:
             found = self._find()
@@ -321,7 +321,7 @@ class ZendspApp(App[None]):
 
     def action_acknowledge(self) -> None:
         """Acknowledge a trip or a STOP. The target would pause the program also where none is
-        latched: then the key is another's, of an input field perhaps.
+        latched: then the key belongs to another widget, such as an input field.
         """
         now = self.session.snapshot
         latched = now.trip is not None or now.drive in ("stopped", "tripped") or now.crash
@@ -425,11 +425,11 @@ class ZendspApp(App[None]):
         self._awaited = (reference, then)
 
     def run_made(self, run: Run) -> None:
-        """Somebody has perhaps waited for this run."""
+        """Hand a new run to whoever waits for one."""
         if self._awaited is None or run.references != (self._awaited[0].name,):
             return
         (_, then), self._awaited = self._awaited, None
-        if run.outcome == "complete":
+        if run.outcome == Outcome.COMPLETE:
             self.call_later(self.action_show, "diagnose")
             self.call_later(then, run)
 

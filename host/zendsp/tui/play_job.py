@@ -21,7 +21,7 @@ from zendsp.recording import Recording
 from zendsp.reference import Machine, Reference
 from zendsp.tui.playing import Player, Setup, present_position
 from zendsp.tui.port import Port, Shot
-from zendsp.tui.runs import Run, store_run
+from zendsp.tui.runs import Outcome, Run, store_run
 from zendsp.tui.snapshot import Snapshot
 from zendsp.tui.trial import Plan, Trial, make_plan
 
@@ -111,7 +111,7 @@ class PlayJob:
             return None
         before = port.before([*plan.values, *plan.tables])
         try:
-            first, outcome = self._move(port, plan)
+            first, outcome, why = self._move(port, plan)
             if self._setup.acquire:
                 self._end_acquisition(port, outcome)
         finally:
@@ -119,10 +119,10 @@ class PlayJob:
         if not self._setup.acquire:
             return None
         begins, ends = plan.playlist.play
-        return self._keep(port, first, outcome, (begins + plan.lead, ends + plan.lead))
+        return self._keep(port, first, outcome, why, (begins + plan.lead, ends + plan.lead))
 
-    def _move(self, port: Port, plan: Plan) -> tuple[Snapshot, str]:
-        """Play; returns what was before the first sample, and the outcome in words."""
+    def _move(self, port: Port, plan: Plan) -> tuple[Snapshot, Outcome, str]:
+        """Play; returns what was before the first sample, the outcome, and why."""
         playlist = plan.playlist
         for name, rows in plan.tables.items():
             port.fill(name, rows)
@@ -134,7 +134,7 @@ class PlayJob:
         ticks = round(plan.seconds * before.rate_hz) if before.clock == "fast" else None
         self._session.events.add(f"run: {playlist.duration:.2f} s, {len(playlist.rows)} rows")
         port.start(ticks)
-        return before, self._follow(port, plan, before.tick)
+        return before, *self._follow(port, plan, before.tick)
 
     def _put_back(self, port: Port, before: Before) -> None:
         """Pause what still moves, and put back what the run has set, as a later start relies on it.
@@ -194,8 +194,8 @@ class PlayJob:
         if holds:
             port.update({"hold": False})
 
-    def _follow(self, port: Port, plan: Plan, first: int) -> str:
-        """Watch until the end; returns the outcome in words."""
+    def _follow(self, port: Port, plan: Plan, first: int) -> tuple[Outcome, str]:
+        """Watch until the end; returns the outcome, and why."""
         playlist, lead, total = plan.playlist, plan.lead, plan.seconds
         while True:
             s = port.snapshot()
@@ -206,33 +206,39 @@ class PlayJob:
                 t,
                 playlist.duration,
             )
-            if s.trip is not None or s.drive in ("stopped", "tripped"):
-                return f"tripped: {s.trip.text}" if s.trip is not None else "stopped"
+            if s.trip is not None:
+                return Outcome.TRIPPED, s.trip.text
+            if s.drive in ("stopped", "tripped"):
+                return Outcome.STOPPED, ""
             if s.crash or s.state == "crashed":
-                return f"crashed: {s.crash}"
+                return Outcome.CRASHED, s.crash
             if t >= total - lead or (s.state == "paused" and t > 0.0):
-                return "complete"
+                return Outcome.COMPLETE, ""
             if s.state == "paused":
-                return "paused by somebody"
+                return Outcome.PAUSED, ""
             if self._abort.wait(LOOK_S):
                 self._come_to_rest(port, plan.player, s.clock)
-                return "aborted"
+                return Outcome.ABORTED, ""
 
-    def _end_acquisition(self, port: Port, outcome: str) -> None:
+    def _end_acquisition(self, port: Port, outcome: Outcome) -> None:
         self.progress = replace(self.progress, phase="loading")
-        if outcome != "complete":
+        if outcome != Outcome.COMPLETE:
             port.end_acquisition()
         else:
             self._wait_acquired(port)
 
-    def _keep(self, port: Port, before: Snapshot, outcome: str, play: tuple[float, float]) -> Run:
+    def _keep(
+        self, port: Port, before: Snapshot, outcome: Outcome, why: str, play: tuple[float, float]
+    ) -> Run:
         recording = port.load(self._setup.note)
-        if outcome == "complete" and not self._setup.trigger:
+        if outcome == Outcome.COMPLETE and not self._setup.trigger:
             recording = cut(recording, before.tick, before.rate_hz, play)
         recording = replace(recording, sources=recording.sources or self._sources)
         name = self._setup.name or "+".join(p.stem for p in self._files) or "run"
-        run = store_run(self._runs, name, recording, references=self._files, outcome=outcome)
-        self.progress = replace(self.progress, phase=outcome, share=1.0)
+        run = store_run(
+            self._runs, name, recording, references=self._files, outcome=outcome, why=why
+        )
+        self.progress = replace(self.progress, phase=run.ending, share=1.0)
         return run
 
     def _wait_acquired(self, port: Port) -> None:

@@ -15,6 +15,7 @@ import shutil
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +27,19 @@ from zendsp.recording.files import rescue
 from zendsp.tui.workspace import file_name
 
 DATA, CARD = "recording.mat", "run.json"
-SIMULATED = "simulated"  # outcome of a run that no machine has made
-RESPONSE = "bode"  # outcome of a run whose recording carries a frequency response
+
+
+class Outcome(StrEnum):
+    """How a run ended, or what made it where no motion was played."""
+
+    COMPLETE = "complete"
+    ABORTED = "aborted"
+    PAUSED = "paused by somebody"
+    STOPPED = "stopped"
+    TRIPPED = "tripped"
+    CRASHED = "crashed"
+    SIMULATED = "simulated"  # no machine has made it
+    RESPONSE = "bode"  # its recording carries a frequency response
 
 
 @dataclass(frozen=True)
@@ -44,8 +56,14 @@ class Run:
     rows: int = 0
     seconds: float = 0.0
     lost: int = 0
-    outcome: str = "complete"  # "complete" | "aborted" | SIMULATED | RESPONSE | a trip's words
+    outcome: Outcome = Outcome.COMPLETE
+    why: str = ""  # of a trip or a crash
     errors: Mapping[str, float] = field(default_factory=dict)  # rms of each error signal
+
+    @property
+    def ending(self) -> str:
+        """The outcome, and why."""
+        return f"{self.outcome}: {self.why}" if self.why else str(self.outcome)
 
     def recording(self) -> Recording:
         """Load the data."""
@@ -74,7 +92,8 @@ def store_run(
     *,
     references: Sequence[Path] = (),
     sources: Mapping[str, str] | None = None,
-    outcome: str = "complete",
+    outcome: Outcome = Outcome.COMPLETE,
+    why: str = "",
 ) -> Run:
     """Keep a run; the folder appears complete or not at all.
 
@@ -103,6 +122,7 @@ def store_run(
         float(len(recording) * recording.sample_time),
         recording.lost,
         outcome,
+        why,
         error_figures(recording),
     )
     try:
@@ -111,9 +131,9 @@ def store_run(
     except (OSError, RecordingError) as error:
         shutil.rmtree(beside, ignore_errors=True)
         elsewhere = rescue(recording, DATA)
-        why = error.strerror if isinstance(error, OSError) and error.strerror else error
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else error
         kept = f"its recording is lost: {error}" if elsewhere is None else f"it is in {elsewhere}"
-        raise RecordingError(f"run {name!r} cannot be kept in {runs} ({why}); {kept}") from error
+        raise RecordingError(f"run {name!r} cannot be kept in {runs} ({reason}); {kept}") from error
     return run
 
 
@@ -137,7 +157,8 @@ def _write_run(
 
 
 def _write_card(folder: Path, run: Run) -> None:
-    card = {key: value for key, value in asdict(run).items() if key != "folder"}
+    card = asdict(run) | {"outcome": run.ending}
+    del card["folder"], card["why"]
     beside = folder / f"{CARD}.part"
     beside.write_text(json.dumps(card, indent=1) + "\n")
     os.replace(beside, folder / CARD)
@@ -148,8 +169,9 @@ def load_card(folder: Path) -> Run:
     try:
         card = json.loads((folder / CARD).read_text())
         card["references"] = tuple(card.get("references", ()))
-        return Run(folder=folder, **card)
-    except (OSError, TypeError, json.JSONDecodeError) as error:
+        outcome, _, why = card.pop("outcome", Outcome.COMPLETE).partition(": ")
+        return Run(folder=folder, outcome=Outcome(outcome), why=why, **card)
+    except (OSError, TypeError, AttributeError, ValueError) as error:
         raise ValueError(f"{folder.name} is not a run: {error}") from error
 
 
@@ -196,7 +218,7 @@ def compare(runs: Sequence[Run]) -> str:
     for label, values in (
         ("seconds", [f"{r.seconds:.3f}" for r in runs]),
         ("rows lost", [str(r.lost) for r in runs]),
-        ("outcome", [r.outcome[:18] for r in runs]),
+        ("outcome", [r.ending[:18] for r in runs]),
     ):
         lines.append(f"{label:14}" + "".join(f"{v:>20}" for v in values))
     for name in dict.fromkeys(n for run in runs for n in run.errors):

@@ -155,15 +155,3 @@ class Concealed:
     def seal(self) -> str:
         """SHA-256 of the record, hexadecimal: may be told at any time."""
         return hashlib.sha256(self.record_text().encode()).hexdigest()
-
-
-def verify_seal(record_text: str, seal: str) -> bool:
-    """Whether a revealed record is the one that was sealed.
-
-    Examples
-    --------
-    >>> hidden = Concealed("pendulum", (), "example")
-    >>> verify_seal(hidden.record_text(), hidden.seal()), verify_seal("{}", hidden.seal())
-    (True, False)
-    """
-    return hashlib.sha256(record_text.encode()).hexdigest() == seal

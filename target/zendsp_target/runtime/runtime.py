@@ -44,8 +44,8 @@ def program_text(name: str) -> str:
 
 
 class Runtime:
-    """A machine, and what runs on it: the rooms of the real-time side, and their methods under one
-    roof, as `RuntimeApi` names them.
+    """A machine and the program that runs on it: every method of `RuntimeApi`, each done by one of
+    the parts below.
 
     Parameters
     ----------

@@ -79,25 +79,22 @@ def _trip_in(control: Any, machine: MachineInfo) -> Trip | None:
     if reason is None:
         return None
     joint, tick, value, limit = int(raw.joint), int(raw.tick), float(raw.value), float(raw.limit)
-    return Trip(
-        reason, joint, tick, value, limit, _sentence(machine, reason, joint, tick, value, limit)
-    )
+    cause = _cause(machine, reason, joint, value, limit)
+    text = f"{cause} (sample {tick}); outputs are safe until acknowledged"
+    return Trip(reason, joint, tick, value, limit, text, cause)
 
 
 def asked_trip(reason: str, tick: int) -> Trip:
     """A STOP, or another of `REQUESTS`, that no loop has taken: none ran, or it ended before."""
-    return Trip(
-        reason, 0, tick, 0.0, 0.0, f"{_ASKED[reason]}; nothing moves until acknowledged"
-    )
+    cause = _ASKED[reason]
+    return Trip(reason, tick=tick, text=f"{cause}; nothing moves until acknowledged", cause=cause)
 
 
-def _sentence(
-    machine: MachineInfo, reason: str, joint: int, tick: int, value: float, limit: float
-) -> str:
+def _cause(machine: MachineInfo, reason: str, joint: int, value: float, limit: float) -> str:
     which = machine.joints[joint - 1] if 1 <= joint <= len(machine.joints) else machine.joints[0]
     unit, who = which.unit, which.name
     torque = "N" if unit == "m" else "N m"
-    what = {
+    causes = {
         **_ASKED,
         "stop input": "the STOP input of the machine is active",
         "torque": (
@@ -110,8 +107,8 @@ def _sentence(
         "overrun": f"{value:.0f} samples in a row took longer than the period",
         "sensor": f"{who}: the position sensor reports a fault",
         "homing": "homing failed",
-    }[reason]
-    return f"{what} (sample {tick}); outputs are safe until acknowledged"
+    }
+    return causes[reason]
 
 
 def machine_of(control: Any) -> MachineInfo:

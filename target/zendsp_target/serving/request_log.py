@@ -137,7 +137,7 @@ class Once:
     def _memory(self, user: str, link: bytes, attempt: int) -> _Memory | None:
         """Of a connection; None where it may have been dropped while its host still asks again."""
         now = self._now()
-        links = self._users.setdefault(user, _Links())
+        links = self._users.get(user) or self._users.setdefault(user, _Links())
         known = links.memories
         memory = known.get(link)
         if memory is None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
+from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.measure.bursts import Bursts
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
@@ -68,10 +70,10 @@ class Known:
 
 @dataclass(frozen=True)
 class Decision:
-    """What one joint came to: "complete", "missing", "unexplained" or "disturbance"."""
+    """What one joint came to."""
 
     joint: int
-    kind: str
+    kind: Verdict | Literal["disturbance"]
     claims: tuple[Claim, ...]
     refinements: tuple[Claim, ...]
     base: Scored

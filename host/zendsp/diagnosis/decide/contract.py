@@ -5,7 +5,9 @@ A file holds null where a diagnosis has no finite number.
 
 from __future__ import annotations
 
-from typing import Any, NotRequired, TypedDict
+from typing import Any, Literal, NotRequired, TypedDict
+
+Verdict = Literal["complete", "missing", "unexplained"]
 
 
 class EstimateReport(TypedDict):
@@ -111,7 +113,7 @@ class NextReport(TypedDict):
 class Report(TypedDict):
     """The whole of it."""
 
-    verdict: str
+    verdict: Verdict
     findings: list[FindingReport]
     refinements: list[FindingReport]
     discrepancy: list[LeftReport]

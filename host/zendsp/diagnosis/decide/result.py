@@ -17,6 +17,7 @@ from zendsp.diagnosis.decide.contract import (
     EstimateReport,
     FindingReport,
     Report,
+    Verdict,
     WhereReport,
 )
 from zendsp.diagnosis.measure.where import Missing, Region
@@ -163,9 +164,9 @@ class SimulatorErrors:
 
 @dataclass(repr=False)
 class Diagnosis:
-    """The outcome. ``verdict``: "complete", "missing" or "unexplained"."""
+    """The outcome of a diagnosis."""
 
-    verdict: str
+    verdict: Verdict
     findings: tuple[Finding, ...]
     regions: tuple[Region, ...]
     times: tuple[tuple[float, float], ...]

@@ -26,6 +26,7 @@ from zendsp.diagnosis.data.checks import check_signals
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.signals import Signals, with_same_columns
 from zendsp.diagnosis.data.split import split
+from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.result import Diagnosis, FitTable, Rejected, SimulatorErrors
 from zendsp.diagnosis.external.hunt import Hunt, findings_of, indistinct, next_of
 from zendsp.diagnosis.external.nearby import Near, spread_over
@@ -172,7 +173,7 @@ def _diagnose(
     floor = _floor(test)
     rest = _rms(test, current.model)
     open_ = left > UNEXPLAINED and rest > OVER_NOISE * floor
-    verdict = "missing" if findings else "unexplained" if open_ else "complete"
+    verdict: Verdict = "missing" if findings else "unexplained" if open_ else "complete"
     places, spans = _where(before)
     rejected = tuple(
         Rejected(e, j, why, score - (steps[0][0].gain if steps else 0.0))
@@ -231,7 +232,7 @@ def _hunted(
 
 
 def _untried(train: Sequence[Bench], test: Sequence[Bench]) -> str:
-    """A note of what a black box does not let anybody try."""
+    """A note on the effects that cannot be tried on a simulator that can only be called."""
     inside = ", ".join(e.name for e in library().values() if not on_input(e))
     return (
         f"black box: {sum(b.calls for b in (*train, *test))} simulations; what has states of its"

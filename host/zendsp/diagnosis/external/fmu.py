@@ -1,7 +1,7 @@
 """A co-simulation FMU (FMI 2.0 and 3.0) as a simulator that can only be called.
 
 An FMU is foreign machine code. Each of its instances lives in a process of its own, with its own
-unpacked folder: a crash, an endless step or a print ends or fills that process, never the
+unpacked folder: a crash, a step that never ends or a print ends or fills that process, never the
 diagnosis. Each simulation begins anew (reset and replay), since many FMUs cannot save their state.
 """
 
@@ -236,7 +236,7 @@ def _serve(pipe: Any, other: Any, fmu: Fmu, folder: str) -> None:
 
 
 class _Instance:
-    """An FMU in this process; FMI 2.0 and 3.0 behind one face."""
+    """An FMU in this process; FMI 2.0 and 3.0 behind one interface."""
 
     def __init__(self, fmu: Fmu, folder: str) -> None:
         d, self.ports, self.fmpy = fmu.description, fmu.ports, fmu.fmpy

@@ -53,8 +53,8 @@ class Claim:
 
 
 def indistinct(output: Output, claimed: Term) -> list[Term]:
-    """The term of a claim in a fit, if it cannot be told from none: what it is by, or every number
-    of it, is zero within its uncertainty. A free parameter of the simulator may be the same thing.
+    """The term of a claim in a fit, if it cannot be told from no effect: its size, or every number
+    of it, is zero within its uncertainty. A free parameter of the simulator may do the same.
     """
     done, at = output.fit, (claimed.effect, claimed.joint)
     if at not in {(t.effect, t.joint) for t in done.model.terms}:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from zendsp.diagnosis.decide.contract import Verdict
     from zendsp.diagnosis.decide.result import Detectable, Diagnosis, Left
 
 LEAST = 1e-4  # of a torque: less is not told from nothing
@@ -29,7 +30,7 @@ def headline(d: Diagnosis) -> str:
     return verdict_sentence(d.verdict, found)
 
 
-def verdict_sentence(verdict: str, found: Sequence[tuple[str, Sequence[str], int]]) -> str:
+def verdict_sentence(verdict: Verdict, found: Sequence[tuple[str, Sequence[str], int]]) -> str:
     """The verdict in one sentence.
 
     Parameters

@@ -35,7 +35,8 @@ T = TypeVar("T")
 TOO_FAR = 3.0
 TRIES = 8  # ever shorter steps before a fit ends
 FEW_BLOCKS = 20  # as many blocks as the classical variance counts for
-ENDLESS = 1e30  # a variance that says nothing
+BLOCK_S = 0.25
+UNKNOWN = 1e30  # variance of a number of which nothing is known
 NEAR = 0.02  # of a bound, and a number counts as lying at it
 # rad: no position sensor's zero is set better; prior standard deviation 0.3 of it
 ZERO_ERROR = 2e-3
@@ -202,9 +203,9 @@ def bounds_and_steps(
     return np.array(low), np.array(high), np.array(size)
 
 
-def block_count(data: Data, seconds: float = 0.25) -> int:
+def block_count(data: Data) -> int:
     """Samples in one block of the robust statistics."""
-    return max(10, round(seconds / data.records[0][0].sample_time))
+    return max(10, round(BLOCK_S / data.records[0][0].sample_time))
 
 
 class _Problem:
@@ -426,7 +427,7 @@ def _content(model: Model) -> tuple[object, ...]:
 
 
 def robust_covariance(jac: Array, r: Array, block: int) -> Array:
-    """Covariance of least squares that stays honest when residuals are correlated within blocks
+    """Covariance of least squares that holds when residuals are correlated within blocks
     (sandwich), (p, p).
 
     Where the blocks vary more than white innovations would, their variance counts. They may vary
@@ -438,9 +439,9 @@ def robust_covariance(jac: Array, r: Array, block: int) -> Array:
         return np.zeros((0, 0))
     normal = jac.T @ jac
     if not np.all(np.isfinite(jac)) or ran_away(r):
-        return np.diag(np.full(p, ENDLESS))  # the prediction has left the track: nothing is known
+        return np.diag(np.full(p, UNKNOWN))  # the prediction has diverged
     strength = np.diag(normal)
-    idle = strength <= float(r @ r) / ENDLESS  # numbers that nothing depends on
+    idle = strength <= float(r @ r) / UNKNOWN  # numbers that nothing depends on
     scale = np.where(idle, 1.0, np.sqrt(strength))
     inverse = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-13) / np.outer(scale, scale)
     classic = inverse * float(r @ r) / max(1, n - p)
@@ -456,10 +457,10 @@ def robust_covariance(jac: Array, r: Array, block: int) -> Array:
         )
         / blocks
     )
-    honest: Array = sandwich * np.outer(grow, grow)
-    honest[idle, :], honest[:, idle] = 0.0, 0.0
-    honest[idle, idle] = ENDLESS
-    return honest
+    covariance: Array = sandwich * np.outer(grow, grow)
+    covariance[idle, :], covariance[:, idle] = 0.0, 0.0
+    covariance[idle, idle] = UNKNOWN
+    return covariance
 
 
 def quantity(value: float, free: bool = True) -> Quantity:

@@ -53,7 +53,7 @@ def pack(terms: tuple[Term, ...]) -> tuple[npt.NDArray[np.int32], Array]:
 @dataclass(frozen=True)
 class Run:
     """Outcome of one pass of the kernel: weighted innovations (n,), states and torque where asked
-    for, sample at which it ran away.
+    for, sample at which it diverged.
     """
 
     innovations: Array
@@ -64,7 +64,7 @@ class Run:
 
 
 def ran_away(innovations: Array) -> bool:
-    """Whether a prediction has left the track on the way: then its innovations say nothing."""
+    """Whether a prediction has diverged: then its innovations say nothing."""
     return not float(np.max(np.abs(innovations), initial=0.0)) < RAN_AWAY
 
 

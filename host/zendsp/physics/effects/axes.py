@@ -104,7 +104,7 @@ def transmission_limits(facts: Facts) -> tuple[float, float]:
 
 
 def transmission_damping_limits(facts: Facts) -> tuple[float, float]:
-    """Up to what lets nothing swing."""
+    """From none to a transmission that does not oscillate."""
     return 0.0, 0.4 * facts.scale.inertia * _fastest(facts)
 
 
@@ -132,6 +132,6 @@ def off_centre(_facts: Facts) -> tuple[float, float]:
 
 
 def late(along: Along, p: Numbers) -> Array:
-    """What a command that acts late lacks, to first order, N m or N; ``p`` has the time only."""
+    """What a delay takes from the command, to first order, N m or N; ``p`` has the time only."""
     (time,) = p.values()
     return np.diff(along.torque, prepend=along.torque[0]) * (time / along.sample_time)

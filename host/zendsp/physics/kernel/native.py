@@ -1,6 +1,4 @@
-"""Builds the C of this room (kernel and filters, completed with the library of effects) and opens
-it through cffi.
-"""
+"""Builds the C of the kernel, the filters and all effects, and opens it through cffi."""
 
 from __future__ import annotations
 
@@ -100,13 +98,13 @@ def source_text(effects: dict[str, Effect]) -> str:
         functions.append(
             f"static inline double OF(fx_{effect.name}){head} {{ {_of_lane(effect)} }}"
         )
-    room = resources.files("zendsp.physics.kernel")
-    observer = (room / "observer.c").read_text()
+    folder = resources.files("zendsp.physics.kernel")
+    observer = (folder / "observer.c").read_text()
     for mark, lines in cases.items():
         observer = observer.replace(f"/* EFFECT_CASES_{mark} */", "\n".join(lines))
     observer = observer.replace("/* EFFECT_FUNCTIONS */", "\n".join(functions))
-    kernel = (room / "kernel.c").read_text().replace("/* OBSERVER */", observer)
-    return f"#define MANY {LANES}\n" + kernel + (room / "filter.c").read_text()
+    kernel = (folder / "kernel.c").read_text().replace("/* OBSERVER */", observer)
+    return f"#define MANY {LANES}\n" + kernel + (folder / "filter.c").read_text()
 
 
 def _of_lane(effect: Effect) -> str:

@@ -1,4 +1,4 @@
-"""NPZ: one array per channel, ``t``, and the circumstances as text."""
+"""NPZ: one array per channel, ``t``, and the metadata as JSON text."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 KEY = "zendsp"
 
 
-def write(recording: Recording, circumstances: str, path: Path) -> None:
+def write(recording: Recording, metadata: str, path: Path) -> None:
     """Write ``recording``."""
     arrays = {"t": recording.t, **recording.signals}
     with path.open("wb") as file:
-        np.savez_compressed(file, allow_pickle=False, **arrays, **{KEY: np.array(circumstances)})
+        np.savez_compressed(file, allow_pickle=False, **arrays, **{KEY: np.array(metadata)})
 
 
 def read(path: Path) -> Raw:
@@ -32,7 +32,7 @@ def read(path: Path) -> Raw:
     code.
     """
     columns, constants, refused = {}, {}, {}
-    circumstances = ""
+    metadata = ""
     try:
         with np.load(path, allow_pickle=False) as archive:
             check_room(path, sum(_size(archive, name) for name in archive.files))
@@ -43,7 +43,7 @@ def read(path: Path) -> Raw:
                     refused[name] = f"is not a plain numeric array ({error})"
                     continue
                 if name == KEY and values.dtype.kind == "U":
-                    circumstances = str(values[()])
+                    metadata = str(values[()])
                 elif values.dtype.kind not in "fiub":
                     refused[name] = f"holds {values.dtype}, not real numbers"
                 elif values.size == 1:
@@ -65,7 +65,7 @@ def read(path: Path) -> Raw:
         raise RecordingError(
             f"{path}: is not a readable NPZ file, or it is cut short ({error})"
         ) from error
-    return Raw(columns, _units(circumstances), constants, circumstances, refused)
+    return Raw(columns, _units(metadata), constants, metadata, refused)
 
 
 def _size(archive: Any, name: str) -> int:
@@ -78,10 +78,10 @@ def _size(archive: Any, name: str) -> int:
     return int(dtype.itemsize * math.prod(shape))
 
 
-def _units(circumstances: str) -> dict[str, str]:
+def _units(metadata: str) -> dict[str, str]:
     """Units of the channels of a recording of zendsp; none of any other file."""
     try:
-        channels = json.loads(circumstances)["channels"]
+        channels = json.loads(metadata)["channels"]
         return {"t": "s", **{str(c["name"]): str(c["unit"]) for c in channels}}
     except (ValueError, KeyError, TypeError):
         return {}

@@ -1,4 +1,4 @@
-"""Something to read, and perhaps to agree to."""
+"""A text to read, with or without a question to agree to."""
 
 from __future__ import annotations
 

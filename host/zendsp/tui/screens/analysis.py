@@ -23,7 +23,7 @@ from zendsp.recording import Recording
 from zendsp.tui.command import Command
 from zendsp.tui.dialogs import Field, Form
 from zendsp.tui.dialogs.base import Dialog
-from zendsp.tui.runs import SIMULATED, Run, list_runs, store_run
+from zendsp.tui.runs import Outcome, Run, list_runs, store_run
 from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.workspace import Workspace
 
@@ -96,7 +96,8 @@ class AnalysisActions(LabScreen):
 
     def meant_run(self) -> Run | None:
         """Return the run that the user means."""
-        return next((r for r in list_runs(self.lab.workspace.runs) if r.outcome != SIMULATED), None)
+        runs = list_runs(self.lab.workspace.runs)
+        return next((r for r in runs if r.outcome != Outcome.SIMULATED), None)
 
     def action_diagnose(self) -> None:
         """Show the run on Diagnose."""
@@ -215,7 +216,7 @@ def simulation_of(run: Run, runs: Path) -> tuple[list[str], Callable[[], str]]:
             f"{run.name} simulated",
             made,
             references=[reference] if played else [],
-            outcome=SIMULATED,
+            outcome=Outcome.SIMULATED,
         )
         return (
             f"kept as the run “{kept.name}”: space on Execute lays it over {run.name}, d compares"

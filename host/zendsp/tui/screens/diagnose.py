@@ -24,7 +24,7 @@ from zendsp.tui.dialogs import Choose, Field, Form
 from zendsp.tui.dialogs import Option as Line
 from zendsp.tui.panels.figure import FigureView
 from zendsp.tui.panels.findings import LOOP, entries, headline
-from zendsp.tui.runs import DATA, SIMULATED, Run, list_runs
+from zendsp.tui.runs import DATA, Outcome, Run, list_runs
 from zendsp.tui.scope import Scope
 from zendsp.tui.screens.analysis import existing, fits, models_for
 from zendsp.tui.screens.diagnose_loop import LoopActions
@@ -123,7 +123,7 @@ class DiagnoseScreen(LoopActions):
 
     def fill(self) -> None:
         """List the recordings; the last run is marked where nothing is."""
-        found = [r for r in list_runs(self.lab.workspace.runs) if r.outcome != SIMULATED]
+        found = [r for r in list_runs(self.lab.workspace.runs) if r.outcome != Outcome.SIMULATED]
         self.runs = found
         here = {str(r.folder / DATA) for r in found} | set(self.added)
         self.roles = {path: role for path, role in self.roles.items() if path in here}

@@ -27,6 +27,7 @@ from zendsp.tui.play_job import PlayJob, usual_channels
 from zendsp.tui.playing import Setup
 from zendsp.tui.preflight import Condition, machine_of, preflight
 from zendsp.tui.preview import curves_of, limits_of, views_of
+from zendsp.tui.runs import Outcome
 from zendsp.tui.scope import Channel, Scope
 from zendsp.tui.screens.console_program import positive, whole
 from zendsp.tui.screens.console_scope import percent, real
@@ -286,9 +287,9 @@ class ExecuteScreen(MeasureActions):
         """Say in full what has no room in the list."""
         run, shown = self.this_run(), self.query_one("#progress", Static)
         if run is not None and self.job is None:
-            words = f"{run.name}: {run.outcome}"
+            words = f"{run.name}: {run.ending}"
             shown.update(Text(words, Style(dim=True), no_wrap=True, overflow="ellipsis"))
-            shown.display = ":" in run.outcome or shorten(run.name) != run.name
+            shown.display = bool(run.why) or shorten(run.name) != run.name
 
     @on(Button.Pressed, "#run-abort")
     def action_abort(self) -> None:
@@ -328,9 +329,9 @@ class ExecuteScreen(MeasureActions):
             return
         figures = ", ".join(f"rms {n} {v:.3g}" for n, v in list(run.errors.items())[:2])
         self.say(
-            f"run {run.outcome}: {run.rows} rows, {run.lost}"
+            f"run {run.ending}: {run.rows} rows, {run.lost}"
             f" lost{f', {figures}' if figures else ''}",
-            "good" if run.outcome == "complete" else "warning",
+            "good" if run.outcome == Outcome.COMPLETE else "warning",
         )
         self.fill_runs(run.folder)
         self.lab.run_made(run)

@@ -16,7 +16,7 @@ from zendsp.tui.measure_job import MeasureJob
 from zendsp.tui.panels.response import ResponseView
 from zendsp.tui.panels.sweep import SweepView
 from zendsp.tui.play_job import PlayJob, usual_channels
-from zendsp.tui.runs import RESPONSE, Run, store_run
+from zendsp.tui.runs import Outcome, Run, store_run
 from zendsp.tui.screens.console_program import positive, whole
 from zendsp.tui.screens.console_scope import real
 from zendsp.tui.screens.execute_runs import RunActions
@@ -53,7 +53,7 @@ class MeasureActions(RunActions):
         snapshot = self._ready_to_measure()
         if snapshot is None:
             return
-        last = self._asked.get(RESPONSE, {})
+        last = self._asked.get(Outcome.RESPONSE, {})
         joints = max(snapshot.joints, 1)
         swings = ["position"]
         if any(v.name == "ref_tau" for v in snapshot.variables):
@@ -79,14 +79,14 @@ class MeasureActions(RunActions):
         self.app.push_screen(form, lambda r: self._respond(r) if r else None)
 
     def _respond(self, asked: Mapping[str, Any]) -> None:
-        self._asked[RESPONSE] = asked
+        self._asked[Outcome.RESPONSE] = asked
         settings = {**asked, "channels": usual_channels(self.lab.session.snapshot)}
         runs = self.lab.workspace.runs
         name = f"bode joint {asked['joint']}"
 
         def keep(found: FrequencyResponse) -> Run:
             sources = self.lab.source_texts()
-            run = store_run(runs, name, found.recording, sources=sources, outcome=RESPONSE)
+            run = store_run(runs, name, found.recording, sources=sources, outcome=Outcome.RESPONSE)
             found.save(run.folder / "response.csv")  # for any other tool
             return run
 

@@ -18,7 +18,7 @@ from textual.widgets.data_table import CellDoesNotExist
 from zendsp.errors import ZendspError
 from zendsp.tui.colours import trace_colours
 from zendsp.tui.dialogs import Field, Form, Message, not_empty
-from zendsp.tui.runs import RESPONSE, Run, compare, discard_run, list_runs, rename_run
+from zendsp.tui.runs import Outcome, Run, compare, discard_run, list_runs, rename_run
 from zendsp.tui.scope import Channel, History, Scope
 from zendsp.tui.screens.analysis import AnalysisActions
 from zendsp_protocol.texts import counted
@@ -65,7 +65,7 @@ class RunActions(AnalysisActions):
                     "▐" if k >= 0 else " ", Style(color=colours[2 * k % 8]) if k >= 0 else Style()
                 ),
                 Text(shorten(run.name), Style(bold=True)),
-                Text(run.outcome.partition(":")[0], Style(dim=run.outcome == "complete")),
+                Text(run.outcome, Style(dim=run.outcome == Outcome.COMPLETE)),
                 Text(f"{run.seconds:.2f}", justify="right"),
                 Text(figures),
                 Text(str(run.lost)),
@@ -129,13 +129,13 @@ class RunActions(AnalysisActions):
         to two error (or position) curves of each on one time axis.
         """
         marked = [r for folder in self.marked_runs for r in self.runs if r.folder == folder]
-        responses = [run for run in marked if run.outcome == RESPONSE]
-        if responses and marked[-1].outcome == RESPONSE:
+        responses = [run for run in marked if run.outcome == Outcome.RESPONSE]
+        if responses and marked[-1].outcome == Outcome.RESPONSE:
             self.show_responses(responses)
             return
         loaded = []
         for run in marked:
-            if run.outcome == RESPONSE:
+            if run.outcome == Outcome.RESPONSE:
                 continue
             try:
                 loaded.append((run, run.recording()))

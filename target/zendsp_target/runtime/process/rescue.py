@@ -1,7 +1,7 @@
 """A process that waits to bring the machine into its safe state.
 
-It begins with the runner. Once something has gone wrong there may be no file, no memory and no
-process left to make one with: strangers that connect again and again take a target's files.
+It is started with the runner. Once something has gone wrong it may be too late to start a process:
+there may be no memory left, or no open file (hosts that connect again and again use these up).
 """
 
 from __future__ import annotations

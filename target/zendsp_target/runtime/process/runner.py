@@ -31,6 +31,7 @@ _WITHIN = {
     4: "in UserBackground",
     5: "in the machine",
 }
+QUIT_S = 2.0  # for the loop to make its machine safe and end
 KILLED_S = 2.0  # for the system to end it: a call of a driver may hold that up for good
 BEING_MADE_SAFE = "the machine is being made safe"
 
@@ -322,13 +323,13 @@ class RunnerProcess:
         place = os.path.basename(done.stdout.split("(")[0].strip())
         return f" at {place}" if place and "?" not in place else ""
 
-    def quit(self, timeout_s: float = 2.0) -> None:
+    def quit(self) -> None:
         """Ask it to end: machine safe, then gone; killed if it does not answer in time."""
         _, lib = layout()
         if self.alive():
             lib.monitor_run(ffi_pointer(self.control), lib.RUN_QUIT)
             try:
-                if self._process.wait(timeout_s) == 0 and self.control.phase == lib.PHASE_ENDED:
+                if self._process.wait(QUIT_S) == 0 and self.control.phase == lib.PHASE_ENDED:
                     self.unsafe = ""  # by the loop itself
             except subprocess.TimeoutExpired:
                 self.kill()
