@@ -196,7 +196,7 @@ class LinkPort:
 
     def before(self, names: Iterable[str]) -> Before:
         """Variables as they are now, to be put back after a run."""
-        return Before(self.target, names)
+        return Before(self.target, names, moves=True)
 
     def fill(self, name: str, rows: npt.NDArray[np.float64]) -> int:
         """Send a table."""
