@@ -106,11 +106,16 @@ class Link:
         """
         deadline = time.monotonic() + timeout
         while not self._alive.wait(min(STEP_S, max(0.0, deadline - time.monotonic()))):
-            if time.monotonic() >= deadline or self.ended:
-                return False
-            if self.own and self.target not in {entry.name for entry in local_entries()}:
+            if time.monotonic() >= deadline or self.over:
                 return False
         return True
+
+    @property
+    def over(self) -> bool:
+        """Whether the process of the target has ended, as far as can be known from here."""
+        return self.ended or (
+            self.own and self.target not in {entry.name for entry in local_entries()}
+        )
 
     def on_return(self, callback: Callable[[], None]) -> None:
         """Have ``callback`` called, in a thread of its own, whenever the target comes back after an

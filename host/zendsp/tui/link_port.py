@@ -47,6 +47,11 @@ class LinkPort:
 
     # -- what is
 
+    @property
+    def over(self) -> bool:
+        """Whether the target's process has ended."""
+        return self.target.link.over
+
     def snapshot(self) -> Snapshot:
         """Ask for everything a screen shows; six quick requests at the most."""
         begin = time.perf_counter()
