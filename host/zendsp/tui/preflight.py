@@ -101,7 +101,7 @@ def preflight(
     )
     if references and machine is not None:
         found.append(_fits(references, machine))
-        if player is not None:
+        if player is not None and not busy:  # where the arm is now is on the way
             plan, playable = _playable(s, references, machine, setup)
             found.append(playable)
             if plan is not None:
