@@ -109,6 +109,12 @@ class Session:
         if self.snapshot.link == "none":
             self.snapshot = replace(self.snapshot, here=tuple(names))
 
+    def await_start(self, machine: str) -> None:
+        """Show that a machine is being started here; "": none is any more."""
+        if self._port is None:
+            link = "starting" if machine else "none"
+            self.snapshot = Snapshot(link=link, target=machine)
+
     def adopt(self, port: Port, name: str) -> None:
         """Talk to a target that is already open, for example one that was started here."""
         self._drop()
