@@ -4,6 +4,7 @@ loads, and is never lost.
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 
@@ -12,6 +13,7 @@ AGAIN_S = 0.05  # by then the main thread is elsewhere, perhaps in a call that o
 
 def main() -> None:
     """Import the commands and run the one that was typed."""
+    _open_streams()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     from zendsp.cli import main as command
 
@@ -21,6 +23,19 @@ def main() -> None:
         command()
     except KeyboardInterrupt:
         raise SystemExit(130) from None
+
+
+def _open_streams() -> None:
+    """Have standard streams that were closed (``>&-``) lead nowhere: the next file that is opened
+    would be taken for them.
+    """
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # takes the lowest number
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(number, "r" if number == 0 else "w"))  # noqa: SIM115
 
 
 def _unraisable(unraisable: sys.UnraisableHookArgs) -> None:

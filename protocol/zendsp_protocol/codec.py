@@ -78,7 +78,10 @@ def _convert(value: Any, kind: Any, what: str) -> Any:
 
 def encode_request(verb: str, arguments: Any, by: str, version: int = PROTOCOL) -> bytes:
     """Encode a request; ``arguments`` is the verb's struct or a dictionary of the same fields."""
-    return encode({"v": version, "verb": verb, "by": by, "args": arguments})
+    try:
+        return encode({"v": version, "verb": verb, "by": by, "args": arguments})
+    except UnicodeEncodeError as error:  # of a name that was read in another encoding
+        raise Refused(f"{error.object!r} is no text in UTF-8") from error
 
 
 def decode_request(data: bytes, lane: str) -> tuple[Verb, Arguments, str]:

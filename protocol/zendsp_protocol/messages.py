@@ -243,6 +243,14 @@ class DriveStatus(Message, frozen=True, kw_only=True):
     conditions: tuple[Condition, ...] = ()  # of enabling
 
 
+class RunBegun(Message, frozen=True, kw_only=True):
+    """A run began: what it sets is put back when it ends, or when its host is lost."""
+
+    run: int
+    names: tuple[str, ...]  # that are put back
+    follows: bool = True  # the program follows its table
+
+
 class Said(Message, frozen=True, kw_only=True):
     """It was done; a sentence for people."""
 

@@ -91,6 +91,15 @@ class Drive(Arguments, frozen=True, kw_only=True):
     policy: str = ""  # of host_lost: stop | hold | finish
 
 
+class RunBegin(Arguments, frozen=True, kw_only=True):
+    names: list[str]  # what the run will set; those that the program lacks are left out
+    moves: bool = False  # it moves the machine: if its host is lost, the host-lost policy acts
+
+
+class RunEnd(Arguments, frozen=True, kw_only=True):
+    run: int
+
+
 class AcquireConfigure(Arguments, frozen=True, kw_only=True):
     channels: list[str]
     decimation: int = 1
@@ -196,6 +205,8 @@ _ROWS = (
     Verb("drive_status", Nothing, m.DriveStatus, "quick", role="observe"),
     Verb("seal", Nothing, m.Seal, "quick", role="observe"),
     Verb("reveal", Nothing, m.Revealed, "quick", role="tune"),
+    Verb("run_begin", RunBegin, m.RunBegun, "quick", repeatable=False, role="tune"),
+    Verb("run_end", RunEnd, m.Applied, "sync", role="tune"),
     Verb("log", Log, tuple[m.Change, ...], "quick", role="observe"),
     Verb(
         "acquire_configure",

@@ -21,13 +21,17 @@ import sys
 import threading
 import traceback
 from collections.abc import Iterator, Sequence
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 from zendsp_isr.parts import machine_title
 from zendsp_protocol.errors import ZendspError
 from zendsp_protocol.files_left import need_files
 from zendsp_target.access.admission import settle
 from zendsp_target.access.endpoints import Security
+
+if TYPE_CHECKING:
+    from zendsp_target.monitor import Monitor
+    from zendsp_target.runtime import Runtime
 
 AS_ROOT = (
     "zendsp target: runs as root, so whoever may download a program to it runs code as root; "
@@ -199,47 +203,57 @@ def _patience(text: str) -> Iterator[None]:
         told.cancel()
 
 
-def _serve(args: argparse.Namespace, listen: Sequence[str], security: Security) -> int:
+def _runtime(args: argparse.Namespace) -> Runtime:
+    from zendsp_target.runtime import Runtime
+
+    ideal = ["ideal=1"] if args.ideal else []
+    return Runtime(
+        machine=args.machine,
+        rate_hz=args.rate,
+        clock=args.clock,
+        machine_config={
+            key: value
+            for key, _, value in (text.partition("=") for text in [*ideal, *args.machine_option])
+        },
+        concealed=args.concealed,
+        realtime=not args.no_realtime,
+        priority=args.priority,
+        cpu=args.cpu,
+        spin_us=args.spin,
+        speed=args.speed,
+        memory_mb=args.memory,
+    )
+
+
+def _monitor(
+    args: argparse.Namespace, name: str, listen: Sequence[str], security: Security
+) -> tuple[Runtime, Monitor]:
+    """Bring everything up; a second and a half on a computer with nothing else to do, and more for
+    a machine that has to be compiled.
+    """
     _need_memory()
     from zendsp_target.monitor import Monitor, Options
-    from zendsp_target.runtime import Runtime
     from zendsp_target.serving.malloc import keep_large_buffers
 
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     keep_large_buffers()
     _take_files()
     need_files()
-    name = args.name or machine_title(args.machine)
-    ideal = ["ideal=1"] if args.ideal else []
-    with _patience(f"zendsp target: {args.machine} is being compiled and read …"):
-        runtime = Runtime(
-            machine=args.machine,
-            rate_hz=args.rate,
-            clock=args.clock,
-            machine_config={
-                key: value
-                for key, _, value in (
-                    text.partition("=") for text in [*ideal, *args.machine_option]
-                )
-            },
-            concealed=args.concealed,
-            realtime=not args.no_realtime,
-            priority=args.priority,
-            cpu=args.cpu,
-            spin_us=args.spin,
-            speed=args.speed,
-            memory_mb=args.memory,
-        )
+    runtime = _runtime(args)
+    title = machine_title(args.machine)
     try:
-        monitor = Monitor(
-            runtime,
-            Options(
-                name, machine_title(args.machine), listen, args.connect, security, args.managed
-            ),
+        return runtime, Monitor(
+            runtime, Options(name, title, listen, args.connect, security, args.managed)
         )
     except BaseException:
         runtime.close()
         raise
+
+
+def _serve(args: argparse.Namespace, listen: Sequence[str], security: Security) -> int:
+    name = args.name or machine_title(args.machine)
+    with _patience(f"zendsp target: starting {args.machine}; one that is new is compiled first …"):
+        runtime, monitor = _monitor(args, name, listen, security)
     kept, dropped = runtime.left_behind
     for note in kept:
         if note.about.target == name:

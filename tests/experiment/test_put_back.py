@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from waiting import until as wait_for
 
 import zendsp
 from zendsp.experiment import Lab, run_experiment
@@ -134,6 +135,51 @@ def test_nothing_is_written_into_another_program(arm: Target) -> None:
     own = all_values(arm)
     assert before.put_back() == ""
     is_as(arm, own)
+
+
+@pytest.mark.filterwarnings("ignore::zendsp.errors.EndedWarning")
+@pytest.mark.parametrize(
+    ("moves", "policy", "state", "row_rate"),
+    [
+        (True, "stop", "tripped", 777),
+        (False, "stop", "running", 777),
+        (True, "finish", "running", 1000),
+    ],
+)
+def test_what_a_lost_host_had_set_is_put_back(
+    moves: bool, policy: str, state: str, row_rate: int
+) -> None:
+    with local("imi_planar") as target:
+        target.download("pd.c")
+        target.update(row_rate=777, ref=OWN_ROWS)
+        target.set_host_lost(policy)
+        target.start()
+        lost = zendsp.connect(target.name)
+        Before(lost, ["row_rate", "ref"], moves=moves)
+        lost.update(row_rate=1000, ref=OWN_ROWS[:2])
+        lost.close()
+        wait_for(lambda: len(target.status().hosts) == 1, "its host is gone")
+        wait_for(lambda: target.status().drive == state, f"{state}: {target.status().drive}")
+        wait_for(lambda: target["row_rate"] == row_rate, f"row_rate {row_rate}")
+        assert target.status().drive == state
+        assert np.array_equal(target["ref"], OWN_ROWS) == (row_rate == 777)
+
+
+@pytest.mark.filterwarnings("ignore::zendsp.errors.EndedWarning")
+def test_runs_of_a_lost_host_are_put_back_the_last_first_unless_another_commands() -> None:
+    with local("imi_planar") as target:
+        target.download("pd.c")
+        for commands, left in ((False, 2000.0), (True, 1800.0)):
+            lost = zendsp.connect(target.name)
+            for value in (1900.0, 1800.0):
+                before = Before(lost, ["Kp1"])
+                lost.update(Kp1=value)
+            if commands:
+                target.take_command()
+                assert "exclusive right" in before.put_back()
+            lost.close()
+            wait_for(lambda: len(target.status().hosts) == 1, "its host is gone")
+            wait_for(lambda left=left: target["Kp1"] == left, f"Kp1 {left}")  # type: ignore[misc]
 
 
 def test_what_cannot_be_put_back_is_said() -> None:

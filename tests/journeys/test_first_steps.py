@@ -30,3 +30,15 @@ def test_the_terminal_brings_its_own_machine_and_takes_it_along(installed: Insta
     finally:
         screen.end()
     assert "no target answers" in installed.run("ls").stdout
+
+
+def test_files_of_the_user_do_not_stand_for_the_standard_library(installed: Installed) -> None:
+    for name in ("cmd", "json", "queue", "random", "signal", "threading"):
+        installed.write(f"{name}.py", "raise SystemExit('taken for the library')\n")
+    installed.target("imi")
+    assert installed.run("info", "-t", "imi").returncode == 0
+    screen = Screen(installed, (80, 24), "--local", "imi_planar")
+    try:
+        screen.until("○ empty")
+    finally:
+        screen.end()

@@ -7,6 +7,7 @@ import os
 import signal
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from journey import Installed, until
@@ -141,6 +142,33 @@ def test_a_click_on_the_red_field_stops_while_the_screen_hangs(
     )
     os.kill(screen.pid, signal.SIGCONT)
     screen.until("stopped, at sample")
+
+
+def test_a_terminal_that_was_stopped_shows_at_once_what_is_when_it_goes_on(
+    installed: Installed, screens: list[Screen]
+) -> None:
+    screen = Screen(installed, (80, 24), "--local", "imi_planar")
+    screens.append(screen)
+    screen.until("○ ready")
+    screen.keys(b"\x12")  # Ctrl+R
+    screen.until("cmd you")
+    keys = Path(f"/proc/{screen.pid}/task/{screen.pid}/children").read_text().split()[0]
+    for pid in (screen.pid, int(keys)):
+        os.kill(pid, signal.SIGSTOP)
+    (name,) = (entry["name"] for entry in json.loads(installed.run("ls", "--json").stdout))
+
+    def told(*command: str) -> dict[str, Any]:
+        done = installed.run(*command, "-t", name, "--json")
+        return dict(json.loads(done.stdout))
+
+    until(lambda: not told("drive")["commander"], "its right to command is free: it was lost")
+    for pid in (screen.pid, int(keys)):
+        os.kill(pid, signal.SIGCONT)
+    screen.until("cmd nobody")
+    screen.keys(b"\x12")
+    screen.until("cmd you")
+    os.kill(told("info")["info"]["pid"], signal.SIGKILL)
+    screen.until("HAS ENDED: Ctrl+O")
 
 
 def test_f9_works_where_the_process_of_the_keys_was_killed(

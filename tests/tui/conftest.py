@@ -22,6 +22,8 @@ from zendsp.tui.link_port import find_targets, open_port, start_machine
 if TYPE_CHECKING:
     from steps import Until
 
+ENDED_S = 10.0  # for what an application that has ended leaves behind
+
 
 @pytest.fixture(autouse=True)
 def _no_waiting_for_an_idle_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -100,8 +102,10 @@ def until() -> Until:
     """Wait for a condition, with a deadline and a name for what did not come."""
 
     async def wait(pilot: Pilot[None], condition: Callable[[], object], what: str) -> None:
-        deadline = time.monotonic() + PATIENCE_S
+        ended, deadline = False, time.monotonic() + PATIENCE_S
         while not condition():
+            if pilot.app._exit and not ended:  # nothing that the screen does comes any more
+                ended, deadline = True, time.monotonic() + ENDED_S
             if time.monotonic() > deadline:
                 app = pilot.app
                 events = (

@@ -358,6 +358,9 @@ def test_the_preflight_names_the_keys_that_are_still_missing() -> None:
     assert advice("homed", False).endswith(
         "power (o), home (h), enable (e)"
     ), "automatic: the sequence begins with power"
+    assert advice("running", False).endswith(
+        "pause (p), power (o), home (h), enable (e)"
+    ), "automatic: the first Start is refused as the second would be"
     assert advice("homed", True).endswith(": enable (e)"), "o would switch the power off"
 
 

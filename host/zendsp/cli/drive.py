@@ -50,8 +50,7 @@ def command(
 
     off → ready → homed → enabled → running → stopped or tripped. Without ACTION: where the drives
     are, and what enabling still needs. A command that ends gives the right to command back; "take
-    --force" thus frees it from another host. Exit status 1 where the target refuses; the message
-    names each condition.
+    --force" thus frees it from another host. A refusal names each condition.
 
     \b
     Example:  zendsp drive on && zendsp drive home && zendsp drive enable
@@ -73,9 +72,6 @@ def command(
                 click.echo(t.set_host_lost(policy or "stop"), err=True)
             elif action != "status":
                 click.echo(actions[action](), err=True)
-        except Refused as error:
-            click.echo(f"zendsp: {error}", err=True)
-            raise click.exceptions.Exit(1) from None
         finally:
             if t.drive_status().commander == t.link.author:
                 with contextlib.suppress(Refused):

@@ -45,4 +45,5 @@ def command(
     sys.stdout.flush()
     # a Ctrl-C is kept until the new program can end by it
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    os.execv(sys.executable, [sys.executable, "-m", "zendsp_target", *arguments, *context.args])
+    words = ("-P", "-m", "zendsp_target", *arguments, *context.args)
+    os.execv(sys.executable, [sys.executable, *words])

@@ -17,7 +17,7 @@ import numpy as np
 from zendsp.errors import RecordingError, Refused, ZendspError
 from zendsp.experiment.result import Result
 from zendsp.link import Target
-from zendsp.link.put_back import Loaded
+from zendsp.link.put_back import Loaded, kept
 from zendsp.recording import Recording
 from zendsp.recording.files import save_anyhow
 from zendsp.reference import Reference
@@ -208,9 +208,10 @@ class Bench:
         if seconds is None:
             raise ZendspError(f"recording {name}: give seconds, or a reference")
         try:
-            recording = target.acquire(
-                channels, seconds=seconds, decimation=decimation, start=True, note=name
-            )
+            with kept(target, [], moves=True):
+                recording = target.acquire(
+                    channels, seconds=seconds, decimation=decimation, start=True, note=name
+                )
             trip = target.status().trip
             if trip is not None and trip.reason:
                 raise Refused(f"{name}: the machine stopped itself: {trip.text}")

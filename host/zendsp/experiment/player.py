@@ -77,7 +77,7 @@ class Player:
         target = self._target
         running = target.status().state == ProgramState.RUNNING
         real = target.info.clock == "real"
-        with kept(target, [*self.values, *self.tables]) as before:
+        with kept(target, [*self.values, *self.tables], moves=True) as before:
             try:
                 found = self._while_it_runs() if real and running else self._from_the_start()
             except BaseException:  # Ctrl-C too: nobody waits for what the machine goes on doing

@@ -161,6 +161,7 @@ def local(
     name = name or f"{Path(machine).stem}-{os.getpid()}-{time.monotonic_ns() % 100_000}"
     command = [
         sys.executable,
+        "-P",  # a file of the user's, cmd.py say, must not stand for the standard library's
         "-m",
         "zendsp_target",
         "--machine",

@@ -26,6 +26,8 @@ SETTLE_S = 1.0  # for the answer to how a request ended that was not answered in
 STEP_S = 0.2  # for the news of a death to arrive
 AGAIN_S = 0.002  # before a request that was dropped is sent again
 STOP_S = 0.7  # for the answer to STOP; after that the user must reach for another switch
+CLOSED = "the connection to {name!r} is closed"
+FORKED = "the connection to {name!r} belongs to the process that this one was forked from"
 WAITING = 1024  # parts that may wait to be taken: many times what one request brings
 
 
@@ -67,7 +69,7 @@ class Link:
         self._returned: list[Callable[[], None]] = []
         self._ready: dict[str, _Ready] = {}
         self._waiting: set[zenoh.CancellationToken] = set()
-        self.closed = False
+        self.closed = self._forked = False
         self.ended = False  # by itself, as it said
         self.instance = bytes(8)  # of the target that is known
         self._name = os.urandom(8)
@@ -106,11 +108,16 @@ class Link:
         """
         deadline = time.monotonic() + timeout
         while not self._alive.wait(min(STEP_S, max(0.0, deadline - time.monotonic()))):
-            if time.monotonic() >= deadline or self.ended:
-                return False
-            if self.own and self.target not in {entry.name for entry in local_entries()}:
+            if time.monotonic() >= deadline or self.over:
                 return False
         return True
+
+    @property
+    def over(self) -> bool:
+        """Whether the process of the target has ended, as far as can be known from here."""
+        return self.ended or (
+            self.own and self.target not in {entry.name for entry in local_entries()}
+        )
 
     def on_return(self, callback: Callable[[], None]) -> None:
         """Have ``callback`` called, in a thread of its own, whenever the target comes back after an
@@ -236,7 +243,7 @@ class Link:
         """Say what an absent answer means: gone, or not answering."""
         where = ", ".join(self.endpoints)
         if self.closed:
-            return LinkError(f"the connection to {self.target!r} is closed")
+            return LinkError(CLOSED.format(name=self.target))
         if not self._alive.is_set() or not self._still_there():
             how, why = "is gone", " It was killed or is cut off."
             if self.ended:
@@ -280,13 +287,14 @@ class Link:
         """
         import ctypes
 
-        self.closed = True
+        self.closed = self._forked = True
         for held in (self._session, self._watch, self._token, self._queriers, self._ready):
             ctypes.pythonapi.Py_IncRef(ctypes.py_object(held))
+        self._ready = {}  # a request of this process would wait for ever for these threads
 
     def _row(self, verb: str) -> Verb:
         if self.closed:
-            raise LinkError(f"the connection to {self.target!r} is closed")
+            raise LinkError((FORKED if self._forked else CLOSED).format(name=self.target))
         row = VERBS.get(verb)
         if row is None:
             raise Refused(f"no such request {verb!r}; there are {', '.join(VERBS)}")

@@ -15,31 +15,29 @@ if TYPE_CHECKING:
     from zendsp.link.target import Target
 
 GONE = (ProgramState.CRASHED, ProgramState.EMPTY)
-FOLLOW = "use_table"  # parameter of programs that follow a table only where it is set
 
 
 class Before:
-    """Variables of the loaded program as they are now, tables too, to be put back after a run.
+    """Variables of the loaded program as they are now, tables too, to be put back after a run. The
+    target keeps them, and puts them back itself if this host is lost.
 
     Parameters
     ----------
     target : Target
     names : iterable of str
         What the run will set, elements ``"q[1]"`` too; names that the program lacks are left out.
+    moves : bool
+        The run moves the machine: if this host is lost, the host-lost policy acts.
     """
 
-    def __init__(self, target: Target, names: Iterable[str]) -> None:
+    def __init__(self, target: Target, names: Iterable[str], moves: bool = False) -> None:
         self._target = target
-        infos = target.variables()
-        wanted = [name for name in names if name.partition("[")[0] in infos]
-        self.values = dict(target.read(wanted).values) if wanted else {}
-        self._tables = {name for name in wanted if name in infos and infos[name].kind == "table"}
-        self._status: m.Status = target.status()
+        self._begun: m.RunBegun = target.request("run_begin", names=list(names), moves=moves)
 
     @property
     def follows(self) -> bool:
         """Whether the program followed its table."""
-        return bool(self.values.get(FOLLOW, True))
+        return self._begun.follows
 
     def put_back(self) -> str:
         """Write everything back in one sample; returns why that failed, "" where it did not.
@@ -49,19 +47,9 @@ class Before:
         switch-over would begin their motion.
         """
         try:
-            now, then = self._target.status(), self._status
-            if now.state in GONE or now.program != then.program or now.tick < then.tick:
-                return ""
-            moves = now.state == ProgramState.RUNNING and now.trip is None and self.follows
-            values = {
-                name: value
-                for name, value in self.values.items()
-                if not (moves and name in self._tables and len(value))  # type: ignore[arg-type]
-            }
-            if values:
-                self._target.variables.update_alone(values)
+            self._target.request("run_end", run=self._begun.run)
         except ZendspError as error:
-            return f"{', '.join(self.values)} stay as the run had set them: {error}"
+            return f"{', '.join(self._begun.names)} stay as the run had set them: {error}"
         return ""
 
 
@@ -108,7 +96,7 @@ class Loaded:
 
 
 @contextmanager
-def kept(target: Target, names: Iterable[str]) -> Iterator[Before]:
+def kept(target: Target, names: Iterable[str], moves: bool = False) -> Iterator[Before]:
     """Put back, at the end of the block, what the block sets in the program.
 
     Parameters
@@ -116,13 +104,15 @@ def kept(target: Target, names: Iterable[str]) -> Iterator[Before]:
     target : Target
     names : iterable of str
         Parameters and tables.
+    moves : bool
+        As for `Before`.
 
     Warns
     -----
     UserWarning
         They could not be put back; the message says why.
     """
-    before = Before(target, names)
+    before = Before(target, names, moves)
     try:
         yield before
     finally:

@@ -17,6 +17,7 @@ from zendsp_protocol import keys
 from zendsp_protocol.files_left import need_files
 
 _numbers = itertools.count(1)
+_opened: set[int] = set()  # process ids; a fork leaves the threads of Zenoh behind
 
 
 def open_session(
@@ -28,9 +29,15 @@ def open_session(
     ------
     LinkError
         None answers; or, indistinguishable for Zenoh, the credentials are refused; or this process
-        may not open enough files.
+        may not open enough files, or was forked from one that had connected.
     """
     need_files()
+    if _opened - {os.getpid()}:
+        raise LinkError(
+            "this process was forked from one that had connected, and Zenoh's threads are not here:"
+            " start it afresh (multiprocessing.get_context('spawn'), subprocess)"
+        )
+    _opened.add(os.getpid())
     where = ", ".join(endpoints)
     try:
         session = zenoh.open(zenoh_config(endpoints, credentials, timeout))

@@ -145,6 +145,12 @@ class Target:
             hint = "" if name.startswith("_") else f"; to read a variable: target[{_quoted(name)}]"
             raise AttributeError(f"a target has no attribute {name!r}{hint}")
 
+    def __reduce__(self) -> NoReturn:
+        raise TypeError(
+            f"the connection to {self.name!r} belongs to this process: hand its name on, and"
+            " connect() in the other"
+        )
+
     request = _of("requests", Requests.request)
     insist = _of("requests", Requests.insist)
 

@@ -25,7 +25,7 @@ POLL = 0.02  # s, between two looks at a child
 
 def command(*words: str) -> tuple[str, ...]:
     """``zendsp WORDS…`` as a process that ends with this one."""
-    return (sys.executable, "-c", call(os.getpid()), *words)
+    return (sys.executable, "-P", "-c", call(os.getpid()), *words)
 
 
 def module(name: str, *words: str) -> tuple[str, ...]:
@@ -34,7 +34,7 @@ def module(name: str, *words: str) -> tuple[str, ...]:
         f"import runpy; from zendsp.parent import die_with; die_with({os.getpid()}); "
         f"runpy.run_module({name!r}, run_name='__main__', alter_sys=True)"
     )
-    return (sys.executable, "-c", code, *words)
+    return (sys.executable, "-P", "-c", code, *words)
 
 
 @dataclass(frozen=True)

@@ -285,7 +285,7 @@ class ZendspApp(App[None]):
         if what == "target":
             self.session.connect(name)
         elif self._start_machine is not None:
-            self.toast(f"starting {name} …", "information")
+            self.session.await_start(name)
             self.run_worker(
                 lambda: self._start_here(name), thread=True, exclusive=True, group="discovery"
             )
@@ -295,6 +295,7 @@ class ZendspApp(App[None]):
         try:
             name, port = self._start_machine(machine)
         except ZendspError as error:
+            self.session.await_start("")
             self.session.events.add(f"start {machine}: {error}", "error")
             self.call_from_thread(self.toast, str(error), "error")
             return

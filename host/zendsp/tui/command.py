@@ -49,6 +49,7 @@ class Command:
         self._folder.mkdir(parents=True, exist_ok=True)
         self._process = process = await asyncio.create_subprocess_exec(
             sys.executable,
+            "-P",
             "-c",
             POLITELY + call(os.getpid()),
             *self.arguments,

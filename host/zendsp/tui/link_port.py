@@ -47,6 +47,11 @@ class LinkPort:
 
     # -- what is
 
+    @property
+    def over(self) -> bool:
+        """Whether the target's process has ended."""
+        return self.target.link.over
+
     def snapshot(self) -> Snapshot:
         """Ask for everything a screen shows; six quick requests at the most."""
         begin = time.perf_counter()
@@ -196,7 +201,7 @@ class LinkPort:
 
     def before(self, names: Iterable[str]) -> Before:
         """Variables as they are now, to be put back after a run."""
-        return Before(self.target, names)
+        return Before(self.target, names, moves=True)
 
     def fill(self, name: str, rows: npt.NDArray[np.float64]) -> int:
         """Send a table."""

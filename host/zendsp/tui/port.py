@@ -62,6 +62,9 @@ class Port(Protocol):
 
     here: bool  # the target was started by this terminal, and ends with it
 
+    @property
+    def over(self) -> bool: ...  # the target's process has ended
+
     def snapshot(self) -> Snapshot: ...
     def live(self, names: Sequence[str], sink: Sink) -> Callable[[], None]: ...
     def stop(self) -> str: ...  # how it ended; NotStopped where nothing says that it did

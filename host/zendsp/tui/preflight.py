@@ -101,7 +101,7 @@ def preflight(
     )
     if references and machine is not None:
         found.append(_fits(references, machine))
-        if player is not None:
+        if player is not None and not busy:  # where the arm is now is on the way
             plan, playable = _playable(s, references, machine, setup)
             found.append(playable)
             if plan is not None:
@@ -115,7 +115,9 @@ def preflight(
     )
     found.append(
         Condition(
-            "drives enabled", s.drive in ("enabled", "running"), f"on Console (F2): {_steps(s)}"
+            "drives enabled",
+            s.explicit and s.drive in ("enabled", "running"),
+            f"on Console (F2): {_steps(s)}",
         )
     )
     found.append(
@@ -143,11 +145,12 @@ def preflight(
 
 def _steps(s: Snapshot) -> str:
     """Return the keys that are still to be pressed until the drives are enabled; o would switch off
-    what is on.
+    what is on. A program that runs on automatic drives ran without being enabled, and would again.
     """
+    first = ["pause (p)"] if s.drive == "running" else []
     steps = ["power (o)", "home (h)", "enable (e)"]
     done = {"ready": 1, "homed": 2}.get(s.drive, 0) if s.explicit else 0
-    return ", ".join(steps[done:])
+    return ", ".join([*first, *steps[done:]])
 
 
 def _names(files: Sequence[Path]) -> str:

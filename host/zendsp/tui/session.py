@@ -109,6 +109,12 @@ class Session:
         if self.snapshot.link == "none":
             self.snapshot = replace(self.snapshot, here=tuple(names))
 
+    def await_start(self, machine: str) -> None:
+        """Show that a machine is being started here; "": none is any more."""
+        if self._port is None:
+            link = "starting" if machine else "none"
+            self.snapshot = Snapshot(link=link, target=machine)
+
     def adopt(self, port: Port, name: str) -> None:
         """Talk to a target that is already open, for example one that was started here."""
         self._drop()
@@ -236,11 +242,14 @@ class Session:
                     begin = time.monotonic()
                     snapshot = port.snapshot()
                     if self._port is port:
+                        if self.snapshot.link == "lost":
+                            self.events.add(f"link to {name} is back", "good")
                         self._judge(snapshot, begin)
                         self._take(replace(snapshot, link="up", target=snapshot.target or name))
                         self._listen(snapshot)
                 except LinkError as error:
                     self._lost(port, str(error))
+                    pause = RETRY_S
                 except ZendspError as error:
                     self.events.add(f"status: {error}", "error")
                     pause = 5 * POLL_S
@@ -322,14 +331,27 @@ class Session:
             self.events.add(text, "warning")
 
     def _lost(self, port: Port, why: str) -> None:
+        """Show the loss. A target that was started here would end with its port: its link comes
+        back by itself, unless its process has ended.
+        """
+        ended = port.here and port.over
         with self._lock:
             if self._port is not port:
                 return
-            self._port = None
-        self._live = None
-        self.snapshot = replace(self.snapshot, link="lost", latency_s=float("nan"), recording=False)
-        self.events.add(f"link lost: {why}", "error")
-        background("tui-close", _close_quietly, port)
+            if ended or not port.here:
+                self._port = self._live = None
+            if ended:
+                self._name = ""
+        if self.snapshot.link != "lost":
+            self.events.add(f"link lost: {why}", "error")
+        self.snapshot = replace(
+            self.snapshot,
+            link="ended" if ended else "lost",
+            latency_s=float("nan"),
+            recording=False,
+        )
+        if ended or not port.here:
+            background("tui-close", _close_quietly, port)
 
     def _drop(self) -> None:
         with self._lock:

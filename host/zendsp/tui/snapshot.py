@@ -58,7 +58,7 @@ class TripView:
 class Snapshot:
     """Everything a screen shows that is not a curve."""
 
-    link: str = "none"  # "none" | "connecting" | "up" | "lost"
+    link: str = "none"  # "none" | "starting" | "connecting" | "up" | "lost" | "ended"
     target: str = ""
     here: tuple[str, ...] | None = None  # targets that answer while none is connected, once known
     machine: str = ""

@@ -206,10 +206,12 @@ class StatusBar(Widget):
         if s.link != "up":
             words = {
                 "none": f"no target: Ctrl+O {_offer(s)}",
+                "starting": f"starting {s.target} …",
                 "connecting": f"connecting to {s.target} …",
                 "lost": f"LINK LOST to {s.target}: reconnecting …",
+                "ended": f"{s.target} HAS ENDED: Ctrl+O {_offer(s)}",
             }
-            colour = c["error"] if s.link == "lost" else c["warning"]
+            colour = c["error"] if s.link in ("lost", "ended") else c["warning"]
             return line.append(words.get(s.link, s.link), Style(bold=True, color=colour))
         rest = self._state(s)
         # what it does is worth more than its whole name

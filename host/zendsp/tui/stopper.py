@@ -325,7 +325,7 @@ class Stopper:
         web = "web_driver" in os.environ.get("TEXTUAL_DRIVER", "")
         call = f"from zendsp.tui.stopper import serve; serve({control_in}, {verdicts_out}, {web})"
         self._process = subprocess.Popen(
-            [sys.executable, "-c", call],
+            [sys.executable, "-P", "-c", call],
             stdin=self.terminal,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,

@@ -122,7 +122,7 @@ class LoopbackServer(Server):
             title="zendsp",
             templates_path=Path(__file__).parent / "page",
         )
-        self._words = (sys.executable, "-c", call(os.getpid()), *words)
+        self._words = (sys.executable, "-P", "-c", call(os.getpid()), *words)
         self._pages = set[Page]()
 
     async def _make_app(self) -> web.Application:

@@ -46,8 +46,8 @@ def check_sources(sources: Mapping[str, str], flags: Sequence[str]) -> None:
     for name in sources:
         if not _NAME.match(name):
             raise Refused(
-                f"source name {name!r}: use a plain file name that ends in .c or .h, without"
-                " folders"
+                f"source name {name!r}: a name has letters a–z, digits, _ . + and -, ends in .c or"
+                " .h, and has no folders; rename the file"
             )
     if sum(len(text) for text in sources.values()) > _MAX_SOURCE_BYTES:
         raise Refused(

@@ -53,7 +53,11 @@ COMMANDING = (
     "set_inputs",
     "home",
     "acknowledge",
+    "run_begin",
+    "run_end",
 )
+# of these, what changes values only
+CHANGES = ("write", "update", "table_commit", "run_begin", "run_end")
 STOPS = ("stop", "stop input")  # reasons of a latched trip that mean that somebody pressed STOP
 HOLD_VARIABLE = "hold"  # a bool parameter of programs that can hold their reference
 
@@ -229,23 +233,26 @@ class Drives:
             return ""
         return f"; if this host is lost: {self._policy}, as {self._policy_by} chose"
 
-    def host_gone(self, host: str) -> None:
-        """Act on the disappearance of a host, by the policy."""
+    def host_gone(self, host: str, moves: bool = False) -> str:
+        """Act on the disappearance of a host, by the policy, if it commanded, or if nobody did and
+        a run of it `moves` the machine; returns the policy that acted, "" where none did.
+        """
         with self._lock:
-            if host != self.commander:
-                return
+            if host != self.commander and (self.commander or not moves):
+                return ""
             policy = self._policy
             self._pass_to("")
             try:
                 if self._runtime.status().state != ProgramState.RUNNING or policy == "finish":
-                    return
+                    return policy
                 if policy == "hold" and self._hold():
-                    return
+                    return policy
                 self._runtime.trip("host lost")
                 self._enabled = False
             except ZendspError as error:
                 # the runner died meanwhile: it is in the safe state already
                 log.warning("host %s lost: %s", host, error)
+            return "stop"
 
     def _hold(self) -> bool:
         infos = {info.name: info for info in self._runtime.variables()}
@@ -413,7 +420,7 @@ class Drives:
                     self._off()  # a fresh runner knows nothing of what was enabled before
             return result
 
-        return change if name in ("write", "update", "table_commit") else run
+        return change if name in CHANGES else run
 
     def _check_start(self) -> None:
         with self._lock:

@@ -31,6 +31,7 @@ from zendsp_target.serving.live_streams import LiveStreams
 from zendsp_target.serving.machine_verbs import MachineVerbs
 from zendsp_target.serving.repeated_requests import Repeats
 from zendsp_target.serving.request_log import Once
+from zendsp_target.serving.runs import Runs
 from zendsp_target.serving.variable_verbs import VariableVerbs
 
 # answered by the server: they need more than arguments and author
@@ -65,6 +66,7 @@ class Service:
         self.variables = VariableVerbs(runtime)
         self.present: Callable[[], tuple[str, ...]] = tuple
         self.drives = Drives(runtime, managed)
+        self.runs = Runs(runtime, self.drives)
         self.once = Once()
         self._programs: OrderedDict[str, m.Program] = OrderedDict()
         self._repeats: list[Repeats] = []
@@ -76,7 +78,7 @@ class Service:
         self._lock = threading.Lock()
         self.handlers: dict[str, Callable[[Any, str], Any]] = {
             name: getattr(room, f"do_{name}")
-            for room in (MachineVerbs(runtime), self.variables, self)
+            for room in (MachineVerbs(runtime), self.variables, self.runs, self)
             for name in verbs.VERBS
             if hasattr(room, f"do_{name}")
         }
@@ -304,10 +306,10 @@ class Service:
         return m.Empty()
 
     def host_gone(self, host: str) -> None:
-        """Give back what a vanished host held; the program goes on, unless that host commanded (see
-        ``drives``).
+        """Give back what a vanished host held; the program goes on, unless that host commanded or
+        moved the machine (see ``runs`` and ``drives``).
         """
-        self.drives.host_gone(host)
+        self.runs.host_gone(host)
         self.live.forget(host)
 
 

@@ -1,0 +1,117 @@
+"""What a run sets in the program is put back when it ends, and when its host is lost."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from zendsp_protocol import messages as m
+from zendsp_protocol import verbs
+from zendsp_protocol.errors import Refused, ZendspError
+from zendsp_protocol.states import ProgramState
+from zendsp_protocol.values import Value
+from zendsp_target.api import RuntimeApi
+from zendsp_target.serving.drives import Drives
+from zendsp_target.serving.variable_verbs import applied
+
+log = logging.getLogger(__name__)
+
+GONE = (ProgramState.CRASHED, ProgramState.EMPTY)
+FOLLOW = "use_table"  # parameter of programs that follow a table only where it is set
+MOST = 64  # runs that may be open
+STANDS_S = 1.0  # for the host-lost policy to act
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run that has begun, and what was before it."""
+
+    host: str
+    moves: bool
+    values: Mapping[str, Value]
+    tables: frozenset[str]
+    before: m.Status
+    follows: bool  # the program followed its table
+
+
+class Runs:
+    """Handlers of ``run_begin`` and ``run_end``, and what happens to runs whose host is lost.
+
+    Parameters
+    ----------
+    runtime : RuntimeApi
+    drives : Drives
+        Whose host-lost policy decides where a run moves the machine.
+    """
+
+    def __init__(self, runtime: RuntimeApi, drives: Drives) -> None:
+        self._runtime, self._drives = runtime, drives
+        self._open: dict[int, Run] = {}
+        self._numbers = itertools.count(1)
+        self._lock = threading.Lock()
+
+    def do_run_begin(self, args: verbs.RunBegin, by: str) -> m.RunBegun:
+        infos = {info.name: info for info in self._runtime.variables()}
+        names = [name for name in args.names if name.partition("[")[0] in infos]
+        values = self._runtime.read(names)[1] if names else {}
+        tables = frozenset(n for n in names if n in infos and infos[n].kind == "table")
+        follows = FOLLOW not in infos or bool(self._runtime.read([FOLLOW])[1][FOLLOW])
+        run = Run(by, args.moves, values, tables, self._runtime.status(), follows)
+        with self._lock:
+            if len(self._open) >= MOST:
+                raise Refused(f"{MOST} runs are open: end one")
+            number = next(self._numbers)
+            self._open[number] = run
+        return m.RunBegun(run=number, names=tuple(names), follows=follows)
+
+    def do_run_end(self, args: verbs.RunEnd, by: str) -> m.Applied:
+        with self._lock:
+            run = self._open.pop(args.run, None)
+        sequence = self._put_back(run, by) if run is not None else 0
+        return applied(self._runtime, sequence) if sequence else m.Applied(sequence=0, tick=0)
+
+    def host_gone(self, host: str) -> None:
+        """Let the policy act if a run of a lost host moves the machine, then put back what its runs
+        have set, the last first.
+        """
+        with self._lock:
+            mine = [number for number, run in self._open.items() if run.host == host]
+            runs = [self._open.pop(number) for number in reversed(mine)]
+        moves = any(run.moves for run in runs)
+        policy = self._drives.host_gone(host, moves)
+        if (moves and policy == "finish") or self._drives.commander not in ("", host):
+            return  # it goes on as it was set; or it is somebody else's machine now
+        deadline = time.monotonic() + STANDS_S
+        while policy == "stop" and self._moves() and time.monotonic() < deadline:
+            time.sleep(0.002)
+        for run in runs:
+            try:
+                self._put_back(run, f"{host}, lost")
+            except ZendspError as error:
+                log.warning("what %s had set stays: %s", host, error)
+
+    def _moves(self) -> bool:
+        status = self._runtime.status()
+        return status.state == ProgramState.RUNNING and status.trip is None
+
+    def _put_back(self, run: Run, by: str) -> int:
+        """Write everything back in one sample; returns its sequence number, 0 for nothing.
+
+        Nothing is written into another program, into one that was loaded afresh, or that crashed.
+        Of a program that runs and follows its tables, the rows that it had stay away: their
+        switch-over would begin their motion.
+        """
+        now, then = self._runtime.status(), run.before
+        if now.state in GONE or now.program != then.program or now.tick < then.tick:
+            return 0
+        follows = run.follows and self._moves()
+        values = {
+            name: value
+            for name, value in run.values.items()
+            if not (follows and name in run.tables and len(value))  # type: ignore[arg-type]
+        }
+        return self._runtime.write(values, by) if values else 0
