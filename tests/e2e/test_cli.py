@@ -208,6 +208,29 @@ def test_what_was_recorded_before_a_crash_is_saved_and_a_wrong_name_is_refused_b
     assert zendsp.Recording.load(out)["x"].tolist() == [float(k) for k in range(1, 701)]
 
 
+@pytest.mark.parametrize("clock", ["fast", "real"])
+def test_how_the_machine_comes_to_rest_after_a_trip_is_recorded(
+    start: Any, tmp_path: Path, clock: str
+) -> None:
+    nan = tmp_path / "nan.c"
+    nan.write_text(
+        '#include "isr.h"\nstatic double x;\n'
+        'void UserInit(void) { SIGNAL(x, "", "counts"); }\n'
+        "void UserISR_INT2(void) { WRITE_TORQUE(0, ++x > 700 ? NAN : 0.0); }\n"
+    )
+    speed = ["--speed", "5"] if clock == "fast" else []
+    target = start(clock=clock, options=["--no-realtime", *speed])
+    target.download(nan)
+    out = tmp_path / "run.npz"
+    for seconds, words in (("9", "({} of 9000 rows)"), ("0.8", "stopped within the recording")):
+        done = zendsp_("acquire", "x", "-s", seconds, "-o", str(out), "--start", "--json")
+        rows = len(zendsp.Recording.load(out))
+        assert done.returncode == 1 and words.format(rows) in json.loads(done.stdout)["ended"]
+        assert 1700 <= rows < 9000 or rows == 800, "a second after the trip, and one count of it"
+        target.acknowledge()
+        target.download(nan)
+
+
 def test_what_is_written_into_a_new_folder_makes_it(target: Target, tmp_path: Path) -> None:
     target.download("pd.c")
     target.start()
