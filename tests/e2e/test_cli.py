@@ -271,6 +271,23 @@ def test_a_program_that_does_not_compile_says_that_the_other_one_goes_on(
     assert target.status().state == "running"
 
 
+def test_a_program_that_cannot_be_loaded_says_that_the_other_one_was_ended(
+    target: Target, tmp_path: Path
+) -> None:
+    bad = tmp_path / "bad.c"
+    bad.write_text(
+        '#include "isr.h"\nstatic double x;\nvoid UserISR_INT2(void) {}\n'
+        'void UserInit(void) { PARAMETER(x, 9.0, "", 0.0, 1.0, "beyond"); }\n'
+    )
+    assert "was ended" not in zendsp_("run", str(bad)).stderr, "there was none"
+    target.download("pd.c")
+    target.start()
+    done = zendsp_("run", str(bad))
+    assert done.returncode != 0 and "outside its limits" in done.stderr
+    assert "what was loaded before was ended" in done.stderr
+    assert target.status().state == "empty"
+
+
 def test_ctrl_c_ends_watch_cleanly(target: Target) -> None:
     target.download("pd.c")
     target.start()
