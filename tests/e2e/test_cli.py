@@ -314,6 +314,20 @@ def test_ctrl_c_ends_watch_cleanly(target: Target) -> None:
     assert target.status().state == "running"
 
 
+def test_watch_ends_where_nothing_more_can_come(target: Target) -> None:
+    target.download("pd.c")
+    target.start()
+    command = [sys.executable, "-c", "from zendsp.cli import main; main()"]
+    with subprocess.Popen(
+        [*command, "watch", "q", "-t", target.name], stdout=-1, stderr=-1, text=True
+    ) as process:
+        assert process.stdout is not None and process.stderr is not None
+        assert "q[0]" in process.stdout.readline()
+        os.kill(target.info.pid, signal.SIGKILL)
+        said, wrong = process.communicate(timeout=PATIENCE_S)
+        assert process.returncode != 0 and "zendsp: " in wrong, wrong
+
+
 def test_watch_in_a_narrow_terminal_changes_in_place(target: Target) -> None:
     target.download("pd.c")
     target.start()
