@@ -324,7 +324,7 @@ def test_watch_ends_where_nothing_more_can_come(target: Target) -> None:
         assert process.stdout is not None and process.stderr is not None
         assert "q[0]" in process.stdout.readline()
         os.kill(target.info.pid, signal.SIGKILL)
-        said, wrong = process.communicate(timeout=PATIENCE_S)
+        _, wrong = process.communicate(timeout=PATIENCE_S)
         assert process.returncode != 0 and "zendsp: " in wrong, wrong
 
 

@@ -42,8 +42,8 @@ def command(
     as_json: bool,
 ) -> None:
     """Follow channels until Ctrl-C: one line for each interval; on a terminal one that changes, or
-    as many as they need. Ends with a status other than 0 where the target is gone, or no longer lets
-    you in.
+    as many as they need. Ends with a status other than 0 where the target is gone, or no longer
+    lets you in.
 
     Example:  zendsp watch q tau --interval 0.2
     """
