@@ -200,7 +200,7 @@ _ROWS = (
     Verb("set_overrun", SetOverrun, m.Empty, "quick", role="command"),
     Verb("set_inputs", SetInputs, m.Empty, "quick", role="command"),
     Verb("home", Nothing, m.Empty, "quick", role="command"),
-    Verb("acknowledge", Nothing, m.Empty, "quick", role="command"),
+    Verb("acknowledge", Nothing, m.Said, "quick", role="command"),
     Verb("drive", Drive, m.Said, "quick", repeatable=False, role="command"),
     Verb("drive_status", Nothing, m.DriveStatus, "quick", role="observe"),
     Verb("seal", Nothing, m.Seal, "quick", role="observe"),

@@ -128,7 +128,9 @@ def test_wrong_data_is_refused_with_the_likeliest_mistake(
     assert words in text and "run.csv" in text, text
 
 
-@pytest.mark.parametrize(("rows", "words"), [(100, "at least 300 samples"), (700, "at least 2 s")])
+@pytest.mark.parametrize(
+    ("rows", "words"), [(100, "at least 300 samples"), (700, "2 s: play a longer motion")]
+)
 def test_short_recordings_are_refused(
     rows: int, words: str, good: Columns, model: Path, tmp_path: Path, refuse: Callable[..., str]
 ) -> None:

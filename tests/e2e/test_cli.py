@@ -208,6 +208,29 @@ def test_what_was_recorded_before_a_crash_is_saved_and_a_wrong_name_is_refused_b
     assert zendsp.Recording.load(out)["x"].tolist() == [float(k) for k in range(1, 701)]
 
 
+@pytest.mark.parametrize("clock", ["fast", "real"])
+def test_how_the_machine_comes_to_rest_after_a_trip_is_recorded(
+    start: Any, tmp_path: Path, clock: str
+) -> None:
+    nan = tmp_path / "nan.c"
+    nan.write_text(
+        '#include "isr.h"\nstatic double x;\n'
+        'void UserInit(void) { SIGNAL(x, "", "counts"); }\n'
+        "void UserISR_INT2(void) { WRITE_TORQUE(0, ++x > 700 ? NAN : 0.0); }\n"
+    )
+    speed = ["--speed", "5"] if clock == "fast" else []
+    target = start(clock=clock, options=["--no-realtime", *speed])
+    target.download(nan)
+    out = tmp_path / "run.npz"
+    for seconds, words in (("9", "({} of 9000 rows)"), ("0.8", "stopped within the recording")):
+        done = zendsp_("acquire", "x", "-s", seconds, "-o", str(out), "--start", "--json")
+        rows = len(zendsp.Recording.load(out))
+        assert done.returncode == 1 and words.format(rows) in json.loads(done.stdout)["ended"]
+        assert 1700 <= rows < 9000 or rows == 800, "a second after the trip, and one count of it"
+        target.acknowledge()
+        target.download(nan)
+
+
 def test_what_is_written_into_a_new_folder_makes_it(target: Target, tmp_path: Path) -> None:
     target.download("pd.c")
     target.start()
@@ -248,6 +271,23 @@ def test_a_program_that_does_not_compile_says_that_the_other_one_goes_on(
     assert target.status().state == "running"
 
 
+def test_a_program_that_cannot_be_loaded_says_that_the_other_one_was_ended(
+    target: Target, tmp_path: Path
+) -> None:
+    bad = tmp_path / "bad.c"
+    bad.write_text(
+        '#include "isr.h"\nstatic double x;\nvoid UserISR_INT2(void) {}\n'
+        'void UserInit(void) { PARAMETER(x, 9.0, "", 0.0, 1.0, "beyond"); }\n'
+    )
+    assert "was ended" not in zendsp_("run", str(bad)).stderr, "there was none"
+    target.download("pd.c")
+    target.start()
+    done = zendsp_("run", str(bad))
+    assert done.returncode != 0 and "outside its limits" in done.stderr
+    assert "what was loaded before was ended" in done.stderr
+    assert target.status().state == "empty"
+
+
 def test_ctrl_c_ends_watch_cleanly(target: Target) -> None:
     target.download("pd.c")
     target.start()
@@ -272,6 +312,20 @@ def test_ctrl_c_ends_watch_cleanly(target: Target) -> None:
     _, said = watch.communicate(timeout=PATIENCE_S)
     assert watch.returncode == 130 and said.strip() == "interrupted"
     assert target.status().state == "running"
+
+
+def test_watch_ends_where_nothing_more_can_come(target: Target) -> None:
+    target.download("pd.c")
+    target.start()
+    command = [sys.executable, "-c", "from zendsp.cli import main; main()"]
+    with subprocess.Popen(
+        [*command, "watch", "q", "-t", target.name], stdout=-1, stderr=-1, text=True
+    ) as process:
+        assert process.stdout is not None and process.stderr is not None
+        assert "q[0]" in process.stdout.readline()
+        os.kill(target.info.pid, signal.SIGKILL)
+        _, wrong = process.communicate(timeout=PATIENCE_S)
+        assert process.returncode != 0 and "zendsp: " in wrong, wrong
 
 
 def test_watch_in_a_narrow_terminal_changes_in_place(target: Target) -> None:

@@ -152,6 +152,11 @@ def test_a_reference_of_minutes_downloads_while_the_loop_runs(real: Target) -> N
     assert real.status().timing.missed == before.timing.missed or real.status().state == "running"
     with pytest.raises(VariableError, match="fit"):
         real.upload("ref", np.zeros((60_001, 2)))
+    with pytest.raises(VariableError, match=r"ref: needs shape \(rows, 2\).*got \(10, 4\)"):
+        real.upload("ref", np.zeros((10, 4)))
+    with pytest.raises(VariableError, match="empty array"):
+        real.upload("ref", [])
+    assert len(np.asarray(real["ref"]).ravel()) == 120_000, "as it was"
 
 
 def test_live_samples_arrive_in_order_and_survive_a_new_program(real: Target) -> None:

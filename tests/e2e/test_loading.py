@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from waiting import until
 
 import zendsp
 from zendsp.errors import AcquisitionError, RunnerDied
@@ -157,6 +158,29 @@ def test_rows_of_a_program_that_crashed_keep_it_when_another_is_loaded(fast: Tar
     fast.download("pd.c")
     rows = fast.acquire_load()
     assert list(rows.sources) == ["crashes.c"] and len(rows) == 500 and "Kp1" not in rows.parameters
+
+
+@pytest.mark.parametrize("fate", ["for (;;) ;", "__builtin_trap();"])
+def test_the_log_of_a_recording_has_the_change_that_crashed_the_program(
+    fast: Target, fate: str
+) -> None:
+    fast.download({"crash.c": f"""
+#include "isr.h"
+static double go;
+void UserInit(void) {{ PARAMETER(go, 0.0, "", 0.0, 1.0, "ends it"); }}
+void UserISR_INT2(void) {{ if (go > 0.0) {{ {fate} }} }}
+"""})
+    fast.acquire_configure(["t"], seconds=60.0)
+    fast.acquire_start()
+    fast.start()
+    until(lambda: fast.acquire_status().count > 10, "rows")
+    fast["go"] = 1.0
+    until(lambda: fast.status().state == "crashed", "the crash")
+    recording = fast.acquire_load()
+    (change,) = recording.log
+    assert (change.name, change.new) == ("go", 1.0)
+    assert change.tick > recording.start_tick + len(recording) - 1, "its sample left no row"
+    assert recording.parameters["go"] == 0.0, "as it was in the last row"
 
 
 def test_rows_of_two_recordings_are_never_mixed(

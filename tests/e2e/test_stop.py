@@ -192,6 +192,25 @@ def test_stop_without_a_name_stops_what_is_here_and_what_the_environment_leads_t
     assert "tcp/127.0.0.1:1: NOT STOPPED" in wrong and "near" not in wrong
 
 
+def test_stop_at_the_prompt_of_a_shell_stops_the_target_of_that_prompt(
+    start: Callable[..., Target],
+    typed: Callable[..., tuple[object, str, str]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    near, other = start(name="near"), start(name="other")
+    for target in (near, other):
+        target.download("pd.c")
+        target.start()
+    for elsewhere in ("", "other"):  # what it says does not matter once the shell has begun
+        monkeypatch.setenv("ZENDSP_TARGET", elsewhere)
+        lines = iter(["stop", "drive acknowledge", "get t", "stop near", "stop --acknowledge"])
+        monkeypatch.setattr("builtins.input", lambda prompt, left=lines: next(left, "exit"))
+        status, said, wrong = typed("shell", "-t", "near")
+        assert status == 0 and "near: stopped, at sample" in said and "acknowledged;" in wrong
+        assert near.status().state == "paused" and other.status().state == "running"
+        near.start()
+
+
 def find_tcp(name: str) -> str:
     return next(e for entry in local_entries() if entry.name == name for e in entry.endpoints[1:])
 

@@ -233,10 +233,12 @@ def test_a_sweep_measures_every_combination_and_puts_the_parameters_back(
     fast: Target, tmp_path: Path
 ) -> None:
     fast.download("pd.c")
+    fast.update(turn_time=2.0)
     fast.start()
+    until(lambda: fast.status().t > 2.0, "the arm is on its circle")
     before = fast.parameters().values
-    found = zendsp.sweep(
-        fast, {"Kp1": [500.0, 2000.0], "Kd1": [60.0, 120.0]}, ["e1"], seconds=1.0, settle=0.5,
+    found = zendsp.sweep(  # one turn each
+        fast, {"Kp1": [500.0, 2000.0], "Kd1": [60.0, 120.0]}, ["e1"], seconds=2.0, settle=0.5,
         keep=tmp_path / "kept",
     )  # fmt: skip
     assert [(r["Kp1"], r["Kd1"]) for r in found.rows] == [
@@ -245,12 +247,28 @@ def test_a_sweep_measures_every_combination_and_puts_the_parameters_back(
     assert found.results == ("rms e1", "max e1") and found.best()["Kp1"] == 2000.0
     assert fast.parameters().values == before
     kept = zendsp.Recording.load(tmp_path / "kept" / "003.mat")
-    assert kept.parameters["Kp1"] == 2000.0 and len(kept) == 1500
+    assert kept.parameters["Kp1"] == 2000.0 and len(kept) == 2500
     assert found.rows[2]["rms e1"] == pytest.approx(np.sqrt(np.mean(kept["e1"][500:] ** 2)))
     assert found.save(tmp_path / "s.csv").read_text().startswith("Kp1,Kd1,rms e1,max e1,ended\n")
     assert "4 runs: rms e1 is least" in repr(found) and "<table>" in found._repr_html_()
     with pytest.raises(AcquisitionError, match="no result 'x'"):
         found.best("x")
+
+
+def test_equal_gains_are_not_ranked_and_different_ones_are(fast: Target) -> None:
+    fast.download("pd.c")
+    fast.update(turn_time=2.0)
+    fast.start()
+    until(lambda: fast.status().t > 2.0, "the arm is on its circle")
+    alike = [1999.9, 1999.95, 2000.0, 2000.05, 2000.1]
+    found = zendsp.sweep(fast, {"Kp1": alike}, ["e1"], seconds=0.3, settle=0.2)
+    assert "none is best" in repr(found) and len(found.best_rows()) > 1
+    assert [row[0] for row in found.cells()] == ["1999.9", "1999.95", "2000", "2000.05", "2000.1"]
+    gains = {"Kp1": [500.0, 1000.0, 2000.0]}
+    found = zendsp.sweep(fast, gains, ["e1"], seconds=2.0, settle=0.2)  # one turn
+    assert "rms e1 is least" in repr(found) and "at Kp1 = 2000; the first values" in repr(found)
+    assert len(found.rows) == 3 and len(found.again) == 2
+    assert found.spread() < 0.05 * found.best()["rms e1"] and found.best_rows() == [2]
 
 
 def test_every_value_is_checked_before_the_first_run(fast: Target) -> None:

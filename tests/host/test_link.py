@@ -137,7 +137,7 @@ def test_run_for_counts_samples_exactly(target: Target) -> None:
 
 def test_large_tables_arrive_whole_in_one_sample(running: Target, runtime: FakeRuntime) -> None:
     values = np.random.default_rng(0).normal(size=(50_000, 4))
-    running.upload("ref", values)
+    running.upload("ref", values.reshape(-1))
     assert np.array_equal(runtime.values["ref"].reshape(-1, 4), values)
     with pytest.raises(VariableError, match="200001 elements do not fit into 200000"):
         running.upload("ref", np.zeros(200_001))

@@ -216,10 +216,12 @@ def test_a_table_of_no_row_or_one_is_told_as_that(tmp_path: Path, rows: str) -> 
         draft_model(read_table(path))
 
 
-def own_recording(folder: Path, machine: MachineInfo, decimation: int = 2) -> Path:
+def own_recording(
+    folder: Path, machine: MachineInfo, decimation: int = 2, command: str = "N m"
+) -> Path:
     """What zendsp recorded of a machine, every second sample."""
     columns = recording()
-    units = {"q": "rad", "tau": "N m", "r": "rad"}
+    units = {"q": "rad", "tau": command, "r": "rad"}
     told = msgspec.json.decode(msgspec.json.encode(machine))
     made = Recording.from_columns(
         {name: values for name, values in columns.items() if name != "t"},
@@ -267,6 +269,15 @@ def test_of_its_own_machine_without_a_model_the_rest_is_asked(tmp_path: Path) ->
     cart = own_recording(tmp_path, msgspec.structs.replace(info, joints=(*info.joints, pole)))
     asked = draft_model(read_table(cart), machine=machine_of(cart, tmp_path)).questions
     assert any("2 joints (axis, pole), and only q looks like" in question for question in asked)
+
+
+def test_the_drives_limit_is_known_where_the_program_left_out_the_unit(tmp_path: Path) -> None:
+    joint = JointInfo("axis", counts_per_unit=1000.0, torque_max=7.5)
+    path = own_recording(tmp_path, MachineInfo("bench", joints=(joint,)), command="")
+    draft = draft_model(read_table(path), machine=machine_of(path, tmp_path))
+    assert model_of(draft.text).actuator.limit == (7.5,)
+    assert any("is tau in N m (N)?" in question for question in draft.questions)
+    assert not any("cut off" in question for question in draft.questions)
 
 
 def test_a_file_of_others_has_no_machine(tmp_path: Path) -> None:

@@ -84,6 +84,7 @@ def test_a_crash_is_told_with_signal_and_last_sample_and_loses_nothing(
     status = runtime.status()
     assert status.state == "crashed"
     assert says in status.crash
+    assert ("by zero" in status.crash) == ("SIGFPE" in says or "SIGILL" in says)
     assert "last sample 49" in status.crash
     kept = runtime.acquire_status(0)
     assert (kept.state, kept.count) == ("done", 50)

@@ -167,6 +167,20 @@ def test_stop_acts_from_any_host_and_nothing_moves_before_enable(target: Target)
     assert target.drive_status().state == "running"
 
 
+def test_with_nothing_latched_acknowledge_says_so_and_a_program_goes_on(target: Target) -> None:
+    target.start()
+    assert "nothing to acknowledge" in target.acknowledge()
+    assert "nothing to acknowledge" in _cli(target, "acknowledge").stderr
+    assert target.status().state == "running"
+    target.stop()
+    assert target.acknowledge().startswith("acknowledged; start the program")
+    target.pause()
+    target.power_on()
+    target.enable()
+    target.acknowledge()
+    assert target.drive_status().state == "enabled", "the drives stay as they are, too"
+
+
 def test_the_digital_input_stops_as_well(target: Target) -> None:
     target.power_on()
     target.enable()

@@ -127,6 +127,8 @@ async def test_a_computed_curve_its_scale_its_files_and_its_layout(
         console = console_of(lab)
         scope = console.scope
         console.plot_names(["r1", "q1", "e1"])
+        await until(pilot, lambda: scope.history.count > 500, "a past")
+        past, shown = scope.history.newest()
         await pilot.press("F")
         await pilot.pause()
         await type_first(pilot, "err = r1 - nobody")
@@ -134,7 +136,11 @@ async def test_a_computed_curve_its_scale_its_files_and_its_layout(
         await type_first(pilot, "err = r1 - q1")
         assert [c.name for c in scope.channels] == ["r1", "q1", "e1", "err"]
         assert scope.channels[3].unit == "rad" and console.curve_names() == ["r1", "q1", "e1"]
-        await until(pilot, lambda: scope.history.count > 500, "live, with the computed curve")
+        rows = len(past) + 600
+        await until(pilot, lambda: scope.history.count > rows, "live, with the computed curve")
+        t, y = scope.history.newest()
+        assert np.array_equal(t[: len(past)], past), "what was there before is still there"
+        assert np.array_equal(y[: len(past), :3], shown) and np.isnan(y[: len(past), 3]).all()
         _, y = scope.history.newest(500)
         assert np.array_equal(y[:, 3], y[:, 0] - y[:, 1]) and np.ptp(y[:, 3]) > 0.0
         scope.set(replace(scope.settings, selected=3))

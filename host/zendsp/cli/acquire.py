@@ -97,6 +97,9 @@ def command(
                     note=note,
                     progress=set_fraction,
                 )
+            status = t.status()
+            if status.trip is not None:
+                ended = f"the program was {status.state} within the recording"
         except (RunnerDied, Incomplete) as error:
             ended = str(error)
             try:

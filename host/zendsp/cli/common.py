@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 import msgspec
+from click.core import ParameterSource
 
 from zendsp.cli import completing
 from zendsp.cli.lines import fitted
@@ -57,7 +58,7 @@ def open_target(name: str, endpoint: str | None) -> Iterator[Target]:
     tripped or its program crashed. In ``zendsp shell`` its one link is taken. Until then SIGTERM
     and the end of the terminal act as Ctrl-C: what was set for a run is put back.
     """
-    held = _held(name, endpoint)
+    held = held_target(name, endpoint)
     if held is not None:
         yield held
         return
@@ -79,11 +80,16 @@ def open_target(name: str, endpoint: str | None) -> Iterator[Target]:
                         click.echo(fitted(f"zendsp: {target.name}: {said}", sys.stderr), err=True)
 
 
-def _held(name: str, endpoint: str | None) -> Target | None:
-    """The target of the shell that the command was typed in, if it is the one that is meant."""
+def held_target(name: str, endpoint: str | None) -> Target | None:
+    """Return the target of the shell that the command was typed in, if it is the one that is
+    meant: there $ZENDSP_TARGET chose it, or was overruled, when the shell began.
+    """
     context = click.get_current_context(silent=True)
     held: Target | None = context.find_root().obj if context is not None else None
-    return held if held is not None and name in ("", held.name) and not endpoint else None
+    if context is None or held is None or endpoint:
+        return None
+    typed = context.get_parameter_source("target") == ParameterSource.COMMANDLINE
+    return held if name in ("", held.name) or not typed else None
 
 
 def emit(value: Any, as_json: bool, text: Callable[[], str] | str = "") -> None:

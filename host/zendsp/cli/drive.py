@@ -67,7 +67,7 @@ def command(
         }
         try:
             if action == "acknowledge":
-                t.acknowledge()
+                click.echo(t.acknowledge(), err=True)
             elif action == "host-lost":
                 click.echo(t.set_host_lost(policy or "stop"), err=True)
             elif action != "status":

@@ -16,8 +16,8 @@ LEAVE = ("exit", "quit")
 @click.command("shell")
 @target_options
 def command(target: str, connect: str | None, as_json: bool) -> None:
-    """Type commands without their 'zendsp', all over one link; Tab completes, help lists them,
-    Ctrl-D leaves.
+    """Type commands without their 'zendsp', all over one link and to that one target, "stop" too;
+    Tab completes, help lists them, Ctrl-D leaves.
 
     \b
     Example:  zendsp shell -t imi

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import click
 
-from zendsp.cli.common import emit, open_target, target_options
+from zendsp.cli.common import emit, held_target, open_target, target_options
 from zendsp.cli.completing import targets
 from zendsp.errors import NotStopped, ZendspError
 
@@ -33,7 +33,8 @@ def command(
     """STOP: outputs are safe from the next sample on, and stay so until acknowledged.
 
     NAME is a target, as with --target. Without one it stops every target of yours on this machine,
-    and all that $ZENDSP_CONNECT leads to; with --connect, all that is there.
+    and all that $ZENDSP_CONNECT leads to; with --connect, all that is there. At the prompt of
+    "zendsp shell" it stops the target of that prompt, and no other.
     Ends with "stopped, at sample N", or with "NOT STOPPED" and a status other than 0.
 
     Example:  zendsp stop
@@ -42,13 +43,18 @@ def command(
         if len(names) > 1:
             raise click.UsageError("acknowledge one target at a time")
         with open_target("".join(names) or target, connect) as t:
-            t.acknowledge()
+            click.echo(t.acknowledge(), err=True)
             status = t.status()
             emit(status, as_json, f"{status.state}, drive {status.drive}")
         return
     from zendsp.cli import say
     from zendsp.link.programs import stopped
 
+    held = held_target(target, connect)
+    if held is not None and not names:
+        status = held.stop()
+        emit(status, as_json, f"{held.name}: {stopped(status)}")
+        return
     asked = _ask_all(names or ((target,) if target else ()), connect)
     several = len(asked) > 1 or isinstance(asked[0], _Place)
     ended: dict[str, m.Status] = {}

@@ -43,7 +43,9 @@ def command(
     """Try VALUES of parameters on the running program and measure each combination.
 
     VALUES are 100,200,400 or FIRST:LAST:COUNT. Each set takes effect in one sample; at the end the
-    parameters are put back. Exit status 1 where a limit tripped or the program crashed.
+    parameters are put back. The first set is measured again after the last: a difference that the
+    same values have among themselves is none. Exit status 1 where a limit tripped or the program
+    crashed.
 
     Example:  zendsp sweep Kp1=500:2500:5 Kd1=60,120 -c e1 -s 2
     """
@@ -57,6 +59,8 @@ def command(
                       together=together, keep=keep, progress=tell)  # fmt: skip
     header = [*found.parameters, *found.results, "ended"]
     shown = table(found.cells(), header)
+    if as_json:
+        click.echo(repr(found)[1:-1], err=True)
     emit([dict(row) for row in found.rows], as_json, f"{shown}\n{repr(found)[1:-1]}")
     if out is not None:  # last: what was measured is seen where it cannot be written
         found.save(out)

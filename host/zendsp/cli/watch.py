@@ -12,6 +12,8 @@ import click
 from zendsp.cli.common import emit, open_target, show, target_options
 from zendsp.cli.completing import variables
 
+SILENT_S = 1.0  # without rows: then the target itself is asked
+
 
 @click.command("watch")
 @click.argument("channels", nargs=-1, required=True, shell_complete=variables)
@@ -40,7 +42,8 @@ def command(
     as_json: bool,
 ) -> None:
     """Follow channels until Ctrl-C: one line for each interval; on a terminal one that changes, or
-    as many as they need.
+    as many as they need. Ends with a status other than 0 where the target is gone, or no longer
+    lets you in.
 
     Example:  zendsp watch q tau --interval 0.2
     """
@@ -49,11 +52,16 @@ def command(
         open_target(target, connect) as t,
         t.live(list(channels), interval=min(interval, 0.05), history=1.0) as view,
     ):
-        shown, back = 0, ""
-        due = time.monotonic()
+        shown, back, received = 0, "", -1
+        due = heard = time.monotonic()
         while not count or shown < count:
             time.sleep(max(0.0, due - time.monotonic()))
             due += interval
+            if view.received != received:
+                received, heard = view.received, time.monotonic()
+            elif time.monotonic() > heard + SILENT_S:
+                t.status()  # paused, or an error says why nothing comes
+                heard = time.monotonic()
             newest = view.latest()
             if not newest:
                 newest = _first(view)

@@ -29,6 +29,7 @@ MEASURES: dict[str, Callable[[Floats], float]] = {
     "p2p": lambda y: float(np.ptp(y)),
 }
 MOST = 10_000  # runs
+AGAIN = 2  # measurements of the first values after the last ones: how well a result repeats
 
 
 @dataclass(frozen=True, repr=False)
@@ -43,14 +44,52 @@ class Sweep:
     rows : tuple of dict
         One a run: its values, its results, and ``"ended"``: why the program stopped, "" where it
         ran.
+    again : tuple of dict
+        The results of the first row's values, measured again after the last row. Where the motion
+        is periodic and a window does not last whole periods, they differ as much as the pieces of
+        the motion do.
     """
 
     parameters: tuple[str, ...]
     results: tuple[str, ...]
     rows: tuple[Mapping[str, Any], ...]
+    again: tuple[Mapping[str, float], ...] = ()
+
+    def spread(self, result: str = "") -> float:
+        """Return by how much a result differs where the same values are measured again; NaN where
+        that is not known.
+
+        Parameters
+        ----------
+        result : str
+            Default: the first.
+        """
+        name = result or self.results[0]
+        found = [abs(float(row[name])) for row in (self.rows[0], *self.again) if name in row]
+        return max(found) - min(found) if self.again else float("nan")
+
+    def best_rows(self, result: str = "") -> list[int]:
+        """Return the numbers of all rows that cannot be told from that of `best_row`: they are no
+        further from it than the same values are from themselves.
+
+        Parameters
+        ----------
+        result : str
+            Default: the first.
+        """
+        name, least = result or self.results[0], self.best_row(result)
+        if least is None:
+            return []
+        spread = self.spread(name)
+        most = abs(float(self.rows[least][name])) + (spread if spread > 0.0 else 0.0)
+        return [
+            k
+            for k, row in enumerate(self.rows)
+            if k == least or (not row["ended"] and abs(float(row[name])) <= most)
+        ]
 
     def best(self, result: str = "") -> Mapping[str, Any]:
-        """Return the run with the smallest result.
+        """Return the run with the smallest result; `best_rows` has those that are as good.
 
         Parameters
         ----------
@@ -92,9 +131,14 @@ class Sweep:
 
     def cells(self) -> list[list[str]]:
         """Return the rows as text."""
-        names = (*self.parameters, *self.results)
+        digits = {n: _digits([row[n] for row in self.rows]) for n in self.parameters}
         return [
-            [*(_short(row.get(n, "")) for n in names), str(row["ended"])] for row in self.rows
+            [
+                *(_short(row[n], digits[n]) for n in self.parameters),
+                *(_short(row.get(n, "")) for n in self.results),
+                str(row["ended"]),
+            ]
+            for row in self.rows
         ]
 
     def __repr__(self) -> str:
@@ -102,11 +146,20 @@ class Sweep:
             best = self.best()
         except AcquisitionError as error:
             return f"<Sweep of {counted(len(self.rows), 'run')}: {error}>"
-        at = ", ".join(f"{n} = {_short(best[n])}" for n in self.parameters)
-        return (
-            f"<Sweep of {counted(len(self.rows), 'run')}: {self.results[0]} is least,"
-            f" {_short(best[self.results[0]])}, at {at}>"
-        )
+        cells = self.cells()[self.best_row() or 0]
+        at = ", ".join(f"{n} = {cells[k]}" for k, n in enumerate(self.parameters))
+        what, spread = self.results[0], self.spread()
+        head = f"<Sweep of {counted(len(self.rows), 'run')}: "
+        least = f"{_short(best[what])}, at {at}"
+        if (alike := len(self.best_rows())) > 1:
+            return (
+                f"{head}none is best: {alike} are within {_short(spread)} of the least {what},"
+                f" {least}, and by so much the first values differ from themselves when measured"
+                " again; of a periodic motion, measure whole periods>"
+            )
+        known = spread == spread  # not NaN
+        again = f"; the first values measured again differ by {_short(spread)}" if known else ""
+        return f"{head}{what} is least, {least}{again}>"
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the best run, and all of them."""
@@ -132,6 +185,10 @@ def sweep(
     is not measured. At the end, and after Ctrl-C or an error, the parameters are put back as they
     were, in one sample. Where a limit trips or the program crashes, the sweep ends; the row says
     why.
+
+    Every window is another piece of the motion. After the last set the first one is measured twice
+    more: by how much its results differ is told, and differences that are no larger are none. Of a
+    periodic motion let ``seconds`` be whole periods: then all pieces are alike.
 
     Parameters
     ----------
@@ -176,20 +233,25 @@ def sweep(
         target.request("check", values=dict(run))
     folder = Path(keep) if keep is not None else None
     rows: list[Mapping[str, Any]] = []
+    again: list[Mapping[str, float]] = []
+    todo = [*runs, *(runs[:1] * AGAIN if len(runs) > 1 else [])]
     with kept(target, values):
-        for number, run in enumerate(runs, 1):
-            tell = _part(progress, number - 1, len(runs))
+        for number, run in enumerate(todo, 1):
+            tell = _part(progress, number - 1, len(todo))
             recording, ended = _one(target, run, channels, settle + seconds, tell)
             results = _measured(recording, measures, settle, ended)
-            rows.append({**run, **results, "ended": ended})
-            if folder is not None and recording is not None:
-                recording.save(folder / f"{number:03}.mat")
+            if number > len(runs):
+                again += [results] if results else []
+            else:
+                rows.append({**run, **results, "ended": ended})
+                if folder is not None and recording is not None:
+                    recording.save(folder / f"{number:03}.mat")
             if progress is not None:
-                progress(number / len(runs))
+                progress(number / len(todo))
             if ended:
                 break
     names = [f"{m} {c}" for c in _columns(rows, channels, measures) for m in measures]
-    return Sweep(tuple(values), tuple(names), tuple(rows))
+    return Sweep(tuple(values), tuple(names), tuple(rows), tuple(again))
 
 
 def _runs(
@@ -272,8 +334,15 @@ def _columns(
     return list(channels)
 
 
-def _short(value: Any) -> str:
-    return f"{value:.5g}" if isinstance(value, float) else str(value)
+def _short(value: Any, digits: int = 5) -> str:
+    return f"{value:.{digits}g}" if isinstance(value, float) else str(value)
+
+
+def _digits(values: Sequence[Any]) -> int:
+    """So many that different values are written differently."""
+    different = {v for v in values if isinstance(v, float)}
+    enough = (n for n in range(5, 17) if len({f"{v:.{n}g}" for v in different}) == len(different))
+    return next(enough, 17)
 
 
 def tried_of(words: Sequence[str]) -> dict[str, list[float]]:

@@ -28,6 +28,8 @@ Trigger = m.Trigger
 ENDED = (RecorderState.DONE, RecorderState.IDLE)
 POLL_S = 0.02
 END_S = 2.0  # for the loop to see that a ring was stopped
+AFTER_TRIP_S = 1.0  # of the target's time: how the machine comes to rest is recorded
+AFTER_TRIP_REAL_S = 3.0  # of real time: samples may have ended
 SHORTEST_RING_S = 0.25  # a shorter one could not be followed on a busy machine
 
 
@@ -353,6 +355,7 @@ class Recorder(Transfers):
         self, timeout: float | None, patience: float, progress: Callable[[float], None] | None
     ) -> m.AcquireStatus:
         deadline = None if timeout is None else time.monotonic() + timeout
+        ran = time.monotonic()
         while True:
             status: m.AcquireStatus = self.insist("acquire_status", patience)
             if progress is not None and status.wanted:
@@ -364,14 +367,19 @@ class Recorder(Transfers):
                 raise _loadable(RunnerDied(overall.crash))
             if status.state in ENDED:
                 return status  # ended before it was full, by a host
-            if (
-                overall.state != ProgramState.RUNNING
+            if overall.state == ProgramState.RUNNING:
+                ran = time.monotonic()
+            elif (
+                not _comes_to_rest(overall, ran)
                 and self.insist("acquire_status", patience).state not in ENDED
             ):
-                self.request("acquire_stop")
+                self._end_ring(patience)
+                status = self.insist("acquire_status", patience)
+                if (have := status.count - status.first) >= status.wanted:
+                    return status
                 raise _loadable(Incomplete(
                     f"the program was {overall.state} before the recording was complete "
-                    f"({status.count} of {status.wanted} rows)"
+                    f"({have} of {status.wanted} rows)"
                 ))  # fmt: skip
             if deadline is not None and time.monotonic() > deadline:
                 raise _loadable(
@@ -381,6 +389,22 @@ class Recorder(Transfers):
                     )
                 )
             time.sleep(POLL_S)
+
+
+def _comes_to_rest(status: m.Status, ran: float) -> bool:
+    """Whether samples go on after a STOP or trip, and how the machine comes to rest is recorded.
+
+    Parameters
+    ----------
+    status : Status
+    ran : float, s
+        When the program was last seen to run, by this computer's clock.
+    """
+    return (
+        status.trip is not None
+        and status.tick < status.trip.tick + AFTER_TRIP_S * status.rate_hz
+        and time.monotonic() < ran + AFTER_TRIP_REAL_S
+    )
 
 
 def _loadable(error: ZendspError) -> ZendspError:

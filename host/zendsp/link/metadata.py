@@ -18,6 +18,7 @@ from zendsp.link.variables import Reading, plain
 from zendsp.recording import Channel, ParameterChange, Recording
 from zendsp.recording.names import FloatArray, split_element
 from zendsp_protocol import messages as m
+from zendsp_protocol.states import ProgramState
 from zendsp_protocol.values import Assignable, from_wire
 from zendsp_protocol.version import PROTOCOL
 
@@ -51,6 +52,11 @@ def describe(
     ticks = start_tick + status.decimation * np.arange(len(data))
     last = int(ticks[-1]) if len(ticks) else 0
     program, read, changes, replaced = _made_by(parameters, status, last, patience)
+    full = status.wanted > 0 and status.count - status.first >= status.wanted
+    crashed = overall.state == ProgramState.CRASHED and not replaced and not full
+    # a sample that crashes leaves no row: what was changed in it belongs to the recording all the
+    # more
+    logged = max(last, overall.tick) if crashed else last
     return Recording(
         t=ticks / overall.rate_hz,
         data=data,
@@ -63,7 +69,7 @@ def describe(
         timing={
             name: plain(value) for name, value in msgspec.structs.asdict(overall.timing).items()
         } if not replaced else {},
-        log=tuple(_change(change) for change in changes if change.tick <= last),
+        log=tuple(_change(change) for change in changes if change.tick <= logged),
         parameters=parameters_at(last, read, changes),
         sources=dict(program.sources),
         compiler=program.compiler,

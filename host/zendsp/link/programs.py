@@ -197,9 +197,17 @@ class Programs(Part):
             status if status.trip is not None else msgspec.structs.replace(status, trip=known.trip)
         )
 
-    def acknowledge(self) -> None:
-        """Acknowledge a STOP or a trip; nothing moves before the next `start`."""
-        self.request("acknowledge")
+    def acknowledge(self) -> str:
+        """Acknowledge a STOP or a trip; nothing moves before the next `start`. Where nothing is
+        latched, nothing changes.
+
+        Returns
+        -------
+        str
+            What was done, or that there was nothing to acknowledge.
+        """
+        said: m.Said = self.request("acknowledge")
+        return said.text
 
     def unload(self) -> None:
         """Remove the program."""

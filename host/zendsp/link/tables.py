@@ -39,7 +39,7 @@ class Tables(Part):
         name : str
             A variable of the running code, declared as a table or an array.
         values : array
-            Any shape; sent row by row.
+            Its rows and columns, or all of its numbers, row after row.
         at_tick : int, optional
             The sample at which to switch over; default: the next one.
         progress : callable, optional
@@ -65,7 +65,9 @@ class Tables(Part):
             raise VariableError(
                 f"{name}: true or false is not a number, which a {infos[name].type} needs"
             )
-        array = np.ascontiguousarray(values, dtype=dtype).reshape(-1)
+        array = np.ascontiguousarray(values, dtype=dtype)
+        _check_shape(infos[name], array.shape)
+        array = array.reshape(-1)
         data = array.tobytes()
         begun = self.request(
             "table_begin", name=name, dtype=dtype, length=array.size, crc=crc(data)
@@ -84,3 +86,15 @@ class Tables(Part):
                 progress((offset + size) / len(data))
         applied: m.Applied = self.request("table_commit", upload=begun.upload, at_tick=at_tick)
         return applied.tick
+
+
+def _check_shape(info: m.VariableInfo, shape: tuple[int, ...]) -> None:
+    """Refuse what would be played as other columns than were meant, and what is empty."""
+    rows = "rows" if info.kind == "table" else info.length // info.columns
+    if len(shape) > 1 and (len(shape) > 2 or shape[1] != info.columns):
+        raise VariableError(
+            f"{info.name}: needs shape ({rows}, {info.columns}), or its numbers row after row; got"
+            f" {shape}"
+        )
+    if 0 in shape:
+        raise VariableError(f"{info.name}: is to be filled with an empty array; give a row or more")

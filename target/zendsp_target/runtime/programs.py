@@ -10,7 +10,7 @@ from typing import Any
 
 from zendsp_isr.parts import build_machine, build_runner, is_model
 from zendsp_protocol import stop_page
-from zendsp_protocol.errors import Refused
+from zendsp_protocol.errors import Refused, RunnerDied
 from zendsp_protocol.messages import CompileResult, Trip
 from zendsp_target.concealed.load import load_concealed
 from zendsp_target.runtime import safety
@@ -115,6 +115,7 @@ class Programs:
         with self.lock:
             self._require_open()
             self.require_no_trip()
+            ended = "" if self.session is None else "; what was loaded before was ended"
             self.unload()
             self.require_no_trip()  # what tripped at its very end
             if self.drive_wish != "auto":
@@ -122,15 +123,18 @@ class Programs:
                 self.drive_wish = "off"
             self._loads += 1
             set_up(self._page)
-            self.session = Session(
-                key,
-                self.settings,
-                path,
-                self.folder.path,
-                self._loads,
-                self.log,
-                self._sequence,
-            )
+            try:
+                self.session = Session(
+                    key,
+                    self.settings,
+                    path,
+                    self.folder.path,
+                    self._loads,
+                    self.log,
+                    self._sequence,
+                )
+            except (Refused, RunnerDied) as error:
+                raise type(error)(f"{error}{ended}") from None
             self.unsafe = ""
 
     def unload(self) -> None:

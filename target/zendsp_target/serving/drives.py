@@ -346,8 +346,11 @@ class Drives:
 
     def acknowledge(self) -> str:
         """stopped | tripped → homed; nothing moves before somebody enables (or, automatically,
-        starts) again.
+        starts) again. Where nothing is latched nothing changes: a program goes on.
         """
+        status = self._runtime.status()
+        if status.trip is None and status.state != ProgramState.CRASHED:
+            return "nothing is latched, so there is nothing to acknowledge"
         if self._explicit:
             self._off()
         self._enabled = False

@@ -62,7 +62,8 @@ def check_signals(signals: Sequence[Signals], model: Model) -> list[str]:
         seconds = float(raw.time[-1] - raw.time[0]) + raw.sample_time  # the last row's, too
         if seconds < MIN_SECONDS - 0.5 * raw.sample_time:
             raise RecordingError(
-                f"{s.name}: lasts {seconds:.4g} s; a diagnosis needs at least {MIN_SECONDS:g} s"
+                f"{s.name}: lasts {seconds:.4g} s; a diagnosis needs at least {MIN_SECONDS:g} s:"
+                " play a longer motion, such as a multisine or a trapezoid of 10 s"
             )
         joints = raw.position.shape[1]
         for j in range(joints):

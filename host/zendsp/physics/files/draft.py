@@ -344,7 +344,7 @@ def _actuator(page: _Page, command: Group | None, step: float, machine: Machine 
         page.line(
             "gain = { value = 1.0, free = false }", f"{command.unit} per {command.unit} of command"
         )
-    elif not command.unit and any(word in command.names[0].lower() for word in PREFERRED[:4]):
+    elif _named_torque(command):
         page.line("gain = { value = 1.0, free = false }", ask=f"is {command.names[0]} in N m (N)?")
     else:
         unit = command.unit or "unit"
@@ -354,11 +354,18 @@ def _actuator(page: _Page, command: Group | None, step: float, machine: Machine 
         )
     if command.unit:
         page.line(f"unit = {json.dumps(command.unit, ensure_ascii=False)}")
-    if machine is not None and command.unit in ("N m", "Nm", "N") and machine.limits:
-        page.line(f"limit = {_list(machine.limits)}", f"{command.unit}: the machine's own")
+    torque = command.unit in ("N m", "Nm", "N") or _named_torque(command)
+    if machine is not None and torque and machine.limits:
+        unit = command.unit or "N m (N)"
+        page.line(f"limit = {_list(machine.limits)}", f"{unit}: the machine's own")
     else:
         _limit(page, command)
     _delay(page, step, machine)
+
+
+def _named_torque(command: Group) -> bool:
+    """Whether a command without a unit is called as a torque is."""
+    return not command.unit and any(word in command.names[0].lower() for word in PREFERRED[:4])
 
 
 def _limit(page: _Page, command: Group) -> None:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class SweepView(Vertical):
-    """One row for each set of parameters; the best is marked."""
+    """One row for each set of parameters; the best is marked, and all that are as good."""
 
     DEFAULT_CSS = """
     SweepView Static { height: auto; }
@@ -40,11 +40,11 @@ class SweepView(Vertical):
         table.clear(columns=True)
         for name in ("", *sweep.parameters, *sweep.results, "ended"):
             table.add_column(Text(name))
-        best = sweep.best_row()
+        best = sweep.best_rows()
         for k, cells in enumerate(sweep.cells()):
-            style = "bold" if k == best else ""
-            table.add_row(Text("●" if k == best else " "), *(Text(c, style) for c in cells))
-        table.move_cursor(row=best or 0)
+            style = "bold" if k in best else ""
+            table.add_row(Text("●" if k in best else " "), *(Text(c, style) for c in cells))
+        table.move_cursor(row=sweep.best_row() or 0)
 
     def values(self, row: int) -> dict[str, float]:
         """Return the parameters of a row."""

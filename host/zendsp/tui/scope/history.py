@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +31,19 @@ class History:
         self._last_tick = -1
         self._step = 0
         self._lock = threading.Lock()
+
+    def chosen(self, columns: Sequence[int]) -> History:
+        """Return a history of other columns that has the rows so far; a column -1 is a new one,
+        NaN until now.
+        """
+        found = History(len(columns), self._rows)
+        with self._lock:
+            found._t[:] = self._t
+            for k, column in enumerate(columns):
+                found._y[:, k] = self._y[:, column] if column >= 0 else np.nan
+            found._count, found._last_tick = self._count, self._last_tick
+            found._step = self._step
+        return found
 
     @property
     def count(self) -> int:

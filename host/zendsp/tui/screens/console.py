@@ -86,6 +86,8 @@ class ConsoleScreen(ViewActions, VariableActions, ProgramActions, AnalysisAction
                 if n == first or n.startswith(f"{first}[")
             ]
             keep = usual[: 4 if self.has_class("-narrow") else 6]
+        # the past of the program before is none of this one
+        self.scope.show_channels(self.scope.channels)
         self.plot_names(keep)
 
     def curve_names(self) -> list[str]:

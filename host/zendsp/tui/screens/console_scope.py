@@ -63,10 +63,15 @@ class ScopeActions(LabScreen):
         self.plot_channels([computed.get(n) or Channel(n, units.get(n, "")) for n in names])
 
     def plot_channels(self, channels: Sequence[Channel]) -> list[str]:
-        """Show these curves; returns those that the program lacks, which are left out."""
+        """Show these curves; returns those that the program lacks, which are left out. Curves that
+        were shown before keep their past.
+        """
         known = {name for name, _, _ in self.element_names()}
         shown = [c for c in channels if known.issuperset(sources([c]))][:MOST_CHANNELS]
-        self.scope.show_channels(shown, self.lab.session.watch(shown))
+        before = list(self.scope.channels)
+        columns = [before.index(c) if c in before else -1 for c in shown]
+        kept = self.scope.history.chosen(columns) if max(columns, default=-1) >= 0 else None
+        self.scope.show_channels(shown, self.lab.session.watch(shown, kept))
         return [c.name for c in channels if c not in shown]
 
     def action_channels(self) -> None:

@@ -32,6 +32,10 @@ _WITHIN = {
     5: "in the machine",
 }
 QUIT_S = 2.0  # for the loop to make its machine safe and end
+_MEANT = {
+    "SIGFPE": " (an integer division by zero)",
+    "SIGILL": " (a division by zero, or other code that C leaves undefined)",
+}
 KILLED_S = 2.0  # for the system to end it: a call of a driver may hold that up for good
 BEING_MADE_SAFE = "the machine is being made safe"
 
@@ -289,7 +293,7 @@ class RunnerProcess:
             )
         if code is not None and code < 0:
             name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
-            return f"{name} {where}; {last}"
+            return f"{name} {where}{_MEANT.get(name, '')}; {last}"
         return f"the process ended with status {code} {where} (user code called exit?); {last}"
 
     def _stands_still(self) -> bool:
