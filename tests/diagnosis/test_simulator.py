@@ -142,7 +142,9 @@ def test_what_a_small_torque_does_is_guessed_from_one_push(tmp_path: Path) -> No
         # of first order, about a motion that passes 0.1 rad in a window: 1 % of 2e-3 N m
         assert np.linalg.norm(guessed - simulated) < 0.05 * np.linalg.norm(simulated), effect
     inertia = set_values(model, [Handle("mechanism", 0, "inertia")], np.array([0.0103]))
-    ways = near.errors, partial(errors, [b])
+    line = near.line(model)
+    assert line is not None
+    ways = line.errors, partial(errors, [b])
     guessed, simulated = (ask(inertia) - near.current.error for ask in ways)
     assert np.linalg.norm(guessed - simulated) < 0.05 * np.linalg.norm(simulated)
 

@@ -50,7 +50,8 @@ Progress = Callable[[str], None]
 # s: each window is simulated from the smoothed motion, where the simulator starts from its first
 # row
 WINDOW = 0.25
-FEW, PER_JOINT = 4, 3  # effects that are taken at most: of one joint, and of each of several
+MOST = 4  # effects of a joint that are taken at most
+LAST = 3  # simulated steps of the last fit, from where guessed slopes end
 OVER_NOISE = 3  # times the sensor's noise: what is left below is no mismatch
 RESTARTS = 0.02  # of the span, and START_NOISE times the noise: so near a simulation must begin
 START_NOISE = 4
@@ -211,21 +212,24 @@ def _hunted(
     which nothing is then left; each step with its rivals and what stood before it.
     """
     current, steps = base, []
-    for _ in range(max(FEW, PER_JOINT * len(train[0].records))):
-        claim, rivals = hunt.step(current)
-        if claim is None:
+    for _ in range(MOST):
+        fitted, taken = hunt.step(current)
+        if not taken:
             break
-        steps.append((claim, rivals, current))
-        current = claim.output
+        steps += [(claim, rivals, current) for claim, rivals in taken]
+        current = fitted
     while steps:
-        current = fit_output(train, current.model, current.fit.handles, current.error, 25)
+        hunt.tell("fitting all together")
+        current = Near(train, current).fit(current.model)
+        # slopes that are simulated, for the uncertainties
+        current = fit_output(train, current.model, current.fit.handles, current.error, LAST)
         gone = [t for claim, _, _ in steps for t in indistinct(current, claim.term)]
         if not gone:
             break
         model = current.model.with_terms(tuple(t for t in current.model.terms if t is not gone[-1]))
         steps = [s for s in steps if (s[0].term.effect, s[0].term.joint) in
                  {(t.effect, t.joint) for t in model.terms}]  # fmt: skip
-        current = fit_output(train, model, free_handles(model, offsets=False), current.error)
+        current = fit_output(train, model, free_handles(model, offsets=False), current.error, LAST)
     hunt.tell("asking the untouched recordings for the same numbers")
     return (spread_over(current, hunt.test) if steps else current), steps
 

@@ -15,7 +15,15 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.external.output_error import BLOCK, Output, errors, fit_output, weights
+from zendsp.diagnosis.external.output_error import (
+    BLOCK,
+    Line,
+    Output,
+    errors,
+    fit_output,
+    guess_output,
+    weights,
+)
 from zendsp.diagnosis.external.simulator import Bench
 from zendsp.physics.calibration.fit import robust_covariance
 from zendsp.physics.calibration.handles import Handle, free_handles, get_values, set_values
@@ -111,36 +119,67 @@ class Near:
         if not self.linear:
             return
         self.benches = [Pushed(b, current.model) for b in benches]
-        fit = current.fit
-        known = {h: fit.jacobian[:, k] for k, h in enumerate(fit.handles) if h.place == "mechanism"}
-        self.own = tuple(
-            h for h in free_handles(current.model, offsets=False) if h.place == "mechanism"
-        )
-        self.at = get_values(current.model, self.own)
-        columns = [known[h] if h in known else self._column(h) for h in self.own]
-        self.jacobian = np.stack(columns, axis=1) if columns else np.zeros((len(current.error), 0))
+        known = dict(zip(current.fit.handles, current.fit.jacobian.T, strict=True))
+        self.columns = {
+            h: known[h] if h in known and h.place == "mechanism" else self._column(h)
+            for h in free_handles(current.model, offsets=False)
+        }
 
     def _column(self, handle: Handle) -> Array:
-        """What a parameter of the simulator does that the last fit did not move."""
+        """What a free number does: one of the simulator's own is simulated."""
         model = self.current.model
         value = float(get_values(model, [handle])[0])
-        moved = set_values(model, [handle], np.array([(1 + STEP) * value]))
-        return (errors(self.true, moved) - self.current.error) / (STEP * value)
+        step = STEP * (abs(value) or 1.0)
+        moved = set_values(model, [handle], np.array([value + step]))
+        if handle.place == "mechanism":
+            return (errors(self.true, moved) - self.current.error) / step
+        return np.asarray((errors(self.benches, moved) - self.current.error) / step)
 
     def errors(self, model: Model) -> Array:
-        """Measured minus simulated position over its noise, (N,), to first order; simulated where
-        that does not hold.
+        """Measured minus simulated position over its noise, (N,), of the current model with other
+        terms, to first order; simulated where that does not hold.
+        """
+        return errors(self.benches if self.linear else self.true, model)
+
+    def line(self, model: Model) -> Line | None:
+        """What is known of a model that has some terms of the current one, and others: its old
+        numbers move the errors by their columns, the new ones by the torque of their terms.
         """
         if not self.linear:
-            return errors(self.true, model)
-        own = self.jacobian @ (get_values(model, self.own) - self.at)
-        return np.asarray(errors(self.benches, model) + own, dtype=np.float64)
-
-    def fit(self, model: Model) -> Output:
-        """A model with another term, fitted; the slopes are those from here."""
+            return None
+        places = {id(t): k for k, t in enumerate(self.current.model.terms)}
         handles = free_handles(model, offsets=False)
-        guess = self.errors if self.linear else None
-        return fit_output(self.true, model, handles, self.current.error, guess=guess)
+        slopes: dict[int, Array] = {}
+        for i, h in enumerate(handles):
+            if h.place != "term":
+                slopes[i] = self.columns[h]
+            elif (place := places.get(id(model.terms[h.index]))) is not None:
+                slopes[i] = self.columns[Handle("term", place, h.key)]
+        old = [handles[i] for i in slopes]
+        at = get_values(model, old)
+        columns = np.stack([*slopes.values(), np.zeros(len(self.current.error))], axis=1)
+
+        def guess(other: Model) -> Array:
+            moved = np.append(get_values(other, old) - at, 0.0)
+            return np.asarray(self.errors(set_values(other, old, at)) + columns @ moved)
+
+        return Line(guess, slopes)
+
+    def begin(self, model: Model) -> tuple[Model, Array]:
+        """A model with other terms as it fits to first order, and its errors so."""
+        line = self.line(model)
+        if line is None:
+            return model, errors(self.true, model)
+        handles = free_handles(model, offsets=False)
+        return guess_output(self.true, model, handles, self.current.error, line)
+
+    def fit(self, model: Model, begin: Model | None = None) -> Output:
+        """A model with other terms, fitted from where it fits to first order; the slopes are those
+        from here.
+        """
+        handles = free_handles(model, offsets=False)
+        begin = begin or self.begin(model)[0]
+        return fit_output(self.true, begin, handles, self.current.error, line=self.line(model))
 
     def bumps(self, k: int, joint: int, shapes: Array) -> Array:
         """What torques over time at one joint (0-based) do to its error on recording k, (n,
