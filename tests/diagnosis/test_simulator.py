@@ -131,7 +131,7 @@ def test_what_a_small_torque_does_is_guessed_from_one_push(tmp_path: Path) -> No
     model = load_model(file)
     b = bench(read_signals(train, model), model, Entry(model))
     b.size = round(WINDOW * RATE)
-    near = Near([b], fit_output([b], model, (), errors([b], model)))
+    near = Near([b], fit_output([b], model, (), errors([b], model), 1))
     calls = b.calls
     for effect, value in (("coulomb", "level"), ("stiffness", "coefficient")):
         other = with_term(model, make_term(get_effect(effect), 1, {value: 2e-3}))

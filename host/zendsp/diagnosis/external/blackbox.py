@@ -162,7 +162,7 @@ def _diagnose(
     base = fit_output(train, model, free_handles(model, offsets=False), given_error, 25)
     # a fit must not be worse than what it began with
     if float(np.sum((weights(train, given_error) * given_error) ** 2)) < base.fit.cost:
-        base = fit_output(train, model, (), given_error)
+        base = fit_output(train, model, (), given_error, 1)
     hunt = Hunt(train, test, tell)
     current, steps = _hunted(hunt, base, train)
     findings, names = findings_of(model, base, current, steps, train)

@@ -38,6 +38,7 @@ MIN_Z = 2.5
 SUFFICIENT = 0.85  # share of the best gain with which a special case goes first
 SHORTLIST = 5  # of a joint: fitted to first order
 SIMULATED = 3  # of these
+ROUNDS = 4  # short ways of a joint's best, where its guess does not hold
 NEARLY = 0.5  # of the gain that is asked for: what is below to first order is not simulated
 BESIDE = 0.25  # times what stays unexplained on its joint: an effect that explains less has no name
 PROMISING = 0.01  # share of the cost that a screen must promise
@@ -144,15 +145,15 @@ class Hunt:
         begun = []
         for term in _shortlist([item for item in options if item[0] > PROMISING]):
             model = with_term(current.model, term)
-            begin, error = near.begin(model)
-            reach = gain(self.train, current.error, error, _price(term), error)
+            begin = near.begin(model)
+            reach = gain(self.train, current.error, begin[1], _price(term), begin[1])
             self.tried[term.effect, joint] = (reach, 0.0, "no more likely than its rivals")
             begun.append((reach, term.effect, model, begin))
         begun = sorted((b for b in begun if b[0] > NEARLY * MIN_GAIN), key=lambda b: -b[0])
         out = []
-        for _, effect, model, begin in begun[:SIMULATED]:
+        for rank, (_, effect, model, begin) in enumerate(begun[:SIMULATED]):
             self.tell(f"joint {joint}: fitting {effect}")
-            out.append(near.fit(model, begin))
+            out.append(near.fit(model, begin, 0 if rank else ROUNDS))
         return out
 
     def _best(self, claims: Sequence[Claim], current: Output) -> Claim | None:
@@ -182,8 +183,8 @@ class Hunt:
             self.tell(f"fitting {len(taken)} effects together")
             terms = [claim.term for claim, _ in taken]
             model = _with_terms(current.model, terms)
-            begin, error = near.begin(model)
-            whole = near.fit(model, begin)
+            begin = near.begin(model)
+            whole, error = near.fit(model, begin, ROUNDS), begin[1]
             left = [t for t in taken if indistinct(whole, t[0].term)]
             for item in taken:
                 others = [t for t in terms if t is not item[0].term]

@@ -27,12 +27,17 @@ from zendsp.diagnosis.external.output_error import (
 from zendsp.diagnosis.external.simulator import Bench
 from zendsp.physics.calibration.fit import robust_covariance
 from zendsp.physics.calibration.handles import Handle, free_handles, get_values, set_values
+from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model, per_joint
 
 Array = npt.NDArray[np.float64]
 
 PUSH = 0.01  # of the RMS torque
 STEP = 1e-4  # of a parameter of the simulator
+KEPT = 0.5  # of what a guess promises: what a fit comes to at least, if the guess holds
+SMALL = 0.02  # of an effect: where a fit begins that goes a short way at a time
+WORTH = 0.01  # of the cost: what such a way gains at least
+FEW, MANY = 5, 12  # simulations of a fit that begins where a guess ends, and of another
 
 
 class Pushed(Bench):
@@ -90,7 +95,7 @@ def spread_over(final: Output, others: Sequence[Bench]) -> Output:
     fit = final.fit
     if not fit.handles:
         return final
-    near = Near(others, fit_output(others, fit.model, (), errors(others, fit.model)))
+    near = Near(others, fit_output(others, fit.model, (), errors(others, fit.model), 1))
     at, weight = near.current.error, weights(others, near.current.error)
     steps = STEP * np.maximum(np.abs(fit.x), fit.std)
     moved = (set_values(fit.model, fit.handles, fit.x + row) for row in np.diag(steps))
@@ -119,11 +124,8 @@ class Near:
         if not self.linear:
             return
         self.benches = [Pushed(b, current.model) for b in benches]
-        known = dict(zip(current.fit.handles, current.fit.jacobian.T, strict=True))
-        self.columns = {
-            h: known[h] if h in known and h.place == "mechanism" else self._column(h)
-            for h in free_handles(current.model, offsets=False)
-        }
+        handles = free_handles(current.model, offsets=False)
+        self.columns = {h: self._column(h) for h in handles}
 
     def _column(self, handle: Handle) -> Array:
         """What a free number does: one of the simulator's own is simulated."""
@@ -173,13 +175,43 @@ class Near:
         handles = free_handles(model, offsets=False)
         return guess_output(self.true, model, handles, self.current.error, line)
 
-    def fit(self, model: Model, begin: Model | None = None) -> Output:
+    def fit(
+        self, model: Model, begin: tuple[Model, Array] | None = None, rounds: int = 0
+    ) -> Output:
         """A model with other terms, fitted from where it fits to first order; the slopes are those
-        from here.
+        from here. Where that comes to much less than was promised, it goes so many short ways.
         """
-        handles = free_handles(model, offsets=False)
-        begin = begin or self.begin(model)[0]
-        return fit_output(self.true, begin, handles, self.current.error, line=self.line(model))
+        handles, before = free_handles(model, offsets=False), self.current.error
+        line = self.line(model)
+        if line is None:
+            return fit_output(self.true, model, handles, before, MANY)
+        start, guessed = begin or self.begin(model)
+        out = fit_output(self.true, start, handles, before, FEW, line)
+        weight = weights(self.true, before)
+        nothing, promised = (float(np.sum((weight * e) ** 2)) for e in (before, guessed))
+        if not rounds or nothing - out.fit.cost > KEPT * (nothing - promised):
+            return out
+        slow = fit_output(self.true, self._small(model), handles, before, FEW, line)
+        for _ in range(rounds):
+            ahead = Near(self.true, slow).line(slow.model)
+            further = fit_output(self.true, slow.model, handles, before, FEW, ahead)
+            gained = slow.fit.cost - further.fit.cost
+            slow = further if gained > 0 else slow
+            if gained < WORTH * slow.fit.cost:
+                break
+        return min(out, slow, key=lambda o: o.fit.cost)
+
+    def _small(self, model: Model) -> Model:
+        """A model whose new terms are nearly nothing."""
+        old = {id(t) for t in self.current.model.terms}
+        handles = [
+            h
+            for h in free_handles(model, offsets=False)
+            if h.place == "term"
+            and id(model.terms[h.index]) not in old
+            and h.key in get_effect(model.terms[h.index].effect).linear
+        ]
+        return set_values(model, handles, SMALL * get_values(model, handles))
 
     def bumps(self, k: int, joint: int, shapes: Array) -> Array:
         """What torques over time at one joint (0-based) do to its error on recording k, (n,

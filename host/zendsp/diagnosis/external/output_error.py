@@ -174,7 +174,7 @@ def fit_output(
     model: Model,
     handles: Sequence[Handle],
     before: Array,
-    evaluations: int = 12,
+    evaluations: int,
     line: Line | None = None,
 ) -> Output:
     """Least squares on the simulated position, all free numbers together, from those of the model.
