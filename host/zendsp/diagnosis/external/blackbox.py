@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.signals import Signals, with_same_columns
 from zendsp.diagnosis.data.split import split
 from zendsp.diagnosis.decide.result import Diagnosis, FitTable, Rejected, SimulatorErrors
-from zendsp.diagnosis.external.hunt import Hunt, findings_of, indistinct, next_of
+from zendsp.diagnosis.external.hunt import Hunt, findings_of, indistinct, judged_again, next_of
 from zendsp.diagnosis.external.nearby import Near, spread_over
 from zendsp.diagnosis.external.output_error import (
     Output,
@@ -39,9 +40,10 @@ from zendsp.diagnosis.external.output_error import (
 from zendsp.diagnosis.external.simulator import Bench, Simulator, bench, on_input, simulator_of
 from zendsp.diagnosis.measure.where import Missing, Region, intervals, regions, units
 from zendsp.errors import RecordingError
+from zendsp.physics.calibration.fit import Fit
 from zendsp.physics.calibration.handles import free_handles
 from zendsp.physics.effects import library
-from zendsp.physics.model import Model
+from zendsp.physics.model import Model, Term
 from zendsp.physics.term_numbers import file_model
 
 Array = npt.NDArray[np.float64]
@@ -196,8 +198,8 @@ def _diagnose(
         seconds=time.perf_counter() - begin,
         notes=(*notes, _untried(train, test)),
         given=file_model(model),
-        calibrated=file_model(base.model),
-        improved=file_model(current.model),
+        calibrated=file_model(_noted(base.fit)),
+        improved=file_model(_noted(current.fit)),
         unexplained=REMAINS.format(100 * left) if open_ else "",
         missing=before,
         remaining=after,
@@ -231,7 +233,28 @@ def _hunted(
                  {(t.effect, t.joint) for t in model.terms}]  # fmt: skip
         current = fit_output(train, model, free_handles(model, offsets=False), current.error, LAST)
     hunt.tell("asking the untouched recordings for the same numbers")
-    return (spread_over(current, hunt.test) if steps else current), steps
+    if not steps:
+        return current, steps
+    steps = judged_again(Near(train, current), train, steps)
+    return spread_over(current, hunt.test), steps
+
+
+def _noted(fit: Fit) -> Model:
+    """A fitted model with the standard deviations of the fit."""
+    mechanism = {key: list(items) for key, items in fit.model.mechanism.items()}
+    terms = [dict(term.parameters) for term in fit.model.terms]
+    for h, std in zip(fit.handles, fit.std, strict=True):
+        if h.place == "mechanism":
+            mechanism[h.key][h.index] = replace(mechanism[h.key][h.index], std=float(std))
+        elif h.place == "term":
+            terms[h.index][h.key] = replace(terms[h.index][h.key], std=float(std))
+    return replace(
+        fit.model,
+        mechanism={key: tuple(items) for key, items in mechanism.items()},
+        terms=tuple(
+            Term(t.effect, t.joint, p) for t, p in zip(fit.model.terms, terms, strict=True)
+        ),
+    )
 
 
 def _untried(train: Sequence[Bench], test: Sequence[Bench]) -> str:

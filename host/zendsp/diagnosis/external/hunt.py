@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -241,6 +241,31 @@ class Hunt:
         part = by_joint(self.train)[c.term.joint - 1]
         before, after = (float(np.sum(o.error[part] ** 2)) for o in (current, c.output))
         return before - after, after - len(part)
+
+
+def judged_again(near: Near, train: Sequence[Bench], steps: list[Any]) -> list[Any]:
+    """Steps whose claims and rivals have the gains that they have beside all that was found, to
+    first order. When a rival was fitted, what was still missing may have looked like it.
+    """
+    out = []
+    final, error = near.current.model, near.current.error
+    for claim, rivals, before in steps:
+        at = (claim.term.effect, claim.term.joint)
+        own = [t for t in final.terms if (t.effect, t.joint) == at]
+        if not near.linear or not own:
+            out.append((claim, rivals, before))
+            continue
+        rest = final.with_terms(tuple(t for t in final.terms if t is not own[0]))
+        without = near.begin(rest)[1]
+
+        def again(c: Claim, after: Array, without: Array = without) -> Claim:
+            return replace(c, gain=gain(train, without, after, _price(c.term), error))
+
+        judged = again(claim, error)
+        others = [c for c in rivals if c is not claim]
+        asked = [again(c, near.begin(with_term(rest, c.term))[1]) for c in others]
+        out.append((judged, [judged, *asked], before))
+    return out
 
 
 def _apart(claim: Any, rivals: Sequence[Any], term: Term) -> tuple[tuple[str, ...], float]:
