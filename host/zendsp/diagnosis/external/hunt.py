@@ -225,6 +225,8 @@ class Hunt:
         """Why an effect is not claimed; empty where it is."""
         if indistinct(c.output, c.term):
             return "cannot be told from none"
+        if get_effect(c.term.effect).same_as and c.term.value("amount") < 0 and _ended(c.output):
+            return "only takes away what a parameter of the simulator has too much at its end"
         if _runs_away(c, current):
             return "drives a parameter of the simulator to the end of its range"
         if c.gain <= MIN_GAIN:
