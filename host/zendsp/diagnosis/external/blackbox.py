@@ -28,8 +28,15 @@ from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.signals import Signals, with_same_columns
 from zendsp.diagnosis.data.split import split
 from zendsp.diagnosis.decide.result import Diagnosis, FitTable, Rejected, SimulatorErrors
-from zendsp.diagnosis.external.hunt import Hunt, findings_of, indistinct, judged_again, next_of
-from zendsp.diagnosis.external.nearby import Near, spread_over
+from zendsp.diagnosis.external.hunt import (
+    ROUNDS,
+    Hunt,
+    findings_of,
+    indistinct,
+    judged_again,
+    next_of,
+)
+from zendsp.diagnosis.external.nearby import Near, settled, spread_over
 from zendsp.diagnosis.external.output_error import (
     Output,
     errors,
@@ -222,7 +229,7 @@ def _hunted(
         current = fitted
     while steps:
         hunt.tell("fitting all together")
-        current = Near(train, current).fit(current.model)
+        current = settled(train, current, ROUNDS)
         # slopes that are simulated, for the uncertainties
         current = fit_output(train, current.model, current.fit.handles, current.error, LAST)
         gone = [t for claim, _, _ in steps for t in indistinct(current, claim.term)]

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.decide.findings import estimates, new_terms, sentence
 from zendsp.diagnosis.decide.result import Finding, Next
-from zendsp.diagnosis.external.nearby import Near
+from zendsp.diagnosis.external.nearby import Near, settled
 from zendsp.diagnosis.external.output_error import (
     BLOCK,
     Output,
@@ -125,7 +125,8 @@ class Hunt:
             claims = self._judged(current, held, self._fitted(near, joint))
             if (best := self._best(claims, current)) is not None:
                 taken.append((best, claims))
-        return self._together(near, sorted(taken, key=lambda item: -item[0].gain))
+        whole, taken = self._together(near, sorted(taken, key=lambda item: -item[0].gain))
+        return (settled(self.train, whole, ROUNDS) if taken else whole), taken
 
     def _fitted(self, near: Near, joint: int) -> list[Output]:
         """What a joint's most promising effects come to. Those that fit well to first order are

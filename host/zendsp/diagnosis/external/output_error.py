@@ -297,6 +297,7 @@ def screen(
         if (
             not on_input(effect)
             or effect.retime is not None
+            or any(q.free for key in effect.same_as for q in current.model.mechanism.get(key, ()))
             or (effect.name in present and not effect.repeatable)
         ):
             continue
