@@ -229,7 +229,7 @@ def _hunted(
         current = fitted
     while steps:
         hunt.tell("fitting all together")
-        current = settled(train, current, ROUNDS)
+        current = settled(train, current, ROUNDS, base.error)
         # slopes that are simulated, for the uncertainties
         current = fit_output(train, current.model, current.fit.handles, current.error, LAST)
         gone = [t for claim, _, _ in steps for t in indistinct(current, claim.term)]

@@ -126,7 +126,9 @@ class Hunt:
             if (best := self._best(claims, current)) is not None:
                 taken.append((best, claims))
         whole, taken = self._together(near, sorted(taken, key=lambda item: -item[0].gain))
-        return (settled(self.train, whole, ROUNDS) if taken else whole), taken
+        if taken:
+            whole = settled(self.train, whole, ROUNDS, current.error)
+        return whole, taken
 
     def _fitted(self, near: Near, joint: int) -> list[Output]:
         """What a joint's most promising effects come to. Those that fit well to first order are

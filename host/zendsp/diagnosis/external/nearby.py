@@ -194,13 +194,7 @@ class Near:
         if not rounds or nothing - out.fit.cost > KEPT * (nothing - promised):
             return out
         slow = fit_output(self.true, self._small(model), handles, before, FEW, line)
-        for _ in range(rounds):
-            ahead = Near(self.true, slow).line(slow.model)
-            further = fit_output(self.true, slow.model, handles, before, FEW, ahead)
-            gained = slow.fit.cost - further.fit.cost
-            slow = further if gained > 0 else slow
-            if gained < WORTH * slow.fit.cost:
-                break
+        slow = settled(self.true, slow, rounds, before)
         return min(out, slow, key=lambda o: o.fit.cost)
 
     def _small(self, model: Model) -> Model:
@@ -232,14 +226,18 @@ class Near:
         return np.stack(columns, axis=1)
 
 
-def settled(benches: Sequence[Bench], output: Output, rounds: int) -> Output:
+def settled(benches: Sequence[Bench], output: Output, rounds: int, before: Array) -> Output:
     """A fit taken to its end, with slopes from where it stands each time: what a push does depends
-    on the simulator's own numbers, which a new effect moves.
+    on the simulator's own numbers, which a new effect moves. ``before`` is as for ``fit_output``.
     """
+    handles = free_handles(output.model, offsets=False)
+    cost = float(np.sum((weights(benches, before) * output.error) ** 2))
     for _ in range(rounds):
-        further = Near(benches, output).fit(output.model)
-        gained = 1 - further.fit.cost / max(len(output.error), 1)  # it had one for each error
-        output = further if gained > 0 else output
-        if gained < WORTH:
+        line = Near(benches, output).line(output.model)
+        further = fit_output(benches, output.model, handles, before, FEW, line)
+        gained = cost - further.fit.cost
+        if gained > 0:
+            output, cost = further, further.fit.cost
+        if gained < WORTH * cost:
             break
     return output
