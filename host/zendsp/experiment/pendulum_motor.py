@@ -155,12 +155,17 @@ def mechanical(lab: Lab, seconds: float = 6.0, brake: float = 0.08) -> Result:
         ]
         result.recordings, result.target = bench.recordings, bench.where
         train, test = recs
-        rough = fit_parameters(train, np.full(4, 1e-3))[0]
+        from_rest = fit_parameters(train, np.full(4, 1e-3))
         turning, speed = spinning(train)
-        extended = fit_parameters(turning, rough, speed)
+        extended = fit_parameters(turning, from_rest[0], speed)
+        # what the bristles take of them is their error
+        off = np.hypot(from_rest[1], from_rest[0] - extended[0])
         paper = fit_parameters(_first(train, EARLY), extended[0][:3])
-        for theta, std, names in ((*paper[:2], PARAMETERS[:3]), (*extended[:2], PARAMETERS)):
-            tail = "" if names == PARAMETERS else "_paper"
+        for theta, std, names, tail in (
+            (*paper[:2], PARAMETERS[:3], "_paper"),
+            (from_rest[0], off, PARAMETERS, "_from_rest"),
+            (*extended[:2], PARAMETERS, ""),
+        ):
             for name, value, s in zip(names, theta, std, strict=True):
                 result.values[f"{name}{tail}"] = Estimate(float(value), float(s), UNITS[name])
         for rec, where in ((train, "fitted"), (test, "held_out")):
@@ -171,26 +176,31 @@ def mechanical(lab: Lab, seconds: float = 6.0, brake: float = 0.08) -> Result:
                 begin = begun(theta, part, begin)
                 miss = float(np.sqrt(np.mean((simulated(theta, part, begin) - part["q"]) ** 2)))
                 result.values[f"rms_{where}_{word}"] = Estimate(miss, 0.0, "rad")
-        result.warnings.append(
-            "The paper's model has no viscous friction, and this machine has: under its torque the"
-            " shaft spins, and three parameters can match the position for about the first second"
-            f" only ({EARLY:g} s are fitted, from the four-parameter result). With the viscous term"
-            f" the position is matched from {train.t[-1] - turning.t[-1]:.1f} s on, where the shaft"
-            " no longer rocks: before, it turns back within the bristles of friction, which the law"
-            " has not, and which would take 3 to 5 % of every number."
-        )
-        t = result.values
-        result.mechanism = {
-            "inertia": t["theta1"],
-            "gravity": Estimate(t["theta2"].value * G, t["theta2"].std * G, "N m"),
-        }
-        result.effects = [
-            FoundEffect("coulomb", 1, {"level": t["theta3"]}),
-            FoundEffect("viscous", 1, {"coefficient": t["viscous"]}),
-        ]
+        _say(result, seconds - float(turning.t[-1]))
         figure = _mechanical_figure(train, test, paper[0], extended[0])
         result.figure = save(figure, bench.folder / "mechanical.png")
     return result
+
+
+def _say(result: Result, spins: float) -> None:
+    """What the numbers are for, and what they are not; ``spins``: from when on, s."""
+    result.warnings.append(
+        "The paper's model has no viscous friction, and this machine has: under its torque the"
+        " shaft spins, and three parameters can match the position for about the first second"
+        f" only ({EARLY:g} s are fitted, from the four-parameter result). With the viscous term"
+        f" the position is matched from {spins:.1f} s on, where the shaft"
+        " no longer rocks: before, it turns back within the bristles of friction, which the law"
+        " has not, and which would take 3 to 5 % of every number."
+    )
+    t = result.values
+    result.mechanism = {
+        "inertia": t["theta1"],
+        "gravity": Estimate(t["theta2"].value * G, t["theta2"].std * G, "N m"),
+    }
+    result.effects = [
+        FoundEffect("coulomb", 1, {"level": t["theta3"]}),
+        FoundEffect("viscous", 1, {"coefficient": t["viscous"]}),
+    ]
 
 
 def _mechanical_figure(train: Recording, test: Recording, paper: Array, extended: Array) -> Figure:
