@@ -17,7 +17,6 @@ from zendsp.diagnosis.external.output_error import (
     Output,
     by_joint,
     errors,
-    fit_output,
     gain,
     held_z,
     late_candidates,
@@ -27,7 +26,6 @@ from zendsp.diagnosis.external.output_error import (
 )
 from zendsp.diagnosis.external.simulator import Bench
 from zendsp.diagnosis.measure.significance import SIGNIFICANT, counterpart, vanishes
-from zendsp.physics.calibration.handles import get_values, set_values
 from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.model import Model, Term
 
@@ -130,23 +128,7 @@ class Hunt:
         whole, taken = self._together(near, sorted(taken, key=lambda item: -item[0].gain))
         if taken:
             whole = settled(self.train, whole, ROUNDS, current.error)
-            whole = self._released(whole, current.error)
         return whole, taken
-
-    def _released(self, output: Output, before: Array) -> Output:
-        """A fit whose simulator's parameters that lie at an end of their range were tried again
-        from where they were given: what was still missing may have driven them there.
-        """
-        fit = output.fit
-        places = zip(fit.at_bound, fit.handles, strict=True)
-        ends = [h for bound, h in places if bound and h.place == "mechanism"]
-        if not ends:
-            return output
-        model = set_values(output.model, ends, get_values(self.train[0].given, ends))
-        again = fit_output(self.train, model, (), before, 1)
-        again = settled(self.train, again, ROUNDS, before)
-        weight = weights(self.train, before)
-        return min(output, again, key=lambda o: float(np.sum((weight * o.error) ** 2)))
 
     def _fitted(self, near: Near, joint: int) -> list[Output]:
         """What a joint's most promising effects come to. Those that fit well to first order are
