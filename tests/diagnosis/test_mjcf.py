@@ -59,11 +59,11 @@ def xml(**change: object) -> str:
     return TWO.format(**{**known, **change})
 
 
-def record(text: str, path: Path, seed: int, command: str = "torque") -> Path:
+def record(text: str, path: Path, seed: int, command: str = "torque", tones: int = 5) -> Path:
     """Seconds of a machine that MuJoCo simulates, under PD control with some gravity."""
     m = mujoco.MjModel.from_xml_string(text)
     data, n, rng = mujoco.MjData(m), m.nv, np.random.default_rng(seed)
-    f, phase = rng.uniform(0.15, 1.1, (n, 5)), rng.uniform(0, 6.28, (n, 5))
+    f, phase = (rng.uniform(*ends, (n, 5))[:, :tones] for ends in ((0.15, 1.1), (0, 6.28)))
     size = np.array([0.5, 0.6, 0.1])[:n, None] * 0.5 / f**0.5
     kp, kd = np.array([120.0, 40.0, 90.0])[:n], np.array([12.0, 4.0, 12.0])[:n]
     gear = np.array(m.actuator_gear[:, 0])
@@ -133,6 +133,28 @@ def test_wrong_damping_is_calibrated_or_named_and_nothing_else_is(diagnosed) -> 
     write_report(d, folder / "out", pictures=False)
     m = mujoco.MjModel.from_xml_path(str(folder / "out" / "model.mjcf"))
     assert list(m.dof_damping) == pytest.approx([1.5, 0.5], rel=0.05)
+
+
+def test_a_spring_is_found_where_joints_only_sway(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At one frequency a spring is like an inertia, and behind coarse counts nothing says how large
+    a rotor is. The given one grew to 1e8 kg m² while the spring was missing, and hid everything.
+    """
+    monkeypatch.setitem(globals(), "RESOLUTION", 3e-4)
+    given = xml(dry=0.2).replace('armature="0.05"', 'armature="0.01"')
+    real = given.replace('axis="0 1 0"/>', 'axis="0 1 0" stiffness="3"/>')
+    run = record(real, tmp_path / "run.npz", 1, tones=1)
+    (tmp_path / "given.xml").write_text(given)
+    (tmp_path / "model.toml").write_text(
+        f'name = "two"\nsample_time = {1 / RATE}\n[mechanism]\nkind = "mjcf"\n'
+        f'file = "given.xml"\n[sensor]\nposition_resolution = {RESOLUTION}\n{COLUMNS}'
+    )
+    d = zendsp.diagnose(run, tmp_path / "model.toml", jobs=1)
+    assert names(d) == {("stiffness", 2)}, d
+    spring = d.findings[0].parameters["coefficient"]
+    # a rotor that may be 0.02 kg m² too heavy at 0.5 Hz is 0.2 N m/rad of it
+    assert abs(spring.value - 3.0) < 3 * spring.std < 0.6
 
 
 def test_a_payload_is_one_body_by_mujocos_name_and_goes_into_the_mjcf(diagnosed) -> None:  # type: ignore[no-untyped-def]

@@ -44,6 +44,16 @@ def simulate(recording, parameters):
     return out
 
 
+def pair(recording, parameters):  # two such joints
+    one = dict(recording)
+    ways = []
+    for j in (0, 1):
+        for name in ("position", "velocity", "command"):
+            one[name] = recording[name][:, j]
+        ways.append(simulate(one, {name: values[j] for name, values in parameters.items()}))
+    return list(zip(*ways))
+
+
 def whole(recording, parameters):  # starts at zero whatever the recording says, and holds the reference by a loop of its own
     q = v = 0.0
     h, out = recording["sample_time"], []
@@ -121,6 +131,33 @@ def test_coulomb_friction_that_a_python_simulator_lacks_is_named(tmp_path: Path)
     assert again.verdict == "complete", again.findings
 
 
+def test_effects_of_several_joints_are_taken_in_one_round(tmp_path: Path) -> None:
+    """One at a time, six joints with friction took a quarter of an hour."""
+    own = re.sub(r"value = (\S+)", r"value = [\1, \1]", OWN)
+    _, _, file = files(tmp_path, reality.Machine(gravity=0.2), "pair", own)
+    text = file.read_text()
+    for name in ("q", "u", "r"):
+        text = text.replace(f'= "{name}"', f'= ["{name}1", "{name}2"]')
+    file.write_text(text)
+    levels = (0.03, 0.02)
+    runs = []
+    for seed in (1, 3):
+        columns = {}
+        for j, level in enumerate(levels, 1):
+            motion = reality.multisine(6.0, RATE, seed + j)
+            made = reality.simulate(reality.Machine(gravity=0.2, coulomb=level), motion, RATE)
+            columns |= {k if k == "t" else f"{k}{j}": v for k, v in made.items()}
+        runs.append(reality.save(tmp_path / f"pair{seed}.csv", columns))
+    rounds = []
+    d = diagnose(runs[0], file, runs[1], progress=lambda text: rounds.append(text))
+    assert {(f.effect, f.joint) for f in d.findings} == {("coulomb", 1), ("coulomb", 2)}, d.findings
+    for f in d.findings:
+        level = f.parameters["level"]
+        assert abs(level.value - levels[f.joint - 1]) < 3 * level.std < 0.2 * level.value
+    # both in the first round, nothing in the second
+    assert rounds.count("pushing each joint a little") == 2
+
+
 def simulations(d: Diagnosis) -> int:
     """How often the simulator was called, as the report says."""
     return next(int(m[1]) for n in d.notes if (m := re.search(r"(\d+) simulations", n)))
@@ -131,7 +168,7 @@ def test_what_a_small_torque_does_is_guessed_from_one_push(tmp_path: Path) -> No
     model = load_model(file)
     b = bench(read_signals(train, model), model, Entry(model))
     b.size = round(WINDOW * RATE)
-    near = Near([b], fit_output([b], model, (), errors([b], model)))
+    near = Near([b], fit_output([b], model, (), errors([b], model), 1))
     calls = b.calls
     for effect, value in (("coulomb", "level"), ("stiffness", "coefficient")):
         other = with_term(model, make_term(get_effect(effect), 1, {value: 2e-3}))
@@ -142,7 +179,9 @@ def test_what_a_small_torque_does_is_guessed_from_one_push(tmp_path: Path) -> No
         # of first order, about a motion that passes 0.1 rad in a window: 1 % of 2e-3 N m
         assert np.linalg.norm(guessed - simulated) < 0.05 * np.linalg.norm(simulated), effect
     inertia = set_values(model, [Handle("mechanism", 0, "inertia")], np.array([0.0103]))
-    ways = near.errors, partial(errors, [b])
+    line = near.line(model)
+    assert line is not None
+    ways = line.errors, partial(errors, [b])
     guessed, simulated = (ask(inertia) - near.current.error for ask in ways)
     assert np.linalg.norm(guessed - simulated) < 0.05 * np.linalg.norm(simulated)
 

@@ -80,10 +80,11 @@ def test_the_motors_figures_are_found_by_the_straight_line(folder: Path) -> None
 def test_the_pendulums_parameters_are_found_from_far_off(folder: Path) -> None:
     lab = Lab(folder)
     found = keep(lab, mechanical(lab, seconds=3.0))
-    assert found.values["theta1"].value == pytest.approx(2.07e-3, rel=0.1)
-    assert found.values["theta3"].value == pytest.approx(0.1, rel=0.1)
-    assert found.values["viscous"].value == pytest.approx(0.0052, rel=0.15)
-    assert found.mechanism["gravity"].value == pytest.approx(0.16677, rel=0.05)
+    # what the shaft does before it spins (bristles) took 3 to 5 % of every number; 3 s instead of 6
+    # spread by half a percent
+    for name, true in (("theta1", 2.07e-3), ("theta3", 0.104), ("viscous", 0.0052)):
+        assert found.values[name].value == pytest.approx(true, rel=0.02), name
+    assert found.mechanism["gravity"].value == pytest.approx(0.16677, rel=0.02)
 
 
 def test_friction_maps_have_intervals_and_tell_what_narrow_speeds_cannot(folder: Path) -> None:
@@ -104,14 +105,32 @@ def test_friction_of_any_machine_that_takes_torques_is_found(tmp_path: Path) -> 
     with zendsp.local(str(arm), clock="fast") as target:
         found = run_experiment("friction", Lab(tmp_path, target))
     for joint in (1, 2, 3):  # frictionloss 0.8 N m, damping 0.5 N m s/rad
-        both = [found.values[f"coulomb{joint}_{end}"].value for end in ("pos", "neg")]
-        assert 0.5 * sum(both) == pytest.approx(0.8, rel=0.1)
+        mean = found.values[f"coulomb{joint}"]
+        # a weight hides in what the directions differ by, not in their mean
+        assert abs(mean.value - 0.8) < 3 * mean.std < 0.3
         for end in ("pos", "neg"):
             slope = found.values[f"viscous{joint}_{end}"]
             assert abs(slope.value - 0.5) < 3 * slope.std < 0.4
     assert found.values["weight1"].value == 0.0, "its axis is vertical"
     assert found.values["weight2"].value > 2.0
     assert len(found.effects) == 6 and found.machine == target.info.machine
+
+
+LIFT = """<mujoco model="lift"><worldbody><body><joint name="lift" type="slide" axis="0 0 1"
+frictionloss="6" damping="20" range="-1 1"/><geom size="0.1" mass="3"/></body></worldbody>
+<actuator><motor joint="lift" ctrlrange="-150 150"/></actuator></mujoco>"""
+
+
+def test_the_weight_of_a_slide_is_not_taken_for_friction(tmp_path: Path) -> None:
+    import zendsp
+
+    (tmp_path / "lift.xml").write_text(LIFT)
+    with zendsp.local(str(tmp_path / "lift.xml"), clock="fast") as target:
+        found = run_experiment("friction", Lab(tmp_path, target)).values
+    # 3 kg; a lift of 0.8 m at 0.13 to 0.8 m/s leaves the bristles' creep and noise: 2 %
+    assert found["weight1"].value == pytest.approx(29.43, rel=0.02)
+    for name, true in (("coulomb1", 6.0), ("viscous1", 20.0), ("coulomb1_pos", 6.0)):
+        assert abs(found[name].value - true) < 3 * found[name].std < 0.3 * true, name
 
 
 def test_an_experiment_for_any_machine_asks_for_one(tmp_path: Path) -> None:

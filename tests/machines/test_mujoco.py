@@ -143,6 +143,15 @@ def test_names_units_and_limits_come_from_the_model() -> None:
         ]
 
 
+def test_two_motors_of_a_joint_are_one_drive_as_strong_as_both(tmp_path: Path) -> None:
+    second = '<actuator><motor joint="turn" gear="5" ctrlrange="-4 4"/>'
+    with robot(edited(tmp_path, ARM, ("<actuator>", second))) as plant:
+        assert plant.info.joint[0].torque_max == 40.0 + 5 * 4
+    unlimited = '<actuator><motor joint="shoulder"/>'
+    with robot(edited(tmp_path, ARM, ("<actuator>", unlimited))) as plant:
+        assert plant.info.joint[1].torque_max != 80.0, "one of the two has no limit"
+
+
 def test_a_slide_is_in_metres_and_joints_without_a_motor_have_an_encoder_when_named(
     tmp_path: Path,
 ) -> None:
@@ -202,6 +211,12 @@ def test_the_encoder_is_noisy_unless_ideal_and_the_seed_repeats_it() -> None:
             ),
             (),
             "ball joint",
+        ),
+        (('gear="50"', 'gear="nan"'), (), "a number of actuator_gear is nan"),
+        (
+            ("<actuator>", '<actuator><motor joint="turn" ctrlrange="-40 nan"/>'),
+            (),
+            "a number of actuator_ctrlrange is nan",
         ),
         (
             ("bench_arm", "bench_arm"),

@@ -4,6 +4,8 @@ it stands, within what the machine says that it bears.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 
@@ -11,7 +13,7 @@ from zendsp.errors import Refused
 from zendsp.experiment.estimates import NORMAL
 from zendsp.experiment.figures import BLUE, RED, label, make_figure, save
 from zendsp.experiment.lab import Bench, Lab
-from zendsp.experiment.result import Estimate, Result
+from zendsp.experiment.result import Estimate, FoundEffect, Result
 from zendsp.experiment.wam_friction import (
     Friction,
     Sliding,
@@ -54,12 +56,15 @@ def friction(lab: Lab, speeds: int = 6, joints: tuple[int, ...] = ()) -> Result:
         place = np.atleast_1d(place)
         all_joints = bench.target.machine().joints
         period = 1.0 / bench.target.status().rate_hz
-        for joint in joints or tuple(range(1, len(all_joints) + 1)):
+        driven = tuple(i for i, j in enumerate(all_joints, 1) if j.command != "none")
+        for joint in joints or driven:
             reference = _moves(all_joints[joint - 1], place, joint, speeds, period)
             sliding = _record(bench, reference, joint)
             found = fit_friction(sliding, all_joints[joint - 1].unit == "rad", unknown=True)
             if not _weighs(sliding, found):
                 found = fit_friction(sliding, False, unknown=True)
+            if all_joints[joint - 1].unit != "rad":
+                found = _of_slide(found)
             curves[joint] = (sliding.points(found.free), found)
             _report(result, joint, all_joints[joint - 1].unit, found)
         result.recordings, result.target = bench.recordings, bench.where
@@ -114,6 +119,17 @@ def _weighs(sliding: Sliding, found: Friction) -> bool:
     return free > 0 and bool((without - within) / 2 > fdtri(2, free, NO_CHANCE) * within / free)
 
 
+def _of_slide(found: Friction) -> Friction:
+    """Friction of a slide. Its weight is the same everywhere, and not to be told from friction of
+    which one direction has more: that difference is called weight.
+    """
+    level, _, half, _ = found.mean
+    weight = 0.5 * (found.value["+"][0] - found.value["-"][0])
+    value = {way: (level, viscous, half, dv) for way, (_, viscous, _, dv) in found.value.items()}
+    free = found.free - weight
+    return replace(found, value=value, uneven=False, free=free, weight=abs(weight))
+
+
 def _report(result: Result, joint: int, unit: str, found: Friction) -> None:
     force = "N m" if unit == "rad" else "N"
     row: dict[str, object] = {"joint": joint}
@@ -128,10 +144,20 @@ def _report(result: Result, joint: int, unit: str, found: Friction) -> None:
                 f"Joint {joint}, direction {word}: the viscous coefficient"
                 f" {viscous:.3g} ± {dv:.2g} is not told from zero at these speeds."
             )
+    level, viscous, dl, dv = found.mean
+    result.values[f"coulomb{joint}"] = Estimate(level, dl / NORMAL, force)
+    result.values[f"viscous{joint}"] = Estimate(viscous, dv / NORMAL, f"{force} s/{unit}")
     weight = found.weight
     result.values[f"weight{joint}"] = Estimate(weight, 0.0, force)
     result.tables.setdefault("friction", []).append({**row, "weight": f"{weight:.3g}"})
-    result.effects += friction_effects(joint, found)
+    if found.uneven:
+        result.effects += friction_effects(joint, found)
+        return
+    coefficient = Estimate(max(0.0, viscous), dv / NORMAL)
+    result.effects += [
+        FoundEffect("coulomb", joint, {"level": Estimate(level, dl / NORMAL)}),
+        FoundEffect("viscous", joint, {"coefficient": coefficient}),
+    ]
 
 
 def _draw(curves: dict[int, tuple[Array, Friction]], bench: Bench) -> str:

@@ -230,12 +230,17 @@ class Bench:
         self.recordings.append(place.name)
 
     def _require_command(self, name: str, command: str) -> None:
-        """The machine says what it is once a program is loaded."""
-        has = self.target.machine().joints[0].command
-        if has != command:
+        """The machine says what it is once a program is loaded; a slide's force is a torque."""
+        joints = [j for j in self.target.machine().joints if j.command != "none"]
+        if not joints:
+            raise Refused(f"{name}: needs a joint with a motor, and this machine has none")
+        fit = ("torque", "force") if command == "torque" else (command,)
+        other = next((j for j in joints if j.command not in fit), None)
+        if other is not None:
             raise Refused(
-                f"{name}: needs a machine whose command is a {command}, here it is a {has}: start"
-                f" the target with --machine-option drive={command}"
+                f"{name}: needs a machine whose command is a {command}, at {other.name} it is a"
+                f" {other.command}; where the machine has both (the pendulum), start the target"
+                f" with --machine-option drive={command}"
             )
 
     def _keep_part(self, name: str, why: str) -> None:

@@ -161,11 +161,13 @@ def constant_speed_pieces(
 
 @dataclass(frozen=True)
 class Friction:
-    """Level (N m) and viscous coefficient (N m s/rad) of each direction with 95 % half widths; what
-    the model's gravity lacks along the way, N m.
+    """Level (N m) and viscous coefficient (N m s/rad) of each direction with 95 % half widths, and
+    those of both directions' mean; what the model's gravity lacks along the way, N m.
     """
 
     value: dict[str, tuple[float, float, float, float]]
+    mean: tuple[float, float, float, float]
+    uneven: bool  # whether a direction differs from the other by more than its interval
     lacking: Array
     free: Array  # the torque without it
     weight: float  # N m, the most that the joint carries beyond what is compensated
@@ -188,7 +190,12 @@ def fit_friction(sliding: Sliding, weighs: bool, unknown: bool = False) -> Frict
         columns.append(sliding.acceleration)
     A = np.stack([np.asarray(c, dtype=np.float64) for c in columns], axis=1)
     parts = len(np.unique(sliding.part)) if unknown else len(sliding.torque)
-    x, half, _ = least_squares(A, sliding.torque, parts)
+    x, half, inverse = least_squares(A, sliding.torque, parts)
+    ways = np.zeros((4, len(x)))  # means of both directions, and half of what they differ by
+    ways[0, [0, 2]] = ways[1, [1, 3]] = 0.5
+    ways[2, [0, 2]] = ways[3, [1, 3]] = 0.5, -0.5
+    both = ways @ x
+    width = half[0] * np.sqrt(np.sum(ways @ inverse * ways, axis=1) / inverse[0, 0])
     lacking = A[:, 4:] @ x[4:]
     weight = A[:, 4:6] @ x[4:6] if weighs else 0.0 * sliding.q
     squares = float(np.sum((sliding.torque - A @ x) ** 2))
@@ -197,7 +204,9 @@ def fit_friction(sliding: Sliding, weighs: bool, unknown: bool = False) -> Frict
         for word, k in (("+", 0), ("-", 2))
     }
     largest = float(np.abs(weight).max())
-    return Friction(value, lacking, sliding.torque - lacking, largest, squares)
+    mean = (float(both[0]), float(both[1]), float(width[0]), float(width[1]))
+    uneven = bool(np.any(np.abs(both[2:]) > width[2:]))
+    return Friction(value, mean, uneven, lacking, sliding.torque - lacking, largest, squares)
 
 
 def _fit_joint(result: Result, joint: int, sliding: Sliding) -> Array:

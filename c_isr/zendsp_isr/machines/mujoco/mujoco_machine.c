@@ -128,6 +128,11 @@ static int load(robot *r, const char *config, double period, char *error, size_t
     r->model = mj_loadXML(file, NULL, why, sizeof why);
     if (!r->model)
         return refuse(error, size, file, why[0] ? why : "MuJoCo cannot read it");
+    const char *array = no_number(r->model);
+    if (array) {
+        snprintf(why, sizeof why, "a number of %s is nan", array);
+        return refuse(error, size, file, why);
+    }
     r->data = mj_makeData(r->model);
     r->qpos = calloc((size_t)r->model->nq + 1, sizeof(double));
     r->qvel = calloc((size_t)r->model->nv + 1, sizeof(double));

@@ -28,11 +28,15 @@ static int turns(const mjModel *m, int joint) {
     return m->jnt_type[joint] == mjJNT_HINGE || m->jnt_type[joint] == mjJNT_SLIDE;
 }
 
+static int drives(const mjModel *m, int actuator, int joint) {
+    return (m->actuator_trntype[actuator] == mjTRN_JOINT ||
+            m->actuator_trntype[actuator] == mjTRN_JOINTINPARENT) &&
+           m->actuator_trnid[2 * actuator] == joint;
+}
+
 static int actuator_of(const mjModel *m, int joint) {
     for (int a = 0; a < m->nactuator; a++)
-        if ((m->actuator_trntype[a] == mjTRN_JOINT ||
-             m->actuator_trntype[a] == mjTRN_JOINTINPARENT) &&
-            m->actuator_trnid[2 * a] == joint)
+        if (drives(m, a, joint))
             return a;
     return -1;
 }
@@ -153,23 +157,33 @@ static void look_at_inertia(robot *r, double *least, double *here) {
 }
 
 /* Largest torque that an actuator gives, N m at the joint; 0 where the model does not say. */
-static double torque_of(const mjModel *m, int joint, int actuator, double gear) {
-    double most = 0.0;
-    if (m->jnt_actfrclimited[joint])
-        most = fmax(fabs(m->jnt_actfrcrange[2 * joint]), fabs(m->jnt_actfrcrange[2 * joint + 1]));
-    if (actuator < 0)
-        return most;
-    double own = 0.0;
+static double torque_of(const mjModel *m, int actuator) {
+    const double gear = m->actuator_gear[6 * m->actuator_outadr[actuator]];
     const double *force = &m->actuator_forcerange[2 * actuator];
     const int control = m->actuator_ctrladr[actuator];
     if (m->actuator_forcelimited[actuator])
-        own = fmax(fabs(force[0]), fabs(force[1])) * fabs(gear);
-    else if (m->actuator_biastype[actuator] == mjBIAS_NONE &&
-             m->actuator_gaintype[actuator] == mjGAIN_FIXED && m->actuator_ctrlnum[actuator] == 1 &&
-             m->actuator_ctrllimited[control])
-        own = fmax(fabs(m->actuator_ctrlrange[2 * control]),
-                   fabs(m->actuator_ctrlrange[2 * control + 1])) *
-              fabs(m->actuator_gainprm[mjNGAIN * actuator] * gear);
+        return fmax(fabs(force[0]), fabs(force[1])) * fabs(gear);
+    if (m->actuator_biastype[actuator] == mjBIAS_NONE &&
+        m->actuator_gaintype[actuator] == mjGAIN_FIXED && m->actuator_ctrlnum[actuator] == 1 &&
+        m->actuator_ctrllimited[control])
+        return fmax(fabs(m->actuator_ctrlrange[2 * control]),
+                    fabs(m->actuator_ctrlrange[2 * control + 1])) *
+               fabs(m->actuator_gainprm[mjNGAIN * actuator] * gear);
+    return 0.0;
+}
+
+/* The same of all actuators of a joint together: they are one drive. */
+static double joint_torque(const mjModel *m, int joint) {
+    double most = 0.0, own = 0.0;
+    int known = 1;
+    for (int a = 0; a < m->nactuator; a++)
+        if (drives(m, a, joint)) {
+            own += torque_of(m, a);
+            known = known && torque_of(m, a) > 0.0;
+        }
+    own = known ? own : 0.0;
+    if (m->jnt_actfrclimited[joint])
+        most = fmax(fabs(m->jnt_actfrcrange[2 * joint]), fabs(m->jnt_actfrcrange[2 * joint + 1]));
     return most > 0.0 && own > 0.0 ? fmin(most, own) : most > 0.0 ? most : own;
 }
 
@@ -186,7 +200,7 @@ static void describe_joint(robot *r, int j, const char *config, double inertia, 
     snprintf(info->unit, sizeof info->unit, slide ? "m" : "rad");
     r->gear[j] = actuator >= 0 ? m->actuator_gear[6 * m->actuator_outadr[actuator]] : 1.0;
     /* a model that names no limit gets what lifts it twice over and 50 rad/s² (m/s²) besides */
-    double torque = torque_of(m, joint, actuator, r->gear[j]);
+    double torque = joint_torque(m, joint);
     if (torque <= 0.0)
         torque = 2.0 * fabs(gravity) + 50.0 * inertia;
     torque = machine_config_double(config, "torque_max", torque);
@@ -210,8 +224,7 @@ static void describe_joint(robot *r, int j, const char *config, double inertia, 
     info->home = r->data->qpos[r->position[j]];
     /* the drive is ours from here on */
     for (int a = 0; a < m->nactuator; a++)
-        if (m->actuator_trnid[2 * a] == joint && (m->actuator_trntype[a] == mjTRN_JOINT ||
-                                                  m->actuator_trntype[a] == mjTRN_JOINTINPARENT)) {
+        if (drives(m, a, joint)) {
             m->actuator_gaintype[a] = mjGAIN_FIXED;
             m->actuator_biastype[a] = mjBIAS_NONE;
             mju_zero(&m->actuator_gainprm[mjNGAIN * a], mjNGAIN);

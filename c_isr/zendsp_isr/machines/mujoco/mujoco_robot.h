@@ -3,12 +3,14 @@
 #ifndef ZENDSP_MUJOCO_ROBOT_H
 #define ZENDSP_MUJOCO_ROBOT_H
 
+#include <math.h>   /* isnan */
 #include <setjmp.h> /* MuJoCo's errors while it loads */
 #include <stdio.h>  /* snprintf */
 #include <stdlib.h> /* abort */
 #include <string.h> /* memcpy, memset, strrchr */
 
 #include <mujoco/mujoco.h>
+#include <mujoco/mjxmacro.h> /* the arrays of a model by name */
 
 #include "concealed.h"
 #include "machine.h"
@@ -56,6 +58,23 @@ static int refuse(char *error, size_t size, const char *file, const char *text) 
         if (error[i] == '\n')
             error[i] = ' ';
     return -1;
+}
+
+/* Name of the first array of the model with an entry that is no number, or NULL: MuJoCo reads "nan"
+ * without a word. */
+static const char *no_number(const mjModel *m) {
+#undef MJ_M
+#define MJ_M(size) m->size
+#define X(type, name, rows, columns)                                                               \
+    for (size_t i = 0; i < (size_t)m->rows * (size_t)(columns); i++)                               \
+        if (isnan((double)m->name[i]))                                                             \
+            return #name;
+    MJMODEL_POINTERS
+#undef X
+    for (int i = 0; i < 3; i++)
+        if (isnan(m->opt.gravity[i]))
+            return "gravity";
+    return NULL;
 }
 
 static const char *name_of(const mjModel *m, int address, const char *otherwise) {

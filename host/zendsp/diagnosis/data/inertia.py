@@ -16,10 +16,12 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from zendsp.physics.calibration.fit import TOO_FAR
 from zendsp.physics.calibration.joint import JointRecord, mechanism_value
 from zendsp.physics.kernel.smooth import moving_mean
 from zendsp.physics.model import TREES, Model, per_joint
 from zendsp.physics.robots.bodies import body_terms
+from zendsp.physics.term_numbers import added_inertia
 
 Array = npt.NDArray[np.float64]
 
@@ -43,8 +45,8 @@ def own_key(model: Model, joint: int) -> str:
 def inertia_ranges(
     records: Sequence[Sequence[JointRecord]], model: Model
 ) -> dict[str, tuple[float, float]]:
-    """Range of each joint's own inertia, kg m² or kg, by ``own_key``; only where the recordings
-    determine it.
+    """Range of each joint's own inertia, kg m² or kg, by ``own_key``: where the recordings
+    determine it, and of a given rotor about what is given.
     """
     ranges = {}
     for joint in range(1, model.joints + 1):
@@ -57,6 +59,11 @@ def inertia_ranges(
         if around[0]:
             lows, highs = zip(*filter(None, around), strict=True)
             ranges[own_key(model, joint)] = (min(lows), max(highs))
+        elif own_key(model, joint) not in model.mechanism and (
+            given := added_inertia(model, joint)
+        ) > 0:
+            # a rotor, free without bounds, grows until it ignores whatever is missing
+            ranges[own_key(model, joint)] = (given / TOO_FAR, given * TOO_FAR)
     return ranges
 
 

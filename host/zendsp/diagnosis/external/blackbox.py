@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -28,8 +29,15 @@ from zendsp.diagnosis.data.signals import Signals, with_same_columns
 from zendsp.diagnosis.data.split import split
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.result import Diagnosis, FitTable, Rejected, SimulatorErrors
-from zendsp.diagnosis.external.hunt import Hunt, findings_of, indistinct, next_of
-from zendsp.diagnosis.external.nearby import Near, spread_over
+from zendsp.diagnosis.external.hunt import (
+    ROUNDS,
+    Hunt,
+    findings_of,
+    indistinct,
+    judged_again,
+    next_of,
+)
+from zendsp.diagnosis.external.nearby import Near, settled, spread_over
 from zendsp.diagnosis.external.output_error import (
     Output,
     errors,
@@ -40,9 +48,10 @@ from zendsp.diagnosis.external.output_error import (
 from zendsp.diagnosis.external.simulator import Bench, Simulator, bench, on_input, simulator_of
 from zendsp.diagnosis.measure.where import Missing, Region, intervals, regions, units
 from zendsp.errors import RecordingError
+from zendsp.physics.calibration.fit import Fit
 from zendsp.physics.calibration.handles import free_handles
 from zendsp.physics.effects import library
-from zendsp.physics.model import Model
+from zendsp.physics.model import Model, Term
 from zendsp.physics.term_numbers import file_model
 
 Array = npt.NDArray[np.float64]
@@ -51,7 +60,8 @@ Progress = Callable[[str], None]
 # s: each window is simulated from the smoothed motion, where the simulator starts from its first
 # row
 WINDOW = 0.25
-FEW, PER_JOINT = 4, 3  # effects that are taken at most: of one joint, and of each of several
+MOST = 4  # effects of a joint that are taken at most
+LAST = 3  # simulated steps of the last fit, from where guessed slopes end
 OVER_NOISE = 3  # times the sensor's noise: what is left below is no mismatch
 RESTARTS = 0.02  # of the span, and START_NOISE times the noise: so near a simulation must begin
 START_NOISE = 4
@@ -162,7 +172,7 @@ def _diagnose(
     base = fit_output(train, model, free_handles(model, offsets=False), given_error, 25)
     # a fit must not be worse than what it began with
     if float(np.sum((weights(train, given_error) * given_error) ** 2)) < base.fit.cost:
-        base = fit_output(train, model, (), given_error)
+        base = fit_output(train, model, (), given_error, 1)
     hunt = Hunt(train, test, tell)
     current, steps = _hunted(hunt, base, train)
     findings, names = findings_of(model, base, current, steps, train)
@@ -196,8 +206,8 @@ def _diagnose(
         seconds=time.perf_counter() - begin,
         notes=(*notes, _untried(train, test)),
         given=file_model(model),
-        calibrated=file_model(base.model),
-        improved=file_model(current.model),
+        calibrated=file_model(_noted(base.fit)),
+        improved=file_model(_noted(current.fit)),
         unexplained=REMAINS.format(100 * left) if open_ else "",
         missing=before,
         remaining=after,
@@ -212,23 +222,47 @@ def _hunted(
     which nothing is then left; each step with its rivals and what stood before it.
     """
     current, steps = base, []
-    for _ in range(max(FEW, PER_JOINT * len(train[0].records))):
-        claim, rivals = hunt.step(current)
-        if claim is None:
+    for _ in range(MOST):
+        fitted, taken = hunt.step(current)
+        if not taken:
             break
-        steps.append((claim, rivals, current))
-        current = claim.output
+        steps += [(claim, rivals, current) for claim, rivals in taken]
+        current = fitted
     while steps:
-        current = fit_output(train, current.model, current.fit.handles, current.error, 25)
+        hunt.tell("fitting all together")
+        current = settled(train, current, ROUNDS, base.error)
+        # slopes that are simulated, for the uncertainties
+        current = fit_output(train, current.model, current.fit.handles, current.error, LAST)
         gone = [t for claim, _, _ in steps for t in indistinct(current, claim.term)]
         if not gone:
             break
         model = current.model.with_terms(tuple(t for t in current.model.terms if t is not gone[-1]))
         steps = [s for s in steps if (s[0].term.effect, s[0].term.joint) in
                  {(t.effect, t.joint) for t in model.terms}]  # fmt: skip
-        current = fit_output(train, model, free_handles(model, offsets=False), current.error)
+        current = fit_output(train, model, free_handles(model, offsets=False), current.error, LAST)
     hunt.tell("asking the untouched recordings for the same numbers")
-    return (spread_over(current, hunt.test) if steps else current), steps
+    if not steps:
+        return current, steps
+    steps = judged_again(Near(train, current), train, steps)
+    return spread_over(current, hunt.test), steps
+
+
+def _noted(fit: Fit) -> Model:
+    """A fitted model with the standard deviations of the fit."""
+    mechanism = {key: list(items) for key, items in fit.model.mechanism.items()}
+    terms = [dict(term.parameters) for term in fit.model.terms]
+    for h, std in zip(fit.handles, fit.std, strict=True):
+        if h.place == "mechanism":
+            mechanism[h.key][h.index] = replace(mechanism[h.key][h.index], std=float(std))
+        elif h.place == "term":
+            terms[h.index][h.key] = replace(terms[h.index][h.key], std=float(std))
+    return replace(
+        fit.model,
+        mechanism={key: tuple(items) for key, items in mechanism.items()},
+        terms=tuple(
+            Term(t.effect, t.joint, p) for t, p in zip(fit.model.terms, terms, strict=True)
+        ),
+    )
 
 
 def _untried(train: Sequence[Bench], test: Sequence[Bench]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.decide.findings import estimates, new_terms, sentence
 from zendsp.diagnosis.decide.result import Finding, Next
-from zendsp.diagnosis.external.nearby import Near
+from zendsp.diagnosis.external.nearby import Near, settled
 from zendsp.diagnosis.external.output_error import (
     BLOCK,
     Output,
@@ -36,7 +36,10 @@ Progress = Callable[[str], None]
 MIN_GAIN = 20.0
 MIN_Z = 2.5
 SUFFICIENT = 0.85  # share of the best gain with which a special case goes first
-SHORTLIST = 5
+SHORTLIST = 5  # of a joint: fitted to first order
+SIMULATED = 3  # of these
+ROUNDS = 4  # short ways of a joint's best, where its guess does not hold
+NEARLY = 0.5  # of the gain that is asked for: what is below to first order is not simulated
 BESIDE = 0.25  # times what stays unexplained on its joint: an effect that explains less has no name
 PROMISING = 0.01  # share of the cost that a screen must promise
 SAME, SAME_SHARE = 5.0, 0.1  # cost, and of the gain: rivals nearer cannot be told apart
@@ -82,50 +85,86 @@ def _runs_away(claim: Claim, current: Output) -> bool:
     return _ended(claim.output) and not _ended(current)
 
 
+def _price(term: Term) -> int:
+    return sum(p.fitted for p in get_effect(term.effect).parameters)
+
+
+def _with_terms(model: Model, terms: Sequence[Term]) -> Model:
+    for term in terms:
+        model = with_term(model, term)
+    return model
+
+
 def _shortlist(options: Sequence[tuple[float, Term]]) -> list[Term]:
-    """The best of the options, and the special cases of these."""
+    """The best of the options of a joint, and the special cases of these."""
     best = [term for _, term in options[:SHORTLIST]]
     return best + [
         term
         for _, term in options[SHORTLIST:]
-        if any(b.joint == term.joint and term.effect in get_effect(b.effect).replaces for b in best)
+        if any(term.effect in get_effect(b.effect).replaces for b in best)
     ]
 
 
 class Hunt:
-    """Forward selection over all joints."""
+    """Forward selection, of one effect at each joint at a time."""
 
     def __init__(self, train: Sequence[Bench], test: Sequence[Bench], tell: Progress) -> None:
         self.train, self.test, self.tell = train, test, tell
         self.block = max(10, round(BLOCK / train[0].signals.sample_time))
         self.tried: dict[tuple[str, int], tuple[float, float, str]] = {}
 
-    def step(self, current: Output) -> tuple[Claim | None, list[Claim]]:
-        """The best hypothesis that passes, and the fitted rivals."""
+    def step(self, current: Output) -> tuple[Output, list[tuple[Claim, list[Claim]]]]:
+        """The fit with the best hypothesis of each joint that passes, as far as they hold beside
+        one another; and these, each with its fitted rivals.
+        """
         self.tell("pushing each joint a little")
-        near = self.near = Near(self.train, current)
-        options: list[tuple[float, Term]] = []
+        near = Near(self.train, current)
+        held = errors(self.test, current.model)
+        taken = []
         for joint in range(1, len(self.train[0].records) + 1):
-            options += [
-                *screen(self.train, current, joint, near.errors, self.tell),
-                *late_candidates(self.train, current, joint, near.errors),
-            ]
+            claims = self._judged(current, held, self._fitted(near, joint))
+            if (best := self._best(claims, current)) is not None:
+                taken.append((best, claims))
+        whole, taken = self._together(near, sorted(taken, key=lambda item: -item[0].gain))
+        if taken:
+            whole = settled(self.train, whole, ROUNDS, current.error)
+        return whole, taken
+
+    def _fitted(self, near: Near, joint: int) -> list[Output]:
+        """What a joint's most promising effects come to. Those that fit well to first order are
+        simulated.
+        """
+        current = near.current
+        options = [
+            *screen(self.train, current, joint, near.errors, self.tell),
+            *late_candidates(self.train, current, joint, near.errors),
+        ]
         options.sort(key=lambda item: -item[0])
-        chosen = _shortlist([item for item in options if item[0] > PROMISING])
-        fitted = []
-        for term in chosen:
-            self.tell(f"joint {term.joint}: fitting {term.effect}")
-            fitted.append(near.fit(with_term(current.model, term)))
-        claims = self._judged(current, fitted)
         for promise, term in options:
             self.tried.setdefault(
-                (term.effect, term.joint),
+                (term.effect, joint),
                 (0.0, 0.0, f"promises only {100 * promise:.1f} % of the error"),
             )
+        begun = []
+        for term in _shortlist([item for item in options if item[0] > PROMISING]):
+            model = with_term(current.model, term)
+            begin = near.begin(model)
+            reach = gain(self.train, current.error, begin[1], _price(term), begin[1])
+            self.tried[term.effect, joint] = (reach, 0.0, "no more likely than its rivals")
+            begun.append((reach, term.effect, model, begin))
+        begun = sorted((b for b in begun if b[0] > NEARLY * MIN_GAIN), key=lambda b: -b[0])
+        out = []
+        for rank, (_, effect, model, begin) in enumerate(begun[:SIMULATED]):
+            self.tell(f"joint {joint}: fitting {effect}")
+            out.append(near.fit(model, begin, 0 if rank else ROUNDS))
+        return out
+
+    def _best(self, claims: Sequence[Claim], current: Output) -> Claim | None:
+        """The likeliest that passes."""
         passed = [c for c in claims if not self._why(c, current)]
         passed = [c for c in passed if not _ended(c.output)] or passed
         if not passed:
-            return None, claims
+            return None
         best = max(passed, key=lambda c: c.gain)
         # a special case that does nearly as well goes first; the general one can follow it
         special = [
@@ -134,21 +173,50 @@ class Hunt:
             if c.term.effect in get_effect(best.term.effect).replaces
             and c.gain > SUFFICIENT * best.gain
         ]
-        return (special[0] if special else best), claims
+        return special[0] if special else best
 
-    def _judged(self, current: Output, fitted: Sequence[Output]) -> list[Claim]:
+    def _together(
+        self, near: Near, taken: list[tuple[Claim, list[Claim]]]
+    ) -> tuple[Output, list[tuple[Claim, list[Claim]]]]:
+        """The claims that each still pay beside the others, likeliest first, and the fit with them.
+        What one joint leaves out may look like something at its neighbours.
+        """
+        current = near.current
+        while len(taken) > 1:
+            self.tell(f"fitting {len(taken)} effects together")
+            terms = [claim.term for claim, _ in taken]
+            model = _with_terms(current.model, terms)
+            begin = near.begin(model)
+            whole, error = near.fit(model, begin, ROUNDS), begin[1]
+            left = [t for t in taken if indistinct(whole, t[0].term)]
+            for item in taken:
+                others = [t for t in terms if t is not item[0].term]
+                without = near.begin(_with_terms(current.model, others))[1]
+                price = _price(item[0].term)
+                if gain(self.train, without, error, price, error) <= MIN_GAIN:
+                    left.append(item)
+            if not left and _ended(whole) and not _ended(current):
+                left = taken[1:]
+            if not left:
+                return whole, taken
+            weakest = min(left, key=lambda item: item[0].gain)
+            why = "explained by what another joint leaves out"
+            self.tried[weakest[0].term.effect, weakest[0].term.joint] = (0.0, 0.0, why)
+            taken = [item for item in taken if item is not weakest]
+        return (taken[0][0].output if taken else current), taken
+
+    def _judged(self, current: Output, before: Array, fitted: Sequence[Output]) -> list[Claim]:
+        """The evidence of fitted hypotheses; ``before``: the held-out errors without them."""
         if not fitted:
             return []
-        before = errors(self.test, current.model)
         best = min(fitted, key=lambda o: o.fit.cost).error  # all weighted alike
         claims = []
         for output in fitted:
             term = output.model.terms[-1]
-            price = sum(p.fitted for p in get_effect(term.effect).parameters)
             claim = Claim(
                 term,
                 output,
-                gain(self.train, current.error, output.error, price, best),
+                gain(self.train, current.error, output.error, _price(term), best),
                 held_z(before, errors(self.test, output.model), self.block),
             )
             claims.append(claim)
@@ -160,6 +228,8 @@ class Hunt:
         """Why an effect is not claimed; empty where it is."""
         if indistinct(c.output, c.term):
             return "cannot be told from none"
+        if get_effect(c.term.effect).same_as and c.term.value("amount") < 0 and _ended(c.output):
+            return "only takes away what a parameter of the simulator has too much at its end"
         if _runs_away(c, current):
             return "drives a parameter of the simulator to the end of its range"
         if c.gain <= MIN_GAIN:
@@ -176,6 +246,31 @@ class Hunt:
         part = by_joint(self.train)[c.term.joint - 1]
         before, after = (float(np.sum(o.error[part] ** 2)) for o in (current, c.output))
         return before - after, after - len(part)
+
+
+def judged_again(near: Near, train: Sequence[Bench], steps: list[Any]) -> list[Any]:
+    """Steps whose claims and rivals have the gains that they have beside all that was found, to
+    first order. When a rival was fitted, what was still missing may have looked like it.
+    """
+    out = []
+    final, error = near.current.model, near.current.error
+    for claim, rivals, before in steps:
+        at = (claim.term.effect, claim.term.joint)
+        own = [t for t in final.terms if (t.effect, t.joint) == at]
+        if not near.linear or not own:
+            out.append((claim, rivals, before))
+            continue
+        rest = final.with_terms(tuple(t for t in final.terms if t is not own[0]))
+        without = near.begin(rest)[1]
+
+        def again(c: Claim, after: Array, without: Array = without) -> Claim:
+            return replace(c, gain=gain(train, without, after, _price(c.term), error))
+
+        judged = again(claim, error)
+        others = [c for c in rivals if c is not claim]
+        asked = [again(c, near.begin(with_term(rest, c.term))[1]) for c in others]
+        out.append((judged, [judged, *asked], before))
+    return out
 
 
 def _apart(claim: Any, rivals: Sequence[Any], term: Term) -> tuple[tuple[str, ...], float]:

@@ -15,16 +15,31 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.external.output_error import BLOCK, Output, errors, fit_output, weights
+from zendsp.diagnosis.external.output_error import (
+    BLOCK,
+    Line,
+    Output,
+    errors,
+    fit_output,
+    guess_output,
+    weights,
+)
 from zendsp.diagnosis.external.simulator import Bench
 from zendsp.physics.calibration.fit import robust_covariance
 from zendsp.physics.calibration.handles import Handle, free_handles, get_values, set_values
+from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model, per_joint
 
 Array = npt.NDArray[np.float64]
 
 PUSH = 0.01  # of the RMS torque
 STEP = 1e-4  # of a parameter of the simulator
+KEPT = 0.5  # of what a guess promises: what a fit comes to at least, if the guess holds
+SMALL = 0.02  # of an effect: where a fit begins that goes a short way at a time
+# of the cost: what such a way gains at least. A fit that ends earlier leaves an evidence of some
+# tens to whatever comes next, if it only takes the fit further
+WORTH = 1e-3
+FEW, MANY = 5, 12  # simulations of a fit that begins where a guess ends, and of another
 
 
 class Pushed(Bench):
@@ -82,7 +97,7 @@ def spread_over(final: Output, others: Sequence[Bench]) -> Output:
     fit = final.fit
     if not fit.handles:
         return final
-    near = Near(others, fit_output(others, fit.model, (), errors(others, fit.model)))
+    near = Near(others, fit_output(others, fit.model, (), errors(others, fit.model), 1))
     at, weight = near.current.error, weights(others, near.current.error)
     steps = STEP * np.maximum(np.abs(fit.x), fit.std)
     moved = (set_values(fit.model, fit.handles, fit.x + row) for row in np.diag(steps))
@@ -111,36 +126,88 @@ class Near:
         if not self.linear:
             return
         self.benches = [Pushed(b, current.model) for b in benches]
-        fit = current.fit
-        known = {h: fit.jacobian[:, k] for k, h in enumerate(fit.handles) if h.place == "mechanism"}
-        self.own = tuple(
-            h for h in free_handles(current.model, offsets=False) if h.place == "mechanism"
-        )
-        self.at = get_values(current.model, self.own)
-        columns = [known[h] if h in known else self._column(h) for h in self.own]
-        self.jacobian = np.stack(columns, axis=1) if columns else np.zeros((len(current.error), 0))
+        handles = free_handles(current.model, offsets=False)
+        self.columns = {h: self._column(h) for h in handles}
 
     def _column(self, handle: Handle) -> Array:
-        """What a parameter of the simulator does that the last fit did not move."""
+        """What a free number does: one of the simulator's own is simulated."""
         model = self.current.model
         value = float(get_values(model, [handle])[0])
-        moved = set_values(model, [handle], np.array([(1 + STEP) * value]))
-        return (errors(self.true, moved) - self.current.error) / (STEP * value)
+        step = STEP * (abs(value) or 1.0)
+        moved = set_values(model, [handle], np.array([value + step]))
+        if handle.place == "mechanism":
+            return (errors(self.true, moved) - self.current.error) / step
+        return np.asarray((errors(self.benches, moved) - self.current.error) / step)
 
     def errors(self, model: Model) -> Array:
-        """Measured minus simulated position over its noise, (N,), to first order; simulated where
-        that does not hold.
+        """Measured minus simulated position over its noise, (N,), of the current model with other
+        terms, to first order; simulated where that does not hold.
+        """
+        return errors(self.benches if self.linear else self.true, model)
+
+    def line(self, model: Model) -> Line | None:
+        """What is known of a model that has some terms of the current one, and others: its old
+        numbers move the errors by their columns, the new ones by the torque of their terms.
         """
         if not self.linear:
-            return errors(self.true, model)
-        own = self.jacobian @ (get_values(model, self.own) - self.at)
-        return np.asarray(errors(self.benches, model) + own, dtype=np.float64)
-
-    def fit(self, model: Model) -> Output:
-        """A model with another term, fitted; the slopes are those from here."""
+            return None
+        places = {id(t): k for k, t in enumerate(self.current.model.terms)}
         handles = free_handles(model, offsets=False)
-        guess = self.errors if self.linear else None
-        return fit_output(self.true, model, handles, self.current.error, guess=guess)
+        slopes: dict[int, Array] = {}
+        for i, h in enumerate(handles):
+            if h.place != "term":
+                slopes[i] = self.columns[h]
+            elif (place := places.get(id(model.terms[h.index]))) is not None:
+                slopes[i] = self.columns[Handle("term", place, h.key)]
+        old = [handles[i] for i in slopes]
+        at = get_values(model, old)
+        columns = np.stack([*slopes.values(), np.zeros(len(self.current.error))], axis=1)
+
+        def guess(other: Model) -> Array:
+            moved = np.append(get_values(other, old) - at, 0.0)
+            return np.asarray(self.errors(set_values(other, old, at)) + columns @ moved)
+
+        return Line(guess, slopes)
+
+    def begin(self, model: Model) -> tuple[Model, Array]:
+        """A model with other terms as it fits to first order, and its errors so."""
+        line = self.line(model)
+        if line is None:
+            return model, errors(self.true, model)
+        handles = free_handles(model, offsets=False)
+        return guess_output(self.true, model, handles, self.current.error, line)
+
+    def fit(
+        self, model: Model, begin: tuple[Model, Array] | None = None, rounds: int = 0
+    ) -> Output:
+        """A model with other terms, fitted from where it fits to first order; the slopes are those
+        from here. Where that comes to much less than was promised, it goes so many short ways.
+        """
+        handles, before = free_handles(model, offsets=False), self.current.error
+        line = self.line(model)
+        if line is None:
+            return fit_output(self.true, model, handles, before, MANY)
+        start, guessed = begin or self.begin(model)
+        out = fit_output(self.true, start, handles, before, FEW, line)
+        weight = weights(self.true, before)
+        nothing, promised = (float(np.sum((weight * e) ** 2)) for e in (before, guessed))
+        if not rounds or nothing - out.fit.cost > KEPT * (nothing - promised):
+            return out
+        slow = fit_output(self.true, self._small(model), handles, before, FEW, line)
+        slow = settled(self.true, slow, rounds, before)
+        return min(out, slow, key=lambda o: o.fit.cost)
+
+    def _small(self, model: Model) -> Model:
+        """A model whose new terms are nearly nothing."""
+        old = {id(t) for t in self.current.model.terms}
+        handles = [
+            h
+            for h in free_handles(model, offsets=False)
+            if h.place == "term"
+            and id(model.terms[h.index]) not in old
+            and h.key in get_effect(model.terms[h.index].effect).linear
+        ]
+        return set_values(model, handles, SMALL * get_values(model, handles))
 
     def bumps(self, k: int, joint: int, shapes: Array) -> Array:
         """What torques over time at one joint (0-based) do to its error on recording k, (n,
@@ -157,3 +224,20 @@ class Near:
             moved = b.signals.position - b.sensed(b.run(command, model), model)
             columns.append((e - b.told(moved)[:, joint]) / size)
         return np.stack(columns, axis=1)
+
+
+def settled(benches: Sequence[Bench], output: Output, rounds: int, before: Array) -> Output:
+    """A fit taken to its end, with slopes from where it stands each time: what a push does depends
+    on the simulator's own numbers, which a new effect moves. ``before`` is as for ``fit_output``.
+    """
+    handles = free_handles(output.model, offsets=False)
+    cost = float(np.sum((weights(benches, before) * output.error) ** 2))
+    for _ in range(rounds):
+        line = Near(benches, output).line(output.model)
+        further = fit_output(benches, output.model, handles, before, FEW, line)
+        gained = cost - further.fit.cost
+        if gained > 0:
+            output, cost = further, further.fit.cost
+        if gained < WORTH * cost:
+            break
+    return output

@@ -5,7 +5,7 @@ screened by finite differences.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -99,65 +99,101 @@ def _unmoved(benches: Sequence[Bench], model: Model) -> Output:
     return Output(fit, error)
 
 
-def fit_output(
-    benches: Sequence[Bench],
-    model: Model,
-    handles: Sequence[Handle],
-    before: Array,
-    evaluations: int = 12,
-    guess: Guess | None = None,
-) -> Output:
-    """Least squares on the simulated position, all free numbers together. Each joint counts by
-    the scatter that it has in ``before``. With a ``guess`` the fit begins where that ends, and
-    takes the slopes from it.
+@dataclass(frozen=True)
+class Line:
+    """What is known of models near another without simulating: their errors, and the slopes of
+    those free numbers (by their place among the handles) that need not be asked for.
     """
-    from scipy.optimize import least_squares
 
-    handles = tuple(handles)
-    if not handles:
-        return _unmoved(benches, model)
-    low, high, size = _bounds(benches, model, handles)
-    start = np.clip(get_values(model, handles), low + 1e-9 * size, high - 1e-9 * size)
+    errors: Guess
+    slopes: Mapping[int, Array]
 
-    weight = weights(benches, before)
 
-    def solve(ask: Guess, begin: Array, most: int, jac: Any = "2-point") -> Any:
+class _Problem:
+    """Least squares over the free numbers of a model, each in units of its size and each joint by
+    the scatter that it has in ``before``.
+    """
+
+    def __init__(
+        self, benches: Sequence[Bench], model: Model, handles: Sequence[Handle], before: Array
+    ) -> None:
+        self.model, self.handles = model, tuple(handles)
+        self.low, self.high, self.size = _bounds(benches, model, handles)
+        self.weight = weights(benches, before)
+        start = get_values(model, handles)
+        self.start = np.clip(start, self.low + 1e-9 * self.size, self.high - 1e-9 * self.size)
+
+    def at(self, z: Array) -> Model:
+        """The model with its free numbers at z sizes."""
+        return set_values(self.model, self.handles, z * self.size)
+
+    def solve(self, ask: Guess, most: int, line: Line | None) -> Any:
+        """The minimum of what is asked, with the slopes of a line where there is one."""
+        from scipy.optimize import least_squares
+
+        def slopes(z: Array) -> Array:
+            assert line is not None
+            here, out = line.errors(self.at(z)), []
+            for i, unit in enumerate(self.size):
+                if i in line.slopes:
+                    out.append(unit * line.slopes[i])
+                else:
+                    moved = z + DIFFERENCE * np.eye(len(z))[i]
+                    out.append((line.errors(self.at(moved)) - here) / DIFFERENCE)
+            return np.asarray(self.weight[:, None] * np.stack(out, axis=1), dtype=np.float64)
+
         def evaluate(z: Array) -> Array:
-            return weight * ask(set_values(model, handles, z * size))
+            return self.weight * ask(self.at(z))
 
         return least_squares(
             evaluate,
-            begin,
-            jac=jac,
-            bounds=(low / size, high / size),
-            diff_step=np.full(len(size), DIFFERENCE),
+            self.start / self.size,
+            jac="2-point" if line is None else slopes,
+            bounds=(self.low / self.size, self.high / self.size),
+            diff_step=np.full(len(self.size), DIFFERENCE),
             max_nfev=most,
             ftol=1e-5,
             xtol=1e-6,
         )
 
-    def slopes(z: Array) -> Array:
-        assert guess is not None
-        at = guess(set_values(model, handles, z * size))
-        moved = (z + DIFFERENCE * row for row in np.eye(len(z)))
-        columns = [guess(set_values(model, handles, x * size)) - at for x in moved]
-        return weight[:, None] * np.stack(columns, axis=1) / DIFFERENCE
 
-    truly = partial(errors, benches)
-    if guess is None:
-        done = solve(truly, start / size, evaluations)
-    else:
-        near = solve(guess, start / size, FIRST).x
-        near = np.clip(near, low / size + 1e-9, high / size - 1e-9)
-        done = solve(truly, near, evaluations, slopes)
-    x = done.x * size
+def guess_output(
+    benches: Sequence[Bench], model: Model, handles: Sequence[Handle], before: Array, line: Line
+) -> tuple[Model, Array]:
+    """The model that a line takes for the best, and its errors by that line: nothing is simulated.
+    """
+    if not handles:
+        return model, line.errors(model)
+    problem = _Problem(benches, model, handles, before)
+    done = problem.solve(line.errors, FIRST, line)
+    return problem.at(done.x), np.asarray(done.fun / problem.weight, dtype=np.float64)
+
+
+def fit_output(
+    benches: Sequence[Bench],
+    model: Model,
+    handles: Sequence[Handle],
+    before: Array,
+    evaluations: int,
+    line: Line | None = None,
+) -> Output:
+    """Least squares on the simulated position, all free numbers together, from those of the model.
+    Each joint counts by the scatter that it has in ``before``. The slopes are those of a line
+    where there is one.
+    """
+    handles = tuple(handles)
+    if not handles:
+        return _unmoved(benches, model)
+    problem = _Problem(benches, model, handles, before)
+    done = problem.solve(partial(errors, benches), evaluations, line)
+    size, weight, x = problem.size, problem.weight, done.x * problem.size
     jacobian = np.asarray(done.jac, dtype=np.float64) / size
     fitted = set_values(model, handles, x)
     block = max(10, round(BLOCK / benches[0].signals.sample_time))
     moved = _turning(benches, fitted, weight, done.fun, jacobian * size) * size
     covariance = robust_covariance(jacobian, done.fun, block)
     covariance += np.diag((BEGINS * x) ** 2 + moved**2)
-    ends = np.isclose(x, low, rtol=NEAR) | np.isclose(x, high, rtol=NEAR)
+    ends = np.isclose(x, problem.low, rtol=NEAR) | np.isclose(x, problem.high, rtol=NEAR)
     bound = tuple(bool(v) for v in ends)
     result = Fit(
         fitted,
@@ -261,6 +297,7 @@ def screen(
         if (
             not on_input(effect)
             or effect.retime is not None
+            or any(q.free for key in effect.same_as for q in current.model.mechanism.get(key, ()))
             or (effect.name in present and not effect.repeatable)
         ):
             continue
