@@ -22,6 +22,7 @@ from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
 
+BAND = 32.0  # rad/s, of the observer that says what is lacking
 BRIEF = 0.4  # of the time at most: what acts for longer is no disturbance that comes and goes
 # of the energy outside of that time, against what a random torque that is normally distributed has
 # there
@@ -107,7 +108,6 @@ def bursts(
     data: Data,
     model: Model,
     joint: int,
-    band: float = 32.0,
     many: int = MANY,
     dry: float = 0.0,
     often: float = OFTEN,
@@ -122,8 +122,6 @@ def bursts(
     model : Model
     joint : int
         1-based.
-    band : float
-        Of the observer, rad/s.
     many : int
         Intervals; more come and go with something else than time.
     dry : float
@@ -138,14 +136,14 @@ def bursts(
     -------
     Bursts or None
     """
-    acting = _acting(data, model, joint, band)
-    if dry > 0.0 and _peak(acting) < STICKS * dry and _turns(data, acting, joint, band, often):
+    acting = _acting(data, model, joint)
+    if dry > 0.0 and _peak(acting) < STICKS * dry and _turns(data, acting, joint, often):
         return None
     covered = sum(int(high.sum()) for high in acting.masks)
     count = sum(len(high) for high in acting.masks)
     if not covered or covered > BRIEF * count:
         return None
-    every = [(data, acting), *[(d, _acting(d, model, joint, band, acting.least)) for d in beside]]
+    every = [(data, acting), *[(d, _acting(d, model, joint, acting.least)) for d in beside]]
     high = np.concatenate([mask for _, a in every for mask in a.masks])
     seen = [np.isin(c, np.unique(c[~high])) for c in _states(every, joint)]
     if int(np.all(seen, axis=0)[:count][high[:count]].sum()) < REVISITED * covered:
@@ -159,7 +157,7 @@ def bursts(
     return None if scattered or out.spread > many else out
 
 
-def _turns(data: Data, acting: _Acting, joint: int, band: float, often: float) -> bool:
+def _turns(data: Data, acting: _Acting, joint: int, often: float) -> bool:
     """Whether what acts comes where the joint turns round alone, and not at a few of these
     places.
     """
@@ -172,12 +170,12 @@ def _turns(data: Data, acting: _Acting, joint: int, band: float, often: float) -
         acting.masks, acting.smooth, acting.used, data.records, strict=True
     ):
         record = rec[joint - 1]
-        turns = reversals(record, band_of(record, band))[use]
+        turns = reversals(record, band_of(record, BAND))[use]
         energy = lack**2 * high
         there += float(energy[turns].sum())
         total += float(energy.sum())
         # at either end it is the observer that comes late
-        inside = binary_erosion(high, iterations=max(1, round(2.0 / band / record.sample_time)))
+        inside = binary_erosion(high, iterations=max(1, round(2.0 / BAND / record.sample_time)))
         turning += int((inside & turns).sum())
         moving += int((inside & ~turns).sum())
         resting += float(energy[inside & turns].sum())
@@ -193,15 +191,15 @@ def _turns(data: Data, acting: _Acting, joint: int, band: float, often: float) -
 
 
 def everywhere(
-    found: Bursts, parts: Sequence[Data], model: Model, joint: int, band: float = 32.0
+    found: Bursts, parts: Sequence[Data], model: Model, joint: int
 ) -> Bursts:
     """The times of a torque that was found in some recordings, in all of them."""
-    acting = [(data, _acting(data, model, joint, band, found.least)) for data in parts]
+    acting = [(data, _acting(data, model, joint, found.least)) for data in parts]
     return _summed(acting, joint)
 
 
 def _acting(
-    data: Data, model: Model, joint: int, band: float, least: float | None = None
+    data: Data, model: Model, joint: int, least: float | None = None
 ) -> _Acting:
     """Where the energy of what a model lacks is far above its median, and above ``least``; without
     it, above a part of its own peak.
@@ -209,10 +207,10 @@ def _acting(
     lacks: list[Array] = []
     smooth: list[Array] = []
     levels, used = [], []
-    for lack, rec in zip(lacking(data, model, joint, band), data.records, strict=True):
+    for lack, rec in zip(lacking(data, model, joint, BAND), data.records, strict=True):
         record = rec[joint - 1]
-        use = kept(record, band)
-        width = max(3, round(3.0 / band / record.sample_time))
+        use = kept(record, BAND)
+        width = max(3, round(3.0 / BAND / record.sample_time))
         window = np.ones(width) / width
         levels.append(np.convolve(lack**2, window, mode="same")[use])
         lacks.append(lack[use])
