@@ -52,7 +52,7 @@ from zendsp.diagnosis.search.bodies import BodySearch, find_bodies
 from zendsp.diagnosis.search.hypothesis import JointSearch
 from zendsp.diagnosis.transmission.links import divided, with_links
 from zendsp.diagnosis.transmission.measured import Measured, measured_transmissions
-from zendsp.diagnosis.transmission.one_sensor import by_one_sensor, said
+from zendsp.diagnosis.transmission.one_sensor import by_one_sensor, said, shown
 from zendsp.diagnosis.transmission.torque_sensor import sided
 from zendsp.errors import RecordingError
 from zendsp.physics.calibration.fit import Data
@@ -276,7 +276,7 @@ def _find(parts: Parts, given: Model, jobs: int, tell: Progress) -> _Found:
         calibrated = calibrated_machine(bare.fit, given, bases, jobs)
         whole = replace(whole, improved=improved, calibrated=calibrated)
         decisions = beside_bodies(claims, decisions)
-    decisions = across_joints(decisions)
+    decisions = shown(parts, bodies.model, across_joints(decisions))
     return _Found(parts, bodies, measured, searches, decisions, whole, claims, tuple(fine))
 
 

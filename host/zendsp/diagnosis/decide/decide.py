@@ -142,10 +142,17 @@ def _beside(decision: Decision, parts: Parts) -> Bursts | None:
     return _in_fit(parts, model, joint)
 
 
+def _alike(data: Data) -> tuple[Data, ...]:
+    """Other recordings, where the states of one joint are all that there is: what comes from
+    others depends on more than is looked at.
+    """
+    return (data,) if data.joints == 1 else ()
+
+
 def _in_fit(parts: Parts, model: Model, joint: int) -> Bursts | None:
     """A push in the recordings of the fit."""
     dry = dry_torque(parts.fit, model, joint)
-    return bursts(parts.fit, model, joint, many=FEW, dry=dry, often=0.0, beside=(parts.held,))
+    return bursts(parts.fit, model, joint, many=FEW, dry=dry, often=0.0, beside=_alike(parts.held))
 
 
 # --- nothing is named
@@ -242,7 +249,7 @@ def _pushed(out: Decision, parts: Parts, jobs: int) -> Decision | None:
     held = here = None
     if out.state.share < MOST:
         dry = dry_torque(parts.held, base, joint)
-        held = bursts(parts.held, base, joint, dry=dry, often=often, beside=(parts.fit,))
+        held = bursts(parts.held, base, joint, dry=dry, often=often, beside=_alike(parts.fit))
         here = held or _in_fit(parts, base, joint)
     bent = held is None or bool(
         everywhere(held, (parts.fit,), base, joint).intervals

@@ -161,30 +161,23 @@ def _turns(data: Data, acting: _Acting, joint: int, often: float) -> bool:
     """Whether what acts comes where the joint turns round alone, and not at a few of these
     places.
     """
-    from scipy.ndimage import binary_erosion  # takes a third of a second
-
-    there = total = resting = elsewhere = 0.0
+    there = total = 0.0
     turning = moving = met = count = 0
-    # smoothed: where the joint starts from rest, the observer's answer is a spike
     for high, lack, use, rec in zip(
-        acting.masks, acting.smooth, acting.used, data.records, strict=True
+        acting.masks, acting.lacks, acting.used, data.records, strict=True
     ):
         record = rec[joint - 1]
         turns = reversals(record, band_of(record, BAND))[use]
         energy = lack**2 * high
         there += float(energy[turns].sum())
         total += float(energy.sum())
-        # at either end it is the observer that comes late
-        inside = binary_erosion(high, iterations=max(1, round(2.0 / BAND / record.sample_time)))
-        turning += int((inside & turns).sum())
-        moving += int((inside & ~turns).sum())
-        resting += float(energy[inside & turns].sum())
-        elsewhere += float(energy[inside & ~turns].sum())
+        turning += int((high & turns).sum())
+        moving += int((high & ~turns).sum())
         change = np.flatnonzero(np.diff(np.r_[0, turns.astype(int), 0]))
         count += len(change) // 2
         met += sum(bool(high[a:b].any()) for a, b in zip(change[::2], change[1::2], strict=True))
     if moving > ELSEWHERE * (turning + moving) and (
-        elsewhere * turning > LASTING * resting * moving
+        (total - there) * turning > LASTING * there * moving
     ):
         return False
     return there > MOSTLY * total and met > often * count

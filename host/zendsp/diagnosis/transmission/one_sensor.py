@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from zendsp.diagnosis.data.signals import Parts
-from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.claims import Claim, Decision
+from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.pieces import finest
 from zendsp.diagnosis.decide.result import Detectable
+from zendsp.diagnosis.decide.thresholds import MACHINE
 from zendsp.diagnosis.transmission.sets import compliance_unit
 from zendsp.diagnosis.transmission.torsion import OF_BODIES, has_bodies, of_bodies
+from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model
 
 
@@ -52,6 +56,32 @@ def by_one_sensor(
         unit = compliance_unit(model, joint)
         out.append(Detectable(joint, "transmission", "elasticity", least, unit, 0.0))
     return tuple(out)
+
+
+def shown(
+    parts: Parts, model: Model, decisions: Sequence[Decision]
+) -> list[Decision]:
+    """Decisions without the springs that are stiffer than these recordings can show: what swings
+    there is something else.
+    """
+    least = {d.joint: d.size for d in by_one_sensor(parts, model, decisions)}
+
+    def hidden(claim: Claim) -> bool:
+        numbers = claim.term.parameters
+        spring = "stiffness" in numbers and "gap" not in numbers
+        if not spring or get_effect(claim.term.effect).family != "transmission":
+            return False
+        return least.get(claim.term.joint, 0.0) * numbers["stiffness"].value > 1.0
+
+    out = []
+    for decision in decisions:
+        stiff = [c for c in decision.claims if hidden(c)]
+        keep = tuple(c for c in decision.claims if not any(c is s for s in stiff))
+        if stiff and not keep:
+            kind: Verdict = "complete" if decision.before.value < MACHINE else "unexplained"
+            decision = replace(decision, kind=kind)
+        out.append(replace(decision, claims=keep, refinements=(*decision.refinements, *stiff)))
+    return out
 
 
 def said(unseen: Sequence[Detectable]) -> list[str]:
