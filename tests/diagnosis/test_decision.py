@@ -234,6 +234,16 @@ def test_a_push_while_the_joint_turns_round_is_told_with_its_recording(
     assert f"of {tmp_path}/run{1 + held}.csv" in found.sentence
 
 
+def test_what_lacks_beside_a_push_is_found_where_nothing_pushes(tmp_path: Path) -> None:
+    """The push is cut out, and the rest diagnosed again: it had bent all numbers."""
+    law = {"breakaway": 0.04, "stribeck": 0.8}
+    d = decided(tmp_path, reality.Machine(push=(0.2, 4.0, 5.0), **law), reality.Machine(**law))
+    assert [f.effect for f in d.findings] == ["disturbance", "stribeck"]
+    assert d.findings[1].parameters["breakaway"].value == pytest.approx(0.04, rel=0.03)
+    ((begin, end),) = d.findings[0].numbers["intervals"]
+    assert (begin, end) == (pytest.approx(4.0, abs=0.15), pytest.approx(5.0, abs=0.15))
+
+
 def test_a_push_beside_what_is_found_is_told(tmp_path: Path) -> None:
     """Dry friction is missing too: it is the finding, and the push stands in what is left."""
     pushed = reality.Machine(push=(0.08, 4.0, 6.0))

@@ -18,7 +18,7 @@ from zendsp.diagnosis.data.checks import check_excitation, check_motion, check_s
 from zendsp.diagnosis.data.prepare import one_sensor, prepare
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.signals import Parts, Signals, with_same_columns
-from zendsp.diagnosis.data.split import halves, split
+from zendsp.diagnosis.data.split import cut_out, halves, split
 from zendsp.diagnosis.decide.across import across_joints
 from zendsp.diagnosis.decide.assemble import Assembled, calibrated_machine
 from zendsp.diagnosis.decide.claims import Decision
@@ -44,6 +44,7 @@ from zendsp.diagnosis.joints import (
     with_bodies,
     with_their_links,
 )
+from zendsp.diagnosis.measure.bursts import everywhere
 from zendsp.diagnosis.measure.likelihood import calibrate_joint
 from zendsp.diagnosis.measure.where import intervals, mismatch, regions
 from zendsp.diagnosis.measure.windows import model_error, noise_floor
@@ -132,7 +133,7 @@ def _diagnose(
             _sources(recordings), given, _sources(heldout), seed=seed, jobs=jobs, progress=tell
         )
     fit_signals, parts, notes = _ready(recordings, heldout, given, tell)
-    found = _find(parts, given, jobs, tell)
+    found = _found(fit_signals, parts, given, jobs, tell)
     parts, decisions, whole = found.parts, found.decisions, found.whole
     notes += [note for m in found.measured for note in m.notes]
     findings, refinements, rejected = _name(found, given)
@@ -278,6 +279,45 @@ def _find(parts: Parts, given: Model, jobs: int, tell: Progress) -> _Found:
         decisions = beside_bodies(claims, decisions)
     decisions = shown(parts, bodies.model, across_joints(decisions))
     return _Found(parts, bodies, measured, searches, decisions, whole, claims, tuple(fine))
+
+
+def _found(
+    signals: Sequence[Signals], parts: Parts, given: Model, jobs: int, tell: Progress
+) -> _Found:
+    """What is found; where something pushes in the recordings of the fit (``signals``), in the rest
+    of them.
+    """
+    found = _find(parts, given, jobs, tell)
+    quiet = cut_out(signals, _pushes(found.decisions))
+    if not quiet:
+        return found
+    tell("once more, without what was pushed")
+    rest = replace(parts, fit=prepare(one_sensor(quiet), given, 64.0))
+    return _beside_pushes(found, _find(rest, given, jobs, tell))
+
+
+def _pushes(decisions: Sequence[Decision]) -> list[tuple[str, float, float]]:
+    """Recording, begin and end (s) of each push."""
+    return [
+        (name, *span)
+        for d in decisions
+        if d.kind == "disturbance" and d.bursts is not None
+        for name, span in zip(d.bursts.recordings, d.bursts.intervals, strict=True)
+    ]
+
+
+def _beside_pushes(pushed: _Found, found: _Found) -> _Found:
+    """What was found without the pushes, and the pushes in all recordings, beside it."""
+    every = (pushed.parts.fit, pushed.parts.held)
+    decisions = []
+    for first, again in zip(pushed.decisions, found.decisions, strict=True):
+        if first.kind == "disturbance" and first.bursts is not None:
+            kind = "disturbance" if again.kind == "complete" else again.kind
+            beside = everywhere(first.bursts, every, again.final.model, again.joint)
+            bursts = beside if beside.intervals else first.bursts
+            again = replace(again, kind=kind, bursts=bursts)
+        decisions.append(again)
+    return replace(found, decisions=decisions, parts=pushed.parts)
 
 
 def _name(

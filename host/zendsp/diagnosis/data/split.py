@@ -12,6 +12,9 @@ from zendsp.physics.kernel.smooth import moving_mean
 
 Array = npt.NDArray[np.float64]
 
+AROUND = 0.25  # s before and after what is cut out: an observer comes late, and a joint swings on
+LEFT = 0.5  # of the rows that cutting leaves at least
+
 
 def split(signals: Sequence[Signals]) -> tuple[list[Signals], list[Signals], list[str]]:
     """Hold out the last third of each recording's motion.
@@ -64,6 +67,26 @@ def halves(held: Sequence[Signals]) -> tuple[list[Signals], list[Signals], list[
         [s.part(cut, n, f"{s.name} (to test on)")],
         [],
     )
+
+
+def cut_out(signals: Sequence[Signals], spans: Sequence[tuple[str, float, float]]) -> list[Signals]:
+    """The recordings without some times of them (name, begin and end in s); empty where none of
+    these lies in one, or too little would be left.
+    """
+    out: list[Signals] = []
+    for s in signals:
+        name, n = s.whole or s.name, len(s.time)
+        bad = np.zeros(n, bool)
+        for of, begin, end in spans:
+            bad |= (of == name) & (s.time > begin - AROUND) & (s.time < end + AROUND)
+        edges = np.flatnonzero(np.diff(np.r_[True, bad, True].astype(int)))
+        pieces = list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+        if pieces == [(0, n)]:
+            out.append(s)
+            continue
+        out += [s.part(a, b, f"{s.name} (quiet)") for a, b in pieces if b - a >= MIN_SAMPLES]
+    rows, left = (sum(len(s.time) for s in part) for part in (signals, out))
+    return out if LEFT * rows <= left < rows else []
 
 
 def _way(s: Signals) -> Array:
