@@ -35,6 +35,7 @@ ONCE = frozenset(
         "table_commit",
         "live_open",
         "live_close",
+        "run_begin",
     )
 )
 FIRST, AGAIN, SETTLE = 0, 1, 2

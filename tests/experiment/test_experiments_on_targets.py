@@ -187,7 +187,7 @@ def test_an_experiment_refuses_a_drive_that_takes_another_command(tmp_path: Path
 
     with (
         zendsp.local("pendulum", clock="fast") as target,
-        pytest.raises(Refused, match="command is a voltage, here it is a torque"),
+        pytest.raises(Refused, match="command is a voltage, at joint 1 it is a torque"),
     ):
         run_experiment("pendulum-electrical", Lab(tmp_path, target))
 

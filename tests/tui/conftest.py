@@ -68,6 +68,7 @@ def target(shared_target: Target) -> Iterator[Target]:
         ("drive", {"action": "host_lost", "policy": "stop"}),
         ("drive", {"action": "auto"}),
         ("unload", {}),
+        ("drive", {"action": "acknowledge"}),  # what a lost host latched in between
         ("drive", {"action": "release"}),
     ):
         with contextlib.suppress(ZendspError):

@@ -141,7 +141,9 @@ async def test_a_computed_curve_its_scale_its_files_and_its_layout(
         t, y = scope.history.newest()
         assert np.array_equal(t[: len(past)], past), "what was there before is still there"
         assert np.array_equal(y[: len(past), :3], shown) and np.isnan(y[: len(past), 3]).all()
-        _, y = scope.history.newest(500)
+        newest = lambda: scope.history.newest(500)[1]  # noqa: E731
+        await until(pilot, lambda: not np.isnan(newest()).any(), "only rows with it")
+        y = newest()
         assert np.array_equal(y[:, 3], y[:, 0] - y[:, 1]) and np.ptp(y[:, 3]) > 0.0
         scope.set(replace(scope.settings, selected=3))
         await pilot.press("L")

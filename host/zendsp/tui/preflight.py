@@ -116,7 +116,7 @@ def preflight(
     found.append(
         Condition(
             "drives enabled",
-            s.explicit and s.drive in ("enabled", "running"),
+            s.drive in ("enabled", "running"),
             f"on Console (F2): {_steps(s)}",
         )
     )
