@@ -44,7 +44,7 @@ TOLD = {
     "host/zendsp/tui/play_job.py:__init__": "a job's own fields",
     "host/zendsp/proof/mujoco/kit.py:truth": "the fields of a truth, keywords",
     "host/zendsp/diagnosis/decide/laws.py:named": "what a joint is decided by",
-    "host/zendsp/diagnosis/decide/laws.py:_law": "what a joint is decided by",
+    "host/zendsp/diagnosis/decide/rivals.py:law_of": "what a joint is decided by",
 }
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.fast_ripple import fixed
-from zendsp.diagnosis.decide.laws import replaced
+from zendsp.diagnosis.decide.rivals import replaced
 from zendsp.physics.model import Discrepancy, Model, Term
 
 

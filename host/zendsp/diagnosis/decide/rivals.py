@@ -1,0 +1,203 @@
+"""By which law a claimed mechanism is described: what could stand in its place, and how likely each
+of them is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.diagnosis.data.signals import Parts
+from zendsp.diagnosis.decide.claims import LAWS_OF, Claim, Piece
+from zendsp.diagnosis.decide.findings import new_terms
+from zendsp.diagnosis.decide.pieces import kind_of
+from zendsp.diagnosis.decide.thresholds import DRAWS, EXPLAINS, STATED_LAW, TIED
+from zendsp.diagnosis.measure.discrepancy import difference, discrepancy
+from zendsp.diagnosis.measure.evidence import block_scores, settling
+from zendsp.diagnosis.measure.likelihood import Scored, informative
+from zendsp.diagnosis.search.hypothesis import JointSearch, Rival, price
+from zendsp.diagnosis.search.rounds import WAIT, Rounds
+from zendsp.physics.calibration.fit import Data
+from zendsp.physics.effects import get_effect, library, mechanism_of
+from zendsp.physics.model import Model, Term
+
+Array = npt.NDArray[np.float64]
+Progress = Callable[[str], None]
+
+
+def together(*data: Data) -> Data:
+    """Recordings of several parts as one."""
+    return replace(data[0], records=tuple(r for d in data for r in d.records))
+
+
+def law_of(
+    parts: Parts,
+    given: Model,
+    search: JointSearch,
+    rounds: Rounds,
+    final: Scored,
+    piece: Piece,
+    first: Piece,
+    jobs: int,
+    tell: Progress,
+) -> Claim:
+    """The law of a mechanism with its probability: laws that could stand in its place are fitted,
+    and compete block by block.
+    """
+    joint, term = search.joint, first.terms[0]
+    tell(f"joint {joint}: what could stand in for {term.effect}")
+    known = library()
+    beside = (*LAWS_OF.get(piece.mechanism, ()), *get_effect(term.effect).rivals)
+    names = frozenset(e for e in beside if e in known and not known[e].coupled) | {term.effect}
+    every = [
+        r
+        for r in rounds.stand_ins(first.without, names)
+        if r.effect == term.effect or not contains(r, term)
+    ]
+    scores = _scores(parts, joint, final, term, every)
+    instead = _likelier(piece, final, every, scores)
+    other = [r.effect != term.effect for r in every]
+    rivals, scores = [r for r, o in zip(every, other, strict=True) if o], scores[[True, *other]]
+    weights = _weights(scores)
+    after = discrepancy(parts.choose, final.model, joint).value
+    same, lost = [], []
+    for rival, weight, score in zip(rivals, weights[1:], scores[1:], strict=True):
+        behind = float(score.sum() - scores[0].sum())
+        near = (
+            behind < 0.5 * first.evidence.gain
+            and difference(parts.choose, rival.scored.model, final.model, joint) < after
+        )
+        if weight > TIED or near or rival.effect in get_effect(term.effect).aliases:
+            same.append(rival.effect)
+        else:
+            share = 1.0 - behind / max(rival_gain(first, final), 1e-9)
+            why = (
+                f"explains {100 * max(0.0, min(share, 0.99)):.0f} % of it"
+                if share > EXPLAINS
+                else "does not explain the mismatch"
+            )
+            lost.append((rival.effect, why, -0.5 * behind))
+    same += _sums(term, final.model)
+    laws: dict[str, float] = {}
+    for name, weight in zip([term.effect, *[r.effect for r in rivals]], weights, strict=True):
+        if mechanism_of(name) == piece.mechanism:
+            laws[name] = laws.get(name, 0.0) + float(weight)
+    total = sum(laws.values())
+    laws = (
+        {n: w / total for n, w in laws.items() if w / total > STATED_LAW}
+        if total > 0
+        else {term.effect: 1.0}
+    )
+    gone = replaced(given, final.model, term)
+    return Claim(
+        term.effect,
+        piece.mechanism,
+        term,
+        piece.size,
+        piece.evidence,
+        piece.log_e,
+        laws,
+        tuple(dict.fromkeys(same)),
+        gone,
+        tuple(lost[:6]),
+        instead=instead,
+    )
+
+
+def _scores(parts: Parts, joint: int, final: Scored, term: Term, every: Sequence[Rival]) -> Array:
+    """Deviance of each block with the price shared among them, first of the term in the final
+    model, then of what could stand in for it, (rivals + 1, blocks).
+    """
+    learn = together(parts.fit, parts.choose)
+    models = [final, *[r.scored for r in every]]
+    settle = max(settling(x, joint) for x in models)
+    scores = np.stack([block_scores(x, learn, joint, settle) for x in models])
+    prices = [price((term,), informative(parts.fit, joint)), *[r.price for r in every]]
+    return np.asarray(scores + np.array(prices)[:, None] / scores.shape[1])
+
+
+def _likelier(piece: Piece, final: Scored, every: Sequence[Rival], scores: Array) -> Scored | None:
+    """A law of the same mechanism, or the same one at other numbers, that is clearly more likely
+    than the one that stands in the final model, on the recordings to choose by too.
+    """
+    behind = scores[1:].sum(axis=1) - scores[0].sum()
+    better = [
+        (float(d), r.scored)
+        for d, r in zip(behind, every, strict=True)
+        if d < -WAIT
+        and mechanism_of(r.effect) == piece.mechanism
+        and r.scored.deviance < final.deviance - WAIT
+    ]
+    return min(better, key=lambda b: b[0])[1] if better else None
+
+
+def _sums(term: Term, model: Model) -> list[str]:
+    """Effects that a term and others beside it are together, by algebra."""
+    there = {t.effect for t in model.at(term.joint)}
+    return [n for n, e in library().items() if term.effect in e.sums and there.issuperset(e.sums)]
+
+
+def rival_gain(piece: Piece, final: Scored) -> float:
+    """Deviance that a law gains on the recordings of the fit."""
+    return piece.without.deviance - final.deviance
+
+
+def _weights(scores: Array) -> Array:
+    """Probability of each law (a row of scores of blocks) to predict best, by the Bayesian
+    bootstrap (pseudo-BMA+, Yao et al. 2018).
+    """
+    n = scores.shape[1]
+    draws = np.random.default_rng(0).dirichlet(np.ones(n), DRAWS) * n
+    totals = -0.5 * draws @ scores.T
+    totals -= totals.max(axis=1, keepdims=True)
+    weight = np.exp(totals)
+    weight /= weight.sum(axis=1, keepdims=True)
+    return np.asarray(weight.mean(axis=0))
+
+
+def contains(rival: Rival, term: Term) -> bool:
+    """Whether the rival is the same effect with more freedom: a special case of it, or with a
+    parameter at its bound.
+    """
+    if term.effect in get_effect(rival.effect).replaces:
+        return True
+    own = sum(p.fitted for p in get_effect(term.effect).parameters)
+    more = sum(p.fitted for p in get_effect(rival.effect).parameters) > own
+    fitted = rival.scored.fit
+
+    def is_row(index: int) -> bool:
+        t = rival.scored.model.terms[index]
+        return t.joint == rival.joint and t.effect == rival.effect
+
+    bounded = (
+        fitted.at_bound[i]
+        for i, h in enumerate(fitted.handles)
+        if h.place == "term" and is_row(h.index)
+    )
+    return more and any(bounded)
+
+
+def replaced(given: Model, final: Model, term: Term) -> tuple[str, ...]:
+    """Effects of the given model that are gone, and that this term stands for: laws of its own kind
+    of friction, or of its mechanism.
+    """
+    joint = term.joint
+    have = [t.effect for t in final.at(joint)]
+    gone = []
+    for old in given.at(joint):
+        if old.effect in have:
+            have.remove(old.effect)
+        else:
+            gone.append(old.effect)
+    own = mechanism_of(term.effect)
+    kind = kind_of(own)
+    rubs = [t for t in new_terms(given, final, joint) if mechanism_of(t.effect) in kind]
+    mine = [e for e in gone if mechanism_of(e) in kind]
+    if len(kind) > 1 and len(rubs) > 1:  # each stands for its own kind where both are new
+        exact = [e for e in mine if mechanism_of(e) == own]
+        others = {mechanism_of(t.effect) for t in rubs if t is not term}
+        mine = exact + [e for e in mine if mechanism_of(e) not in others and e not in exact]
+    return tuple(sorted(set(mine)))
