@@ -13,7 +13,7 @@ from waiting import PATIENCE_S, until
 import zendsp
 from zendsp.errors import AcquisitionError, RecordingError, Refused, VariableError
 from zendsp.experiment.frequency import FrequencyResponse, choose_lines, estimate, make_period
-from zendsp.experiment.sweep import tried_of, values_of
+from zendsp.experiment.sweep import Sweep, tried_of, values_of
 from zendsp.link import Target, local
 
 RATE = 1000.0
@@ -262,13 +262,26 @@ def test_equal_gains_are_not_ranked_and_different_ones_are(fast: Target) -> None
     until(lambda: fast.status().t > 2.0, "the arm is on its circle")
     alike = [1999.9, 1999.95, 2000.0, 2000.05, 2000.1]
     found = zendsp.sweep(fast, {"Kp1": alike}, ["e1"], seconds=0.3, settle=0.2)
-    assert "none is best" in repr(found) and len(found.best_rows()) > 1
+    assert len(found.again) == 2
     assert [row[0] for row in found.cells()] == ["1999.9", "1999.95", "2000", "2000.05", "2000.1"]
     gains = {"Kp1": [500.0, 1000.0, 2000.0]}
     found = zendsp.sweep(fast, gains, ["e1"], seconds=2.0, settle=0.2)  # one turn
     assert "rms e1 is least" in repr(found) and "at Kp1 = 2000; the first values" in repr(found)
     assert len(found.rows) == 3 and len(found.again) == 2
     assert found.spread() < 0.05 * found.best()["rms e1"] and found.best_rows() == [2]
+
+
+@pytest.mark.parametrize(("second", "rows"), [(0.0041, [0, 1]), (0.0049, [0])])
+def test_what_equal_values_may_differ_by_is_no_difference(second: float, rows: list[int]) -> None:
+    """The first value, measured three times, varies by 0.0002."""
+    measured = [
+        {"Kp1": gain, "rms e1": rms, "ended": ""}
+        for gain, rms in ((2000.0, 0.0040), (1500.0, second))
+    ]
+    again = ({"rms e1": 0.0039}, {"rms e1": 0.0041})
+    found = Sweep(("Kp1",), ("rms e1",), tuple(measured), again)
+    assert found.spread() == pytest.approx(0.0002) and found.best_rows() == rows
+    assert ("none is best" in repr(found)) is (len(rows) > 1)
 
 
 def test_every_value_is_checked_before_the_first_run(fast: Target) -> None:
