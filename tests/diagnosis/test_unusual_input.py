@@ -72,6 +72,19 @@ def test_a_jittered_clock_is_resampled_and_the_report_says_so(
     assert any("jitter" in n and "resampled" in n for n in notes), notes
 
 
+def test_lines_between_jittered_rows_hide_no_noise_of_the_sensor(
+    good: Columns, model: Path, tmp_path: Path
+) -> None:
+    r = np.random.default_rng(6)
+    t = good["t"] + r.uniform(-0.25, 0.25, len(good["t"])) / RATE
+    noise = 0.002  # rad
+    q = np.interp(t, good["t"], good["q"]) + noise * r.standard_normal(len(t))
+    file = reality.save(tmp_path / "run.csv", {**good, "t": t, "q": q})
+    given = kernel_model(load_model(model))
+    (record,) = prepare([read_signals(file, given)], given, 64.0).records[0]
+    assert record.measurement.noise == pytest.approx(noise, rel=0.05)
+
+
 def test_a_held_command_is_not_late_after_a_jittered_clock_was_resampled() -> None:
     r = np.random.default_rng(1)
     steps = np.arange(4000) / RATE

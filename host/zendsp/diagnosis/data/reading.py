@@ -24,6 +24,7 @@ from zendsp.diagnosis.data.columns import (
 from zendsp.diagnosis.data.sampling import (
     clock,
     decimated,
+    left_by_lines,
     on_counts,
     read_anew,
     resample,
@@ -77,10 +78,22 @@ def read_signals(source: str | Path | Recording | Table, model: Model) -> Signal
         command = resample_held(grid, time, command)
         reference = None if reference is None else resample(grid, time, reference)
         extra = {role: resample(grid, time, values) for role, values in extra.items()}
-        time = grid
+        stamps, time = time, grid
     read = Signals(name, time, sample_time, position, command, reference, resolution, extra=extra)
     signals, said = _of_joints(read, model)
-    return decimated(replace(signals, notes=(*done, *notes, *said)))
+    signals = decimated(replace(signals, notes=(*done, *notes, *said)))
+    if grid is None or signals.raw is not None:  # of means, neighbours share no row
+        return signals
+    return _as_noisy_as_read(signals, left_by_lines(grid, stamps))
+
+
+def _as_noisy_as_read(s: Signals, left: float) -> Signals:
+    """A recording with at least the sensor's noise that was there before straight lines between
+    its rows left so much of its variance: at the frequencies of a motion all of it is there still.
+    """
+    noise = [noise_beside_quantisation(y, float(r)) for y, r in zip(s.position.T, s.resolution)]
+    least = np.array(noise) / np.sqrt(left)
+    return replace(s, least_noise=least if s.least_noise is None else np.fmax(s.least_noise, least))
 
 
 def _main_columns(

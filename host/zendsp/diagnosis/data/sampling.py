@@ -10,7 +10,7 @@ import numpy.typing as npt
 from zendsp.diagnosis.data.columns import Columns, Getter, column_name, has
 from zendsp.diagnosis.data.signals import Signals
 from zendsp.errors import RecordingError
-from zendsp.physics.kernel.signals import find_resolution
+from zendsp.physics.kernel.signals import FOURTH, find_resolution
 from zendsp.physics.model import Model, per_joint
 
 Array = npt.NDArray[np.float64]
@@ -176,6 +176,14 @@ def on_counts(values: Array, origin: Array, resolution: Array) -> Array:
 def resample(grid: Array, time: Array, values: Array) -> Array:
     """Straight lines between the rows, at the instants of a uniform grid, (n, columns)."""
     return np.stack([np.interp(grid, time, column) for column in values.T], axis=1)
+
+
+def left_by_lines(grid: Array, time: Array) -> float:
+    """Part of white noise's variance that fourth differences see after `resample`: a point between
+    two rows has less noise than either, and shares it with the next point.
+    """
+    white = np.random.default_rng(0).standard_normal((len(time), 1))
+    return float(np.mean(np.diff(resample(grid, time, white), 4, axis=0) ** 2)) / FOURTH
 
 
 def resample_held(grid: Array, time: Array, values: Array) -> Array:
