@@ -23,6 +23,12 @@ VISCOUS = reality.effect("viscous", coefficient=0.004)
 COULOMB = reality.effect("coulomb", level=0.03)
 
 
+def _held(effect: str) -> str:
+    """The same effect, its numbers held fixed."""
+    return effect.replace(" }", ", free = false }")
+
+
+
 @dataclass
 class Case:
     """True machine, effects of the given model, and what must be found: effect -> parameter -> true
@@ -39,6 +45,16 @@ SINGLE: dict[str, Case] = {
     "viscous missing": Case(reality.Machine(), [COULOMB], {"viscous": {"coefficient": 0.004}}),
     "coulomb absorbed into viscous": Case(
         reality.Machine(), [VISCOUS], {"coulomb": {"level": 0.03}}
+    ),
+    "coulomb that is held, and wrong": Case(
+        reality.Machine(coulomb=0.04),
+        [_held(VISCOUS), _held(COULOMB)],
+        {"coulomb": {"level": 0.04}},
+    ),
+    "viscous that is held, and wrong": Case(
+        reality.Machine(viscous=0.008),
+        [_held(VISCOUS), _held(COULOMB)],
+        {"viscous": {"coefficient": 0.008}},
     ),
     "drag": Case(
         reality.Machine(drag=0.004), [VISCOUS, COULOMB], {"quadratic_drag": {"coefficient": 0.004}}
@@ -172,6 +188,16 @@ def test_wrong_term_of_the_given_model_is_replaced(tmp_path: Path) -> None:
     assert [f.effect for f in d.findings] == ["quadratic_drag"]
     assert d.findings[0].replaces == ("viscous",)
     assert {t.effect for t in d.improved.terms} == {"quadratic_drag", "coulomb"}
+
+
+def test_what_calibration_moves_far_is_told(tmp_path: Path) -> None:
+    gain = 1.2  # as an actuator that gives so much more
+    machine = reality.Machine(inertia=0.01 / gain, viscous=0.004 / gain, coulomb=0.03 / gain)
+    d = run(Case(machine, [VISCOUS, COULOMB], {}), tmp_path)
+    (note,) = (n for n in d.notes if "calibration moves" in n)
+    assert "coulomb level 0.03 to 0.025" in note and "as a torque gain of 1.2" in note
+    d = run(Case(reality.Machine(), [VISCOUS, COULOMB], {}), tmp_path)
+    assert not any("calibration moves" in n for n in d.notes)
 
 
 def test_several_recordings_are_fitted_jointly(tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from zendsp.diagnosis.data.prepare import one_sensor, prepare
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.signals import Parts, Signals, with_same_columns
 from zendsp.diagnosis.data.split import cut_out, halves, split
+from zendsp.diagnosis.decide.absorbed import moved
 from zendsp.diagnosis.decide.across import across_joints
 from zendsp.diagnosis.decide.assemble import Assembled, calibrated_machine
 from zendsp.diagnosis.decide.claims import Decision
@@ -153,6 +154,7 @@ def _diagnose(
     seen += (*(d for m in found.measured for d in m.detectable), *alone)
     notes += said(alone)
     notes += loosely_fitted(decisions)
+    notes += moved(given, whole.calibrated)
     test = _table(parts.test, given, whole.calibrated, improved)
     if not findings:
         notes += bent(test, noise_floor(parts.test))

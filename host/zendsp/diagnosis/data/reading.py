@@ -91,7 +91,8 @@ def _as_noisy_as_read(s: Signals, left: float) -> Signals:
     """A recording with at least the sensor's noise that was there before straight lines between
     its rows left so much of its variance: at the frequencies of a motion all of it is there still.
     """
-    noise = [noise_beside_quantisation(y, float(r)) for y, r in zip(s.position.T, s.resolution)]
+    both = zip(s.position.T, s.resolution, strict=True)
+    noise = [noise_beside_quantisation(y, float(step)) for y, step in both]
     least = np.array(noise) / np.sqrt(left)
     return replace(s, least_noise=least if s.least_noise is None else np.fmax(s.least_noise, least))
 

@@ -8,8 +8,10 @@ where all of them have moved by one factor, it is named with them.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from dataclasses import replace
+
+import numpy as np
 
 from zendsp.diagnosis.decide.assemble import Assembled
 from zendsp.diagnosis.decide.claims import Decision
@@ -19,7 +21,7 @@ from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import fit_scored
 from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.effects import get_effect, library, mechanism_of
-from zendsp.physics.model import Model
+from zendsp.physics.model import Model, Quantity
 
 # relative standard deviation of a given inertia, mass or gravity figure; more where its std says so
 TOLERANCE = 0.045
@@ -89,6 +91,41 @@ def shifted(
         text += f" This recording cannot tell it from {', '.join(same)}."
     sure = min(0.9, 0.5 + 0.05 * abs(z))
     return [(z, _finding("inertia", joint, values, sure, tuple(same), text))]
+
+
+def moved(given: Model, calibrated: Model) -> list[str]:
+    """What calibration made of the given numbers, joint by joint, where that is beyond the
+    tolerance of a figure: it is no finding, and may be what a user looks for.
+    """
+    out = []
+    for joint in range(1, given.joints + 1):
+        both = [(what, q, new) for what, q, new in _numbers(given, calibrated, joint) if q.free]
+        ratios = [new.value / q.value for _, q, new in both if q.value]
+        far = [
+            f"{what} {q.value:.4g} to {new.value:.4g} ({100 * (new.value / q.value - 1.0):+.0f} %)"
+            for what, q, new in both
+            if q.value and abs(new.value - q.value) > math.hypot(TOLERANCE * q.value, FAR * new.std)
+        ]
+        if far:
+            alike = len(far) == len(ratios) > 2 and np.ptp(ratios) < TOLERANCE
+            gain = f": all alike, as a torque gain of {1.0 / ratios[0]:.3g} would"
+            out.append(
+                f"joint {joint}: calibration moves {', '.join(far)}" + (gain if alike else "")
+            )
+    return out
+
+
+def _numbers(
+    given: Model, calibrated: Model, joint: int
+) -> Iterator[tuple[str, Quantity, Quantity]]:
+    """The numbers of a joint as given and as calibrated, by name."""
+    for key, items in given.mechanism.items():
+        index = joint - 1 if len(items) > 1 else 0
+        if joint == 1 or len(items) > 1:
+            yield key, items[index], calibrated.mechanism[key][index]
+    for old, new in zip(given.at(joint), calibrated.at(joint), strict=False):
+        for key, q in old.parameters.items():
+            yield f"{old.effect.replace('_', ' ')} {key}", q, new.parameters.get(key, q)
 
 
 def _needed(given: Model, search: Decision, key: str, test: Data) -> bool:

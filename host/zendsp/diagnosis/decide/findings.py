@@ -25,15 +25,23 @@ CLOCK = 0.1  # of the sample time: when within a sample a position was read, a c
 
 
 def new_terms(given: Model, final: Model, joint: int) -> list[Term]:
-    """Terms of the final model at a joint that the given one does not have."""
-    had = [t.effect for t in given.at(joint)]
+    """Terms of the final model at a joint that the given one does not have, or has with another
+    number that it holds fixed.
+    """
+    had = list(given.at(joint))
     out = []
     for term in final.at(joint):
-        if term.effect in had:
-            had.remove(term.effect)
-        else:
+        old = next((t for t in had if t.effect == term.effect and _held(t, term)), None)
+        if old is None:
             out.append(term)
+        else:
+            had.remove(old)
     return out
+
+
+def _held(old: Term, new: Term) -> bool:
+    """Whether what one term holds fixed is the same in another."""
+    return all(q.free or q.value == new.value(key, q.value) for key, q in old.parameters.items())
 
 
 def estimates(

@@ -13,7 +13,7 @@ from zendsp.diagnosis.decide.assemble import Assembled
 from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.confidence import confidence
 from zendsp.diagnosis.decide.decide_bodies import BodyClaim, body_finding
-from zendsp.diagnosis.decide.findings import estimates, new_terms, percent, sentence
+from zendsp.diagnosis.decide.findings import estimates, new_terms, number, percent, sentence
 from zendsp.diagnosis.decide.laws import draws_a_curve
 from zendsp.diagnosis.decide.pieces import weight_of_payload
 from zendsp.diagnosis.decide.result import Estimate, Finding, FitTable, Rejected
@@ -25,7 +25,7 @@ from zendsp.diagnosis.measure.significance import counterpart, essence_of
 from zendsp.diagnosis.measure.where import mismatch, units
 from zendsp.physics.calibration.fit import Data, Fit, joint_handles
 from zendsp.physics.effects import get_effect
-from zendsp.physics.model import Model
+from zendsp.physics.model import Model, Term
 from zendsp.physics.term_numbers import chosen
 
 # stated of a disturbance; not learned: the cases have too few of them
@@ -134,7 +134,7 @@ def _finding(
     joint, term = decision.joint, claim.term
     sure = confidence(claim, decision)
     values = _numbers(given, decision, whole, claim)
-    text = sentence(term, values)
+    text = _held_otherwise(given, term, values) or sentence(term, values)
     if term.effect == "inertia":
         weight = [
             t
@@ -163,6 +163,24 @@ def _finding(
         chosen(term),
         claim.mechanism,
         claim.laws,
+    )
+
+
+def _held_otherwise(given: Model, term: Term, values: Mapping[str, Estimate]) -> str:
+    """What is said of a law that the given model has, with numbers that it holds; empty where it
+    has none such.
+    """
+    held = [
+        f"{key} {old.value(key):.4g} there, {number(values[key])} here"
+        for old in given.at(term.joint)
+        for key, q in old.parameters.items()
+        if old.effect == term.effect and key in values and not q.free
+    ]
+    name = term.effect.replace("_", " ")
+    return (
+        f"The {name} of joint {term.joint} is not what the given model holds: {'; '.join(held)}."
+        if held
+        else ""
     )
 
 

@@ -18,7 +18,7 @@ from zendsp.diagnosis.decide.thresholds import DRAWS, EXPLAINS, STATED_LAW, TIED
 from zendsp.diagnosis.measure.discrepancy import difference, discrepancy
 from zendsp.diagnosis.measure.evidence import block_scores, settling
 from zendsp.diagnosis.measure.likelihood import Scored, informative
-from zendsp.diagnosis.search.hypothesis import JointSearch, Rival, price
+from zendsp.diagnosis.search.hypothesis import SUFFICIENT, JointSearch, Rival, price
 from zendsp.diagnosis.search.rounds import WAIT, Rounds
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.effects import get_effect, library, mechanism_of
@@ -55,7 +55,8 @@ def law_of(
     every = [
         r
         for r in rounds.stand_ins(first.without, names)
-        if r.effect == term.effect or not contains(r, term)
+        if r.effect == term.effect
+        or not (contains(r, term) or _beside_a_number(given, final, first, r))
     ]
     scores = _scores(parts, joint, final, term, every)
     instead = _likelier(piece, final, every, scores)
@@ -105,6 +106,15 @@ def law_of(
         tuple(lost[:6]),
         instead=instead,
     )
+
+
+def _beside_a_number(given: Model, final: Scored, first: Piece, rival: Rival) -> bool:
+    """Whether the claimed law is the given model's own with another number, and what would stand
+    beside the number as given gains hardly more.
+    """
+    term = first.terms[0]
+    own = any(t.effect == term.effect for t in given.at(term.joint))
+    return own and SUFFICIENT * (first.without.deviance - rival.value) < rival_gain(first, final)
 
 
 def _scores(parts: Parts, joint: int, final: Scored, term: Term, every: Sequence[Rival]) -> Array:

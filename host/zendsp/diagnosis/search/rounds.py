@@ -19,7 +19,13 @@ from zendsp.diagnosis.measure.likelihood import (
 )
 from zendsp.diagnosis.measure.significance import counterpart, vanishes
 from zendsp.diagnosis.search.backlash import refine
-from zendsp.diagnosis.search.candidates import first_look, screened, simulated, starts_of
+from zendsp.diagnosis.search.candidates import (
+    first_look,
+    loosened,
+    screened,
+    simulated,
+    starts_of,
+)
 from zendsp.diagnosis.search.hypothesis import UNSETTLED, Rival, price, with_numbers
 from zendsp.diagnosis.search.screen import Candidate, with_candidate
 from zendsp.physics.calibration.fit import Data, fit, joint_handles
@@ -164,6 +170,7 @@ class Rounds:
         # what takes longest comes first, so that no thread is left with it at the end
         listed = [
             *simulated(current.data, current.model, self.joint, only, self.jobs, self.given),
+            *loosened(current.model, self.joint, only),
             *listed,
         ]
         self.progress(f"joint {self.joint}: fitting {len(listed)} hypotheses")
@@ -307,11 +314,12 @@ class Rounds:
         return replace(rival, scored=min(options, key=lambda s: s.deviance))
 
     def _rival(self, candidate: Candidate, scored: Scored) -> Rival:
+        other_law = candidate.replaces and candidate.effect not in candidate.replaces
         return Rival(
             candidate.effect,
             self.joint,
             scored,
-            price(candidate.terms, self.n, (candidate.effect,) if candidate.replaces else ()),
+            price(candidate.terms, self.n, (candidate.effect,) if other_law else ()),
             candidate.terms,
             candidate.replaces,
         )
