@@ -13,6 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import brentq
+from scipy.signal import savgol_filter
+from scipy.special import erf
 
 from zendsp.physics.kernel.native import native
 from zendsp.physics.kernel.smooth import moving_mean
@@ -50,6 +53,9 @@ PER_STRIDE = 100  # samples a sample of stride
 # of a joint that hardly moves
 FLIPS = 20  # changes of the code that must be there to tell
 BACK = 0.25  # of them that go back: below, it is motion
+STEADY = (0.05, 0.5)  # counts a sample: motion in which noise makes codes go to and fro
+BENDS = 0.1  # counts a sample: by which the speed over a longer time is another one at most
+CLEARLY = 2.0  # standard deviations of a number of changes
 FEW_SAMPLES = 0.4  # counts of noise at least, where all changes go back and few samples stand
 # Rounding noise of s counts, over all places between two codes: a variance of s / sqrt(pi) while s
 # is small, and s^2 + 1/12 from a third of a count on, where the two meet.
@@ -270,6 +276,9 @@ def noise_beside_quantisation(y: Array, resolution: float) -> float:
     """
     if resolution <= 0:
         return _coloured(y)
+    slowly = _to_and_fro(y, resolution)
+    if slowly is not None and slowly < DITHERED:
+        return resolution * slowly
     fourth = np.diff(y, 4)
     pace = np.abs(np.gradient(moving_mean(y, PACE, "edge")))[4:] / resolution
     moving = pace > MOVING
@@ -282,6 +291,35 @@ def noise_beside_quantisation(y: Array, resolution: float) -> float:
         + resolution * np.random.default_rng(0).uniform(-0.5, 0.5, int(moving.sum()))
     )
     return float(np.sqrt(max(0.0, spread**2 - SHORT_TAILS * resolution**2 / 12)))
+
+
+def _to_and_fro(y: Array, resolution: float) -> float | None:
+    """Noise in counts, at most `DITHERED`, that makes the codes of a slow motion go back and forth;
+    None where there is too little of it to tell.
+
+    Between samples v counts apart, with a noise of s counts, a code changes by |v + sqrt(2) s z| in
+    the mean, z normal: more than v, the more so the slower the motion.
+    """
+    if len(y) < 5 * PACE:
+        return None
+    speed, usual = (
+        savgol_filter(y / resolution, over, 3, deriv=1)[1:] for over in (PACE, 4 * PACE + 1)
+    )
+    v, seen = np.abs(speed), np.abs(usual)  # chosen by the same speed, the noisy ones were chosen
+    use = (seen > STEADY[0]) & (seen < STEADY[1]) & (np.abs(speed - usual) < BENDS)
+    v, changes = v[use], float(np.abs(np.diff(y))[use].sum()) / resolution
+    if v.sum() < ENOUGH:
+        return None
+    if changes - v.sum() < CLEARLY * np.sqrt(changes):
+        return 0.0
+
+    def more(noise: float) -> float:
+        spread = np.sqrt(2.0) * noise
+        far = np.exp(-0.5 * (v / spread) ** 2)
+        folded = spread * np.sqrt(2 / np.pi) * far + v * erf(v / spread / np.sqrt(2.0))
+        return float(folded.sum()) - changes
+
+    return float(brentq(more, 1e-3, DITHERED)) if more(DITHERED) > 0 else DITHERED
 
 
 def _spread(fourth: Array) -> float:
