@@ -56,6 +56,7 @@ SATURATED = 0.98  # of the stated limit: from there on the actuator clips as wel
 NEAR = (0.4, 2.5)  # of the model's inertia: so near it a column may be called clipped
 RIGHT = (0.5, 2.0)  # of the model's inertia: so near it a mistake is undone
 DRIVES = 0.3  # of the torque: friction that gives so much drives
+BOTH_WAYS = 0.1  # of the time that a joint must move either way for its friction to show
 
 
 @dataclass(frozen=True)
@@ -187,6 +188,8 @@ def regress(slow: Slow, model: Model, joint: int, body: tuple[Array, Array]) -> 
     covariance = np.linalg.pinv((a[use] / scale).T @ (a[use] / scale), rcond=1e-12) * variance
     theta = theta / scale
     rub = a[:, 1] * theta[1] + a[:, 2] * theta[2]
+    # of a joint that moves one way, nothing tells friction from an offset
+    ways = min(float(np.mean(way * qd > 0.1 * speed)) for way in (1, -1))
     size = float(np.sqrt(np.mean(torque**2)))
     excess, excess_t = _excess(
         a @ theta - torque, torque, slow.at_edge[i], float(np.sqrt(variance))
@@ -196,7 +199,11 @@ def regress(slow: Slow, model: Model, joint: int, body: tuple[Array, Array]) -> 
         error=float(np.sqrt(max(covariance[0, 0], 0.0)) / scale[0]),
         r2=1.0 - float(left @ left) / spread,
         share=float(np.std(rigid)) / max(size, 1e-300),
-        friction=float(np.mean(rub * qd)) / max(float(np.mean(np.abs(qd))) * size, 1e-300),
+        friction=(
+            float(np.mean(rub * qd)) / max(float(np.mean(np.abs(qd))) * size, 1e-300)
+            if ways > BOTH_WAYS
+            else 0.0
+        ),
         excess=excess,
         excess_t=excess_t,
         alike=repeats(left, slow.sample_time),

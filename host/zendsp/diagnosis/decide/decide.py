@@ -224,7 +224,7 @@ def _asked(out: Decision, parts: Parts, turning: bool) -> Decision:
             return replace(out, kind="missing", claims=(claim,))
         return replace(out, kind="unexplained")
     lawful = lacks > LAWFUL and _lawful(parts, out.base, out.joint, turning)
-    if lawful or (lacks > MACHINE and out.before.low > 0.0):
+    if lawful or lacks > MACHINE:
         return replace(out, kind="unexplained")
     if parts.choose is not parts.test:  # held out too: what acts there only is no less missing
         chosen = discrepancy(parts.choose, out.base.model, out.joint)

@@ -111,6 +111,8 @@ def _joint(test: Data, given: Model, decision: Decision, jobs: int) -> list[Dete
         if size is None:
             continue
         parameter = effect.parameter(_key(effect))
+        if size[0] > max(r.scale.of(parameter.size) for r in screen.records):
+            continue  # as large as all torque, or all travel, and not shown: no size is
         unit = unit_of(
             parameter.size,
             given.joint_kind(joint),

@@ -63,7 +63,7 @@ def named(
     tell: Progress,
 ) -> Decision:
     joint = search.joint
-    rounds = Rounds(parts.fit, joint, jobs, tell)
+    rounds = Rounds(parts.fit, joint, jobs, tell, given)
     after = discrepancy(parts.test, final.model, joint)
     state = structure(parts.each, final.model, joint, STRUCTURED)
     known = known_discrepancy(given, parts.test, joint)

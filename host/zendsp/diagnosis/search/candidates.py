@@ -13,7 +13,7 @@ import numpy as np
 from zendsp.diagnosis.measure.likelihood import deviances
 from zendsp.diagnosis.search.screen import Candidate, Screen, with_candidate
 from zendsp.physics.calibration.fit import Data, fit, joint_handles
-from zendsp.physics.calibration.joint import JointRecord, effective_inertia, facts
+from zendsp.physics.calibration.joint import effective_inertia, facts
 from zendsp.physics.calibration.terms import make_term, usable
 from zendsp.physics.effects import Effect, get_effect, is_supported, library
 from zendsp.physics.model import Model, Term
@@ -130,7 +130,8 @@ def simulated(
             for name in present
             if get_effect(name).sole and get_effect(name).family == effect.family
         }
-        if effect.sole and kin - set(effect.replaces):
+        had = {t.effect for t in given.at(joint)} if given is not None else set()
+        if effect.sole and kin - set(effect.replaces) - had:  # what was found already stays
             continue
         beneath = [model]
         if effect.rough and given is not None:
@@ -140,8 +141,8 @@ def simulated(
             )
             if abs(math.log(change)) > SAME_INERTIA:
                 beneath.append(before)
-        starts = scan(data, beneath, joint, effect, record, jobs=jobs)
-        gone = tuple(name for name in effect.replaces if name in present)
+        gone = tuple(sorted(kin)) if effect.sole else ()
+        starts = scan(data, beneath, joint, effect, gone, jobs=jobs)
         if starts:
             out.append(
                 [
@@ -187,14 +188,15 @@ def scan(
     models: Sequence[Model],
     joint: int,
     effect: Effect,
-    record: JointRecord,
+    gone: tuple[str, ...],
     keep: int = 2,
     jobs: int = 1,
 ) -> list[tuple[Term, Model]]:
     """The most likely of an effect's start values, one simulation each, beneath them any of some
-    models as they stand.
+    models as they stand, without the effects that are ``gone`` for it.
     """
     assert effect.scan is not None
+    record = max((rec[joint - 1] for rec in data.records), key=lambda r: r.n)
     listed = []
     for model in models:
         old = next((t for t in model.at(joint) if t.effect in effect.replaces), None)
@@ -206,7 +208,7 @@ def scan(
     if effect.rough:
         data = coarse(data)
     trials = [
-        with_candidate(model, Candidate(effect.name, joint, (term,), effect.replaces, math.nan))
+        with_candidate(model, Candidate(effect.name, joint, (term,), gone, math.nan))
         for term, model in listed
     ]
     values_of = deviances(data, trials, joint, jobs)
