@@ -195,7 +195,7 @@ def test_what_calibration_moves_far_is_told(tmp_path: Path) -> None:
     machine = reality.Machine(inertia=0.01 / gain, viscous=0.004 / gain, coulomb=0.03 / gain)
     d = run(Case(machine, [VISCOUS, COULOMB], {}), tmp_path)
     (note,) = (n for n in d.notes if "calibration moves" in n)
-    assert "coulomb level 0.03 to 0.025" in note and "as a torque gain of 1.2" in note
+    assert "coulomb level 0.03 to 0.02498 (-17 %)" in note and "as a torque gain of 1.2" in note
     d = run(Case(reality.Machine(), [VISCOUS, COULOMB], {}), tmp_path)
     assert not any("calibration moves" in n for n in d.notes)
 
