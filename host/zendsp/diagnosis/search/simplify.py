@@ -4,6 +4,7 @@ the recording does not need.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -205,7 +206,33 @@ def simplify(found: JointSearch, n: int, jobs: int) -> tuple[Scored, tuple[str, 
                     dropped.append(term.effect)
                 break
         else:
-            return best, tuple(dropped)
+            return _released(found, best, n, jobs), tuple(dropped)
+
+
+def _released(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored:
+    """The same with numbers fitted that the search only chose among, a curve's exponent, where the
+    recording tells them: the others are as uncertain as these make them.
+    """
+    had = {t.effect for t in found.base.model.at(found.joint)}
+    free = {
+        id(t): {key for numbers in get_effect(t.effect).tries for key in numbers}
+        for t in best.model.at(found.joint)
+        if t.effect not in had
+    }
+    if not any(free.values()):
+        return best
+    terms = tuple(
+        replace(
+            t,
+            parameters={
+                key: replace(q, free=q.free or key in free.get(id(t), ()))
+                for key, q in t.parameters.items()
+            },
+        )
+        for t in best.model.terms
+    )
+    other = _refitted(best.data, best.model.with_terms(terms), found.joint, jobs, 2)
+    return other if other.deviance < best.deviance - math.log(max(n, 10)) else best
 
 
 def upon(first: JointSearch, base: Scored, jobs: int) -> JointSearch:

@@ -55,7 +55,7 @@ def free_handles(
             handles += [
                 Handle("term", i, p.name)
                 for p in effect.parameters
-                if p.fitted and term.parameters[p.name].free
+                if term.parameters[p.name].free
             ]
     if model.actuator.gain_free:
         handles += [Handle("gain", j - 1) for j in sorted(wanted)]
