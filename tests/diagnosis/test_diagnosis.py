@@ -65,6 +65,12 @@ SINGLE: dict[str, Case] = {
         {"stribeck": {"breakaway": 0.06, "velocity": 0.1}},
         {"size": 0.5},
     ),
+    "stribeck with a tail of its own": Case(
+        reality.Machine(breakaway=0.06, tail=1.4),
+        [VISCOUS, COULOMB],
+        {"stribeck": {"breakaway": 0.06, "velocity": 0.1, "exponent": 1.4}},
+        {"size": 0.5},
+    ),
     "ripple": Case(
         reality.Machine(ripple=0.02),
         [VISCOUS, COULOMB],

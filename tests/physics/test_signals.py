@@ -161,3 +161,13 @@ def test_noise_that_a_filter_took_out_of_neighbouring_samples_is_seen_over_longe
     assert noise_beside_quantisation(filtered, 0.0) > 0.3e-3
     assert noise_beside_quantisation(motion + white, 0.0) == pytest.approx(1e-3, rel=0.1)
     assert noise_beside_quantisation(motion, 0.0) < 1e-8
+
+
+@pytest.mark.parametrize("noise", [0.1, 0.13, 0.2])
+def test_noise_of_a_fraction_of_a_count_shows_where_a_motion_is_slow(noise: float) -> None:
+    t = np.arange(20000) * 1e-3
+    motion = COUNT * 200 * np.sin(0.9 * t)  # 0.18 counts a sample at most
+    loud = motion + noise * COUNT * np.random.default_rng(7).standard_normal(len(t))
+    found = noise_beside_quantisation(COUNT * np.round(loud / COUNT), COUNT)
+    assert found == pytest.approx(noise * COUNT, rel=0.15)
+    assert noise_beside_quantisation(COUNT * np.round(motion / COUNT), COUNT) < 0.05 * COUNT

@@ -63,9 +63,11 @@ def name_findings(
                 finding = _unknown(given, decision, claim, share, test)
             else:
                 finding = _finding(given, decision, whole, claim, share)
-            # by these recordings alone: on another day a machine's friction may be half of it
+            # by these recordings alone: on another day a machine's friction may be half of it, but
+            # not more of it one way than the other
             if claim.effect != "unknown" and may_be_nothing(
-                claim.effect, _numbers(given, decision, whole, claim, alone=True)
+                claim.effect,
+                _numbers(given, decision, whole, claim, not get_effect(claim.effect).symmetric),
             ):
                 refinements.append(finding)
             else:
@@ -227,7 +229,12 @@ def _numbers(
 
 
 def may_be_nothing(effect: str, values: Mapping[str, Estimate]) -> bool:
-    """Whether a number that makes a law what it is lies within two deviations of nothing."""
+    """Whether a number that makes a law what it is lies within two deviations of nothing; of a law
+    with a number for each direction, their difference.
+    """
+    if get_effect(effect).symmetric and len(values) == 2:
+        up, down = values.values()
+        return abs(up.value - down.value) < PLAIN * math.hypot(up.std, down.std)
     return any(
         abs(values[key].value) < PLAIN * values[key].std
         for key in essence_of(effect)
