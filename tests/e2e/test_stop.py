@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import signal
 import struct
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -14,10 +16,10 @@ import pytest
 from waiting import PATIENCE_S, freeze, until
 
 from zendsp.errors import LinkError, NotStopped, Refused
+from zendsp.here.registered import local_entries
+from zendsp.here.stop_page import StopPage, find
+from zendsp.here.stopped import stopped
 from zendsp.link import Target, connect
-from zendsp.link.programs import stopped
-from zendsp.link.registered import local_entries
-from zendsp.link.stop_page import StopPage, find
 from zendsp_protocol import stop_page as page
 from zendsp_target.monitor import Monitor, Options
 from zendsp_target.runtime import Runtime
@@ -55,6 +57,26 @@ def _latched(target: Target) -> int:
     trip = target.status().trip
     assert trip is not None and trip.reason == "stop"
     return trip.tick
+
+
+# kB of addresses: Zenoh cannot be loaded; hangs; aborts; NumPy looks for more without end
+@pytest.mark.parametrize("most_kb", [30_000, 60_000, 200_000, 300_000])
+def test_stop_needs_neither_threads_nor_zenoh_where_addresses_are_few(
+    target: Target, most_kb: int
+) -> None:
+    words = f'ulimit -v {most_kb}; exec "$@"'
+    zendsp_ = (sys.executable, "-c", "from zendsp.cli import main; main()")
+    done = subprocess.run(
+        ["sh", "-c", words, "sh", *zendsp_, "stop", "paged"],
+        capture_output=True, text=True, timeout=PATIENCE_S,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, ""), done
+    assert done.stdout == f"stopped, at sample {_latched(target)}\n"
+    away = [*zendsp_, "stop", "--connect", "tcp/127.0.0.1:1"]
+    done = subprocess.run(
+        ["sh", "-c", words, "sh", *away], capture_output=True, text=True, timeout=PATIENCE_S
+    )
+    assert done.returncode == 2 and "NOT STOPPED" in done.stderr, done
 
 
 def test_the_loop_takes_stop_from_shared_memory_and_says_at_which_sample(target: Target) -> None:
