@@ -79,7 +79,7 @@ def test_several_files_and_headers_make_one_program() -> None:
             HEAD
             + 'static long l;\nvoid UserISR_INT2(void) { (void)l; }\nvoid f(void) { SIGNAL(l, "",'
             ' ""); }\n',
-            "_Generic",
+            "take double, float, int32_t, bool, and arrays of them, no 'long int'",
         ),
     ],
 )

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from waiting import PATIENCE_S
 
+from zendsp_protocol.errors import Refused
 from zendsp_protocol.messages import Trip
 from zendsp_target.api import AcquireConfig
 from zendsp_target.runtime import Runtime
@@ -268,3 +269,14 @@ def test_a_channel_that_no_machine_has_does_not_compile(
     assert not result.ok
     (error,) = [d for d in result.diagnostics if d.severity == "error"]
     assert error.line == 4 and "channels and joints are 0 to 7" in error.message
+
+
+def test_a_variable_of_a_function_is_not_declared(make_runtime: Callable[..., Runtime]) -> None:
+    """Else the host would read, and write, the stack of the loop."""
+    local = '''
+    #include "isr.h"
+    void UserInit(void) { double gain = 3.0; PARAMETER(gain, 1.0, "", 0.0, 5.0, ""); }
+    void UserISR_INT2(void) {}
+    '''
+    with pytest.raises(Refused, match="'gain': it ends with its function: declare it static"):
+        make_runtime(local)

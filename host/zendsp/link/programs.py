@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 POLL_FIRST_S, POLL_LAST_S = 0.001, 0.05
 STOPPED_S = 1.0  # for the loop to say that it stopped
+LEAST_SAMPLES = 10  # to speak of most of them
 WATCHED_S = 0.25  # of the target's time: a program that runs for so long has begun well
 
 
@@ -307,6 +308,18 @@ def trouble(status: m.Status) -> str:
             " start again"
         )
     return ""
+
+
+def late(status: m.Status) -> str:
+    """Return one line on a program that is late in most samples; else ``""``."""
+    t = status.timing
+    if t.ticks < LEAST_SAMPLES or 2 * t.overruns < t.ticks:
+        return ""
+    return (
+        f"{t.overruns} of {t.ticks} samples took longer than the period of"
+        f" {1e3 / status.rate_hz:g} ms: shorten UserISR_INT2, or give the target a lower --rate;"
+        " 'zendsp stats' shows the times"
+    )
 
 
 def describe(message: m.Diagnostic) -> str:
