@@ -8,8 +8,10 @@ import struct
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -295,3 +297,34 @@ def test_that_one_is_not_stopped_is_told_while_another_is_silent(
     status, _, wrong = typed("stop", "silent", "gone")
     assert status == 2
     assert "silent: NOT STOPPED: use the machine's emergency stop (silent does not" in wrong
+
+
+def test_ctrl_c_while_homing_ends_the_homing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ZENDSP_RUNTIME_DIR", str(tmp_path / "run"))
+    far = {"q1": 1.0, "q2": -1.0}  # rad: seconds of homing
+    with Runtime("imi_planar", clock="real", realtime=False, machine_config=far) as runtime:
+        monitor = Monitor(runtime, Options("paged", "imi_planar"))
+        try:
+            with connect("paged") as target:
+                target.download("pd.c")
+                target.power_on()
+
+                def pressed(_: float) -> None:
+                    if runtime.status().tick > 100:
+                        raise KeyboardInterrupt
+
+                clock = SimpleNamespace(monotonic=time.monotonic, sleep=pressed)
+                with monkeypatch.context() as patch:
+                    patch.setattr("zendsp.link.drives.time", clock)
+                    with pytest.raises(KeyboardInterrupt):
+                        target.home_and_wait()
+                status = target.status()
+                assert status.state != "running" and status.trip is None
+                tick = runtime.status().tick
+                time.sleep(0.2)
+                assert runtime.status().tick == tick, "the arm stands"
+                assert target.home_and_wait() == "homed", "and it can be homed again"
+        finally:
+            monitor.close()
