@@ -208,7 +208,8 @@ def run_compiler(
     said = parse_messages(ended.text)
     inside = _inside({m.file for m in said}, cwd, [cwd, *map(Path, allowed)])
     messages = tuple(m for m in said if m.file in inside)[:_MAX_MESSAGES]
-    messages = tuple(replace(m, message=m.message[:_MAX_TEXT]) for m in messages)
+    here = f"{cwd}/"  # of the linker's objects
+    messages = tuple(replace(m, message=m.message.replace(here, "")[:_MAX_TEXT]) for m in messages)
     if ended.status != 0 and not any(m.severity == "error" for m in messages):
         text = f"the compiler ended with status {ended.status}{_reason(ended.text)}"
         messages = (*messages, Message("error", "", 0, 0, text))

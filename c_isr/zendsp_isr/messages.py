@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 _TEXT = re.compile(
     r"^(?P<file>[^\s:][^:\n]*):(?P<line>\d+):(?:(?P<column>\d+):)?\s*"
     r"(?:(?P<severity>fatal error|error|warning|note):\s*)?(?P<message>.+)$"
 )
+# what gcc and clang say of a declaration by isr.h of another type
+_NO_TYPE = re.compile(
+    r"(?:'_Generic' selector of|controlling expression) type '([^']+?)(?: \*)?'.*not compatible"
+)
+_TYPES = "PARAMETER and SIGNAL take double, float, int32_t, bool, and arrays of them, no '{}'"
 
 
 @dataclass(frozen=True)
@@ -71,7 +76,12 @@ def parse_messages(text: str) -> tuple[Message, ...]:
                     match["message"],
                 )
             )
-    return tuple(dict.fromkeys(found))
+    return tuple(dict.fromkeys(_in_our_words(message) for message in found))
+
+
+def _in_our_words(message: Message) -> Message:
+    found = _NO_TYPE.search(message.message)
+    return replace(message, message=_TYPES.format(found[1])) if found else message
 
 
 def _from_json(entry: dict[str, object]) -> list[Message]:

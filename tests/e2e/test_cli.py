@@ -373,3 +373,15 @@ def test_target_runs_in_the_foreground_until_ctrl_c() -> None:
     assert not running(process.pid) and zendsp.discover() == []
     assert os.listdir(os.environ["ZENDSP_RUNTIME_DIR"]) == []
     process.stdout.close()
+
+
+def test_run_says_of_a_program_that_is_always_late(tmp_path: Path) -> None:
+    slow = tmp_path / "slow.c"
+    slow.write_text(
+        '#include "isr.h"\n#include <time.h>\nvoid UserInit(void) {}\n'
+        "void UserISR_INT2(void) { nanosleep(&(struct timespec){.tv_nsec = 3000000}, 0); }\n"
+    )
+    with zendsp.local("imi_planar", timeout=PATIENCE_S) as target:
+        done = zendsp_("run", str(slow), "-t", target.name)
+        assert done.stdout == "running\n"
+        assert "samples took longer than the period of 1 ms: shorten UserISR_INT2" in done.stderr

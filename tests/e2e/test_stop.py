@@ -5,19 +5,23 @@ from __future__ import annotations
 import os
 import signal
 import struct
+import subprocess
+import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from waiting import PATIENCE_S, freeze, until
 
 from zendsp.errors import LinkError, NotStopped, Refused
+from zendsp.here.registered import local_entries
+from zendsp.here.stop_page import StopPage, find
+from zendsp.here.stopped import stopped
 from zendsp.link import Target, connect
-from zendsp.link.programs import stopped
-from zendsp.link.registered import local_entries
-from zendsp.link.stop_page import StopPage, find
 from zendsp_protocol import stop_page as page
 from zendsp_target.monitor import Monitor, Options
 from zendsp_target.runtime import Runtime
@@ -55,6 +59,26 @@ def _latched(target: Target) -> int:
     trip = target.status().trip
     assert trip is not None and trip.reason == "stop"
     return trip.tick
+
+
+# kB of addresses: Zenoh cannot be loaded; hangs; aborts; NumPy looks for more without end
+@pytest.mark.parametrize("most_kb", [30_000, 60_000, 200_000, 300_000])
+def test_stop_needs_neither_threads_nor_zenoh_where_addresses_are_few(
+    target: Target, most_kb: int
+) -> None:
+    words = f'ulimit -v {most_kb}; exec "$@"'
+    zendsp_ = (sys.executable, "-c", "from zendsp.cli import main; main()")
+    done = subprocess.run(
+        ["sh", "-c", words, "sh", *zendsp_, "stop", "paged"],
+        capture_output=True, text=True, timeout=PATIENCE_S,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, ""), done
+    assert done.stdout == f"stopped, at sample {_latched(target)}\n"
+    away = [*zendsp_, "stop", "--connect", "tcp/127.0.0.1:1"]
+    done = subprocess.run(
+        ["sh", "-c", words, "sh", *away], capture_output=True, text=True, timeout=PATIENCE_S
+    )
+    assert done.returncode == 2 and "NOT STOPPED" in done.stderr, done
 
 
 def test_the_loop_takes_stop_from_shared_memory_and_says_at_which_sample(target: Target) -> None:
@@ -273,3 +297,34 @@ def test_that_one_is_not_stopped_is_told_while_another_is_silent(
     status, _, wrong = typed("stop", "silent", "gone")
     assert status == 2
     assert "silent: NOT STOPPED: use the machine's emergency stop (silent does not" in wrong
+
+
+def test_ctrl_c_while_homing_ends_the_homing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ZENDSP_RUNTIME_DIR", str(tmp_path / "run"))
+    far = {"q1": 1.0, "q2": -1.0}  # rad: seconds of homing
+    with Runtime("imi_planar", clock="real", realtime=False, machine_config=far) as runtime:
+        monitor = Monitor(runtime, Options("paged", "imi_planar"))
+        try:
+            with connect("paged") as target:
+                target.download("pd.c")
+                target.power_on()
+
+                def pressed(_: float) -> None:
+                    if runtime.status().tick > 100:
+                        raise KeyboardInterrupt
+
+                clock = SimpleNamespace(monotonic=time.monotonic, sleep=pressed)
+                with monkeypatch.context() as patch:
+                    patch.setattr("zendsp.link.drives.time", clock)
+                    with pytest.raises(KeyboardInterrupt):
+                        target.home_and_wait()
+                status = target.status()
+                assert status.state != "running" and status.trip is None
+                tick = runtime.status().tick
+                time.sleep(0.2)
+                assert runtime.status().tick == tick, "the arm stands"
+                assert target.home_and_wait() == "homed", "and it can be homed again"
+        finally:
+            monitor.close()

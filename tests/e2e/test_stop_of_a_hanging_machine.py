@@ -12,8 +12,8 @@ import pytest
 from waiting import PATIENCE_S, until
 
 from zendsp.errors import NotStopped
+from zendsp.here.stop_page import find
 from zendsp.link import Target, connect
-from zendsp.link.stop_page import find
 from zendsp_target.monitor import Monitor, Options
 from zendsp_target.runtime import Runtime
 

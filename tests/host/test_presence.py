@@ -19,9 +19,9 @@ from waiting import PATIENCE_S, until
 from zendsp.errors import (
     LinkError,
 )
+from zendsp.here.registered import local_entries
 from zendsp.link import Target, connect, discover
 from zendsp.link.connect import locate
-from zendsp.link.registered import local_entries
 from zendsp.link.settings import Credentials, zenoh_config
 from zendsp_protocol import codec, keys
 from zendsp_protocol.registry import Entry, born

@@ -98,6 +98,39 @@ def test_who_is_revoked_reads_nothing_any_more_and_can_still_stop(
     assert said.splitlines() == ["live False status True", "refused 4 variables 0", "stop"], said
 
 
+MOVER = """
+import sys, time, zendsp
+with zendsp.connect("imi") as target:
+    target.download("pd.c")
+    target.take_command()
+    target.start()
+    print(target.drive_status().commander.startswith("two@"), flush=True)
+    assert sys.stdin.readline() == "revoked\\n"
+    begin = time.monotonic()
+    while target.status().trip is None and time.monotonic() < begin + 60.0:
+        time.sleep(0.05)
+    print(target.status().trip.reason, repr(target.drive_status().commander))
+    try:
+        target.acknowledge()
+    except zendsp.errors.Refused as error:
+        print(error)
+"""
+
+
+def test_who_commands_and_is_revoked_lets_go_as_a_host_that_is_lost(
+    installed: Installed, tmp_path: Path
+) -> None:
+    roles = installed.write("roles.toml", '[roles]\ntwo = "download"\n')
+    installed.env |= start(installed, tmp_path, "--roles", roles)
+    installed.write("mover.py", MOVER)
+    mover = installed.start("python", "mover.py", stdin=subprocess.PIPE)
+    assert mover.stdout is not None and mover.stdout.readline() == "True\n"
+    roles.write_text('[roles]\ntwo = "tune"\n')
+    said, _ = mover.communicate("revoked\n", timeout=PATIENCE_S)
+    first, second = said.splitlines()
+    assert first == "host lost ''" and "two has the role 'tune'" in second, said
+
+
 def test_certificates_without_roles_are_refused_and_who_is_let_in_is_said(
     installed: Installed, tmp_path: Path
 ) -> None:

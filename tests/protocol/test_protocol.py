@@ -7,6 +7,7 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import itertools
+import re
 from pathlib import Path
 
 import msgspec
@@ -19,6 +20,7 @@ from zendsp_protocol import chunks, codec, errors, keys, registry, values, versi
 from zendsp_protocol import messages as m
 from zendsp_protocol.errors import LinkError, VariableError, VersionMismatch, ZendspError
 from zendsp_protocol.states import DriveState, ProgramState
+from zendsp_protocol.verbs import ROLES, VERBS
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -271,3 +273,14 @@ def test_what_a_target_returns_is_read_in_a_line_at_the_prompt() -> None:
     wrong = m.Diagnostic(severity="error", file="pd.c", line=3, column=5, message="expected ';'")
     result = m.CompileResult(ok=False, key="", seconds=0.1, diagnostics=(wrong,))
     assert repr(result) == "<CompileResult not compiled; pd.c:3:5: error: expected ';'>"
+
+
+def test_the_page_on_security_lists_every_verb_under_its_role() -> None:
+    page = (DOCS / "security.md").read_text()
+    said = {
+        role: set(re.findall(r"`(\w+)`", names))
+        for role, names in re.findall(r"^- `(\w+)`: ((?:`\w+`,?\s*)+)", page, re.MULTILINE)
+    }
+    assert said == {
+        role: {verb.name for verb in VERBS.values() if verb.role == role} for role in ROLES
+    }

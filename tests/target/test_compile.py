@@ -18,6 +18,7 @@ import pytest
 from zendsp_isr.build import build, cache_root, content_key
 from zendsp_isr.compiler import find_compiler, run_compiler
 from zendsp_isr.messages import parse_messages
+from zendsp_isr.sources import gather
 from zendsp_protocol.errors import CompileFailed, Refused
 from zendsp_target.runtime import Runtime, program_text
 from zendsp_target.runtime.compile_service import compile_program, program_path
@@ -79,7 +80,7 @@ def test_several_files_and_headers_make_one_program() -> None:
             HEAD
             + 'static long l;\nvoid UserISR_INT2(void) { (void)l; }\nvoid f(void) { SIGNAL(l, "",'
             ' ""); }\n',
-            "_Generic",
+            "take double, float, int32_t, bool, and arrays of them, no 'long int'",
         ),
     ],
 )
@@ -319,3 +320,21 @@ def test_a_full_disk_is_told_with_its_folder(
     monkeypatch.setattr(Path, "write_bytes", write)
     with pytest.raises(CompileFailed, match=f"{tmp_path}/program .No space left on device"):
         build("program", {"user.c": b"int x;"}, [])
+
+
+def test_a_c_file_that_another_includes_is_compiled_within_it(tmp_path: Path) -> None:
+    (tmp_path / "law.c").write_text("double law(double q) { return -5.0 * q; }\n")
+    (tmp_path / "main.c").write_text(
+        HEAD + '#include "law.c"\nvoid UserISR_INT2(void) { x = law(x); }\n'
+    )
+    result = compile_program(gather(tmp_path / "main.c"))
+    assert result.ok and not result.diagnostics, result.diagnostics
+
+
+def test_the_linker_names_no_folder_of_the_target() -> None:
+    law = "double law(double q) { return -5.0 * q; }\n"
+    main = HEAD + law + "void UserISR_INT2(void) { x = law(x); }\n"
+    result = compile_program({"main.c": main, "law.c": law})
+    said = [d.message for d in result.diagnostics]
+    assert any("multiple definition" in text for text in said), said
+    assert "/" not in "".join(said).replace("././", "").replace("./", ""), said

@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 from waiting import PATIENCE_S, until
 
+from zendsp_isr.confine import landlock_version
 from zendsp_protocol.errors import Refused
 from zendsp_target.runtime import Runtime
 
@@ -130,6 +131,38 @@ def test_user_code_starts_no_thread(make_runtime: Make, mark: str) -> None:
     )
     runtime = make_runtime(_program(how, mark, "init"))
     assert runtime.read(["answer"])[1]["answer"] < 0.0
+
+
+@pytest.mark.skipif(landlock_version() < 1, reason="the kernel has no Landlock")
+@pytest.mark.parametrize("where", ["constructor", "init", "isr", "background"])
+def test_user_code_writes_the_memory_of_no_other_process(
+    make_runtime: Make, wait_for: Callable[..., None], where: str
+) -> None:
+    """The parent of the runner is the target, which is this very test here."""
+    attempt = "static void attempt(void) { if (!tried) { tried = 1; got = reach(); } }"
+    called = {w: "attempt();" if w == where else "" for w in ("init", "isr", "background")}
+    constructor = "__attribute__((constructor))" if where == "constructor" else ""
+    runtime = make_runtime(
+        f"""
+        #include "isr.h"
+        #include <fcntl.h>
+        #include <stdio.h>
+        #include <unistd.h>
+        static double got = 0.0, tried;
+        static double reach(void) {{
+            char path[64];
+            snprintf(path, sizeof path, "/proc/%d/mem", getppid());
+            return open(path, O_RDWR) < 0 ? 1.0 : -1.0;
+        }}
+        {constructor} {attempt}
+        void UserInit(void) {{ SIGNAL(got, "", ""); SIGNAL(tried, "", ""); {called["init"]} }}
+        void UserISR_INT2(void) {{ {called["isr"]} }}
+        void UserBackground(void) {{ {called["background"]} }}
+        """
+    )
+    runtime.start()
+    wait_for(lambda: runtime.read(["got"])[1]["got"] != 0.0)
+    assert runtime.read(["got"])[1]["got"] == 1.0, "it reached what is the target's"
 
 
 def test_user_code_ends_no_other_process(make_runtime: Make, mark: str) -> None:

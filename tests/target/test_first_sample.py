@@ -4,11 +4,15 @@ is not taken.
 
 from __future__ import annotations
 
+import os
+import signal
+import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from hardware import driver
+from waiting import freeze
 
 from zendsp_target.runtime import Runtime
 
@@ -95,3 +99,33 @@ def test_after_a_pause_of_hardware_it_begins_afresh_wherever_the_arm_was_pushed_
     assert runtime.read(["adc"])[1]["adc"] == pytest.approx(
         1.0
     ), "the machine was never given the 77 N m of a first sample"
+
+
+@pytest.mark.parametrize("policy", ["count", "skip"])
+def test_after_a_stall_hardware_goes_on_in_true_time_and_begins_afresh(
+    make_runtime: Make, wait_for: Wait, tmp_path: Path, policy: str
+) -> None:
+    """A runner that is stopped for half a second makes no burst of samples from one reading."""
+    source = tmp_path / "still.c"
+    source.write_text(driver(""))
+    runtime = make_runtime(PROGRAM, machine=str(source), clock="real", realtime=False)
+    runtime.set_overrun(policy)
+    runtime.set_drive("torque")
+    runtime.start()
+    wait_for(lambda: runtime.status().tick > 100)
+    freeze(runtime.runner_pid())
+    before, began = runtime.status(), time.monotonic()
+    time.sleep(0.5)
+    stalled = 1e3 * (time.monotonic() - began)  # samples
+    os.kill(runtime.runner_pid(), signal.SIGCONT)
+    wait_for(lambda: runtime.status().tick > before.tick + stalled + 20.0)
+    runtime.pause()
+    status = runtime.status()
+    assert status.trip is None
+    # it may sleep towards the next sample when it is stopped, runs that one late, and the rest of
+    # a period is none
+    assert status.timing.missed - before.timing.missed >= stalled - 3.0
+    assert status.timing.ticks + status.timing.missed == status.tick
+    found = runtime.read(NAMES)[1]
+    assert found["fresh"] >= 2.0 and found["fresh_enabled"] == 0.0
+    assert found["fresh_tick"] >= before.tick + stalled - 3.0

@@ -12,7 +12,7 @@ import pytest
 from desk import desk_of
 from waiting import until
 
-from zendsp.link.stop_page import StopPage
+from zendsp.here.stop_page import StopPage
 from zendsp_protocol import messages as m
 from zendsp_protocol.errors import ZendspError
 from zendsp_target.runtime import Runtime

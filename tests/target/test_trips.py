@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from waiting import PATIENCE_S
 
+from zendsp_protocol.errors import Refused
 from zendsp_protocol.messages import Trip
 from zendsp_target.api import AcquireConfig
 from zendsp_target.runtime import Runtime
@@ -230,3 +231,52 @@ def test_what_begins_afresh_sees_a_first_sample_with_the_drives_off(
                 rows[:2, 1] == 0.0
             ), "its first command does not act"
         firsts += count
+
+
+TWO_JOINTS = """
+#include "isr.h"
+static double u;
+void UserInit(void) { PARAMETER(u, 0.0, "N m", -5.0, 5.0, ""); }
+void UserISR_INT2(void) { WRITE_TORQUE(0, 0.0); WRITE_TORQUE(1, u); }
+"""
+
+
+def test_a_command_to_a_joint_that_the_machine_has_not_trips_and_names_it(
+    make_runtime: Callable[..., Runtime],
+) -> None:
+    runtime = make_runtime(TWO_JOINTS, machine="pendulum")
+    runtime.set_drive("torque")
+    runtime.start(ticks=50)
+    runtime.wait_paused()
+    assert runtime.status().trip is None, "zero asks for nothing"
+    runtime.write({"u": 1.0}, "test", 60)
+    runtime.start(ticks=50)
+    runtime.wait_paused()
+    trip = runtime.status().trip
+    assert trip is not None and (trip.reason, trip.joint, trip.tick) == ("command", 2, 60)
+    assert "joint 1, which this machine has not: it has 1, counted from 0" in trip.text
+
+
+@pytest.mark.parametrize(
+    "call", ["WRITE_TORQUE(8, 1.0)", "IOGP_FU1_WRITE_AOUT_ENGU(-1) = 1.0", "READ_POSITION(64)"]
+)
+def test_a_channel_that_no_machine_has_does_not_compile(
+    make_runtime: Callable[..., Runtime], call: str
+) -> None:
+    runtime = make_runtime(TWO_JOINTS)
+    code = f'#include "isr.h"\nvoid UserInit(void) {{}}\nvoid UserISR_INT2(void) {{\n {call};\n}}\n'
+    result = runtime.compile({"user.c": code.replace("READ", "volatile double q = READ")})
+    assert not result.ok
+    (error,) = [d for d in result.diagnostics if d.severity == "error"]
+    assert error.line == 4 and "channels and joints are 0 to 7" in error.message
+
+
+def test_a_variable_of_a_function_is_not_declared(make_runtime: Callable[..., Runtime]) -> None:
+    """Else the host would read, and write, the stack of the loop."""
+    local = '''
+    #include "isr.h"
+    void UserInit(void) { double gain = 3.0; PARAMETER(gain, 1.0, "", 0.0, 5.0, ""); }
+    void UserISR_INT2(void) {}
+    '''
+    with pytest.raises(Refused, match="'gain': it ends with its function: declare it static"):
+        make_runtime(local)

@@ -352,7 +352,8 @@ def test_the_preflight_names_the_keys_that_are_still_missing() -> None:
         found = preflight(
             Snapshot(drive=drive, explicit=explicit), (), (), Setup(), False, Trial(), None
         )
-        return next(c.advice for c in found if c.text == "drives enabled")
+        (drives,) = [c for c in found if c.text == "drives enabled"]
+        return "" if drives.met else drives.advice
 
     assert advice("off", True).endswith("power (o), home (h), enable (e)")
     assert advice("homed", False).endswith(
@@ -362,6 +363,7 @@ def test_the_preflight_names_the_keys_that_are_still_missing() -> None:
         "pause (p), power (o), home (h), enable (e)"
     ), "automatic: the first Start is refused as the second would be"
     assert advice("homed", True).endswith(": enable (e)"), "o would switch the power off"
+    assert not advice("enabled", True) and not advice("running", True)
 
 
 @pytest.mark.parametrize(

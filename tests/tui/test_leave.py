@@ -56,3 +56,22 @@ async def test_leaving_one_that_stands_is_not(
         await until(pilot, lambda: lab.session.snapshot.state == "loaded", "link")
         await pilot.press("ctrl+q")
         await until(pilot, lambda: lab._exit, "it ends")
+
+
+@pytest.mark.covers("app.suspend")
+async def test_the_terminal_does_not_sleep_and_says_what_a_lost_host_would_mean(
+    lab: ZendspApp, target: Target, until: Until
+) -> None:
+    def said() -> str:
+        return "\n".join(e.text for e in lab.session.events.since(0)[1])
+
+    async with lab.run_test(size=(80, 24)) as pilot:
+        await until(pilot, lambda: lab.session.snapshot.link == "up", "link")
+        await pilot.press("ctrl+z")
+        await until(pilot, lambda: "lost host; Ctrl+Q leaves" in said(), "the line")
+        lab.session.require().drive("take")
+        lab.session.require().drive("host_lost", policy="hold")
+        await until(pilot, lambda: lab.session.snapshot.mine, "it commands")
+        await until(pilot, lambda: lab.session.snapshot.host_lost == "hold", "the policy")
+        await pilot.press("ctrl+z")
+        await until(pilot, lambda: "its program brings it to rest" in said(), "the policy is told")

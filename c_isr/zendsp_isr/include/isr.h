@@ -68,8 +68,8 @@ typedef struct table {
 
 /* ---- Inputs and outputs ---------------------------------------------------------------------- */
 
-#define IOGP_FU1_READ_ENC_CURRENT(ch) (zendsp->enc[(ch) & 7]) /* encoder, counts (int32_t) */
-#define IOGP_FU1_READ_ADC(ch) (zendsp->adc[(ch) & 7]) /* analog input, machine's unit (double) */
+#define IOGP_FU1_READ_ENC_CURRENT(ch) (zendsp->enc[ZENDSP_CH(ch)]) /* encoder, counts (int32_t) */
+#define IOGP_FU1_READ_ADC(ch) (zendsp->adc[ZENDSP_CH(ch)]) /* analog input, its unit (double) */
 #define IOGP_FU1_READ_DIN(ch) ((zendsp->din >> ((ch) & 31) & 1u) != 0u) /* digital input (bool) */
 
 /* Analog output, mV: an lvalue, IOGP_FU1_WRITE_AOUT_ENGU(ch) = mv; or with two arguments,
@@ -83,13 +83,15 @@ typedef struct table {
 
 /* The same in physical units, by the scales of the machine: rad (or m), N m (or N). */
 #define READ_POSITION(ch)                                                                          \
-    ((zendsp->enc[(ch) & 7] - zendsp->zero_counts[(ch) & 7]) / zendsp->counts_per_unit[(ch) & 7])
-#define WRITE_TORQUE(ch, tau) (zendsp->aout[(ch) & 7] = (tau) * zendsp->mv_per_torque[(ch) & 7])
+    ((zendsp->enc[ZENDSP_CH(ch)] - zendsp->zero_counts[(ch) & 7]) /                                \
+     zendsp->counts_per_unit[(ch) & 7])
+#define WRITE_TORQUE(ch, tau)                                                                      \
+    (zendsp->aout[ZENDSP_CH(ch)] = (tau) * zendsp->mv_per_torque[(ch) & 7])
 
 /* What the machine says of a joint: its largest torque, N m (or N), and what it turns, kg m^2 (or
  * kg; 0 where it does not say). */
-#define TORQUE_MAX(ch) (zendsp->torque_max[(ch) & 7])
-#define JOINT_INERTIA(ch) (zendsp->inertia[(ch) & 7])
+#define TORQUE_MAX(ch) (zendsp->torque_max[ZENDSP_CH(ch)])
+#define JOINT_INERTIA(ch) (zendsp->inertia[ZENDSP_CH(ch)])
 
 /* ---- Time, state, acquisition ---------------------------------------------------------------- */
 
@@ -158,8 +160,13 @@ __attribute__((weak, visibility("default"))) zendsp_io *zendsp;
 __attribute__((weak, visibility("default"))) const int32_t zendsp_isr_abi = ZENDSP_ISR_ABI;
 
 #define ZENDSP_PICK(a, b, name, ...) name
-#define ZENDSP_AOUT(ch) (zendsp->aout[(ch) & 7])
-#define ZENDSP_AOUT_SET(ch, mv) (zendsp->aout[(ch) & 7] = (mv))
+#define ZENDSP_AOUT(ch) (zendsp->aout[ZENDSP_CH(ch)])
+#define ZENDSP_AOUT_SET(ch, mv) (zendsp->aout[ZENDSP_CH(ch)] = (mv))
+
+/* A channel within the arrays; a constant that no machine has does not compile. */
+#define ZENDSP_CH(ch)                                                                              \
+    (__builtin_constant_p(ch) && ((ch) & ~7) != 0 ? zendsp_no_such_channel() : (int32_t)((ch) & 7))
+__attribute__((error("channels and joints are 0 to 7"))) int32_t zendsp_no_such_channel(void);
 
 /* Type of a number, of an array's elements, or of a matrix's: that of its first row's. */
 #define ZENDSP_TYPE(variable)                                                                      \

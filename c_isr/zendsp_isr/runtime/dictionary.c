@@ -65,12 +65,20 @@ static void set_every(void *address, int32_t type, int32_t length, double value)
     }
 }
 
+/* Whether this is of a function that has called us: the loop's thread has its stack above here. */
+static bool is_local(const void *address) {
+    const uintptr_t here = (uintptr_t)__builtin_frame_address(0), at = (uintptr_t)address;
+    return at > here && at - here < (64u << 20);
+}
+
 /* What is wrong with a declaration, NULL where nothing is; the text lasts until the next call. */
 static const char *objection(const zendsp_declaration *d) {
     static char text[160];
     if (d->kind < KIND_PARAMETER || d->kind > KIND_TABLE || d->type < TYPE_DOUBLE ||
         d->type > TYPE_BOOL || !d->address)
         return "not a declaration of isr.h";
+    if (is_local(d->address))
+        return "it ends with its function: declare it static, or outside of functions";
     if (d->kind == KIND_TABLE && (d->rows < 1 || d->columns < 1))
         return "a table needs at least one row and one column";
     if (d->kind == KIND_TABLE && (double)d->rows * d->columns > 67108864.0)

@@ -5,7 +5,9 @@
 #include "runner.h"
 #include "timing.h"
 
-enum { CATCH_UP = 1000 }; /* most samples that a simulated machine makes good after a stall */
+/* Most samples that are made good after a stall: the time of a simulated machine waits, and that of
+ * hardware has passed, so that samples in one instant would be late commands from one reading. */
+enum { CATCH_UP = 1000, CATCH_UP_HARDWARE = 10 };
 /* Overruns in a row after which the machine's watchdog is left alone, whatever a host has set. */
 enum { MOST_LATE = 100 };
 static const uint64_t idle_poll_ns = 500000; /* while paused */
@@ -207,8 +209,21 @@ static uint64_t wait_for(uint64_t deadline, uint64_t spin) {
     return now;
 }
 
-/* Samples that the clock has left behind: by the setting, run late (count), or left out with the
- * machine moving on (skip). */
+/* Samples are left out; the machine has moved on. Of more than a few on hardware the program
+ * begins afresh, as after a pause. */
+static void leave_out(runner *r, uint64_t behind) {
+    control *c = r->control;
+    for (uint64_t i = 0; i < behind && i < CATCH_UP; i++)
+        step_machine(r);
+    c->timing.missed += behind;
+    stream_skip(r, behind);
+    r->state.speed_known = 0; /* of equally spaced samples only */
+    if (!c->info.simulated && behind > CATCH_UP_HARDWARE && c->running == RUN_ISR)
+        safety_anew(r);
+    store64(&c->tick, c->tick + behind);
+}
+
+/* Samples that the clock has left behind: by the setting, run late (count), or left out (skip). */
 static uint64_t after_sample(runner *r, uint64_t deadline) {
     control *c = r->control;
     const uint64_t period = c->period_ns, next = deadline + period, now = now_ns();
@@ -223,13 +238,10 @@ static uint64_t after_sample(runner *r, uint64_t deadline) {
         safety_trip(r, TRIP_OVERRUN, 0, (double)r->state.overruns_in_row,
                     (double)r->set.overrun_limit);
     const uint64_t behind = (now - next) / period;
-    if (behind == 0 || (r->set.overrun_policy != OVERRUN_SKIP && behind <= CATCH_UP))
+    const uint64_t most = c->info.simulated ? CATCH_UP : CATCH_UP_HARDWARE;
+    if (behind == 0 || (r->set.overrun_policy != OVERRUN_SKIP && behind <= most))
         return next;
-    for (uint64_t i = 0; i < behind && i < CATCH_UP; i++)
-        step_machine(r);
-    c->timing.missed += behind;
-    stream_skip(r, behind);
-    store64(&c->tick, c->tick + behind);
+    leave_out(r, behind);
     return next + behind * period;
 }
 

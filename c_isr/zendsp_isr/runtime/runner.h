@@ -145,6 +145,7 @@ int service_start(runner *r);
 void *contain_map(int file, size_t bytes);
 void contain_unmap(void *at, size_t bytes);
 void contain_enter(control *c);
+void contain_thread(void);
 void contain_say(control *c);
 void contain_hear_of_end(const control *c, int signal);
 void contain_end_within(int seconds);

@@ -261,6 +261,9 @@ void safety_command(runner *r) {
         r->buffers.now.cmd[j] = r->buffers.io.aout[j];
         r->state.held.aout[j] = enabled ? checked(r, j, r->buffers.io.aout[j]) : 0.0;
     }
+    for (int j = c->info.joints; j < MACHINE_JOINTS && enabled; j++)
+        if (!(r->buffers.io.aout[j] == 0.0)) /* NaN as well */
+            safety_trip(r, TRIP_COMMAND, j + 1, r->buffers.io.aout[j], 0.0);
     r->buffers.io.first = 0;
     if (r->state.run_in > 0)
         r->state.run_in--;

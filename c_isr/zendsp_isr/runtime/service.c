@@ -117,6 +117,7 @@ static void end_orphan(runner *r) {
 
 static void *service(void *argument) {
     runner *r = argument;
+    contain_thread();
     for (;;) {
         serve_streams(r);
         if (getppid() != r->control->monitor)
@@ -132,6 +133,7 @@ static void *background(void *argument) {
     const stack_t stack = {.ss_sp = own_stack, .ss_size = sizeof own_stack};
     sigaltstack(&stack, NULL);
     this_thread_is = WITHIN_BACKGROUND;
+    contain_thread();
     setpriority(PRIO_PROCESS, 0, 10); /* of this thread alone */
     while (load32(&r->control->phase) < PHASE_READY)
         sleep_ns(1000000);

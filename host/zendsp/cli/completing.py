@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 def targets(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
     """Names of the targets of this user on this computer; nobody is asked over a network."""
-    from zendsp.link.registered import local_entries
+    from zendsp.here.registered import local_entries
 
     names = sorted({entry.name for entry in local_entries()})
     return [CompletionItem(name) for name in names if name.startswith(incomplete)]

@@ -43,6 +43,7 @@ def command(
     Example:  zendsp run pd.c --set Kp1=400 --seconds 10
     """
     from zendsp.errors import RunnerDied
+    from zendsp.link.programs import late
 
     values = parse_assignments(assignments)
     with open_target(target, connect) as t:
@@ -70,5 +71,7 @@ def command(
                     status = t.status()
         going = status.state == "running"
         emit(status, as_json, "running" if going else f"{status.state} at sample {status.tick}")
+        if said := late(status):
+            click.echo(f"zendsp: {t.name}: {said}", err=True)
         if status.state == "crashed" or status.trip is not None:
             raise click.exceptions.Exit(1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from queue import SimpleQueue
@@ -9,18 +10,21 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import click
 
+from zendsp.cli import LEAST_MEMORY
 from zendsp.cli.common import emit, held_target, open_target, target_options
 from zendsp.cli.completing import targets
 from zendsp.errors import NotStopped, ZendspError
 
 if TYPE_CHECKING:
-    from zendsp.link.stop_page import StopPage
+    from zendsp.here.stop_page import StopPage
     from zendsp_protocol import messages as m
 
     _Tell: TypeAlias = Callable[[str, m.Status | NotStopped], None]
 
 LINK_S = 3.0  # for the link to a target of which nothing is known yet
 MORE_S = 1.0  # for the link to say more, once the loop itself has said that it stopped
+EMERGENCY = "NOT STOPPED: use the machine's emergency stop"
+TOO_LITTLE = f"a link needs {LEAST_MEMORY >> 20} MB of addresses: 'ulimit -v' allows less"
 
 
 @click.command("stop")
@@ -48,7 +52,7 @@ def command(
             emit(status, as_json, f"{status.state}, drive {status.drive}")
         return
     from zendsp.cli import say
-    from zendsp.link.programs import stopped
+    from zendsp.here.stopped import stopped
 
     held = held_target(target, connect)
     if held is not None and not names:
@@ -88,12 +92,17 @@ class _Asked:
 
     def end(self, tell: _Tell) -> None:
         """Tell the word of the loop as soon as it is there, then that of the target itself."""
-        from zendsp.link import connect as open_link
-        from zendsp.link.programs import TAKEN_S, stopped_at
+        from zendsp.here.stopped import TAKEN_S, stopped_at
 
         sample = None if self.page is None else self.page.taken(self.before, TAKEN_S)
         if sample is not None:
             tell(self.name, stopped_at(sample))
+        if _little_memory():
+            if sample is None:
+                raise NotStopped(f"{EMERGENCY} ({TOO_LITTLE})")
+            return
+        from zendsp.link import connect as open_link
+
         try:
             t = open_link(self.name, self.connect, timeout=LINK_S if sample is None else MORE_S)
         except ZendspError:
@@ -117,6 +126,8 @@ class _Place:
 
     def end(self, tell: _Tell) -> None:
         """Ask them, and tell how each ended."""
+        if _little_memory():
+            raise NotStopped(f"{EMERGENCY} ({TOO_LITTLE})")
         from zendsp.link.find import there
 
         found = [
@@ -129,8 +140,8 @@ def _ask_all(names: Sequence[str], connect: str | None) -> list[_Asked | _Place]
     """Ask those named; without names what is at ``--connect``, or else every target of this machine
     and what ``$ZENDSP_CONNECT`` leads to. Never waits.
     """
-    from zendsp.link.find import own_entries, remote_endpoints
-    from zendsp.link.stop_page import find
+    from zendsp.here.registered import own_entries, remote_endpoints
+    from zendsp.here.stop_page import find
 
     def ask(name: str, connect: str | Sequence[str] | None, here: bool) -> _Asked:
         page = find(name) if here else None  # it needs neither Zenoh nor the target's own process
@@ -149,30 +160,42 @@ def _ask_all(names: Sequence[str], connect: str | None) -> list[_Asked | _Place]
 
 def _ends(asked: Sequence[_Asked | _Place]) -> Iterator[tuple[str, m.Status | NotStopped]]:
     """How each ended, as they tell; the last word on a target counts."""
-    from zendsp.link.background import background
-
     words: SimpleQueue[tuple[str, m.Status | NotStopped] | None] = SimpleQueue()
 
     def all_of_them() -> None:
         _at_once(asked, lambda name, how: words.put((name, how)))
         words.put(None)
 
-    background("stop", all_of_them)
+    if _little_memory():  # not even for threads
+        all_of_them()
+    else:
+        from zendsp.link.background import background
+
+        background("stop", all_of_them)
     while (word := words.get()) is not None:
         yield word
 
 
 def _at_once(asked: Sequence[_Asked | _Place], tell: _Tell) -> None:
     """Have each end in a thread of its own: one that is silent holds up no other."""
-    from zendsp.link.background import background
-
     def end(one: _Asked | _Place) -> None:
         try:
             one.end(tell)
         except NotStopped as error:
             tell(one.name, error)
         except Exception as error:  # whatever it is: nothing says that it stopped
-            tell(one.name, NotStopped(f"NOT STOPPED: use the machine's emergency stop ({error})"))
+            tell(one.name, NotStopped(f"{EMERGENCY} ({error})"))
+
+    if _little_memory():
+        for one in asked:
+            end(one)
+        return
+    from zendsp.link.background import background
 
     for thread in [background("stop", end, one) for one in asked]:
         thread.join()
+
+
+def _little_memory() -> bool:
+    """Whether Zenoh and NumPy might hang or end this process, for want of addresses."""
+    return 0 <= resource.getrlimit(resource.RLIMIT_AS)[0] < LEAST_MEMORY

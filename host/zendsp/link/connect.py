@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
 from zendsp.errors import LinkError
-from zendsp.link.find import CONNECT, own_entries, reach, remote_endpoints, there
+from zendsp.here.registered import CONNECT, local_entries, own_entries, remote_endpoints
+from zendsp.link.find import reach, there
 from zendsp.link.link import Link
-from zendsp.link.registered import local_entries
 from zendsp.link.settings import Credentials
 from zendsp.link.target import Target
 from zendsp_protocol.lazily import Lazily

@@ -4,10 +4,11 @@ exclusive right to command.
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Sequence
 
-from zendsp.errors import Refused
+from zendsp.errors import Refused, ZendspError
 from zendsp.link.requests import Part
 from zendsp_protocol import messages as m
 from zendsp_protocol.states import ProgramState
@@ -109,7 +110,7 @@ class Drives(Part):
         return self._drive("power_off")
 
     def home_and_wait(self, timeout: float = 60.0) -> str:
-        """Home the machine and wait until it is done.
+        """Home the machine and wait until it is done; Ctrl-C ends the homing too.
 
         Parameters
         ----------
@@ -120,8 +121,15 @@ class Drives(Part):
         Refused
             A condition of homing fails, homing itself failed, or it takes longer than ``timeout``.
         """
-        self._drive("home")
-        deadline = time.monotonic() + timeout
+        try:
+            self._drive("home")
+            return self._homed(time.monotonic() + timeout, timeout)
+        except (KeyboardInterrupt, SystemExit):  # who asked for the motion no longer watches it
+            with contextlib.suppress(ZendspError):
+                self.request("pause")
+            raise
+
+    def _homed(self, deadline: float, timeout: float) -> str:
         while True:
             status: m.Status = self.request("status")
             if status.trip is not None:

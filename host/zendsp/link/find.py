@@ -5,20 +5,17 @@ one names.
 from __future__ import annotations
 
 import fnmatch
-import os
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
 
 from zendsp.errors import LinkError, VersionMismatch
-from zendsp.link.registered import local_entries
+from zendsp.here.registered import local_entries, remote_endpoints
 from zendsp.link.session import open_session
 from zendsp.link.settings import Credentials
 from zendsp_protocol import codec, keys, registry
 from zendsp_protocol import messages as m
-
-CONNECT = "ZENDSP_CONNECT"
 
 
 @dataclass(frozen=True)
@@ -39,17 +36,6 @@ class Found:
     endpoints: tuple[str, ...]
     info: m.Info | None
     problem: str = ""
-
-
-def remote_endpoints(connect: str | Sequence[str] | None) -> list[str]:
-    """Endpoints given by the caller, or else by ``ZENDSP_CONNECT`` (separated by commas)."""
-    if connect is None:
-        connect = os.environ.get(CONNECT, "")
-    return (
-        [part.strip() for part in connect.split(",") if part.strip()]
-        if isinstance(connect, str)
-        else list(connect)
-    )
 
 
 def discover(
@@ -103,18 +89,6 @@ def there(endpoints: Sequence[str]) -> list[Found]:
             " reach it?"
         )
     return [found[name] for name in sorted(found)]
-
-
-def own_entries(name: str = "", connect: str | Sequence[str] | None = ()) -> list[registry.Entry]:
-    """Targets of this user on this machine that are meant: where endpoints are given, those that
-    listen there.
-    """
-    endpoints = {*remote_endpoints(connect)}
-    return [
-        entry
-        for entry in local_entries()
-        if name in ("", entry.name) and endpoints <= {*entry.endpoints}
-    ]
 
 
 def reach(entry: registry.Entry) -> tuple[list[str], Credentials | None]:

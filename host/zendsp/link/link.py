@@ -13,8 +13,8 @@ from typing import Any, NoReturn
 import zenoh
 
 from zendsp.errors import LinkError, NoAnswer, Refused, ZendspError
+from zendsp.here.registered import local_entries
 from zendsp.link.background import END_S, Listener, background, open_links
-from zendsp.link.registered import local_entries
 from zendsp.link.session import new_author, not_there, open_session
 from zendsp.link.settings import Credentials
 from zendsp_protocol import codec, kept, keys

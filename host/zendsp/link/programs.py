@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from zendsp.errors import CompileFailed, LinkError, NotStopped, RunnerDied, ZendspError
+from zendsp.here.stop_page import StopPage, find
+from zendsp.here.stopped import TAKEN_S, at_rest, stopped_at
 from zendsp.link.requests import Part
-from zendsp.link.stop_page import StopPage, find
 from zendsp_protocol import messages as m
 from zendsp_protocol.states import DriveState, ProgramState
 
@@ -18,42 +19,9 @@ if TYPE_CHECKING:
     from zendsp_isr.sources import Source
 
 POLL_FIRST_S, POLL_LAST_S = 0.001, 0.05
-TAKEN_S = 0.05  # for the loop to take a STOP from shared memory: 50 samples at 1 kHz
 STOPPED_S = 1.0  # for the loop to say that it stopped
+LEAST_SAMPLES = 10  # to speak of most of them
 WATCHED_S = 0.25  # of the target's time: a program that runs for so long has begun well
-
-
-def at_rest(status: m.Status) -> bool:
-    """Whether a STOP is over: a STOP or trip has been carried out, or no program runs and the
-    machine is safe.
-    """
-    ended = status.state in (ProgramState.EMPTY, ProgramState.CRASHED)
-    return not status.unsafe and (status.trip is not None or ended)
-
-
-def stopped(status: m.Status) -> str:
-    """Say how a STOP ended, from what `Programs.stop` returned."""
-    if status.trip is None or status.state in (ProgramState.EMPTY, ProgramState.CRASHED):
-        what = (
-            "no program is loaded" if status.state == ProgramState.EMPTY else "the program crashed"
-        )
-        until = "" if status.trip is None else " until acknowledged"
-        return f"stopped: {what}, nothing moves{until}"
-    why = "" if status.trip.reason == "stop" else f" ({status.trip.text})"
-    return f"stopped, at sample {status.trip.tick}{why}"
-
-
-def stopped_at(sample: int) -> m.Status:
-    """What is known once the loop has taken a STOP, where the target itself does not answer."""
-    trip = m.Trip(
-        reason="stop",
-        joint=0,
-        tick=sample,
-        value=0.0,
-        limit=0.0,
-        text=f"STOP was requested (sample {sample})",
-    )
-    return m.Status(state=ProgramState.STOPPED, drive=DriveState.STOPPED, tick=sample, trip=trip)
 
 
 class Programs(Part):
@@ -340,6 +308,18 @@ def trouble(status: m.Status) -> str:
             " start again"
         )
     return ""
+
+
+def late(status: m.Status) -> str:
+    """Return one line on a program that is late in most samples; else ``""``."""
+    t = status.timing
+    if t.ticks < LEAST_SAMPLES or 2 * t.overruns < t.ticks:
+        return ""
+    return (
+        f"{t.overruns} of {t.ticks} samples took longer than the period of"
+        f" {1e3 / status.rate_hz:g} ms: shorten UserISR_INT2, or give the target a lower --rate;"
+        " 'zendsp stats' shows the times"
+    )
 
 
 def describe(message: m.Diagnostic) -> str:

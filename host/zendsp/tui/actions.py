@@ -72,6 +72,8 @@ ACTIONS = (
     Action("app", "command_palette", "ctrl+p", "Palette", "Find any action by name.", footer=True),
     Action("app", "quit", "ctrl+q", "Quit",
            "Leave; where the machine moves, you are asked what is to become of it.", priority=True),
+    Action("app", "suspend", "ctrl+z", "Suspend",
+           "Nothing is suspended: a terminal that sleeps is a host that is lost."),
     # -- console: the drive sequence
     Action("console", "power", "o", "Power",
            "Switch the drives' power on (to ready) or off; from then on they are not switched by"

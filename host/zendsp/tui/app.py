@@ -22,7 +22,7 @@ from zendsp.tui.actions import ACTIONS, bindings
 from zendsp.tui.colours import THEMES
 from zendsp.tui.dialogs import Choose, Message, Option
 from zendsp.tui.dialogs.base import Dialog
-from zendsp.tui.dialogs.leave import Leave, moves
+from zendsp.tui.dialogs.leave import LEFT, Leave, moves
 from zendsp.tui.port import Port
 from zendsp.tui.runs import Outcome, Run
 from zendsp.tui.screens.base import LabScreen
@@ -193,6 +193,14 @@ class ZendspApp(App[None]):
             port = self.session.port
             here = port is not None and port.here
             self.push_screen(Leave(self.session.snapshot, here, self._plays()), self._leave)
+
+    def action_suspend(self) -> None:
+        """Say why the terminal does not sleep."""
+        s = self.session.snapshot
+        left = f" ({LEFT.get(s.host_lost, s.host_lost)})" if s.mine else ""
+        text = f"nothing is suspended: a terminal that sleeps is a lost host{left}; Ctrl+Q leaves"
+        self.session.events.add(text, "warning")
+        self.toast(text, "warning")
 
     def _leave(self, keys: list[str] | None) -> None:
         if keys == ["leave"]:

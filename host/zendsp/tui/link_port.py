@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.errors import CompileFailed, LinkError, RunnerDied, ZendspError
+from zendsp.here.stopped import stopped
 from zendsp.link import Rehearsal, Target, Trigger, connect, discover, local, rehearse
 from zendsp.link.live import LiveBlock
-from zendsp.link.programs import stopped
 from zendsp.link.put_back import Before
 from zendsp.link.variables import plain
 from zendsp.recording import Recording

@@ -116,7 +116,7 @@ def preflight(
     found.append(
         Condition(
             "drives enabled",
-            s.drive in ("enabled", "running"),
+            s.explicit and s.drive in ("enabled", "running"),
             f"on Console (F2): {_steps(s)}",
         )
     )
@@ -145,7 +145,7 @@ def preflight(
 
 def _steps(s: Snapshot) -> str:
     """Return the keys that are still to be pressed until the drives are enabled; o would switch off
-    what is on. A program that runs on automatic drives ran without being enabled, and would again.
+    what is on. A program that runs on automatic drives runs without being enabled.
     """
     first = ["pause (p)"] if s.drive == "running" else []
     steps = ["power (o)", "home (h)", "enable (e)"]

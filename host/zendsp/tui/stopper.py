@@ -32,11 +32,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from zendsp.errors import NotStopped, ZendspError
+from zendsp.here.registered import own_entries
+from zendsp.here.stop_page import StopPage, find
+from zendsp.here.stopped import TAKEN_S, stopped
 from zendsp.link import connect
 from zendsp.link.background import background
-from zendsp.link.find import own_entries
-from zendsp.link.programs import TAKEN_S, stopped
-from zendsp.link.stop_page import StopPage, find
 
 if TYPE_CHECKING:
     from textual.driver import Driver

@@ -91,7 +91,12 @@ def asked_trip(reason: str, tick: int) -> Trip:
 
 
 def _cause(machine: MachineInfo, reason: str, joint: int, value: float, limit: float) -> str:
-    which = machine.joints[joint - 1] if 1 <= joint <= len(machine.joints) else machine.joints[0]
+    if joint > len(machine.joints):
+        return (
+            f"the code writes to joint {joint - 1}, which this machine has not: it has"
+            f" {len(machine.joints)}, counted from 0"
+        )
+    which = machine.joints[joint - 1] if joint >= 1 else machine.joints[0]
     unit, who = which.unit, which.name
     torque = "N" if unit == "m" else "N m"
     causes = {

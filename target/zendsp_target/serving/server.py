@@ -37,6 +37,8 @@ THREADS = {"quick": 3, "sync": 2, "stop": 1, "slow": 2, "bulk": 3}
 WRITE = verbs.VERBS["write"]
 WAITING = 1024  # requests that may wait in a lane
 JOIN_S = 1.0  # a thread that is busy with a compile is not waited for any longer
+COMMAND = verbs.VERBS["drive"]
+MOST_HOSTS = 1000  # that have commanded, by name
 PULSE_S = 0.5
 PULSE_POLL_S = 0.1
 
@@ -57,9 +59,10 @@ class Server:
         self._session = session
         self._end = threading.Event()
         self._publishers: dict[tuple[int, str], zenoh.Publisher] = {}
+        self._commanded: dict[str, str] = {}  # hosts known by name, and the user of each
         self.live = LiveStreams(runtime, self._send_live, self._live_watched)
         self.service = Service(runtime, identity, self.live, managed)
-        self._hosts = Hosts(session, self.name, self.service.host_gone)
+        self._hosts = Hosts(session, self.name, self._host_gone)
         self.service.present = self._hosts.names
         self._waiters = ThreadPoolExecutor(8, "waiter")
         self._threads: list[threading.Thread] = []
@@ -167,6 +170,8 @@ class Server:
                 if user:  # known by name: its role decides, and its name is what the log says
                     check_role(user, self._doors.role_of(user), verb)
                     by = by if by.startswith(f"{user}@") else user
+                    if verb.role == COMMAND.role:
+                        self._commanded[by] = user
                 if verb.name == "compile":
                     self._doors.check_upload(user)
                 handler = self.service.handlers.get(verb.name)
@@ -284,14 +289,29 @@ class Server:
     def _may_look(self, user: str) -> bool:
         return not user or may(self._doors.role_of(user), verbs.VERBS["live_open"])
 
+    def _host_gone(self, host: str) -> None:
+        self._commanded.pop(host, None)
+        self.service.host_gone(host)
+
+    def _end_commands(self) -> None:
+        """Whose role no longer moves the machine is, of what it moved, a host that is lost."""
+        while len(self._commanded) > MOST_HOSTS:  # names that were never there, the oldest first
+            self._commanded.pop(next(iter(self._commanded)), None)
+        for host, user in list(self._commanded.items()):
+            if not may(self._doors.role_of(user), COMMAND):
+                self._commanded.pop(host, None)
+                log.warning("%s may no longer command", host)
+                self.service.runs.host_gone(host)
+
     def _pulse(self) -> None:
-        """Publish the status at every change of state and twice a second; end live views whose role
-        was taken away.
+        """Publish the status at every change of state and twice a second; end live views and
+        commands whose role was taken away.
         """
         publisher = self._session.declare_publisher(keys.event(self.name))
         last, due = None, 0.0
         while not self._end.wait(PULSE_POLL_S):
             self.live.keep(self._may_look)
+            self._end_commands()
             try:
                 status = self.service.do_status(verbs.Nothing(), "")
             except Later:

@@ -9,7 +9,7 @@ import os
 import struct
 import time
 
-from zendsp.link.registered import local_entries
+from zendsp.here.registered import local_entries
 from zendsp_protocol import stop_page as page
 
 POLL_S = 0.0005

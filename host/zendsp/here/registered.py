@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
 
 from zendsp_protocol import registry
+
+CONNECT = "ZENDSP_CONNECT"
 
 
 def local_entries() -> list[registry.Entry]:
@@ -29,3 +32,26 @@ def local_entries() -> list[registry.Entry]:
         if entry.born and registry.born(entry.pid) == entry.born:
             entries.append(entry)
     return entries
+
+
+def remote_endpoints(connect: str | Sequence[str] | None) -> list[str]:
+    """Endpoints given by the caller, or else by ``ZENDSP_CONNECT`` (separated by commas)."""
+    if connect is None:
+        connect = os.environ.get(CONNECT, "")
+    return (
+        [part.strip() for part in connect.split(",") if part.strip()]
+        if isinstance(connect, str)
+        else list(connect)
+    )
+
+
+def own_entries(name: str = "", connect: str | Sequence[str] | None = ()) -> list[registry.Entry]:
+    """Targets of this user on this machine that are meant: where endpoints are given, those that
+    listen there.
+    """
+    endpoints = {*remote_endpoints(connect)}
+    return [
+        entry
+        for entry in local_entries()
+        if name in ("", entry.name) and endpoints <= {*entry.endpoints}
+    ]

@@ -1,0 +1,41 @@
+"""How a STOP ended, in words."""
+
+from __future__ import annotations
+
+from zendsp_protocol import messages as m
+from zendsp_protocol.states import DriveState, ProgramState
+
+TAKEN_S = 0.05  # for the loop to take a STOP from shared memory: 50 samples at 1 kHz
+
+
+def at_rest(status: m.Status) -> bool:
+    """Whether a STOP is over: a STOP or trip has been carried out, or no program runs and the
+    machine is safe.
+    """
+    ended = status.state in (ProgramState.EMPTY, ProgramState.CRASHED)
+    return not status.unsafe and (status.trip is not None or ended)
+
+
+def stopped(status: m.Status) -> str:
+    """Say how a STOP ended, from what `Programs.stop` returned."""
+    if status.trip is None or status.state in (ProgramState.EMPTY, ProgramState.CRASHED):
+        what = (
+            "no program is loaded" if status.state == ProgramState.EMPTY else "the program crashed"
+        )
+        until = "" if status.trip is None else " until acknowledged"
+        return f"stopped: {what}, nothing moves{until}"
+    why = "" if status.trip.reason == "stop" else f" ({status.trip.text})"
+    return f"stopped, at sample {status.trip.tick}{why}"
+
+
+def stopped_at(sample: int) -> m.Status:
+    """What is known once the loop has taken a STOP, where the target itself does not answer."""
+    trip = m.Trip(
+        reason="stop",
+        joint=0,
+        tick=sample,
+        value=0.0,
+        limit=0.0,
+        text=f"STOP was requested (sample {sample})",
+    )
+    return m.Status(state=ProgramState.STOPPED, drive=DriveState.STOPPED, tick=sample, trip=trip)
