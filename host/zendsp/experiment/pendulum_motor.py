@@ -136,7 +136,7 @@ def mechanical(lab: Lab, seconds: float = 6.0, brake: float = 0.08) -> Result:
     """
     result = Result("pendulum-mechanical", "Inertia, gravity and friction of the pendulum", MACHINE)
     with lab.bench(MACHINE, result.name, brake=brake) as bench:
-        another = {"level": 0.34, "a1": 0.08, "a2": -0.1, "w1": 19.0, "w2": 7.0}
+        another: dict[str, Any] = {"level": 0.34, "a1": 0.08, "a2": -0.1, "w1": 19.0, "w2": 7.0}
         recs = [
             bench.record(
                 name,
