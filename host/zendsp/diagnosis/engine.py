@@ -15,6 +15,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from zendsp.diagnosis.data.checks import check_excitation, check_motion, check_signals
+from zendsp.diagnosis.data.inertia import moved_rotors
 from zendsp.diagnosis.data.prepare import one_sensor, prepare
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.signals import Parts, Signals, with_same_columns
@@ -155,6 +156,8 @@ def _diagnose(
     notes += said(alone)
     notes += loosely_fitted(decisions)
     notes += moved(given, whole.calibrated)
+    named = {f.joint for f in findings}
+    notes += moved_rotors(given, {d.joint: d.final.fit for d in decisions if d.joint not in named})
     test = _table(parts.test, given, whole.calibrated, improved)
     if not findings:
         notes += bent(test, noise_floor(parts.test))

@@ -26,6 +26,7 @@ UNITS = {"theta1": "kg m^2", "theta2": "kg m", "theta3": "N m", "viscous": "N m 
 G = 9.81
 EARLY = 1.0  # s
 SPINS, SMOOTHED = 3.0, 51  # rad/s, beyond which the shaft spins; samples that its speed is taken of
+SENSED = 2  # samples after a command is computed, its current is measured
 BLOCK = 0.1  # s
 DRAWN = 60.0  # rad: a simulation that is further away has left the figure
 
@@ -135,26 +136,21 @@ def mechanical(lab: Lab, seconds: float = 6.0, brake: float = 0.08) -> Result:
     """
     result = Result("pendulum-mechanical", "Inertia, gravity and friction of the pendulum", MACHINE)
     with lab.bench(MACHINE, result.name, brake=brake) as bench:
+        another: dict[str, Any] = {"level": 0.34, "a1": 0.08, "a2": -0.1, "w1": 19.0, "w2": 7.0}
         recs = [
             bench.record(
-                "law", "pendulum_torque.c", ["q", "tau"], seconds=seconds, go=1, duration=seconds
-            ),
-            bench.record(
-                "another_law",
+                name,
                 "pendulum_torque.c",
-                ["q", "tau"],
+                ["q", "tau", "adc"],
                 seconds=seconds,
                 go=1,
                 duration=seconds,
-                level=0.34,
-                a1=0.08,
-                a2=-0.1,
-                w1=19.0,
-                w2=7.0,
-            ),
+                **law,
+            )
+            for name, law in (("law", {}), ("another_law", another))
         ]
         result.recordings, result.target = bench.recordings, bench.where
-        train, test = recs
+        train, test = (delivered(rec) for rec in recs)
         from_rest = fit_parameters(train, np.full(4, 1e-3))
         turning, speed = spinning(train)
         extended = fit_parameters(turning, from_rest[0], speed)
@@ -237,6 +233,28 @@ def _mechanical_figure(train: Recording, test: Recording, paper: Array, extended
         label(top, "", "position (rad)", words, legend=column == 0)
         label(bottom, "t (s)", "machine - model (rad)")
     return figure
+
+
+def delivered(rec: Recording) -> Recording:
+    """Position, and the command as the drive carries it out: its current loop lags behind the
+    command, and behind the back-EMF, which else passes for inertia.
+
+    i = (tau - lag d tau/dt - J qdd) / k_a + offset, by least squares on the current sensor: its
+    steps and noise do not enter the torque. It is read at the end of a sample; over the sample the
+    back-EMF takes from it, i = (v - k_b qd) / R_a, and its mean is that of half a sample before.
+    """
+    from scipy.signal import savgol_filter
+
+    qd = savgol_filter(rec["q"], SMOOTHED, 2, 1, rec.sample_time)
+    qdd = savgol_filter(rec["q"], SMOOTHED, 3, 2, rec.sample_time)
+    rate = np.gradient(rec["tau"], rec.sample_time)
+    A = np.stack([rec["tau"], rate, qdd, np.ones(len(rec))], axis=1)
+    current, voltage = rec["adc"].T
+    x = np.linalg.lstsq(A[:-SENSED], current[SENSED:], rcond=None)[0]
+    ohm = np.stack([qd, voltage, np.ones(len(rec))], axis=1)
+    x[2] -= 0.5 * rec.sample_time * np.linalg.lstsq(ohm, current, rcond=None)[0][0]
+    columns = {"q": rec["q"], "tau": A[:, :3] @ x[:3] / x[0]}
+    return Recording.from_columns(columns, sample_time=rec.sample_time)
 
 
 def _first(rec: Recording, seconds: float) -> Recording:

@@ -31,6 +31,7 @@ DECIMATION = 4
 STEADY, MOVING = 1e-6, 1e-3  # rad/s², rad/s, of a plan: its parts at constant speed
 SHORTEST = 20  # rows of such a part: ten pieces of two
 WEIGHS = 1e-3  # N m, of what the program compensates: with less the joint bears no weight
+QUIETEST = 0.03  # of the largest scatter: what two others differ by below is rounding
 CHANNELS = ("play_time", "q", "tau", "g")
 # Coulomb N m and viscous N m s/rad, positive and negative direction, of the seven-joint paper
 PAPER = {
@@ -125,6 +126,21 @@ class Sliding:
             )
         return np.array(rows)
 
+    def weights(self) -> Array:
+        """One over the scatter of pieces of that speed about a parabola along their part, relative
+        to the largest: short fast parts scatter ten times as much as long slow ones.
+        """
+        left, pace = np.zeros_like(self.torque), np.round(4.0 * np.log2(np.abs(self.speed)))
+        for k in np.unique(self.part):
+            here = self.part == k
+            x = np.vander(self.q[here] - self.q[here].mean(), 3)
+            left[here] = self.torque[here] - x @ np.linalg.lstsq(x, self.torque[here])[0]
+        scatter = np.ones_like(left)
+        for v in np.unique(pace):
+            scatter[pace == v] = np.sqrt(np.mean(left[pace == v] ** 2))
+        largest = float(scatter.max())
+        return largest / np.maximum(scatter, QUIETEST * largest) if largest else scatter + 1.0
+
 
 def constant_speed_pieces(
     rec: Recording, reference: Reference, joint: int, gravity: bool = True
@@ -171,7 +187,7 @@ class Friction:
     lacking: Array
     free: Array  # the torque without it
     weight: float  # N m, the most that the joint carries beyond what is compensated
-    squares: float  # sum of the squared residuals
+    squares: float  # sum of the squared weighted residuals
 
 
 def fit_friction(sliding: Sliding, weighs: bool, unknown: bool = False) -> Friction:
@@ -190,20 +206,21 @@ def fit_friction(sliding: Sliding, weighs: bool, unknown: bool = False) -> Frict
         columns.append(sliding.acceleration)
     A = np.stack([np.asarray(c, dtype=np.float64) for c in columns], axis=1)
     parts = len(np.unique(sliding.part)) if unknown else len(sliding.torque)
-    x, half, inverse = least_squares(A, sliding.torque, parts)
+    weight = sliding.weights()
+    x, half, inverse = least_squares(weight[:, None] * A, weight * sliding.torque, parts)
     ways = np.zeros((4, len(x)))  # means of both directions, and half of what they differ by
     ways[0, [0, 2]] = ways[1, [1, 3]] = 0.5
     ways[2, [0, 2]] = ways[3, [1, 3]] = 0.5, -0.5
     both = ways @ x
     width = half[0] * np.sqrt(np.sum(ways @ inverse * ways, axis=1) / inverse[0, 0])
     lacking = A[:, 4:] @ x[4:]
-    weight = A[:, 4:6] @ x[4:6] if weighs else 0.0 * sliding.q
-    squares = float(np.sum((sliding.torque - A @ x) ** 2))
+    carried = A[:, 4:6] @ x[4:6] if weighs else 0.0 * sliding.q
+    squares = float(np.sum((weight * (sliding.torque - A @ x)) ** 2))
     value = {
         word: (float(x[k]), float(x[k + 1]), float(half[k]), float(half[k + 1]))
         for word, k in (("+", 0), ("-", 2))
     }
-    largest = float(np.abs(weight).max())
+    largest = float(np.abs(carried).max())
     mean = (float(both[0]), float(both[1]), float(width[0]), float(width[1]))
     uneven = bool(np.any(np.abs(both[2:]) > width[2:]))
     return Friction(value, mean, uneven, lacking, sliding.torque - lacking, largest, squares)

@@ -21,7 +21,7 @@ from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import fit_scored
 from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.effects import get_effect, library, mechanism_of
-from zendsp.physics.model import Model, Quantity
+from zendsp.physics.model import TREES, Model, Quantity
 
 # relative standard deviation of a given inertia, mass or gravity figure; more where its std says so
 TOLERANCE = 0.045
@@ -118,13 +118,16 @@ def moved(given: Model, calibrated: Model) -> list[str]:
 def _numbers(
     given: Model, calibrated: Model, joint: int
 ) -> Iterator[tuple[str, Quantity, Quantity]]:
-    """The numbers of a joint as given and as calibrated, by name."""
+    """The numbers of a joint as given and as calibrated, by name; the rotors of a tree have notes
+    of their own.
+    """
     for key, items in given.mechanism.items():
         index = joint - 1 if len(items) > 1 else 0
         if joint == 1 or len(items) > 1:
             yield key, items[index], calibrated.mechanism[key][index]
+    rotors = {"inertia"} if given.kind in TREES else set()
     for old, new in zip(given.at(joint), calibrated.at(joint), strict=False):
-        for key, q in old.parameters.items():
+        for key, q in old.parameters.items() if old.effect not in rotors else ():
             yield f"{old.effect.replace('_', ' ')} {key}", q, new.parameters.get(key, q)
 
 

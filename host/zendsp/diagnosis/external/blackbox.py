@@ -60,7 +60,8 @@ Progress = Callable[[str], None]
 # s: each window is simulated from the smoothed motion, where the simulator starts from its first
 # row
 WINDOW = 0.25
-MOST = 4  # effects of a joint that are taken at most
+# rounds, each of one effect a joint; a joint may have to wait until its neighbours' are in
+MOST = 6
 LAST = 3  # simulated steps of the last fit, from where guessed slopes end
 OVER_NOISE = 3  # times the sensor's noise: what is left below is no mismatch
 RESTARTS = 0.02  # of the span, and START_NOISE times the noise: so near a simulation must begin

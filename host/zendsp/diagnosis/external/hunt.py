@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.decide.findings import estimates, new_terms, sentence
 from zendsp.diagnosis.decide.result import Finding, Next
+from zendsp.diagnosis.decide.thresholds import LAW_ERROR
 from zendsp.diagnosis.external.nearby import Near, settled
 from zendsp.diagnosis.external.output_error import (
     BLOCK,
@@ -112,12 +113,14 @@ class Hunt:
         self.train, self.test, self.tell = train, test, tell
         self.block = max(10, round(BLOCK / train[0].signals.sample_time))
         self.tried: dict[tuple[str, int], tuple[float, float, str]] = {}
+        self.begun: Output | None = None  # before the first step
 
     def step(self, current: Output) -> tuple[Output, list[tuple[Claim, list[Claim]]]]:
         """The fit with the best hypothesis of each joint that passes, as far as they hold beside
         one another; and these, each with its fitted rivals.
         """
         self.tell("pushing each joint a little")
+        self.begun = self.begun or current
         near = Near(self.train, current)
         held = errors(self.test, current.model)
         taken = []
@@ -236,16 +239,22 @@ class Hunt:
             return "no more likely than the calibrated model"
         if c.z <= MIN_Z:
             return f"does not hold on the held-out recording (z = {c.z:.1f})"
-        explained, left = self._parts(c, current)
-        return "too small beside what stays unexplained" if explained < BESIDE * left else ""
+        explained, left, found = self._parts(c, current)
+        if explained < BESIDE * left:
+            return "too small beside what stays unexplained"
+        if explained < LAW_ERROR**2 * found:
+            return "no larger than what the laws of the others may be wrong by"
+        return ""
 
-    def _parts(self, c: Claim, current: Output) -> tuple[float, float]:
-        """Of the squared error of a claim's joint: what it explains, and what stays beyond the
-        sensor's noise.
+    def _parts(self, c: Claim, current: Output) -> tuple[float, float, float]:
+        """Of the squared error of a claim's joint: what it explains, what stays beyond the sensor's
+        noise, and what was explained before.
         """
         part = by_joint(self.train)[c.term.joint - 1]
-        before, after = (float(np.sum(o.error[part] ** 2)) for o in (current, c.output))
-        return before - after, after - len(part)
+        begun, before, after = (
+            float(np.sum(o.error[part] ** 2)) for o in (self.begun or current, current, c.output)
+        )
+        return before - after, after - len(part), begun - before
 
 
 def judged_again(near: Near, train: Sequence[Bench], steps: list[Any]) -> list[Any]:

@@ -225,6 +225,10 @@ def refined(
         last, values = replace(first, hypothesis=h, values=new, std=std), new
         *beside, gain = solver.estimate(replace(h, free=(*h.free, "gain")), np.append(values, 0.0))
         by_gain = (np.array(beside) - values) * min(1.0, limits.constant / max(abs(gain), 1e-12))
+        for _ in range(limits.halvings):  # no torque constant makes a body's inertia negative
+            if solver.plausible(h, values + by_gain):
+                break
+            by_gain /= 2.0
         if stands:
             break
     here = model.with_terms((*model.terms, layout.term(h, values)))

@@ -22,6 +22,10 @@ from zendsp.physics.model import Model, Quantity, Term
 
 OF_A_GAP = 0.05  # of its width: so much too narrow it came out of a simulated one of 20 mrad
 
+# of a stiffness and of a wave's amplitude: of four simulated joints with a sensor on either side
+# they were 0.04 to 0.7 % off, and 0.002 to 0.06 % were stated
+MEASURED = 0.005
+
 
 def load_behind(model: Model, inertia: float, motor: Motor) -> tuple[float, float]:
     """Inertia behind the transmission, with its standard deviation; 0 where the bodies say it. The
@@ -52,13 +56,16 @@ def findings_of(
     spring = by.get("spring")
     if spring is not None:
         stiffness = -1.0 / spring.value
-        relative = spring.std / abs(spring.value)
+        relative = math.hypot(spring.std / spring.value, MEASURED)
         numbers = {"stiffness": (stiffness, relative * stiffness)}
         if spring.damping[0] > PLAIN * spring.damping[1]:
             numbers["damping"] = spring.damping
         if load[0]:
             numbers["load_inertia"] = load
-        details: dict[str, object] = {"compliance": -spring.value, "compliance_std": spring.std}
+        details: dict[str, object] = {
+            "compliance": -spring.value,
+            "compliance_std": relative * abs(spring.value),
+        }
         name = "elasticity"
         if "gap" in by:
             name, numbers = "backlash", {"gap": _gap(by["gap"]), **numbers}
@@ -75,7 +82,7 @@ def findings_of(
     for w in waves:
         numbers = {
             "order": (w.order, w.order_std),
-            "amplitude": (w.value, w.std),
+            "amplitude": (w.value, math.hypot(w.std, MEASURED * w.value)),
             "phase": (w.phase, w.std / w.value),
         }
         made.append(("transmission_error", w, numbers, {}))
