@@ -92,7 +92,10 @@ def page() -> str:
 def _wrapped(line: str) -> str:
     if line.startswith(("|", "#", "`", " ")) or len(line) <= WIDTH:
         return line
-    return fill(line, WIDTH, break_long_words=False, break_on_hyphens=False)
+    indent = "  " if line.startswith("- ") else ""
+    return fill(
+        line, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    )
 
 
 def _page() -> str:
@@ -121,16 +124,16 @@ def _section(effect: Effect) -> str:
             f"\n## {effect.name}\n\n`{effect.equation}`\n\n| parameter | unit | range | default |"
             f" measures |\n|---|---|---|---|---|\n{rows}\n"
         ),
-        f"*Says:* {effect.sentence}\n\n*Confirm by:* {effect.experiment}\n",
+        f"- *Says:* {effect.sentence}\n- *Confirm by:* {effect.experiment}\n",
     ]
     if effect.rivals:
-        words.append(f"\n*Often mistaken for:* {', '.join(effect.rivals)}.\n")
+        words.append(f"- *Often mistaken for:* {', '.join(effect.rivals)}.\n")
     if effect.replaces:
-        words.append(f"\n*Contains:* {', '.join(effect.replaces)}.\n")
+        words.append(f"- *Contains:* {', '.join(effect.replaces)}.\n")
     if effect.needs and effect.needs != (effect.name,):
-        words.append(f"\n*Needs:* {', '.join(effect.needs)}.\n")
+        words.append(f"- *Needs:* {', '.join(effect.needs)}.\n")
     words.append(
-        "\n*Can be compensated by a torque:* " + ("yes" if effect.compensable else "no") + ".\n"
+        "- *Can be compensated by a torque:* " + ("yes" if effect.compensable else "no") + ".\n"
     )
     return "".join(words)
 

@@ -222,27 +222,16 @@ def page(results: Sequence[Result], command: str, version: str) -> str:
             f" {sum(r.seconds for r in results):.0f} s."
         ),
         "",
-        (
-            "Each line is a promise that was taken out of a copy of the tree, alone. The tests"
-            " named in `tests/mutations/` ran on the copy;"
-        ),
-        "*noticed* means that every one of them failed. `--report FILE` writes such a page.",
+        "Each is a promise that was taken out of a copy of the tree, alone; `--list` names them. Its",
+        "tests in `tests/mutations/` ran on the copy; *noticed* means that every one of them failed.",
+        "`--report FILE` writes such a page.",
+        "",
+        "| about | promises | noticed |",
+        "|---|---|---|",
     ]
-    topic = ""
-    for result in results:
-        m = result.mutation
-        if m.topic != topic:
-            topic = m.topic
-            lines += [
-                "",
-                f"## {topic.capitalize()}",
-                "",
-                "| lost | in | outcome | tests |",
-                "|---|---|---|---|",
-            ]
-        lines.append(
-            f"| {m.lost} | `{m.file.rpartition('/')[2]}` | {result.outcome} | {len(m.tests)} |"
-        )
+    for topic in dict.fromkeys(r.mutation.topic for r in results):
+        outcomes = [r.outcome for r in results if r.mutation.topic == topic]
+        lines.append(f"| {topic} | {len(outcomes)} | {outcomes.count('noticed')} |")
     silent = [f"- {r.mutation.name}: `{test}`" for r in results for test in r.silent]
     return "\n".join([*lines, *(["", "## Did not notice", "", *silent] if silent else []), ""])
 
