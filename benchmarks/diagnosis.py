@@ -72,15 +72,8 @@ def row(method: str, judged: list[Judgement]) -> list[str]:
 def show(rows: list[list[str]]) -> None:
     """Print aligned columns."""
     head = [
-        "method",
-        "x1",
-        "x0.3",
-        "x0.1",
-        "both of two",
-        "replaced",
-        "false alarms",
-        "foreign refused",
-        "seconds",
+        "method", "x1", "x0.3", "x0.1", "both of two", "replaced", "false alarms",
+        "foreign refused", "seconds",
     ]
     widths = [max(len(r[i]) for r in [head, *rows]) for i in range(len(head))]
     for cells in [head, *rows]:

@@ -38,16 +38,8 @@ def side_by_side(command: list[str], runs: int) -> tuple[float, float]:
 def start(name: str) -> subprocess.Popen[bytes]:
     """A target on the fast clock; ready when it returns."""
     command = [
-        sys.executable,
-        "-m",
-        "zendsp_target",
-        "--machine",
-        "imi_planar",
-        "--clock",
-        "fast",
-        "--name",
-        name,
-        "--json",
+        sys.executable, "-m", "zendsp_target", "--machine", "imi_planar", "--clock", "fast",
+        "--name", name, "--json",
     ]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
     assert process.stdout is not None

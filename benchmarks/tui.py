@@ -223,15 +223,8 @@ def terminal(seconds: float, soak: float, trace: Path | None = None) -> dict[str
     with tempfile.TemporaryDirectory() as folder:
         t = Terminal(
             [
-                "tui",
-                "--local",
-                "imi_planar",
-                "--folder",
-                folder,
-                "--source",
-                _source(),
-                "--channels",
-                CURVES,
+                "tui", "--local", "imi_planar", "--folder", folder, "--source", _source(),
+                "--channels", CURVES,
             ]
         )
         try:

@@ -185,16 +185,8 @@ def _fitting(draw: random.Random, name: str) -> Any:
         "mode": ("torque", "velocity", "off"),
         "policy": ("stop", "hold", "count", "trip"),
         "action": (
-            "take",
-            "release",
-            "power_on",
-            "power_off",
-            "home",
-            "enable",
-            "disable",
-            "acknowledge",
-            "auto",
-            "host_lost",
+            "take", "release", "power_on", "power_off", "home", "enable", "disable", "acknowledge",
+            "auto", "host_lost",
         ),
     }
     return draw.choice(fits.get(name, (0, 1, 0.01, True)))

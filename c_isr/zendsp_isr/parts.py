@@ -30,15 +30,8 @@ def _read(folder: Path, names: Sequence[str]) -> dict[str, bytes]:
 
 
 RUNNER_SOURCES = (
-    "main.c",
-    "contain.c",
-    "loop.c",
-    "dictionary.c",
-    "realtime.c",
-    "service.c",
-    "batch.c",
-    "stream.c",
-    "safety.c",
+    "main.c", "contain.c", "loop.c", "dictionary.c", "realtime.c", "service.c", "batch.c",
+    "stream.c", "safety.c",
 )
 
 

@@ -20,13 +20,7 @@ from zendsp_target.runtime.safety import histogram_edges
 
 ROOT = source_root()
 STRICT = [
-    "-std=gnu11",
-    "-O2",
-    "-Wall",
-    "-Wextra",
-    "-Wconversion",
-    "-Wshadow",
-    "-Wstrict-prototypes",
+    "-std=gnu11", "-O2", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wstrict-prototypes",
     "-Werror",
 ]
 INCLUDE = [f"-I{ROOT / folder}" for folder in ("include", "runtime", "machines")]
@@ -35,12 +29,7 @@ SOURCES = sorted(
 )
 # what a sample may call: the clock, copying bytes, mathematics that the compiler did not inline
 MAY_CALL = {
-    "clock_gettime",
-    "clock_nanosleep",
-    "memcpy",
-    "memset",
-    "memmove",
-    "_GLOBAL_OFFSET_TABLE_",
+    "clock_gettime", "clock_nanosleep", "memcpy", "memset", "memmove", "_GLOBAL_OFFSET_TABLE_",
 }
 OURS = ("batch_", "stream_", "safety_", "realtime_granted", "loop")
 BETWEEN_RUNS = {"realtime_stay_awake"}  # at start and pause, not in a sample
@@ -112,14 +101,8 @@ def test_a_sample_calls_nothing_that_allocates_locks_prints_or_blocks(tmp_path: 
 def test_monitor_and_runner_agree_on_the_layout(tmp_path: Path) -> None:
     ffi, _ = layout()
     names = (
-        "control",
-        "variable_entry",
-        "stream_head",
-        "batch",
-        "batch_entry",
-        "snapshot",
-        "timing_counts",
-        "machine_info",
+        "control", "variable_entry", "stream_head", "batch", "batch_entry", "snapshot",
+        "timing_counts", "machine_info",
     )
     source = tmp_path / "sizes.c"
     lines = "".join(f'    printf("%zu\\n", sizeof({name}));\n' for name in names)

@@ -78,14 +78,7 @@ def make_certificates(folder: Path) -> None:
             "req", *key, "-keyout", f"{name}.key", "-out", f"{name}.csr", "-subj", f"/CN={name}"
         )
         sign = (
-            "-CA",
-            "ca.pem",
-            "-CAkey",
-            "ca.key",
-            "-CAcreateserial",
-            "-days",
-            "2",
-            "-extfile",
+            "-CA", "ca.pem", "-CAkey", "ca.key", "-CAcreateserial", "-days", "2", "-extfile",
             "extensions",
         )
         openssl("x509", "-req", "-in", f"{name}.csr", "-out", f"{name}.pem", *sign)

@@ -423,15 +423,3 @@ def test_a_stream_whose_viewer_never_said_goodbye_is_closed(fast: Target) -> Non
         return False
 
     until(free, "the streams without subscribers are closed")
-
-
-def test_a_bare_target_loads_nothing_of_the_host() -> None:
-    code = (
-        "import sys, zendsp_target.__main__, zendsp_target.monitor, zendsp_target.runtime;print([m"
-        " for m in ('zendsp','scipy','textual','click','matplotlib','pyarrow','h5py') if m in"
-        " sys.modules])"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_S
-    )
-    assert done.stdout.strip() == "[]", done.stderr

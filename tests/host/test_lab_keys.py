@@ -249,8 +249,7 @@ def test_what_is_private_is_so_and_names_are_given_once(lab: Lab) -> None:
     reached = names.get_extension_for_class(x509.SubjectAlternativeName).value
     assert reached.get_values_for_type(x509.DNSName) == ["robot.lab", "localhost"]
     assert [str(ip) for ip in reached.get_values_for_type(x509.IPAddress)] == [
-        "192.168.1.5",
-        "127.0.0.1",
+        "192.168.1.5", "127.0.0.1",
     ]
     for name in ("imi", "owner", "an/na", ""):
         with pytest.raises(Refused):

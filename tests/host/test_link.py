@@ -128,11 +128,6 @@ def test_a_recorder_in_use_is_refused_to_others_unless_taken(running: Target) ->
         assert len(other.acquire(["q"], 0.05, take=True)) == 50
 
 
-def test_run_for_counts_samples_exactly(loaded: Target) -> None:
-    assert loaded.run_for(0.1).tick == 100
-    assert loaded.run_for(0.05).tick == 150
-
-
 def test_large_tables_arrive_whole_in_one_sample(running: Target) -> None:
     values = np.random.default_rng(0).normal(size=(50_000, 4))
     running.upload("ref", values.reshape(-1))

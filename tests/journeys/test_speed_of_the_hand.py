@@ -7,14 +7,7 @@ import json
 from journey import Installed
 
 HEAVY = (
-    "numpy",
-    "scipy",
-    "matplotlib",
-    "rich",
-    "textual",
-    "h5py",
-    "zendsp_isr.build",
-    "subprocess",
+    "numpy", "scipy", "matplotlib", "rich", "textual", "h5py", "zendsp_isr.build", "subprocess",
     "ctypes",
 )
 

@@ -130,10 +130,7 @@ except zendsp.errors.LinkError as error:
     print("out:", error)
 """
 ASKED = (
-    "target['Kp1']",
-    "target.update(Kp1=410.0)",
-    "target.pause()",
-    "target.download('pd.c')",
+    "target['Kp1']", "target.update(Kp1=410.0)", "target.pause()", "target.download('pd.c')",
     "target.stop()",
 )
 
@@ -216,24 +213,9 @@ def test_a_lab_makes_keys_gives_roles_and_takes_them_back(installed: Installed) 
         said = installed.run("keys", *line.split())
         assert said.returncode == 0, said.stderr
     target = installed.start(
-        "zendsp",
-        "target",
-        "--machine",
-        "imi_planar",
-        "--name",
-        "imi",
-        "--listen",
-        "here",
-        "--listen",
-        "tls/127.0.0.1:0",
-        "--tls-cert",
-        "lab/targets/imi.pem",
-        "--tls-key",
-        "lab/targets/imi.key",
-        "--tls-ca",
-        "lab/ca.pem",
-        "--roles",
-        "lab/roles.toml",
+        "zendsp", "target", "--machine", "imi_planar", "--name", "imi", "--listen", "here",
+        "--listen", "tls/127.0.0.1:0", "--tls-cert", "lab/targets/imi.pem", "--tls-key",
+        "lab/targets/imi.key", "--tls-ca", "lab/ca.pem", "--roles", "lab/roles.toml",
     )
     until(lambda: "imi" in installed.run("ls").stdout, "target listed", alive=target)
     assert installed.run("run", "pd.c", "-t", "imi").returncode == 0

@@ -32,12 +32,7 @@ MOST_KB = 6 << 20
 # holds. sh is there to wait for orphans.
 NAMESPACES = (("--pid",), ("--user", "--map-current-user", "--pid"))
 CAGE = (
-    "--fork",
-    "--mount-proc",
-    "--kill-child",
-    "sh",
-    "-c",
-    f'ulimit -v {MOST_KB}; "$@"; exit $?',
+    "--fork", "--mount-proc", "--kill-child", "sh", "-c", f'ulimit -v {MOST_KB}; "$@"; exit $?',
     "sh",
 )
 # A change after which nothing runs any more would be noticed by every test, and says nothing about
@@ -222,8 +217,8 @@ def page(results: Sequence[Result], command: str, version: str) -> str:
             f" {sum(r.seconds for r in results):.0f} s."
         ),
         "",
-        "Each is a promise that was taken out of a copy of the tree, alone; `--list` names them. Its",
-        "tests in `tests/mutations/` ran on the copy; *noticed* means that every one of them failed.",
+        "Each is a promise that was taken out of a copy of the tree, alone; `--list` names them.",
+        "Its tests in `tests/mutations/` ran on the copy; *noticed* means that every one failed.",
         "`--report FILE` writes such a page.",
         "",
         "| about | promises | noticed |",
@@ -246,10 +241,7 @@ def main(
     """Run the command; returns its exit status: 0 only if every test noticed."""
     parser = argparse.ArgumentParser(prog="python -m tests.mutations", description=__doc__)
     parser.add_argument(
-        "--only",
-        nargs="+",
-        default=[],
-        metavar="WORD",
+        "--only", nargs="+", default=[], metavar="WORD",
         help="those with the word in their name, or of this topic",
     )
     parser.add_argument("--list", action="store_true", help="names and promises; runs nothing")

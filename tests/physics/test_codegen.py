@@ -389,13 +389,7 @@ def test_compensation_fades_and_stays_within_its_limit(
 def test_what_a_torque_cannot_cancel_is_named_with_its_reason_and_valid_c_comes_out() -> None:
     terms = [t for t in every_effect() if not compensable(t)]
     assert {t.effect for t in terms} >= {
-        "delay",
-        "lag",
-        "backlash",
-        "elasticity",
-        "presliding",
-        "hysteresis",
-        "saturation",
+        "delay", "lag", "backlash", "elasticity", "presliding", "hysteresis", "saturation",
     }
     text = compensation(terms, title="a */ b", sentences=["Joint 1 lacks everything. */"])
     for term in terms:

@@ -219,9 +219,7 @@ def test_updates_for_later_samples_do_not_hold_up_earlier_ones(make_runtime: Mak
     runtime.start(ticks=400)
     runtime.wait_paused()
     assert [runtime.wait_applied(sequence, 10.0) for sequence in (early, same, late)] == [
-        100,
-        100,
-        300,
+        100, 100, 300,
     ]
     rows = runtime.acquire_read(0, 0, 400)[:, 0]
     assert np.array_equal(

@@ -21,15 +21,8 @@ from zendsp.tui.screens.diagnose import DiagnoseScreen
 
 
 @pytest.mark.covers(
-    "app.command",
-    "app.acknowledge",
-    "console.power",
-    "console.home",
-    "console.enable",
-    "console.start",
-    "console.pause",
-    "console.host_lost",
-    "console.build",
+    "app.command", "app.acknowledge", "console.power", "console.home", "console.enable",
+    "console.start", "console.pause", "console.host_lost", "console.build",
 )
 async def test_the_safe_sequence_by_keys(
     lab: ZendspApp, target: Target, built: Step, until: Until
@@ -104,13 +97,8 @@ async def test_a_refused_enable_names_each_condition(
 
 
 @pytest.mark.covers(
-    "console.filter",
-    "console.edit",
-    "console.stage",
-    "console.update",
-    "console.undo",
-    "console.initial",
-    "console.initial_all",
+    "console.filter", "console.edit", "console.stage", "console.update", "console.undo",
+    "console.initial", "console.initial_all",
 )
 async def test_variables_edit_stage_update_undo(
     lab: ZendspApp, target: Target, built: Step, until: Until
@@ -369,14 +357,8 @@ async def test_record_then_open_simulation_and_diagnosis(
 
 
 @pytest.mark.covers(
-    "app.show('console')",
-    "app.show('execute')",
-    "app.show('reference')",
-    "app.show('diagnose')",
-    "app.help",
-    "app.next_theme",
-    "app.command_palette",
-    "app.quit",
+    "app.show('console')", "app.show('execute')", "app.show('reference')", "app.show('diagnose')",
+    "app.help", "app.next_theme", "app.command_palette", "app.quit",
 )
 async def test_keys_that_work_everywhere(lab: ZendspApp, until: Until) -> None:
     async with lab.run_test(size=(100, 30)) as pilot:

@@ -98,11 +98,7 @@ async def test_the_trial_is_shown_before_start(
 
 
 @pytest.mark.covers(
-    "execute.choose",
-    "execute.start",
-    "execute.overlay",
-    "execute.cyclic",
-    "execute.settings",
+    "execute.choose", "execute.start", "execute.overlay", "execute.cyclic", "execute.settings",
     "execute.note",
 )
 async def test_a_reference_is_played_and_the_run_can_be_repeated(
@@ -297,11 +293,7 @@ async def test_start_stays_disabled_and_says_why(
 
 
 @pytest.mark.covers(
-    "execute.rename",
-    "execute.compare",
-    "execute.export",
-    "execute.delete",
-    "execute.simulate",
+    "execute.rename", "execute.compare", "execute.export", "execute.delete", "execute.simulate",
     "execute.diagnose",
 )
 async def test_the_list_of_runs(lab: ZendspApp, until: Until, folder: Path) -> None:
@@ -389,9 +381,7 @@ def test_simulate_this_repeats_the_run_and_keeps_the_result_beside_it(folder: Pa
     words, keep = simulation_of(run, folder / "runs")
     pairs = [words[k + 1] for k, word in enumerate(words) if word == "--set"]
     assert pairs == [
-        "Kp1=300.0",
-        "hold=false",
-        "Kp=[1.0, 2.0]",
+        "Kp1=300.0", "hold=false", "Kp=[1.0, 2.0]",
     ], "what the reference sets by itself is left to it"
     assert words[words.index("--channels") + 1] == "q,e" and words[-2:] == [
         "--reference",

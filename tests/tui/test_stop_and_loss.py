@@ -172,18 +172,8 @@ async def test_stop_during_a_run_ends_it_and_keeps_the_data(
 
 def _spawn(name: str) -> subprocess.Popen[bytes]:
     command = [
-        sys.executable,
-        "-m",
-        "zendsp_target",
-        "--machine",
-        "imi_planar",
-        "--name",
-        name,
-        "--clock",
-        "fast",
-        "--speed",
-        "20",
-        "--json",
+        sys.executable, "-m", "zendsp_target", "--machine", "imi_planar", "--name", name,
+        "--clock", "fast", "--speed", "20", "--json",
     ]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
     assert process.stdout is not None and json.loads(process.stdout.readline())["name"] == name

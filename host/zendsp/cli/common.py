@@ -33,16 +33,11 @@ def target_options(function: F) -> F:
     decorators = (
         click.option("--json", "as_json", is_flag=True, help="Print JSON."),
         click.option(
-            "--connect",
-            metavar="ENDPOINT",
+            "--connect", metavar="ENDPOINT",
             help="Where to reach it, e.g. tls/robot.lab:7447 (else $ZENDSP_CONNECT).",
         ),
         click.option(
-            "-t",
-            "--target",
-            default="",
-            envvar="ZENDSP_TARGET",
-            metavar="NAME",
+            "-t", "--target", default="", envvar="ZENDSP_TARGET", metavar="NAME",
             shell_complete=completing.targets,
             help="Which target (else $ZENDSP_TARGET, or the only one on this machine).",
         ),

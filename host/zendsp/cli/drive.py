@@ -11,16 +11,7 @@ from zendsp.cli.common import emit, open_target, target_options
 from zendsp.errors import Refused
 
 ACTIONS = (
-    "status",
-    "on",
-    "off",
-    "home",
-    "enable",
-    "disable",
-    "acknowledge",
-    "auto",
-    "take",
-    "host-lost",
+    "status", "on", "off", "home", "enable", "disable", "acknowledge", "auto", "take", "host-lost",
 )
 
 

@@ -35,10 +35,7 @@ if TYPE_CHECKING:
     help="Write all results of the folder beside the papers' (Markdown, figures beside it).",
 )
 @click.option(
-    "-t",
-    "--target",
-    default="",
-    metavar="NAME",
+    "-t", "--target", default="", metavar="NAME",
     help="A target with the machine. Default: a simulated one, started here, on the fast clock.",
 )
 @click.option("--connect", metavar="ENDPOINT", help="Where to reach it, e.g. tls/robot.lab:7447.")

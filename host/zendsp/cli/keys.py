@@ -62,10 +62,7 @@ def init(folder: Path, days: int) -> None:
 @command.command("target")
 @click.argument("name")
 @click.option(
-    "--host",
-    "hosts",
-    multiple=True,
-    metavar="NAME|ADDRESS",
+    "--host", "hosts", multiple=True, metavar="NAME|ADDRESS",
     help="Under which hosts reach it; may be repeated.",
 )
 @_folder
@@ -92,9 +89,7 @@ def target(name: str, hosts: tuple[str, ...], folder: Path, days: int) -> None:
 @command.command("user")
 @click.argument("name")
 @click.option(
-    "--role",
-    required=True,
-    type=click.Choice(ROLES),
+    "--role", required=True, type=click.Choice(ROLES),
     help="Each includes those before it; download runs code there.",
 )
 @click.option("--renew", is_flag=True, help="A new key and certificate also where there is one.")

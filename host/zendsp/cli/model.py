@@ -27,10 +27,7 @@ def command() -> None:
 @command.command("new")
 @click.argument("recording", type=FILE)
 @click.option(
-    "-o",
-    "--out",
-    type=FILE,
-    default=None,
+    "-o", "--out", type=FILE, default=None,
     help="Default: the recording's name with .toml, in this folder.",
 )
 @click.option("--force", is_flag=True, help="Write over a file that is there.")

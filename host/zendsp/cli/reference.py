@@ -103,9 +103,7 @@ def _common(function: Any) -> Any:
             help="Write it: the .mat file that Execute plays.",
         ),
         click.option(
-            "--machine",
-            "machine_name",
-            default=None,
+            "--machine", "machine_name", default=None,
             help="imi_planar, pendulum, wam7, or a .toml description.",
         ),
     ):

@@ -44,8 +44,7 @@ def command(target: str, out: Path | None, drop: bool, note: str, as_json: bool)
     found = find_salvage(target)
     if not found:
         emit(
-            [],
-            as_json,
+            [], as_json,
             f"no recording of a killed target{f' named {target!r}' if target else ''} is kept here",
         )
         raise click.exceptions.Exit(1)

@@ -36,10 +36,7 @@ if TYPE_CHECKING:
     help="Default: approach, reference and half a second; 10 s without a reference.",
 )
 @click.option(
-    "--set",
-    "assignments",
-    multiple=True,
-    metavar="NAME=VALUE",
+    "--set", "assignments", multiple=True, metavar="NAME=VALUE",
     help="Parameter of the program; may be repeated.",
 )
 @click.option(
@@ -109,16 +106,8 @@ def command(
         tell("simulating")
         try:
             rec = simulate(
-                source,
-                model_path,
-                reference=reference,
-                seconds=seconds,
-                parameters=values,
-                channels=wanted,
-                position=start,
-                inner=inner,
-                check=check,
-                flags=flags,
+                source, model_path, reference=reference, seconds=seconds, parameters=values,
+                channels=wanted, position=start, inner=inner, check=check, flags=flags,
             )
         except CompileFailed as error:
             click.echo(str(error), err=True)

@@ -18,19 +18,11 @@ from zendsp_isr.parts import is_model, machine_source
 @click.command("tui")
 @click.argument("target", required=False, default="")
 @click.option(
-    "-t",
-    "--target",
-    "named",
-    default="",
-    envvar="ZENDSP_TARGET",
-    metavar="NAME",
+    "-t", "--target", "named", default="", envvar="ZENDSP_TARGET", metavar="NAME",
     help="The same as TARGET, as of the other commands (else $ZENDSP_TARGET).",
 )
 @click.option(
-    "--local",
-    "--machine",
-    "machine",
-    metavar="MACHINE",
+    "--local", "--machine", "machine", metavar="MACHINE",
     help="Start a simulated machine here, for example imi_planar.",
 )
 @click.option(
@@ -57,9 +49,7 @@ from zendsp_isr.parts import is_model, machine_source
     help="Screen to begin with.",
 )
 @click.option(
-    "--theme",
-    default="zendsp-night",
-    show_default=True,
+    "--theme", default="zendsp-night", show_default=True,
     help="zendsp-night, zendsp-day, zendsp-contrast, or any of Textual's.",
 )
 @click.option(

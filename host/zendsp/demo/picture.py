@@ -194,13 +194,8 @@ def _middle(axis: Axes, x: Array, y: Array, colour: str) -> None:
 def _error(axis: Axes, told: Told, joint: int) -> None:
     if told.work is None or told.tracking is None:
         axis.text(
-            0.5,
-            0.5,
-            "nothing was switched on",
-            ha="center",
-            va="center",
-            transform=axis.transAxes,
-            color=QUIET,
+            0.5, 0.5, "nothing was switched on", ha="center", va="center",
+            transform=axis.transAxes, color=QUIET,
         )
         axis.set_axis_off()
         return
@@ -222,14 +217,8 @@ def _error(axis: Axes, told: Told, joint: int) -> None:
         axis.text(x, low, words, fontsize=8, va="bottom", color=colour)
     for x, value, colour in ((0.25, b, MODEL), (0.78, a, FOUND)):
         axis.text(
-            x,
-            0.94,
-            f"{value:.3g} m{_unit(told)} RMS",
-            color=colour,
-            fontsize=13,
-            fontweight="bold",
-            ha="center",
-            transform=axis.transAxes,
+            x, 0.94, f"{value:.3g} m{_unit(told)} RMS", color=colour, fontsize=13,
+            fontweight="bold", ha="center", transform=axis.transAxes,
         )
     axis.set_xlabel("time (s)")
     axis.set_ylabel(f"tracking error of joint {joint} (m{_unit(told)})")

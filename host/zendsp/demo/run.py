@@ -95,11 +95,7 @@ def _write(told: Told, out: Path, teller: Narrator) -> list[Path]:
     return [
         out / name
         for name in (
-            "report.html",
-            "story.png",
-            "train.mat",
-            "heldout.mat",
-            "given_model.toml",
+            "report.html", "story.png", "train.mat", "heldout.mat", "given_model.toml",
             "model.toml",
         )
     ]

@@ -30,8 +30,7 @@ def circle(lab: Lab, slower: tuple[float, ...] = (9.0, 18.0, 36.0)) -> Result:
     """
     curves = needed(lab, "imi-fit", fit)
     result = Result(
-        "imi-circle",
-        "Circle under inverse dynamics, with and without friction compensation",
+        "imi-circle", "Circle under inverse dynamics, with and without friction compensation",
         MACHINE,
     )
     machine = load_machine(MACHINE)

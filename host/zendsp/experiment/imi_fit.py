@@ -195,11 +195,7 @@ def _draw(curves: dict[int, Curve], static: Result, viscous: Result, lab: Lab, f
                 label="triangles, gaining speed: bristles bend",
             )
             axis.plot(
-                v[slowing],
-                f[slowing],
-                ".",
-                color=BLUE,
-                markersize=1.2,
+                v[slowing], f[slowing], ".", color=BLUE, markersize=1.2,
                 label="triangles, losing speed",
             )
             axis.plot(
@@ -238,12 +234,7 @@ def _draw(curves: dict[int, Curve], static: Result, viscous: Result, lab: Lab, f
             label(axis, "speed (rad/s)", "friction torque (N m)", f"joint {joint}, {words}")
     handles, words = axes[0, 0].get_legend_handles_labels()
     figure.legend(
-        handles,
-        words,
-        loc="outside lower center",
-        ncols=3,
-        fontsize=8,
-        frameon=False,
+        handles, words, loc="outside lower center", ncols=3, fontsize=8, frameon=False,
         markerscale=1.5,
     )
     return save(figure, folder / "fit.png")

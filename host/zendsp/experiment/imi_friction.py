@@ -424,19 +424,12 @@ def low_speed(lab: Lab, cycles: int = 6, rise: float = 1.0) -> Result:
                 v[~slowing], f[~slowing], ".", color=AMBER, markersize=1.5, label="gaining speed"
             )
             axis.plot(
-                v[slowing],
-                f[slowing],
-                ".",
-                color=BLUE,
-                markersize=1.5,
+                v[slowing], f[slowing], ".", color=BLUE, markersize=1.5,
                 label="losing speed: sliding",
             )
             label(
-                axis,
-                "speed (rad/s)",
-                "friction torque (N m)",
-                f"joint {joint}: mean of {cycles} triangles",
-                legend=True,
+                axis, "speed (rad/s)", "friction torque (N m)",
+                f"joint {joint}: mean of {cycles} triangles", legend=True,
             )
         result.figure = save(figure, bench.folder / "low_speed.png")
     return result

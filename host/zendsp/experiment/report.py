@@ -176,10 +176,7 @@ def _fit(r: Result) -> str:
     ]
     text = table(
         [
-            "joint",
-            "low speed, c0 … c3 (N m, rad/s)",
-            "high speed, c0 … c2",
-            "joined at rad/s",
+            "joint", "low speed, c0 … c3 (N m, rad/s)", "high speed, c0 … c2", "joined at rad/s",
             "rms residual",
         ],
         rows,
@@ -298,9 +295,7 @@ def _swing(r: Result) -> str:
         )
     text = table(
         [
-            "run",
-            "error at the end",
-            "rms distance from its plan",
+            "run", "error at the end", "rms distance from its plan",
             "torque swings beyond the plan's",
         ],
         rows,

@@ -50,11 +50,7 @@ class Credentials:
         ``ZENDSP_PASSWORD``.
         """
         names = (
-            "ZENDSP_TLS_CA",
-            "ZENDSP_TLS_CERT",
-            "ZENDSP_TLS_KEY",
-            "ZENDSP_USER",
-            "ZENDSP_PASSWORD",
+            "ZENDSP_TLS_CA", "ZENDSP_TLS_CERT", "ZENDSP_TLS_KEY", "ZENDSP_USER", "ZENDSP_PASSWORD",
         )
         authority, certificate, key, user, password = (os.environ.get(name, "") for name in names)
         return cls(authority, certificate, key, user, password)

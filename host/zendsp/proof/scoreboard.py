@@ -66,20 +66,17 @@ def headline(judged: Sequence[Judgement]) -> list[tuple[str, str, str]]:
         ("all of several effects", shown(*rate(j.both for j in judged)), ">= 85 %"),
         ("wrong term replaced", shown(*rate(j.replaced for j in judged)), ">= 85 %"),
         (
-            "false alarms",
-            f"{shown(alarms, quiet)}, 95 % bound {upper_bound(alarms, quiet):.1%}",
+            "false alarms", f"{shown(alarms, quiet)}, 95 % bound {upper_bound(alarms, quiet):.1%}",
             "<= 2 %",
         ),
         ("foreign torque: no law claimed", shown(*rate(j.refused for j in judged)), ">= 90 %"),
         (
             "names beyond the truth, per case with an effect",
-            f"{mean([j.extra for j in judged if j.effects]):.2f}",
-            "<= 0.1",
+            f"{mean([j.extra for j in judged if j.effects]):.2f}", "<= 0.1",
         ),
         (
             "names beyond the truth, per case of any kind",
-            f"{mean([j.extra for j in judged]):.2f}",
-            "",
+            f"{mean([j.extra for j in judged]):.2f}", "",
         ),
         (
             "cases with a wrong name stated at 80 % or more",

@@ -169,10 +169,7 @@ def create(
     file = SharedFile(path, size)
     head = file.pointer("stream_head")
     head.magic, head.version, head.bytes, head.rows = (
-        lib.LAYOUT_MAGIC,
-        lib.LAYOUT_VERSION,
-        size,
-        head_bytes,
+        lib.LAYOUT_MAGIC, lib.LAYOUT_VERSION, size, head_bytes,
     )
     head.channels, head.decimation, head.capacity = len(plan.sources), config.decimation, capacity
     head.wanted, head.pre = 0 if config.continuous else plan.rows, plan.pre
@@ -183,15 +180,7 @@ def create(
     for i, (variable, element) in enumerate(plan.sources):
         head.channel[i].variable, head.channel[i].element = variable, element
     return Stream(
-        file,
-        head,
-        config,
-        plan.channels,
-        plan.units,
-        plan.rows,
-        plan.pre,
-        capacity,
-        head_bytes,
+        file, head, config, plan.channels, plan.units, plan.rows, plan.pre, capacity, head_bytes,
         file.reader(),
     )
 
@@ -391,8 +380,7 @@ def read(
     )
     # a stream at rest is not being written: its last row is whole
     if gone and lib.monitor_load32(ffi.addressof(head[0], "state")) in (
-        lib.STREAM_DONE,
-        lib.STREAM_IDLE,
+        lib.STREAM_DONE, lib.STREAM_IDLE,
     ):
         gone = min(count, max(0, written - capacity - first))
     if gone:

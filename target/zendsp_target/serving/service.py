@@ -152,9 +152,7 @@ class Service:
         result = self.runtime.compile(args.sources, args.flags)
         if result.ok:
             program = m.Program(
-                key=result.key,
-                sources=args.sources,
-                flags=tuple(result.flags),
+                key=result.key, sources=args.sources, flags=tuple(result.flags),
                 compiler=result.compiler,
             )
             with self._lock:

@@ -239,11 +239,7 @@ def fill(
     m.gain = per_joint(model.actuator.gain, record.joint, 1.0)
     m.limit = per_joint(model.actuator.limit, record.joint, 0.0)
     m.m, m.half, m.k1, m.k2, m.w = (
-        p(record.measurement.value),
-        p(record.measurement.half),
-        p(k1),
-        p(k2),
-        p(w),
+        p(record.measurement.value), p(record.measurement.half), p(k1), p(k2), p(w),
     )
     fill_rigid(m, record, model, inertia, bias)
     m.other, m.extra = p(record.others), ffi.NULL

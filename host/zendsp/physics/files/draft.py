@@ -166,8 +166,7 @@ def _sample_time(page: _Page, clock: Group | None, file: str) -> float:
     gaps = f", {missing} row{'s' if missing > 1 else ''} missing" if missing else ""
     if shown > 0.1:
         page.line(
-            f"sample_time = {shown:g}",
-            "s",
+            f"sample_time = {shown:g}", "s",
             ask="is that column in seconds? Its steps are long; write its unit: 't [ms]'",
         )
     else:
@@ -233,9 +232,7 @@ def _mechanism(
         )
     )
     for text in (
-        "[[effect]]",
-        'kind = "viscous"',
-        "joint = 1",
+        "[[effect]]", 'kind = "viscous"', "joint = 1",
         f"coefficient = {{ value = 0.01 }}  # {'N s/m' if linear else 'N m s/rad'}",
     ):
         page.line(comment=text)
@@ -281,8 +278,7 @@ def _numbers(
     gravity = [float(f"{idea.gravity:.3g}") if idea else 0.0 for idea in ideas]
     if not linear and any(gravity):
         page.line(
-            f"gravity = {{ {_rough(gravity, ROUGH)} }}",
-            "N m, times sin(q)",
+            f"gravity = {{ {_rough(gravity, ROUGH)} }}", "N m, times sin(q)",
             ask="is q = 0 where it hangs down?",
         )
     elif not linear:
@@ -455,11 +451,7 @@ def _columns(
     if command is not None:
         chosen["command"] = command
     for role in (
-        Role.REFERENCE,
-        Role.VELOCITY,
-        Role.CURRENT,
-        Role.TEMPERATURE,
-        Role.TORQUE_MEASURED,
+        Role.REFERENCE, Role.VELOCITY, Role.CURRENT, Role.TEMPERATURE, Role.TORQUE_MEASURED,
     ):
         group = best_group(groups, role, joints)
         if group is not None and group is not command:

@@ -141,12 +141,7 @@ KIND = Kind(
             by_machine={"wam7": [0.2, 0.15, 0.2, 0.2, 0.3, 0.3, 0.25]},
         ),
         Parameter(
-            "period",
-            "float",
-            "s",
-            10.0,
-            "Period; its inverse is the spacing of the lines.",
-            0.05,
+            "period", "float", "s", 10.0, "Period; its inverse is the spacing of the lines.", 0.05,
             3600.0,
         ),
         Parameter("f_min", "float", "Hz", 0.1, "Lowest frequency.", 1e-4, 1e5),

@@ -315,13 +315,8 @@ KIND = Kind(
         Parameter("duration", "float", "s", 0.8, "Duration (objective energy).", 0.02, 30.0),
         Parameter("torque_limit", "float", "N m", 0.5, "Largest torque.", 1e-3, 100.0),
         Parameter(
-            "friction",
-            "float",
-            "N m",
-            -1.0,
-            "Friction level of the model; negative: the machine's.",
-            -1.0,
-            100.0,
+            "friction", "float", "N m", -1.0,
+            "Friction level of the model; negative: the machine's.", -1.0, 100.0,
         ),
         Parameter("intervals", "int", "", 100, "Number of torque levels.", 10, 1000),
         Parameter(

@@ -161,10 +161,8 @@ class AnalysisActions(LabScreen):
 
         self.app.push_screen(
             Form(
-                f"{title} {run.name}",
-                fields,
-                "The model of the machine whose missing physics is of interest.",
-                title,
+                f"{title} {run.name}", fields,
+                "The model of the machine whose missing physics is of interest.", title,
             ),
             go,
         )

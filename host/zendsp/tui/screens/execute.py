@@ -65,17 +65,11 @@ class ExecuteScreen(MeasureActions):
                     yield Static("", id="setup", markup=False)
                     with Horizontal(classes="line"):
                         yield Button(
-                            "Start s",
-                            id="run-start",
-                            variant="success",
-                            compact=True,
+                            "Start s", id="run-start", variant="success", compact=True,
                             disabled=True,
                         )
                         yield Button(
-                            "Abort b",
-                            id="run-abort",
-                            variant="warning",
-                            compact=True,
+                            "Abort b", id="run-abort", variant="warning", compact=True,
                             disabled=True,
                         )
                         yield Button("Bode f", id="run-bode", compact=True)
@@ -223,12 +217,7 @@ class ExecuteScreen(MeasureActions):
         """Every condition of Start, now."""
         busy = self.job is not None and self.job.busy
         return preflight(
-            snapshot,
-            self.references,
-            self.files,
-            self.setup,
-            busy,
-            self.trial,
+            snapshot, self.references, self.files, self.setup, busy, self.trial,
             self.lab.session.port,
         )
 
@@ -253,14 +242,8 @@ class ExecuteScreen(MeasureActions):
             return
         self.follow_live(snapshot)
         self.job = PlayJob(
-            self.lab.session,
-            self.references,
-            self.files,
-            machine,
-            self.setup,
-            self.lab.workspace.runs,
-            self.lab.source_texts(),
-            self.trial,
+            self.lab.session, self.references, self.files, machine, self.setup,
+            self.lab.workspace.runs, self.lab.source_texts(), self.trial,
         )
         self.job.start()
 

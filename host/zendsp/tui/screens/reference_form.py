@@ -51,10 +51,7 @@ class ReferenceForm(LabScreen):
                 with Horizontal(classes="line"):
                     yield Static("Machine", classes="label")
                     yield Select(
-                        self._machines(),
-                        value=self.machine.name,
-                        allow_blank=False,
-                        compact=True,
+                        self._machines(), value=self.machine.name, allow_blank=False, compact=True,
                         id="machine",
                     )
                 with Horizontal(classes="line"):
@@ -95,9 +92,7 @@ class ReferenceForm(LabScreen):
             return
         self._of_target = machine
         same = before is not None and (before.name, before.kind, before.joints) == (
-            machine.name,
-            machine.kind,
-            machine.joints,
+            machine.name, machine.kind, machine.joints,
         )
         chosen = same and self.machine is self._own
         if not machine.modelled:
