@@ -30,13 +30,8 @@ from hardships.place import Place, Tally, until
 
 PROGRESS_S = 10.0
 PARTS = {
-    "messages": messages,
-    "links": links,
-    "kills": kills,
-    "signals": signals,
-    "bombs": bombs,
-    "views": views,
-    "starts": starts,
+    "messages": messages, "links": links, "kills": kills, "signals": signals, "bombs": bombs,
+    "views": views, "starts": starts,
 }
 
 
@@ -156,8 +151,7 @@ def _report(results: Sequence[Result]) -> dict[str, Any]:
     return {
         "when": datetime.now(UTC).isoformat(timespec="seconds"),
         "machine": {
-            "cpus": os.cpu_count(),
-            "kernel": platform.release(),
+            "cpus": os.cpu_count(), "kernel": platform.release(),
             "python": platform.python_version(),
         },
         "parts": [

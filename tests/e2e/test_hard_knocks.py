@@ -380,16 +380,8 @@ def test_tls_with_a_password_or_a_certificate_lets_in_who_has_it_and_nobody_else
         (["--tls-ca", ca, "--roles", str(roles)], certificate, Credentials(ca)),
     ):
         command = [
-            sys.executable,
-            "-m",
-            "zendsp_target",
-            "--name",
-            "vault",
-            "--json",
-            "--listen",
-            "tls/127.0.0.1:0",
-            *own,
-            *asked,
+            sys.executable, "-m", "zendsp_target", "--name", "vault", "--json", "--listen",
+            "tls/127.0.0.1:0", *own, *asked,
         ]
         process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         try:

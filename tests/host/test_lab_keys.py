@@ -204,9 +204,7 @@ def test_a_target_does_not_start_with_files_that_do_not_fit(
     empty = lab.folder / "empty.pem"
     empty.touch()
     files = {
-        "certificate": str(imi.certificate),
-        "key": str(imi.key),
-        "authority": str(lab.authority),
+        "certificate": str(imi.certificate), "key": str(imi.key), "authority": str(lab.authority),
     }
     if broken in files:
         files[broken] = str(lab.folder / "none.pem")

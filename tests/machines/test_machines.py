@@ -255,8 +255,7 @@ def test_stop_brings_every_joint_to_rest_and_holds_it(name: str) -> None:
     start = "".join(f"q{j + 1} = {x}\n" for j, x in enumerate(centre))
     with Plant(name, start + "ideal = 1\n") as plant:  # without noise, which never rests
         push = {
-            "imi_planar": [30.0, 6.0],
-            "pendulum": [0.4],
+            "imi_planar": [30.0, 6.0], "pendulum": [0.4],
             "wam7": [8.0, -40.0, 4.0, 8.0, 0.6, 1.0, 0.2],
         }[name]
         for _ in range(150):

@@ -157,13 +157,7 @@ class Lab:
         report = self._folder / "report.xml"
         report.unlink(missing_ok=True)
         command = [
-            sys.executable,
-            "-m",
-            "pytest",
-            "-q",
-            "-p",
-            "no:cacheprovider",
-            f"--junitxml={report}",
+            sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", f"--junitxml={report}",
             *tests,
         ]
         status, said = self._run(command)

@@ -166,14 +166,8 @@ def test_numbers_are_parameters_that_change_the_torque_while_it_runs() -> None:
 
 def every_effect() -> list[Term]:
     numbers = {
-        "from_joint": 2.0,
-        "law": 1.0,
-        "order": 7.0,
-        "period": 0.5,
-        "exponent": 2.0,
-        "velocity": 0.3,
-        "split": 0.7,
-        "smooth": 0.05,
+        "from_joint": 2.0, "law": 1.0, "order": 7.0, "period": 0.5, "exponent": 2.0,
+        "velocity": 0.3, "split": 0.7, "smooth": 0.05,
     }
     return [
         Term(

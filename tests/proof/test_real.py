@@ -74,12 +74,8 @@ def test_what_is_fetched_gets_into_the_folder_only_with_the_known_hash(
         made.writestr("EMPS/two.mat", two)
     server, address = serve({"/a.zip": archive.getvalue(), "/t.csv": table, "/wrong.mat": b"other"})
     known = {
-        "one.mat": one,
-        "two.mat": two,
-        "t.csv.gz": table,
-        "wrong.mat": b"expected",
-        "gone.mat": b"",
-        "bare.mat": b"",
+        "one.mat": one, "two.mat": two, "t.csv.gz": table, "wrong.mat": b"expected",
+        "gone.mat": b"", "bare.mat": b"",
     }
     at = {
         "one.mat": "/a.zip",

@@ -253,12 +253,7 @@ def test_managed_targets_enforce_the_sequence() -> None:
 
 def _cli(target: Target, *words: str) -> subprocess.CompletedProcess[str]:
     call = [
-        sys.executable,
-        "-c",
-        "from zendsp.cli import main; main()",
-        "drive",
-        *words,
-        "--target",
+        sys.executable, "-c", "from zendsp.cli import main; main()", "drive", *words, "--target",
         target.name,
     ]
     return subprocess.run(call, capture_output=True, text=True, timeout=100, check=False)

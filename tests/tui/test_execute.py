@@ -368,11 +368,7 @@ def test_simulate_this_repeats_the_run_and_keeps_the_result_beside_it(folder: Pa
     taken = replace(
         short_run(300.0),
         parameters={
-            "Kp1": 300.0,
-            "hold": False,
-            "Kp": [1.0, 2.0],
-            "use_table": True,
-            "row_rate": 1000,
+            "Kp1": 300.0, "hold": False, "Kp": [1.0, 2.0], "use_table": True, "row_rate": 1000,
         },
     )
     run = store_run(

@@ -111,11 +111,8 @@ def command(
     if plot is not None:
         recording.plot(path=plot)
     body = {
-        "file": str(written),
-        "rows": len(recording),
-        "columns": recording.columns,
-        "lost": recording.lost,
-        "ended": ended,
+        "file": str(written), "rows": len(recording), "columns": recording.columns,
+        "lost": recording.lost, "ended": ended,
     }
     emit(
         body,

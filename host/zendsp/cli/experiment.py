@@ -123,9 +123,7 @@ def _print(result: Result, folder: Path, as_json: bool) -> None:
         click.echo(
             json.dumps(
                 {
-                    "name": result.name,
-                    "values": values,
-                    "warnings": result.warnings,
+                    "name": result.name, "values": values, "warnings": result.warnings,
                     "folder": str(folder),
                 },
                 allow_nan=False,

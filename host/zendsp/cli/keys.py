@@ -131,10 +131,7 @@ def list_(folder: Path, as_json: bool) -> None:
     rows = [[h.name, h.kind, h.role, f"{h.until:%Y-%m-%d}", str(h.certificate)] for h in holders]
     body = [
         {
-            "name": h.name,
-            "kind": h.kind,
-            "role": h.role,
-            "until": h.until.isoformat(),
+            "name": h.name, "kind": h.kind, "role": h.role, "until": h.until.isoformat(),
             "certificate": str(h.certificate),
         }
         for h in holders

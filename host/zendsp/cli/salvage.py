@@ -58,9 +58,7 @@ def command(target: str, out: Path | None, drop: bool, note: str, as_json: bool)
         )
         emit(
             {
-                "file": str(out),
-                "rows": len(recording),
-                "columns": recording.columns,
+                "file": str(out), "rows": len(recording), "columns": recording.columns,
                 "lost": recording.lost,
             },
             as_json,
@@ -75,10 +73,7 @@ def command(target: str, out: Path | None, drop: bool, note: str, as_json: bool)
             one.drop()
     body = [
         {
-            "target": f.target,
-            "machine": f.machine,
-            "begun": f.begun,
-            "rows": f.rows,
+            "target": f.target, "machine": f.machine, "begun": f.begun, "rows": f.rows,
             "columns": f.columns,
         }
         for f in found

@@ -129,8 +129,7 @@ def matches(finding: Finding, truth: TrueEffect) -> bool:
     if of_body(finding) and truth["effect"] in finding.indistinguishable:
         return True  # the same on the next link
     return finding.joint == truth["joint"] and truth["effect"] in (
-        finding.effect,
-        *finding.indistinguishable,
+        finding.effect, *finding.indistinguishable,
     )
 
 

@@ -38,11 +38,8 @@ def draw(told: Told, path: Path) -> None:
 
     with rc_context(
         {
-            "font.size": 10,
-            "axes.spines.top": False,
-            "axes.spines.right": False,
-            "axes.grid": True,
-            "grid.alpha": 0.25,
+            "font.size": 10, "axes.spines.top": False, "axes.spines.right": False,
+            "axes.grid": True, "grid.alpha": 0.25,
         }
     ):
         figure = Figure(figsize=(12.8, 8.2), layout="constrained")

@@ -62,12 +62,7 @@ def circle(lab: Lab, slower: tuple[float, ...] = (9.0, 18.0, 36.0)) -> Result:
         for duration in slower:
             slow = make_circle(machine, radius=RADIUS, duration=duration)
             rec = bench.record(
-                f"machine_{duration:g}s",
-                PROGRAM,
-                CHANNELS,
-                reference=slow,
-                decimation=2,
-                **gains,
+                f"machine_{duration:g}s", PROGRAM, CHANNELS, reference=slow, decimation=2, **gains,
                 compensate=True,
             )
             floor.append((duration, rms(rec["e"][playing(rec, slow.samples // 2)])))

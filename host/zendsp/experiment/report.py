@@ -345,14 +345,7 @@ def _tracking(r: Result) -> str:
 
 
 _SECTIONS: dict[str, Callable[[Result], str]] = {
-    "imi-static": _static,
-    "imi-viscous": _viscous,
-    "imi-low-speed": _low,
-    "imi-fit": _fit,
-    "imi-circle": _circle,
-    "pendulum-electrical": _electrical,
-    "pendulum-mechanical": _mechanical,
-    "pendulum-swing": _swing,
-    "wam-friction": _wam,
-    "wam-tracking": _tracking,
+    "imi-static": _static, "imi-viscous": _viscous, "imi-low-speed": _low, "imi-fit": _fit,
+    "imi-circle": _circle, "pendulum-electrical": _electrical, "pendulum-mechanical": _mechanical,
+    "pendulum-swing": _swing, "wam-friction": _wam, "wam-tracking": _tracking,
 }

@@ -39,10 +39,7 @@ TRUTH: dict[str, dict[str, float]] = {
     },
     "pendulum-electrical": {"k_a": 0.1762, "R_a": 5.54},
     "pendulum-mechanical": {
-        "theta1": 2.07e-3,
-        "theta2": 0.0170,
-        "theta3": 0.104,
-        "viscous": 0.0052,
+        "theta1": 2.07e-3, "theta2": 0.0170, "theta3": 0.104, "viscous": 0.0052,
     },
     "wam-friction": {
         name.format(joint): value

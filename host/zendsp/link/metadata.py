@@ -170,9 +170,7 @@ def join_channels(columns: Sequence[str], units: Sequence[str]) -> tuple[Channel
 
 def _extra(parameters: ParameterSets, overall: m.Status, patience: float) -> dict[str, Any]:
     extra: dict[str, Any] = {
-        "program": overall.program,
-        "scheduling": overall.scheduling,
-        "clock": overall.clock,
+        "program": overall.program, "scheduling": overall.scheduling, "clock": overall.clock,
     }
     try:
         machine: m.MachineInfo = parameters.insist("machine", patience)

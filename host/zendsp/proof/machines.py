@@ -185,9 +185,5 @@ def planar2r(rng: Rng) -> Draft:
 
 
 MACHINES: dict[str, Callable[[Rng], Draft]] = {
-    "rotary": rotary,
-    "linear": linear,
-    "pendulum": pendulum,
-    "planar2r": planar2r,
-    "urdf": wam,
+    "rotary": rotary, "linear": linear, "pendulum": pendulum, "planar2r": planar2r, "urdf": wam,
 }

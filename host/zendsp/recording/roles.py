@@ -45,17 +45,9 @@ WORDS = {
 MEASURED = {"meas", "measured", "actual", "sensor", "sensed"}
 ACCELERATION = {"qdd", "ddq", "acc", "acceleration", "accel"}
 UNITS = {
-    "rad": Role.POSITION,
-    "m": Role.POSITION,
-    "rad/s": Role.VELOCITY,
-    "m/s": Role.VELOCITY,
-    "N m": Role.COMMAND,
-    "Nm": Role.COMMAND,
-    "N": Role.COMMAND,
-    "V": Role.COMMAND,
-    "A": Role.CURRENT,
-    "°C": Role.TEMPERATURE,
-    "degC": Role.TEMPERATURE,
+    "rad": Role.POSITION, "m": Role.POSITION, "rad/s": Role.VELOCITY, "m/s": Role.VELOCITY,
+    "N m": Role.COMMAND, "Nm": Role.COMMAND, "N": Role.COMMAND, "V": Role.COMMAND,
+    "A": Role.CURRENT, "°C": Role.TEMPERATURE, "degC": Role.TEMPERATURE,
 }
 ALLOWED = {  # units that a role can have; any where the file states none
     Role.TIME: {"s"},

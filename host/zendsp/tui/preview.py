@@ -86,9 +86,7 @@ def peaks_of(
     lines = []
     for name, (_, unit, values) in _columns(reference, tau).items():
         limit = {
-            "position": reach,
-            "velocity": lim.speed,
-            "acceleration": lim.acceleration,
+            "position": reach, "velocity": lim.speed, "acceleration": lim.acceleration,
             "torque": lim.torque,
         }[name]
         parts: list[tuple[float, str]] = [(0.0, f"{name:<13}")]

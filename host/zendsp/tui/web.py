@@ -56,11 +56,8 @@ class Page(AppService):
 
     def __init__(self, words: Sequence[str], websocket: web.WebSocketResponse, **options: Any):
         super().__init__(
-            shlex.join(words),
-            write_bytes=websocket.send_bytes,
-            write_str=websocket.send_str,
-            close=self._close,
-            **options,
+            shlex.join(words), write_bytes=websocket.send_bytes, write_str=websocket.send_str,
+            close=self._close, **options,
         )
         self._words, self._websocket = words, websocket
 

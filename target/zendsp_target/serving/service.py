@@ -243,9 +243,7 @@ class Service:
             parameters=self.runtime.read(names)[1] if names else {},
             versions={**info.versions, "protocol": str(PROTOCOL)},
             extra={
-                "program": status.program,
-                "scheduling": status.scheduling,
-                "clock": status.clock,
+                "program": status.program, "scheduling": status.scheduling, "clock": status.clock,
             },
         )
 

@@ -154,12 +154,8 @@ def _parsed(reader: ModuleType, path: str, result: str) -> int:
         sys.stderr.write(f"\0{error}")
         return REFUSED
     about = {
-        "names": list(raw.columns),
-        "units": raw.units,
-        "constants": raw.constants,
-        "metadata": raw.metadata,
-        "refused": raw.refused,
-        "notes": raw.notes,
+        "names": list(raw.columns), "units": raw.units, "constants": raw.constants,
+        "metadata": raw.metadata, "refused": raw.refused, "notes": raw.notes,
     }
     arrays = {f"c{k}": values for k, values in enumerate(raw.columns.values())}
     np.savez(result, allow_pickle=False, about=np.array(json.dumps(about)), **arrays)

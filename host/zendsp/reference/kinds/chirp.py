@@ -114,13 +114,8 @@ def make_chirp(
         on_joints(machine, joint, xdd),
     )
     used = {
-        "joint": joint,
-        "amplitude": amplitude,
-        "f0": f0,
-        "f1": f1,
-        "duration": duration,
-        "sweep": sweep,
-        "fade_time": fade_time,
+        "joint": joint, "amplitude": amplitude, "f0": f0, "f1": f1, "duration": duration,
+        "sweep": sweep, "fade_time": fade_time,
     }
     return make_signal(machine, "chirp", quantity, start, signal, dt, used)
 

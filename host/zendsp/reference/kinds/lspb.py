@@ -107,12 +107,8 @@ def make_lspb(
     t = make_grid(2 * way if back else way, dt)
     s, sd, sdd = integrate_velocity(t, knots, speeds.tolist())
     used = {
-        "start": a.tolist(),
-        "goal": b.tolist(),
-        "duration": duration,
-        "blend_time": blend_time,
-        "hold": hold,
-        "back": back,
+        "start": a.tolist(), "goal": b.tolist(), "duration": duration, "blend_time": blend_time,
+        "hold": hold, "back": back,
     }
     return Reference(
         a + s[:, None] * (b - a), dt, sd[:, None] * (b - a), sdd[:, None] * (b - a),

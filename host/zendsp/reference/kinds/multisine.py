@@ -110,14 +110,8 @@ def make_multisine(
         xd[:, j] = scale * (wd * p + w * v)
         xdd[:, j] = scale * (wdd * p + 2 * wd * v + w * c)
     used = {
-        "amplitude": peak.tolist(),
-        "period": period,
-        "f_min": f_min,
-        "f_max": f_max,
-        "periods": periods,
-        "spectrum": spectrum,
-        "fade_time": fade_time,
-        "crest": crest,
+        "amplitude": peak.tolist(), "period": period, "f_min": f_min, "f_max": f_max,
+        "periods": periods, "spectrum": spectrum, "fade_time": fade_time, "crest": crest,
     }
     return make_signal(machine, "multisine", quantity, start, (x, xd, xdd), dt, used)
 

@@ -35,9 +35,7 @@ _ONE: dict[str, Callable[[Floats], Floats]] = {
     for name in ("abs", "sqrt", "sin", "cos", "tan", "arctan", "exp", "log", "sign")
 }
 _TWO: dict[str, Callable[[Floats, Floats], Floats]] = {
-    "min": np.minimum,
-    "max": np.maximum,
-    "atan2": np.arctan2,
+    "min": np.minimum, "max": np.maximum, "atan2": np.arctan2,
 }
 FUNCTIONS = (*_ONE, *_TWO, "d", "lp")
 
