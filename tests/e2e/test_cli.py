@@ -22,11 +22,6 @@ from waiting import PATIENCE_S, until
 import zendsp
 from zendsp.link import Target
 
-OURS = (
-    "demo", "target", "ls", "info", "compile", "run", "pause", "stop", "get", "set", "watch",
-    "params", "acquire", "stats",
-)
-
 
 def zendsp_(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-c", "from zendsp.cli import main; main()", *arguments]

@@ -34,8 +34,7 @@ async def test_the_safe_sequence_by_keys(
         await until(pilot, lambda: snap().explicit and snap().mine, "powered; who powers, commands")
         await pilot.press("s")
         await until(
-            pilot,
-            lambda: "starting is refused: enabled" in events_of(lab),
+            pilot, lambda: "starting is refused: enabled" in events_of(lab),
             "start without enable is refused by name",
         )
         await pilot.press("h")
@@ -49,8 +48,7 @@ async def test_the_safe_sequence_by_keys(
         await until(pilot, lambda: snap().drive == "enabled", "enabled")
         await pilot.press("s")
         await until(
-            pilot,
-            lambda: snap().drive == "running" and target.status().state == "running",
+            pilot, lambda: snap().drive == "running" and target.status().state == "running",
             "running",
         )
         await pilot.press("p")
@@ -117,8 +115,7 @@ async def test_variables_edit_stage_update_undo(
         await type_first(pilot, "1500")
         await until(pilot, lambda: target["Kp1"] == 1500.0, "written at once")
         await until(
-            pilot,
-            lambda: console.key_to_applied_s == console.key_to_applied_s,
+            pilot, lambda: console.key_to_applied_s == console.key_to_applied_s,
             "the sample is reported",
         )
 
@@ -160,8 +157,7 @@ async def test_variables_edit_stage_update_undo(
         await pilot.press("escape")  # leaves the line, and shows all again
         assert lab.focused is console.variables.table
         await until(
-            pilot,
-            lambda: console.variables.table.row_count == len(lab.session.snapshot.variables),
+            pilot, lambda: console.variables.table.row_count == len(lab.session.snapshot.variables),
             "all again",
         )
 
@@ -288,8 +284,7 @@ async def test_sliders_move_parameters_by_key_and_mouse(
         await pilot.press("escape")
         await until(pilot, lambda: target[name] != other.variable.initial, "the last move counts")
         await until(
-            pilot,
-            lambda: lab.session.snapshot.values[name] != other.variable.initial,
+            pilot, lambda: lab.session.snapshot.values[name] != other.variable.initial,
             "seen here too",
         )
         await pilot.press("z")
@@ -394,14 +389,12 @@ async def test_connect_offers_running_targets_and_machines(
     async with lab.run_test(size=(100, 30)) as pilot:
         await pilot.press("ctrl+o")
         await until(
-            pilot,
-            lambda: isinstance(lab.screen, Choose) and isinstance(lab.focused, OptionList),
+            pilot, lambda: isinstance(lab.screen, Choose) and isinstance(lab.focused, OptionList),
             "the list",
         )
         await pilot.press(*target.name)
         await until(
-            pilot,
-            lambda: lab.screen.query_one(OptionList).option_count == 1,
+            pilot, lambda: lab.screen.query_one(OptionList).option_count == 1,
             "the filter leaves one",
         )
         await pilot.press("enter")

@@ -53,8 +53,7 @@ async def test_the_trial_is_shown_before_start(
         screen = await opened(lab, pilot, until, ExecuteScreen)
         lab.chosen = (gentle,)
         await until(
-            pilot,
-            lambda: "tried on a simulated twin" in _unmet(screen),
+            pilot, lambda: "tried on a simulated twin" in _unmet(screen),
             "Start waits for the trial",
         )
         before = target.status().tick
@@ -76,8 +75,7 @@ async def test_the_trial_is_shown_before_start(
 
         lab.chosen = (hasty,)
         await until(
-            pilot,
-            lambda: "no limit is passed" in _unmet(screen),
+            pilot, lambda: "no limit is passed" in _unmet(screen),
             "what would trip is said before Start",
         )
         assert "in the simulation" in _conditions(screen) and "plan it slower" in _conditions(
@@ -91,8 +89,7 @@ async def test_the_trial_is_shown_before_start(
 
         lab.session.do("gain", lambda port: port.update({"Kp1": 1200.0}))
         await until(
-            pilot,
-            lambda: "tried on a simulated twin" in _unmet(screen),
+            pilot, lambda: "tried on a simulated twin" in _unmet(screen),
             "another gain is another run",
         )
 
@@ -148,8 +145,7 @@ async def test_a_reference_is_played_and_the_run_can_be_repeated(
             note="gains as shipped [N m/rad]",
         )
         await until(
-            pilot,
-            lambda: all(c.met for c in screen.look(lab.session.snapshot)),
+            pilot, lambda: all(c.met for c in screen.look(lab.session.snapshot)),
             "tried with two cycles",
         )
         await pilot.press("s")
@@ -238,8 +234,7 @@ async def test_abort_keeps_what_was_acquired(
         await until(pilot, lambda: screen.references and not _unmet(screen), "ready")
         await pilot.press("s")
         await until(
-            pilot,
-            lambda: screen.job is not None and screen.job.progress.phase == "play",
+            pilot, lambda: screen.job is not None and screen.job.progress.phase == "play",
             "it plays",
         )
         await pilot.press("b")

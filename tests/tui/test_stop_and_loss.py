@@ -158,8 +158,7 @@ async def test_stop_during_a_run_ends_it_and_keeps_the_data(
         )
         await pilot.press("s")
         await until(
-            pilot,
-            lambda: screen.job is not None and screen.job.progress.phase == "play",
+            pilot, lambda: screen.job is not None and screen.job.progress.phase == "play",
             "it plays",
         )
         await pilot.press("f9")
@@ -218,14 +217,12 @@ async def test_a_killed_target_is_shown_nothing_freezes_and_the_link_comes_back(
         assert "LINK LOST" in app.screen.bar.where(app.session.snapshot).plain  # type: ignore[attr-defined]
         await pilot.press("f9")  # STOP without a link says so, at once
         await until(
-            pilot,
-            lambda: any("NOT STOPPED" in e.text for e in app.session.events.since(0)[1]),
+            pilot, lambda: any("NOT STOPPED" in e.text for e in app.session.events.since(0)[1]),
             "told",
         )
         await pilot.press("f4")
         await until(
-            pilot,
-            lambda: isinstance(app.screen, ReferenceScreen) and app.screen.plan is not None,
+            pilot, lambda: isinstance(app.screen, ReferenceScreen) and app.screen.plan is not None,
             "Reference works",
         )
         await pilot.press("f2")
@@ -254,8 +251,7 @@ async def test_a_runner_that_crashes_is_shown_with_its_signal(
         lab.source = crash
         await pilot.press("b")
         await until(
-            pilot,
-            lambda: [v.name for v in lab.session.snapshot.variables][:1] == ["a"],
+            pilot, lambda: [v.name for v in lab.session.snapshot.variables][:1] == ["a"],
             "downloaded",
         )
         await pilot.press("s")
