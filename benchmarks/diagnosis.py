@@ -58,9 +58,7 @@ def row(method: str, judged: list[Judgement]) -> list[str]:
         good, total = rate(j.named for j in singles if j.size == size)
         cells.append(f"{good / total:.2f}" if total else "-")
     for values in (
-        [j.both for j in judged],
-        [j.replaced for j in judged],
-        [j.alarm for j in judged],
+        [j.both for j in judged], [j.replaced for j in judged], [j.alarm for j in judged],
         [j.refused for j in judged],
     ):
         good, total = rate(values)

@@ -128,10 +128,7 @@ def main(words: Sequence[str] | None = None, parts: dict[str, Any] | None = None
         for name in asked.only:
             results.append(
                 endure(
-                    name,
-                    parts[name].PROMISE,
-                    parts[name].rounds,
-                    60.0 * asked.minutes,
+                    name, parts[name].PROMISE, parts[name].rounds, 60.0 * asked.minutes,
                     asked.rounds,
                 )
             )

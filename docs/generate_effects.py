@@ -99,10 +99,10 @@ def _wrapped(line: str) -> str:
 
 
 def _page() -> str:
-    parts = [HEAD, "| name | equation | mechanism | acts as |\n|---|---|---|---|\n"]
+    parts = [HEAD, "| name | equation | mechanism | acts as | a torque can cancel it |\n|---|---|---|---|---|\n"]
     parts += [
         f"| [{e.name}](#{e.name}) | {_cell(e.equation)} | {mechanism_of(e.name)} |"
-        f" {SITE[e.site]} |\n"
+        f" {SITE[e.site]} | {'yes' if e.compensable else 'no'} |\n"
         for e in library().values()
     ]
     parts += [_section(e) for e in library().values()]
@@ -132,9 +132,6 @@ def _section(effect: Effect) -> str:
         words.append(f"- *Contains:* {', '.join(effect.replaces)}.\n")
     if effect.needs and effect.needs != (effect.name,):
         words.append(f"- *Needs:* {', '.join(effect.needs)}.\n")
-    words.append(
-        "- *Can be compensated by a torque:* " + ("yes" if effect.compensable else "no") + ".\n"
-    )
     return "".join(words)
 
 

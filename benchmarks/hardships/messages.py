@@ -198,12 +198,8 @@ def _send(
     said = f"{lane} {payload[:200] if payload else payload!r} {attachment!r}"
     replies = list(
         session.get(
-            keys.rpc("fuzzed", lane),
-            zenoh.handlers.FifoChannel(4096),
-            payload=payload,
-            attachment=attachment,
-            consolidation=zenoh.ConsolidationMode.NONE,
-            timeout=FINAL,
+            keys.rpc("fuzzed", lane), zenoh.handlers.FifoChannel(4096), payload=payload,
+            attachment=attachment, consolidation=zenoh.ConsolidationMode.NONE, timeout=FINAL,
         )
     )
     tally.count("messages")

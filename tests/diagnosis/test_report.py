@@ -157,17 +157,8 @@ def test_compensation_compiles_for_the_isr(folder: Path, tmp_path: Path) -> None
     (tmp_path / "compensation.c").write_text(code)
     done = subprocess.run(
         [
-            compiler,
-            "-std=c11",
-            "-Wall",
-            "-Wextra",
-            "-Werror",
-            "-Wno-unused-function",
-            f"-I{include}",
-            "-c",
-            "compensation.c",
-            "-o",
-            "compensation.o",
+            compiler, "-std=c11", "-Wall", "-Wextra", "-Werror", "-Wno-unused-function",
+            f"-I{include}", "-c", "compensation.c", "-o", "compensation.o",
         ],
         cwd=tmp_path,
         capture_output=True,

@@ -91,10 +91,8 @@ def test_wam_at_rest_feels_the_weight_that_the_energy_says(wam: Callable[..., Ar
             c, s = np.cos(angle), np.sin(angle)
             T = T @ np.array(
                 [
-                    [c, -s * ca, s * sa, link["a"] * c],
-                    [s, c * ca, -c * sa, link["a"] * s],
-                    [0, sa, ca, link["d"]],
-                    [0, 0, 0, 1],
+                    [c, -s * ca, s * sa, link["a"] * c], [s, c * ca, -c * sa, link["a"] * s],
+                    [0, sa, ca, link["d"]], [0, 0, 0, 1],
                 ]
             )
             total += link["mass"] * 9.81 * float((T @ np.array([*link["com"], 1.0]))[2])

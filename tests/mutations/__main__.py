@@ -117,14 +117,8 @@ class Lab:
 
     def _run(self, command: Sequence[str]) -> tuple[int, str]:
         process = subprocess.Popen(
-            [*self._before, *command],
-            cwd=self.tree,
-            env=self._env,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            start_new_session=True,
+            [*self._before, *command], cwd=self.tree, env=self._env, stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True,
         )
         try:
             said, _ = process.communicate(timeout=LIMIT_S)

@@ -117,12 +117,8 @@ def test_degrees_and_milliseconds_end_as_si(tmp_path: Path) -> None:
     one = recording()
     rows = np.column_stack([T * 1e3, np.degrees(one["q"]), one["tau"] * 1e3])
     np.savetxt(
-        tmp_path / "run.csv",
-        rows,
-        delimiter=",",
-        header="t,angle,torque\nms,deg,mN m",
-        comments="",
-        fmt="%.17g",
+        tmp_path / "run.csv", rows, delimiter=",", header="t,angle,torque\nms,deg,mN m",
+        comments="", fmt="%.17g",
     )
     draft = draft_model(read_table(tmp_path / "run.csv"))
     model = model_of(draft.text)

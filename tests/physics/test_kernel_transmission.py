@@ -67,8 +67,7 @@ def uneven(x: float) -> tuple[float, float, float]:
     """Load position behind a motor at x, and its first two derivatives by it."""
     at = ORDER * x + PHASE
     return (
-        x + ERROR * math.sin(at),
-        1 + ERROR * ORDER * math.cos(at),
+        x + ERROR * math.sin(at), 1 + ERROR * ORDER * math.cos(at),
         -ERROR * ORDER**2 * math.sin(at),
     )
 

@@ -249,8 +249,7 @@ N, A, PHI = 3.0, 0.02, 0.4  # of a transmission
 
 def uneven(x: float) -> tuple[float, float, float]:
     return (
-        x + A * math.sin(N * x + PHI),
-        1 + A * N * math.cos(N * x + PHI),
+        x + A * math.sin(N * x + PHI), 1 + A * N * math.cos(N * x + PHI),
         -A * N * N * math.sin(N * x + PHI),
     )
 

@@ -237,9 +237,7 @@ def crashing_on(hardware: str, make_runtime: Make, folder: Path) -> tuple[Runtim
     source, said = folder / "fake.c", folder / "said"
     source.write_text(hardware)
     runtime = make_runtime(
-        CRASHING.format(how="*nowhere = 1;"),
-        machine=str(source),
-        clock="real",
+        CRASHING.format(how="*nowhere = 1;"), machine=str(source), clock="real",
         machine_config={"path": str(said)},
     )
     return runtime, said

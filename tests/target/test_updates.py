@@ -346,12 +346,8 @@ def test_an_update_of_the_same_names_is_checked_and_logged_each_time_as_the_firs
 ) -> None:
     runtime = make_runtime(LIMITED)
     wrong: list[dict[str, object]] = [
-        {"a": 10.5, "b": 0.0},
-        {"a": True, "b": 0.0},
-        {"a": float("nan"), "b": 0.0},
-        {"a": 0.0, "b": float("inf")},
-        {"a": "1", "b": 0.0},
-        {"a": [1.0, 2.0], "b": 0.0},
+        {"a": 10.5, "b": 0.0}, {"a": True, "b": 0.0}, {"a": float("nan"), "b": 0.0},
+        {"a": 0.0, "b": float("inf")}, {"a": "1", "b": 0.0}, {"a": [1.0, 2.0], "b": 0.0},
     ]
 
     def refusals() -> list[str]:

@@ -137,12 +137,8 @@ async def test_a_reference_is_played_and_the_run_can_be_repeated(
         await pilot.press("enter")
         await pilot.pause()
         assert screen.setup == replace(
-            Setup(),
-            cycles=2,
-            channels=("q", "e", "tau", "r1", "r2"),
-            decimation=2,
-            name="first circle",
-            note="gains as shipped [N m/rad]",
+            Setup(), cycles=2, channels=("q", "e", "tau", "r1", "r2"), decimation=2,
+            name="first circle", note="gains as shipped [N m/rad]",
         )
         await until(
             pilot, lambda: all(c.met for c in screen.look(lab.session.snapshot)),

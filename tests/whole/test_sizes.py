@@ -21,7 +21,6 @@ LONG = {
     "host/zendsp/diagnosis/decide/laws.py:named": "the decision, case by case",
     "host/zendsp/tui/preflight.py:preflight": "the checks before a start, in their order",
     "host/zendsp/tui/playing.py:make_playlist": "the steps of a playlist, in their order",
-    "host/zendsp/cli/acquire.py:command": "the steps of a recording, each way that it may end",
 }
 PUBLIC = "a user's function: keywords with defaults, each explained"
 PLANNED = "the fields of its form, one keyword each"

@@ -135,12 +135,8 @@ def wrapped(text: str, head: str) -> str:
     """
     width = shutil.get_terminal_size((80, 24)).columns
     return textwrap.fill(
-        text,
-        max(width, len(head) + 20),
-        initial_indent=head,
-        subsequent_indent=" " * len(head),
-        break_long_words=False,
-        break_on_hyphens=False,
+        text, max(width, len(head) + 20), initial_indent=head, subsequent_indent=" " * len(head),
+        break_long_words=False, break_on_hyphens=False,
     )
 
 

@@ -186,13 +186,8 @@ def command(
             fetch_absent(data_folder(data))
         sys.exit(
             on_real_machines(
-                data_folder(data),
-                out or Path("proof_real"),
-                limit,
-                implant=implant,
-                only=only,
-                quick=quick,
-                jobs=cores,
+                data_folder(data), out or Path("proof_real"), limit, implant=implant, only=only,
+                quick=quick, jobs=cores,
             )
         )
     if make_only is not None and judge_only is not None:

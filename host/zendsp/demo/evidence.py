@@ -216,17 +216,12 @@ def judge(diagnosis: Diagnosis, effects: Sequence[TrueEffect]) -> Judged:
             if estimate is not None and isinstance(told["value"], int | float):
                 rows.append(
                     (
-                        name,
-                        estimate.value + has,
-                        estimate.std,
-                        float(told["value"]) + had,
+                        name, estimate.value + has, estimate.std, float(told["value"]) + had,
                         estimate.unit,
                     )
                 )
     return Judged(
-        named and bool(found or not effects),
-        named and len(pairs) == len(effects),
-        extra,
+        named and bool(found or not effects), named and len(pairs) == len(effects), extra,
         tuple(rows),
     )
 

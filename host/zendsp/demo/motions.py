@@ -55,14 +55,8 @@ def _multisine(
     machine: Machine, start: Any, amplitude: Any, period: float, f_max: float, fade: float = 0.5
 ) -> Reference:
     return make_multisine(
-        machine,
-        start=start,
-        amplitude=amplitude,
-        period=period,
-        f_min=1.0 / period,
-        f_max=f_max,
-        periods=1,
-        fade_time=fade,
+        machine, start=start, amplitude=amplitude, period=period, f_min=1.0 / period, f_max=f_max,
+        periods=1, fade_time=fade,
     )
 
 

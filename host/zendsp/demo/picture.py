@@ -86,11 +86,7 @@ def _position(axis: Axes, told: Told, joint: int) -> None:
     )
     axis.plot(t, q, color=MACHINE, lw=2.4, alpha=0.45, label="machine")
     axis.plot(
-        t[: len(s)],
-        s[: len(t)],
-        color=MODEL,
-        lw=1.0,
-        ls=(0, (4, 2)),
+        t[: len(s)], s[: len(t)], color=MODEL, lw=1.0, ls=(0, (4, 2)),
         label="simulated by the given model",
     )
     axis.set_ylabel(f"position ({_unit(told)})")

@@ -46,13 +46,8 @@ def circle(lab: Lab, slower: tuple[float, ...] = (9.0, 18.0, 36.0)) -> Result:
             rec = bench.record(f"machine_{word}", PROGRAM, CHANNELS, reference=reference, **values)
             errors["machine", compensate] = rec["e"][playing(rec, reference.samples)]
             sim = simulate(
-                PROGRAM,
-                model,
-                reference=reference,
-                parameters={**values, "approach_time": 1.0},
-                channels=CHANNELS,
-                position=[0.0, 0.0],
-                check=not compensate,
+                PROGRAM, model, reference=reference, parameters={**values, "approach_time": 1.0},
+                channels=CHANNELS, position=[0.0, 0.0], check=not compensate,
             )
             result.recordings.append(sim.save(bench.folder / f"simulation_{word}.npz").name)
             errors["simulation", compensate] = sim["e"][playing(sim, reference.samples)]

@@ -58,12 +58,7 @@ def _basis(speed: Array, split: float) -> Array:
     w = np.maximum(v - split, 0.0)
     low = np.minimum(v, split)
     columns = [
-        speed >= 0,
-        speed < 0,
-        v,
-        low**2 + 2 * split * w,
-        low**3 / split + 3 * split * w,
-        w**2,
+        speed >= 0, speed < 0, v, low**2 + 2 * split * w, low**3 / split + 3 * split * w, w**2,
     ]
     return np.stack([np.asarray(c, dtype=np.float64) for c in columns], axis=1)
 

@@ -370,11 +370,7 @@ def _draw_viscous(
                 + result.values[f"viscous{joint}_{word}"].value * np.abs(x)
             )
             axis.plot(
-                x,
-                line,
-                color=GREY,
-                linewidth=1.0,
-                linestyle="--",
+                x, line, color=GREY, linewidth=1.0, linestyle="--",
                 label="line" if direction > 0 else None,
             )
         label(axis, "speed (rad/s)", "friction torque (N m)", f"joint {joint}", legend=True)

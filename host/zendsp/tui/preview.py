@@ -155,10 +155,8 @@ def joint_positions(machine: Machine, q: Floats) -> Floats:
         a, d = float(link["a"]), float(link["d"])
         zero, one = np.zeros(n), np.ones(n)
         rows = [
-            [c, -s * ca, s * sa, a * c],
-            [s, c * ca, -c * sa, a * s],
-            [zero, sa * one, ca * one, d * one],
-            [zero, zero, zero, one],
+            [c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s],
+            [zero, sa * one, ca * one, d * one], [zero, zero, zero, one],
         ]
         frame = frame @ np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
         places.append(frame[:, :3, 3])

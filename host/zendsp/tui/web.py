@@ -70,12 +70,8 @@ class Page(AppService):
     async def _open_app_process(self, width: int = 80, height: int = 24) -> Process:
         # not in the server's session: Ctrl-C there is for the server, which ends its pages
         self._process = process = await asyncio.create_subprocess_exec(
-            *self._words,
-            stdin=PIPE,
-            stdout=PIPE,
-            stderr=PIPE,
-            env=self._build_environment(width, height),
-            start_new_session=True,
+            *self._words, stdin=PIPE, stdout=PIPE, stderr=PIPE,
+            env=self._build_environment(width, height), start_new_session=True,
         )
         self._stdin = process.stdin
         return process

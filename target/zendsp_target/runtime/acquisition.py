@@ -250,21 +250,11 @@ def note_of(stream: Stream, about: About) -> Kept:
         for word in ("count", "first_tick", "fired", "missed")
     }
     return Kept(
-        about=about,
-        file=stream.file.path.name,
-        rows_at=stream.offset,
-        capacity=stream.capacity,
-        columns=stream.channels,
-        units=stream.units,
-        decimation=stream.config.decimation,
-        rows=stream.rows,
-        pre=stream.pre,
-        ring=stream.config.continuous,
-        triggered=stream.config.trigger is not None,
-        count_at=at["count"],
-        start_at=at["first_tick"],
-        fired_at=at["fired"],
-        missed_at=at["missed"],
+        about=about, file=stream.file.path.name, rows_at=stream.offset, capacity=stream.capacity,
+        columns=stream.channels, units=stream.units, decimation=stream.config.decimation,
+        rows=stream.rows, pre=stream.pre, ring=stream.config.continuous,
+        triggered=stream.config.trigger is not None, count_at=at["count"],
+        start_at=at["first_tick"], fired_at=at["fired"], missed_at=at["missed"],
     )
 
 
@@ -288,16 +278,10 @@ def status(stream: Stream, alive: bool) -> AcquireStatus:
         count, fired, stream.rows, stream.pre, ring, stream.config.trigger is not None
     )
     return AcquireStatus(
-        state=state,
-        channels=stream.channels,
-        units=stream.units,
-        decimation=stream.config.decimation,
-        first=first,
-        count=count,
-        wanted=0 if ring else stream.rows,
-        lost=stream.lost + int(head.missed),
-        start_tick=int(head.first_tick),
-        trigger_row=fired,
+        state=state, channels=stream.channels, units=stream.units,
+        decimation=stream.config.decimation, first=first, count=count,
+        wanted=0 if ring else stream.rows, lost=stream.lost + int(head.missed),
+        start_tick=int(head.first_tick), trigger_row=fired,
     )
 
 
@@ -312,15 +296,9 @@ def held(stream: Stream, alive: bool) -> Held:
     """
     file, now = os.stat(stream.reader), status(stream, alive)
     return Held(
-        kernel=Path(KERNEL).read_text().strip(),
-        path=str(stream.reader),
-        device=file.st_dev,
-        inode=file.st_ino,
-        offset=stream.offset,
-        columns=len(stream.channels),
-        capacity=stream.capacity,
-        first=now.first,
-        count=now.count,
+        kernel=Path(KERNEL).read_text().strip(), path=str(stream.reader), device=file.st_dev,
+        inode=file.st_ino, offset=stream.offset, columns=len(stream.channels),
+        capacity=stream.capacity, first=now.first, count=now.count,
     )
 
 

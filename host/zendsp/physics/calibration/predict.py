@@ -230,10 +230,7 @@ def fill(
     k1, k2, w = record.gains(bandwidth)
     rq, rqd = record.motion.states[0], record.motion.states[1]
     m.n, m.sub, m.T, m.ucum, m.delay = (
-        n,
-        steps(record, model, inertia, inner),
-        record.sample_time,
-        p(record.integral),
+        n, steps(record, model, inertia, inner), record.sample_time, p(record.integral),
         model.actuator.delay,
     )
     m.gain = per_joint(model.actuator.gain, record.joint, 1.0)

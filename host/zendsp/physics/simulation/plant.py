@@ -229,11 +229,7 @@ class Plant:
     ) -> None:
         model, n = self.model, self.joints
         c.joints, c.kind, c.inner, c.period, c.t0 = (
-            n,
-            KINDS[model.kind],
-            self.inner,
-            self.period,
-            t0,
+            n, KINDS[model.kind], self.inner, self.period, t0,
         )
         c.load_sensor = int(model.sensor.side == "load")
         c.delay = model.actuator.delay

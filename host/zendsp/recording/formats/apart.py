@@ -111,11 +111,7 @@ def read_apart(module: str, path: Path) -> Raw:
             about = json.loads(str(stored["about"]))
             columns = {name: stored[f"c{k}"] for k, name in enumerate(about["names"])}
     return Raw(
-        columns,
-        about["units"],
-        about["constants"],
-        about["metadata"],
-        about["refused"],
+        columns, about["units"], about["constants"], about["metadata"], about["refused"],
         tuple(about["notes"]),
     )
 

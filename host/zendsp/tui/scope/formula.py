@@ -24,10 +24,7 @@ TIME = "t"
 LONGEST = 200  # characters
 _NAMED = re.compile(r"^\s*([A-Za-z_]\w*)\s*(?:\[([^\]]*)\])?\s*=(?!=)(.*)$", re.DOTALL)
 _BINARY: dict[type[ast.operator], Callable[[Floats, Floats], Floats]] = {
-    ast.Add: np.add,
-    ast.Sub: np.subtract,
-    ast.Mult: np.multiply,
-    ast.Div: np.divide,
+    ast.Add: np.add, ast.Sub: np.subtract, ast.Mult: np.multiply, ast.Div: np.divide,
     ast.Pow: np.float_power,
 }
 _ONE: dict[str, Callable[[Floats], Floats]] = {

@@ -149,12 +149,8 @@ class ScopeActions(LabScreen):
                 source = names.index(result["source"])
                 self.scope.set(
                     replace(
-                        s,
-                        mode="trigger",
-                        source=source,
-                        level=result["level"],
-                        edge=result["edge"],
-                        pre=result["pre"] / 100.0,
+                        s, mode="trigger", source=source, level=result["level"],
+                        edge=result["edge"], pre=result["pre"] / 100.0,
                     )
                 )
 

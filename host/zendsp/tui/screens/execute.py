@@ -101,20 +101,9 @@ class ExecuteScreen(MeasureActions):
         self._looked += 1
         busy = self.job is not None and self.job.busy
         key = (
-            snapshot.link,
-            snapshot.state,
-            snapshot.drive,
-            snapshot.program,
-            snapshot.machine,
-            snapshot.mine,
-            snapshot.trip,
-            snapshot.commander,
-            self.references,
-            self.setup,
-            busy,
-            self.app.theme,
-            self.size,
-            self.has_class("-narrow"),
+            snapshot.link, snapshot.state, snapshot.drive, snapshot.program, snapshot.machine,
+            snapshot.mine, snapshot.trip, snapshot.commander, self.references, self.setup, busy,
+            self.app.theme, self.size, self.has_class("-narrow"),
         )
         frames = max(1, round(LOOK_S / self.lab.frame_s))
         if key != self._checked or (self._looked % frames == 0 and not busy):

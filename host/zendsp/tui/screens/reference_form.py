@@ -142,10 +142,7 @@ class ReferenceForm(LabScreen):
         widget: Input | Select[str] | Switch
         if p.type == "choice":
             widget = Select(
-                [(c, c) for c in p.choices],
-                value=str(value),
-                allow_blank=False,
-                compact=True,
+                [(c, c) for c in p.choices], value=str(value), allow_blank=False, compact=True,
                 name=p.name,
             )
         elif p.type == "bool":
