@@ -108,11 +108,7 @@ def main(words: Sequence[str] | None = None, parts: dict[str, Any] | None = None
     parser.add_argument("--minutes", type=float, default=3.0, help="of each part (3)")
     parser.add_argument("--rounds", type=int, metavar="N", help="of each part, in place of minutes")
     parser.add_argument(
-        "--only",
-        nargs="+",
-        choices=list(parts),
-        default=list(parts),
-        metavar="PART",
+        "--only", nargs="+", choices=list(parts), default=list(parts), metavar="PART",
         help=", ".join(parts),
     )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write what was found")

@@ -99,7 +99,8 @@ def _wrapped(line: str) -> str:
 
 
 def _page() -> str:
-    parts = [HEAD, "| name | equation | mechanism | acts as | a torque can cancel it |\n|---|---|---|---|---|\n"]
+    head = "| name | equation | mechanism | acts as | a torque can cancel it |"
+    parts = [HEAD, f"{head}\n|---|---|---|---|---|\n"]
     parts += [
         f"| [{e.name}](#{e.name}) | {_cell(e.equation)} | {mechanism_of(e.name)} |"
         f" {SITE[e.site]} | {'yes' if e.compensable else 'no'} |\n"

@@ -46,10 +46,7 @@ def build_runner() -> Path:
     root = source_root()
     sources = _read(root / "runtime", RUNNER_SOURCES)
     built = build(
-        "runner",
-        sources,
-        [root / "runtime", root / "include"],
-        shared=False,
+        "runner", sources, [root / "runtime", root / "include"], shared=False,
         libraries=("-lm", "-ldl", "-lpthread"),
     )
     return _trusted("runner", built)

@@ -303,11 +303,7 @@ class Lab:
         _write(folder / f"{name}.key", _private(key), 0o600)
         _write(folder / f"{name}.pem", _pem(certificate), 0o644)
         return Holder(
-            name,
-            kind,
-            "",
-            certificate.not_valid_after_utc,
-            folder / f"{name}.pem",
+            name, kind, "", certificate.not_valid_after_utc, folder / f"{name}.pem",
             folder / f"{name}.key",
         )
 

@@ -41,13 +41,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         *map(
             str,
             (
-                folder / "train.csv",
-                "--model",
-                folder / "model.toml",
-                "--heldout",
-                folder / "heldout.csv",
-                "--out",
-                out,
+                folder / "train.csv", "--model", folder / "model.toml", "--heldout",
+                folder / "heldout.csv", "--out", out,
             ),
         ),
     ]

@@ -163,12 +163,7 @@ def test_a_spring_is_bent_already_when_a_recording_begins_in_the_middle() -> Non
     record = prepare(
         [
             Signals(
-                "later",
-                np.arange(N - begin) * T,
-                T,
-                later,
-                command()[begin:, None],
-                None,
+                "later", np.arange(N - begin) * T, T, later, command()[begin:, None], None,
                 np.zeros(1),
             )
         ],

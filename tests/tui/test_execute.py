@@ -371,8 +371,7 @@ def test_simulate_this_repeats_the_run_and_keeps_the_result_beside_it(folder: Pa
         "Kp1=300.0", "hold=false", "Kp=[1.0, 2.0]",
     ], "what the reference sets by itself is left to it"
     assert words[words.index("--channels") + 1] == "q,e" and words[-2:] == [
-        "--reference",
-        str(run.folder / "reference.mat"),
+        "--reference", str(run.folder / "reference.mat"),
     ]
     t = np.arange(900) * 1e-3
     simulated = Recording.from_columns(

@@ -16,7 +16,6 @@ LONG = {
     "target/zendsp_target/__main__.py:parser": "the table of options",
     "host/zendsp/proof/scoreboard.py:headline": "the sentences of a page, in their order",
     "host/zendsp/proof/rivals.py:rivals": "a table of rivals and what each is given",
-    "host/zendsp/experiment/imi_fit.py:_draw": "the panels of a figure, in their order",
     "host/zendsp/reference/kinds/swing.py:_collocate": "one optimal control problem, stated whole",
     "host/zendsp/diagnosis/decide/laws.py:named": "the decision, case by case",
     "host/zendsp/tui/preflight.py:preflight": "the checks before a start, in their order",

@@ -12,20 +12,14 @@ from zendsp.cli.common import emit, table
 from zendsp_protocol.verbs import ROLES
 
 _folder = click.option(
-    "--folder",
-    default="lab",
-    show_default=True,
-    type=click.Path(path_type=Path),
+    "--folder", default="lab", show_default=True, type=click.Path(path_type=Path),
     help="Where the lab's keys are.",
 )
 
 
 def _days(default: int) -> Callable[..., Any]:
     return click.option(
-        "--days",
-        default=default,
-        show_default=True,
-        type=click.IntRange(1, 36500),
+        "--days", default=default, show_default=True, type=click.IntRange(1, 36500),
         help="How long it is good for.",
     )
 

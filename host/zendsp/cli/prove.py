@@ -114,10 +114,7 @@ def realities(words: str) -> tuple[str, ...]:
     help="End with status 1 below the marks that tell a broken diagnosis, too.",
 )
 @click.option(
-    "--limit",
-    type=click.FloatRange(min=0, min_open=True),
-    default=300.0,
-    show_default=True,
+    "--limit", type=click.FloatRange(min=0, min_open=True), default=300.0, show_default=True,
     help="Seconds a diagnosis may take.",
 )
 @click.option(

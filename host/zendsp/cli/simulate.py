@@ -19,10 +19,7 @@ if TYPE_CHECKING:
 @click.command("simulate")
 @click.argument("program")
 @click.option(
-    "--model",
-    "model_path",
-    required=True,
-    type=click.Path(path_type=Path),
+    "--model", "model_path", required=True, type=click.Path(path_type=Path),
     help="Model of the machine (TOML).",
 )
 @click.option(
@@ -47,10 +44,7 @@ if TYPE_CHECKING:
     help="Where the machine starts: one number, or one per joint with commas (rad or m).",
 )
 @click.option(
-    "--inner",
-    type=click.IntRange(1, 256),
-    default=4,
-    show_default=True,
+    "--inner", type=click.IntRange(1, 256), default=4, show_default=True,
     help="Integration steps per sample.",
 )
 @click.option(

@@ -26,10 +26,7 @@ from zendsp_isr.parts import is_model, machine_source
     help="Start a simulated machine here, for example imi_planar.",
 )
 @click.option(
-    "--clock",
-    type=click.Choice(["real", "fast"]),
-    default="real",
-    show_default=True,
+    "--clock", type=click.Choice(["real", "fast"]), default="real", show_default=True,
     help="Clock of --local.",
 )
 @click.option(
@@ -64,10 +61,7 @@ from zendsp_isr.parts import is_model, machine_source
 )
 @click.option("--web", is_flag=True, help="Serve the same screens in a browser on loopback.")
 @click.option(
-    "--port",
-    type=click.IntRange(1, 65535),
-    default=8000,
-    show_default=True,
+    "--port", type=click.IntRange(1, 65535), default=8000, show_default=True,
     help="Port of --web.",
 )
 @click.option(

@@ -194,21 +194,13 @@ def _draw(curves: dict[int, Curve], static: Result, viscous: Result, lab: Lab, f
                 label="triangles, losing speed",
             )
             axis.plot(
-                fast[:, 0],
-                fast[:, 1],
-                "o",
-                color=AMBER,
-                markersize=4.5,
+                fast[:, 0], fast[:, 1], "o", color=AMBER, markersize=4.5,
                 label="constant torque, open loop",
             )
             for word, sign in (("ccw", 1), ("cw", -1)):
                 level = static.values[f"breakaway{joint}_{word}"].value * sign
                 axis.plot(
-                    [0.0],
-                    [level],
-                    "D",
-                    color=GREY,
-                    markersize=5,
+                    [0.0], [level], "D", color=GREY, markersize=5,
                     label="breakaway" if sign > 0 else None,
                 )
                 x = sign * np.linspace(0.0, limit, 500)

@@ -330,19 +330,9 @@ def _steady(
     start = [0.0, 0.0]
     start[joint - 1] = -1.9 * direction
     rec = bench.record(
-        f"joint{joint}_{direction * torque:+.1f}Nm",
-        own_program("push.c"),
-        ["q", "tau", "phase"],
-        seconds=8.0,
-        joint=joint,
-        direction=direction,
-        place=_padded(start),
-        Kp=_padded(KP),
-        Kd=_padded(KD),
-        brake=_padded(BRAKE),
-        first=torque,
-        lower=-1.6,
-        upper=1.6,
+        f"joint{joint}_{direction * torque:+.1f}Nm", own_program("push.c"), ["q", "tau", "phase"],
+        seconds=8.0, joint=joint, direction=direction, place=_padded(start), Kp=_padded(KP),
+        Kd=_padded(KD), brake=_padded(BRAKE), first=torque, lower=-1.6, upper=1.6,
     )
     q = rec["q"][:, joint - 1]
     way = q * direction
@@ -390,9 +380,7 @@ def low_speed(lab: Lab, cycles: int = 6, rise: float = 1.0) -> Result:
                 machine, joint=joint, start=[0.0, 0.0], peak=1.0, rise=rise, cycles=cycles + 1
             )
             rec = bench.record(
-                f"joint{joint}",
-                "inverse_dynamics.c",
-                ["play_time", "q", "tau"],
+                f"joint{joint}", "inverse_dynamics.c", ["play_time", "q", "tau"],
                 reference=reference,
             )
             curves[joint] = friction_curve(

@@ -55,8 +55,7 @@ def headline(judged: Sequence[Judgement]) -> list[tuple[str, str, str]]:
     answered = [j for j in judged if not j.trouble]
     return [
         (
-            "mechanism first, on its joint or body",
-            shown(*rate(j.mechanism for j in named)),
+            "mechanism first, on its joint or body", shown(*rate(j.mechanism for j in named)),
             ">= 97 %",
         ),
         ("law first (or the set that holds it)", shown(*rate(j.law for j in named)), ">= 92 %"),
@@ -148,10 +147,8 @@ def missed_marks(judged: Sequence[Judgement]) -> list[str]:
         ("false alarms", [j.alarm for j in judged], marks.alarms, False),
         ("foreign torque without a law claimed", [j.refused for j in judged], marks.refused, True),
         (
-            "cases with a wrong name stated as sure",
-            [j.sure_wrong for j in answered],
-            marks.sure_wrong,
-            False,
+            "cases with a wrong name stated as sure", [j.sure_wrong for j in answered],
+            marks.sure_wrong, False,
         ),
         ("findings that make untouched data worse", [j.worse for j in judged], marks.worse, False),
     )

@@ -135,11 +135,7 @@ KIND = Kind(
         Parameter("f1", "float", "Hz", 2.0, "Last frequency.", 1e-4, 1e5),
         Parameter("duration", "float", "s", 10.0, "Duration.", 0.01, 3600.0),
         Parameter(
-            "sweep",
-            "choice",
-            "",
-            "linear",
-            "How the frequency rises.",
+            "sweep", "choice", "", "linear", "How the frequency rises.",
             choices=("linear", "logarithmic"),
         ),
         Parameter("fade_time", "float", "s", 0.5, "Fade at each end.", 0.0, 600.0),

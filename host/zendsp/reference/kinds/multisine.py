@@ -142,11 +142,7 @@ KIND = Kind(
         Parameter("f_max", "float", "Hz", 2.0, "Highest frequency.", 1e-4, 1e5),
         Parameter("periods", "int", "", 2, "Repetitions.", 1, 10000),
         Parameter(
-            "spectrum",
-            "choice",
-            "",
-            "velocity",
-            "In which quantity the lines are equal.",
+            "spectrum", "choice", "", "velocity", "In which quantity the lines are equal.",
             choices=("flat", "velocity", "acceleration"),
         ),
         Parameter("fade_time", "float", "s", 0.5, "Fade at each end.", 0.0, 600.0),

@@ -134,10 +134,7 @@ class ScopeActions(LabScreen):
         fields = [
             Field("source", "Source", names[s.source], choices=names),
             Field(
-                "level",
-                "Level",
-                f"{s.level:g}",
-                unit=self.scope.channels[s.source].unit,
+                "level", "Level", f"{s.level:g}", unit=self.scope.channels[s.source].unit,
                 check=real,
             ),
             Field("edge", "Edge", s.edge, choices=("rising", "falling", "both")),
