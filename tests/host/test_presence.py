@@ -124,7 +124,7 @@ def test_a_target_elsewhere_that_ends_is_not_waited_for(target: Target, monitor:
         again.close()
 
 
-def test_a_target_that_ends_is_reported_at_once_and_a_second_of_its_name_is_refused(
+def test_a_target_that_ends_is_reported_at_once_and_its_name_is_free(
     target: Target, monitor: Monitor
 ) -> None:
     from zendsp_target.monitor import Options

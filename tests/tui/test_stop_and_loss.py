@@ -18,7 +18,7 @@ from steps import Step, Until
 from textual.widgets import Input
 from waiting import until as come
 
-from zendsp.link import Target, connect
+from zendsp.link import Target
 from zendsp.recording import Recording
 from zendsp.reference import make_reference, save_reference
 from zendsp.tui.actions import SCREENS
@@ -303,11 +303,3 @@ def test_when_the_commanding_host_disappears_the_policy_decides(
         host.wait()
         if host.stdout is not None:
             host.stdout.close()
-
-
-def test_two_terminals_see_each_other_s_stop(target: Target, folder: Path) -> None:
-    target.download(folder / "pd.c")
-    target.start()
-    with connect(target.name) as other:
-        other.stop()
-        come(lambda: target.drive_status().state == "stopped", "stopped")
