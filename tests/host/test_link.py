@@ -80,8 +80,8 @@ def test_a_slow_compile_holds_up_neither_stop_nor_reads(
         thread.start()
     try:
         assert running["Kp1"] == 100.0
-        running.stop()
-        assert running.status().state == "stopped"
+        running.request("stop")  # over the link, as from another computer
+        until(lambda: running.status().state == "stopped", "stopped")
         assert all(thread.is_alive() for thread in compiles)
     finally:
         gate.set()
