@@ -8,6 +8,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
+from waiting import until
 
 import zendsp
 from zendsp.errors import LinkError, Refused
@@ -71,8 +72,8 @@ def test_a_person_may_do_what_the_list_says_now(lab: Lab, start: Open) -> None:
         lab.revoke("anna")
         with pytest.raises(Refused, match="anna has none"):
             host.update(Kp1=3.0)
-        host.stop()  # whoever was let in may stop it, and see that it stopped
-        assert host.status().state != "running"
+        host.request("stop")  # whoever was let in may stop it, and see that it stopped
+        until(lambda: host.status().state == "stopped", "it stopped")
 
 
 def test_a_damaged_list_gives_nobody_a_role(
