@@ -89,7 +89,7 @@ def measured_model(curves: Result) -> Model:
     )
 
 
-def compensation_values(curves: Result) -> dict[str, list[float]]:
+def compensation_values(curves: Result) -> dict[str, Any]:
     """Parameters of inverse_dynamics.c from the fitted curves."""
     rows = {row["joint"]: row for row in curves.tables["program"]}
     return {
