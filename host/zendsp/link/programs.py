@@ -46,7 +46,11 @@ def stopped(status: m.Status) -> str:
 def stopped_at(sample: int) -> m.Status:
     """What is known once the loop has taken a STOP, where the target itself does not answer."""
     trip = m.Trip(
-        reason="stop", joint=0, tick=sample, value=0.0, limit=0.0,
+        reason="stop",
+        joint=0,
+        tick=sample,
+        value=0.0,
+        limit=0.0,
         text=f"STOP was requested (sample {sample})",
     )
     return m.Status(state=ProgramState.STOPPED, drive=DriveState.STOPPED, tick=sample, trip=trip)
