@@ -79,9 +79,7 @@ def diagnose(case: Path, jobs: int) -> tuple[str, float, float]:
     """What the command says, wall and CPU seconds."""
     listing = json.loads((case / "case.json").read_text(encoding="utf-8"))
     line = [
-        *command("diagnose"),
-        *(str(case / n) for n in listing["train"]),
-        "--model",
+        *command("diagnose"), *(str(case / n) for n in listing["train"]), "--model",
         str(case / listing["model"]),
     ]
     for name in listing["heldout"]:
@@ -107,10 +105,7 @@ def diagnose(case: Path, jobs: int) -> tuple[str, float, float]:
 @click.option("--jobs", type=click.IntRange(1), default=2, show_default=True)
 @click.option("--only", default="", help="joints=1 or joints=7.")
 @click.option(
-    "--json",
-    "out",
-    type=click.Path(path_type=Path),
-    default=None,
+    "--json", "out", type=click.Path(path_type=Path), default=None,
     help="Also write the rows there.",
 )
 def main(jobs: int, only: str, out: Path | None) -> None:

@@ -30,13 +30,8 @@ from hardships.place import Place, Tally, until
 
 PROGRESS_S = 10.0
 PARTS = {
-    "messages": messages,
-    "links": links,
-    "kills": kills,
-    "signals": signals,
-    "bombs": bombs,
-    "views": views,
-    "starts": starts,
+    "messages": messages, "links": links, "kills": kills, "signals": signals, "bombs": bombs,
+    "views": views, "starts": starts,
 }
 
 
@@ -113,11 +108,7 @@ def main(words: Sequence[str] | None = None, parts: dict[str, Any] | None = None
     parser.add_argument("--minutes", type=float, default=3.0, help="of each part (3)")
     parser.add_argument("--rounds", type=int, metavar="N", help="of each part, in place of minutes")
     parser.add_argument(
-        "--only",
-        nargs="+",
-        choices=list(parts),
-        default=list(parts),
-        metavar="PART",
+        "--only", nargs="+", choices=list(parts), default=list(parts), metavar="PART",
         help=", ".join(parts),
     )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write what was found")
@@ -133,10 +124,7 @@ def main(words: Sequence[str] | None = None, parts: dict[str, Any] | None = None
         for name in asked.only:
             results.append(
                 endure(
-                    name,
-                    parts[name].PROMISE,
-                    parts[name].rounds,
-                    60.0 * asked.minutes,
+                    name, parts[name].PROMISE, parts[name].rounds, 60.0 * asked.minutes,
                     asked.rounds,
                 )
             )
@@ -156,8 +144,7 @@ def _report(results: Sequence[Result]) -> dict[str, Any]:
     return {
         "when": datetime.now(UTC).isoformat(timespec="seconds"),
         "machine": {
-            "cpus": os.cpu_count(),
-            "kernel": platform.release(),
+            "cpus": os.cpu_count(), "kernel": platform.release(),
             "python": platform.python_version(),
         },
         "parts": [

@@ -125,10 +125,8 @@ class Bare:
         self.process.stdout.readline()
         self.session = zenoh.open(zenoh_config([endpoint], Credentials(), 5.0))
         self.querier = self.session.declare_querier(
-            BARE,
-            consolidation=zenoh.ConsolidationMode.NONE,
-            priority=zenoh.Priority.INTERACTIVE_HIGH,
-            express=True,
+            BARE, consolidation=zenoh.ConsolidationMode.NONE,
+            priority=zenoh.Priority.INTERACTIVE_HIGH, express=True,
         )
         deadline = time.monotonic() + 10.0
         while (
@@ -150,9 +148,7 @@ class Bare:
         data = np.empty(chunks << 20, dtype=np.uint8)
         place = 0
         for reply in self.session.get(
-            f"{BULK}?n={chunks}",
-            consolidation=zenoh.ConsolidationMode.NONE,
-            timeout=60.0,
+            f"{BULK}?n={chunks}", consolidation=zenoh.ConsolidationMode.NONE, timeout=60.0,
             priority=zenoh.Priority.DATA_LOW,
         ):
             part = reply.ok.payload.to_bytes()

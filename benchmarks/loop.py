@@ -151,10 +151,7 @@ def lateness(seconds: float, rounds: int = 3) -> dict[str, Any]:
         bare = compile_bare(Path(name))
         for rate in (1000.0, 10_000.0, 20_000.0):
             runs: dict[str, list[Array]] = {
-                "zendsp": [],
-                "zendsp, no spin": [],
-                "bare": [],
-                "cyclictest": [],
+                "zendsp": [], "zendsp, no spin": [], "bare": [], "cyclictest": [],
             }
             for _ in range(rounds):
                 ours, scheduling, cpu = our_lateness(rate, seconds / rounds, 60.0)
@@ -332,10 +329,8 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     found = {
-        "lateness": lateness(arguments.seconds),
-        "acquire, ns": acquire_cost(),
-        "20 kHz x 128": wide_recording(arguments.seconds),
-        "edit to running, s": edit_to_running(),
+        "lateness": lateness(arguments.seconds), "acquire, ns": acquire_cost(),
+        "20 kHz x 128": wide_recording(arguments.seconds), "edit to running, s": edit_to_running(),
         "updates, us": update_cost(),
     }
     if arguments.json:

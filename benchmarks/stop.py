@@ -100,11 +100,8 @@ class Direct:
         read, self._control = os.pipe()
         call = f"from zendsp.tui.stopper import serve; serve({read}, 2, False)"
         self._process = subprocess.Popen(
-            [sys.executable, "-c", call],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            pass_fds=(read,),
+            [sys.executable, "-c", call], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL, pass_fds=(read,),
         )
         os.write(self._control, f"{name}\n".encode())
 

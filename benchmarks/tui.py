@@ -223,15 +223,8 @@ def terminal(seconds: float, soak: float, trace: Path | None = None) -> dict[str
     with tempfile.TemporaryDirectory() as folder:
         t = Terminal(
             [
-                "tui",
-                "--local",
-                "imi_planar",
-                "--folder",
-                folder,
-                "--source",
-                _source(),
-                "--channels",
-                CURVES,
+                "tui", "--local", "imi_planar", "--folder", folder, "--source", _source(),
+                "--channels", CURVES,
             ]
         )
         try:
@@ -266,12 +259,8 @@ def _soak(t: Terminal, soak: float, trace: Path | None) -> dict[str, float]:
         time.sleep(min(2.0, soak / 20.0))
     if trace is not None:
         np.savetxt(
-            trace,
-            np.stack([times, sizes, output], axis=1),
-            delimiter=",",
-            header="t [s],memory [kB],written [B]",
-            comments="",
-            fmt="%.10g",
+            trace, np.stack([times, sizes, output], axis=1), delimiter=",",
+            header="t [s],memory [kB],written [B]", comments="", fmt="%.10g",
         )
     lasted = time.monotonic() - begin
     x, y = np.array(times), np.array(sizes)

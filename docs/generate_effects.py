@@ -92,14 +92,18 @@ def page() -> str:
 def _wrapped(line: str) -> str:
     if line.startswith(("|", "#", "`", " ")) or len(line) <= WIDTH:
         return line
-    return fill(line, WIDTH, break_long_words=False, break_on_hyphens=False)
+    indent = "  " if line.startswith("- ") else ""
+    return fill(
+        line, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    )
 
 
 def _page() -> str:
-    parts = [HEAD, "| name | equation | mechanism | acts as |\n|---|---|---|---|\n"]
+    head = "| name | equation | mechanism | acts as | a torque can cancel it |"
+    parts = [HEAD, f"{head}\n|---|---|---|---|---|\n"]
     parts += [
         f"| [{e.name}](#{e.name}) | {_cell(e.equation)} | {mechanism_of(e.name)} |"
-        f" {SITE[e.site]} |\n"
+        f" {SITE[e.site]} | {'yes' if e.compensable else 'no'} |\n"
         for e in library().values()
     ]
     parts += [_section(e) for e in library().values()]
@@ -121,17 +125,14 @@ def _section(effect: Effect) -> str:
             f"\n## {effect.name}\n\n`{effect.equation}`\n\n| parameter | unit | range | default |"
             f" measures |\n|---|---|---|---|---|\n{rows}\n"
         ),
-        f"*Says:* {effect.sentence}\n\n*Confirm by:* {effect.experiment}\n",
+        f"- *Says:* {effect.sentence}\n- *Confirm by:* {effect.experiment}\n",
     ]
     if effect.rivals:
-        words.append(f"\n*Often mistaken for:* {', '.join(effect.rivals)}.\n")
+        words.append(f"- *Often mistaken for:* {', '.join(effect.rivals)}.\n")
     if effect.replaces:
-        words.append(f"\n*Contains:* {', '.join(effect.replaces)}.\n")
+        words.append(f"- *Contains:* {', '.join(effect.replaces)}.\n")
     if effect.needs and effect.needs != (effect.name,):
-        words.append(f"\n*Needs:* {', '.join(effect.needs)}.\n")
-    words.append(
-        "\n*Can be compensated by a torque:* " + ("yes" if effect.compensable else "no") + ".\n"
-    )
+        words.append(f"- *Needs:* {', '.join(effect.needs)}.\n")
     return "".join(words)
 
 

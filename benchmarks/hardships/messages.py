@@ -185,16 +185,8 @@ def _fitting(draw: random.Random, name: str) -> Any:
         "mode": ("torque", "velocity", "off"),
         "policy": ("stop", "hold", "count", "trip"),
         "action": (
-            "take",
-            "release",
-            "power_on",
-            "power_off",
-            "home",
-            "enable",
-            "disable",
-            "acknowledge",
-            "auto",
-            "host_lost",
+            "take", "release", "power_on", "power_off", "home", "enable", "disable", "acknowledge",
+            "auto", "host_lost",
         ),
     }
     return draw.choice(fits.get(name, (0, 1, 0.01, True)))
@@ -206,12 +198,8 @@ def _send(
     said = f"{lane} {payload[:200] if payload else payload!r} {attachment!r}"
     replies = list(
         session.get(
-            keys.rpc("fuzzed", lane),
-            zenoh.handlers.FifoChannel(4096),
-            payload=payload,
-            attachment=attachment,
-            consolidation=zenoh.ConsolidationMode.NONE,
-            timeout=FINAL,
+            keys.rpc("fuzzed", lane), zenoh.handlers.FifoChannel(4096), payload=payload,
+            attachment=attachment, consolidation=zenoh.ConsolidationMode.NONE, timeout=FINAL,
         )
     )
     tally.count("messages")

@@ -87,13 +87,9 @@ class Place:
     ) -> subprocess.Popen[str]:
         """Start a Python script of a user's, with its output in a pipe."""
         return subprocess.Popen(
-            [sys.executable, "-c", text, *words],
-            cwd=self.folder,
-            env={**os.environ, **(env or {})},
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
+            [sys.executable, "-c", text, *words], cwd=self.folder,
+            env={**os.environ, **(env or {})}, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            text=True, start_new_session=True,
         )
 
     def processes(self) -> list[int]:

@@ -226,12 +226,7 @@ def build(
             " ZENDSP_CACHE to another folder"
         ) from error
     return Built(
-        target if ok else None,
-        key,
-        messages,
-        time.monotonic() - began,
-        False,
-        str(compiler),
+        target if ok else None, key, messages, time.monotonic() - began, False, str(compiler),
         all_flags,
     )
 

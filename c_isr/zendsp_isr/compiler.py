@@ -40,22 +40,9 @@ _MAX_MESSAGES = 200
 _MAX_TEXT = 2000  # characters of one message
 # what a compiler is made of; nothing else can be read while an upload is compiled
 _TOOLCHAIN = (
-    "/bin",
-    "/lib",
-    "/lib32",
-    "/lib64",
-    "/usr/bin",
-    "/usr/include",
-    "/usr/lib",
-    "/usr/lib32",
-    "/usr/lib64",
-    "/usr/libexec",
-    "/usr/local/bin",
-    "/usr/local/include",
-    "/usr/local/lib",
-    "/etc/ld.so.cache",
-    "/etc/alternatives",
-    "/dev/urandom",
+    "/bin", "/lib", "/lib32", "/lib64", "/usr/bin", "/usr/include", "/usr/lib", "/usr/lib32",
+    "/usr/lib64", "/usr/libexec", "/usr/local/bin", "/usr/local/include", "/usr/local/lib",
+    "/etc/ld.so.cache", "/etc/alternatives", "/dev/urandom",
 )
 
 
@@ -235,13 +222,8 @@ def _run(
     wanting = began  # a processor or a disk, the last time
     why = ""
     with subprocess.Popen(
-        command,
-        cwd=cwd,
-        env=environment,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        start_new_session=True,
+        command, cwd=cwd, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE, start_new_session=True,
     ) as process:
         assert process.stderr is not None
         try:

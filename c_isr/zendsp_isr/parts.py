@@ -30,15 +30,8 @@ def _read(folder: Path, names: Sequence[str]) -> dict[str, bytes]:
 
 
 RUNNER_SOURCES = (
-    "main.c",
-    "contain.c",
-    "loop.c",
-    "dictionary.c",
-    "realtime.c",
-    "service.c",
-    "batch.c",
-    "stream.c",
-    "safety.c",
+    "main.c", "contain.c", "loop.c", "dictionary.c", "realtime.c", "service.c", "batch.c",
+    "stream.c", "safety.c",
 )
 
 
@@ -53,10 +46,7 @@ def build_runner() -> Path:
     root = source_root()
     sources = _read(root / "runtime", RUNNER_SOURCES)
     built = build(
-        "runner",
-        sources,
-        [root / "runtime", root / "include"],
-        shared=False,
+        "runner", sources, [root / "runtime", root / "include"], shared=False,
         libraries=("-lm", "-ldl", "-lpthread"),
     )
     return _trusted("runner", built)

@@ -23,23 +23,8 @@ from zendsp_protocol.errors import (
 )
 
 __all__ = [
-    "AcquisitionError",
-    "CompileFailed",
-    "EndedWarning",
-    "Incomplete",
-    "LinkError",
-    "ModelError",
-    "NoAnswer",
-    "NotApplied",
-    "NotStopped",
-    "NotYet",
-    "RecordingError",
-    "ReferenceError_",
-    "Refused",
-    "RunnerDied",
-    "TooLarge",
-    "VariableError",
-    "VersionMismatch",
-    "ZendspError",
+    "AcquisitionError", "CompileFailed", "EndedWarning", "Incomplete", "LinkError", "ModelError",
+    "NoAnswer", "NotApplied", "NotStopped", "NotYet", "RecordingError", "ReferenceError_",
+    "Refused", "RunnerDied", "TooLarge", "VariableError", "VersionMismatch", "ZendspError",
     "did_you_mean",
 ]

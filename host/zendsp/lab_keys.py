@@ -303,11 +303,7 @@ class Lab:
         _write(folder / f"{name}.key", _private(key), 0o600)
         _write(folder / f"{name}.pem", _pem(certificate), 0o644)
         return Holder(
-            name,
-            kind,
-            "",
-            certificate.not_valid_after_utc,
-            folder / f"{name}.pem",
+            name, kind, "", certificate.not_valid_after_utc, folder / f"{name}.pem",
             folder / f"{name}.key",
         )
 
@@ -356,15 +352,9 @@ def _builder(subject: Any, issuer: Any, public: Any, days: int) -> Any:
 
 def _usage(sign_certificates: bool) -> Any:
     return _x509().KeyUsage(
-        digital_signature=not sign_certificates,
-        content_commitment=False,
-        key_encipherment=False,
-        data_encipherment=False,
-        key_agreement=False,
-        key_cert_sign=sign_certificates,
-        crl_sign=sign_certificates,
-        encipher_only=False,
-        decipher_only=False,
+        digital_signature=not sign_certificates, content_commitment=False, key_encipherment=False,
+        data_encipherment=False, key_agreement=False, key_cert_sign=sign_certificates,
+        crl_sign=sign_certificates, encipher_only=False, decipher_only=False,
     )
 
 

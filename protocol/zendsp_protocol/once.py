@@ -14,28 +14,10 @@ import struct
 # names its own place in the data.
 ONCE = frozenset(
     (
-        "load",
-        "unload",
-        "start",
-        "pause",
-        "write",
-        "update",
-        "set_limits",
-        "set_drive",
-        "set_ramp",
-        "set_overrun",
-        "set_inputs",
-        "home",
-        "acknowledge",
-        "drive",
-        "acquire_configure",
-        "acquire_start",
-        "acquire_stop",
-        "table_begin",
-        "table_commit",
-        "live_open",
-        "live_close",
-        "run_begin",
+        "load", "unload", "start", "pause", "write", "update", "set_limits", "set_drive",
+        "set_ramp", "set_overrun", "set_inputs", "home", "acknowledge", "drive",
+        "acquire_configure", "acquire_start", "acquire_stop", "table_begin", "table_commit",
+        "live_open", "live_close", "run_begin",
     )
 )
 FIRST, AGAIN, SETTLE = 0, 1, 2

@@ -209,11 +209,7 @@ _ROWS = (
     Verb("run_end", RunEnd, m.Applied, "sync", role="tune"),
     Verb("log", Log, tuple[m.Change, ...], "quick", role="observe"),
     Verb(
-        "acquire_configure",
-        AcquireConfigure,
-        m.AcquireStatus,
-        "quick",
-        repeatable=False,
+        "acquire_configure", AcquireConfigure, m.AcquireStatus, "quick", repeatable=False,
         role="tune",
     ),
     Verb("acquire_start", AcquireStart, m.Empty, "quick", repeatable=False, role="tune"),

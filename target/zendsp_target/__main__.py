@@ -82,9 +82,7 @@ def parser() -> argparse.ArgumentParser:
         "--clock", choices=("real", "fast"), default="real", help="fast: as fast as the CPU allows"
     )
     p.add_argument(
-        "--listen",
-        action="append",
-        metavar="ENDPOINT",
+        "--listen", action="append", metavar="ENDPOINT",
         help="Zenoh endpoint (default: here, a socket that only you can open); may be repeated",
     )
     p.add_argument(
@@ -99,9 +97,7 @@ def parser() -> argparse.ArgumentParser:
         "--users", default="", metavar="FILE", help="lines user:password that hosts must know"
     )
     p.add_argument(
-        "--roles",
-        default="",
-        metavar="FILE",
+        "--roles", default="", metavar="FILE",
         help="who may observe, tune, command, download (docs/security.md)",
     )
     p.add_argument(
@@ -113,37 +109,27 @@ def parser() -> argparse.ArgumentParser:
                    help="a simulated machine without noise and other imperfections")
     p.add_argument("--concealed", metavar="FILE|seed:N", help="effects that only the machine knows")
     p.add_argument(
-        "--no-realtime",
-        action="store_true",
+        "--no-realtime", action="store_true",
         help="do not ask for SCHED_RR, locked memory and a CPU",
     )
     p.add_argument("--priority", type=int, default=80, help="of SCHED_RR (default: 80)")
     p.add_argument("--cpu", type=int, default=-1, help="CPU of the loop (default: the last)")
     p.add_argument(
-        "--spin",
-        type=float,
-        default=60.0,
-        metavar="US",
+        "--spin", type=float, default=60.0, metavar="US",
         help="waited awake before each sample, in µs",
     )
     p.add_argument(
-        "--memory",
-        type=float,
-        default=1000.0,
-        metavar="MB",
+        "--memory", type=float, default=1000.0, metavar="MB",
         help="that user code may take (default: 1000)",
     )
     p.add_argument(
-        "--speed",
-        type=float,
-        default=0.0,
+        "--speed", type=float, default=0.0,
         help="fast clock: at most so many machine seconds a second",
     )
     p.add_argument("--managed", action="store_true",
                    help="enforce the safe sequence: power, home and enable before anything moves")
     p.add_argument(
-        "--json",
-        action="store_true",
+        "--json", action="store_true",
         help="say where it listens as one line of JSON on standard output",
     )
     p.add_argument(

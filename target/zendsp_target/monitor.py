@@ -62,12 +62,8 @@ class Monitor:
         self._server = Server(runtime, who, self._session, options.managed, doors)
         self.token = doors.token
         self._entry = register(
-            who.name,
-            self.endpoints,
-            options.machine,
-            doors.token,
-            self._server.service.once.instance.hex(),
-            runtime.stop_page(),
+            who.name, self.endpoints, options.machine, doors.token,
+            self._server.service.once.instance.hex(), runtime.stop_page(),
         )
         self._closed = False
 

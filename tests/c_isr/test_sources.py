@@ -20,13 +20,7 @@ from zendsp_target.runtime.safety import histogram_edges
 
 ROOT = source_root()
 STRICT = [
-    "-std=gnu11",
-    "-O2",
-    "-Wall",
-    "-Wextra",
-    "-Wconversion",
-    "-Wshadow",
-    "-Wstrict-prototypes",
+    "-std=gnu11", "-O2", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wstrict-prototypes",
     "-Werror",
 ]
 INCLUDE = [f"-I{ROOT / folder}" for folder in ("include", "runtime", "machines")]
@@ -35,30 +29,24 @@ SOURCES = sorted(
 )
 # what a sample may call: the clock, copying bytes, mathematics that the compiler did not inline
 MAY_CALL = {
-    "clock_gettime",
-    "clock_nanosleep",
-    "memcpy",
-    "memset",
-    "memmove",
-    "_GLOBAL_OFFSET_TABLE_",
+    "clock_gettime", "clock_nanosleep", "memcpy", "memset", "memmove", "_GLOBAL_OFFSET_TABLE_",
 }
 OURS = ("batch_", "stream_", "safety_", "realtime_granted", "loop")
 BETWEEN_RUNS = {"realtime_stay_awake"}  # at start and pause, not in a sample
 
 
-@pytest.mark.parametrize("source", SOURCES, ids=lambda path: f"{path.parent.name}/{path.name}")
-def test_every_source_compiles_without_a_warning(source: Path, tmp_path: Path) -> None:
-    command = [
-        *find_compiler().command,
-        *STRICT,
-        *INCLUDE,
-        "-c",
-        str(source),
-        "-o",
-        str(tmp_path / "x.o"),
-    ]
+def compile_(source: Path, folder: Path, *flags: str) -> Path:
+    """Compile one file with all warnings that are asked for; returns the object."""
+    made = folder / f"{source.stem}.o"
+    command = [*find_compiler().command, *flags, *INCLUDE, "-c", str(source), "-o", str(made)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+    return made
+
+
+@pytest.mark.parametrize("source", SOURCES, ids=lambda path: f"{path.parent.name}/{path.name}")
+def test_every_source_compiles_without_a_warning(source: Path, tmp_path: Path) -> None:
+    compile_(source, tmp_path, *STRICT)
 
 
 @pytest.mark.parametrize(
@@ -67,39 +55,14 @@ def test_every_source_compiles_without_a_warning(source: Path, tmp_path: Path) -
 def test_every_public_header_stands_alone_and_is_pedantic_c11(header: str, tmp_path: Path) -> None:
     source = tmp_path / "x.c"
     source.write_text(f'#include "{ROOT / header}"\ntypedef int not_empty;\n')
-    command = [
-        *find_compiler().command,
-        "-std=c11",
-        "-Wpedantic",
-        *STRICT[2:],
-        *INCLUDE,
-        "-c",
-        str(source),
-        "-o",
-        str(tmp_path / "x.o"),
-    ]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    compile_(source, tmp_path, "-std=c11", "-Wpedantic", *STRICT[2:])
 
 
 @pytest.mark.skipif(shutil.which("nm") is None, reason="needs nm")
 def test_a_sample_calls_nothing_that_allocates_locks_prints_or_blocks(tmp_path: Path) -> None:
     undefined: set[str] = set()
     for name in ("loop", "batch", "stream", "safety"):
-        target = tmp_path / f"{name}.o"
-        subprocess.run(
-            [
-                *find_compiler().command,
-                "-std=gnu11",
-                "-O2",
-                *INCLUDE,
-                "-c",
-                str(ROOT / "runtime" / f"{name}.c"),
-                "-o",
-                str(target),
-            ],
-            check=True,
-        )
+        target = compile_(ROOT / "runtime" / f"{name}.c", tmp_path, "-std=gnu11", "-O2")
         listed = subprocess.run(
             ["nm", "-u", str(target)], capture_output=True, text=True, check=True
         ).stdout
@@ -112,14 +75,8 @@ def test_a_sample_calls_nothing_that_allocates_locks_prints_or_blocks(tmp_path: 
 def test_monitor_and_runner_agree_on_the_layout(tmp_path: Path) -> None:
     ffi, _ = layout()
     names = (
-        "control",
-        "variable_entry",
-        "stream_head",
-        "batch",
-        "batch_entry",
-        "snapshot",
-        "timing_counts",
-        "machine_info",
+        "control", "variable_entry", "stream_head", "batch", "batch_entry", "snapshot",
+        "timing_counts", "machine_info",
     )
     source = tmp_path / "sizes.c"
     lines = "".join(f'    printf("%zu\\n", sizeof({name}));\n' for name in names)

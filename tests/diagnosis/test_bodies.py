@@ -217,10 +217,7 @@ def test_diagnosis_claims_the_payload_once_for_the_whole_arm(record,
     assert d.verdict == "missing"
     first = d.findings[0]
     assert (first.effect, first.joint, first.as_dict()["body"], first.mechanism) == (
-        "payload",
-        3,
-        "fore",
-        "inertia",
+        "payload", 3, "fore", "inertia",
     )
     truth = {"mass": 1.5, "com_x": 0.35, "com_y": 0.05, "com_z": 0.03}
     for key, value in truth.items():

@@ -88,8 +88,7 @@ def test_on_a_dask_cluster_the_outcome_is_the_same(fleet: Path) -> None:
         n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
     ) as cluster:
         there = diagnose_each(
-            [fleet / "one.csv", fleet / "two.csv"],
-            fleet / "model.toml",
+            [fleet / "one.csv", fleet / "two.csv"], fleet / "model.toml",
             scheduler=cluster.scheduler_address,
         )
     here = diagnose_each([fleet / "one.csv", fleet / "two.csv"], fleet / "model.toml")

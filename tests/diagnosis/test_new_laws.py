@@ -51,8 +51,7 @@ CASES: dict[str, Case] = {
     "position_filter": Case(reality.Machine(smear=0.006), {"time_constant": 0.006}, reference=FAST),
     "column_shift": Case(reality.Machine(late=2), {"time": 0.004}, reference=FAST),
     "voltage_limit": Case(
-        reality.Machine(supply=0.7, back=0.08),
-        {"level": 0.7, "slope": 0.08},
+        reality.Machine(supply=0.7, back=0.08), {"level": 0.7, "slope": 0.08},
         reference={"size": 2.0, "high": 3.0},
     ),
     "stiffening": Case(
@@ -71,8 +70,7 @@ CASES: dict[str, Case] = {
         FAST,
     ),
     "transmission_error": Case(
-        reality.Machine(wobble=0.01, gravity=0.2),
-        {"order": 5.0, "amplitude": 0.01},
+        reality.Machine(wobble=0.01, gravity=0.2), {"order": 5.0, "amplitude": 0.01},
         reference={"size": 2.0, "high": 6.0},
     ),
     "friction_temperature": Case(reality.Machine(thin=0.03), {"coefficient": -0.03}),

@@ -41,13 +41,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         *map(
             str,
             (
-                folder / "train.csv",
-                "--model",
-                folder / "model.toml",
-                "--heldout",
-                folder / "heldout.csv",
-                "--out",
-                out,
+                folder / "train.csv", "--model", folder / "model.toml", "--heldout",
+                folder / "heldout.csv", "--out", out,
             ),
         ),
     ]
@@ -157,17 +152,8 @@ def test_compensation_compiles_for_the_isr(folder: Path, tmp_path: Path) -> None
     (tmp_path / "compensation.c").write_text(code)
     done = subprocess.run(
         [
-            compiler,
-            "-std=c11",
-            "-Wall",
-            "-Wextra",
-            "-Werror",
-            "-Wno-unused-function",
-            f"-I{include}",
-            "-c",
-            "compensation.c",
-            "-o",
-            "compensation.o",
+            compiler, "-std=c11", "-Wall", "-Wextra", "-Werror", "-Wno-unused-function",
+            f"-I{include}", "-c", "compensation.c", "-o", "compensation.o",
         ],
         cwd=tmp_path,
         capture_output=True,

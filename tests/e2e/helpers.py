@@ -60,16 +60,7 @@ def make_certificates(folder: Path) -> None:
 
     key = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes")
     openssl(
-        "req",
-        "-x509",
-        *key,
-        "-keyout",
-        "ca.key",
-        "-out",
-        "ca.pem",
-        "-days",
-        "2",
-        "-subj",
+        "req", "-x509", *key, "-keyout", "ca.key", "-out", "ca.pem", "-days", "2", "-subj",
         "/CN=test authority",
     )
     (folder / "extensions").write_text("subjectAltName=DNS:localhost,IP:127.0.0.1\n")
@@ -78,14 +69,7 @@ def make_certificates(folder: Path) -> None:
             "req", *key, "-keyout", f"{name}.key", "-out", f"{name}.csr", "-subj", f"/CN={name}"
         )
         sign = (
-            "-CA",
-            "ca.pem",
-            "-CAkey",
-            "ca.key",
-            "-CAcreateserial",
-            "-days",
-            "2",
-            "-extfile",
+            "-CA", "ca.pem", "-CAkey", "ca.key", "-CAcreateserial", "-days", "2", "-extfile",
             "extensions",
         )
         openssl("x509", "-req", "-in", f"{name}.csr", "-out", f"{name}.pem", *sign)

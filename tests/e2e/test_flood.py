@@ -51,16 +51,8 @@ def endpoint(tmp_path: Path) -> Iterator[str]:
     users.chmod(0o600)
     target = subprocess.Popen(
         [
-            sys.executable,
-            "-m",
-            "zendsp_target",
-            "--name",
-            "imi",
-            "--listen",
-            "tcp/127.0.0.1:0",
-            "--users",
-            str(users),
-            "--json",
+            sys.executable, "-m", "zendsp_target", "--name", "imi", "--listen", "tcp/127.0.0.1:0",
+            "--users", str(users), "--json",
         ],
         stdout=subprocess.PIPE,
         text=True,

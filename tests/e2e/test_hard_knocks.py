@@ -380,16 +380,8 @@ def test_tls_with_a_password_or_a_certificate_lets_in_who_has_it_and_nobody_else
         (["--tls-ca", ca, "--roles", str(roles)], certificate, Credentials(ca)),
     ):
         command = [
-            sys.executable,
-            "-m",
-            "zendsp_target",
-            "--name",
-            "vault",
-            "--json",
-            "--listen",
-            "tls/127.0.0.1:0",
-            *own,
-            *asked,
+            sys.executable, "-m", "zendsp_target", "--name", "vault", "--json", "--listen",
+            "tls/127.0.0.1:0", *own, *asked,
         ]
         process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         try:
@@ -423,15 +415,3 @@ def test_a_stream_whose_viewer_never_said_goodbye_is_closed(fast: Target) -> Non
         return False
 
     until(free, "the streams without subscribers are closed")
-
-
-def test_a_bare_target_loads_nothing_of_the_host() -> None:
-    code = (
-        "import sys, zendsp_target.__main__, zendsp_target.monitor, zendsp_target.runtime;print([m"
-        " for m in ('zendsp','scipy','textual','click','matplotlib','pyarrow','h5py') if m in"
-        " sys.modules])"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_S
-    )
-    assert done.stdout.strip() == "[]", done.stderr

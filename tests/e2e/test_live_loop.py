@@ -132,9 +132,7 @@ def test_errors_say_what_where_and_what_to_do(fast: Target) -> None:
     with pytest.raises(VariableError) as caught:
         fast.update(step=11.0, nope=1.0, level=2.0)
     assert {line.split(":")[0] for line in str(caught.value).splitlines()} == {
-        "step",
-        "nope",
-        "level",
+        "step", "nope", "level",
     }
     with pytest.raises(AcquisitionError, match="nope"):
         fast.acquire(["nope"], 0.1, start=True)
@@ -199,22 +197,6 @@ def test_the_matdsp_verbs_do_what_the_paper_says(fast: Target) -> None:
     assert len(rec) == 100 and rec["level"][0] == 2.0
     with pytest.raises(AcquisitionError, match="chanels"):
         zendsp.MatDSPAcquireConfig({"chanels": ["level"]})
-
-
-def test_limits_and_drives_are_within_reach(fast: Target) -> None:
-    fast.download("pd.c")
-    assert [joint.unit for joint in fast.machine().joints] == ["rad", "rad"]
-    fast.set_limits(torque_max=[50.0, 10.0])
-    until(lambda: fast.limits().torque_max == (50.0, 10.0), "the limits are in force")
-    with pytest.raises(Refused):
-        fast.set_limits(torque_max=[1e9, 1e9])
-    fast.start()
-    fast.stop()
-    until(lambda: fast.status().state == "stopped", "stopped")
-    trip = fast.status().trip
-    assert trip is not None and trip.reason == "stop"
-    fast.acknowledge()
-    assert fast.status().trip is None
 
 
 def test_the_client_in_the_documentation_works_as_printed(real: Target) -> None:

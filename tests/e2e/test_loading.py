@@ -92,10 +92,7 @@ def test_a_file_that_is_not_the_recorders_is_not_read(fast: Target) -> None:
         os.write(file, b"x")
     os.close(file)
     for wrong in (
-        {"kernel": "another"},
-        {"inode": held.inode + 1},
-        {"device": 0},
-        {"path": "/dev/null"},
+        {"kernel": "another"}, {"inode": held.inode + 1}, {"device": 0}, {"path": "/dev/null"},
         {"path": ""},
     ):
         assert open_held(msgspec.structs.replace(held, **wrong)) == -1

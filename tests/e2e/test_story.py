@@ -168,16 +168,8 @@ def test_the_demo_tells_a_true_story_in_one_command(tmp_path: Path) -> None:
     out = tmp_path / "demo"
     command = [sys.executable, "-c", "from zendsp.cli import main; main()"]
     arguments = [
-        "demo",
-        "--machine",
-        "pendulum",
-        "--effect",
-        "torque_offset",
-        "--seed",
-        "4",
-        "--out",
-        str(out),
-        "--json",
+        "demo", "--machine", "pendulum", "--effect", "torque_offset", "--seed", "4", "--out",
+        str(out), "--json",
     ]
     done = subprocess.run(
         [*command, *arguments],
@@ -279,15 +271,8 @@ def test_run_needs_a_folder_for_the_new_recording() -> None:
     import subprocess
 
     command = [
-        sys.executable,
-        "-c",
-        "from zendsp.cli import main; main()",
-        "diagnose",
-        "a.csv",
-        "--model",
-        "m.toml",
-        "--run",
-        "imi",
+        sys.executable, "-c", "from zendsp.cli import main; main()", "diagnose", "a.csv",
+        "--model", "m.toml", "--run", "imi",
     ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.returncode == 2 and "--run needs --out" in done.stderr

@@ -289,8 +289,7 @@ def test_friction_over_the_speed_gives_way_to_what_was_measured(tmp_path: Path, 
     )
     put_into(result(), model)
     assert [t.effect for t in load_model(model).terms if t.joint == 1] == [
-        "position_friction",
-        "coulomb",
+        "position_friction", "coulomb",
     ]
 
 

@@ -6,13 +6,13 @@ import os
 import signal
 
 import pytest
-from fake_runtime import FakeRuntime
 
 from zendsp.link import Target
+from zendsp_target.runtime import Runtime
 
 
 def test_ctrl_c_that_comes_with_the_answer_is_heard(
-    target: Target, runtime: FakeRuntime, monkeypatch: pytest.MonkeyPatch
+    target: Target, runtime: Runtime, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It comes while the caller's thread waits, and the answer ends the wait."""
     plain = runtime.compile
@@ -24,5 +24,5 @@ def test_ctrl_c_that_comes_with_the_answer_is_heard(
     monkeypatch.setattr(runtime, "compile", compile_)
     for _ in range(5):
         with pytest.raises(KeyboardInterrupt):
-            target.compile({"a.c": "int a;"})
+            target.compile({"a.c": '#include "isr.h"'})
     assert target.status().state == "empty"

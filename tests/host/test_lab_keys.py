@@ -8,7 +8,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
-from fake_runtime import FakeRuntime
+from waiting import until
 
 import zendsp
 from zendsp.errors import LinkError, Refused
@@ -18,6 +18,7 @@ from zendsp.link.settings import Credentials, common_name
 from zendsp_target.access.admission import settle
 from zendsp_target.access.endpoints import Security
 from zendsp_target.monitor import Monitor, Options
+from zendsp_target.runtime import Runtime
 
 x509 = pytest.importorskip("cryptography.x509", reason="zendsp keys needs cryptography")
 Open = Callable[..., Monitor]
@@ -29,7 +30,7 @@ def lab(tmp_path: Path) -> Lab:
 
 
 @pytest.fixture
-def start(runtime: FakeRuntime) -> Iterator[Open]:
+def start(runtime: Runtime) -> Iterator[Open]:
     """Start a target with a certificate of a lab, for those with one."""
     running: list[Monitor] = []
 
@@ -42,7 +43,7 @@ def start(runtime: FakeRuntime) -> Iterator[Open]:
             str(lab.roles_file) if roles else "",
         )
         running.append(
-            Monitor(runtime, Options("fake", "fake_machine", ["tls/127.0.0.1:0"], (), files))
+            Monitor(runtime, Options("fake", "imi_planar", ["tls/127.0.0.1:0"], (), files))
         )
         return running[-1]
 
@@ -61,10 +62,10 @@ def test_a_person_may_do_what_the_list_says_now(lab: Lab, start: Open) -> None:
     with enter(start(lab, target), lab, anna) as host:
         assert host.status().state == "empty"
         with pytest.raises(Refused, match="needs the role 'download'; anna has the role 'observe'"):
-            host.download({"a.c": "int a;"})
+            host.download("pd.c")
         again = lab.add_user("anna", "download")
         assert again.until == anna.until, "a new role needs no new certificate"
-        host.download({"a.c": "int a;"})
+        host.download("pd.c")
         host.start()
         host.update(Kp1=2.0)
         assert host.log()[-1].author.startswith("anna@")
@@ -72,7 +73,7 @@ def test_a_person_may_do_what_the_list_says_now(lab: Lab, start: Open) -> None:
         with pytest.raises(Refused, match="anna has none"):
             host.update(Kp1=3.0)
         host.request("stop")  # whoever was let in may stop it, and see that it stopped
-        assert host.status().state != "running"
+        until(lambda: host.status().state == "stopped", "it stopped")
 
 
 def test_a_damaged_list_gives_nobody_a_role(
@@ -100,7 +101,7 @@ def test_a_person_s_name_in_a_request_is_that_of_the_certificate(lab: Lab, start
     )
     monitor = start(lab, target)
     with enter(monitor, lab, bo) as good, enter(monitor, lab, anna) as bad:
-        good.download({"a.c": "int a;"})
+        good.download("pd.c")
         good.start()
         from zendsp_protocol import codec, keys
 
@@ -198,15 +199,13 @@ def test_a_person_s_key_makes_no_target(lab: Lab, start: Open) -> None:
     "broken", ["certificate", "key", "authority", "another's key", "an empty authority"]
 )
 def test_a_target_does_not_start_with_files_that_do_not_fit(
-    lab: Lab, runtime: FakeRuntime, broken: str
+    lab: Lab, runtime: Runtime, broken: str
 ) -> None:
     imi, other = lab.add_target("imi"), lab.add_target("other")
     empty = lab.folder / "empty.pem"
     empty.touch()
     files = {
-        "certificate": str(imi.certificate),
-        "key": str(imi.key),
-        "authority": str(lab.authority),
+        "certificate": str(imi.certificate), "key": str(imi.key), "authority": str(lab.authority),
     }
     if broken in files:
         files[broken] = str(lab.folder / "none.pem")
@@ -218,7 +217,7 @@ def test_a_target_does_not_start_with_files_that_do_not_fit(
     security = Security(**files, roles=str(lab.roles_file))
     words = "none.pem.*cannot be read" if broken in files else "cannot listen"
     with pytest.raises((Refused, LinkError), match=words):
-        Monitor(runtime, Options("fake", "fake_machine", ["tls/127.0.0.1:0"], (), security))
+        Monitor(runtime, Options("fake", "imi_planar", ["tls/127.0.0.1:0"], (), security))
 
 
 def test_a_router_is_never_taken_for_a_host(lab: Lab) -> None:
@@ -249,8 +248,7 @@ def test_what_is_private_is_so_and_names_are_given_once(lab: Lab) -> None:
     reached = names.get_extension_for_class(x509.SubjectAlternativeName).value
     assert reached.get_values_for_type(x509.DNSName) == ["robot.lab", "localhost"]
     assert [str(ip) for ip in reached.get_values_for_type(x509.IPAddress)] == [
-        "192.168.1.5",
-        "127.0.0.1",
+        "192.168.1.5", "127.0.0.1",
     ]
     for name in ("imi", "owner", "an/na", ""):
         with pytest.raises(Refused):

@@ -13,7 +13,6 @@ from pathlib import Path
 import msgspec
 import pytest
 import zenoh
-from fake_runtime import FakeRuntime
 from waiting import PATIENCE_S, until
 
 from zendsp.errors import (
@@ -27,10 +26,11 @@ from zendsp_protocol import codec, keys
 from zendsp_protocol.registry import Entry, born
 from zendsp_protocol.verbs import VERBS
 from zendsp_target.monitor import Monitor
+from zendsp_target.runtime import Runtime
 
 
 def test_a_target_is_found_by_name_alone(target: Target) -> None:
-    assert target.info.name == "fake" and target.info.joints == 2
+    assert target.info.name == "fake" and target.info.machine == "imi_planar"
     assert target.info.verbs == list(VERBS)  # every verb of the protocol has a handler
     assert [found.name for found in discover("fa*")] == ["fake"]
     assert discover("x*") == []
@@ -116,7 +116,7 @@ def test_a_target_elsewhere_that_ends_is_not_waited_for(target: Target, monitor:
     assert time.monotonic() < begin + PATIENCE_S / 2, "it waited for an answer"
     with pytest.raises(LinkError, match=r"has ended: 'status' was not answered"):
         target.status()
-    again = Monitor(FakeRuntime(), Options("fake", "fake_machine"))
+    again = Monitor(Runtime("imi_planar"), Options("fake", "imi_planar"))
     try:
         until(lambda: target.alive, "the target is back")
         assert not target.link.ended
@@ -124,8 +124,8 @@ def test_a_target_elsewhere_that_ends_is_not_waited_for(target: Target, monitor:
         again.close()
 
 
-def test_a_target_that_ends_is_reported_at_once_and_a_second_of_its_name_is_refused(
-    target: Target, monitor: Monitor, runtime: FakeRuntime
+def test_a_target_that_ends_is_reported_at_once_and_its_name_is_free(
+    target: Target, monitor: Monitor
 ) -> None:
     from zendsp_target.monitor import Options
 
@@ -148,8 +148,7 @@ def test_a_target_that_ends_is_reported_at_once_and_a_second_of_its_name_is_refu
         LinkError, match=r"no target runs on this machine\. Start one with 'zendsp target'"
     ):
         connect()
-    again = Monitor(runtime, Options("fake", "fake_machine"))
-    again.close()
+    Monitor(Runtime("imi_planar"), Options("fake", "imi_planar")).close()
 
 
 def test_an_endpoint_in_the_environment_is_meant_though_a_target_of_that_name_runs_here(

@@ -58,13 +58,7 @@ def test_every_format_gives_back_the_same_recording_bit_for_bit(
     assert back.log == recording.log
     assert back.sources == recording.sources and back.source_hash == recording.source_hash != ""
     for name in (
-        "sample_time",
-        "start_tick",
-        "decimation",
-        "trigger_row",
-        "lost",
-        "parameters",
-        "compiler",
+        "sample_time", "start_tick", "decimation", "trigger_row", "lost", "parameters", "compiler",
         "flags",
     ):
         assert getattr(back, name) == getattr(recording, name), name
@@ -110,11 +104,7 @@ def test_mat_opens_as_a_matrix_with_one_column_per_signal_and_their_names(
     assert names == ["t", "q[0]", "q[1]", "u", "w"]
     assert np.array_equal(contents["data"][:, 2], recording["q"][:, 1])
     assert [str(cell[0]) if cell.size else "" for cell in contents["units"][0]] == [
-        "s",
-        "rad",
-        "rad",
-        "N m",
-        "",
+        "s", "rad", "rad", "N m", "",
     ]
 
 

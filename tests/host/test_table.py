@@ -150,9 +150,7 @@ def test_npz_refuses_pickles_and_names_ragged_and_non_numeric_arrays(tmp_path: P
     with pytest.raises(RecordingError, match="'t' has 4 rows, 'q' has 3"):
         read_table(tmp_path / "a.npz")
     np.savez(
-        tmp_path / "b.npz",
-        t=np.arange(4.0),
-        who=np.array([{"a": 1}], dtype=object),
+        tmp_path / "b.npz", t=np.arange(4.0), who=np.array([{"a": 1}], dtype=object),
         s=np.array(["x"] * 4),
     )
     assert list(read_table(tmp_path / "b.npz").columns) == ["t"]

@@ -7,7 +7,6 @@ import time
 import numpy as np
 import pytest
 import zenoh
-from fake_runtime import FakeRuntime
 from waiting import PATIENCE_S
 
 from zendsp.errors import LinkError, Refused, VersionMismatch
@@ -15,6 +14,7 @@ from zendsp.link import Target
 from zendsp.link.settings import Credentials, zenoh_config
 from zendsp_protocol import codec, keys
 from zendsp_protocol import messages as m
+from zendsp_target.runtime import Runtime
 
 
 def raw_session(target: Target) -> zenoh.Session:
@@ -99,13 +99,13 @@ def test_any_zenoh_client_reads_a_variable_and_follows_the_state(running: Target
 
 
 def test_an_unexpected_failure_inside_the_target_is_an_answer_too(
-    running: Target, runtime: FakeRuntime
+    running: Target, runtime: Runtime, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    runtime.values["Kp1"] = object()
+    monkeypatch.setattr(runtime, "read", lambda names: (0, {"Kp1": object()}))
     with pytest.raises(Refused, match=r"the target failed inside .* this is a bug"):
         running.read(["Kp1"])
-    runtime.values["Kp1"] = 1.0
-    assert running["Kp1"] == 1.0
+    monkeypatch.undo()
+    assert running["Kp1"] == 100.0
 
 
 def test_unknown_verbs_and_arguments_are_refused_by_name(target: Target) -> None:

@@ -39,17 +39,8 @@ def environment_of_the_wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (packages / "shared.pth").write_text("\n".join(shared) + "\n")
     _checked(
         [
-            sys.executable,
-            "-m",
-            "pip",
-            "--python",
-            str(python),
-            "install",
-            "-q",
-            "--no-deps",
-            "--no-index",
-            "--ignore-installed",
-            str(wheel),
+            sys.executable, "-m", "pip", "--python", str(python), "install", "-q", "--no-deps",
+            "--no-index", "--ignore-installed", str(wheel),
         ],
         folder,
     )

@@ -60,13 +60,8 @@ class Installed:
         """Run a Python script of the user's to its end."""
         path = self.write("script.py", text)
         return subprocess.run(
-            [str(self.python), str(path), *arguments],
-            cwd=self.folder,
-            env=self.env,
-            capture_output=True,
-            text=True,
-            timeout=timeout,
-            check=False,
+            [str(self.python), str(path), *arguments], cwd=self.folder, env=self.env,
+            capture_output=True, text=True, timeout=timeout, check=False,
         )
 
     def write(self, name: str, text: str) -> Path:
@@ -88,13 +83,8 @@ class Installed:
         """
         first = {"zendsp": self.zendsp, "python": self.python}.get(str(command[0]), command[0])
         process = subprocess.Popen(
-            [str(first), *map(str, command[1:])],
-            cwd=self.folder,
-            env={**self.env, **(env or {})},
-            stdin=stdin,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
+            [str(first), *map(str, command[1:])], cwd=self.folder, env={**self.env, **(env or {})},
+            stdin=stdin, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
             start_new_session=True,
         )
         self.processes.append(process)

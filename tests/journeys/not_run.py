@@ -19,13 +19,11 @@ NOT_RUN: dict[tuple[str, str], str] = {
     ("README.md", ".venv/bin/pip install '.[test]'"): NETWORK,
     ("README.md", ".venv/bin/pytest"): "is what runs this",
     (
-        "README.md",
-        ".venv/bin/pip install eclipse-zenoh numpy msgpack msgspec cffi pyelftools",
+        "README.md", ".venv/bin/pip install eclipse-zenoh numpy msgpack msgspec cffi pyelftools",
     ): NETWORK,
     ("README.md", ".venv/bin/pip install --no-deps ."): NETWORK,
     (
-        "README.md",
-        "zendsp demo --effect ripple --seed 1",
+        "README.md", "zendsp demo --effect ripple --seed 1",
     ): "is what `zendsp demo` of this page runs as, here",
     ("README.md", "pip install 'zendsp[zig]'"): NETWORK,
     ("README.md", "pip install ."): NETWORK,
@@ -93,8 +91,7 @@ NOT_RUN: dict[tuple[str, str], str] = {
     ("docs/proof.md", "yes  stiffness x1: said stiffness, coefficient off by 4.2%"): "is an output",
     ("docs/prove.md", "pip install 'zendsp[mujoco]'"): NETWORK,
     (
-        "docs/troubleshooting/recording.md",
-        "zendsp salvage -t imi -o run.mat",
+        "docs/troubleshooting/recording.md", "zendsp salvage -t imi -o run.mat",
     ): "needs a killed target: test_salvage.py",
     ("docs/protocol.md", '{"v": 1, "ok": true,  "result": …}'): SYNTAX,
     (
@@ -110,14 +107,12 @@ NOT_RUN: dict[tuple[str, str], str] = {
     ("docs/tour.md", "zendsp bridge rerun"): "needs its viewer: tests/host/test_rerun.py",
     ("docs/tour.md", "zendsp tui --web"): BROWSER,
     (
-        "docs/tour.md",
-        "zendsp tui --screenshots docs/screens",
+        "docs/tour.md", "zendsp tui --screenshots docs/screens",
     ): "draws every screen for a minute: tests/tui/test_coverage.py",
     ("docs/troubleshooting/installing.md", "pip install 'zendsp[zig]'"): NETWORK,
     ("docs/troubleshooting/installing.md", "python3 -m venv"): "names what fails, not what to type",
     (
-        "docs/troubleshooting/link.md",
-        "zendsp info -t imi --connect tls/robot.lab:7447",
+        "docs/troubleshooting/link.md", "zendsp info -t imi --connect tls/robot.lab:7447",
     ): "needs a target elsewhere: docs/security.md and README.md connect to one over TLS",
     ("docs/tui.md", "zendsp tui"): TERMINAL,
     ("docs/tui.md", "zendsp tui imi"): TERMINAL,
@@ -125,8 +120,7 @@ NOT_RUN: dict[tuple[str, str], str] = {
     ("docs/tui.md", "zendsp tui --web --port 8000 imi"): BROWSER,
     ("docs/tui.md", "zendsp tui --frames 10 imi"): TERMINAL,
     (
-        "docs/tui.md",
-        "zendsp tui --screenshots docs/screens",
+        "docs/tui.md", "zendsp tui --screenshots docs/screens",
     ): "draws every screen for a minute: tests/tui/test_coverage.py",
     ("docs/tui.md", "off → ready → homed → enabled → running → stopped | tripped"): DRAWING,
     (
@@ -136,17 +130,9 @@ NOT_RUN: dict[tuple[str, str], str] = {
     **{
         ("docs/results.md", f"zendsp experiment {name}"): EXPERIMENT
         for name in (
-            "all --report docs/results.md",
-            "imi-static",
-            "imi-viscous",
-            "imi-low-speed",
-            "imi-fit",
-            "imi-circle",
-            "pendulum-electrical",
-            "pendulum-mechanical",
-            "pendulum-swing",
-            "wam-friction",
-            "wam-tracking",
+            "all --report docs/results.md", "imi-static", "imi-viscous", "imi-low-speed",
+            "imi-fit", "imi-circle", "pendulum-electrical", "pendulum-mechanical",
+            "pendulum-swing", "wam-friction", "wam-tracking",
         )
     },
 }

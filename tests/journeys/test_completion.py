@@ -20,13 +20,8 @@ def _tab(installed: Installed, *words: str) -> list[str]:
     quoted = " ".join(f"'{word}'" for word in words)
     script = PRESS.format(words=quoted, last=len(words) - 1)
     done = subprocess.run(
-        ["bash", "-c", script],
-        cwd=installed.folder,
-        env=installed.env,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
+        ["bash", "-c", script], cwd=installed.folder, env=installed.env, capture_output=True,
+        text=True, timeout=PATIENCE_S, check=False,
     )
     # compopt knows no completion that is in progress here, and says so
     said = [line for line in done.stderr.splitlines() if "compopt" not in line]

@@ -69,8 +69,7 @@ def test_a_csv_is_diagnosed_in_the_terminal_and_the_better_model_saved(
         screen.until("without coulomb")
         until(
             lambda: any(0x2800 < ord(c) <= 0x28FF for c in screen.text()),
-            "the curves, beside their names",
-            screen.text,
+            "the curves, beside their names", screen.text,
         )
         screen.click("Save w")
         screen.until("Save the improved model")

@@ -285,14 +285,8 @@ class Reader:
         if meant.split()[1] in FOREVER:
             return self._watch(meant)
         done = subprocess.run(
-            ["bash", "-c", meant],
-            cwd=self._user.folder,
-            env=self._user.env,
-            capture_output=True,
-            text=True,
-            timeout=LIMIT_S,
-            check=False,
-            stdin=subprocess.DEVNULL,
+            ["bash", "-c", meant], cwd=self._user.folder, env=self._user.env, capture_output=True,
+            text=True, timeout=LIMIT_S, check=False, stdin=subprocess.DEVNULL,
         )
         return (
             ""

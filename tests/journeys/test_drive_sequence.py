@@ -14,19 +14,11 @@ from journey import Installed
 
 PROGRAMS = {
     "imi_planar": (
-        "pd.c",
-        "inverse_dynamics.c",
-        "torque_steps.c",
-        "constant_torque.c",
-        "template.c",
+        "pd.c", "inverse_dynamics.c", "torque_steps.c", "constant_torque.c", "template.c",
     ),
     "pendulum": (
-        "pendulum_track.c",
-        "pendulum_compensation.c",
-        "pendulum_torque.c",
-        "pendulum_current.c",
-        "constant_torque.c",
-        "template.c",
+        "pendulum_track.c", "pendulum_compensation.c", "pendulum_torque.c", "pendulum_current.c",
+        "constant_torque.c", "template.c",
     ),
     "wam7": ("wam_pd_gravity.c",),
 }

@@ -178,12 +178,8 @@ def test_the_policy_acts_however_the_commanding_kernel_ends(kernels: Installed) 
     path = kernels.write("notebook.py", f"COMMANDING = {COMMANDING!r}\n{NOTEBOOK}")
     for ending in ("interrupt", "restart", "kill", "shutdown"):
         process = subprocess.Popen(
-            [str(kernels.python), str(path), ending],
-            cwd=kernels.folder,
-            env=kernels.env,
-            text=True,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
+            [str(kernels.python), str(path), ending], cwd=kernels.folder, env=kernels.env,
+            text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
         )
         assert process.stdout is not None
         assert process.stdout.readline().strip() == "moves", ending

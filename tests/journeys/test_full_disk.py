@@ -152,25 +152,14 @@ def test_output_that_nobody_takes(installed: Installed, command: list[str]) -> N
     assert installed.script(PREPARE).returncode == 0
     with open("/dev/full", "w") as disk:
         done = subprocess.run(
-            [installed.zendsp, *command, "-t", "imi"],
-            env=installed.env,
-            cwd=installed.folder,
-            stdout=disk,
-            stderr=subprocess.PIPE,
-            text=True,
-            timeout=PATIENCE_S,
-            check=False,
+            [installed.zendsp, *command, "-t", "imi"], env=installed.env, cwd=installed.folder,
+            stdout=disk, stderr=subprocess.PIPE, text=True, timeout=PATIENCE_S, check=False,
         )
     assert done.returncode == 2
     one_sentence(done.stderr, "No space left")
     piped = f"set -o pipefail; {installed.zendsp} {' '.join(command)} -t imi | true"
     done = subprocess.run(
-        ["bash", "-c", piped],
-        env=installed.env,
-        cwd=installed.folder,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
+        ["bash", "-c", piped], env=installed.env, cwd=installed.folder, capture_output=True,
+        text=True, timeout=PATIENCE_S, check=False,
     )
     assert done.stderr == "", "who closes a pipe wants no more, not even a complaint"

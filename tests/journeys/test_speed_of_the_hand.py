@@ -7,14 +7,7 @@ import json
 from journey import Installed
 
 HEAVY = (
-    "numpy",
-    "scipy",
-    "matplotlib",
-    "rich",
-    "textual",
-    "h5py",
-    "zendsp_isr.build",
-    "subprocess",
+    "numpy", "scipy", "matplotlib", "rich", "textual", "h5py", "zendsp_isr.build", "subprocess",
     "ctypes",
 )
 
@@ -23,10 +16,7 @@ def test_the_commands_of_all_day_load_nothing_heavy(installed: Installed) -> Non
     target = installed.target("imi")
     assert installed.run("run", "pd.c", "-t", "imi").returncode == 0
     commands = (
-        ["ls"],
-        ["get", "-t", "imi"],
-        ["set", "-t", "imi", "Kp1=450"],
-        ["info", "-t", "imi"],
+        ["ls"], ["get", "-t", "imi"], ["set", "-t", "imi", "Kp1=450"], ["info", "-t", "imi"],
         ["stop", "-t", "imi"],
     )
     for command in commands:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -35,18 +36,27 @@ def screens(installed: Installed) -> Iterator[list[Screen]]:
         screen.end()
 
 
+def running(
+    user: Installed,
+    screens: list[Screen],
+    size: tuple[int, int] = (80, 24),
+    name: str = "console",
+) -> tuple[subprocess.Popen[str], Screen]:
+    """A target whose program runs, and a terminal that shows it."""
+    process = user.target("imi")
+    done = user.script(PREPARE)
+    assert done.returncode == 0, done.stderr
+    screens.append(Screen(user, size, "imi", "--screen", name))
+    screens[-1].until("● running")
+    return process, screens[-1]
+
+
 @pytest.mark.parametrize("name", ["console", "execute", "reference"])
 @pytest.mark.parametrize("size", [(80, 24), (200, 60)], ids=["small", "large"])
 def test_stop_ends_in_the_right_banner(
     installed: Installed, screens: list[Screen], name: str, size: tuple[int, int]
 ) -> None:
-    process = installed.target("imi")
-    done = installed.script(PREPARE)
-    assert done.returncode == 0, done.stderr
-    screen = Screen(installed, size, "imi", "--screen", name)
-    screens.append(screen)
-    screen.until("● running")
-
+    process, screen = running(installed, screens, size, name)
     screen.keys(F9)
     screen.until("stopped, at sample")
 
@@ -83,11 +93,7 @@ def runner_of(target: int) -> int:
 def test_a_target_whose_own_process_hangs_is_stopped_all_the_same(
     installed: Installed, screens: list[Screen]
 ) -> None:
-    process = installed.target("imi")
-    assert installed.script(PREPARE).returncode == 0
-    screen = Screen(installed, (80, 24), "imi", "--screen", "console")
-    screens.append(screen)
-    screen.until("● running")
+    process, screen = running(installed, screens)
     os.kill(process.pid, signal.SIGSTOP)
     screen.keys(F9)
     screen.until("stopped, at sample")
@@ -128,11 +134,7 @@ def test_a_key_that_is_pressed_before_the_screen_is_there_stops(
 def test_a_click_on_the_red_field_stops_while_the_screen_hangs(
     installed: Installed, screens: list[Screen]
 ) -> None:
-    installed.target("imi")
-    assert installed.script(PREPARE).returncode == 0
-    screen = Screen(installed, (100, 24), "imi", "--screen", "console")
-    screens.append(screen)
-    screen.until("● running")
+    _, screen = running(installed, screens, (100, 24))
     first = screen.clock()
     until(lambda: screen.clock() != first, "a picture more: where the field is was told before it")
     os.kill(screen.pid, signal.SIGSTOP)
@@ -171,39 +173,18 @@ def test_a_terminal_that_was_stopped_shows_at_once_what_is_when_it_goes_on(
     screen.until("HAS ENDED: Ctrl+O")
 
 
-def test_f9_works_where_the_process_of_the_keys_was_killed(
-    installed: Installed, screens: list[Screen]
+@pytest.mark.parametrize("ended", [signal.SIGKILL, signal.SIGSTOP], ids=["killed", "hangs"])
+def test_f9_works_where_the_process_of_the_keys_does_not(
+    installed: Installed, screens: list[Screen], ended: signal.Signals
 ) -> None:
-    installed.target("imi")
-    assert installed.script(PREPARE).returncode == 0
-    screen = Screen(installed, (80, 24), "imi", "--screen", "console")
-    screens.append(screen)
-    screen.until("● running")
-    stopper = stopper_of(screen.pid)
-    os.kill(stopper, signal.SIGKILL)
-    until(
-        lambda: not Path(f"/proc/{stopper}").exists(),
-        "the process of the keys is gone, and was waited for",
-    )
+    _, screen = running(installed, screens)
+    stopper = Path(f"/proc/{stopper_of(screen.pid)}")
+    os.kill(int(stopper.name), ended)
+    if ended == signal.SIGKILL:
+        until(lambda: not stopper.exists(), "it is gone, and was waited for")
     screen.keys(F9)
     screen.until("stopped, at sample")
-    screen.keys(b"\x1bOR")
-    screen.until("reference chosen")
-
-
-def test_f9_works_where_the_process_of_the_keys_hangs(
-    installed: Installed, screens: list[Screen]
-) -> None:
-    installed.target("imi")
-    assert installed.script(PREPARE).returncode == 0
-    screen = Screen(installed, (80, 24), "imi", "--screen", "console")
-    screens.append(screen)
-    screen.until("● running")
-    stopper = stopper_of(screen.pid)
-    os.kill(stopper, signal.SIGSTOP)
-    screen.keys(F9)
-    screen.until("stopped, at sample")
-    assert not Path(f"/proc/{stopper}").exists()
+    assert not stopper.exists()
     screen.keys(b"\x1bOR")
     screen.until("reference chosen")
 
@@ -218,11 +199,7 @@ def stopper_of(terminal: int) -> int:
 
 
 def test_a_pasted_key_does_not_stop(installed: Installed, screens: list[Screen]) -> None:
-    installed.target("imi")
-    assert installed.script(PREPARE).returncode == 0
-    screen = Screen(installed, (80, 24), "imi", "--screen", "console")
-    screens.append(screen)
-    screen.until("● running")
+    _, screen = running(installed, screens)
     screen.keys(b"\x1b[200~" + F9 + b"\x1b[201~")
     screen.keys(b"\x1bOS")  # a key after it has been seen: so the paste has been read
     screen.until("Motion")

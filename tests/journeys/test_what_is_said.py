@@ -151,8 +151,7 @@ def test_one_way_to_name_a_program(user: Installed) -> None:
         )
         said = user.run(*command)
         assert said.returncode == 2 and "nonsense.c" in said.stderr and "pd.c" in said.stderr, (
-            command,
-            said,
+            command, said,
         )
     resolved = user.script("from zendsp.cli.tui import found\nprint(found('pd.c'))")
     assert resolved.stdout.strip().endswith("programs/pd.c"), resolved.stderr

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from journey import PATIENCE_S, Installed, until
+from journey import PATIENCE_S, Installed
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "e2e"))
 
@@ -129,11 +129,9 @@ try:
 except zendsp.errors.LinkError as error:
     print("out:", error)
 """
+LISTEN = ("--listen", "here", "--listen", "tls/127.0.0.1:0")
 ASKED = (
-    "target['Kp1']",
-    "target.update(Kp1=410.0)",
-    "target.pause()",
-    "target.download('pd.c')",
+    "target['Kp1']", "target.update(Kp1=410.0)", "target.pause()", "target.download('pd.c')",
     "target.stop()",
 )
 
@@ -148,27 +146,8 @@ def test_a_role_allows_what_it_says_and_stop_is_for_everyone(
     installed.write(
         "roles.toml", f'[roles]\n{"two" if role else "else"} = "{role or "download"}"\n'
     )
-    process = installed.start(
-        "zendsp",
-        "target",
-        "--machine",
-        "imi_planar",
-        "--name",
-        "imi",
-        "--listen",
-        "here",
-        "--listen",
-        "tls/127.0.0.1:0",
-        "--tls-cert",
-        tmp_path / "one.pem",
-        "--tls-key",
-        tmp_path / "one.key",
-        "--tls-ca",
-        tmp_path / "ca.pem",
-        "--roles",
-        "roles.toml",
-    )
-    until(lambda: "imi" in installed.run("ls").stdout, "target listed", alive=process)
+    keys = f"--tls-cert {tmp_path}/one.pem --tls-key {tmp_path}/one.key --tls-ca {tmp_path}/ca.pem"
+    installed.target("imi", "imi_planar", *LISTEN, *keys.split(), "--roles", "roles.toml")
     assert installed.run("run", "pd.c", "-t", "imi").returncode == 0
     endpoint = next(e for e in entry(installed)["endpoints"] if e.startswith("tls/"))  # type: ignore[attr-defined]
     installed.env |= {
@@ -215,27 +194,8 @@ def test_a_lab_makes_keys_gives_roles_and_takes_them_back(installed: Installed) 
     for line in ("init", "target imi", "user anna --role observe"):
         said = installed.run("keys", *line.split())
         assert said.returncode == 0, said.stderr
-    target = installed.start(
-        "zendsp",
-        "target",
-        "--machine",
-        "imi_planar",
-        "--name",
-        "imi",
-        "--listen",
-        "here",
-        "--listen",
-        "tls/127.0.0.1:0",
-        "--tls-cert",
-        "lab/targets/imi.pem",
-        "--tls-key",
-        "lab/targets/imi.key",
-        "--tls-ca",
-        "lab/ca.pem",
-        "--roles",
-        "lab/roles.toml",
-    )
-    until(lambda: "imi" in installed.run("ls").stdout, "target listed", alive=target)
+    keys = "--tls-cert lab/targets/imi.pem --tls-key lab/targets/imi.key --tls-ca lab/ca.pem"
+    installed.target("imi", "imi_planar", *LISTEN, *keys.split(), "--roles", "lab/roles.toml")
     assert installed.run("run", "pd.c", "-t", "imi").returncode == 0
     anna = {
         "ZENDSP_CONNECT": next(e for e in entry(installed)["endpoints"] if e.startswith("tls/")),  # type: ignore[attr-defined]

@@ -53,15 +53,8 @@ def bare() -> dict[str, tuple[Array, Array]]:
 # wam7 is tried on the effects that need care on light joints; the rest of the table is the same
 # code
 LIGHT = (
-    "elasticity",
-    "backlash",
-    "inertia",
-    "coupling",
-    "hysteresis",
-    "delay",
-    "friction_drift",
-    "quadratic_drag",
-    "foreign",
+    "elasticity", "backlash", "inertia", "coupling", "hysteresis", "delay", "friction_drift",
+    "quadratic_drag", "foreign",
 )
 # follow() sees the truth
 CARRIED = [
@@ -187,14 +180,7 @@ def test_nothing_that_a_host_can_ask_tells_the_effect_before_the_reveal() -> Non
         answers: list[Any] = [
             target.request(verb)
             for verb in (
-                "info",
-                "status",
-                "machine",
-                "limits",
-                "variables",
-                "builtins",
-                "program",
-                "log",
+                "info", "status", "machine", "limits", "variables", "builtins", "program", "log",
                 "drive_status",
             )
         ]

@@ -359,11 +359,7 @@ CASES: list[tuple[str, int, dict[str, float], Callable[[], Array]]] = [
 
 
 DRY = {
-    "coulomb",
-    "coulomb_asymmetry",
-    "load_friction",
-    "position_friction",
-    "friction_drift",
+    "coulomb", "coulomb_asymmetry", "load_friction", "position_friction", "friction_drift",
     "coupling",
 }
 

@@ -132,14 +132,11 @@ def test_names_units_and_limits_come_from_the_model() -> None:
         # ctrlrange; ctrlrange x gear; forcerange
         assert [j.torque_max for j in joint] == [40.0, 80.0, 30.0]
         assert [(j.position_min, j.position_max) for j in joint] == [
-            (-2.5, 2.5),
-            (-1.8, 1.8),
-            (-2.4, 2.4),
+            (-2.5, 2.5), (-1.8, 1.8), (-2.4, 2.4),
         ]
         assert plant.ffi.string(plant.info.name) == b"bench_arm"
         assert [plant.ffi.string(plant.info.adc_name[i]) for i in range(2)] == [
-            b"elbow speed",
-            b"elbow torque",
+            b"elbow speed", b"elbow torque",
         ]
 
 
@@ -165,8 +162,7 @@ def test_a_slide_is_in_metres_and_joints_without_a_motor_have_an_encoder_when_na
     with robot(cart, "joints = slider,pole", "q2 = 0.1") as plant:
         assert [plant.ffi.string(plant.info.joint[j].unit) for j in range(2)] == [b"m", b"rad"]
         assert [plant.ffi.string(plant.info.joint[j].command) for j in range(2)] == [
-            b"force",
-            b"none",
+            b"force", b"none",
         ]
         for _ in range(300):
             measured = plant.sample([5000.0, 5000.0])

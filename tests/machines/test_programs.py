@@ -106,18 +106,8 @@ def test_torque_steps_find_the_breakaway_torque_of_each_joint_and_direction(
 ) -> None:
     with running("imi_planar", "torque_steps.c") as runtime:
         out = record(
-            runtime,
-            8.0,
-            "moved",
-            "breakaway",
-            "torque",
-            "position",
-            joint=joint,
-            direction=direction,
-            first=0.4 * level,
-            increment=0.01 * level,
-            hold=0.1,
-            go=1,
+            runtime, 8.0, "moved", "breakaway", "torque", "position", joint=joint,
+            direction=direction, first=0.4 * level, increment=0.01 * level, hold=0.1, go=1,
         )
     assert out["moved"][-1] == 1.0 and out["torque"][-1] == 0.0
     # a step of 1 %, and the joint needs a few steps' time to travel the threshold

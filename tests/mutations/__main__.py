@@ -32,12 +32,7 @@ MOST_KB = 6 << 20
 # holds. sh is there to wait for orphans.
 NAMESPACES = (("--pid",), ("--user", "--map-current-user", "--pid"))
 CAGE = (
-    "--fork",
-    "--mount-proc",
-    "--kill-child",
-    "sh",
-    "-c",
-    f'ulimit -v {MOST_KB}; "$@"; exit $?',
+    "--fork", "--mount-proc", "--kill-child", "sh", "-c", f'ulimit -v {MOST_KB}; "$@"; exit $?',
     "sh",
 )
 # A change after which nothing runs any more would be noticed by every test, and says nothing about
@@ -122,14 +117,8 @@ class Lab:
 
     def _run(self, command: Sequence[str]) -> tuple[int, str]:
         process = subprocess.Popen(
-            [*self._before, *command],
-            cwd=self.tree,
-            env=self._env,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            start_new_session=True,
+            [*self._before, *command], cwd=self.tree, env=self._env, stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True,
         )
         try:
             said, _ = process.communicate(timeout=LIMIT_S)
@@ -162,13 +151,7 @@ class Lab:
         report = self._folder / "report.xml"
         report.unlink(missing_ok=True)
         command = [
-            sys.executable,
-            "-m",
-            "pytest",
-            "-q",
-            "-p",
-            "no:cacheprovider",
-            f"--junitxml={report}",
+            sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", f"--junitxml={report}",
             *tests,
         ]
         status, said = self._run(command)
@@ -222,27 +205,16 @@ def page(results: Sequence[Result], command: str, version: str) -> str:
             f" {sum(r.seconds for r in results):.0f} s."
         ),
         "",
-        (
-            "Each line is a promise that was taken out of a copy of the tree, alone. The tests"
-            " named in `tests/mutations/` ran on the copy;"
-        ),
-        "*noticed* means that every one of them failed. `--report FILE` writes such a page.",
+        "Each is a promise that was taken out of a copy of the tree, alone; `--list` names them.",
+        "Its tests in `tests/mutations/` ran on the copy; *noticed* means that every one failed.",
+        "`--report FILE` writes such a page.",
+        "",
+        "| about | promises | noticed |",
+        "|---|---|---|",
     ]
-    topic = ""
-    for result in results:
-        m = result.mutation
-        if m.topic != topic:
-            topic = m.topic
-            lines += [
-                "",
-                f"## {topic.capitalize()}",
-                "",
-                "| lost | in | outcome | tests |",
-                "|---|---|---|---|",
-            ]
-        lines.append(
-            f"| {m.lost} | `{m.file.rpartition('/')[2]}` | {result.outcome} | {len(m.tests)} |"
-        )
+    for topic in dict.fromkeys(r.mutation.topic for r in results):
+        outcomes = [r.outcome for r in results if r.mutation.topic == topic]
+        lines.append(f"| {topic} | {len(outcomes)} | {outcomes.count('noticed')} |")
     silent = [f"- {r.mutation.name}: `{test}`" for r in results for test in r.silent]
     return "\n".join([*lines, *(["", "## Did not notice", "", *silent] if silent else []), ""])
 
@@ -257,10 +229,7 @@ def main(
     """Run the command; returns its exit status: 0 only if every test noticed."""
     parser = argparse.ArgumentParser(prog="python -m tests.mutations", description=__doc__)
     parser.add_argument(
-        "--only",
-        nargs="+",
-        default=[],
-        metavar="WORD",
+        "--only", nargs="+", default=[], metavar="WORD",
         help="those with the word in their name, or of this topic",
     )
     parser.add_argument("--list", action="store_true", help="names and promises; runs nothing")

@@ -124,14 +124,7 @@ def chosen(mutations: Sequence[Mutation], words: Sequence[str]) -> list[Mutation
 def copy_tree(root: Path, to: Path) -> Path:
     """Copy what git knows of the tree, and new files that it does not ignore, as they are now."""
     listing = [
-        "git",
-        "-C",
-        str(root),
-        "ls-files",
-        "-z",
-        "--cached",
-        "--others",
-        "--exclude-standard",
+        "git", "-C", str(root), "ls-files", "-z", "--cached", "--others", "--exclude-standard",
     ]
     names = subprocess.run(listing, capture_output=True, check=True).stdout.decode().split("\0")
     for name in filter(None, names):

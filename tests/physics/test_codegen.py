@@ -166,14 +166,8 @@ def test_numbers_are_parameters_that_change_the_torque_while_it_runs() -> None:
 
 def every_effect() -> list[Term]:
     numbers = {
-        "from_joint": 2.0,
-        "law": 1.0,
-        "order": 7.0,
-        "period": 0.5,
-        "exponent": 2.0,
-        "velocity": 0.3,
-        "split": 0.7,
-        "smooth": 0.05,
+        "from_joint": 2.0, "law": 1.0, "order": 7.0, "period": 0.5, "exponent": 2.0,
+        "velocity": 0.3, "split": 0.7, "smooth": 0.05,
     }
     return [
         Term(
@@ -389,13 +383,7 @@ def test_compensation_fades_and_stays_within_its_limit(
 def test_what_a_torque_cannot_cancel_is_named_with_its_reason_and_valid_c_comes_out() -> None:
     terms = [t for t in every_effect() if not compensable(t)]
     assert {t.effect for t in terms} >= {
-        "delay",
-        "lag",
-        "backlash",
-        "elasticity",
-        "presliding",
-        "hysteresis",
-        "saturation",
+        "delay", "lag", "backlash", "elasticity", "presliding", "hysteresis", "saturation",
     }
     text = compensation(terms, title="a */ b", sentences=["Joint 1 lacks everything. */"])
     for term in terms:

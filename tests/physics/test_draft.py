@@ -77,10 +77,8 @@ def test_what_the_recording_cannot_say_is_asked() -> None:
     )
     asked = "\n".join(draft.questions)
     for words in (
-        "no time column",
-        "does it turn (rad) or slide (m)",
-        "how many N m (N) does one A of iq make",
-        "how long until",
+        "no time column", "does it turn (rad) or slide (m)",
+        "how many N m (N) does one A of iq make", "how long until",
     ):
         assert words.lower() in asked.lower()
     assert draft.text.count("# ? ") == len(draft.questions)
@@ -107,9 +105,7 @@ def test_joints_are_grouped_and_sides_are_told_apart() -> None:
     )
     model = model_of(draft.text)
     assert model.joints == 3 and model.columns["position"] == [
-        "axis1.pos",
-        "axis2.pos",
-        "axis3.pos",
+        "axis1.pos", "axis2.pos", "axis3.pos",
     ]
     assert model.columns["command"] == ["axis1.torque", "axis2.torque", "axis3.torque"]
     assert model.columns["position_load"] == ["q_load1", "q_load2", "q_load3"]
@@ -121,12 +117,8 @@ def test_degrees_and_milliseconds_end_as_si(tmp_path: Path) -> None:
     one = recording()
     rows = np.column_stack([T * 1e3, np.degrees(one["q"]), one["tau"] * 1e3])
     np.savetxt(
-        tmp_path / "run.csv",
-        rows,
-        delimiter=",",
-        header="t,angle,torque\nms,deg,mN m",
-        comments="",
-        fmt="%.17g",
+        tmp_path / "run.csv", rows, delimiter=",", header="t,angle,torque\nms,deg,mN m",
+        comments="", fmt="%.17g",
     )
     draft = draft_model(read_table(tmp_path / "run.csv"))
     model = model_of(draft.text)

@@ -316,25 +316,10 @@ def varied(model: Model, factor: float) -> Model:
 
 # a value of each kind of number that lets the effect act on the recording
 TYPICAL = {
-    "torque": 0.03,
-    "torque/speed": 0.01,
-    "torque/speed2": 0.005,
-    "torque/position": 30.0,
-    "torque/position3": 0.1,
-    "speed": 0.3,
-    "position": 0.01,
-    "time": 0.004,
-    "ratio": 0.2,
-    "angle": 0.5,
-    "order": 3.0,
-    "inertia": 0.003,
-    "command": 0.05,
-    "number": 1.0,
-    "mass": 0.3,
-    "length": 0.1,
-    "body_inertia": 0.003,
-    "temperature": 25.0,
-    "1/temperature": 0.03,
+    "torque": 0.03, "torque/speed": 0.01, "torque/speed2": 0.005, "torque/position": 30.0,
+    "torque/position3": 0.1, "speed": 0.3, "position": 0.01, "time": 0.004, "ratio": 0.2,
+    "angle": 0.5, "order": 3.0, "inertia": 0.003, "command": 0.05, "number": 1.0, "mass": 0.3,
+    "length": 0.1, "body_inertia": 0.003, "temperature": 25.0, "1/temperature": 0.03,
 }
 
 

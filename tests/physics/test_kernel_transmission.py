@@ -67,8 +67,7 @@ def uneven(x: float) -> tuple[float, float, float]:
     """Load position behind a motor at x, and its first two derivatives by it."""
     at = ORDER * x + PHASE
     return (
-        x + ERROR * math.sin(at),
-        1 + ERROR * ORDER * math.cos(at),
+        x + ERROR * math.sin(at), 1 + ERROR * ORDER * math.cos(at),
         -ERROR * ORDER**2 * math.sin(at),
     )
 
@@ -164,12 +163,7 @@ def test_a_spring_is_bent_already_when_a_recording_begins_in_the_middle() -> Non
     record = prepare(
         [
             Signals(
-                "later",
-                np.arange(N - begin) * T,
-                T,
-                later,
-                command()[begin:, None],
-                None,
+                "later", np.arange(N - begin) * T, T, later, command()[begin:, None], None,
                 np.zeros(1),
             )
         ],

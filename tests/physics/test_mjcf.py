@@ -127,8 +127,7 @@ def test_includes_and_named_joints(tmp_path: Path) -> None:
         model_of(tmp_path, xml)
     model = model_of(tmp_path, xml, joints=["shoulder", "reach"])
     assert [mjcf_of(model).model.joint(k).name for k in mjcf_of(model).joints] == [
-        "shoulder",
-        "reach",
+        "shoulder", "reach",
     ]
     assert model.joints == 2
 

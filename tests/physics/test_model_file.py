@@ -52,14 +52,7 @@ def test_every_part_of_a_model_survives_writing_and_reading() -> None:
     model = parse_model(GOOD)
     again = parse_model(tomllib.loads(model_text(model)))
     for part in (
-        "name",
-        "sample_time",
-        "kind",
-        "mechanism",
-        "terms",
-        "actuator",
-        "sensor",
-        "discrepancy",
+        "name", "sample_time", "kind", "mechanism", "terms", "actuator", "sensor", "discrepancy",
         "columns",
     ):
         assert getattr(again, part) == getattr(model, part), part

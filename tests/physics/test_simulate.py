@@ -206,11 +206,7 @@ EFFECTS = {
     "viscous_asymmetry": {"coefficient_pos": 0.01, "coefficient_neg": 0.02},
     "position_friction": {"amplitude": 0.02, "period": 0.5, "phase": 0.0},
     "friction_block": {
-        "level": 0.05,
-        "slope": -0.02,
-        "curve": 0.03,
-        "cubic": 0.01,
-        "split": 1.0,
+        "level": 0.05, "slope": -0.02, "curve": 0.03, "cubic": 0.01, "split": 1.0,
         "high_curve": 0.002,
     },
     "inertia": {"amount": 0.004},
@@ -253,8 +249,7 @@ N, A, PHI = 3.0, 0.02, 0.4  # of a transmission
 
 def uneven(x: float) -> tuple[float, float, float]:
     return (
-        x + A * math.sin(N * x + PHI),
-        1 + A * N * math.cos(N * x + PHI),
+        x + A * math.sin(N * x + PHI), 1 + A * N * math.cos(N * x + PHI),
         -A * N * N * math.sin(N * x + PHI),
     )
 

@@ -216,9 +216,7 @@ def test_a_coarse_reference_is_played_at_its_own_rate() -> None:
 
     coarse = Reference(np.column_stack([np.linspace(0.0, 0.5, 51), np.zeros(51)]), 0.02)
     rec = simulate(
-        "inverse_dynamics.c",
-        MODELS / "imi_planar.toml",
-        reference=coarse,
+        "inverse_dynamics.c", MODELS / "imi_planar.toml", reference=coarse,
         parameters={"approach_time": 0.2},
     )
     assert rec.parameters["row_rate"] == 50 and len(rec) == 200 + 1020 + 500

@@ -15,33 +15,11 @@ from zendsp.proof.effects import SINGLE
 from zendsp.proof.seal import SEALS, BrokenSeal, open_truth, seal, write_truth
 
 CONTRACT = {
-    "viscous",
-    "coulomb",
-    "coulomb_asymmetry",
-    "viscous_asymmetry",
-    "stribeck",
-    "presliding",
-    "quadratic_drag",
-    "load_friction",
-    "position_friction",
-    "friction_drift",
-    "gravity",
-    "stiffness",
-    "cubic_stiffness",
-    "inertia",
-    "coupling",
-    "elasticity",
-    "backlash",
-    "hysteresis",
-    "ripple",
-    "torque_gain",
-    "torque_offset",
-    "dead_zone",
-    "saturation",
-    "lag",
-    "delay",
-    "encoder_eccentricity",
-    "disturbance",
+    "viscous", "coulomb", "coulomb_asymmetry", "viscous_asymmetry", "stribeck", "presliding",
+    "quadratic_drag", "load_friction", "position_friction", "friction_drift", "gravity",
+    "stiffness", "cubic_stiffness", "inertia", "coupling", "elasticity", "backlash", "hysteresis",
+    "ripple", "torque_gain", "torque_offset", "dead_zone", "saturation", "lag", "delay",
+    "encoder_eccentricity", "disturbance",
 }
 
 
@@ -104,9 +82,7 @@ def test_written_case_can_be_read_back(tmp_path: Path) -> None:
         listing = json.loads((folder / "case.json").read_text())
         model = tomllib.loads((folder / listing["model"]).read_text())
         assert model["mechanism"]["kind"] == "rotary" and set(model["columns"]) >= {
-            "time",
-            "position",
-            "command",
+            "time", "position", "command",
         }
         assert all(
             (folder / name).stat().st_size > 1000 for name in listing["train"] + listing["heldout"]

@@ -22,12 +22,8 @@ def say(verdict: str, *effects: str) -> Answer:
 
 def go(folder: Path) -> run_proof.Outcome:
     return run_proof.run_proof(
-        programme.prepare(folder, FEW, 1),
-        jobs=1,
-        limit=1.0,
-        with_peers=False,
-        command="zendsp prove --quick",
-        tell=lambda _: None,
+        programme.prepare(folder, FEW, 1), jobs=1, limit=1.0, with_peers=False,
+        command="zendsp prove --quick", tell=lambda _: None,
     )
 
 

@@ -74,12 +74,8 @@ def test_what_is_fetched_gets_into_the_folder_only_with_the_known_hash(
         made.writestr("EMPS/two.mat", two)
     server, address = serve({"/a.zip": archive.getvalue(), "/t.csv": table, "/wrong.mat": b"other"})
     known = {
-        "one.mat": one,
-        "two.mat": two,
-        "t.csv.gz": table,
-        "wrong.mat": b"expected",
-        "gone.mat": b"",
-        "bare.mat": b"",
+        "one.mat": one, "two.mat": two, "t.csv.gz": table, "wrong.mat": b"expected",
+        "gone.mat": b"", "bare.mat": b"",
     }
     at = {
         "one.mat": "/a.zip",
@@ -101,16 +97,12 @@ def test_what_is_fetched_gets_into_the_folder_only_with_the_known_hash(
     server.shutdown()
     assert len(told) == 5
     assert [line.split(":")[0] for line in trouble] == [
-        "emps/wrong.mat",
-        "emps/gone.mat",
-        "emps/bare.mat",
+        "emps/wrong.mat", "emps/gone.mat", "emps/bare.mat",
     ]
     assert "expected" in trouble[0] and "404" in trouble[1] and "no address" in trouble[2]
     assert all("nonlinearbenchmark.org" in line for line in trouble)
     assert sorted(path.name for path in (tmp_path / "emps").iterdir()) == [
-        "one.mat",
-        "t.csv.gz",
-        "two.mat",
+        "one.mat", "t.csv.gz", "two.mat",
     ]
     server.server_close()  # nobody listens there any more
     assert "127.0.0.1 cannot be reached" in fetch("emps", tmp_path)[0]

@@ -114,14 +114,8 @@ def test_triangle_cycles_repeat_row_by_row() -> None:
 
 def test_multisine_has_low_crest_and_no_line_shared_by_two_joints() -> None:
     reference = make_multisine(
-        load_machine("imi_planar"),
-        start=0.0,
-        amplitude=0.3,
-        period=10.0,
-        f_min=0.1,
-        f_max=3.0,
-        spectrum="flat",
-        fade_time=0.0,
+        load_machine("imi_planar"), start=0.0, amplitude=0.3, period=10.0, f_min=0.1, f_max=3.0,
+        spectrum="flat", fade_time=0.0,
     )
     period = reference.q[:10000]
     # random phases of 15 lines have a crest factor of about 2.5; Schroeder's about 1.7

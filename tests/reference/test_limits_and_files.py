@@ -185,16 +185,8 @@ def test_command_line_plans_saves_draws_and_refuses(tmp_path: Path) -> None:
     runner = CliRunner()
     out, picture = tmp_path / "c.mat", tmp_path / "c.png"
     args = [
-        "circle",
-        "--machine",
-        "imi_planar",
-        "--radius",
-        "0.1",
-        "--out",
-        str(out),
-        "--plot",
-        str(picture),
-        "--json",
+        "circle", "--machine", "imi_planar", "--radius", "0.1", "--out", str(out), "--plot",
+        str(picture), "--json",
     ]
     result = runner.invoke(command, args, catch_exceptions=False)
     told = json.loads(result.output)

@@ -111,24 +111,11 @@ def test_what_runs_code_or_moves_the_machine_needs_the_role_for_it() -> None:
     }
     assert at_least["download"] == {"compile", "load", "unload"}
     assert at_least["command"] - at_least["download"] == {
-        "start",
-        "pause",
-        "set_limits",
-        "set_drive",
-        "set_ramp",
-        "set_overrun",
-        "set_inputs",
-        "home",
-        "acknowledge",
-        "drive",
+        "start", "pause", "set_limits", "set_drive", "set_ramp", "set_overrun", "set_inputs",
+        "home", "acknowledge", "drive",
     }
     assert at_least["tune"] >= {
-        "write",
-        "update",
-        "table_begin",
-        "table_chunk",
-        "table_commit",
-        "acquire_configure",
+        "write", "update", "table_begin", "table_chunk", "table_commit", "acquire_configure",
     }
 
 
@@ -159,9 +146,7 @@ def test_a_user_without_a_role_is_refused_at_the_start(tmp_path: Path) -> None:
 def test_who_is_in_no_list_has_no_role() -> None:
     doors = Doors((), roles={"anna": "tune"})
     assert (doors.role_of("anna"), doors.role_of("bo"), doors.role_of("")) == (
-        "tune",
-        "",
-        "download",
+        "tune", "", "download",
     )
 
 

@@ -187,20 +187,17 @@ def test_a_crash_in_the_background_is_told_as_such(make_runtime: Make, wait_for:
     [
         ("*(volatile int *)8 = 1;", RunnerDied, "SIGSEGV in UserInit"),
         (
-            "for (volatile int i = 0;;) i = 0;",
-            RunnerDied,
+            "for (volatile int i = 0;;) i = 0;", RunnerDied,
             "did not return within 0.5 s in UserInit",
         ),
         ('SIGNAL(x, "", ""); SIGNAL(x, "", "");', Refused, "'x': declared twice"),
         ('static double t; SIGNAL(t, "", "");', Refused, "taken by a built-in"),
         (
-            'PARAMETER(x, 5.0, "", 0.0, 1.0, "");',
-            Refused,
+            'PARAMETER(x, 5.0, "", 0.0, 1.0, "");', Refused,
             "'x': initial value 5 is outside its limits 0 and 1: change one of them in UserInit",
         ),
         (
-            'PARAMETER(x, 0.0, "", 2.5, -1.0, "");',
-            Refused,
+            'PARAMETER(x, 0.0, "", 2.5, -1.0, "");', Refused,
             "'x': its limits are 2.5 and -1: the first must not be above the second",
         ),
         (
@@ -240,9 +237,7 @@ def crashing_on(hardware: str, make_runtime: Make, folder: Path) -> tuple[Runtim
     source, said = folder / "fake.c", folder / "said"
     source.write_text(hardware)
     runtime = make_runtime(
-        CRASHING.format(how="*nowhere = 1;"),
-        machine=str(source),
-        clock="real",
+        CRASHING.format(how="*nowhere = 1;"), machine=str(source), clock="real",
         machine_config={"path": str(said)},
     )
     return runtime, said

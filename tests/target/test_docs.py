@@ -91,10 +91,7 @@ def test_every_name_of_the_header_is_on_the_page() -> None:
     header = (source_root() / "include" / "isr.h").read_text().split("/* ---- Beneath")[0]
     names = re.findall(r"^#define (\w+)", header, re.MULTILINE)
     names = [name for name in names if name != "ZENDSP_ISR_H"] + [
-        "TableValue",
-        "UserInit",
-        "UserISR_INT2",
-        "UserBackground",
+        "TableValue", "UserInit", "UserISR_INT2", "UserBackground",
     ]
     page = (DOCS / "isr.md").read_text()
     assert [name for name in names if name not in page] == []

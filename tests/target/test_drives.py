@@ -181,30 +181,6 @@ def test_with_nothing_latched_acknowledge_says_so_and_a_program_goes_on(target: 
     assert target.drive_status().state == "enabled", "the drives stay as they are, too"
 
 
-def test_the_digital_input_stops_as_well(target: Target) -> None:
-    target.power_on()
-    target.enable()
-    target.start()
-    target.set_inputs(1)
-    try:
-        until(lambda: target.drive_status().state == "stopped", "the input acts")
-        trip = target.status().trip
-        assert trip is not None and "input" in trip.text
-    finally:
-        target.set_inputs(0)
-
-
-def test_a_limit_trips_and_says_which_joint_and_value(target: Target) -> None:
-    target.update(Kp1=20000.0, Kd1=0.0, approach_time=0.1, center1=1.5)
-    target.power_on()
-    target.enable()
-    target.start()
-    until(lambda: target.drive_status().state == "tripped", "such gains exceed the torque")
-    trip = target.status().trip
-    assert trip is not None and trip.joint == 1 and abs(trip.value) > trip.limit > 0
-    assert target.status().io["aout"] == [0.0, 0.0]
-
-
 def test_the_right_to_command_is_exclusive_and_taken_over_deliberately(target: Target) -> None:
     assert target.drive_status().commander == ""
     target.power_on()
@@ -277,12 +253,7 @@ def test_managed_targets_enforce_the_sequence() -> None:
 
 def _cli(target: Target, *words: str) -> subprocess.CompletedProcess[str]:
     call = [
-        sys.executable,
-        "-c",
-        "from zendsp.cli import main; main()",
-        "drive",
-        *words,
-        "--target",
+        sys.executable, "-c", "from zendsp.cli import main; main()", "drive", *words, "--target",
         target.name,
     ]
     return subprocess.run(call, capture_output=True, text=True, timeout=100, check=False)

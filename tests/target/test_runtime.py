@@ -103,12 +103,7 @@ def test_one_wrong_variable_stops_the_whole_update_and_each_is_named(runtime: Ru
         )
     lines = str(caught.value).splitlines()
     assert [line.split(":")[0] for line in lines] == [
-        "Kp2",
-        "Kd1",
-        "none",
-        "q1",
-        "row_rate",
-        "use_table",
+        "Kp2", "Kd1", "none", "q1", "row_rate", "use_table",
     ]
     assert "0 … 5000" in lines[0]
     assert runtime.read(["Kp1"])[1]["Kp1"] == 2000.0
@@ -146,10 +141,7 @@ def test_a_trigger_keeps_what_came_before_it(runtime: Runtime) -> None:
     runtime.wait_paused()
     status = runtime.acquire_status(3)
     assert (status.state, status.wanted, status.trigger_row, status.first) == (
-        "done",
-        100,
-        200,
-        160,
+        "done", 100, 200, 160,
     )
     rows = runtime.acquire_read(3, status.first, status.wanted)
     assert np.array_equal(rows[:, 0], np.arange(160, 260))

@@ -84,22 +84,6 @@ def test_stop_zeroes_output_within_two_samples_and_forces_velocity_mode(make_run
     assert np.all(rows[(rows[:, 0] > 5) & (rows[:, 0] < trip.tick), 1] == 2000.0)
 
 
-def test_loading_another_program_does_not_lift_a_stop(
-    make_runtime: Make, wait_for: Callable[..., None]
-) -> None:
-    runtime = make_runtime(CONSTANT)
-    runtime.start()
-    runtime.stop()
-    wait_for(lambda: runtime.status().trip is not None)
-    key = runtime.status().program
-    with pytest.raises(Refused, match=r"STOP was requested .* acknowledge it first"):
-        runtime.load(key)
-    assert runtime.status().trip is not None
-    runtime.acknowledge()
-    runtime.load(key)
-    assert runtime.status().trip is None and runtime.status().state == "loaded"
-
-
 def test_the_stop_input_of_the_machine_stops(make_runtime: Make) -> None:
     runtime = make_runtime(CONSTANT)
     runtime.start(ticks=10)

@@ -147,8 +147,7 @@ def enabled(
         await built(app, pilot)
         await pilot.press("o")
         await until(
-            pilot,
-            lambda: app.session.snapshot.drive == "homed" and app.session.snapshot.explicit,
+            pilot, lambda: app.session.snapshot.drive == "homed" and app.session.snapshot.explicit,
             "powered",
         )
         await pilot.press("e")

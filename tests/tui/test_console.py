@@ -21,15 +21,8 @@ from zendsp.tui.screens.diagnose import DiagnoseScreen
 
 
 @pytest.mark.covers(
-    "app.command",
-    "app.acknowledge",
-    "console.power",
-    "console.home",
-    "console.enable",
-    "console.start",
-    "console.pause",
-    "console.host_lost",
-    "console.build",
+    "app.command", "app.acknowledge", "console.power", "console.home", "console.enable",
+    "console.start", "console.pause", "console.host_lost", "console.build",
 )
 async def test_the_safe_sequence_by_keys(
     lab: ZendspApp, target: Target, built: Step, until: Until
@@ -41,8 +34,7 @@ async def test_the_safe_sequence_by_keys(
         await until(pilot, lambda: snap().explicit and snap().mine, "powered; who powers, commands")
         await pilot.press("s")
         await until(
-            pilot,
-            lambda: "starting is refused: enabled" in events_of(lab),
+            pilot, lambda: "starting is refused: enabled" in events_of(lab),
             "start without enable is refused by name",
         )
         await pilot.press("h")
@@ -56,8 +48,7 @@ async def test_the_safe_sequence_by_keys(
         await until(pilot, lambda: snap().drive == "enabled", "enabled")
         await pilot.press("s")
         await until(
-            pilot,
-            lambda: snap().drive == "running" and target.status().state == "running",
+            pilot, lambda: snap().drive == "running" and target.status().state == "running",
             "running",
         )
         await pilot.press("p")
@@ -104,13 +95,8 @@ async def test_a_refused_enable_names_each_condition(
 
 
 @pytest.mark.covers(
-    "console.filter",
-    "console.edit",
-    "console.stage",
-    "console.update",
-    "console.undo",
-    "console.initial",
-    "console.initial_all",
+    "console.filter", "console.edit", "console.stage", "console.update", "console.undo",
+    "console.initial", "console.initial_all",
 )
 async def test_variables_edit_stage_update_undo(
     lab: ZendspApp, target: Target, built: Step, until: Until
@@ -129,8 +115,7 @@ async def test_variables_edit_stage_update_undo(
         await type_first(pilot, "1500")
         await until(pilot, lambda: target["Kp1"] == 1500.0, "written at once")
         await until(
-            pilot,
-            lambda: console.key_to_applied_s == console.key_to_applied_s,
+            pilot, lambda: console.key_to_applied_s == console.key_to_applied_s,
             "the sample is reported",
         )
 
@@ -172,8 +157,7 @@ async def test_variables_edit_stage_update_undo(
         await pilot.press("escape")  # leaves the line, and shows all again
         assert lab.focused is console.variables.table
         await until(
-            pilot,
-            lambda: console.variables.table.row_count == len(lab.session.snapshot.variables),
+            pilot, lambda: console.variables.table.row_count == len(lab.session.snapshot.variables),
             "all again",
         )
 
@@ -300,8 +284,7 @@ async def test_sliders_move_parameters_by_key_and_mouse(
         await pilot.press("escape")
         await until(pilot, lambda: target[name] != other.variable.initial, "the last move counts")
         await until(
-            pilot,
-            lambda: lab.session.snapshot.values[name] != other.variable.initial,
+            pilot, lambda: lab.session.snapshot.values[name] != other.variable.initial,
             "seen here too",
         )
         await pilot.press("z")
@@ -369,14 +352,8 @@ async def test_record_then_open_simulation_and_diagnosis(
 
 
 @pytest.mark.covers(
-    "app.show('console')",
-    "app.show('execute')",
-    "app.show('reference')",
-    "app.show('diagnose')",
-    "app.help",
-    "app.next_theme",
-    "app.command_palette",
-    "app.quit",
+    "app.show('console')", "app.show('execute')", "app.show('reference')", "app.show('diagnose')",
+    "app.help", "app.next_theme", "app.command_palette", "app.quit",
 )
 async def test_keys_that_work_everywhere(lab: ZendspApp, until: Until) -> None:
     async with lab.run_test(size=(100, 30)) as pilot:
@@ -412,14 +389,12 @@ async def test_connect_offers_running_targets_and_machines(
     async with lab.run_test(size=(100, 30)) as pilot:
         await pilot.press("ctrl+o")
         await until(
-            pilot,
-            lambda: isinstance(lab.screen, Choose) and isinstance(lab.focused, OptionList),
+            pilot, lambda: isinstance(lab.screen, Choose) and isinstance(lab.focused, OptionList),
             "the list",
         )
         await pilot.press(*target.name)
         await until(
-            pilot,
-            lambda: lab.screen.query_one(OptionList).option_count == 1,
+            pilot, lambda: lab.screen.query_one(OptionList).option_count == 1,
             "the filter leaves one",
         )
         await pilot.press("enter")

@@ -19,22 +19,10 @@ from zendsp.tui.screens.execute import ExecuteScreen
 
 
 @pytest.mark.covers(
-    "console.plot",
-    "console.channels",
-    "console.mode",
-    "console.trigger",
-    "console.single",
-    "console.freeze",
-    "console.autoscale",
-    "console.lanes",
-    "console.cursors",
-    "console.swap_cursor",
-    "console.next_curve",
-    "console.zoom(-1)",
-    "console.zoom(1)",
-    "console.pan(0.25)",
-    "console.pan(-0.25)",
-    "console.events",
+    "console.plot", "console.channels", "console.mode", "console.trigger", "console.single",
+    "console.freeze", "console.autoscale", "console.lanes", "console.cursors",
+    "console.swap_cursor", "console.next_curve", "console.zoom(-1)", "console.zoom(1)",
+    "console.pan(0.25)", "console.pan(-0.25)", "console.events",
 )
 async def test_every_key_of_the_scope(
     lab: ZendspApp, target: Target, built: Step, until: Until

@@ -11,13 +11,8 @@ def test_every_action_is_carried_out_by_some_test(request: pytest.FixtureRequest
     items = request.session.items
     modules = {item.nodeid.split("::")[0].rsplit("/", 1)[-1] for item in items}
     needed = {
-        "test_console.py",
-        "test_console_scope.py",
-        "test_diagnose_screen.py",
-        "test_execute.py",
-        "test_execute_measure.py",
-        "test_reference_screen.py",
-        "test_stop_and_loss.py",
+        "test_console.py", "test_console_scope.py", "test_diagnose_screen.py", "test_execute.py",
+        "test_execute_measure.py", "test_reference_screen.py", "test_stop_and_loss.py",
     }
     if not needed <= modules:
         pytest.skip("only part of the terminal's tests was collected")

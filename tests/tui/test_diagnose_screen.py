@@ -315,8 +315,7 @@ async def test_compensation_fades_in_and_out_of_the_running_program(
         assert target.read(["comp_coulomb1_level"]).values["comp_coulomb1_level"] == 8.0
         await until(pilot, lambda: lab.session.snapshot.t > at + 3.0, "faded in, and 2 s more")
         await until(
-            pilot,
-            lambda: screen._rms().get("e1", 1.0) < 0.7 * screen.before["e1"],
+            pilot, lambda: screen._rms().get("e1", 1.0) < 0.7 * screen.before["e1"],
             "the tracking error falls",
         )
         assert "→" in _text(screen, "#loop-words")
@@ -378,8 +377,7 @@ async def test_the_proposed_motion_is_played_and_diagnosed_with_the_rest(
         execute = lab.screen
         assert isinstance(execute, ExecuteScreen)
         await until(
-            pilot,
-            lambda: execute.references and all(c.met for c in execute.conditions),
+            pilot, lambda: execute.references and all(c.met for c in execute.conditions),
             "tried on the twin",
         )
         await pilot.press("s")

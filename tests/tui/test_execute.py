@@ -53,8 +53,7 @@ async def test_the_trial_is_shown_before_start(
         screen = await opened(lab, pilot, until, ExecuteScreen)
         lab.chosen = (gentle,)
         await until(
-            pilot,
-            lambda: "tried on a simulated twin" in _unmet(screen),
+            pilot, lambda: "tried on a simulated twin" in _unmet(screen),
             "Start waits for the trial",
         )
         before = target.status().tick
@@ -76,8 +75,7 @@ async def test_the_trial_is_shown_before_start(
 
         lab.chosen = (hasty,)
         await until(
-            pilot,
-            lambda: "no limit is passed" in _unmet(screen),
+            pilot, lambda: "no limit is passed" in _unmet(screen),
             "what would trip is said before Start",
         )
         assert "in the simulation" in _conditions(screen) and "plan it slower" in _conditions(
@@ -91,18 +89,13 @@ async def test_the_trial_is_shown_before_start(
 
         lab.session.do("gain", lambda port: port.update({"Kp1": 1200.0}))
         await until(
-            pilot,
-            lambda: "tried on a simulated twin" in _unmet(screen),
+            pilot, lambda: "tried on a simulated twin" in _unmet(screen),
             "another gain is another run",
         )
 
 
 @pytest.mark.covers(
-    "execute.choose",
-    "execute.start",
-    "execute.overlay",
-    "execute.cyclic",
-    "execute.settings",
+    "execute.choose", "execute.start", "execute.overlay", "execute.cyclic", "execute.settings",
     "execute.note",
 )
 async def test_a_reference_is_played_and_the_run_can_be_repeated(
@@ -144,16 +137,11 @@ async def test_a_reference_is_played_and_the_run_can_be_repeated(
         await pilot.press("enter")
         await pilot.pause()
         assert screen.setup == replace(
-            Setup(),
-            cycles=2,
-            channels=("q", "e", "tau", "r1", "r2"),
-            decimation=2,
-            name="first circle",
-            note="gains as shipped [N m/rad]",
+            Setup(), cycles=2, channels=("q", "e", "tau", "r1", "r2"), decimation=2,
+            name="first circle", note="gains as shipped [N m/rad]",
         )
         await until(
-            pilot,
-            lambda: all(c.met for c in screen.look(lab.session.snapshot)),
+            pilot, lambda: all(c.met for c in screen.look(lab.session.snapshot)),
             "tried with two cycles",
         )
         await pilot.press("s")
@@ -242,8 +230,7 @@ async def test_abort_keeps_what_was_acquired(
         await until(pilot, lambda: screen.references and not _unmet(screen), "ready")
         await pilot.press("s")
         await until(
-            pilot,
-            lambda: screen.job is not None and screen.job.progress.phase == "play",
+            pilot, lambda: screen.job is not None and screen.job.progress.phase == "play",
             "it plays",
         )
         await pilot.press("b")
@@ -297,11 +284,7 @@ async def test_start_stays_disabled_and_says_why(
 
 
 @pytest.mark.covers(
-    "execute.rename",
-    "execute.compare",
-    "execute.export",
-    "execute.delete",
-    "execute.simulate",
+    "execute.rename", "execute.compare", "execute.export", "execute.delete", "execute.simulate",
     "execute.diagnose",
 )
 async def test_the_list_of_runs(lab: ZendspApp, until: Until, folder: Path) -> None:
@@ -376,11 +359,7 @@ def test_simulate_this_repeats_the_run_and_keeps_the_result_beside_it(folder: Pa
     taken = replace(
         short_run(300.0),
         parameters={
-            "Kp1": 300.0,
-            "hold": False,
-            "Kp": [1.0, 2.0],
-            "use_table": True,
-            "row_rate": 1000,
+            "Kp1": 300.0, "hold": False, "Kp": [1.0, 2.0], "use_table": True, "row_rate": 1000,
         },
     )
     run = store_run(
@@ -389,13 +368,10 @@ def test_simulate_this_repeats_the_run_and_keeps_the_result_beside_it(folder: Pa
     words, keep = simulation_of(run, folder / "runs")
     pairs = [words[k + 1] for k, word in enumerate(words) if word == "--set"]
     assert pairs == [
-        "Kp1=300.0",
-        "hold=false",
-        "Kp=[1.0, 2.0]",
+        "Kp1=300.0", "hold=false", "Kp=[1.0, 2.0]",
     ], "what the reference sets by itself is left to it"
     assert words[words.index("--channels") + 1] == "q,e" and words[-2:] == [
-        "--reference",
-        str(run.folder / "reference.mat"),
+        "--reference", str(run.folder / "reference.mat"),
     ]
     t = np.arange(900) * 1e-3
     simulated = Recording.from_columns(

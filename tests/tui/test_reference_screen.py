@@ -70,8 +70,7 @@ async def test_forms_of_every_kind_have_units_and_plan(app: ZendspApp, until: Un
         await pilot.press("escape")
         screen.query_one("#machine", Select).value = "wam7"
         await until(
-            pilot,
-            lambda: screen.plan is not None and screen.plan.reference.joints == 7,
+            pilot, lambda: screen.plan is not None and screen.plan.reference.joints == 7,
             "seven joints planned",
         )
         assert "all" not in views_of(screen.plan.reference)
@@ -92,8 +91,7 @@ async def test_a_saved_reference_is_what_was_planned_and_goes_to_execute(
         screen = _screen(app)
         screen.query_one("#kind", Select).value = "circle"
         await until(
-            pilot,
-            lambda: screen.plan is not None and screen.plan.reference.kind == "circle",
+            pilot, lambda: screen.plan is not None and screen.plan.reference.kind == "circle",
             "planned",
         )
         assert screen.plan is not None
@@ -109,16 +107,14 @@ async def test_a_saved_reference_is_what_was_planned_and_goes_to_execute(
         screen.query_one("#curves", Scope).focus()
         screen.query_one("#kind", Select).value = "lspb"
         await until(
-            pilot,
-            lambda: screen.plan is not None and screen.plan.reference.kind == "lspb",
+            pilot, lambda: screen.plan is not None and screen.plan.reference.kind == "lspb",
             "another is planned",
         )
         await pilot.press("l", "enter")
         await until(pilot, lambda: screen.kind == "circle", "loaded with its kind")
         screen.query_one("#curves", Scope).focus()
         await until(
-            pilot,
-            lambda: screen.plan is not None and screen.plan.reference.kind == "circle",
+            pilot, lambda: screen.plan is not None and screen.plan.reference.kind == "circle",
             "planned anew",
         )
         assert screen.plan is not None and np.allclose(
@@ -139,8 +135,7 @@ async def test_a_motion_beyond_a_limit_is_named_and_cannot_be_saved(
         await until(pilot, lambda: screen.plan is not None, "planned")
         _field(screen, "goal").value = "3.0 0"
         await until(
-            pilot,
-            lambda: screen.plan is not None and screen.plan.violations,
+            pilot, lambda: screen.plan is not None and screen.plan.violations,
             "the violation is found",
         )
         text = str(screen.query_one("#check", Static).render())

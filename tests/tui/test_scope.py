@@ -215,10 +215,7 @@ def test_numbers_on_axes_are_round_and_short() -> None:
     assert label(123456.0, 1000.0) == "1.23e5"
     assert (duration(0.25), duration(2e-5), duration(300.0)) == ("250 ms", "20 µs", "5 min")
     assert (number(0.0), number(-0.0), number(float("nan")), number(3.14159265)) == (
-        "0",
-        "0",
-        "—",
-        "3.1416",
+        "0", "0", "—", "3.1416",
     )
     assert number(-1.877e-322) == "0", "what a filter leaves that dies away"
     assert show_value(np.array([-3070.0, 24113.0])) == "-3070 24113", "counts are whole"

@@ -130,9 +130,9 @@ async def test_cursors_measure_time_and_value() -> None:
         scope.history.append(k, (k * 0.002)[:, None], 0.001)
         scope.set(replace(scope.settings, window=1.0, cursors=True, cursor_a=0.25, cursor_b=0.75))
         await pilot.pause()
-        text = scope.readout(*scope.history.newest())
+        text = "\n".join(scope.render_line(y).text for y in range(scope.size.height))
         assert "Δt 500 ms = 1/2 Hz" in text
-        assert "Δy 1 rad" in text
+        assert "Δy 1 rad" in text and "A…B mean" in text
 
 
 async def test_units_in_brackets_reach_the_screen() -> None:

@@ -202,8 +202,7 @@ async def test_what_is_typed_before_a_dialog_opens_is_no_command(
         assert not isinstance(lab.screen, Choose), "typed before the dialog was there"
         seek.set()
         await until(
-            pilot,
-            lambda: isinstance(lab.screen, Choose) and lab.screen.opened and not lab._held,
+            pilot, lambda: isinstance(lab.screen, Choose) and lab.screen.opened and not lab._held,
             "handed over",
         )
         assert not asked
@@ -221,8 +220,7 @@ async def test_what_a_fast_hand_types_after_a_key_that_opens_an_input_is_no_comm
         for key in (opens, "p", "s", "d"):  # at once, as a terminal hands on one read
             lab.post_message(Key(key, {"slash": "/"}.get(key, key)))
         await until(
-            pilot,
-            lambda: [line.value for line in lab.screen.query(Input)] == ["psd"],
+            pilot, lambda: [line.value for line in lab.screen.query(Input)] == ["psd"],
             "the input has what was typed",
         )
         assert not asked
@@ -256,8 +254,7 @@ async def test_keys_that_come_back_from_a_slow_screen_do_not_fall_behind_later_o
             await lab.on_event(typed[at])
         lab.push_screen(Form("A name", [Field("name", "Name", "")]))
         await until(
-            pilot,
-            lambda: [line.value for line in lab.screen.query(Input)] == ["abc"],
+            pilot, lambda: [line.value for line in lab.screen.query(Input)] == ["abc"],
             "in the order in which they were typed",
         )
 

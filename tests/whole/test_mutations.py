@@ -141,10 +141,7 @@ def test_nothing_that_is_let_loose_reaches_a_process_outside(tmp_path: Path) -> 
         f" start_new_session=True)\nos.kill({os.getpid()}, 0)\n"
     )
     done = subprocess.run(
-        [*before, sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        timeout=20,
+        [*before, sys.executable, "-c", code], capture_output=True, text=True, timeout=20,
         check=False,
     )
     assert (

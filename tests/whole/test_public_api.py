@@ -13,15 +13,8 @@ from collections.abc import Iterator
 from typing import Any
 
 ROOMS = (
-    "zendsp",
-    "zendsp.link",
-    "zendsp.recording",
-    "zendsp.reference",
-    "zendsp.physics",
-    "zendsp.physics.effects",
-    "zendsp.diagnosis",
-    "zendsp.experiment",
-    "zendsp.demo",
+    "zendsp", "zendsp.link", "zendsp.recording", "zendsp.reference", "zendsp.physics",
+    "zendsp.physics.effects", "zendsp.diagnosis", "zendsp.experiment", "zendsp.demo",
     "zendsp.bridge",
 )
 # what a role must not be called, and what it is called instead

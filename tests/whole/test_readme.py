@@ -24,12 +24,8 @@ def test_the_ten_lines_run_and_record_every_sample(tmp_path: Path) -> None:
     assert match is not None
     environment = {**os.environ, "ZENDSP_RUNTIME_DIR": str(tmp_path / "registry")}
     done = subprocess.run(
-        [sys.executable, "-c", match[1]],
-        cwd=tmp_path,
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
+        [sys.executable, "-c", match[1]], cwd=tmp_path, env=environment, capture_output=True,
+        text=True, check=False,
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == "2000 rows, 0 lost"

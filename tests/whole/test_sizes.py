@@ -16,12 +16,10 @@ LONG = {
     "target/zendsp_target/__main__.py:parser": "the table of options",
     "host/zendsp/proof/scoreboard.py:headline": "the sentences of a page, in their order",
     "host/zendsp/proof/rivals.py:rivals": "a table of rivals and what each is given",
-    "host/zendsp/experiment/imi_fit.py:_draw": "the panels of a figure, in their order",
     "host/zendsp/reference/kinds/swing.py:_collocate": "one optimal control problem, stated whole",
     "host/zendsp/diagnosis/decide/laws.py:named": "the decision, case by case",
     "host/zendsp/tui/preflight.py:preflight": "the checks before a start, in their order",
     "host/zendsp/tui/playing.py:make_playlist": "the steps of a playlist, in their order",
-    "host/zendsp/cli/acquire.py:command": "the steps of a recording, each way that it may end",
 }
 PUBLIC = "a user's function: keywords with defaults, each explained"
 PLANNED = "the fields of its form, one keyword each"

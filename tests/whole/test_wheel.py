@@ -95,12 +95,8 @@ def test_the_wheel_works_away_from_the_repository(wheel: Path, tmp_path: Path) -
         "ZENDSP_CACHE": str(tmp_path / "cache"),
     }
     done = subprocess.run(
-        [sys.executable, "-c", USE, str(home)],
-        cwd=tmp_path,
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
+        [sys.executable, "-c", USE, str(home)], cwd=tmp_path, env=environment, capture_output=True,
+        text=True, check=False,
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == "used"

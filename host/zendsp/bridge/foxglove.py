@@ -93,11 +93,8 @@ class Bridge:
         websocket = self._fox.websocket
         try:
             self._server = self._fox.start_server(
-                name=f"zendsp {target.name}",
-                host=HOST,
-                port=port,
-                capabilities=[websocket.Capability.Parameters],
-                server_listener=_Listener(self),
+                name=f"zendsp {target.name}", host=HOST, port=port,
+                capabilities=[websocket.Capability.Parameters], server_listener=_Listener(self),
                 context=self._context,
             )
         except RuntimeError as error:

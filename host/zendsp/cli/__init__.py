@@ -52,27 +52,23 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "params": ("zendsp.cli.params:command", "Save, compare and restore parameters."),
     "acquire": ("zendsp.cli.acquire:command", "Record channels into a file."),
     "salvage": (
-        "zendsp.cli.salvage:command",
-        "Save what a target had recorded before it was killed.",
+        "zendsp.cli.salvage:command", "Save what a target had recorded before it was killed.",
     ),
     "sweep": ("zendsp.cli.sweep:command", "Try values of parameters and measure each."),
     "bode": ("zendsp.cli.bode:command", "Measure a frequency response of the machine."),
     "stats": ("zendsp.cli.stats:command", "Show the timing of the loop."),
     "reveal": (
-        "zendsp.cli.reveal:command",
-        "Tell what a simulated machine conceals, after the fact.",
+        "zendsp.cli.reveal:command", "Tell what a simulated machine conceals, after the fact.",
     ),
     "reference": (
-        "zendsp.cli.reference:command",
-        "Plan a motion within a machine's limits and save it.",
+        "zendsp.cli.reference:command", "Plan a motion within a machine's limits and save it.",
     ),
     "tui": (
         "zendsp.cli.tui:command",
         "Console, Execute, Reference and Diagnose in the terminal, or a browser.",
     ),
     "rehearse": (
-        "zendsp.cli.rehearse:command",
-        "Try a planned motion on a simulated twin; nothing moves.",
+        "zendsp.cli.rehearse:command", "Try a planned motion on a simulated twin; nothing moves.",
     ),
     "simulate": (
         "zendsp.cli.simulate:command",
@@ -93,8 +89,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "completion": ("zendsp.cli.completion:command", "Let bash, zsh or fish complete commands."),
     "keys": ("zendsp.cli.keys:command", "Make a lab's certificates, and say who may do what."),
     "prove": (
-        "zendsp.cli.prove:command",
-        "Judge the diagnosis on concealed cases and real machines.",
+        "zendsp.cli.prove:command", "Judge the diagnosis on concealed cases and real machines.",
     ),
 }
 

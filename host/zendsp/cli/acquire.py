@@ -37,10 +37,7 @@ STOPPING_S = 5.0  # for the loop to end a recording that is interrupted
     "--edge", type=click.Choice(["rising", "falling", "both"]), default="rising", show_default=True
 )
 @click.option(
-    "--pre",
-    type=float,
-    default=0.0,
-    show_default=True,
+    "--pre", type=float, default=0.0, show_default=True,
     help="Seconds to keep from before the trigger.",
 )
 @click.option("--start", is_flag=True, help="Also start the program, and pause it afterwards.")
@@ -88,13 +85,7 @@ def command(
         try:
             with progress("recording", seconds, as_json) as set_fraction:
                 recording = t.acquire(
-                    list(channels),
-                    seconds,
-                    decimation,
-                    when,
-                    start=start,
-                    take=take,
-                    note=note,
+                    list(channels), seconds, decimation, when, start=start, take=take, note=note,
                     progress=set_fraction,
                 )
             status = t.status()
@@ -120,11 +111,8 @@ def command(
     if plot is not None:
         recording.plot(path=plot)
     body = {
-        "file": str(written),
-        "rows": len(recording),
-        "columns": recording.columns,
-        "lost": recording.lost,
-        "ended": ended,
+        "file": str(written), "rows": len(recording), "columns": recording.columns,
+        "lost": recording.lost, "ended": ended,
     }
     emit(
         body,

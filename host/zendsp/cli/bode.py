@@ -17,11 +17,7 @@ from zendsp.cli.completing import variables
 @click.option("--f-max", type=float, default=30.0, show_default=True, help="Hz.")
 @click.option("--lines", type=int, default=30, show_default=True, help="Frequencies at the most.")
 @click.option(
-    "-a",
-    "--amplitude",
-    type=float,
-    default=0.02,
-    show_default=True,
+    "-a", "--amplitude", type=float, default=0.02, show_default=True,
     help="Peak of what swings: rad (m), with --torque N m (N).",
 )
 @click.option("--torque", is_flag=True, help="Swing the torque beside a held position.")

@@ -22,10 +22,7 @@ def command() -> None:
 @command.command("foxglove")
 @click.argument("channels", nargs=-1, shell_complete=variables)
 @click.option(
-    "--port",
-    type=click.IntRange(0, 65535),
-    default=8765,
-    show_default=True,
+    "--port", type=click.IntRange(0, 65535), default=8765, show_default=True,
     help="On the loopback; 0: any that is free.",
 )
 @click.option("--rate", type=float, default=100.0, show_default=True, help="Rows a second.")

@@ -11,8 +11,7 @@ import click
 @click.argument("model", type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path), help="File to write. Default: print it.")
 @click.option(
-    "--effects-only",
-    is_flag=True,
+    "--effects-only", is_flag=True,
     help="Only what a torque can cancel, as Compensation(), without the rigid bodies.",
 )
 @click.option(
@@ -37,10 +36,7 @@ def command(model: Path, out: Path | None, effects_only: bool, sign_speed: float
     if effects_only:
         kinds = [loaded.joint_kind(j + 1) for j in range(loaded.joints)]
         text = compensation(
-            loaded.terms,
-            title=loaded.name,
-            kinds=kinds,
-            actuator=loaded.actuator,
+            loaded.terms, title=loaded.name, kinds=kinds, actuator=loaded.actuator,
             sign_speed=sign_speed,
         )
     else:

@@ -33,16 +33,11 @@ def target_options(function: F) -> F:
     decorators = (
         click.option("--json", "as_json", is_flag=True, help="Print JSON."),
         click.option(
-            "--connect",
-            metavar="ENDPOINT",
+            "--connect", metavar="ENDPOINT",
             help="Where to reach it, e.g. tls/robot.lab:7447 (else $ZENDSP_CONNECT).",
         ),
         click.option(
-            "-t",
-            "--target",
-            default="",
-            envvar="ZENDSP_TARGET",
-            metavar="NAME",
+            "-t", "--target", default="", envvar="ZENDSP_TARGET", metavar="NAME",
             shell_complete=completing.targets,
             help="Which target (else $ZENDSP_TARGET, or the only one on this machine).",
         ),
@@ -140,12 +135,8 @@ def wrapped(text: str, head: str) -> str:
     """
     width = shutil.get_terminal_size((80, 24)).columns
     return textwrap.fill(
-        text,
-        max(width, len(head) + 20),
-        initial_indent=head,
-        subsequent_indent=" " * len(head),
-        break_long_words=False,
-        break_on_hyphens=False,
+        text, max(width, len(head) + 20), initial_indent=head, subsequent_indent=" " * len(head),
+        break_long_words=False, break_on_hyphens=False,
     )
 
 

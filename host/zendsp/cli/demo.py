@@ -20,9 +20,7 @@ from zendsp.cli.common import emit
     help="Folder for what it makes.",
 )
 @click.option(
-    "--machine",
-    default="imi_planar",
-    show_default=True,
+    "--machine", default="imi_planar", show_default=True,
     help="imi_planar, pendulum, or wam7, which conceals a payload.",
 )
 @click.option(
@@ -34,9 +32,7 @@ from zendsp.cli.common import emit
     ),
 )
 @click.option(
-    "--seed",
-    type=int,
-    default=None,
+    "--seed", type=int, default=None,
     help="Draw by this number, to see the same again. Default: drawn by the target, unknown here.",
 )
 @click.option("--clock", type=click.Choice(["real", "fast"]), default="fast", show_default=True,

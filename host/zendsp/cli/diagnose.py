@@ -23,21 +23,15 @@ FILE = click.Path(path_type=Path)
 @click.command("diagnose")
 @click.argument("train", nargs=-1, metavar="RECORDING...", type=FILE)
 @click.option(
-    "--model",
-    "model_path",
-    type=FILE,
+    "--model", "model_path", type=FILE,
     help="Given model (TOML), required; 'zendsp model new' begins one.",
 )
 @click.option(
-    "--heldout",
-    multiple=True,
-    type=FILE,
+    "--heldout", multiple=True, type=FILE,
     help="Recording to judge on; repeat for several. Default: the last third of each.",
 )
 @click.option(
-    "--out",
-    type=FILE,
-    default=None,
+    "--out", type=FILE, default=None,
     help="Folder for report.json, report.html, figures, model.toml, compensation.c.",
 )
 @click.option(
@@ -45,34 +39,25 @@ FILE = click.Path(path_type=Path)
 )
 @click.option("--json", "as_json", is_flag=True, help="Print report.json instead of the summary.")
 @click.option(
-    "--run",
-    "run_on",
-    metavar="TARGET",
-    default=None,
+    "--run", "run_on", metavar="TARGET", default=None,
     help="Run the proposed next recording on this target and diagnose again with it; needs --out.",
 )
 @click.option(
     "--seed", type=int, default=0, show_default=True, help="Seed of what is drawn at random."
 )
 @click.option(
-    "--jobs",
-    type=click.IntRange(1),
-    default=None,
+    "--jobs", type=click.IntRange(1), default=None,
     help="Threads, or processes with --each. Default: all cores.",
 )
 @click.option(
-    "--effects",
-    multiple=True,
-    type=FILE,
+    "--effects", multiple=True, type=FILE,
     help="Python file with your own effects; repeat for several.",
 )
 @click.option(
     "--each", is_flag=True, help="Diagnose each recording on its own; a table at the end."
 )
 @click.option(
-    "--scheduler",
-    default=None,
-    metavar="ADDRESS",
+    "--scheduler", default=None, metavar="ADDRESS",
     help="With --each: run on the Dask cluster of this scheduler (tcp://host:8786).",
 )
 def command(
@@ -182,14 +167,8 @@ def _together(asked: _Asked, run_on: str | None) -> None:
             from zendsp.experiment.next_recording import run_next
 
             result = run_next(
-                result,
-                asked.train,
-                run_on,
-                out,
-                heldout=asked.heldout,
-                progress=tell,
-                seed=asked.seed,
-                jobs=asked.jobs,
+                result, asked.train, run_on, out, heldout=asked.heldout, progress=tell,
+                seed=asked.seed, jobs=asked.jobs,
             )
         if out is not None:
             tell("writing the report")
@@ -238,15 +217,8 @@ def _each(asked: _Asked, scheduler: str | None) -> None:
     load_model(asked.model)  # a wrong model is one error, not one for each recording
     with stages(quiet=asked.as_json) as tell:
         items = diagnose_each(
-            asked.train,
-            asked.model,
-            asked.heldout,
-            out=asked.out,
-            pictures=asked.pictures,
-            seed=asked.seed,
-            jobs=asked.jobs,
-            effects=asked.effects,
-            scheduler=scheduler,
+            asked.train, asked.model, asked.heldout, out=asked.out, pictures=asked.pictures,
+            seed=asked.seed, jobs=asked.jobs, effects=asked.effects, scheduler=scheduler,
             progress=tell,
         )
     if all(i.report is None for i in items):

@@ -11,16 +11,7 @@ from zendsp.cli.common import emit, open_target, target_options
 from zendsp.errors import Refused
 
 ACTIONS = (
-    "status",
-    "on",
-    "off",
-    "home",
-    "enable",
-    "disable",
-    "acknowledge",
-    "auto",
-    "take",
-    "host-lost",
+    "status", "on", "off", "home", "enable", "disable", "acknowledge", "auto", "take", "host-lost",
 )
 
 
@@ -28,10 +19,7 @@ ACTIONS = (
 @click.argument("action", type=click.Choice(ACTIONS), default="status")
 @click.argument("policy", type=click.Choice(["stop", "hold", "finish"]), required=False)
 @click.option(
-    "--mode",
-    type=click.Choice(["torque", "velocity"]),
-    default="torque",
-    show_default=True,
+    "--mode", type=click.Choice(["torque", "velocity"]), default="torque", show_default=True,
     help="Of enable.",
 )
 @click.option("--force", is_flag=True, help="take: also from another host.")

@@ -35,10 +35,7 @@ if TYPE_CHECKING:
     help="Write all results of the folder beside the papers' (Markdown, figures beside it).",
 )
 @click.option(
-    "-t",
-    "--target",
-    default="",
-    metavar="NAME",
+    "-t", "--target", default="", metavar="NAME",
     help="A target with the machine. Default: a simulated one, started here, on the fast clock.",
 )
 @click.option("--connect", metavar="ENDPOINT", help="Where to reach it, e.g. tls/robot.lab:7447.")
@@ -126,9 +123,7 @@ def _print(result: Result, folder: Path, as_json: bool) -> None:
         click.echo(
             json.dumps(
                 {
-                    "name": result.name,
-                    "values": values,
-                    "warnings": result.warnings,
+                    "name": result.name, "values": values, "warnings": result.warnings,
                     "folder": str(folder),
                 },
                 allow_nan=False,

@@ -12,20 +12,14 @@ from zendsp.cli.common import emit, table
 from zendsp_protocol.verbs import ROLES
 
 _folder = click.option(
-    "--folder",
-    default="lab",
-    show_default=True,
-    type=click.Path(path_type=Path),
+    "--folder", default="lab", show_default=True, type=click.Path(path_type=Path),
     help="Where the lab's keys are.",
 )
 
 
 def _days(default: int) -> Callable[..., Any]:
     return click.option(
-        "--days",
-        default=default,
-        show_default=True,
-        type=click.IntRange(1, 36500),
+        "--days", default=default, show_default=True, type=click.IntRange(1, 36500),
         help="How long it is good for.",
     )
 
@@ -62,10 +56,7 @@ def init(folder: Path, days: int) -> None:
 @command.command("target")
 @click.argument("name")
 @click.option(
-    "--host",
-    "hosts",
-    multiple=True,
-    metavar="NAME|ADDRESS",
+    "--host", "hosts", multiple=True, metavar="NAME|ADDRESS",
     help="Under which hosts reach it; may be repeated.",
 )
 @_folder
@@ -92,9 +83,7 @@ def target(name: str, hosts: tuple[str, ...], folder: Path, days: int) -> None:
 @command.command("user")
 @click.argument("name")
 @click.option(
-    "--role",
-    required=True,
-    type=click.Choice(ROLES),
+    "--role", required=True, type=click.Choice(ROLES),
     help="Each includes those before it; download runs code there.",
 )
 @click.option("--renew", is_flag=True, help="A new key and certificate also where there is one.")
@@ -136,10 +125,7 @@ def list_(folder: Path, as_json: bool) -> None:
     rows = [[h.name, h.kind, h.role, f"{h.until:%Y-%m-%d}", str(h.certificate)] for h in holders]
     body = [
         {
-            "name": h.name,
-            "kind": h.kind,
-            "role": h.role,
-            "until": h.until.isoformat(),
+            "name": h.name, "kind": h.kind, "role": h.role, "until": h.until.isoformat(),
             "certificate": str(h.certificate),
         }
         for h in holders

@@ -27,10 +27,7 @@ def command() -> None:
 @command.command("new")
 @click.argument("recording", type=FILE)
 @click.option(
-    "-o",
-    "--out",
-    type=FILE,
-    default=None,
+    "-o", "--out", type=FILE, default=None,
     help="Default: the recording's name with .toml, in this folder.",
 )
 @click.option("--force", is_flag=True, help="Write over a file that is there.")
@@ -111,9 +108,7 @@ def check(file: Path, recording: Path | None, as_json: bool) -> None:
         seconds = len(signals.time) * signals.sample_time
         steps = ", ".join(f"{r:.4g}" if r else "none seen" for r in signals.resolution)
         body["recording"] = {
-            "rows": len(signals.time),
-            "sample_time": signals.sample_time,
-            "notes": notes,
+            "rows": len(signals.time), "sample_time": signals.sample_time, "notes": notes,
         }
         lines.append(
             f"{recording}: {len(signals.time)} rows, {signals.sample_time * 1e3:g} ms,"
@@ -134,10 +129,6 @@ def _about(model: Model) -> dict[str, Any]:
         f"to be calibrated: {', '.join(free) or 'nothing'}"
     )
     return {
-        "name": model.name,
-        "kind": model.kind,
-        "joints": model.joints,
-        "effects": effects,
-        "free": free,
-        "text": text,
+        "name": model.name, "kind": model.kind, "joints": model.joints, "effects": effects,
+        "free": free, "text": text,
     }

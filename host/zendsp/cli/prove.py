@@ -74,18 +74,14 @@ def realities(words: str) -> tuple[str, ...]:
     "--jobs", type=click.IntRange(1), default=None, help="Cases at a time. Default: all cores."
 )
 @click.option(
-    "--scheduler",
-    default="",
-    metavar="ADDRESS",
+    "--scheduler", default="", metavar="ADDRESS",
     help="Run on the Dask cluster of this scheduler (tcp://host:8786).",
 )
 @click.option(
     "--seed", type=click.IntRange(0), default=0, show_default=True, help="Draws other cases."
 )
 @click.option(
-    "--sample",
-    type=click.IntRange(1),
-    default=None,
+    "--sample", type=click.IntRange(1), default=None,
     help="Only so many of the cases, drawn by the seed, as many of each reality.",
 )
 @click.option(
@@ -102,34 +98,23 @@ def realities(words: str) -> tuple[str, ...]:
     "--make", "make_only", type=FOLDER, default=None, help="Only write and seal the cases there."
 )
 @click.option(
-    "--judge",
-    "judge_only",
-    type=FOLDER,
-    default=None,
+    "--judge", "judge_only", type=FOLDER, default=None,
     help="Judge the cases that --make wrote there.",
 )
 @click.option(
-    "--resume/--fresh",
-    default=True,
-    show_default=True,
+    "--resume/--fresh", default=True, show_default=True,
     help="Go on where an interrupted run stopped, or begin again.",
 )
 @click.option(
-    "--peers/--no-peers",
-    default=True,
-    show_default=True,
+    "--peers/--no-peers", default=True, show_default=True,
     help="Let PySINDy and FROLS try the same cases.",
 )
 @click.option(
-    "--strict",
-    is_flag=True,
+    "--strict", is_flag=True,
     help="End with status 1 below the marks that tell a broken diagnosis, too.",
 )
 @click.option(
-    "--limit",
-    type=click.FloatRange(min=0, min_open=True),
-    default=300.0,
-    show_default=True,
+    "--limit", type=click.FloatRange(min=0, min_open=True), default=300.0, show_default=True,
     help="Seconds a diagnosis may take.",
 )
 @click.option(
@@ -198,13 +183,8 @@ def command(
             fetch_absent(data_folder(data))
         sys.exit(
             on_real_machines(
-                data_folder(data),
-                out or Path("proof_real"),
-                limit,
-                implant=implant,
-                only=only,
-                quick=quick,
-                jobs=cores,
+                data_folder(data), out or Path("proof_real"), limit, implant=implant, only=only,
+                quick=quick, jobs=cores,
             )
         )
     if make_only is not None and judge_only is not None:

@@ -103,9 +103,7 @@ def _common(function: Any) -> Any:
             help="Write it: the .mat file that Execute plays.",
         ),
         click.option(
-            "--machine",
-            "machine_name",
-            default=None,
+            "--machine", "machine_name", default=None,
             help="imi_planar, pendulum, wam7, or a .toml description.",
         ),
     ):
@@ -168,10 +166,7 @@ def _make_command(kind: Any) -> click.Command:
     )
     example = f"Example:  zendsp reference {kind.name} --out {kind.name}.mat --plot {kind.name}.png"
     command = click.Command(
-        kind.name,
-        callback=run,
-        params=options,
-        help=f"{kind.description}\n\n{example}",
+        kind.name, callback=run, params=options, help=f"{kind.description}\n\n{example}",
         short_help=kind.title,
     )
     return _common_on(command)

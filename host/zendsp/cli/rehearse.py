@@ -34,9 +34,7 @@ def command(file: str, target: str, connect: str | None, as_json: bool) -> None:
         found = rehearse(t, tables, values, approach + reference.duration + 0.5)
     emit(
         {
-            "simulated": found.simulated,
-            "trip": found.trip,
-            "text": found.text,
+            "simulated": found.simulated, "trip": found.trip, "text": found.text,
             "peaks": found.peaks,
         },
         as_json,

@@ -11,9 +11,7 @@ from zendsp.cli.common import emit, open_target, target_options
 
 @click.command("reveal")
 @click.option(
-    "--seal",
-    "only_seal",
-    is_flag=True,
+    "--seal", "only_seal", is_flag=True,
     help="Only the SHA-256 of the truth: ask before the diagnosis, compare after.",
 )
 @target_options

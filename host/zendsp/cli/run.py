@@ -12,15 +12,11 @@ from zendsp.cli.completing import programs
 @click.command("run")
 @click.argument("file", required=False, shell_complete=programs)
 @click.option(
-    "--set",
-    "assignments",
-    multiple=True,
-    metavar="NAME=VALUE",
+    "--set", "assignments", multiple=True, metavar="NAME=VALUE",
     help="Before it starts; may be repeated.",
 )
 @click.option(
-    "--seconds",
-    type=float,
+    "--seconds", type=float,
     help="Pause after this time of the target, and wait for it; Ctrl-C pauses at once.",
 )
 @click.option("--flag", "flags", multiple=True, help="Further flag for the compiler.")

@@ -44,8 +44,7 @@ def command(target: str, out: Path | None, drop: bool, note: str, as_json: bool)
     found = find_salvage(target)
     if not found:
         emit(
-            [],
-            as_json,
+            [], as_json,
             f"no recording of a killed target{f' named {target!r}' if target else ''} is kept here",
         )
         raise click.exceptions.Exit(1)
@@ -59,9 +58,7 @@ def command(target: str, out: Path | None, drop: bool, note: str, as_json: bool)
         )
         emit(
             {
-                "file": str(out),
-                "rows": len(recording),
-                "columns": recording.columns,
+                "file": str(out), "rows": len(recording), "columns": recording.columns,
                 "lost": recording.lost,
             },
             as_json,
@@ -76,10 +73,7 @@ def command(target: str, out: Path | None, drop: bool, note: str, as_json: bool)
             one.drop()
     body = [
         {
-            "target": f.target,
-            "machine": f.machine,
-            "begun": f.begun,
-            "rows": f.rows,
+            "target": f.target, "machine": f.machine, "begun": f.begun, "rows": f.rows,
             "columns": f.columns,
         }
         for f in found

@@ -10,10 +10,7 @@ from zendsp.cli.common import emit, open_target, parse_assignments, target_optio
 
 @click.command("set")
 @click.argument(
-    "assignments",
-    nargs=-1,
-    required=True,
-    metavar="NAME=VALUE...",
+    "assignments", nargs=-1, required=True, metavar="NAME=VALUE...",
     shell_complete=completing.assignments,
 )
 @click.option(

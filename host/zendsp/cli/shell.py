@@ -58,9 +58,7 @@ def run_line(words: list[str], target: object, as_json: bool) -> None:
         words = [*words[1:], "--help"]
     try:
         cli.main(
-            [*words, *(["--json"] if as_json else [])],
-            prog_name="zendsp",
-            standalone_mode=False,
+            [*words, *(["--json"] if as_json else [])], prog_name="zendsp", standalone_mode=False,
             obj=target,
         )
     except click.exceptions.NoArgsIsHelpError as error:

@@ -19,10 +19,7 @@ if TYPE_CHECKING:
 @click.command("simulate")
 @click.argument("program")
 @click.option(
-    "--model",
-    "model_path",
-    required=True,
-    type=click.Path(path_type=Path),
+    "--model", "model_path", required=True, type=click.Path(path_type=Path),
     help="Model of the machine (TOML).",
 )
 @click.option(
@@ -36,10 +33,7 @@ if TYPE_CHECKING:
     help="Default: approach, reference and half a second; 10 s without a reference.",
 )
 @click.option(
-    "--set",
-    "assignments",
-    multiple=True,
-    metavar="NAME=VALUE",
+    "--set", "assignments", multiple=True, metavar="NAME=VALUE",
     help="Parameter of the program; may be repeated.",
 )
 @click.option(
@@ -50,10 +44,7 @@ if TYPE_CHECKING:
     help="Where the machine starts: one number, or one per joint with commas (rad or m).",
 )
 @click.option(
-    "--inner",
-    type=click.IntRange(1, 256),
-    default=4,
-    show_default=True,
+    "--inner", type=click.IntRange(1, 256), default=4, show_default=True,
     help="Integration steps per sample.",
 )
 @click.option(
@@ -109,16 +100,8 @@ def command(
         tell("simulating")
         try:
             rec = simulate(
-                source,
-                model_path,
-                reference=reference,
-                seconds=seconds,
-                parameters=values,
-                channels=wanted,
-                position=start,
-                inner=inner,
-                check=check,
-                flags=flags,
+                source, model_path, reference=reference, seconds=seconds, parameters=values,
+                channels=wanted, position=start, inner=inner, check=check, flags=flags,
             )
         except CompileFailed as error:
             click.echo(str(error), err=True)

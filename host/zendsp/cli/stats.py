@@ -28,9 +28,7 @@ def command(target: str, connect: str | None, as_json: bool) -> None:
         status = t.status()
         timing = {n: plain(getattr(status.timing, n)) for n in status.timing.__struct_fields__}
         body = {
-            "state": status.state,
-            "rate_hz": status.rate_hz,
-            "scheduling": status.scheduling,
+            "state": status.state, "rate_hz": status.rate_hz, "scheduling": status.scheduling,
             "timing": timing,
         }
         emit(body, as_json, lambda: _text(status))

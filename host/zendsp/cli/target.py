@@ -17,9 +17,7 @@ import click
 @click.option("--rate", type=float, default=1000.0, show_default=True, help="Sample rate, Hz.")
 @click.option("--clock", type=click.Choice(["real", "fast"]), default="real", show_default=True)
 @click.option(
-    "--listen",
-    multiple=True,
-    metavar="ENDPOINT",
+    "--listen", multiple=True, metavar="ENDPOINT",
     help="Zenoh endpoint (default: here, a socket that only you can open); may be repeated.",
 )
 @click.pass_context

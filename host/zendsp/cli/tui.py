@@ -18,26 +18,15 @@ from zendsp_isr.parts import is_model, machine_source
 @click.command("tui")
 @click.argument("target", required=False, default="")
 @click.option(
-    "-t",
-    "--target",
-    "named",
-    default="",
-    envvar="ZENDSP_TARGET",
-    metavar="NAME",
+    "-t", "--target", "named", default="", envvar="ZENDSP_TARGET", metavar="NAME",
     help="The same as TARGET, as of the other commands (else $ZENDSP_TARGET).",
 )
 @click.option(
-    "--local",
-    "--machine",
-    "machine",
-    metavar="MACHINE",
+    "--local", "--machine", "machine", metavar="MACHINE",
     help="Start a simulated machine here, for example imi_planar.",
 )
 @click.option(
-    "--clock",
-    type=click.Choice(["real", "fast"]),
-    default="real",
-    show_default=True,
+    "--clock", type=click.Choice(["real", "fast"]), default="real", show_default=True,
     help="Clock of --local.",
 )
 @click.option(
@@ -57,9 +46,7 @@ from zendsp_isr.parts import is_model, machine_source
     help="Screen to begin with.",
 )
 @click.option(
-    "--theme",
-    default="zendsp-night",
-    show_default=True,
+    "--theme", default="zendsp-night", show_default=True,
     help="zendsp-night, zendsp-day, zendsp-contrast, or any of Textual's.",
 )
 @click.option(
@@ -74,10 +61,7 @@ from zendsp_isr.parts import is_model, machine_source
 )
 @click.option("--web", is_flag=True, help="Serve the same screens in a browser on loopback.")
 @click.option(
-    "--port",
-    type=click.IntRange(1, 65535),
-    default=8000,
-    show_default=True,
+    "--port", type=click.IntRange(1, 65535), default=8000, show_default=True,
     help="Port of --web.",
 )
 @click.option(

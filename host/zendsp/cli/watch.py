@@ -18,18 +18,11 @@ SILENT_S = 1.0  # without rows: then the target itself is asked
 @click.command("watch")
 @click.argument("channels", nargs=-1, required=True, shell_complete=variables)
 @click.option(
-    "--interval",
-    type=click.FloatRange(min=0.001),
-    default=0.1,
-    show_default=True,
-    metavar="S",
+    "--interval", type=click.FloatRange(min=0.001), default=0.1, show_default=True, metavar="S",
     help="Between lines.",
 )
 @click.option(
-    "--count",
-    type=click.IntRange(min=0),
-    default=0,
-    metavar="N",
+    "--count", type=click.IntRange(min=0), default=0, metavar="N",
     help="End after N lines (default: never).",
 )
 @target_options

@@ -82,10 +82,7 @@ def sources(model: Model) -> dict[str, str]:
         slots(model.joints), title=f"{model.name}, all sizes zero until something is found"
     )
     return {
-        "track.c": track,
-        "motion.h": motion,
-        "model.h": model_code(model),
-        "compensation.h": room,
+        "track.c": track, "motion.h": motion, "model.h": model_code(model), "compensation.h": room,
     }
 
 

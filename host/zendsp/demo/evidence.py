@@ -129,8 +129,7 @@ def matches(finding: Finding, truth: TrueEffect) -> bool:
     if of_body(finding) and truth["effect"] in finding.indistinguishable:
         return True  # the same on the next link
     return finding.joint == truth["joint"] and truth["effect"] in (
-        finding.effect,
-        *finding.indistinguishable,
+        finding.effect, *finding.indistinguishable,
     )
 
 
@@ -217,17 +216,12 @@ def judge(diagnosis: Diagnosis, effects: Sequence[TrueEffect]) -> Judged:
             if estimate is not None and isinstance(told["value"], int | float):
                 rows.append(
                     (
-                        name,
-                        estimate.value + has,
-                        estimate.std,
-                        float(told["value"]) + had,
+                        name, estimate.value + has, estimate.std, float(told["value"]) + had,
                         estimate.unit,
                     )
                 )
     return Judged(
-        named and bool(found or not effects),
-        named and len(pairs) == len(effects),
-        extra,
+        named and bool(found or not effects), named and len(pairs) == len(effects), extra,
         tuple(rows),
     )
 

@@ -55,14 +55,8 @@ def _multisine(
     machine: Machine, start: Any, amplitude: Any, period: float, f_max: float, fade: float = 0.5
 ) -> Reference:
     return make_multisine(
-        machine,
-        start=start,
-        amplitude=amplitude,
-        period=period,
-        f_min=1.0 / period,
-        f_max=f_max,
-        periods=1,
-        fade_time=fade,
+        machine, start=start, amplitude=amplitude, period=period, f_min=1.0 / period, f_max=f_max,
+        periods=1, fade_time=fade,
     )
 
 
@@ -184,26 +178,11 @@ def wam_mechanism(machine: Machine, folder: Path) -> Mapping[str, object]:
 # for the pendulum: a dead zone, whose jumps of torque its current loop answers in a way that the
 # given model knows nothing of.
 ARM_POOL = (
-    "ripple",
-    "position_friction",
-    "coupling",
-    "quadratic_drag",
-    "stribeck",
-    "coulomb_asymmetry",
-    "viscous_asymmetry",
-    "stiffness",
-    "gravity",
-    "torque_offset",
-    "dead_zone",
+    "ripple", "position_friction", "coupling", "quadratic_drag", "stribeck", "coulomb_asymmetry",
+    "viscous_asymmetry", "stiffness", "gravity", "torque_offset", "dead_zone",
 )
 WAM_POOL = ("payload",)
 PENDULUM_POOL = (
-    "ripple",
-    "position_friction",
-    "quadratic_drag",
-    "stribeck",
-    "coulomb_asymmetry",
-    "viscous_asymmetry",
-    "stiffness",
-    "torque_offset",
+    "ripple", "position_friction", "quadratic_drag", "stribeck", "coulomb_asymmetry",
+    "viscous_asymmetry", "stiffness", "torque_offset",
 )

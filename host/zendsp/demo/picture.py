@@ -38,11 +38,8 @@ def draw(told: Told, path: Path) -> None:
 
     with rc_context(
         {
-            "font.size": 10,
-            "axes.spines.top": False,
-            "axes.spines.right": False,
-            "axes.grid": True,
-            "grid.alpha": 0.25,
+            "font.size": 10, "axes.spines.top": False, "axes.spines.right": False,
+            "axes.grid": True, "grid.alpha": 0.25,
         }
     ):
         figure = Figure(figsize=(12.8, 8.2), layout="constrained")
@@ -89,11 +86,7 @@ def _position(axis: Axes, told: Told, joint: int) -> None:
     )
     axis.plot(t, q, color=MACHINE, lw=2.4, alpha=0.45, label="machine")
     axis.plot(
-        t[: len(s)],
-        s[: len(t)],
-        color=MODEL,
-        lw=1.0,
-        ls=(0, (4, 2)),
+        t[: len(s)], s[: len(t)], color=MODEL, lw=1.0, ls=(0, (4, 2)),
         label="simulated by the given model",
     )
     axis.set_ylabel(f"position ({_unit(told)})")
@@ -194,13 +187,8 @@ def _middle(axis: Axes, x: Array, y: Array, colour: str) -> None:
 def _error(axis: Axes, told: Told, joint: int) -> None:
     if told.work is None or told.tracking is None:
         axis.text(
-            0.5,
-            0.5,
-            "nothing was switched on",
-            ha="center",
-            va="center",
-            transform=axis.transAxes,
-            color=QUIET,
+            0.5, 0.5, "nothing was switched on", ha="center", va="center",
+            transform=axis.transAxes, color=QUIET,
         )
         axis.set_axis_off()
         return
@@ -222,14 +210,8 @@ def _error(axis: Axes, told: Told, joint: int) -> None:
         axis.text(x, low, words, fontsize=8, va="bottom", color=colour)
     for x, value, colour in ((0.25, b, MODEL), (0.78, a, FOUND)):
         axis.text(
-            x,
-            0.94,
-            f"{value:.3g} m{_unit(told)} RMS",
-            color=colour,
-            fontsize=13,
-            fontweight="bold",
-            ha="center",
-            transform=axis.transAxes,
+            x, 0.94, f"{value:.3g} m{_unit(told)} RMS", color=colour, fontsize=13,
+            fontweight="bold", ha="center", transform=axis.transAxes,
         )
     axis.set_xlabel("time (s)")
     axis.set_ylabel(f"tracking error of joint {joint} (m{_unit(told)})")

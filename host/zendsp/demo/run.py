@@ -95,11 +95,7 @@ def _write(told: Told, out: Path, teller: Narrator) -> list[Path]:
     return [
         out / name
         for name in (
-            "report.html",
-            "story.png",
-            "train.mat",
-            "heldout.mat",
-            "given_model.toml",
+            "report.html", "story.png", "train.mat", "heldout.mat", "given_model.toml",
             "model.toml",
         )
     ]
@@ -115,10 +111,8 @@ def _outcome(told: Told, files: list[Path], teller: Narrator) -> dict[str, Any]:
     tracking = None
     if told.tracking is not None:
         tracking = {
-            "tick": told.tracking.tick,
-            "before_rad": list(told.tracking.before),
-            "after_rad": list(told.tracking.after),
-            "compensated_joints": list(told.compensated),
+            "tick": told.tracking.tick, "before_rad": list(told.tracking.before),
+            "after_rad": list(told.tracking.after), "compensated_joints": list(told.compensated),
             "not_compensated": list(told.left_out),
         }
     outcome = {

@@ -113,26 +113,14 @@ def _friction(plan: Machine) -> list[tuple[float, float]]:
 
 STAGES = {
     "imi_planar": Stage(
-        machine="imi_planar",
-        Kp=(2000.0, 300.0),
-        Kd=(120.0, 12.0),
-        cutoff=40.0,
-        train=motions.arm_train,
-        heldout=motions.arm_heldout,
-        work=motions.arm_work,
-        mechanism=motions.arm_mechanism,
-        pool=motions.ARM_POOL,
+        machine="imi_planar", Kp=(2000.0, 300.0), Kd=(120.0, 12.0), cutoff=40.0,
+        train=motions.arm_train, heldout=motions.arm_heldout, work=motions.arm_work,
+        mechanism=motions.arm_mechanism, pool=motions.ARM_POOL,
     ),
     "pendulum": Stage(
-        machine="pendulum",
-        Kp=(4.0,),
-        Kd=(0.06,),
-        cutoff=30.0,
-        train=motions.pendulum_train,
-        heldout=motions.pendulum_heldout,
-        work=motions.pendulum_work,
-        mechanism=motions.pendulum_mechanism,
-        pool=motions.PENDULUM_POOL,
+        machine="pendulum", Kp=(4.0,), Kd=(0.06,), cutoff=30.0, train=motions.pendulum_train,
+        heldout=motions.pendulum_heldout, work=motions.pendulum_work,
+        mechanism=motions.pendulum_mechanism, pool=motions.PENDULUM_POOL,
     ),
     "wam7": Stage(
         machine="wam7",

@@ -153,10 +153,7 @@ def _diagnose(machine: Machine, recorded: Recorded, out: Path, narrator: Narrato
     def look(recordings: list[Recording]) -> Diagnosis:
         with narrator.step("diagnosing"):
             return diagnose(
-                recordings,
-                out / "given_model.toml",
-                recorded.heldout,
-                jobs=os.cpu_count() or 1,
+                recordings, out / "given_model.toml", recorded.heldout, jobs=os.cpu_count() or 1,
                 progress=narrator.progress,
             )
 

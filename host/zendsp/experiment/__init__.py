@@ -10,17 +10,6 @@ from zendsp.experiment.result import Estimate, FoundEffect, Result
 from zendsp.experiment.sweep import Sweep, sweep
 
 __all__ = [
-    "EXPERIMENTS",
-    "Estimate",
-    "Experiment",
-    "FoundEffect",
-    "FrequencyResponse",
-    "Lab",
-    "Result",
-    "Sweep",
-    "fit_model",
-    "frequency_response",
-    "put_into",
-    "run_experiment",
-    "sweep",
+    "EXPERIMENTS", "Estimate", "Experiment", "FoundEffect", "FrequencyResponse", "Lab", "Result",
+    "Sweep", "fit_model", "frequency_response", "put_into", "run_experiment", "sweep",
 ]

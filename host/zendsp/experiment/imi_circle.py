@@ -30,8 +30,7 @@ def circle(lab: Lab, slower: tuple[float, ...] = (9.0, 18.0, 36.0)) -> Result:
     """
     curves = needed(lab, "imi-fit", fit)
     result = Result(
-        "imi-circle",
-        "Circle under inverse dynamics, with and without friction compensation",
+        "imi-circle", "Circle under inverse dynamics, with and without friction compensation",
         MACHINE,
     )
     machine = load_machine(MACHINE)
@@ -47,13 +46,8 @@ def circle(lab: Lab, slower: tuple[float, ...] = (9.0, 18.0, 36.0)) -> Result:
             rec = bench.record(f"machine_{word}", PROGRAM, CHANNELS, reference=reference, **values)
             errors["machine", compensate] = rec["e"][playing(rec, reference.samples)]
             sim = simulate(
-                PROGRAM,
-                model,
-                reference=reference,
-                parameters={**values, "approach_time": 1.0},
-                channels=CHANNELS,
-                position=[0.0, 0.0],
-                check=not compensate,
+                PROGRAM, model, reference=reference, parameters={**values, "approach_time": 1.0},
+                channels=CHANNELS, position=[0.0, 0.0], check=not compensate,
             )
             result.recordings.append(sim.save(bench.folder / f"simulation_{word}.npz").name)
             errors["simulation", compensate] = sim["e"][playing(sim, reference.samples)]
@@ -63,12 +57,7 @@ def circle(lab: Lab, slower: tuple[float, ...] = (9.0, 18.0, 36.0)) -> Result:
         for duration in slower:
             slow = make_circle(machine, radius=RADIUS, duration=duration)
             rec = bench.record(
-                f"machine_{duration:g}s",
-                PROGRAM,
-                CHANNELS,
-                reference=slow,
-                decimation=2,
-                **gains,
+                f"machine_{duration:g}s", PROGRAM, CHANNELS, reference=slow, decimation=2, **gains,
                 compensate=True,
             )
             floor.append((duration, rms(rec["e"][playing(rec, slow.samples // 2)])))

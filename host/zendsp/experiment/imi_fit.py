@@ -58,12 +58,7 @@ def _basis(speed: Array, split: float) -> Array:
     w = np.maximum(v - split, 0.0)
     low = np.minimum(v, split)
     columns = [
-        speed >= 0,
-        speed < 0,
-        v,
-        low**2 + 2 * split * w,
-        low**3 / split + 3 * split * w,
-        w**2,
+        speed >= 0, speed < 0, v, low**2 + 2 * split * w, low**3 / split + 3 * split * w, w**2,
     ]
     return np.stack([np.asarray(c, dtype=np.float64) for c in columns], axis=1)
 
@@ -195,29 +190,17 @@ def _draw(curves: dict[int, Curve], static: Result, viscous: Result, lab: Lab, f
                 label="triangles, gaining speed: bristles bend",
             )
             axis.plot(
-                v[slowing],
-                f[slowing],
-                ".",
-                color=BLUE,
-                markersize=1.2,
+                v[slowing], f[slowing], ".", color=BLUE, markersize=1.2,
                 label="triangles, losing speed",
             )
             axis.plot(
-                fast[:, 0],
-                fast[:, 1],
-                "o",
-                color=AMBER,
-                markersize=4.5,
+                fast[:, 0], fast[:, 1], "o", color=AMBER, markersize=4.5,
                 label="constant torque, open loop",
             )
             for word, sign in (("ccw", 1), ("cw", -1)):
                 level = static.values[f"breakaway{joint}_{word}"].value * sign
                 axis.plot(
-                    [0.0],
-                    [level],
-                    "D",
-                    color=GREY,
-                    markersize=5,
+                    [0.0], [level], "D", color=GREY, markersize=5,
                     label="breakaway" if sign > 0 else None,
                 )
                 x = sign * np.linspace(0.0, limit, 500)
@@ -238,12 +221,7 @@ def _draw(curves: dict[int, Curve], static: Result, viscous: Result, lab: Lab, f
             label(axis, "speed (rad/s)", "friction torque (N m)", f"joint {joint}, {words}")
     handles, words = axes[0, 0].get_legend_handles_labels()
     figure.legend(
-        handles,
-        words,
-        loc="outside lower center",
-        ncols=3,
-        fontsize=8,
-        frameon=False,
+        handles, words, loc="outside lower center", ncols=3, fontsize=8, frameon=False,
         markerscale=1.5,
     )
     return save(figure, folder / "fit.png")

@@ -330,19 +330,9 @@ def _steady(
     start = [0.0, 0.0]
     start[joint - 1] = -1.9 * direction
     rec = bench.record(
-        f"joint{joint}_{direction * torque:+.1f}Nm",
-        own_program("push.c"),
-        ["q", "tau", "phase"],
-        seconds=8.0,
-        joint=joint,
-        direction=direction,
-        place=_padded(start),
-        Kp=_padded(KP),
-        Kd=_padded(KD),
-        brake=_padded(BRAKE),
-        first=torque,
-        lower=-1.6,
-        upper=1.6,
+        f"joint{joint}_{direction * torque:+.1f}Nm", own_program("push.c"), ["q", "tau", "phase"],
+        seconds=8.0, joint=joint, direction=direction, place=_padded(start), Kp=_padded(KP),
+        Kd=_padded(KD), brake=_padded(BRAKE), first=torque, lower=-1.6, upper=1.6,
     )
     q = rec["q"][:, joint - 1]
     way = q * direction
@@ -370,11 +360,7 @@ def _draw_viscous(
                 + result.values[f"viscous{joint}_{word}"].value * np.abs(x)
             )
             axis.plot(
-                x,
-                line,
-                color=GREY,
-                linewidth=1.0,
-                linestyle="--",
+                x, line, color=GREY, linewidth=1.0, linestyle="--",
                 label="line" if direction > 0 else None,
             )
         label(axis, "speed (rad/s)", "friction torque (N m)", f"joint {joint}", legend=True)
@@ -394,9 +380,7 @@ def low_speed(lab: Lab, cycles: int = 6, rise: float = 1.0) -> Result:
                 machine, joint=joint, start=[0.0, 0.0], peak=1.0, rise=rise, cycles=cycles + 1
             )
             rec = bench.record(
-                f"joint{joint}",
-                "inverse_dynamics.c",
-                ["play_time", "q", "tau"],
+                f"joint{joint}", "inverse_dynamics.c", ["play_time", "q", "tau"],
                 reference=reference,
             )
             curves[joint] = friction_curve(
@@ -424,19 +408,12 @@ def low_speed(lab: Lab, cycles: int = 6, rise: float = 1.0) -> Result:
                 v[~slowing], f[~slowing], ".", color=AMBER, markersize=1.5, label="gaining speed"
             )
             axis.plot(
-                v[slowing],
-                f[slowing],
-                ".",
-                color=BLUE,
-                markersize=1.5,
+                v[slowing], f[slowing], ".", color=BLUE, markersize=1.5,
                 label="losing speed: sliding",
             )
             label(
-                axis,
-                "speed (rad/s)",
-                "friction torque (N m)",
-                f"joint {joint}: mean of {cycles} triangles",
-                legend=True,
+                axis, "speed (rad/s)", "friction torque (N m)",
+                f"joint {joint}: mean of {cycles} triangles", legend=True,
             )
         result.figure = save(figure, bench.folder / "low_speed.png")
     return result

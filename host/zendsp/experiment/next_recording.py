@@ -76,11 +76,8 @@ def run_next(
         made = run_reference(machine, load_reference(path), diagnosis.given, _like(recordings))
     saved = made.save(folder / FILE)
     second = diagnose(
-        [*recordings, saved],
-        diagnosis.given,
-        list(heldout) if heldout else None,
-        progress=progress,
-        **options,
+        [*recordings, saved], diagnosis.given, list(heldout) if heldout else None,
+        progress=progress, **options,
     )
     second.notes = (*second.notes, f"with {saved.name}, recorded on {target}: {proposal.sentence}")
     return second

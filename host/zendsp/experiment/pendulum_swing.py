@@ -41,32 +41,16 @@ def swing(lab: Lab, duration: float = 0.8, torque: float = 0.5, brake: float = 0
     with lab.bench(MACHINE, result.name, brake=brake) as bench:
         options: dict[str, Any] = {"before": 0.0, "after": AFTER}
         recs["open loop"] = bench.record(
-            "open_loop",
-            "pendulum_track.c",
-            CHANNELS,
-            reference=with_friction,
-            kp=0.0,
-            kv=0.0,
+            "open_loop", "pendulum_track.c", CHANNELS, reference=with_friction, kp=0.0, kv=0.0,
             **options,
         )
         recs["closed loop"] = bench.record(
-            "closed_loop",
-            "pendulum_track.c",
-            CHANNELS,
-            reference=with_friction,
-            kp=1.2,
-            kv=0.005,
+            "closed_loop", "pendulum_track.c", CHANNELS, reference=with_friction, kp=1.2, kv=0.005,
             **options,
         )
         recs["feedback level"] = bench.record(
-            "feedback_level",
-            "pendulum_compensation.c",
-            CHANNELS,
-            reference=without,
-            fc=fc,
-            kp=1.2,
-            kv=0.005,
-            **options,
+            "feedback_level", "pendulum_compensation.c", CHANNELS, reference=without, fc=fc,
+            kp=1.2, kv=0.005, **options,
         )
         result.recordings, result.target = bench.recordings, bench.where
         for name, rec in recs.items():

@@ -176,10 +176,7 @@ def _fit(r: Result) -> str:
     ]
     text = table(
         [
-            "joint",
-            "low speed, c0 … c3 (N m, rad/s)",
-            "high speed, c0 … c2",
-            "joined at rad/s",
+            "joint", "low speed, c0 … c3 (N m, rad/s)", "high speed, c0 … c2", "joined at rad/s",
             "rms residual",
         ],
         rows,
@@ -298,9 +295,7 @@ def _swing(r: Result) -> str:
         )
     text = table(
         [
-            "run",
-            "error at the end",
-            "rms distance from its plan",
+            "run", "error at the end", "rms distance from its plan",
             "torque swings beyond the plan's",
         ],
         rows,
@@ -350,14 +345,7 @@ def _tracking(r: Result) -> str:
 
 
 _SECTIONS: dict[str, Callable[[Result], str]] = {
-    "imi-static": _static,
-    "imi-viscous": _viscous,
-    "imi-low-speed": _low,
-    "imi-fit": _fit,
-    "imi-circle": _circle,
-    "pendulum-electrical": _electrical,
-    "pendulum-mechanical": _mechanical,
-    "pendulum-swing": _swing,
-    "wam-friction": _wam,
-    "wam-tracking": _tracking,
+    "imi-static": _static, "imi-viscous": _viscous, "imi-low-speed": _low, "imi-fit": _fit,
+    "imi-circle": _circle, "pendulum-electrical": _electrical, "pendulum-mechanical": _mechanical,
+    "pendulum-swing": _swing, "wam-friction": _wam, "wam-tracking": _tracking,
 }

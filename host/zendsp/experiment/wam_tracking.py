@@ -49,13 +49,8 @@ def tracking(
             reference = make_lspb(machine, start=POSE, goal=goal, duration=duration, blend_time=1.0)
             rec = bench.record(name, PROGRAM, CHANNELS, reference=reference, before=3.0, after=0.5)
             sim = simulate(
-                PROGRAM,
-                model,
-                reference=reference,
-                parameters={"approach_time": 3.0},
-                channels=CHANNELS,
-                position=machine.home,
-                inner=8,
+                PROGRAM, model, reference=reference, parameters={"approach_time": 3.0},
+                channels=CHANNELS, position=machine.home, inner=8,
             )
             result.recordings.append(sim.save(bench.folder / f"{name}_simulation.npz").name)
             errors[name] = (

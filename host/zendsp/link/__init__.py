@@ -10,16 +10,6 @@ from zendsp.link.salvage import Salvage, find_salvage
 from zendsp.link.target import Target
 
 __all__ = [
-    "Found",
-    "LiveView",
-    "ParameterSet",
-    "Rehearsal",
-    "Salvage",
-    "Target",
-    "Trigger",
-    "connect",
-    "discover",
-    "find_salvage",
-    "local",
-    "rehearse",
+    "Found", "LiveView", "ParameterSet", "Rehearsal", "Salvage", "Target", "Trigger", "connect",
+    "discover", "find_salvage", "local", "rehearse",
 ]

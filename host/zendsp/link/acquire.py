@@ -244,13 +244,8 @@ class Recorder(Transfers):
         """
         names = [channels] if isinstance(channels, str) else list(channels)
         result: m.AcquireStatus = self.request(
-            "acquire_configure",
-            channels=names,
-            seconds=seconds,
-            decimation=decimation,
-            trigger=trigger,
-            continuous=continuous,
-            take=take,
+            "acquire_configure", channels=names, seconds=seconds, decimation=decimation,
+            trigger=trigger, continuous=continuous, take=take,
         )
         return result
 

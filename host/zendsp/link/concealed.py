@@ -82,9 +82,6 @@ class Concealment(Part):
             )
         record = json.loads(answer.record)
         return Truth(
-            tuple(record["effects"]),
-            record["source"],
-            record["friction"],
-            answer.sha256,
+            tuple(record["effects"]), record["source"], record["friction"], answer.sha256,
             answer.tick,
         )

@@ -181,10 +181,7 @@ def local(
     # in a session of its own: Ctrl-C, which a terminal or a notebook sends to all of a group, is
     # meant for what the user typed, not for the target
     process = subprocess.Popen(
-        command,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=said,
+        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=said,
         start_new_session=True,
     )
     try:

@@ -56,11 +56,8 @@ class Drives(Part):
             True: clamp a command at its limit; False: trip.
         """
         lists = {
-            "position_min": position_min,
-            "position_max": position_max,
-            "speed_max": speed_max,
-            "torque_max": torque_max,
-            "command_max": command_max,
+            "position_min": position_min, "position_max": position_max, "speed_max": speed_max,
+            "torque_max": torque_max, "command_max": command_max,
         }
         given = {
             name: [float(x) for x in values] for name, values in lists.items() if values is not None

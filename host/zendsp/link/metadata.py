@@ -170,9 +170,7 @@ def join_channels(columns: Sequence[str], units: Sequence[str]) -> tuple[Channel
 
 def _extra(parameters: ParameterSets, overall: m.Status, patience: float) -> dict[str, Any]:
     extra: dict[str, Any] = {
-        "program": overall.program,
-        "scheduling": overall.scheduling,
-        "clock": overall.clock,
+        "program": overall.program, "scheduling": overall.scheduling, "clock": overall.clock,
     }
     try:
         machine: m.MachineInfo = parameters.insist("machine", patience)
@@ -184,11 +182,7 @@ def _extra(parameters: ParameterSets, overall: m.Status, patience: float) -> dic
 
 def _change(change: m.Change) -> ParameterChange:
     return ParameterChange(
-        change.tick,
-        change.host_time,
-        change.name,
-        plain(change.old),
-        plain(change.new),
+        change.tick, change.host_time, change.name, plain(change.old), plain(change.new),
         change.author,
     )
 

@@ -64,9 +64,7 @@ class ParameterSet:
             The name ends like another kind of file, or it cannot be written.
         """
         body = {
-            "zendsp_parameters": FORM,
-            "target": self.target,
-            "program": self.program,
+            "zendsp_parameters": FORM, "target": self.target, "program": self.program,
             "note": self.note,
         }
         path = Path(path)

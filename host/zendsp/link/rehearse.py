@@ -134,12 +134,8 @@ def rehearse(
     with local(machine, clock="fast", rate=rate, options=options) as twin:
         twin.download(dict(program.sources), program.flags)
         twin.set_limits(
-            limits.position_min,
-            limits.position_max,
-            limits.speed_max,
-            limits.torque_max,
-            limits.command_max,
-            limits.torque_clamp,
+            limits.position_min, limits.position_max, limits.speed_max, limits.torque_max,
+            limits.command_max, limits.torque_clamp,
         )
         if present or values:
             twin.update(None, **{**present, **values})
@@ -153,8 +149,7 @@ def rehearse(
             ended = twin.wait(timeout, tell)
         except LinkError:
             return Rehearsal(
-                False,
-                None,
+                False, None,
                 f"its simulation took longer than {timeout:g} s: try a shorter motion",
             )
         peaks = _peaks(twin.acquire_load(), info.joints, limits) if ended.trip is None else ()

@@ -129,11 +129,7 @@ def find_salvage(target: str = "") -> tuple[Salvage, ...]:
                 first, count = _range(folder, note)
                 found.append(
                     Salvage(
-                        about.target,
-                        about.machine,
-                        about.begun,
-                        count - first,
-                        len(note.columns),
+                        about.target, about.machine, about.begun, count - first, len(note.columns),
                         folder,
                     )
                 )

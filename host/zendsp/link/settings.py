@@ -50,11 +50,7 @@ class Credentials:
         ``ZENDSP_PASSWORD``.
         """
         names = (
-            "ZENDSP_TLS_CA",
-            "ZENDSP_TLS_CERT",
-            "ZENDSP_TLS_KEY",
-            "ZENDSP_USER",
-            "ZENDSP_PASSWORD",
+            "ZENDSP_TLS_CA", "ZENDSP_TLS_CERT", "ZENDSP_TLS_KEY", "ZENDSP_USER", "ZENDSP_PASSWORD",
         )
         authority, certificate, key, user, password = (os.environ.get(name, "") for name in names)
         return cls(authority, certificate, key, user, password)
@@ -100,9 +96,7 @@ def zenoh_config(
         # Otherwise a peer opens "successfully" although nobody answered.
         "connect/exit_on_failure": True,
         "connect/retry": {
-            "period_init_ms": 100,
-            "period_max_ms": 500,
-            "period_increase_factor": 1.5,
+            "period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5,
         },
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,

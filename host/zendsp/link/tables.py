@@ -75,11 +75,7 @@ class Tables(Part):
         for offset, size in spans(0, len(data), CHUNK):
             part = data[offset : offset + size]
             self.insist(
-                "table_chunk",
-                patience,
-                upload=begun.upload,
-                offset=offset,
-                data=part,
+                "table_chunk", patience, upload=begun.upload, offset=offset, data=part,
                 crc=crc(part),
             )
             if progress is not None:

@@ -21,13 +21,7 @@ from zendsp_protocol.values import Assignable
 from zendsp_protocol.views import html_table, sentence
 
 _PARTS = (
-    "variables",
-    "parameter_sets",
-    "programs",
-    "recorder",
-    "views",
-    "tables",
-    "drives",
+    "variables", "parameter_sets", "programs", "recorder", "views", "tables", "drives",
     "concealment",
 )
 _ATTRIBUTES = ("info", "requests", *_PARTS)

@@ -28,35 +28,19 @@ SIZES = (1.0, 0.3, 0.1)
 UNFIT = {
     "rotary": {"coupling"},
     "pendulum": {
-        "coupling",
-        "encoder_eccentricity",
-        "saturation",
-        "dead_zone",
-        "elasticity",
-        "backlash",
+        "coupling", "encoder_eccentricity", "saturation", "dead_zone", "elasticity", "backlash",
     },
     "linear": {"coupling", "encoder_eccentricity", "gravity", "torque_gain"},
     "planar2r": {"encoder_eccentricity", "torque_gain", "inertia", "gravity"},
     "urdf": {
-        "encoder_eccentricity",
-        "torque_gain",
-        "inertia",
-        "gravity",
-        "elasticity",
-        "backlash",
+        "encoder_eccentricity", "torque_gain", "inertia", "gravity", "elasticity", "backlash",
         "saturation",
     },
 }
 # how a complete machine is logged
 FAULTS = ("plain", "jitter", "repeat", "stale", "float32", "filtered", "origin")
 BEHIND = (
-    "coulomb",
-    "stribeck",
-    "ripple",
-    "viscous_asymmetry",
-    "dead_zone",
-    "delay",
-    "torque_offset",
+    "coulomb", "stribeck", "ripple", "viscous_asymmetry", "dead_zone", "delay", "torque_offset",
     "position_friction",
 )
 PART = ("coulomb", "stribeck", "presliding", "backlash", "coulomb_asymmetry", "dead_zone")

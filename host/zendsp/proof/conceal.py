@@ -180,10 +180,7 @@ def prepare_part(d: Draft, effect: str, rng: Rng) -> None:
 
 
 REPLACEMENTS = (
-    "viscous_for_coulomb",
-    "viscous_for_coulomb_drag",
-    "coulomb_for_viscous",
-    "drag_for_viscous",
+    "viscous_for_coulomb", "viscous_for_coulomb_drag", "coulomb_for_viscous", "drag_for_viscous",
 )
 
 

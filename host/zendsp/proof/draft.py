@@ -133,15 +133,8 @@ class Draft:
         """The chain without anything that acts in its joints."""
         plain = tuple(JointTruth() for _ in self.joints)
         return MachineTruth(
-            self.kind,
-            plain,
-            tuple(self.parameters.values()),
-            links=self.links,
-            down=self.down,
-            kp=(0.0,) * self.n,
-            kd=(0.0,) * self.n,
-            ki=(0.0,) * self.n,
-            q0=(0.0,) * self.n,
+            self.kind, plain, tuple(self.parameters.values()), links=self.links, down=self.down,
+            kp=(0.0,) * self.n, kd=(0.0,) * self.n, ki=(0.0,) * self.n, q0=(0.0,) * self.n,
             v0=(0.0,) * self.n,
         )
 

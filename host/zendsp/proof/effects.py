@@ -14,9 +14,7 @@ from zendsp.proof.effect_kit import Maker
 
 # The order is part of every seed's meaning.
 EFFECTS: dict[str, Maker] = {
-    **effects_friction.MAKERS,
-    **effects_mechanics.MAKERS,
-    **effects_drive.MAKERS,
+    **effects_friction.MAKERS, **effects_mechanics.MAKERS, **effects_drive.MAKERS,
     "disturbance": effects_drive.add_disturbance,
 }
 SINGLE = tuple(EFFECTS)

@@ -139,11 +139,7 @@ def _coupling(d: Draft, joint: int, s: Scale, size: float, rng: Rng) -> Conceale
         d.couplings.append(CouplingTruth(other, joint, law, c))
         joints = [joint + 1, other + 1]
     return Concealed(
-        "coupling",
-        joint + 1,
-        {"coefficient": (c, per)},
-        size,
-        accepted_joints=joints,
+        "coupling", joint + 1, {"coefficient": (c, per)}, size, accepted_joints=joints,
         note=f"from joint {other + 1}, law {law}",
     )
 

@@ -103,10 +103,7 @@ def _elasticity(d: Draft, joint: int, s: Scale, size: float, rng: Rng) -> Concea
     split(d, joint, load, k, damping, 0.0)
     u = {"stiffness": (k, unit(d, per="/rad")), "damping": (damping, unit(d, per=" s/rad"))}
     return Concealed(
-        "elasticity",
-        joint + 1,
-        {**u, "load_inertia": load_unit(d, load)},
-        size,
+        "elasticity", joint + 1, {**u, "load_inertia": load_unit(d, load)}, size,
         unscored=["damping"],
     )
 

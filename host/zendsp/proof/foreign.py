@@ -10,8 +10,7 @@ from zendsp.proof.reality import ForeignTable
 
 NAMES = tuple(name for name, form in FORMS.items() if form.of_state)
 ROWS, COLUMNS = (
-    241,
-    641,
+    241, 641,
 )  # of the table: fine enough for friction that turns around within 5 % of the RMS speed
 FASTEST = 8.0  # speeds that it spans, RMS speeds
 

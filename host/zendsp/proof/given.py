@@ -116,8 +116,7 @@ def model_file(
         entries[key] = entry
     if d.kind == "planar2r":
         entries["l1"], entries["l2"] = {"value": 0.36, "free": False}, {
-            "value": 0.34,
-            "free": False,
+            "value": 0.34, "free": False,
         }
     table["mechanism"] = {"kind": d.kind}
     if d.kind == "urdf":

@@ -118,12 +118,8 @@ def pendulum(rng: Rng) -> Draft:
     gravity = 0.2 * 9.81 * 0.085 * rng.uniform(0.95, 1.05)
     coulomb, viscous = rng.uniform(0.005, 0.02), rng.uniform(2e-4, 8e-4)
     joint = {
-        "coulomb_pos": coulomb,
-        "coulomb_neg": coulomb,
-        "viscous_pos": viscous,
-        "viscous_neg": viscous,
-        "limit": 0.8,
-        **sensor(rng, 12),
+        "coulomb_pos": coulomb, "coulomb_neg": coulomb, "viscous_pos": viscous,
+        "viscous_neg": viscous, "limit": 0.8, **sensor(rng, 12),
     }
     open_loop = bool(rng.random() < 0.5)
     return Draft(
@@ -185,9 +181,5 @@ def planar2r(rng: Rng) -> Draft:
 
 
 MACHINES: dict[str, Callable[[Rng], Draft]] = {
-    "rotary": rotary,
-    "linear": linear,
-    "pendulum": pendulum,
-    "planar2r": planar2r,
-    "urdf": wam,
+    "rotary": rotary, "linear": linear, "pendulum": pendulum, "planar2r": planar2r, "urdf": wam,
 }

@@ -323,13 +323,8 @@ def sysidentpy_trouble() -> str:
         rng = np.random.default_rng(0)
         x = rng.normal(size=(60, 2))
         FROLS(
-            order_selection=True,
-            n_info_values=2,
-            ylag=1,
-            xlag=[[1], [1]],
-            basis_function=Polynomial(degree=1),
-            model_type="NFIR",
-            estimator="least_squares",
+            order_selection=True, n_info_values=2, ylag=1, xlag=[[1], [1]],
+            basis_function=Polynomial(degree=1), model_type="NFIR", estimator="least_squares",
         ).fit(X=x, y=x[:, :1])
     except Exception as error:  # whatever it raises is the finding
         return f"{type(error).__name__}: {str(error).splitlines()[0]}"

@@ -136,15 +136,8 @@ def mostly_fast(t: Array, amplitude: float, speed: float, rng: np.random.Generat
 
 Shape = Callable[[Array, float, float, np.random.Generator], Array]
 SHAPES: dict[str, Shape] = {
-    "multisine": multisine,
-    "sines": sines,
-    "circle": circle,
-    "chirp": chirp,
-    "moves": moves,
-    "triangles": triangles,
-    "steps": steps,
-    "slow": slow,
-    "mostly_fast": mostly_fast,
+    "multisine": multisine, "sines": sines, "circle": circle, "chirp": chirp, "moves": moves,
+    "triangles": triangles, "steps": steps, "slow": slow, "mostly_fast": mostly_fast,
 }
 RICH = ("multisine", "multisine", "sines", "triangles", "chirp", "moves")
 

@@ -28,12 +28,7 @@ from zendsp.proof.seal import BrokenSeal, open_truth
 
 # packages below zendsp/ whose code gives the answers
 JUDGED = (
-    "diagnosis",
-    "physics",
-    "recording",
-    "reference",
-    "cli/diagnose.py",
-    "proof/answer.py",
+    "diagnosis", "physics", "recording", "reference", "cli/diagnose.py", "proof/answer.py",
     "proof/untouched.py",
 )
 
@@ -188,8 +183,7 @@ def write_results(path: Path, judged: Sequence[Judgement], stamp: str) -> None:
 @click.argument("truth", type=click.Path(exists=True, file_okay=False, path_type=Path))
 @click.option("--jobs", type=int, default=2, show_default=True)
 @click.option(
-    "--only",
-    default="",
+    "--only", default="",
     help="Words; only cases whose truth has one as kind, machine, effect or name.",
 )
 @click.option("--limit", type=float, default=120.0, show_default=True, help="Seconds per case.")

@@ -55,8 +55,7 @@ def headline(judged: Sequence[Judgement]) -> list[tuple[str, str, str]]:
     answered = [j for j in judged if not j.trouble]
     return [
         (
-            "mechanism first, on its joint or body",
-            shown(*rate(j.mechanism for j in named)),
+            "mechanism first, on its joint or body", shown(*rate(j.mechanism for j in named)),
             ">= 97 %",
         ),
         ("law first (or the set that holds it)", shown(*rate(j.law for j in named)), ">= 92 %"),
@@ -66,20 +65,17 @@ def headline(judged: Sequence[Judgement]) -> list[tuple[str, str, str]]:
         ("all of several effects", shown(*rate(j.both for j in judged)), ">= 85 %"),
         ("wrong term replaced", shown(*rate(j.replaced for j in judged)), ">= 85 %"),
         (
-            "false alarms",
-            f"{shown(alarms, quiet)}, 95 % bound {upper_bound(alarms, quiet):.1%}",
+            "false alarms", f"{shown(alarms, quiet)}, 95 % bound {upper_bound(alarms, quiet):.1%}",
             "<= 2 %",
         ),
         ("foreign torque: no law claimed", shown(*rate(j.refused for j in judged)), ">= 90 %"),
         (
             "names beyond the truth, per case with an effect",
-            f"{mean([j.extra for j in judged if j.effects]):.2f}",
-            "<= 0.1",
+            f"{mean([j.extra for j in judged if j.effects]):.2f}", "<= 0.1",
         ),
         (
             "names beyond the truth, per case of any kind",
-            f"{mean([j.extra for j in judged]):.2f}",
-            "",
+            f"{mean([j.extra for j in judged]):.2f}", "",
         ),
         (
             "cases with a wrong name stated at 80 % or more",
@@ -151,10 +147,8 @@ def missed_marks(judged: Sequence[Judgement]) -> list[str]:
         ("false alarms", [j.alarm for j in judged], marks.alarms, False),
         ("foreign torque without a law claimed", [j.refused for j in judged], marks.refused, True),
         (
-            "cases with a wrong name stated as sure",
-            [j.sure_wrong for j in answered],
-            marks.sure_wrong,
-            False,
+            "cases with a wrong name stated as sure", [j.sure_wrong for j in answered],
+            marks.sure_wrong, False,
         ),
         ("findings that make untouched data worse", [j.worse for j in judged], marks.worse, False),
     )

@@ -39,15 +39,8 @@ class Row:
 
 TABLE = (
     Row(
-        0,
-        -90,
-        0,
-        10.768,
-        (-0.0044342, 0.12189, -0.00066489),
-        (0.134873, 0.113284, 0.0904562, 0.00213026, 0.000124857, -0.000685566),
-        4.42,
-        1.08,
-        77.3,
+        0, -90, 0, 10.768, (-0.0044342, 0.12189, -0.00066489),
+        (0.134873, 0.113284, 0.0904562, 0.00213026, 0.000124857, -0.000685566), 4.42, 1.08, 77.3,
     ),
     Row(
         0,
@@ -173,12 +166,10 @@ def urdf() -> str:
         lines += [
             f'  <link name="link{k}"><inertial>',
             f'    <origin xyz="{xyz}" rpy="0 0 0"/><mass value="{row.mass}"/><inertia {tensor}/>',
-            "  </inertial></link>",
-            f'  <joint name="joint{k}" type="revolute">',
+            "  </inertial></link>", f'  <joint name="joint{k}" type="revolute">',
             f'    <parent link="{parent}"/><child link="link{k}"/><axis xyz="0 0 1"/>',
             f'    <origin xyz="{origin}" rpy="{float(np.deg2rad(alpha))!r} 0 0"/>',
-            f'    <limit lower="-4" upper="4" effort="{row.limit}" velocity="10"/>',
-            "  </joint>",
+            f'    <limit lower="-4" upper="4" effort="{row.limit}" velocity="10"/>', "  </joint>",
         ]
         parent, place, alpha = f"link{k}", shift, row.alpha_deg
     return "\n".join([*lines, "</robot>"]) + "\n"

@@ -27,22 +27,8 @@ Kind = TypeVar("Kind", bound=Samples)
 
 WRITERS = (".mat", ".npz", ".parquet", ".csv", ".mcap", ".mf4")
 FIELDS = (
-    "sample_time",
-    "start_tick",
-    "decimation",
-    "trigger_row",
-    "lost",
-    "timing",
-    "parameters",
-    "sources",
-    "compiler",
-    "flags",
-    "machine",
-    "target",
-    "versions",
-    "created",
-    "note",
-    "extra",
+    "sample_time", "start_tick", "decimation", "trigger_row", "lost", "timing", "parameters",
+    "sources", "compiler", "flags", "machine", "target", "versions", "created", "note", "extra",
 )
 TIMES = ("t", "time", "Time", "T")
 

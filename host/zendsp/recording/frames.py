@@ -34,9 +34,7 @@ def to_xarray(recording: Samples) -> xarray.Dataset:
         dims = ("t",) if values.ndim == 1 else ("t", f"{channel.name}_index")
         variables[channel.name] = (dims, values, {"units": channel.unit})
     attributes = {
-        "machine": recording.machine,
-        "sample_time": recording.sample_time,
-        "lost": recording.lost,
+        "machine": recording.machine, "sample_time": recording.sample_time, "lost": recording.lost,
     }
     dataset: xarray.Dataset = xr.Dataset(
         variables, coords={"t": ("t", recording.t, {"units": "s"})}, attrs=attributes

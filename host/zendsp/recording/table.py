@@ -225,10 +225,7 @@ def _checked(path: Path, raw: Raw, wanted: Sequence[str] | None) -> Table:
     if wanted is not None:
         chosen = {name: table[name] for name in wanted}
         return Table(
-            _same_length(path, chosen),
-            {n: _unit(units, n) for n in chosen},
-            raw.constants,
-            path,
+            _same_length(path, chosen), {n: _unit(units, n) for n in chosen}, raw.constants, path,
             notes,
         )
     if not joined:

@@ -46,15 +46,7 @@ WHOLE = {
 }
 BASE = ("rad", "Nm", "Hz", "m", "s", "N", "A", "V", "W", "J", "g", "K")
 PREFIX = {
-    "": 1.0,
-    "k": 1e3,
-    "M": 1e6,
-    "c": 1e-2,
-    "m": 1e-3,
-    "u": 1e-6,
-    "µ": 1e-6,
-    "μ": 1e-6,
-    "n": 1e-9,
+    "": 1.0, "k": 1e3, "M": 1e6, "c": 1e-2, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "n": 1e-9,
 }
 AS_WRITTEN = ("%", "°C", "degC", "counts", "count", "ticks")  # numbers that are left as they are
 # suffixes of names that say nothing else; `_ms` is milliseconds only where a word of the rest names

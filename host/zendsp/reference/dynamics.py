@@ -175,9 +175,7 @@ def make_dynamics(kind: str, parameters: Mapping[str, Any]) -> Dynamics:
     [[3.4, 0.4]]
     """  # noqa: E501
     kinds: dict[str, Callable[[Mapping[str, Any]], Dynamics]] = {
-        "planar2r": Planar2R,
-        "pendulum": Pendulum,
-        "dh": DHArm,
+        "planar2r": Planar2R, "pendulum": Pendulum, "dh": DHArm,
     }
     if kind not in kinds:
         raise ReferenceError_(f'machine kind "{kind}" is unknown; expected {", ".join(kinds)}')

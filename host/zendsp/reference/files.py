@@ -127,17 +127,10 @@ def load_reference(path: str | Path) -> Reference:
     try:
         tau = data["tau"]
         return Reference(
-            data["q"],
-            float(data["sample_time"]),
-            data["qd"],
-            data["qdd"],
-            None if tau.size == 0 else tau,
-            kind=str(data["kind"]),
-            parameters=json.loads(data["parameters"]),
-            machine=str(data["machine"]),
-            mode=data["mode"],
-            cyclic=bool(data["cyclic"]),
-            unit=str(data["unit"]),
+            data["q"], float(data["sample_time"]), data["qd"], data["qdd"],
+            None if tau.size == 0 else tau, kind=str(data["kind"]),
+            parameters=json.loads(data["parameters"]), machine=str(data["machine"]),
+            mode=data["mode"], cyclic=bool(data["cyclic"]), unit=str(data["unit"]),
         )
     except (KeyError, ValueError) as error:
         raise ReferenceError_(f"{file}: damaged reference file: {error}; plan it again") from error

@@ -213,12 +213,7 @@ ELBOW = Parameter(
     "elbow", "choice", "", "positive", "Sign of q2.", choices=("positive", "negative")
 )
 MOVE_TIME = Parameter(
-    "duration",
-    "float",
-    "s",
-    0.0,
-    "Time of the move; 0: the shortest within the limits.",
-    0.0,
+    "duration", "float", "s", 0.0, "Time of the move; 0: the shortest within the limits.", 0.0,
     3600.0,
 )
 TIME_LAW = Parameter(

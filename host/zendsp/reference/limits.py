@@ -63,10 +63,7 @@ class Limits:
         2.5
         """
         return Limits(
-            self.position_min,
-            self.position_max,
-            share * self.speed,
-            share * self.acceleration,
+            self.position_min, self.position_max, share * self.speed, share * self.acceleration,
             share * self.torque,
         )
 

@@ -85,11 +85,7 @@ class Machine:
             (j + 1, f"{a:g} … {b:g}", f"{v:g}", f"{c:g}", f"{f:g}")
             for j, (a, b, v, c, f) in enumerate(
                 zip(
-                    own.position_min,
-                    own.position_max,
-                    own.speed,
-                    own.acceleration,
-                    own.torque,
+                    own.position_min, own.position_max, own.speed, own.acceleration, own.torque,
                     strict=True,
                 )
             )

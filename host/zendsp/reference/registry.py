@@ -29,19 +29,8 @@ from zendsp.reference.machine import Machine, load_machine
 KINDS: dict[str, Kind] = {
     module.KIND.name: module.KIND
     for module in (
-        point_to_point,
-        line,
-        circle,
-        lspb,
-        trapezoid,
-        triangle,
-        step,
-        chirp,
-        multisine,
-        prbs,
-        torque_law,
-        swing,
-        from_file,
+        point_to_point, line, circle, lspb, trapezoid, triangle, step, chirp, multisine, prbs,
+        torque_law, swing, from_file,
     )
 }
 

@@ -284,16 +284,8 @@ def _trip(trip: m.Trip | None) -> TripView | None:
 def _variable(info: m.VariableInfo, kind: str) -> Variable:
     kind = kind if kind in ("parameter", "table") else "signal"
     return Variable(
-        info.name,
-        info.type,
-        info.length,
-        kind,
-        info.unit,
-        info.minimum,
-        info.maximum,
-        plain(info.initial),
-        info.description,
-        info.columns,
+        info.name, info.type, info.length, kind, info.unit, info.minimum, info.maximum,
+        plain(info.initial), info.description, info.columns,
     )
 
 

@@ -201,9 +201,7 @@ class PlayJob:
             s = port.snapshot()
             t = (s.tick - first) / s.rate_hz - lead
             self.progress = Progress(
-                playlist.phase(max(t, 0.0)),
-                min(max(t / playlist.duration, 0.0), 1.0),
-                t,
+                playlist.phase(max(t, 0.0)), min(max(t / playlist.duration, 0.0), 1.0), t,
                 playlist.duration,
             )
             if s.trip is not None:

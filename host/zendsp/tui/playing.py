@@ -238,9 +238,7 @@ def _thinning(rows: int, capacity: int, rate: int) -> int:
 def player_values(player: Player, playlist: Playlist) -> dict[str, Assignable]:
     """Return the parameters to set before the table is played."""
     wanted: Mapping[str, Assignable] = {
-        "use_table": True,
-        "row_rate": round(playlist.rate),
-        "approach_time": APPROACH_S,
+        "use_table": True, "row_rate": round(playlist.rate), "approach_time": APPROACH_S,
         "hold": False,
     }
     return {name: wanted[name] for name in player.parameters}

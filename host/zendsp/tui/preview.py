@@ -86,9 +86,7 @@ def peaks_of(
     lines = []
     for name, (_, unit, values) in _columns(reference, tau).items():
         limit = {
-            "position": reach,
-            "velocity": lim.speed,
-            "acceleration": lim.acceleration,
+            "position": reach, "velocity": lim.speed, "acceleration": lim.acceleration,
             "torque": lim.torque,
         }[name]
         parts: list[tuple[float, str]] = [(0.0, f"{name:<13}")]
@@ -157,10 +155,8 @@ def joint_positions(machine: Machine, q: Floats) -> Floats:
         a, d = float(link["a"]), float(link["d"])
         zero, one = np.zeros(n), np.ones(n)
         rows = [
-            [c, -s * ca, s * sa, a * c],
-            [s, c * ca, -c * sa, a * s],
-            [zero, sa * one, ca * one, d * one],
-            [zero, zero, zero, one],
+            [c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s],
+            [zero, sa * one, ca * one, d * one], [zero, zero, zero, one],
         ]
         frame = frame @ np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
         places.append(frame[:, :3, 3])

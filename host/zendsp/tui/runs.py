@@ -236,8 +236,7 @@ def compare(runs: Sequence[Run]) -> str:
         lines.append(f"source of {run.name} against {runs[0].name}:")
         for name in sorted(set(first.sources) | set(other.sources)):
             a, b = (
-                first.sources.get(name, "").splitlines(),
-                other.sources.get(name, "").splitlines(),
+                first.sources.get(name, "").splitlines(), other.sources.get(name, "").splitlines(),
             )
             lines += list(
                 difflib.unified_diff(

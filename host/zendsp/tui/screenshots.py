@@ -50,11 +50,7 @@ async def _keys(pilot: Pilot[None], *keys: str) -> None:
 
 def _app(work: Path, first: str) -> ZendspApp:
     app = ZendspApp(
-        open_port,
-        start_machine=start_machine,
-        machines=("imi_planar",),
-        folder=work,
-        first=first,
+        open_port, start_machine=start_machine, machines=("imi_planar",), folder=work, first=first,
         begin="imi_planar",
     )
     app.source = next(p for p in app.examples() if p.name == "pd.c")

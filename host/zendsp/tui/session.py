@@ -345,9 +345,7 @@ class Session:
         if self.snapshot.link != "lost":
             self.events.add(f"link lost: {why}", "error")
         self.snapshot = replace(
-            self.snapshot,
-            link="ended" if ended else "lost",
-            latency_s=float("nan"),
+            self.snapshot, link="ended" if ended else "lost", latency_s=float("nan"),
             recording=False,
         )
         if ended or not port.here:

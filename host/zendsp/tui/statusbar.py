@@ -205,8 +205,7 @@ class StatusBar(Widget):
         line = Text(" ", no_wrap=True, overflow="ellipsis")
         if s.link != "up":
             words = {
-                "none": f"no target: Ctrl+O {_offer(s)}",
-                "starting": f"starting {s.target} …",
+                "none": f"no target: Ctrl+O {_offer(s)}", "starting": f"starting {s.target} …",
                 "connecting": f"connecting to {s.target} …",
                 "lost": f"LINK LOST to {s.target}: reconnecting …",
                 "ended": f"{s.target} HAS ENDED: Ctrl+O {_offer(s)}",

@@ -63,10 +63,7 @@ class Plan:
     def same(self, other: Plan) -> bool:
         """Whether the other would go the same way."""
         if (self.program, self.parameters, self.values, self.lead) != (
-            other.program,
-            other.parameters,
-            other.values,
-            other.lead,
+            other.program, other.parameters, other.values, other.lead,
         ):
             return False
         mine, theirs = self.playlist, other.playlist

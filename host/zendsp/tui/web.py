@@ -56,11 +56,8 @@ class Page(AppService):
 
     def __init__(self, words: Sequence[str], websocket: web.WebSocketResponse, **options: Any):
         super().__init__(
-            shlex.join(words),
-            write_bytes=websocket.send_bytes,
-            write_str=websocket.send_str,
-            close=self._close,
-            **options,
+            shlex.join(words), write_bytes=websocket.send_bytes, write_str=websocket.send_str,
+            close=self._close, **options,
         )
         self._words, self._websocket = words, websocket
 
@@ -73,12 +70,8 @@ class Page(AppService):
     async def _open_app_process(self, width: int = 80, height: int = 24) -> Process:
         # not in the server's session: Ctrl-C there is for the server, which ends its pages
         self._process = process = await asyncio.create_subprocess_exec(
-            *self._words,
-            stdin=PIPE,
-            stdout=PIPE,
-            stderr=PIPE,
-            env=self._build_environment(width, height),
-            start_new_session=True,
+            *self._words, stdin=PIPE, stdout=PIPE, stderr=PIPE,
+            env=self._build_environment(width, height), start_new_session=True,
         )
         self._stdin = process.stdin
         return process

@@ -172,9 +172,7 @@ def zenoh_config(
         # MiB. What is urgent has queues of its own, which the link empties first.
         "transport/link/tx/queue/size/data_low": BULK_QUEUE,
         "connect/retry": {
-            "period_init_ms": 100,
-            "period_max_ms": 500,
-            "period_increase_factor": 1.5,
+            "period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5,
         },
     }
     if security.encrypted:

@@ -77,15 +77,8 @@ def register(
     path = folder / registry.file_name(name)
     check_free(name)
     entry = registry.Entry(
-        name=name,
-        pid=os.getpid(),
-        born=registry.born(os.getpid()),
-        endpoints=endpoints,
-        machine=machine,
-        protocol=PROTOCOL,
-        user=token[0],
-        password=token[1],
-        instance=instance,
+        name=name, pid=os.getpid(), born=registry.born(os.getpid()), endpoints=endpoints,
+        machine=machine, protocol=PROTOCOL, user=token[0], password=token[1], instance=instance,
         stop=stop,
     )
     temporary = path.with_suffix(f".{os.getpid()}.part")

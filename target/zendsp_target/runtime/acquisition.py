@@ -169,10 +169,7 @@ def create(
     file = SharedFile(path, size)
     head = file.pointer("stream_head")
     head.magic, head.version, head.bytes, head.rows = (
-        lib.LAYOUT_MAGIC,
-        lib.LAYOUT_VERSION,
-        size,
-        head_bytes,
+        lib.LAYOUT_MAGIC, lib.LAYOUT_VERSION, size, head_bytes,
     )
     head.channels, head.decimation, head.capacity = len(plan.sources), config.decimation, capacity
     head.wanted, head.pre = 0 if config.continuous else plan.rows, plan.pre
@@ -183,15 +180,7 @@ def create(
     for i, (variable, element) in enumerate(plan.sources):
         head.channel[i].variable, head.channel[i].element = variable, element
     return Stream(
-        file,
-        head,
-        config,
-        plan.channels,
-        plan.units,
-        plan.rows,
-        plan.pre,
-        capacity,
-        head_bytes,
+        file, head, config, plan.channels, plan.units, plan.rows, plan.pre, capacity, head_bytes,
         file.reader(),
     )
 
@@ -261,21 +250,11 @@ def note_of(stream: Stream, about: About) -> Kept:
         for word in ("count", "first_tick", "fired", "missed")
     }
     return Kept(
-        about=about,
-        file=stream.file.path.name,
-        rows_at=stream.offset,
-        capacity=stream.capacity,
-        columns=stream.channels,
-        units=stream.units,
-        decimation=stream.config.decimation,
-        rows=stream.rows,
-        pre=stream.pre,
-        ring=stream.config.continuous,
-        triggered=stream.config.trigger is not None,
-        count_at=at["count"],
-        start_at=at["first_tick"],
-        fired_at=at["fired"],
-        missed_at=at["missed"],
+        about=about, file=stream.file.path.name, rows_at=stream.offset, capacity=stream.capacity,
+        columns=stream.channels, units=stream.units, decimation=stream.config.decimation,
+        rows=stream.rows, pre=stream.pre, ring=stream.config.continuous,
+        triggered=stream.config.trigger is not None, count_at=at["count"],
+        start_at=at["first_tick"], fired_at=at["fired"], missed_at=at["missed"],
     )
 
 
@@ -299,16 +278,10 @@ def status(stream: Stream, alive: bool) -> AcquireStatus:
         count, fired, stream.rows, stream.pre, ring, stream.config.trigger is not None
     )
     return AcquireStatus(
-        state=state,
-        channels=stream.channels,
-        units=stream.units,
-        decimation=stream.config.decimation,
-        first=first,
-        count=count,
-        wanted=0 if ring else stream.rows,
-        lost=stream.lost + int(head.missed),
-        start_tick=int(head.first_tick),
-        trigger_row=fired,
+        state=state, channels=stream.channels, units=stream.units,
+        decimation=stream.config.decimation, first=first, count=count,
+        wanted=0 if ring else stream.rows, lost=stream.lost + int(head.missed),
+        start_tick=int(head.first_tick), trigger_row=fired,
     )
 
 
@@ -323,15 +296,9 @@ def held(stream: Stream, alive: bool) -> Held:
     """
     file, now = os.stat(stream.reader), status(stream, alive)
     return Held(
-        kernel=Path(KERNEL).read_text().strip(),
-        path=str(stream.reader),
-        device=file.st_dev,
-        inode=file.st_ino,
-        offset=stream.offset,
-        columns=len(stream.channels),
-        capacity=stream.capacity,
-        first=now.first,
-        count=now.count,
+        kernel=Path(KERNEL).read_text().strip(), path=str(stream.reader), device=file.st_dev,
+        inode=file.st_ino, offset=stream.offset, columns=len(stream.channels),
+        capacity=stream.capacity, first=now.first, count=now.count,
     )
 
 
@@ -391,8 +358,7 @@ def read(
     )
     # a stream at rest is not being written: its last row is whole
     if gone and lib.monitor_load32(ffi.addressof(head[0], "state")) in (
-        lib.STREAM_DONE,
-        lib.STREAM_IDLE,
+        lib.STREAM_DONE, lib.STREAM_IDLE,
     ):
         gone = min(count, max(0, written - capacity - first))
     if gone:

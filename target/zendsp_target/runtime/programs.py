@@ -125,12 +125,7 @@ class Programs:
             set_up(self._page)
             try:
                 self.session = Session(
-                    key,
-                    self.settings,
-                    path,
-                    self.folder.path,
-                    self._loads,
-                    self.log,
+                    key, self.settings, path, self.folder.path, self._loads, self.log,
                     self._sequence,
                 )
             except (Refused, RunnerDied) as error:

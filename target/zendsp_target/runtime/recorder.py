@@ -58,10 +58,7 @@ class Recorder:
             self._files += 1
             path = self._folder.path / f"stream-{stream}-{self._files}"
             fresh = acquisition.create(
-                path,
-                session.dictionary,
-                config,
-                session.settings.rate_hz,
+                path, session.dictionary, config, session.settings.rate_hz,
                 self._folder.free_bytes(),
             )
             try:

@@ -73,12 +73,7 @@ class Session:
             self.control, memory[start : start + int(self.control.snapshot_bytes)].copy()
         )
         self.updates = Updates(
-            self.control,
-            data,
-            self.dictionary,
-            log,
-            self.process.alive,
-            self.process.handle,
+            self.control, data, self.dictionary, log, self.process.alive, self.process.handle,
             sequence,
         )
         # kept here, since user code with a wild pointer may overwrite what is shared: nothing there

@@ -32,20 +32,9 @@ def empty_status(settings: Settings, unsafe: str, trip: Trip | None) -> Status:
         What is not acknowledged.
     """
     return Status(
-        state=ProgramState.EMPTY,
-        tick=0,
-        t=0.0,
-        rate_hz=settings.rate_hz,
-        clock=settings.clock,
-        scheduling="",
-        machine=settings.machine,
-        joints=0,
-        program="",
-        timing=safety.no_timing(),
-        drive=DriveState.OFF,
-        trip=trip,
-        crash="",
-        unsafe=unsafe,
+        state=ProgramState.EMPTY, tick=0, t=0.0, rate_hz=settings.rate_hz, clock=settings.clock,
+        scheduling="", machine=settings.machine, joints=0, program="", timing=safety.no_timing(),
+        drive=DriveState.OFF, trip=trip, crash="", unsafe=unsafe,
     )
 
 

@@ -39,21 +39,8 @@ SOFT_S = 0.1
 POLICIES = ("stop", "hold", "finish")
 # What could move the machine or change what moves it; STOP is not among them.
 COMMANDING = (
-    "start",
-    "pause",
-    "load",
-    "unload",
-    "write",
-    "update",
-    "table_commit",
-    "set_limits",
-    "set_drive",
-    "set_ramp",
-    "set_overrun",
-    "set_inputs",
-    "home",
-    "acknowledge",
-    "run_begin",
+    "start", "pause", "load", "unload", "write", "update", "table_commit", "set_limits",
+    "set_drive", "set_ramp", "set_overrun", "set_inputs", "home", "acknowledge", "run_begin",
     "run_end",
 )
 # of these, what changes values only
@@ -135,8 +122,7 @@ class Drives:
                 "switch the drives' power on (zendsp drive on)",
             ),
             Condition(
-                "program",
-                loaded,
+                "program", loaded,
                 f"no code is loaded (the program is {status.state}): download a program",
             ),
             Condition(

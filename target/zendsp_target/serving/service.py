@@ -152,9 +152,7 @@ class Service:
         result = self.runtime.compile(args.sources, args.flags)
         if result.ok:
             program = m.Program(
-                key=result.key,
-                sources=args.sources,
-                flags=tuple(result.flags),
+                key=result.key, sources=args.sources, flags=tuple(result.flags),
                 compiler=result.compiler,
             )
             with self._lock:
@@ -245,9 +243,7 @@ class Service:
             parameters=self.runtime.read(names)[1] if names else {},
             versions={**info.versions, "protocol": str(PROTOCOL)},
             extra={
-                "program": status.program,
-                "scheduling": status.scheduling,
-                "clock": status.clock,
+                "program": status.program, "scheduling": status.scheduling, "clock": status.clock,
             },
         )
 

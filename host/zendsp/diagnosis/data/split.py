@@ -28,8 +28,7 @@ def split(signals: Sequence[Signals]) -> tuple[list[Signals], list[Signals], lis
         n = len(s.time)
         cut = int(
             np.clip(
-                np.searchsorted(_way(s), 2 / 3),
-                min(MIN_SAMPLES, n // 2),
+                np.searchsorted(_way(s), 2 / 3), min(MIN_SAMPLES, n // 2),
                 n - min(MIN_SAMPLES, n // 3),
             )
         )

@@ -248,9 +248,7 @@ class _Instance:
         else:
             from fmpy.fmi2 import FMU2Slave as Slave
         self.slave: Any = Slave(
-            instanceName="zendsp",
-            guid=d.guid,
-            unzipDirectory=unpacked,
+            instanceName="zendsp", guid=d.guid, unzipDirectory=unpacked,
             modelIdentifier=d.coSimulation.modelIdentifier,
         )
         self.fresh = False

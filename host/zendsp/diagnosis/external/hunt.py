@@ -333,17 +333,8 @@ def findings_of(
         share = float(np.clip((power(before) - power(claim.output)) / total, 0.0, 1.0))
         out.append(
             Finding(
-                term.effect,
-                joint,
-                values,
-                sure,
-                share,
-                same,
-                replaces,
-                text,
-                {},
-                mechanism_of(term.effect),
-                {term.effect: 1.0},
+                term.effect, joint, values, sure, share, same, replaces, text, {},
+                mechanism_of(term.effect), {term.effect: 1.0},
             )
         )
     return tuple(out), {(f.effect, f.joint) for f in out}

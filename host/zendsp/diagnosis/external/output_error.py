@@ -196,14 +196,8 @@ def fit_output(
     ends = np.isclose(x, problem.low, rtol=NEAR) | np.isclose(x, problem.high, rtol=NEAR)
     bound = tuple(bool(v) for v in ends)
     result = Fit(
-        fitted,
-        handles,
-        x,
-        covariance,
-        float(done.fun @ done.fun),
-        bound,
-        jacobian / weight[:, None],
-        done.fun / weight,
+        fitted, handles, x, covariance, float(done.fun @ done.fun), bound,
+        jacobian / weight[:, None], done.fun / weight,
     )
     return Output(result, done.fun / weight)
 

@@ -21,12 +21,8 @@ COLOURS = {  # apart for colour-blind readers, and in grey
 }
 SPAN = "#e8c39e"
 STYLE: Any = {
-    "font.size": 9,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "figure.dpi": 110,
-    "axes.grid": True,
-    "grid.alpha": 0.25,
+    "font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "figure.dpi": 110,
+    "axes.grid": True, "grid.alpha": 0.25,
 }
 
 

@@ -279,9 +279,7 @@ def white_chart(w: Workings, joint: int) -> Chart:
         f"whiteness_joint{joint}",
         (
             Panel(
-                "lag [s]",
-                "autocorrelation",
-                tuple(series),
+                "lag [s]", "autocorrelation", tuple(series),
                 f"Joint {joint}: one-step errors on the held-out recording (band: white noise)",
                 band=(-bound, bound),
             ),

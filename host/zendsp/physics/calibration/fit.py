@@ -401,14 +401,7 @@ def fit(
     near = np.isclose(x, low, rtol=NEAR, atol=1e-12) | np.isclose(x, high, rtol=NEAR, atol=1e-12)
     at_bound = tuple(bool(v) for v in near)
     found = Fit(
-        set_values(model, handles, x),
-        handles,
-        x,
-        covariance,
-        float(r @ r),
-        at_bound,
-        jac,
-        r,
+        set_values(model, handles, x), handles, x, covariance, float(r @ r), at_bound, jac, r,
     )
     known[key] = found, data.records  # kept alive, so that no other record gets its id
     while len(known) > REMEMBERED:

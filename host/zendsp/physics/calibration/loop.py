@@ -77,12 +77,7 @@ def simulate_joint_loop(
     others = np.zeros((model.joints, 3, n))
     m = ffi.new("zk_model *")
     m.n, m.sub, m.T, m.ucum, m.uloop, m.delay = (
-        n,
-        inner,
-        sample_time,
-        p(cumulative),
-        p(cumulative),
-        model.actuator.delay,
+        n, inner, sample_time, p(cumulative), p(cumulative), model.actuator.delay,
     )
     m.gain, m.limit = per_joint(model.actuator.gain, joint, 1.0), per_joint(
         model.actuator.limit, joint, 0.0

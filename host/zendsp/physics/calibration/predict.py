@@ -230,20 +230,13 @@ def fill(
     k1, k2, w = record.gains(bandwidth)
     rq, rqd = record.motion.states[0], record.motion.states[1]
     m.n, m.sub, m.T, m.ucum, m.delay = (
-        n,
-        steps(record, model, inertia, inner),
-        record.sample_time,
-        p(record.integral),
+        n, steps(record, model, inertia, inner), record.sample_time, p(record.integral),
         model.actuator.delay,
     )
     m.gain = per_joint(model.actuator.gain, record.joint, 1.0)
     m.limit = per_joint(model.actuator.limit, record.joint, 0.0)
     m.m, m.half, m.k1, m.k2, m.w = (
-        p(record.measurement.value),
-        p(record.measurement.half),
-        p(k1),
-        p(k2),
-        p(w),
+        p(record.measurement.value), p(record.measurement.half), p(k1), p(k2), p(w),
     )
     fill_rigid(m, record, model, inertia, bias)
     m.other, m.extra = p(record.others), ffi.NULL

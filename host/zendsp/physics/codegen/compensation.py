@@ -128,9 +128,7 @@ def _settings(sign_speed: float) -> list[Variable]:
         Variable("comp_fade", 0.5, "s", "time in which it fades in or out", 0.0, 60.0),
         Variable("comp_limit", 0.5, "", "most that is added, part of the torque limit", 0.0, 1.0),
         Variable(
-            "comp_sign_speed",
-            sign_speed,
-            "rad/s",
+            "comp_sign_speed", sign_speed, "rad/s",
             "speed over which dry friction changes its sign; 0: at once",
         ),
     ]

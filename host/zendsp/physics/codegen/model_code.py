@@ -62,9 +62,7 @@ def model_code(model: Model, *, sign_speed: float = SIGN_SPEED) -> str:
     made = lines(kernel_model(model).terms, "model", kinds=kinds, actuator=model.actuator)
     numbers += [
         Variable(
-            "model_sign_speed",
-            sign_speed,
-            "rad/s",
+            "model_sign_speed", sign_speed, "rad/s",
             "speed over which dry friction changes its sign; 0: at once",
         )
     ]

@@ -70,9 +70,7 @@ def _diagonal(model: Model) -> tuple[list[Variable], str, str, str]:
         if per_joint(weights, j + 1, 0.0) != 0.0:
             variables.append(
                 Variable(
-                    f"model_gravity{j + 1}",
-                    per_joint(weights, j + 1, 0.0),
-                    "N m",
+                    f"model_gravity{j + 1}", per_joint(weights, j + 1, 0.0), "N m",
                     f"gravity torque of joint {j + 1}, m g l",
                 )
             )

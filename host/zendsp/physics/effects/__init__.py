@@ -15,16 +15,8 @@ from zendsp.errors import ModelError
 from zendsp.physics.effects.base import MECHANISMS, Effect, Parameter, unit_of
 
 __all__ = [
-    "MECHANISMS",
-    "Effect",
-    "Parameter",
-    "get_effect",
-    "is_supported",
-    "laws_of",
-    "library",
-    "load_effects",
-    "mechanism_of",
-    "unit_of",
+    "MECHANISMS", "Effect", "Parameter", "get_effect", "is_supported", "laws_of", "library",
+    "load_effects", "mechanism_of", "unit_of",
 ]
 
 # names of findings that no term of a model stands for

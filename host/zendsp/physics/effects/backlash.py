@@ -47,11 +47,7 @@ EFFECT = Effect(
         Parameter("stiffness", "torque/position", lower=1e-09, limits=transmission_limits),
         Parameter("load_inertia", "inertia", lower=1e-12, limits=load_limits),
         Parameter(
-            "damping",
-            "torque/speed",
-            lower=0,
-            default=0.0,
-            limits=transmission_damping_limits,
+            "damping", "torque/speed", lower=0, default=0.0, limits=transmission_damping_limits,
             meaning="of the contact; 0: a tenth of critical",
         ),
     ),

@@ -14,14 +14,8 @@ Array = npt.NDArray[np.float64]
 Numbers = Mapping[str, float]
 
 MECHANISMS = (
-    "dry_friction",
-    "fluid_friction",
-    "transmission",
-    "position_torque",
-    "inertia",
-    "actuator",
-    "measurement",
-    "disturbance",
+    "dry_friction", "fluid_friction", "transmission", "position_torque", "inertia", "actuator",
+    "measurement", "disturbance",
 )
 
 

@@ -10,11 +10,7 @@ EFFECT = Effect(
     mechanism="inertia",
     parameters=(
         Parameter(
-            "angle_x",
-            "angle",
-            lower=-1.6,
-            upper=1.6,
-            default=0.0,
+            "angle_x", "angle", lower=-1.6, upper=1.6, default=0.0,
             meaning="of gravity about the base's x axis",
         ),
         Parameter(

@@ -20,9 +20,7 @@ EFFECT = Effect(
             for axis in "xyz"
         ),
         Parameter(
-            "inertia",
-            "body_inertia",
-            default=0.0,
+            "inertia", "body_inertia", default=0.0,
             meaning="difference beyond that, about the centre of mass, the same about every axis",
         ),
     ),

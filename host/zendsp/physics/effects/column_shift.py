@@ -39,11 +39,7 @@ EFFECT = Effect(
     mechanism="measurement",
     parameters=(
         Parameter(
-            "time",
-            "time",
-            lower=-0.2,
-            upper=0.2,
-            limits=_limits,
+            "time", "time", lower=-0.2, upper=0.2, limits=_limits,
             meaning="late; early where negative",
         ),
     ),

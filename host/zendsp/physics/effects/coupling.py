@@ -43,9 +43,7 @@ EFFECT = Effect(
     },
     repeatable=True,
     across=(
-        "p[2] * acc[{other}]",
-        "p[2] * vel[{other}] * vel[{other}]",
-        "p[2] * vel[{other}]",
+        "p[2] * acc[{other}]", "p[2] * vel[{other}] * vel[{other}]", "p[2] * vel[{other}]",
         "p[2] * tanh((vel[{joint}] + vel[{other}]) / p[3])",
     ),
 )

@@ -11,10 +11,7 @@ EFFECT = Effect(
     parameters=(
         Parameter("coefficient", "1/temperature", lower=-1.0, upper=1.0),
         Parameter(
-            "reference",
-            "temperature",
-            default=20.0,
-            fitted=False,
+            "reference", "temperature", default=20.0, fitted=False,
             meaning="at which the level holds",
         ),
     ),

@@ -10,10 +10,7 @@ EFFECT = Effect(
     mechanism="measurement",
     parameters=(
         Parameter(
-            "time_constant",
-            "time",
-            lower=1e-5,
-            upper=0.2,
+            "time_constant", "time", lower=1e-5, upper=0.2,
             limits=lambda f: (0.1 * f.sample_time, 0.2),
         ),
     ),

@@ -17,8 +17,7 @@ def _column(along: Along, p: Numbers) -> Array:
     """What the load resists in a rigid transmission, to first order in the amplitude."""
     amplitude, order = p["amplitude"], p["order"]
     error, slope = (
-        np.sin(order * along.q + p["phase"]),
-        order * np.cos(order * along.q + p["phase"]),
+        np.sin(order * along.q + p["phase"]), order * np.cos(order * along.q + p["phase"]),
     )
     inert = along.inertia * (2 * slope * along.qdd - order**2 * error * along.qd**2)
     if along.gravity:

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
-from scipy.signal import savgol_filter
 
 from zendsp.errors import RecordingError
 from zendsp.physics.files.draft_data import (
@@ -19,6 +17,7 @@ from zendsp.physics.files.draft_data import (
     Machine,
     best_group,
     finite,
+    first_idea,
     groups_of,
     is_behind,
     like_degrees,
@@ -29,11 +28,6 @@ from zendsp.recording import Table
 from zendsp.recording.roles import Role
 from zendsp_protocol.texts import counted
 
-Array = npt.NDArray[np.float64]
-
-WINDOW_S = 0.05  # over which position is smoothed for a first idea of speed and acceleration
-EXPLAINS = 0.3  # share of the command's variance: below that no first idea is given
-MATTERS = 0.02  # share that gravity must add
 ROUGH = 0.15  # relative standard deviation of a first idea: what is missing bends it
 SATURATED = 20  # samples at the largest command: it was cut off there
 
@@ -166,8 +160,7 @@ def _sample_time(page: _Page, clock: Group | None, file: str) -> float:
     gaps = f", {missing} row{'s' if missing > 1 else ''} missing" if missing else ""
     if shown > 0.1:
         page.line(
-            f"sample_time = {shown:g}",
-            "s",
+            f"sample_time = {shown:g}", "s",
             ask="is that column in seconds? Its steps are long; write its unit: 't [ms]'",
         )
     else:
@@ -233,9 +226,7 @@ def _mechanism(
         )
     )
     for text in (
-        "[[effect]]",
-        'kind = "viscous"',
-        "joint = 1",
+        "[[effect]]", 'kind = "viscous"', "joint = 1",
         f"coefficient = {{ value = 0.01 }}  # {'N s/m' if linear else 'N m s/rad'}",
     ):
         page.line(comment=text)
@@ -265,7 +256,7 @@ def _numbers(
     """Inertia and gravity, as the recording suggests them."""
     key, unit = ("mass", "kg") if linear else ("inertia", "kg m^2")
     ideas = [
-        _idea(position.values[:, j], command.values[:, j], step, linear) if command else None
+        first_idea(position.values[:, j], command.values[:, j], step, linear) if command else None
         for j in range(position.values.shape[1])
     ]
     values = [float(f"{idea.inertia:.3g}") if idea else 0.01 for idea in ideas]
@@ -281,8 +272,7 @@ def _numbers(
     gravity = [float(f"{idea.gravity:.3g}") if idea else 0.0 for idea in ideas]
     if not linear and any(gravity):
         page.line(
-            f"gravity = {{ {_rough(gravity, ROUGH)} }}",
-            "N m, times sin(q)",
+            f"gravity = {{ {_rough(gravity, ROUGH)} }}", "N m, times sin(q)",
             ask="is q = 0 where it hangs down?",
         )
     elif not linear:
@@ -294,41 +284,6 @@ def _numbers(
 def _rough(values: list[float], share: float) -> str:
     """Numbers, and how well they are known: a calibration that moves them by less is no finding."""
     return f"value = {_list(values)}, std = {share * max(values):.2g}"
-
-
-@dataclass(frozen=True)
-class _Idea:
-    inertia: float
-    gravity: float
-    share: float
-
-
-def _idea(q: Array, u: Array, step: float, linear: bool) -> _Idea | None:
-    """Inertia and gravity by least squares beside friction and a bias; None where the command is
-    hardly explained.
-    """
-    window = max(5, 2 * round(WINDOW_S / step / 2) + 1)
-    if len(q) < 4 * window or not (np.isfinite(q).all() and np.isfinite(u).all()) or np.std(u) == 0:
-        return None
-    speed, acceleration = (savgol_filter(q, window, 3, deriv=d, delta=step) for d in (1, 2))
-    smooth = savgol_filter(u, window, 3)
-    moving = np.abs(speed) > 0.02 * np.max(np.abs(speed))
-    base = [acceleration, speed, np.sign(speed), np.ones_like(q)]
-
-    def fit(columns: list[Array]) -> tuple[Array, float]:
-        a, b = np.column_stack(columns)[moving], smooth[moving]
-        x: Array = np.linalg.lstsq(a, b, rcond=None)[0]
-        return x, 1.0 - float(np.var(b - a @ x) / max(np.var(b), 1e-300))
-
-    if np.count_nonzero(moving) < 10 * len(base):
-        return None
-    x, share = fit(base)
-    gravity = 0.0
-    if not linear:
-        with_gravity, more = fit([*base, np.sin(q)])
-        if more - share > MATTERS and with_gravity[4] > 0:
-            x, share, gravity = with_gravity, more, float(with_gravity[4])
-    return _Idea(float(x[0]), gravity, share) if share > EXPLAINS and x[0] > 0 else None
 
 
 def _actuator(page: _Page, command: Group | None, step: float, machine: Machine | None) -> None:
@@ -455,11 +410,7 @@ def _columns(
     if command is not None:
         chosen["command"] = command
     for role in (
-        Role.REFERENCE,
-        Role.VELOCITY,
-        Role.CURRENT,
-        Role.TEMPERATURE,
-        Role.TORQUE_MEASURED,
+        Role.REFERENCE, Role.VELOCITY, Role.CURRENT, Role.TEMPERATURE, Role.TORQUE_MEASURED,
     ):
         group = best_group(groups, role, joints)
         if group is not None and group is not command:

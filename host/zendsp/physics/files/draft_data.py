@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.signal import savgol_filter
 
 from zendsp.errors import RecordingError
 from zendsp.physics.kernel.signals import find_resolution
@@ -21,6 +22,9 @@ from zendsp.recording.roles import Role, role_of
 
 CURRENT_LOOP_S = 1.6e-4  # of the drives of a MuJoCo machine (docs/machines_mujoco.md)
 Array = npt.NDArray[np.float64]
+WINDOW_S = 0.05  # over which position is smoothed for a first idea of speed and acceleration
+EXPLAINS = 0.3  # share of the command's variance: below that no first idea is given
+MATTERS = 0.02  # share that gravity must add
 WHOLE = 0.02  # of a count: so near to a whole number of counts a turn is one
 LOAD = ("load", "link", "output", "arm")  # words of a position behind a spring
 # of several columns that could be the command
@@ -173,3 +177,40 @@ def machine_of(path: Path, folder: Path) -> Machine | None:
         period=recording.sample_time / recording.decimation,
         lag=lag,
     )
+
+
+@dataclass(frozen=True)
+class Idea:
+    """Of one joint: inertia, gravity, and the share of the command that they explain."""
+
+    inertia: float
+    gravity: float
+    share: float
+
+
+def first_idea(q: Array, u: Array, step: float, linear: bool) -> Idea | None:
+    """Inertia and gravity by least squares beside friction and a bias; None where the command is
+    hardly explained.
+    """
+    window = max(5, 2 * round(WINDOW_S / step / 2) + 1)
+    if len(q) < 4 * window or not (np.isfinite(q).all() and np.isfinite(u).all()) or np.std(u) == 0:
+        return None
+    speed, acceleration = (savgol_filter(q, window, 3, deriv=d, delta=step) for d in (1, 2))
+    smooth = savgol_filter(u, window, 3)
+    moving = np.abs(speed) > 0.02 * np.max(np.abs(speed))
+    base = [acceleration, speed, np.sign(speed), np.ones_like(q)]
+
+    def fit(columns: list[Array]) -> tuple[Array, float]:
+        a, b = np.column_stack(columns)[moving], smooth[moving]
+        x: Array = np.linalg.lstsq(a, b, rcond=None)[0]
+        return x, 1.0 - float(np.var(b - a @ x) / max(np.var(b), 1e-300))
+
+    if np.count_nonzero(moving) < 10 * len(base):
+        return None
+    x, share = fit(base)
+    gravity = 0.0
+    if not linear:
+        with_gravity, more = fit([*base, np.sin(q)])
+        if more - share > MATTERS and with_gravity[4] > 0:
+            x, share, gravity = with_gravity, more, float(with_gravity[4])
+    return Idea(float(x[0]), gravity, share) if share > EXPLAINS and x[0] > 0 else None

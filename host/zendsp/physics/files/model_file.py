@@ -34,31 +34,16 @@ OF_MJCF = ("joints", "take")
 OF_FMU = ("inputs", "outputs", "start_position", "start_velocity", "time_limit")
 KEYS = {  # of each table, whether this version uses the value or only knows it
     "": (
-        "name",
-        "sample_time",
-        "mechanism",
-        "effect",
-        "actuator",
-        "sensor",
-        "controller",
-        "columns",
-        "limits",
-        "discrepancy",
+        "name", "sample_time", "mechanism", "effect", "actuator", "sensor", "controller",
+        "columns", "limits", "discrepancy",
     ),
     "mechanism": ("kind", "parameters", "file", "entry", "folder", *OF_MJCF, *OF_FMU),
     "actuator": ("gain", "limit", "hold", "delay", "matrix", "unit"),
     "sensor": ("position_resolution", "matrix", "offset", "side"),
     "controller": ("kind", "kp", "kd", "ki", "cutoff"),
     "columns": (
-        "time",
-        "position",
-        "command",
-        "reference",
-        "velocity",
-        "current",
-        "temperature",
-        "position_load",
-        "torque_measured",
+        "time", "position", "command", "reference", "velocity", "current", "temperature",
+        "position_load", "torque_measured",
     ),
     "limits": ("position",),
     "discrepancy": ("torque", "state"),
@@ -360,8 +345,7 @@ def _term(read: _Reader, data: Any, joints: int) -> Term:
         if not parameter.lower <= quantity.value <= parameter.upper:
             raise read.fail(
                 f"{where} {parameter.name}",
-                f"a number from {parameter.lower:g} to {parameter.upper:g}",
-                quantity.value,
+                f"a number from {parameter.lower:g} to {parameter.upper:g}", quantity.value,
             )
         values[parameter.name] = (
             quantity if parameter.fitted else Quantity(quantity.value, False, quantity.unit)

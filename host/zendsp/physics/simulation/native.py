@@ -105,12 +105,7 @@ def source_text(effects: dict[str, Effect]) -> str:
         An effect whose site is unknown.
     """
     parts: dict[str, list[str]] = {
-        "FUNCTIONS": [],
-        "FORCE": [],
-        "ACTUATOR": [],
-        "SENSOR": [],
-        "SETUP": [],
-        "ACROSS": [],
+        "FUNCTIONS": [], "FORCE": [], "ACTUATOR": [], "SENSOR": [], "SETUP": [], "ACROSS": [],
     }
     for i, effect in enumerate(effects.values()):
         if effect.site == "body":

@@ -198,10 +198,7 @@ class Plant:
         if not model.sample_time:
             raise ModelError(f"{model.name}: lacks sample_time, which a simulation needs")
         self.model, self.samples, self.period, self.inner = (
-            model,
-            int(samples),
-            float(model.sample_time),
-            int(inner),
+            model, int(samples), float(model.sample_time), int(inner),
         )
         self.native: SimulatorLibrary = simulator_library()
         self._keep: list[Any] = []
@@ -232,11 +229,7 @@ class Plant:
     ) -> None:
         model, n = self.model, self.joints
         c.joints, c.kind, c.inner, c.period, c.t0 = (
-            n,
-            KINDS[model.kind],
-            self.inner,
-            self.period,
-            t0,
+            n, KINDS[model.kind], self.inner, self.period, t0,
         )
         c.load_sensor = int(model.sensor.side == "load")
         c.delay = model.actuator.delay
@@ -290,9 +283,7 @@ class Plant:
                 table[i, k] = value
         c.effects = len(terms)
         c.effect, c.effect_joint, c.effect_p = (
-            self._pointer(kinds),
-            self._pointer(joints),
-            self._pointer(table),
+            self._pointer(kinds), self._pointer(joints), self._pointer(table),
         )
 
     def _pointer(self, array: npt.NDArray[Any]) -> Any:

@@ -302,11 +302,8 @@ class _Session:
         limited = [k < self.plant.joints and limits[k] > 0.0 for k in range(8)]
         return tuple(
             Reached(
-                host.low_q[k],
-                host.high_q[k],
-                host.most_aout[k] / host.io.mv_per_torque[k],
-                host.io.torque_max[k] if limited[k] else 0.0,
-                host.beyond[k],
+                host.low_q[k], host.high_q[k], host.most_aout[k] / host.io.mv_per_torque[k],
+                host.io.torque_max[k] if limited[k] else 0.0, host.beyond[k],
             )
             for k in range(8)
         )
@@ -356,9 +353,7 @@ class _Session:
         self.keep.append(rows)
         entry = self.native.ffi.cast("isr_table *", self.entries[name].address)
         entry.data, entry.rows, entry.version = (
-            self.native.doubles(rows),
-            len(rows),
-            entry.version + 1,
+            self.native.doubles(rows), len(rows), entry.version + 1,
         )
 
     def _write(self, given: Mapping[str, Assignable]) -> None:

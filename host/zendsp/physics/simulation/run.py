@@ -307,11 +307,7 @@ def recording(
         columns[name], units[name] = out[key] if out[key].shape[1] > 1 else out[key][:, 0], u
     columns, units = gather_vectors(columns, units)
     rec = Recording.from_columns(
-        columns,
-        sample_time=model.sample_time,
-        units=units,
-        machine=model.name,
-        target="simulation",
-        extra=extra,
+        columns, sample_time=model.sample_time, units=units, machine=model.name,
+        target="simulation", extra=extra,
     )
     return replace(rec, created=time.time())

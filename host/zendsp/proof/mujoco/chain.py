@@ -45,12 +45,7 @@ class Link:
         """The same shape of a denser stuff."""
         i = self.inertia
         scaled = (
-            i[0] * ratio,
-            i[1] * ratio,
-            i[2] * ratio,
-            i[3] * ratio,
-            i[4] * ratio,
-            i[5] * ratio,
+            i[0] * ratio, i[1] * ratio, i[2] * ratio, i[3] * ratio, i[4] * ratio, i[5] * ratio,
         )
         return replace(self, mass=self.mass * ratio, inertia=scaled)
 

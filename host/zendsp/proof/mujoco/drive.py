@@ -21,11 +21,7 @@ def _gain(b: Bench, joint: int, s: Scale, size: float, rng: Rng) -> Concealed:
     b.fixed = True
     b.joints[joint].gain *= 0.93
     return truth(
-        b,
-        "torque_gain",
-        joint,
-        size,
-        {"ratio": (-0.07, "")},
+        b, "torque_gain", joint, size, {"ratio": (-0.07, "")},
         note="friction is free, inertia is not",
     )
 

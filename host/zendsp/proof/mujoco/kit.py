@@ -44,14 +44,6 @@ def truth(
     joints: tuple[int, ...] = (),
 ) -> Concealed:
     return Concealed(
-        effect,
-        joint + 1,
-        parameters,
-        size,
-        accepted=list(accepted),
-        unscored=list(unscored),
-        note=note,
-        mechanisms=list(mechanisms),
-        body=body,
-        accepted_joints=[j + 1 for j in joints],
+        effect, joint + 1, parameters, size, accepted=list(accepted), unscored=list(unscored),
+        note=note, mechanisms=list(mechanisms), body=body, accepted_joints=[j + 1 for j in joints],
     )

@@ -335,9 +335,5 @@ def arm7(rng: Rng) -> Bench:
 
 
 MACHINES: dict[str, Callable[[Rng], Bench]] = {
-    "mj_joint": joint,
-    "mj_cart": cart,
-    "mj_planar2r": planar2r,
-    "mj_arm6": arm6,
-    "mj_arm7": arm7,
+    "mj_joint": joint, "mj_cart": cart, "mj_planar2r": planar2r, "mj_arm6": arm6, "mj_arm7": arm7,
 }

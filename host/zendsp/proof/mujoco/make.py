@@ -42,9 +42,7 @@ def attempt_case(request: Request, rng: Rng) -> Case:
         size = [s.torque for s in scales]
         records = []
         for shape in (
-            b.train_shape,
-            b.heldout_shape,
-            b.heldout_shape,
+            b.train_shape, b.heldout_shape, b.heldout_shape,
         ):  # the last is never diagnosed
             records.append(simulate(b, shape, fork(rng), size))
             check(b, records[-1], base)

@@ -155,13 +155,7 @@ def _tilt(b: Bench, joint: int, s: Scale, size: float, rng: Rng) -> Concealed:
     )
     values = {"angle_x": (float(x), "rad"), "angle_y": (float(y), "rad")}
     return truth(
-        b,
-        "base_tilt",
-        0,
-        size,
-        values,
-        joints=tuple(range(b.n)),
-        unscored=tuple(values),
+        b, "base_tilt", 0, size, values, joints=tuple(range(b.n)), unscored=tuple(values),
         note="2 degrees",
     )
 

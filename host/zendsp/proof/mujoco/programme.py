@@ -23,29 +23,14 @@ UNFIT: dict[str, tuple[str, ...]] = {
     "mj_arm7": ("gravity", "encoder_eccentricity", "sensor_harmonic"),
 }
 PAIRS = (
-    "dry_hard+stiffness",
-    "lugre+ripple",
-    "dry_soft+quadratic_drag",
-    "dry_hard+delay",
-    "viscous+stiffness",
-    "stribeck+torque_offset",
-    "dead_zone+ripple",
-    "quadratic_drag+ripple",
-    "lag+stiffness",
-    "position_friction+quadratic_drag",
-    "backlash+viscous",
-    "elasticity+dry_hard",
+    "dry_hard+stiffness", "lugre+ripple", "dry_soft+quadratic_drag", "dry_hard+delay",
+    "viscous+stiffness", "stribeck+torque_offset", "dead_zone+ripple", "quadratic_drag+ripple",
+    "lag+stiffness", "position_friction+quadratic_drag", "backlash+viscous", "elasticity+dry_hard",
 )
 # dry friction in every joint, and one thing more
 ALL = (
-    "dry_hard",
-    "dry_hard+payload",
-    "dry_hard+stiffness",
-    "dry_soft",
-    "dry_hard+heavier",
-    "dry_soft+payload",
-    "dry_hard+elasticity",
-    "dry_hard+base_tilt",
+    "dry_hard", "dry_hard+payload", "dry_hard+stiffness", "dry_soft", "dry_hard+heavier",
+    "dry_soft+payload", "dry_hard+elasticity", "dry_hard+base_tilt",
 )
 
 

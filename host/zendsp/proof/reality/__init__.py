@@ -14,12 +14,6 @@ from zendsp.proof.reality.machine import (
 )
 
 __all__ = [
-    "CouplingTruth",
-    "ForeignTable",
-    "JointTruth",
-    "LinkTruth",
-    "MachineTruth",
-    "Run",
-    "inverse_dynamics",
-    "run",
+    "CouplingTruth", "ForeignTable", "JointTruth", "LinkTruth", "MachineTruth", "Run",
+    "inverse_dynamics", "run",
 ]

@@ -240,9 +240,7 @@ def to_c(ffi: object, truth: MachineTruth) -> object:
         m.link[i].mass, m.link[i].com, m.link[i].inertia = link.mass, link.com, link.inertia
     m.down = truth.down
     m.sample_time, m.substeps, m.velocity_filter = (
-        truth.sample_time,
-        truth.substeps,
-        truth.velocity_filter,
+        truth.sample_time, truth.substeps, truth.velocity_filter,
     )
     return m
 

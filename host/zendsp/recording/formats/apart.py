@@ -111,11 +111,7 @@ def read_apart(module: str, path: Path) -> Raw:
             about = json.loads(str(stored["about"]))
             columns = {name: stored[f"c{k}"] for k, name in enumerate(about["names"])}
     return Raw(
-        columns,
-        about["units"],
-        about["constants"],
-        about["metadata"],
-        about["refused"],
+        columns, about["units"], about["constants"], about["metadata"], about["refused"],
         tuple(about["notes"]),
     )
 
@@ -154,12 +150,8 @@ def _parsed(reader: ModuleType, path: str, result: str) -> int:
         sys.stderr.write(f"\0{error}")
         return REFUSED
     about = {
-        "names": list(raw.columns),
-        "units": raw.units,
-        "constants": raw.constants,
-        "metadata": raw.metadata,
-        "refused": raw.refused,
-        "notes": raw.notes,
+        "names": list(raw.columns), "units": raw.units, "constants": raw.constants,
+        "metadata": raw.metadata, "refused": raw.refused, "notes": raw.notes,
     }
     arrays = {f"c{k}": values for k, values in enumerate(raw.columns.values())}
     np.savez(result, allow_pickle=False, about=np.array(json.dumps(about)), **arrays)

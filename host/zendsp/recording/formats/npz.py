@@ -55,12 +55,7 @@ def read(path: Path) -> Raw:
     except RecordingError:
         raise
     except (
-        zipfile.BadZipFile,
-        zlib.error,
-        EOFError,
-        OSError,
-        ValueError,
-        NotImplementedError,
+        zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, NotImplementedError,
     ) as error:
         raise RecordingError(
             f"{path}: is not a readable NPZ file, or it is cut short ({error})"

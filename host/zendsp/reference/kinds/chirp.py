@@ -114,13 +114,8 @@ def make_chirp(
         on_joints(machine, joint, xdd),
     )
     used = {
-        "joint": joint,
-        "amplitude": amplitude,
-        "f0": f0,
-        "f1": f1,
-        "duration": duration,
-        "sweep": sweep,
-        "fade_time": fade_time,
+        "joint": joint, "amplitude": amplitude, "f0": f0, "f1": f1, "duration": duration,
+        "sweep": sweep, "fade_time": fade_time,
     }
     return make_signal(machine, "chirp", quantity, start, signal, dt, used)
 
@@ -140,11 +135,7 @@ KIND = Kind(
         Parameter("f1", "float", "Hz", 2.0, "Last frequency.", 1e-4, 1e5),
         Parameter("duration", "float", "s", 10.0, "Duration.", 0.01, 3600.0),
         Parameter(
-            "sweep",
-            "choice",
-            "",
-            "linear",
-            "How the frequency rises.",
+            "sweep", "choice", "", "linear", "How the frequency rises.",
             choices=("linear", "logarithmic"),
         ),
         Parameter("fade_time", "float", "s", 0.5, "Fade at each end.", 0.0, 600.0),

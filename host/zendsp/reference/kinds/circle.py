@@ -77,15 +77,8 @@ def make_circle(
     a = radius * np.stack([-c * w**2 - sn * wd, -sn * w**2 + c * wd], axis=1)
     q, qd, qdd = cartesian_to_joint(machine, xy, v, a, elbow)
     used = {
-        "radius": radius,
-        "x": x,
-        "y": y,
-        "duration": duration,
-        "turns": turns,
-        "phase": phase,
-        "elbow": elbow,
-        "law": law,
-        "blend": blend,
+        "radius": radius, "x": x, "y": y, "duration": duration, "turns": turns, "phase": phase,
+        "elbow": elbow, "law": law, "blend": blend,
     }
     # a circle around the base turns the first joint once more each time: then the ends do not meet
     meets = bool(np.abs(q[-1] - q[0]).max() < 1e-9)

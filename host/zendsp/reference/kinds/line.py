@@ -76,13 +76,7 @@ def make_line(
         duration = max(fastest_duration(machine, qd, qdd, 1.0), 10 * dt)
     q, qd, qdd = plan(make_grid(duration, dt), duration)
     used = {
-        "x0": x0,
-        "y0": y0,
-        "x1": x1,
-        "y1": y1,
-        "duration": duration,
-        "elbow": elbow,
-        "law": law,
+        "x0": x0, "y0": y0, "x1": x1, "y1": y1, "duration": duration, "elbow": elbow, "law": law,
         "blend": blend,
     }
     return Reference(q, dt, qd, qdd, kind="line", parameters=used, machine=machine.name)

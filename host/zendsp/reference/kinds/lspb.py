@@ -107,12 +107,8 @@ def make_lspb(
     t = make_grid(2 * way if back else way, dt)
     s, sd, sdd = integrate_velocity(t, knots, speeds.tolist())
     used = {
-        "start": a.tolist(),
-        "goal": b.tolist(),
-        "duration": duration,
-        "blend_time": blend_time,
-        "hold": hold,
-        "back": back,
+        "start": a.tolist(), "goal": b.tolist(), "duration": duration, "blend_time": blend_time,
+        "hold": hold, "back": back,
     }
     return Reference(
         a + s[:, None] * (b - a), dt, sd[:, None] * (b - a), sdd[:, None] * (b - a),
@@ -137,13 +133,8 @@ KIND = Kind(
         ),
         Parameter("duration", "float", "s", 7.0, "Time of one way.", 0.01, 3600.0),
         Parameter(
-            "blend_time",
-            "float",
-            "s",
-            1.0,
-            "Time of each parabola; at most half the duration.",
-            1e-3,
-            1800.0,
+            "blend_time", "float", "s", 1.0, "Time of each parabola; at most half the duration.",
+            1e-3, 1800.0,
         ),
         Parameter("hold", "float", "s", 0.0, "Rest after each way.", 0.0, 600.0),
         Parameter("back", "bool", "", False, "Return to the start the same way."),

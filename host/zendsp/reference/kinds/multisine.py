@@ -110,14 +110,8 @@ def make_multisine(
         xd[:, j] = scale * (wd * p + w * v)
         xdd[:, j] = scale * (wdd * p + 2 * wd * v + w * c)
     used = {
-        "amplitude": peak.tolist(),
-        "period": period,
-        "f_min": f_min,
-        "f_max": f_max,
-        "periods": periods,
-        "spectrum": spectrum,
-        "fade_time": fade_time,
-        "crest": crest,
+        "amplitude": peak.tolist(), "period": period, "f_min": f_min, "f_max": f_max,
+        "periods": periods, "spectrum": spectrum, "fade_time": fade_time, "crest": crest,
     }
     return make_signal(machine, "multisine", quantity, start, (x, xd, xdd), dt, used)
 
@@ -141,23 +135,14 @@ KIND = Kind(
             by_machine={"wam7": [0.2, 0.15, 0.2, 0.2, 0.3, 0.3, 0.25]},
         ),
         Parameter(
-            "period",
-            "float",
-            "s",
-            10.0,
-            "Period; its inverse is the spacing of the lines.",
-            0.05,
+            "period", "float", "s", 10.0, "Period; its inverse is the spacing of the lines.", 0.05,
             3600.0,
         ),
         Parameter("f_min", "float", "Hz", 0.1, "Lowest frequency.", 1e-4, 1e5),
         Parameter("f_max", "float", "Hz", 2.0, "Highest frequency.", 1e-4, 1e5),
         Parameter("periods", "int", "", 2, "Repetitions.", 1, 10000),
         Parameter(
-            "spectrum",
-            "choice",
-            "",
-            "velocity",
-            "In which quantity the lines are equal.",
+            "spectrum", "choice", "", "velocity", "In which quantity the lines are equal.",
             choices=("flat", "velocity", "acceleration"),
         ),
         Parameter("fade_time", "float", "s", 0.5, "Fade at each end.", 0.0, 600.0),

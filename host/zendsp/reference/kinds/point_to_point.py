@@ -91,11 +91,7 @@ def make_point_to_point(
     t = make_grid(duration, dt)
     s, sd, sdd = rest_to_rest(t, duration, law, blend)
     used = {
-        "start": a.tolist(),
-        "goal": b.tolist(),
-        "duration": duration,
-        "law": law,
-        "blend": blend,
+        "start": a.tolist(), "goal": b.tolist(), "duration": duration, "law": law, "blend": blend,
     }
     return Reference(
         a + s[:, None] * (b - a), dt, sd[:, None] * (b - a), sdd[:, None] * (b - a),

@@ -17,16 +17,8 @@ from zendsp.reference.profiles import integrate_velocity, make_grid
 # Feedback taps that give sequences of full length 2^n - 1 (primitive polynomials; Golomb, Shift
 # Register Sequences).
 TAPS = {
-    3: (3, 2),
-    4: (4, 3),
-    5: (5, 3),
-    6: (6, 5),
-    7: (7, 6),
-    8: (8, 6, 5, 4),
-    9: (9, 5),
-    10: (10, 7),
-    11: (11, 9),
-    12: (12, 6, 4, 1),
+    3: (3, 2), 4: (4, 3), 5: (5, 3), 6: (6, 5), 7: (7, 6), 8: (8, 6, 5, 4), 9: (9, 5), 10: (10, 7),
+    11: (11, 9), 12: (12, 6, 4, 1),
 }
 
 
@@ -162,13 +154,7 @@ KIND = Kind(
         Parameter("order", "int", "", 7, "Length of 2^order - 1 bits.", 3, 12),
         Parameter("clock", "float", "s", 0.1, "Time of a bit.", 1e-4, 60.0),
         Parameter(
-            "ramp",
-            "float",
-            "s",
-            0.02,
-            "Time of a change of velocity.",
-            0.0,
-            60.0,
+            "ramp", "float", "s", 0.02, "Time of a change of velocity.", 0.0, 60.0,
             by_machine={"wam7": 0.1},
         ),
     ),

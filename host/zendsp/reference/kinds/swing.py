@@ -261,18 +261,9 @@ def make_swing(
     if friction is not None and friction >= 0.0:
         n["theta3"] = friction
     problem = _Problem(
-        theta1=n["theta1"],
-        gravity=n["theta2"] * G,
-        friction=n["theta3"],
-        viscous=n.get("viscous", 0.0),
-        beta=n["beta"],
-        q0=start,
-        q1=goal,
-        torque=torque_limit,
-        k_a=n["k_a"],
-        R_a=n["R_a"],
-        supply=n["supply"],
-        speed=float(machine.allowed.speed[0]),
+        theta1=n["theta1"], gravity=n["theta2"] * G, friction=n["theta3"],
+        viscous=n.get("viscous", 0.0), beta=n["beta"], q0=start, q1=goal, torque=torque_limit,
+        k_a=n["k_a"], R_a=n["R_a"], supply=n["supply"], speed=float(machine.allowed.speed[0]),
         intervals=intervals,
     )
     u, hold = _solve(problem, objective, duration, dt)
@@ -315,13 +306,8 @@ KIND = Kind(
         Parameter("duration", "float", "s", 0.8, "Duration (objective energy).", 0.02, 30.0),
         Parameter("torque_limit", "float", "N m", 0.5, "Largest torque.", 1e-3, 100.0),
         Parameter(
-            "friction",
-            "float",
-            "N m",
-            -1.0,
-            "Friction level of the model; negative: the machine's.",
-            -1.0,
-            100.0,
+            "friction", "float", "N m", -1.0,
+            "Friction level of the model; negative: the machine's.", -1.0, 100.0,
         ),
         Parameter("intervals", "int", "", 100, "Number of torque levels.", 10, 1000),
         Parameter(

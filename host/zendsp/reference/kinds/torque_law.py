@@ -69,16 +69,8 @@ def make_torque_law(
     tau = level * (1 - np.exp(-rate * t)) + a1 * np.sin(w1 * t + phi1) + a2 * np.sin(w2 * t + phi2)
     x = on_joints(machine, joint, tau)
     used = {
-        "joint": joint,
-        "level": level,
-        "rate": rate,
-        "a1": a1,
-        "w1": w1,
-        "phi1": phi1,
-        "a2": a2,
-        "w2": w2,
-        "phi2": phi2,
-        "duration": duration,
+        "joint": joint, "level": level, "rate": rate, "a1": a1, "w1": w1, "phi1": phi1, "a2": a2,
+        "w2": w2, "phi2": phi2, "duration": duration,
     }
     return make_signal(machine, "torque_law", "torque", start, (x, x, x), dt, used)
 

@@ -76,9 +76,7 @@ def make_trapezoid(
         for direction in (np.sign(travel), -np.sign(travel)):
             v = direction * speed
             knots += [
-                now + ramp,
-                now + ramp + cruise,
-                now + 2 * ramp + cruise,
+                now + ramp, now + ramp + cruise, now + 2 * ramp + cruise,
                 now + 2 * ramp + cruise + hold,
             ]
             values += [v, v, 0.0, 0.0]

@@ -84,10 +84,7 @@ class Form(Dialog[Mapping[str, Any]]):
         if field.choices:
             options = [(choice, choice) for choice in field.choices]
             return Select(
-                options,
-                value=str(field.value),
-                allow_blank=False,
-                compact=True,
+                options, value=str(field.value), allow_blank=False, compact=True,
                 id=f"f-{field.key}",
             )
         if isinstance(field.value, bool):

@@ -42,9 +42,7 @@ class SourceView(Dialog[bool]):
             box.border_title = str(self._path)
             box.border_subtitle = "^b saves and builds  f8 next remark  F9 STOP"
             yield TextArea(
-                self._path.read_text(),
-                show_line_numbers=True,
-                tab_behavior="indent",
+                self._path.read_text(), show_line_numbers=True, tab_behavior="indent",
                 soft_wrap=False,
             )
             yield OptionList(

@@ -24,10 +24,7 @@ TIME = "t"
 LONGEST = 200  # characters
 _NAMED = re.compile(r"^\s*([A-Za-z_]\w*)\s*(?:\[([^\]]*)\])?\s*=(?!=)(.*)$", re.DOTALL)
 _BINARY: dict[type[ast.operator], Callable[[Floats, Floats], Floats]] = {
-    ast.Add: np.add,
-    ast.Sub: np.subtract,
-    ast.Mult: np.multiply,
-    ast.Div: np.divide,
+    ast.Add: np.add, ast.Sub: np.subtract, ast.Mult: np.multiply, ast.Div: np.divide,
     ast.Pow: np.float_power,
 }
 _ONE: dict[str, Callable[[Floats], Floats]] = {
@@ -35,9 +32,7 @@ _ONE: dict[str, Callable[[Floats], Floats]] = {
     for name in ("abs", "sqrt", "sin", "cos", "tan", "arctan", "exp", "log", "sign")
 }
 _TWO: dict[str, Callable[[Floats, Floats], Floats]] = {
-    "min": np.minimum,
-    "max": np.maximum,
-    "atan2": np.arctan2,
+    "min": np.minimum, "max": np.maximum, "atan2": np.arctan2,
 }
 FUNCTIONS = (*_ONE, *_TWO, "d", "lp")
 

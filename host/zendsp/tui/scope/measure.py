@@ -1,4 +1,4 @@
-"""What lies between two cursors, in numbers."""
+"""What lies between two cursors, in numbers and in the two lines below the picture."""
 
 from __future__ import annotations
 
@@ -6,6 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+
+from zendsp.tui.scope.picture import Picture
+from zendsp.tui.scope.settings import Channel, ScopeSettings
+from zendsp.tui.scope.ticks import duration, short
 
 Floats = npt.NDArray[np.float64]
 STEP_SHARE = 0.3  # of all that a curve does: a smaller way from A to B is no step
@@ -73,3 +77,41 @@ def _step(t: Floats, y: Floats, reach: float) -> tuple[float, float]:
     first = t[int(np.argmax(share >= 0.1))]
     last = t[int(np.argmax(share >= 0.9))]
     return float(last - first), float(max(share.max() - 1.0, 0.0))
+
+
+def cursor_lines(
+    picture: Picture, settings: ScopeSettings, channel: Channel, t: Floats, y: Floats
+) -> tuple[str, str]:
+    """Return what the cursors measure of the selected channel: at them, and between them.
+
+    Parameters
+    ----------
+    picture : Picture
+    settings : ScopeSettings
+    channel : Channel
+    t : ndarray, shape (n,)
+        Of the rows of the picture, s.
+    y : ndarray, shape (n, channels)
+    """
+    span, curve = picture.end - picture.start, y[:, settings.selected]
+    a, b = (picture.start + share * span for share in (settings.cursor_a, settings.cursor_b))
+    ya = yb = float("nan")
+    if len(t):
+        ya, yb = (float(np.interp(x, t, curve, left=np.nan, right=np.nan)) for x in (a, b))
+    dt = b - a
+    rate = f" = 1/{short(1.0 / abs(dt))} Hz" if dt else ""
+    unit = f" {channel.unit}" if channel.unit else ""
+    at = (
+        f" Δt {duration(dt)}{rate}  {channel.name} Δy {short(yb - ya)}{unit}   A"
+        f" {short(a - picture.zero)} s {short(ya)}  B {short(b - picture.zero)} s {short(yb)}"
+    )
+    if not len(t):
+        return at, ""
+    found = measure(t, curve, a, b)
+    between = (
+        f" A…B mean {short(found.mean)}  rms {short(found.rms)}  σ {short(found.deviation)}"
+        f"  {short(found.low)} … {short(found.high)}"
+    )
+    if np.isfinite(found.rise):
+        between += f"  rise {duration(found.rise)}  over {100.0 * found.overshoot:.3g} %"
+    return at, between

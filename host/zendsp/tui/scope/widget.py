@@ -21,7 +21,7 @@ from textual.widget import Widget
 from zendsp.tui.colours import trace_colours
 from zendsp.tui.scope.history import History
 from zendsp.tui.scope.lines import GUTTER, legend_lines, plot_rows, time_axis, y_numbers
-from zendsp.tui.scope.measure import measure
+from zendsp.tui.scope.measure import cursor_lines
 from zendsp.tui.scope.path import plot_lines
 from zendsp.tui.scope.picture import CURSOR, EMPTY, GRID, LIMIT, Picture, blank, compose
 from zendsp.tui.scope.plane import over_frequency, over_selected
@@ -29,7 +29,7 @@ from zendsp.tui.scope.raster import DOTS_X, envelope
 from zendsp.tui.scope.rolling import Rolling
 from zendsp.tui.scope.settings import MOST_CHANNELS, VIEWS, WINDOWS, Channel, ScopeSettings
 from zendsp.tui.scope.spectrum import density, ready
-from zendsp.tui.scope.ticks import duration, number, short
+from zendsp.tui.scope.ticks import duration, number
 from zendsp.tui.scope.trigger import last_crossing
 
 Floats = npt.NDArray[np.float64]
@@ -265,9 +265,11 @@ class Scope(Widget, can_focus=True):
             strips += plot_rows(self.picture, numbers, self._pens, width, note)
             strips.append(time_axis(self.picture, width, self._pens[GRID]))
         if readout:
-            pen, rows_drawn = self._pens[CURSOR], self._rows()
-            strips.append(self._text([(self.readout(*rows_drawn), pen)], width))
-            strips.append(self._text([(self.statistics(*rows_drawn), pen)], width))
+            pen, said = self._pens[CURSOR], ("", "")
+            if self.channels:
+                channel = self.channels[self.settings.selected]
+                said = cursor_lines(self.picture, self.settings, channel, *self._rows())
+            strips += [self._text([(line, pen)], width) for line in said]
         self._strips = strips
 
     def _plane(self, size: tuple[int, int]) -> list[Strip]:
@@ -356,45 +358,6 @@ class Scope(Widget, can_focus=True):
             full = [f"{name}{value}{unit} ", f"{name}{value} "] if self.live else []
             found.append([*full, f"{name}{unit} ", f"{name} "])
         return found
-
-    def readout(self, t: Floats, y: Floats) -> str:
-        """Return what the cursors measure, of the selected channel."""
-        s, picture = self.settings, self.picture
-        if picture is None or not self.channels:
-            return ""
-        span = picture.end - picture.start
-        a, b = picture.start + s.cursor_a * span, picture.start + s.cursor_b * span
-        channel = self.channels[s.selected]
-        if len(t):
-            ya, yb = (
-                float(np.interp(x, t, y[:, s.selected], left=np.nan, right=np.nan)) for x in (a, b)
-            )
-        else:
-            ya = yb = float("nan")
-        dt = b - a
-        rate = f" = 1/{short(1.0 / abs(dt))} Hz" if dt else ""
-        unit = f" {channel.unit}" if channel.unit else ""
-        text = f" Δt {duration(dt)}{rate}  {channel.name} Δy {short(yb - ya)}{unit}  "
-        return (
-            f"{text} A {short(a - picture.zero)} s {short(ya)}  B {short(b - picture.zero)} s"
-            f" {short(yb)}"
-        )
-
-    def statistics(self, t: Floats, y: Floats) -> str:
-        """Return what the selected channel does between the cursors."""
-        s, picture = self.settings, self.picture
-        if picture is None or not self.channels or not len(t):
-            return ""
-        span = picture.end - picture.start
-        a, b = picture.start + s.cursor_a * span, picture.start + s.cursor_b * span
-        found = measure(t, y[:, s.selected], a, b)
-        text = (
-            f" A…B mean {short(found.mean)}  rms {short(found.rms)}  σ {short(found.deviation)}"
-            f"  {short(found.low)} … {short(found.high)}"
-        )
-        if np.isfinite(found.rise):
-            text += f"  rise {duration(found.rise)}  over {100.0 * found.overshoot:.3g} %"
-        return text
 
     def _text(self, parts: Sequence[tuple[str, Style]], width: int) -> Strip:
         strip = Strip([Segment(*part) for part in parts], sum(len(text) for text, _ in parts))

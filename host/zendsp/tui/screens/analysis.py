@@ -161,10 +161,8 @@ class AnalysisActions(LabScreen):
 
         self.app.push_screen(
             Form(
-                f"{title} {run.name}",
-                fields,
-                "The model of the machine whose missing physics is of interest.",
-                title,
+                f"{title} {run.name}", fields,
+                "The model of the machine whose missing physics is of interest.", title,
             ),
             go,
         )
@@ -212,10 +210,7 @@ def simulation_of(run: Run, runs: Path) -> tuple[list[str], Callable[[], str]]:
             made, t=made.t[same], data=made.data[same], start_tick=made.start_tick + first
         )
         kept = store_run(
-            runs,
-            f"{run.name} simulated",
-            made,
-            references=[reference] if played else [],
+            runs, f"{run.name} simulated", made, references=[reference] if played else [],
             outcome=Outcome.SIMULATED,
         )
         return (

@@ -134,10 +134,7 @@ class ScopeActions(LabScreen):
         fields = [
             Field("source", "Source", names[s.source], choices=names),
             Field(
-                "level",
-                "Level",
-                f"{s.level:g}",
-                unit=self.scope.channels[s.source].unit,
+                "level", "Level", f"{s.level:g}", unit=self.scope.channels[s.source].unit,
                 check=real,
             ),
             Field("edge", "Edge", s.edge, choices=("rising", "falling", "both")),
@@ -149,12 +146,8 @@ class ScopeActions(LabScreen):
                 source = names.index(result["source"])
                 self.scope.set(
                     replace(
-                        s,
-                        mode="trigger",
-                        source=source,
-                        level=result["level"],
-                        edge=result["edge"],
-                        pre=result["pre"] / 100.0,
+                        s, mode="trigger", source=source, level=result["level"],
+                        edge=result["edge"], pre=result["pre"] / 100.0,
                     )
                 )
 

@@ -316,8 +316,7 @@ class VariableActions(LabScreen):
         text = self.review(different)
         self.app.push_screen(
             Message(
-                f"{path.stem}: differs in {len(different)} of {len(stored.values)}",
-                text,
+                f"{path.stem}: differs in {len(different)} of {len(stored.values)}", text,
                 agree="Stage these",
             ),
             lambda yes: self._stage_many(stored.values, path.stem) if yes else None,

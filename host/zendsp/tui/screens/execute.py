@@ -65,17 +65,11 @@ class ExecuteScreen(MeasureActions):
                     yield Static("", id="setup", markup=False)
                     with Horizontal(classes="line"):
                         yield Button(
-                            "Start s",
-                            id="run-start",
-                            variant="success",
-                            compact=True,
+                            "Start s", id="run-start", variant="success", compact=True,
                             disabled=True,
                         )
                         yield Button(
-                            "Abort b",
-                            id="run-abort",
-                            variant="warning",
-                            compact=True,
+                            "Abort b", id="run-abort", variant="warning", compact=True,
                             disabled=True,
                         )
                         yield Button("Bode f", id="run-bode", compact=True)
@@ -107,20 +101,9 @@ class ExecuteScreen(MeasureActions):
         self._looked += 1
         busy = self.job is not None and self.job.busy
         key = (
-            snapshot.link,
-            snapshot.state,
-            snapshot.drive,
-            snapshot.program,
-            snapshot.machine,
-            snapshot.mine,
-            snapshot.trip,
-            snapshot.commander,
-            self.references,
-            self.setup,
-            busy,
-            self.app.theme,
-            self.size,
-            self.has_class("-narrow"),
+            snapshot.link, snapshot.state, snapshot.drive, snapshot.program, snapshot.machine,
+            snapshot.mine, snapshot.trip, snapshot.commander, self.references, self.setup, busy,
+            self.app.theme, self.size, self.has_class("-narrow"),
         )
         frames = max(1, round(LOOK_S / self.lab.frame_s))
         if key != self._checked or (self._looked % frames == 0 and not busy):
@@ -223,12 +206,7 @@ class ExecuteScreen(MeasureActions):
         """Every condition of Start, now."""
         busy = self.job is not None and self.job.busy
         return preflight(
-            snapshot,
-            self.references,
-            self.files,
-            self.setup,
-            busy,
-            self.trial,
+            snapshot, self.references, self.files, self.setup, busy, self.trial,
             self.lab.session.port,
         )
 
@@ -253,14 +231,8 @@ class ExecuteScreen(MeasureActions):
             return
         self.follow_live(snapshot)
         self.job = PlayJob(
-            self.lab.session,
-            self.references,
-            self.files,
-            machine,
-            self.setup,
-            self.lab.workspace.runs,
-            self.lab.source_texts(),
-            self.trial,
+            self.lab.session, self.references, self.files, machine, self.setup,
+            self.lab.workspace.runs, self.lab.source_texts(), self.trial,
         )
         self.job.start()
 

@@ -51,10 +51,7 @@ class ReferenceForm(LabScreen):
                 with Horizontal(classes="line"):
                     yield Static("Machine", classes="label")
                     yield Select(
-                        self._machines(),
-                        value=self.machine.name,
-                        allow_blank=False,
-                        compact=True,
+                        self._machines(), value=self.machine.name, allow_blank=False, compact=True,
                         id="machine",
                     )
                 with Horizontal(classes="line"):
@@ -95,9 +92,7 @@ class ReferenceForm(LabScreen):
             return
         self._of_target = machine
         same = before is not None and (before.name, before.kind, before.joints) == (
-            machine.name,
-            machine.kind,
-            machine.joints,
+            machine.name, machine.kind, machine.joints,
         )
         chosen = same and self.machine is self._own
         if not machine.modelled:
@@ -147,10 +142,7 @@ class ReferenceForm(LabScreen):
         widget: Input | Select[str] | Switch
         if p.type == "choice":
             widget = Select(
-                [(c, c) for c in p.choices],
-                value=str(value),
-                allow_blank=False,
-                compact=True,
+                [(c, c) for c in p.choices], value=str(value), allow_blank=False, compact=True,
                 name=p.name,
             )
         elif p.type == "bool":

@@ -25,11 +25,8 @@ from zendsp_target.runtime.process.settings import Settings
 from zendsp_target.runtime.process.strays import MARK, Strays
 
 _WITHIN = {
-    1: "while the program was being loaded",
-    2: "in UserInit",
-    3: "in UserISR_INT2",
-    4: "in UserBackground",
-    5: "in the machine",
+    1: "while the program was being loaded", 2: "in UserInit", 3: "in UserISR_INT2",
+    4: "in UserBackground", 5: "in the machine",
 }
 QUIT_S = 2.0  # for the loop to make its machine safe and end
 _MEANT = {
@@ -43,9 +40,7 @@ BEING_MADE_SAFE = "the machine is being made safe"
 def _fill(control: Any, settings: Settings, program: Path, data: Path, number: int = 1) -> None:
     ffi, lib = layout()
     control.magic, control.version, control.bytes = (
-        lib.LAYOUT_MAGIC,
-        lib.LAYOUT_VERSION,
-        ffi.sizeof("control"),
+        lib.LAYOUT_MAGIC, lib.LAYOUT_VERSION, ffi.sizeof("control"),
     )
     control.rate_hz = settings.rate_hz
     control.period_ns = round(1e9 / settings.rate_hz)

@@ -25,9 +25,7 @@ SCALARS = {
     "bool": struct.Struct("?"),
 }
 _TYPES: dict[int, tuple[str, np.dtype[Any]]] = {
-    1: ("double", np.dtype("<f8")),
-    2: ("float", np.dtype("<f4")),
-    3: ("int32", np.dtype("<i4")),
+    1: ("double", np.dtype("<f8")), 2: ("float", np.dtype("<f4")), 3: ("int32", np.dtype("<i4")),
     4: ("bool", np.dtype("?")),
 }
 _KINDS = {1: "parameter", 2: "signal", 3: "table", 4: "builtin", 5: "setting"}

@@ -48,9 +48,7 @@ def set_part(part: Any, place: Place, rows: int | None = None) -> None:
         part.type, part.count, size, limits = lib.TYPE_INT32, 2, 4, (-_UNLIMITED, _UNLIMITED)
     else:
         part.type, size, limits = (
-            _TYPES[info.type],
-            entry.dtype.itemsize,
-            (info.minimum, info.maximum),
+            _TYPES[info.type], entry.dtype.itemsize, (info.minimum, info.maximum),
         )
         part.count = rows if rows is not None else 1 if place.scalar else info.length
     part.entry.size = part.count * size

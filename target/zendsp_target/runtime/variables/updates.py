@@ -205,11 +205,7 @@ class Updates:
             return None
         entries = partial(plan.entries_of, value_at)
         lock, batches, free, flights, now = (
-            self._lock,
-            self._batches,
-            self._free,
-            self._flights,
-            time.time,
+            self._lock, self._batches, self._free, self._flights, time.time,
         )
 
         def write(request: bytes) -> int:
