@@ -1,19 +1,35 @@
 """The file in shared memory by which a program of the target's own user stops it, with nothing in
 between.
 
-32 bytes in the byte order of the machine: ``magic`` and ``version`` (uint32), ``stop`` (uint32, at
-8), 4 bytes unused, ``sample`` and ``taken`` (uint64, at 16 and 24). Whoever wants STOP reads
-``taken``, writes 1 into the byte at ``STOP``, and knows once ``taken`` has changed that the machine
-has its safe outputs; ``sample`` says since when.
+128 bytes in the byte order of the machine: ``magic`` and ``version`` (uint32), ``stop`` (uint32, at
+8), 4 bytes unused, ``sample`` and ``taken`` (uint64, at 16 and 24), ``by`` (96 bytes of UTF-8, at
+32: who asks and when, ended by 0). Whoever wants STOP writes ``by``, reads ``taken``, writes 1 into
+the byte at ``STOP``, and knows once ``taken`` has changed that the machine has its safe outputs;
+``sample`` says since when.
 """
 
 from __future__ import annotations
 
+import time
+
 NAME = "stop"
 MAGIC = 0x5A445350
-VERSION = 2  # STOP_PAGE_VERSION of the runtime
+VERSION = 3  # STOP_PAGE_VERSION of the runtime
 HEAD = "=II"
-SIZE = 32
+SIZE = 128
 STOP = 8
 SAMPLE = 16
 TAKEN = 24
+BY = 32
+
+
+def signed(author: str) -> bytes:
+    """Return what ``by`` holds for one who asks now: author, as in a request, and local time."""
+    text = f"{author} at {time.strftime('%H:%M:%S')}" if author else ""
+    return text.encode()[: SIZE - BY - 1].ljust(SIZE - BY, b"\0")
+
+
+def signature(by: bytes) -> str:
+    """Return the words that `signed` made, in what can be printed."""
+    text = by.partition(b"\0")[0].decode(errors="replace")
+    return "".join(c if c.isprintable() else "?" for c in text)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import struct
 import subprocess
@@ -86,6 +87,30 @@ def test_the_loop_takes_stop_from_shared_memory_and_says_at_which_sample(target:
     assert found is not None
     sample = found.taken(found.ask(), PATIENCE_S)
     assert sample == _latched(target)
+
+
+@pytest.mark.parametrize("road", ["page", "link"])
+@pytest.mark.parametrize("program", ["runs", "crashed", "none"])
+def test_the_latch_tells_who_asked_from_where_and_when(
+    target: Target, runtime: Runtime, road: str, program: str
+) -> None:
+    if program == "none":
+        target.unload()
+    elif program == "crashed":
+        os.kill(runtime.runner_pid(), signal.SIGKILL)
+        until(lambda: target.status().state == "crashed", "the crash is told")
+    found = find("paged")
+    assert found is not None
+    found.ask() if road == "page" else target.request("stop")
+    until(lambda: target.status().trip is not None, "the latch")
+    here = rf"@{re.escape(os.uname().nodename)}:{os.getpid()}"
+    said = rf"^STOP was requested by \S+{here}\S* at \d\d:\d\d:\d\d"
+    trip = target.status().trip
+    assert trip is not None and re.match(said, trip.text) and re.match(said, trip.cause), trip
+    found.ask()  # later ones change nothing
+    assert target.status().trip == trip or program != "runs"
+    with pytest.raises(Refused, match=said):
+        target.download("pd.c")
 
 
 def test_a_loop_that_hangs_is_not_stopped_and_stops_once_it_goes_on(

@@ -7,6 +7,7 @@ from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from rich.style import Style
 from steps import Until
@@ -16,6 +17,7 @@ from textual.widgets import DataTable, OptionList, Static
 from textual.widgets._footer import FooterKey
 
 from zendsp.errors import LinkError
+from zendsp.recording import Recording
 from zendsp.tui.actions import ACTIONS, SCREENS, actions
 from zendsp.tui.app import ZendspApp
 from zendsp.tui.dialogs import Choose, Field, Form, Message, Option
@@ -24,6 +26,7 @@ from zendsp.tui.panels.table import Column, LiveTable
 from zendsp.tui.playing import Setup
 from zendsp.tui.port import Port
 from zendsp.tui.preflight import preflight
+from zendsp.tui.runs import Outcome, store_run
 from zendsp.tui.screens.analysis import ProcessView
 from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.screens.console_program import whole
@@ -432,3 +435,27 @@ async def test_how_a_run_ended_is_seen_before_the_errors_of_seven_joints(app: Ze
         await pilot.pause()
         columns = [str(c.label) for c in app.screen.query_one("#runs", DataTable).ordered_columns]
         assert columns.index("outcome") < columns.index("rms e")
+
+
+@pytest.mark.parametrize("width", [80, 84, 88, 100, 140, 142, 144, 200])
+async def test_no_number_of_the_list_of_runs_is_cut_to_another(app: ZendspApp, width: int) -> None:
+    e = {f"e[{k}]": np.full(1000, v) for k, v in enumerate((0.00427, 0.00407))}
+    rec = Recording.from_columns(e, 1e-3)
+    for name, outcome in (("circle", Outcome.COMPLETE), ("a-longer-name", Outcome.PAUSED)):
+        store_run(app.workspace.runs, name, rec, outcome=outcome)
+    async with app.run_test(size=(width, 24 if width == 80 else 45)) as pilot:
+        await pilot.press("f3")
+        await pilot.pause()
+        table = app.screen.query_one("#runs", DataTable)
+        rows = [table.get_row_at(k) for k in range(table.row_count)]
+        whole = {word for row in rows for cell in row for word in str(cell).split()}
+        assert {"0.0043", "0.0041"} < whole
+        cut = 0
+        for x in range(0, 40, 3):
+            table.scroll_to(x=x, animate=False)
+            await pilot.pause()
+            for y in range(1, 1 + len(rows)):
+                seen = table.render_line(y).text.split()
+                assert all(word in whole or "…" in word for word in seen), (x, seen)
+                cut += any("…" in word for word in seen)
+        assert cut or table.max_scroll_x == 0

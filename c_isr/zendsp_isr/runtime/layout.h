@@ -23,7 +23,7 @@
 enum {
     LAYOUT_VERSION = 4,
     LAYOUT_MAGIC = 0x5a445350, /* "ZDSP" */
-    STOP_PAGE_VERSION = 2, /* of its own: a host of another zendsp can still stop the loop */
+    STOP_PAGE_VERSION = 3, /* of its own: a host of another zendsp can still stop the loop */
     LAYOUT_VARIABLES = 1024,   /* entries of the dictionary, built-ins and settings included */
     LAYOUT_ELEMENTS = 4096,    /* longest array that is not a table */
     LAYOUT_CHANNELS = 1024,    /* of one stream */
@@ -32,6 +32,7 @@ enum {
     LAYOUT_SNAPSHOTS = 32, /* newest samples kept for readers */
     LAYOUT_BINS = 128,     /* histogram bins: four an octave, from 1 ns */
     LAYOUT_NAME = 64,
+    LAYOUT_WHO = 96, /* of who asked for a STOP, and when */
     LAYOUT_TEXT = 192,
     LAYOUT_PATH = 512,
     LAYOUT_CONFIG = 8192
@@ -79,6 +80,7 @@ typedef struct stop_page {
     uint32_t pad;
     uint64_t sample; /* by the loop, before it counts `taken`: that of the trip latched then */
     uint64_t taken;  /* by the loop: STOPs from here whose safe outputs the machine has */
+    char by[LAYOUT_WHO]; /* by whoever asks, before `stop`: who, and when; UTF-8, ended by 0 */
 } stop_page;
 
 /* One entry of the dictionary. Written by the runner before PHASE_READY, then constant; `table`
@@ -183,6 +185,7 @@ typedef struct trip_latch {
     double value, limit;
     uint32_t acted; /* 1 once the machine was given the safe outputs: not to be told before */
     uint32_t pad;
+    char by[LAYOUT_WHO]; /* of a STOP: who asked, and when */
 } trip_latch;
 
 typedef struct control {
@@ -258,7 +261,7 @@ typedef struct control {
 
 _Static_assert(sizeof(variable_entry) == 400,
                "variable_entry: layout changed, raise LAYOUT_VERSION");
-_Static_assert(sizeof(stop_page) == 32, "known to every host, raise STOP_PAGE_VERSION");
+_Static_assert(sizeof(stop_page) == 32 + LAYOUT_WHO, "known to every host, raise STOP_PAGE_VERSION");
 _Static_assert(sizeof(batch) == 40 && sizeof(batch_entry) == 16 && sizeof(snapshot) == 16,
                "layout changed, raise LAYOUT_VERSION");
 _Static_assert(offsetof(control, ring_head) % 8 == 0 && offsetof(control, tick) % 8 == 0,

@@ -1,5 +1,6 @@
 /* safety.c: below the user's code, every sample: drive modes, STOP, limits, soft start and stop. */
 #include <math.h> /* fabs, isfinite */
+#include <string.h> /* memcpy, memset */
 
 #include "runner.h"
 
@@ -21,6 +22,9 @@ void safety_trip(runner *r, uint32_t reason, int joint, double value, double lim
     r->state.unseen = true;
     c->trip.value = value;
     c->trip.limit = limit;
+    memset(c->trip.by, 0, sizeof c->trip.by);
+    if (reason == TRIP_STOP)
+        memcpy(c->trip.by, r->page->by, sizeof c->trip.by - 1);
     store32(&c->trip.acted, 0);
     store32(&c->trip.reason, reason);
     c->gain = 0.0;

@@ -4,6 +4,7 @@ past the link.
 
 from __future__ import annotations
 
+import getpass
 import mmap
 import os
 import struct
@@ -38,11 +39,13 @@ class StopPage:
             os.close(file)
         if struct.unpack_from(page.HEAD, self._map) != (page.MAGIC, page.VERSION):
             raise OSError(f"{path} was made by another version of zendsp")
+        self._author = own_name()
         self._words = memoryview(self._map).cast("Q")  # read whole, unlike by `struct`
 
     def ask(self) -> int:
         """STOP, from the next sample on; returns what `taken` wants. Never waits."""
         before = self._words[page.TAKEN // 8]
+        self._map[page.BY : page.SIZE] = page.signed(self._author)
         self._map[page.STOP] = 1
         return before
 
@@ -67,6 +70,15 @@ class StopPage:
                 return None
             time.sleep(POLL_S)
         return self._words[page.SAMPLE // 8]
+
+
+def own_name(identity: str = "") -> str:
+    """Name this process: user (or who the certificate says it is), machine and process."""
+    try:
+        user = identity or getpass.getuser()
+    except (KeyError, OSError):  # a container without an entry for its user
+        user = str(os.getuid())
+    return f"{user}@{os.uname().nodename or 'host'}:{os.getpid()}"
 
 
 def find(name: str, instance: bytes | None = None) -> StopPage | None:

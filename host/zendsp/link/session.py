@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import getpass
 import itertools
 import os
-import platform
 import re
 from collections.abc import Sequence
 
 import zenoh
 
 from zendsp.errors import LinkError
+from zendsp.here.stop_page import own_name
 from zendsp.link.settings import Credentials, zenoh_config
 from zendsp_protocol import keys
 from zendsp_protocol.files_left import need_files
@@ -73,12 +72,6 @@ def new_author(identity: str = "") -> str:
     """Name this connection: user, machine, process, and a number from the second one on; fit for a
     key.
     """
-    try:
-        user = identity or getpass.getuser()
-    except (KeyError, OSError):  # a container without an entry for its user
-        user = str(os.getuid())
     number = next(_numbers)
-    name = f"{user}@{platform.node() or 'host'}:{os.getpid()}" + (
-        f".{number}" if number > 1 else ""
-    )
+    name = own_name(identity) + (f".{number}" if number > 1 else "")
     return re.sub(r"[^\w@:.-]", "_", name)

@@ -266,6 +266,8 @@ class Session:
     def _take(self, new: Snapshot) -> None:
         """Keep a snapshot and put its changes of state into the event log."""
         old, self.snapshot = self.snapshot, new
+        if new.trip is not None and (new.trip != old.trip or old.link != "up"):
+            self.events.add(f"trip at sample {new.trip.tick}: {new.trip.text}", "error")
         if old.link != "up":
             return
         if new.state != old.state:
@@ -278,8 +280,6 @@ class Session:
             self.events.add(
                 f"drives {old.drive or '—'} → {new.drive}", "warning" if bad else "info"
             )
-        if new.trip != old.trip and new.trip is not None:
-            self.events.add(f"trip at sample {new.trip.tick}: {new.trip.text}", "error")
         if new.crash != old.crash and new.crash:
             self.events.add(f"crash: {new.crash}", "error")
         if new.commander != old.commander:

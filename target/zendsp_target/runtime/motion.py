@@ -111,11 +111,16 @@ class Motion:
             timeout,
         )
 
-    def stop(self) -> None:
+    def stop(self, author: str = "") -> None:
         """STOP: from the next sample on the drives stand still in velocity mode; latched until
         acknowledged. Never waits.
+
+        Parameters
+        ----------
+        author : str
+            Who asks.
         """
-        self.trip("stop")
+        self._programs.ask_stop(author)
 
     def trip(self, reason: str) -> None:
         """As `stop`, with another reason.

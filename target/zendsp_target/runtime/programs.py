@@ -141,10 +141,12 @@ class Programs:
                 self._sequence = self.session.updates.sequence
                 self.session = None
 
-    def ask_stop(self) -> None:
+    def ask_stop(self, author: str = "") -> None:
         """STOP: the loop takes it at its next sample; where none runs, it stands until
         acknowledged. Never waits.
         """
+        head = self._page.pointer("stop_page")
+        layout()[0].memmove(head.by, stop_page.signed(author), stop_page.SIZE - stop_page.BY)
         layout()[1].monitor_store32(self._stop, 1)
 
     def latched(self) -> Trip | None:
@@ -160,7 +162,8 @@ class Programs:
             else safety.latched_trip(session.control, session.machine)
         )
         if trip is None and asked:
-            trip = safety.asked_trip("stop", 0 if session is None else session.tick)
+            by = bytes(layout()[0].buffer(self._page.pointer("stop_page").by))
+            trip = safety.asked_trip("stop", 0 if session is None else session.tick, by)
         return trip
 
     def require_no_trip(self) -> None:

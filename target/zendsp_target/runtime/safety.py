@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from zendsp_protocol.errors import Refused
 from zendsp_protocol.messages import JointInfo, Limits, MachineInfo, Timing, Trip
+from zendsp_protocol.stop_page import signature
 from zendsp_protocol.values import Value
 from zendsp_target.runtime.memory.layout import layout, text_of
 
@@ -79,15 +80,20 @@ def _trip_in(control: Any, machine: MachineInfo) -> Trip | None:
     if reason is None:
         return None
     joint, tick, value, limit = int(raw.joint), int(raw.tick), float(raw.value), float(raw.limit)
-    cause = _cause(machine, reason, joint, value, limit)
+    cause = _cause(machine, reason, joint, value, limit) + _by(bytes(ffi.buffer(raw.by)))
     text = f"{cause} (sample {tick}); outputs are safe until acknowledged"
     return Trip(reason, joint, tick, value, limit, text, cause)
 
 
-def asked_trip(reason: str, tick: int) -> Trip:
+def asked_trip(reason: str, tick: int, by: bytes = b"") -> Trip:
     """A STOP, or another of `REQUESTS`, that no loop has taken: none ran, or it ended before."""
-    cause = _ASKED[reason]
+    cause = _ASKED[reason] + _by(by)
     return Trip(reason, tick=tick, text=f"{cause}; nothing moves until acknowledged", cause=cause)
+
+
+def _by(who: bytes) -> str:
+    name = signature(who)
+    return f" by {name}" if name else ""
 
 
 def _cause(machine: MachineInfo, reason: str, joint: int, value: float, limit: float) -> str:

@@ -131,7 +131,7 @@ class Service:
         return self._shown(status)
 
     def do_stop(self, args: verbs.Nothing, by: str) -> m.Empty:
-        self.runtime.stop()
+        self.runtime.stop(by)
         return m.Empty()
 
     def do_stopped(self, args: verbs.Nothing, by: str) -> m.Status:

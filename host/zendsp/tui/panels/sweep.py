@@ -9,6 +9,8 @@ from textual.app import ComposeResult
 from textual.containers import Vertical
 from textual.widgets import DataTable, Static
 
+from zendsp.tui.panels.table import ListTable
+
 if TYPE_CHECKING:
     from zendsp.experiment.sweep import Sweep
 
@@ -28,7 +30,7 @@ class SweepView(Vertical):
 
     def compose(self) -> ComposeResult:
         yield Static("", id="sweep-words", markup=False)
-        yield DataTable(id="sweep", cursor_type="row")
+        yield ListTable(id="sweep", cursor_type="row")
         keys = "⏎, or a click on the marked row, writes its values"
         yield Static(keys, id="sweep-keys", markup=False)
 

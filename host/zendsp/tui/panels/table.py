@@ -12,12 +12,14 @@ from typing import ClassVar
 
 from rich.segment import Segment
 from rich.style import Style
+from rich.text import Text
 from textual import events
 from textual.binding import Binding, BindingType
 from textual.geometry import Region, Size
 from textual.message import Message
 from textual.scroll_view import ScrollView
 from textual.strip import Strip
+from textual.widgets import DataTable
 
 
 @dataclass(frozen=True)
@@ -28,6 +30,30 @@ class Column:
     width: int = 0  # 0: as wide as the widest cell, at most `most`
     most: int = 40
     right: bool = False
+
+
+def mark_cuts(strip: Strip, left: bool, right: bool) -> Strip:
+    """Put "…" where what is seen of a line is cut within a word or a number."""
+    text, width = strip.text, strip.cell_length
+    if right and width > 1 and text[-1:] != " ":
+        strip = Strip([*strip.crop(0, width - 1), Segment("…", Style(dim=True))], width)
+    if left and width > 1 and text[:1] != " ":
+        strip = Strip([Segment("…", Style(dim=True)), *strip.crop(1, width)], width)
+    return strip
+
+
+class ListTable(DataTable[Text]):
+    """A DataTable that shows what its edges cut: "0.00" of "0.00407" would be another number."""
+
+    def render_line(self, y: int) -> Strip:
+        strip, end = super().render_line(y), 0
+        x, pad = self.scroll_offset.x, self.cell_padding
+        left = right = False
+        for column in self.ordered_columns:
+            begin, end = end, end + column.get_render_width(self)
+            left |= begin + pad < x < end - pad
+            right |= begin + pad < x + self.size.width < end - pad
+        return mark_cuts(strip, left, right)
 
 
 Cell = tuple[str, Style]
@@ -189,4 +215,9 @@ class LiveTable(ScrollView, can_focus=True):
             parts.append(Segment(shown + " ", back + style))
         full = sum(self._widths) + len(self._widths)
         strip = Strip(parts, full).adjust_cell_length(max(x + width, full), back)
-        return strip.crop(x, x + width)
+        text = strip.text
+        return mark_cuts(
+            strip.crop(x, x + width),
+            x > 0 and text[x - 1] != " ",
+            len(text) > x + width and text[x + width] != " ",
+        )

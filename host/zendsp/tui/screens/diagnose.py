@@ -24,6 +24,7 @@ from zendsp.tui.dialogs import Choose, Field, Form
 from zendsp.tui.dialogs import Option as Line
 from zendsp.tui.panels.figure import FigureView
 from zendsp.tui.panels.findings import LOOP, entries, headline
+from zendsp.tui.panels.table import ListTable
 from zendsp.tui.runs import DATA, Outcome, Run, list_runs
 from zendsp.tui.scope import Scope
 from zendsp.tui.screens.analysis import existing, fits, models_for
@@ -86,7 +87,7 @@ class DiagnoseScreen(LoopActions):
                         yield Static("", id="stage", markup=False)
                 with Vertical(id="recordings-box", classes="panel") as box:
                     box.border_title = "Recordings"
-                    yield DataTable(id="recordings", cursor_type="row")
+                    yield ListTable(id="recordings", cursor_type="row")
             with Vertical(id="found", classes="panel") as box:
                 box.border_title = "Findings"
                 yield Static("", id="verdict", markup=False)

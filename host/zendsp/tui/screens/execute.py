@@ -23,6 +23,7 @@ from zendsp.tui.dialogs import Choose, Field, Form, Option
 from zendsp.tui.measure_job import MeasureJob
 from zendsp.tui.panels.response import ResponseView
 from zendsp.tui.panels.sweep import SweepView
+from zendsp.tui.panels.table import ListTable
 from zendsp.tui.play_job import PlayJob, usual_channels
 from zendsp.tui.playing import Setup
 from zendsp.tui.preflight import Condition, machine_of, preflight
@@ -78,7 +79,7 @@ class ExecuteScreen(MeasureActions):
                     yield Static("", id="preflight", markup=False)
                 with Vertical(id="runs-box", classes="panel") as box:
                     box.border_title = "Runs"
-                    yield DataTable(id="runs", cursor_type="row")
+                    yield ListTable(id="runs", cursor_type="row")
             with Vertical(id="show", classes="panel"):
                 yield Scope(id="run-preview", live=False)
                 yield Scope(id="run-live")

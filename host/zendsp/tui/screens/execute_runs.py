@@ -53,7 +53,7 @@ class RunActions(AnalysisActions):
         table = self.runs_table
         at = mark or (self.this_run().folder if self.this_run() else None)  # type: ignore[union-attr]
         table.clear(columns=True)
-        for name in ("", "name", "outcome", "s", "rms e", "lost", "time"):
+        for name in ("", "name", "outcome", "rms e", "s", "lost", "time"):
             table.add_column(Text(name), key=name)
         self.runs = list_runs(self.lab.workspace.runs)
         colours = trace_colours(self.app.current_theme).traces
@@ -66,8 +66,8 @@ class RunActions(AnalysisActions):
                 ),
                 Text(shorten(run.name), Style(bold=True)),
                 Text(run.outcome, Style(dim=run.outcome == Outcome.COMPLETE)),
-                Text(f"{run.seconds:.2f}", justify="right"),
                 Text(figures),
+                Text(f"{run.seconds:.2f}", justify="right"),
                 Text(str(run.lost)),
                 Text(time.strftime("%m-%d %H:%M", time.localtime(run.created)), Style(dim=True)),
                 key=str(run.folder),
