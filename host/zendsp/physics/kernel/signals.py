@@ -9,13 +9,11 @@ position plus white noise of variance resolution²/12.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import brentq
-from scipy.signal import savgol_filter
-from scipy.special import erf
 
 from zendsp.physics.kernel.native import native
 from zendsp.physics.kernel.smooth import moving_mean
@@ -56,6 +54,7 @@ BACK = 0.25  # of them that go back: below, it is motion
 STEADY = (0.05, 0.5)  # counts a sample: motion in which noise makes codes go to and fro
 BENDS = 0.1  # counts a sample: by which the speed over a longer time is another one at most
 CLEARLY = 2.0  # standard deviations of a number of changes
+BINS, LEVELS = 64, 61  # of speed, and of noise, that are looked at
 FEW_SAMPLES = 0.4  # counts of noise at least, where all changes go back and few samples stand
 # Rounding noise of s counts, over all places between two codes: a variance of s / sqrt(pi) while s
 # is small, and s^2 + 1/12 from a third of a count on, where the two meet.
@@ -302,9 +301,7 @@ def _to_and_fro(y: Array, resolution: float) -> float | None:
     """
     if len(y) < 5 * PACE:
         return None
-    speed, usual = (
-        savgol_filter(y / resolution, over, 3, deriv=1)[1:] for over in (PACE, 4 * PACE + 1)
-    )
+    speed, usual = (_slopes(y / resolution, over)[1:] for over in (PACE, 4 * PACE + 1))
     v, seen = np.abs(speed), np.abs(usual)  # chosen by the same speed, the noisy ones were chosen
     use = (seen > STEADY[0]) & (seen < STEADY[1]) & (np.abs(speed - usual) < BENDS)
     v, changes = v[use], float(np.abs(np.diff(y))[use].sum()) / resolution
@@ -312,14 +309,28 @@ def _to_and_fro(y: Array, resolution: float) -> float | None:
         return None
     if changes - v.sum() < CLEARLY * np.sqrt(changes):
         return 0.0
+    count, edges = np.histogram(v, bins=BINS)
+    speeds = 0.5 * (edges[1:] + edges[:-1])
 
-    def more(noise: float) -> float:
+    def changed(noise: float) -> float:
         spread = np.sqrt(2.0) * noise
-        far = np.exp(-0.5 * (v / spread) ** 2)
-        folded = spread * np.sqrt(2 / np.pi) * far + v * erf(v / spread / np.sqrt(2.0))
-        return float(folded.sum()) - changes
+        far = np.exp(-0.5 * (speeds / spread) ** 2)
+        inside = np.array([math.erf(x) for x in speeds / spread / np.sqrt(2.0)])
+        return float(count @ (spread * np.sqrt(2 / np.pi) * far + speeds * inside))
 
-    return float(brentq(more, 1e-3, DITHERED)) if more(DITHERED) > 0 else DITHERED
+    levels = np.linspace(1e-3, DITHERED, LEVELS)
+    return float(np.interp(changes, [changed(level) for level in levels], levels))
+
+
+def _slopes(y: Array, over: int) -> Array:
+    """Slope of the cubic through so many samples around each, per sample; at the ends, where there
+    are fewer, not a number.
+    """
+    half = over // 2
+    weights = np.linalg.pinv(np.vander(np.arange(-half, half + 1.0), 4, increasing=True))[1]
+    out = np.full(len(y), np.nan)
+    out[half : len(y) - half] = np.convolve(y - y[0], weights[::-1], mode="valid")
+    return out
 
 
 def _spread(fourth: Array) -> float:
