@@ -16,6 +16,7 @@ was noted.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -24,6 +25,7 @@ from zendsp.link import Target, Trigger, connect
 from zendsp.recording import Recording
 from zendsp_isr.sources import Source
 from zendsp_protocol import messages as m
+from zendsp_protocol.states import ProgramState
 from zendsp_protocol.values import Assignable
 
 
@@ -41,6 +43,7 @@ class _Desk:
     """The one target that the verbs speak to."""
 
     target: Target | None = None
+    configured: Target | None = None  # of which the last acquisition is this session's
 
     def get(self) -> Target:
         if self.target is None or self.target.link.closed:
@@ -192,7 +195,8 @@ def MatDSPdiscard() -> dict[str, Assignable]:
 
 
 def MatDSPAcquireConfig(params: Mapping[str, Any]) -> m.AcquireStatus:
-    """Configure the acquisition and start (or arm) it.
+    """Configure the acquisition and start (or arm) it. While the program is paused its first row
+    waits for :func:`MatDSPstart`, and a warning says so.
 
     Parameters
     ----------
@@ -212,6 +216,9 @@ def MatDSPAcquireConfig(params: Mapping[str, Any]) -> m.AcquireStatus:
     target = _desk.get()
     status = target.acquire_configure(**given)
     target.acquire_start()
+    _desk.configured = target
+    if target.status().state != ProgramState.RUNNING:
+        warnings.warn("no row comes before MatDSPstart(): the program is paused", stacklevel=2)
     return status
 
 
@@ -230,6 +237,13 @@ def MatDSPAcquireLoad(timeout: float = 60.0) -> Recording:
     Raises
     ------
     AcquisitionError
-        Nothing was recorded, or not within the time.
+        Nothing was recorded, or not within the time; or no :func:`MatDSPAcquireConfig` of this
+        session's came before.
     """
-    return _desk.get().acquire_finish(timeout=timeout)
+    target = _desk.get()
+    if _desk.configured is not target:
+        raise AcquisitionError(
+            "nothing was configured here: MatDSPAcquireConfig({'channels': [...]}) first; what"
+            " another host recorded, target.acquire_load() brings home"
+        )
+    return target.acquire_finish(timeout=timeout)

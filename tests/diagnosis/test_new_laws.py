@@ -4,7 +4,7 @@ finds its numbers.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 
@@ -142,18 +142,16 @@ def test_an_early_column_is_a_delay_and_a_part_of_a_row_is_no_shifted_column() -
     assert "column_shift" not in first(reality.Machine())
 
 
-def test_an_effect_without_its_column_is_not_considered_and_the_report_says_so() -> None:
+def test_of_an_optional_column_is_told_only_where_the_model_names_it() -> None:
     data, model = data_of("gain_drift")
     assert not data.records[0][0].columns
     signals = Signals(
         "run", np.zeros(2), 1.0, np.zeros((2, 1)), np.zeros((2, 1)), None, np.zeros(1)
     )
-    (note,) = unused_effects([signals], model)
-    assert (
-        note
-        == "friction_temperature was not considered: the model's [columns] names no column of"
-        " temperature"
-    )
+    assert "temperature" not in model.columns and unused_effects([signals], model) == []
+    named = replace(model, columns={**model.columns, "temperature": "warm"})
+    (note,) = unused_effects([signals], named)
+    assert note == "friction_temperature was not considered: run: no column of temperature"
 
 
 def test_a_column_that_one_recording_lacks_is_used_by_none(tmp_path: Path) -> None:

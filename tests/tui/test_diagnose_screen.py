@@ -319,6 +319,15 @@ async def test_compensation_fades_in_and_out_of_the_running_program(
             "the tracking error falls",
         )
         assert "→" in _text(screen, "#loop-words")
+        screen.compensation = None  # as of the next diagnosis, where nothing is left to cancel
+        line = screen.query_one("#findings", OptionList)
+        await until(
+            pilot,
+            lambda: "nothing to cancel; the compensation in the program is on; c fades it out"
+            in str(line.get_option_at_index(len(screen.entries) - 1).prompt),
+            "that one is on is not hidden",
+        )
+        assert "compensation on" in _text(screen, "#loop-words")
         await pilot.press("c")
         await until(pilot, lambda: share() == 0.0, "off")
 
@@ -338,6 +347,12 @@ async def test_a_program_without_room_is_told_what_to_add(
         screen = await opened(lab, pilot, until, DiagnoseScreen)
         await pilot.press("o", "enter")
         await until(pilot, lambda: screen.shown is not None, "opened")
+        chosen, lab.source = lab.source, None
+        await pilot.press("c")
+        await until(pilot, lambda: isinstance(lab.screen, Message), "it says why not")
+        assert "Choose it on Console" in str(lab.screen.query_one(".words").render())
+        await pilot.press("escape")
+        lab.source = chosen
         await pilot.press("c")
         await until(pilot, lambda: isinstance(lab.screen, Message), "it says how")
         shown = str(lab.screen.query_one(".words").render())

@@ -8,11 +8,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rich.style import Style
 from textual.app import App, ComposeResult
 from waiting import PATIENCE_S
 
+from zendsp.tui.colours import TraceColours
 from zendsp.tui.scope import Channel, Scope
+from zendsp.tui.scope.path import Axes, Curve, plot_lines
 from zendsp.tui.scope.spectrum import ready
+from zendsp.tui.scope.ticks import beside
 
 
 class _Bench(App[None]):
@@ -168,3 +172,17 @@ async def test_there_are_numbers_on_the_axes_before_there_is_data(view: str, num
         shown = "\n".join(strip.text for strip in app.screen._compositor.render_strips()).split()
         found = {word.strip("▏") for word in shown}
         assert found.issuperset(numbers.split()), sorted(found)
+
+
+@pytest.mark.parametrize("full", [30, 36, 44, 60, 100])
+def test_the_name_of_an_axis_covers_no_number_of_it(full: int) -> None:
+    x = np.linspace(-1.0, 1.0, 50)
+    curve = Curve("law", np.stack((x, x), axis=1), 0, "line")
+    pens = TraceColours(("#ffffff",), "#888888", "#ffffff")
+    axes = Axes(("velocity [rad/s]", "torque [N m]"), equal=False)
+    lines = [s.text for s in plot_lines([curve], axes, (full, 12), pens, Style())]
+    assert len(lines) == 12 and all(len(line) == full for line in lines)
+    feet = " ".join(lines[-2:])
+    first, *_, last, name, unit = feet.split()
+    assert (float(first), float(last), name, unit) == (-1.0, 1.0, "velocity", "[rad/s]")
+    assert beside("-1.23e-10", 8) == "-1.23e-…" and beside("-1.5", 8) == "    -1.5"

@@ -265,20 +265,27 @@ def _compensate(machine: Machine, told: Told, out: Path, narrator: Narrator) -> 
         told.failures.append("the tracking error did not fall")
 
 
+def _short(value: float | str) -> str:
+    return value if isinstance(value, str) else f"{value:.4g}"
+
+
 def _reveal(machine: Machine, told: Told, narrator: Narrator) -> None:
     narrator.chapter("5  The truth")
     truth = machine.target.reveal()
     told.truth = truth
     if truth.sha256 != told.recorded.seal:
         told.failures.append("the revealed record is not the one sealed at the beginning")
-    for effect in truth.effects:
-        values = ", ".join(
-            f"{name} {p['value']} {p['unit']}".rstrip() for name, p in effect["parameters"].items()
-        )
-        narrator.say(
-            f"concealed: {effect['effect']} on joint {effect['joint']}: {values} ({truth.source})"
-        )
     concealed = [in_model_frame(effect, machine.stage.plan) for effect in truth.effects]
+    for effect, told_of in zip(concealed, truth.effects, strict=True):
+        values = ", ".join(
+            f"{name} {_short(p['value'])} {p['unit']}".rstrip()
+            for name, p in effect["parameters"].items()
+        )
+        frame = "" if effect is told_of else f" in the model's frame of link {effect['joint']}"
+        narrator.say(
+            f"concealed: {effect['effect']} on joint {effect['joint']}: {values}{frame}"
+            f" ({truth.source})"
+        )
     judged = told.judged = judge(told.diagnosis, concealed)
     if judged.exact:
         narrator.say("named right", good=True)

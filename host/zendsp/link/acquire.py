@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import numbers
 import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import msgspec
 
-from zendsp.errors import AcquisitionError, Incomplete, Refused, RunnerDied, TooLarge, ZendspError
+from zendsp.errors import (
+    AcquisitionError,
+    Incomplete,
+    Refused,
+    RunnerDied,
+    TooLarge,
+    VariableError,
+    ZendspError,
+)
 from zendsp.link.parameters import ParameterSets
 from zendsp.link.requests import PATIENCE_S, Requests
 from zendsp.link.transfer import Transfers
@@ -31,6 +40,12 @@ END_S = 2.0  # for the loop to see that a ring was stopped
 AFTER_TRIP_S = 1.0  # of the target's time: how the machine comes to rest is recorded
 AFTER_TRIP_REAL_S = 3.0  # of real time: samples may have ended
 SHORTEST_RING_S = 0.25  # a shorter one could not be followed on a busy machine
+
+
+def _check_seconds(seconds: object) -> None:
+    """Refuse what is no time, by name and unit."""
+    if not isinstance(seconds, numbers.Real) or isinstance(seconds, bool):
+        raise AcquisitionError(f"seconds = {seconds!r}: give a number, in s, for example 2.0")
 
 
 class Recorder(Transfers):
@@ -104,8 +119,10 @@ class Recorder(Transfers):
             The program crashed meanwhile; `acquire_load` brings home what was recorded until
             then.
         """
+        _check_seconds(seconds)
         status: m.Status = self.request("status")
         if status.state != ProgramState.RUNNING and not start:
+            self._need_channels(channels, status)
             raise Refused(
                 f"nothing to record: the program is {status.state}; start it first, or with the"
                 " recording (--start, start=True)"
@@ -124,6 +141,15 @@ class Recorder(Transfers):
             wanted = max(1, round(seconds * status.rate_hz / decimation))
             return self._follow(wanted, note, timeout, patience, progress)
         return self.acquire_finish(timeout, note, progress, patience)
+
+    def _need_channels(self, channels: Sequence[str], status: m.Status) -> None:
+        """A channel that is not there is a fault of its own, whatever the program does."""
+        if status.state == ProgramState.EMPTY:
+            return
+        try:
+            self.request("read", names=[channels] if isinstance(channels, str) else list(channels))
+        except VariableError as error:
+            raise AcquisitionError(str(error)) from None
 
     def _configure_shot(
         self,
@@ -242,6 +268,7 @@ class Recorder(Transfers):
         Refused
             Another host is recording.
         """
+        _check_seconds(seconds)
         names = [channels] if isinstance(channels, str) else list(channels)
         result: m.AcquireStatus = self.request(
             "acquire_configure", channels=names, seconds=seconds, decimation=decimation,

@@ -212,8 +212,12 @@ class LiveView:
                 return np.empty(0), np.empty((0, len(self.columns)))
             return self._window.rows()
 
+    def _skipped(self) -> str:
+        """A view shows what it can; a recording keeps all."""
+        return f", {self.lost} more not shown (a recording keeps all)" if self.lost else ""
+
     def __repr__(self) -> str:
-        state = "closed" if self._closed else f"{self.received} rows, {self.lost} lost"
+        state = "closed" if self._closed else f"{self.received} rows{self._skipped()}"
         return f"<LiveView {', '.join(self.columns)}: {state}>"
 
     def _repr_html_(self) -> str:

@@ -10,6 +10,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
+from zendsp.errors import RecordingError
+
 FloatArray = npt.NDArray[np.float64]
 
 _ELEMENT = re.compile(r"^(.+)\[(\d+)\]$")
@@ -77,10 +79,26 @@ def gather_vectors(
     return joined, joined_units
 
 
+def _bound(value: object) -> str:
+    return "" if value is None else str(value)
+
+
 def pick(columns: Mapping[str, FloatArray], name: str) -> FloatArray | None:
     """Return a signal by name, or one column of a vector by ``"q[1]"``; None where there is
     neither.
+
+    Raises
+    ------
+    RecordingError
+        Something that is no name; the message says what to write.
     """
+    if not isinstance(name, str):
+        first = next(iter(columns), "q")
+        rows = f"{_bound(name.start)}:{_bound(name.stop)}" if isinstance(name, slice) else name
+        raise RecordingError(
+            f"[{rows}]: channels are taken by their names, and rows of one behind that:"
+            f" [{first!r}][{rows}]"
+        )
     if name in columns:
         return columns[name]
     element = split_element(name)

@@ -8,7 +8,7 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Self
+from typing import Any, NoReturn, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -194,6 +194,22 @@ class Samples:
                 f"the recording has no channel {name!r}; it has {listing(self.names)}"
             )
         return values
+
+    def keys(self) -> list[str]:
+        """Return ``"t"`` and the name of each column, so that ``dict(rec)`` holds them all.
+
+        Returns
+        -------
+        list of str
+            Each for `rec[name]`, shape (N,).
+        """
+        return ["t", *(name for name in self.columns if name != "t")]
+
+    def __iter__(self) -> NoReturn:
+        raise RecordingError(
+            "a recording is not gone through by itself: rec.names are its channels, rec.columns its"
+            " columns, dict(rec) the columns by name, rec['q'] one; pandas.DataFrame(dict(rec))"
+        )
 
     def __contains__(self, name: object) -> bool:
         return isinstance(name, str) and (name == "t" or pick(self.signals, name) is not None)

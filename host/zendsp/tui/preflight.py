@@ -185,7 +185,7 @@ def _playable(
         plan = make_plan(s, references, machine, setup)
     except ReferenceError_ as error:
         return None, Condition("can be played from here", False, str(error))
-    return plan, Condition(f"can be played from here: {plan.playlist.duration:.1f} s in all", True)
+    return plan, Condition(f"can be played from here: {plan.seconds:.1f} s in all", True)
 
 
 def _tried(plan: Plan, trial: Trial, moving: bool) -> Condition:

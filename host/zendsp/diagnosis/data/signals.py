@@ -107,16 +107,12 @@ def joint_columns(signals: Signals, joint: int) -> dict[str, Array]:
 
 
 def unused_effects(signals: Sequence[Signals], model: Model) -> list[str]:
-    """A note for each effect that a recording lacks a column for."""
+    """A note for each effect that a recording lacks a column for which the model names."""
     notes = []
     for effect in library().values():
         for role in effect.reads:
             lacking = [s.name for s in signals if role not in s.extra]
-            if lacking:
-                where = (
-                    f"{', '.join(lacking)}: no column"
-                    if role in model.columns
-                    else "the model's [columns] names no column"
-                )
-                notes.append(f"{effect.name} was not considered: {where} of {role}")
+            if lacking and role in model.columns:
+                where = f"{', '.join(lacking)}: no column of {role}"
+                notes.append(f"{effect.name} was not considered: {where}")
     return notes

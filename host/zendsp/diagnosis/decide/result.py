@@ -20,6 +20,7 @@ from zendsp.diagnosis.decide.contract import (
     Verdict,
     WhereReport,
 )
+from zendsp.diagnosis.decide.findings import number
 from zendsp.diagnosis.measure.where import Missing, Region
 from zendsp.diagnosis.search.hypothesis import JointSearch
 from zendsp.physics.calibration.fit import Data
@@ -277,13 +278,13 @@ class Diagnosis:
         if self.unexplained:
             said += sentence(self.unexplained)
         rows = [
-            (f.effect, f.joint, name, f"{e.value:.4g} ± {e.std:.2g} {e.unit}".removesuffix(" 1"))
+            (f.effect, f.joint, name, number(e))
             for f in self.findings
             for name, e in f.parameters.items()
         ]
         numbers = html_table(("effect", "joint", "parameter", "value"), rows) if rows else ""
         fit = html_table(
-            (f"RMS error [{self.unit}]", "given", "calibrated", "improved", "sensor"),
+            (f"RMS error [{self.unit}]", "given", "calibrated", "improved", "noise floor"),
             [
                 (name, *(f"{x:.3g}" for x in (t.given, t.calibrated, t.improved)),
                  f"{self.noise_floor:.2g}")

@@ -73,6 +73,7 @@ def _series(axis: Axes, s: Series) -> None:
     colour, label = COLOURS[s.role], s.label or None
     if s.kind == "line":
         thin = 0.7 if len(s.x) > 300 else 1.2
+        thin *= 3.0 if s.role == "before" else 1.0  # seen beneath one that is equal
         axis.plot(s.x, s.y, color=colour, lw=thin, label=label)
     elif s.kind == "dots":
         axis.plot(s.x, s.y, ".", color=colour, ms=1.5, alpha=0.35, rasterized=True, label=label)

@@ -260,7 +260,7 @@ def _numbers(
         for j in range(position.values.shape[1])
     ]
     values = [float(f"{idea.inertia:.3g}") if idea else 0.01 for idea in ideas]
-    rough = ROUGH if all(ideas) else 1.0  # of the first number: a model file keeps one a list
+    rough = ROUGH if all(ideas) else 1.0
     torque = command is not None and command.unit in ("N m", "Nm", "N")
     said, ask = unit, f"the recording does not show the {key}: what does the drawing say?"
     if all(ideas):
@@ -283,7 +283,8 @@ def _numbers(
 
 def _rough(values: list[float], share: float) -> str:
     """Numbers, and how well they are known: a calibration that moves them by less is no finding."""
-    return f"value = {_list(values)}, std = {share * max(values):.2g}"
+    stds = [float(f"{share * abs(value):.2g}") for value in values]
+    return f"value = {_list(values)}, std = {_list(stds)}"
 
 
 def _actuator(page: _Page, command: Group | None, step: float, machine: Machine | None) -> None:

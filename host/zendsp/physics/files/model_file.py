@@ -107,13 +107,13 @@ class _Reader:
         free = table.get("free", True)
         if not isinstance(free, bool):
             raise self.fail(f"{key}.free", "true or false", free)
-        std = self.number(f"{key}.std", table.get("std", 0.0))
-        if std < 0:
-            raise self.fail(f"{key}.std", "a number of at least 0", std)
-        return tuple(
-            Quantity(v, free, str(table.get("unit", "")), std)
-            for v in self.numbers(f"{key}.value", table["value"])
-        )
+        values = self.numbers(f"{key}.value", table["value"])
+        stds = self.numbers(f"{key}.std", table.get("std", 0.0), 0.0)
+        if len(stds) not in (1, len(values)):
+            raise self.fail(f"{key}.std", f"one number, or {len(values)} as of value", table["std"])
+        stds = stds * len(values) if len(stds) == 1 else stds
+        unit = str(table.get("unit", ""))
+        return tuple(Quantity(v, free, unit, s) for v, s in zip(values, stds, strict=True))
 
 
 def load_model(path: str | Path) -> Model:

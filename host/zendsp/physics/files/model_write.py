@@ -21,8 +21,9 @@ def _quantity(items: tuple[Quantity, ...]) -> dict[str, Any]:
     }
     if not all(q.free for q in items):
         out["free"] = False
-    if items[0].std > 0:
-        out["std"] = _number(items[0].std)
+    stds = [_number(q.std) for q in items]
+    if max(stds) > 0:
+        out["std"] = stds[0] if len({*stds}) == 1 else stds
     if items[0].unit:
         out["unit"] = items[0].unit
     return out

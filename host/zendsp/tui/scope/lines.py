@@ -13,7 +13,7 @@ from textual.strip import Strip
 
 from zendsp.tui.scope.picture import EMPTY, GRID, Picture
 from zendsp.tui.scope.raster import braille
-from zendsp.tui.scope.ticks import label, ticks
+from zendsp.tui.scope.ticks import beside, label, ticks
 
 GUTTER = 9  # columns of the y axis
 LEGEND_ROWS = 3  # at the most: what is below is the picture
@@ -70,7 +70,7 @@ def plot_rows(
     cells = braille(picture.codes.ravel())
     for r, owner in enumerate(owners):
         text, style = numbers.get(r, ("", pens[GRID]))
-        segments = [Segment(text.rjust(GUTTER - 1)[: GUTTER - 1] + "▏", style)]
+        segments = [Segment(beside(text, GUTTER - 1) + "▏", style)]
         line = cells[r * columns : (r + 1) * columns]
         if note and r == len(owners) // 2:
             segments.append(Segment(note.center(len(line))[: len(line)], pens[GRID]))

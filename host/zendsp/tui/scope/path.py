@@ -18,10 +18,11 @@ from textual.widget import Widget
 
 from zendsp.tui.colours import TraceColours, trace_colours
 from zendsp.tui.scope.raster import DOTS_X, DOTS_Y, braille, encode
-from zendsp.tui.scope.ticks import label, log_ticks, ticks
+from zendsp.tui.scope.ticks import beside, label, log_ticks, ticks
 
 Floats = npt.NDArray[np.float64]
-GUTTER = 8
+GUTTER = 9
+LEAST_FOR_NAME = 8  # lines of a plot that has one for the name of its x axis
 
 
 @dataclass(frozen=True)
@@ -110,8 +111,13 @@ def plot_lines(
         From top to bottom, ``height`` of them.
     """
     full, tall = size
-    width, height = max(full - GUTTER, 2), max(tall - 2, 1)
-    x0, x1, y0, y1 = _frame(curves, axes, width, height)
+    width = max(full - GUTTER, 2)
+    for below in (1, 2):  # lines
+        height = max(tall - 1 - below, 1)
+        x0, x1, y0, y1 = _frame(curves, axes, width, height)
+        feet = _x_axis(axes, (x0, x1), width, full)
+        if len(feet) <= below or tall < LEAST_FOR_NAME:
+            break
     faint = back + Style(color=pens.grid)
     codes = np.zeros((height, width), dtype=np.uint8)
     owner = np.full((height, width), -1)
@@ -136,11 +142,11 @@ def plot_lines(
         text = y_ticks.get(r, "")
         row = braille(codes[r])
         borders = [0, *(np.flatnonzero(owner[r][1:] != owner[r][:-1]) + 1).tolist(), width]
-        parts = [Segment(text.rjust(GUTTER - 1)[: GUTTER - 1] + "▏", faint)]
+        parts = [Segment(beside(text, GUTTER - 1) + "▏", faint)]
         parts += [Segment(row[a:b], pen(int(owner[r][a]))) for a, b in itertools.pairwise(borders)]
         lines.append(Strip(parts, full))
-    below = Segment(_x_axis(axes, (x0, x1), width, full), faint)
-    lines.append(Strip([below]).adjust_cell_length(full, back))
+    feet = [*feet, ""][:below]
+    lines += [Strip([Segment(foot, faint)]).adjust_cell_length(full, back) for foot in feet]
     return lines
 
 
@@ -164,14 +170,18 @@ def _legend(
     return parts
 
 
-def _x_axis(axes: Axes, ends: tuple[float, float], width: int, full: int) -> str:
+def _x_axis(axes: Axes, ends: tuple[float, float], width: int, full: int) -> list[str]:
+    """The numbers below, with the name of the axis behind the last or on a second line."""
     x0, x1 = ends
-    line = [" "] * max(full - len(axes.names[0]) - 1, 0)
+    line = [" "] * full
     for v, text in _numbers(x0, x1, max(width // 12, 4), axes.log_x):
         at = GUTTER + int((v - x0) / (x1 - x0) * width) - len(text) // 2
-        if at >= GUTTER - 2 and at + len(text) < len(line):
+        if at >= GUTTER - 2 and at + len(text) <= len(line):
             line[at : at + len(text)] = list(text)
-    return "".join(line) + axes.names[0]
+    numbers, name = "".join(line).rstrip(), axes.names[0]
+    if len(numbers) + 1 + len(name) <= full:
+        return [numbers + name.rjust(full - len(numbers))]
+    return [numbers, name.rjust(full)]
 
 
 def _frame(

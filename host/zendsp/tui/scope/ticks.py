@@ -75,6 +75,11 @@ def label(value: float, step: float) -> str:
     return f"{value:.{decimals}f}"
 
 
+def beside(text: str, room: int) -> str:
+    """Return what stands to the left of an axis; a number cut in silence would be another one."""
+    return text.rjust(room) if len(text) <= room else f"{text[: room - 1]}…"
+
+
 def duration(seconds: float) -> str:
     """Return a time in the unit that reads best: ``250 ms``, ``2 s``, ``3 min``."""
     size = abs(seconds)

@@ -72,9 +72,12 @@ class LoopActions(LabScreen):
     def _standing(self, s: Snapshot) -> tuple[str, str]:
         """How the running program stands to what was found, and in words."""
         c = self.compensation
+        names = [v.name for v in s.variables]
+        if self._acts(s) and (c is None or not c.fits(names) or not c.acts(s.values)):
+            what = "nothing to cancel" if c is None or not c.values else "not of this diagnosis"
+            return "other", f"{what}; the compensation in the program is on; c fades it out"
         if c is None or not c.values:
             return "nothing", "nothing of it can be cancelled by a torque (c says why)"
-        names = [v.name for v in s.variables]
         if not names:
             return "no program", "compensation: needs a program (build and start it on Console, F2)"
         if not c.fits(names):
@@ -82,6 +85,11 @@ class LoopActions(LabScreen):
         if c.acts(s.values):
             return "on", "compensation is on; c fades it out"
         return "off", "compensation is off; c fades it in"
+
+    @staticmethod
+    def _acts(s: Snapshot) -> bool:
+        """Whether the program adds a compensation now, of whichever diagnosis."""
+        return s.link == "up" and float(s.values.get(SHARE, 0.0)) > 0.0
 
     def look_at_loop(self, s: Snapshot) -> None:
         """Keep the line about the compensation and its figures true."""
@@ -104,6 +112,7 @@ class LoopActions(LabScreen):
             before = f"{was:.3g} → " if was is not None and state == "on" else ""
             parts.append(f"{name} {before}{value:.3g} {channel.unit}")
         rms = "  ".join(parts) or "no program runs"
+        state = {"other": "on"}.get(state, state)
         return f"compensation {state}   rms over {LOOK_S:g} s:  {rms}"
 
     def _rms(self) -> dict[str, float]:
@@ -139,11 +148,13 @@ class LoopActions(LabScreen):
 
     def action_compensate(self) -> None:
         """Switch the compensation on or off, or prepare the program for it."""
-        d, s = self._need(), self.lab.session.snapshot
-        if d is None:
+        s, c = self.lab.session.snapshot, self.compensation
+        if self._acts(s):  # that can be ended at any time
+            self._switch({SHARE: 0.0}, "out")
+            return
+        if self._need() is None:
             return
         state, words = self._standing(s)
-        c = self.compensation
         if state == "nothing" or c is None:
             left_out = "\n".join(c.left_out) if c else ""
             text = left_out or "Nothing of it can be cancelled by a torque."
@@ -153,15 +164,14 @@ class LoopActions(LabScreen):
         elif state == "no room":
             self._offer_room(c)
         else:
-            self._switch(c, on=state == "off")
+            self._switch({**c.values, SHARE: 1.0}, "in")
 
-    def _switch(self, c: Compensation, *, on: bool) -> None:
-        self.query_one("#findings", OptionList).highlighted = len(self.entries) - 1
-        values: Mapping[str, float] = {**c.values, SHARE: 1.0} if on else {SHARE: 0.0}
-        if on:
+    def _switch(self, values: Mapping[str, float], word: str) -> None:
+        if self.entries:
+            self.query_one("#findings", OptionList).highlighted = len(self.entries) - 1
+        if word == "in":
             self.before = self._rms()
         fade = self.lab.session.snapshot.values.get("comp_fade", 0.0)
-        word = "in" if on else "out"
 
         def said(tick: int) -> None:
             self.say(f"compensation fades {word} over {fade:g} s from sample {tick} on", "good")
@@ -171,7 +181,11 @@ class LoopActions(LabScreen):
     def _offer_room(self, c: Compensation) -> None:
         source = self.lab.source
         if source is None:
-            self.say("choose the source of the program first (O on Console)", "warning")
+            text = (
+                f"{FILE} goes beside the source of the program, and none is chosen here.\n"
+                "Choose it on Console (F2, O), then press c here again."
+            )
+            self.app.push_screen(Message("Compensation", Text(text)))
             return
         try:
             texts = gather(source)
