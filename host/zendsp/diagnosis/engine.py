@@ -153,12 +153,8 @@ def _diagnose(
     seen = detectable(parts, given, decisions, jobs)
     alone = by_one_sensor(parts, found.bodies.model, decisions)
     seen += (*(d for m in found.measured for d in m.detectable), *alone)
-    notes += said(alone)
-    notes += loosely_fitted(decisions)
-    notes += moved(given, whole.calibrated)
-    named = {f.joint for f in findings}
-    notes += moved_rotors(given, {d.joint: d.final.fit for d in decisions if d.joint not in named})
     test = _table(parts.test, given, whole.calibrated, improved)
+    notes += [*said(alone), *_told(found, given, findings)]
     if not findings:
         notes += bent(test, noise_floor(parts.test))
     return Diagnosis(
@@ -186,6 +182,17 @@ def _diagnose(
         remaining={j: mismatch(parts.fit, improved, j) for j in joints},
         workings=Workings(found.searches, decisions, whole, parts.fit, parts.test),
     )
+
+
+def _told(found: _Found, given: Model, findings: Sequence[Finding]) -> list[str]:
+    """What calibration did, in words."""
+    named = {f.joint for f in findings}
+    others = {d.joint: d.final.fit for d in found.decisions if d.joint not in named}
+    return [
+        *loosely_fitted(found.decisions),
+        *moved(given, found.whole.calibrated),
+        *moved_rotors(given, others),
+    ]
 
 
 def _left(decision: Decision) -> Left:
