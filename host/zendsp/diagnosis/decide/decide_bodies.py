@@ -18,9 +18,9 @@ import numpy as np
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import LAWS_OF, Decision
 from zendsp.diagnosis.decide.confidence import MOST as SUREST
-from zendsp.diagnosis.decide.findings import NUMERIC, number
+from zendsp.diagnosis.decide.findings import NUMERIC
 from zendsp.diagnosis.decide.pieces import dependence
-from zendsp.diagnosis.decide.result import Estimate, Finding, Rejected
+from zendsp.diagnosis.decide.result import Estimate, Finding, Rejected, number
 from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES, LAW_ERROR, PLAIN
 from zendsp.diagnosis.measure.discrepancy import difference
 from zendsp.diagnosis.measure.evidence import compare

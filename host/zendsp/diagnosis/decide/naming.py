@@ -13,10 +13,10 @@ from zendsp.diagnosis.decide.assemble import Assembled
 from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.confidence import confidence
 from zendsp.diagnosis.decide.decide_bodies import BodyClaim, body_finding
-from zendsp.diagnosis.decide.findings import estimates, new_terms, number, percent, sentence
+from zendsp.diagnosis.decide.findings import estimates, new_terms, percent, sentence
 from zendsp.diagnosis.decide.laws import draws_a_curve
 from zendsp.diagnosis.decide.pieces import weight_of_payload
-from zendsp.diagnosis.decide.result import Estimate, Finding, FitTable, Rejected
+from zendsp.diagnosis.decide.result import Estimate, Finding, FitTable, Rejected, number
 from zendsp.diagnosis.decide.thresholds import ALONE, CLAIMED, OF_STATE, PLAIN
 from zendsp.diagnosis.measure.bursts import Bursts
 from zendsp.diagnosis.measure.curve import curve_of

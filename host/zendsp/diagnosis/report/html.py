@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
-from zendsp.diagnosis.decide.findings import number
-from zendsp.diagnosis.decide.result import Diagnosis, Finding, FitTable
+from zendsp.diagnosis.decide.result import Diagnosis, Finding, FitTable, number
 from zendsp.diagnosis.report.summary import WORDS, headline, unnamed
 
 SMALLER = 1.05  # times: a smaller fall of the error is not told as one
