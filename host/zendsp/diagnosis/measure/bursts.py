@@ -240,6 +240,7 @@ def _summed(parts: Sequence[tuple[Data, _Acting]], joint: int) -> Bursts:
     outside: list[Array] = []
     energy = [0.0, 0.0]
     each: list[float] = []
+    peaks: list[float] = []
     for data, acting in parts:
         for high, lack, smooth, use, rec in zip(
             acting.masks, acting.lacks, acting.smooth, acting.used, data.records, strict=True
@@ -253,12 +254,13 @@ def _summed(parts: Sequence[tuple[Data, _Acting]], joint: int) -> Bursts:
             ]
             names += [rec[joint - 1].recording] * len(ends)
             each += [float(np.sum(lack[a:b] ** 2)) for a, b in ends]
+            peaks += [_largest(smooth[a:b]) for a, b in ends]
             inside.append(smooth[high])
             outside.append(smooth[~high])
             energy[0] += float(np.sum(lack[high] ** 2))
             energy[1] += float(np.sum(lack[~high] ** 2))
     within, beside = np.concatenate(inside), np.concatenate(outside)
-    peak = _largest(within)
+    peak = max(peaks, default=0.0)
     within = np.minimum(np.abs(within), peak)
     return Bursts(
         tuple(spans),
