@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from zendsp.diagnosis.decide.result import Estimate
+from zendsp.diagnosis.decide.result import number as number
 from zendsp.diagnosis.measure.significance import counterpart
 from zendsp.physics.calibration.fit import Fit
 from zendsp.physics.calibration.joint import JointRecord
@@ -108,18 +109,6 @@ def _with_level(
                 variance = float(both.sum())
             return excess + t.value(size), variance
     return excess, variance
-
-
-def number(estimate: Estimate) -> str:
-    """Value ± standard deviation with its unit, to the digits that mean something."""
-    value, std = estimate.value, estimate.std
-    unit = "" if estimate.unit == "1" else f" {estimate.unit}"
-    if not std > 0 or not math.isfinite(std):
-        return f"{value:.4g}{unit}"
-    digits = max(0, min(9, 1 - math.floor(math.log10(std)))) if std < 1e6 else 0
-    if abs(value) < 1e-4 or digits > 6:
-        return f"{value:.3g} ± {std:.2g}{unit}"
-    return f"{value:.{digits}f} ± {std:.{digits}f}{unit}"
 
 
 def percent(share: float) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,7 +21,6 @@ from zendsp.diagnosis.decide.contract import (
     Verdict,
     WhereReport,
 )
-from zendsp.diagnosis.decide.findings import number
 from zendsp.diagnosis.measure.where import Missing, Region
 from zendsp.diagnosis.search.hypothesis import JointSearch
 from zendsp.physics.calibration.fit import Data
@@ -37,6 +37,18 @@ class Estimate:
     value: float
     std: float
     unit: str
+
+
+def number(estimate: Estimate) -> str:
+    """Value ± standard deviation with its unit, to the digits that mean something."""
+    value, std = estimate.value, estimate.std
+    unit = "" if estimate.unit == "1" else f" {estimate.unit}"
+    if not std > 0 or not math.isfinite(std):
+        return f"{value:.4g}{unit}"
+    digits = max(0, min(9, 1 - math.floor(math.log10(std)))) if std < 1e6 else 0
+    if abs(value) < 1e-4 or digits > 6:
+        return f"{value:.3g} ± {std:.2g}{unit}"
+    return f"{value:.{digits}f} ± {std:.{digits}f}{unit}"
 
 
 @dataclass(frozen=True)
@@ -57,6 +69,12 @@ class Finding:
     mechanism: str = ""
     # probabilities, given that the mechanism acts
     laws: Mapping[str, float] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return (
+            f"<Finding {self.effect}, joint {self.joint} ({100 * self.confidence:.0f} %):"
+            f" {self.sentence}>"
+        )
 
     def as_dict(self) -> FindingReport:
         """For the report."""
