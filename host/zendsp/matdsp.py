@@ -16,12 +16,12 @@ was noted.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from zendsp.errors import AcquisitionError, CompileFailed, LinkError
 from zendsp.link import Target, Trigger, connect
+from zendsp.link.acquire import ENDED
 from zendsp.recording import Recording
 from zendsp_isr.sources import Source
 from zendsp_protocol import messages as m
@@ -195,8 +195,8 @@ def MatDSPdiscard() -> dict[str, Assignable]:
 
 
 def MatDSPAcquireConfig(params: Mapping[str, Any]) -> m.AcquireStatus:
-    """Configure the acquisition and start (or arm) it. While the program is paused its first row
-    waits for :func:`MatDSPstart`, and a warning says so.
+    """Configure the acquisition and start (or arm) it. While the program is paused the recorder
+    waits: the first row is the first sample after :func:`MatDSPstart`.
 
     Parameters
     ----------
@@ -217,8 +217,6 @@ def MatDSPAcquireConfig(params: Mapping[str, Any]) -> m.AcquireStatus:
     status = target.acquire_configure(**given)
     target.acquire_start()
     _desk.configured = target
-    if target.status().state != ProgramState.RUNNING:
-        warnings.warn("no row comes before MatDSPstart(): the program is paused", stacklevel=2)
     return status
 
 
@@ -246,4 +244,9 @@ def MatDSPAcquireLoad(timeout: float = 60.0) -> Recording:
             "nothing was configured here: MatDSPAcquireConfig({'channels': [...]}) first; what"
             " another host recorded, target.acquire_load() brings home"
         )
+    if (
+        target.status().state in (ProgramState.LOADED, ProgramState.PAUSED)
+        and target.acquire_status().state not in ENDED
+    ):
+        raise AcquisitionError("no row comes while the program is paused: MatDSPstart() first")
     return target.acquire_finish(timeout=timeout)

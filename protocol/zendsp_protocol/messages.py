@@ -37,6 +37,12 @@ class Info(Message, frozen=True, kw_only=True):
     started: float = 0.0  # Unix s
     instance: str = ""  # of this run of the target, hexadecimal: another after each start
 
+    def __repr__(self) -> str:
+        return (
+            f"<Info {self.name}: {self.machine}, {self.rate_hz:g} Hz, {self.clock} clock, process"
+            f" {self.pid} on {self.hostname}, zendsp {self.versions.get('zendsp', '?')}>"
+        )
+
 
 class Diagnostic(Message, frozen=True):
     """One message of the compiler."""
@@ -209,6 +215,13 @@ class MachineInfo(Message, frozen=True):
     model: str = ""  # path, on the target, of the MuJoCo model that is simulated; empty: none
     options: tuple[str, ...] = ()  # that the model was started with, KEY=VALUE each
 
+    def __repr__(self) -> str:
+        joints = ", ".join(
+            f"{j.name} [{j.unit}] {j.position_min:g} … {j.position_max:g}" for j in self.joints
+        )
+        simulated = ", simulated" if self.simulated else ""
+        return f"<MachineInfo {self.name}{simulated}: {joints or 'no joints yet'}>"
+
 
 class Limits(Message, frozen=True):
     """Checked every sample, below the user's code; one entry per joint."""
@@ -241,6 +254,14 @@ class DriveStatus(Message, frozen=True, kw_only=True):
     commander: str = ""  # who has the exclusive right to command
     host_lost: str = "stop"  # what happens when the commander disappears: stop | hold | finish
     conditions: tuple[Condition, ...] = ()  # of enabling
+
+    def __repr__(self) -> str:
+        how = "explicit" if self.explicit else "automatic: on at start, off at pause"
+        unmet = ", ".join(c.name for c in self.conditions if not c.met) or "none"
+        return (
+            f"<DriveStatus {self.state}, {self.mode}, {how}; commands:"
+            f" {self.commander or 'nobody'}; conditions not met: {unmet}>"
+        )
 
 
 class RunBegun(Message, frozen=True, kw_only=True):

@@ -190,7 +190,11 @@ def test_the_matdsp_verbs_do_what_the_paper_says(fast: Target) -> None:
     assert zendsp.MatDSPvariable("step") == 1.0  # noted, not yet in effect
     tick = zendsp.MatDSPupdate()
     assert tick == 0 and zendsp.MatDSPvariable("step") == 2.0
+    with pytest.raises(AcquisitionError, match="nothing was configured here: MatDSPAcquireConfig"):
+        zendsp.MatDSPAcquireLoad()
     zendsp.MatDSPAcquireConfig({"channels": ["level"], "seconds": 0.1})
+    with pytest.raises(AcquisitionError, match=r"program is paused: MatDSPstart\(\) first"):
+        zendsp.MatDSPAcquireLoad()
     zendsp.MatDSPstart()
     rec = zendsp.MatDSPAcquireLoad()
     zendsp.MatDSPpause()
@@ -241,3 +245,26 @@ def test_names_and_values_of_matrices_are_read_from_a_command_line() -> None:
     assert parse_names("q, K[1,2],tau") == ["q", "K[1,2]", "tau"]
     given = parse_assignments(("K[0,1]=2", "K=[[1, 2], [3, 4]]"))
     assert given == {"K[0,1]": 2, "K": [[1, 2], [3, 4]]}
+
+
+def test_what_is_asked_wrong_of_a_recording_names_what_to_write(fast: Target) -> None:
+    fast.download("pd.c")
+    with pytest.raises(AcquisitionError, match="nothing: no such variable"):
+        fast.acquire(["nothing"], seconds=1.0)
+    with pytest.raises(Refused, match="nothing to record: the program is loaded"):
+        fast.acquire(["q", "tick"], seconds=1.0)
+    for ask in (fast.acquire, fast.acquire_configure):
+        with pytest.raises(AcquisitionError, match=r"^seconds = '2 s': give a number, in s"):
+            ask(["q"], seconds="2 s")  # type: ignore[arg-type]
+
+
+def test_at_a_prompt_everything_is_a_line(fast: Target) -> None:
+    fast.download("pd.c")
+    lines = [
+        repr(x)
+        for x in (fast.variables, fast.info, fast.parameters(), fast.drive_status(), fast.machine())
+    ]
+    for line, word in zip(
+        lines, ("variables()", fast.info.name, "Kp1 = 2000", "automatic", "joint 1"), strict=True
+    ):
+        assert word in line and "\n" not in line and len(line) < 400 and " at 0x" not in line

@@ -238,3 +238,14 @@ def test_a_recording_cannot_be_changed_and_what_is_loaded_is_a_recording(
     with pytest.raises(AttributeError):
         recording.note = "another"  # type: ignore[misc]
     assert type(Recording.load(recording.save(tmp_path / "a.npz"))) is Recording
+
+
+def test_columns_are_taken_by_name_and_other_ways_say_so(recording: Recording) -> None:
+    table = dict(recording)
+    assert list(table) == ["t", "q[0]", "q[1]", "u", "w"]
+    assert all(column.shape == (200,) for column in table.values())
+    for wrong, rows in ((3, r"\[3\]"), (slice(10, 20), r"\[10:20\]"), (slice(None, 5), r"\[:5\]")):
+        with pytest.raises(RecordingError, match=rf"by their names.*\['q'\]{rows}"):
+            recording[wrong]  # type: ignore[index]
+    with pytest.raises(RecordingError, match=r"dict\(rec\)"):
+        list(recording)

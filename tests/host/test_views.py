@@ -43,7 +43,7 @@ def test_every_repr_is_one_line_that_a_person_can_read() -> None:
 def test_a_notebook_shows_findings_values_and_limits() -> None:
     shown = _diagnosis()._repr_html_()
     assert "Joint 1 lacks &lt;Coulomb&gt; friction. (confidence 97 %)" in shown
-    assert "<td>0.05 ± 0.001 N m</td>" in shown and "<td>0.0001</td>" in shown
+    assert "<td>0.0500 ± 0.0010 N m</td>" in shown and "<td>0.0001</td>" in shown
     result = Result("x", "Friction", "arm", {"level": Measured(8.4, 0.1, "N m")}, warnings=["hot"])
     assert "<td>8.4 ± 0.1 N m</td>" in result._repr_html_()
     assert "careful: hot" in result._repr_html_()
@@ -112,6 +112,8 @@ def test_a_live_view_takes_names_as_they_come_and_draws(target: Target) -> None:
         assert view.next_block(20.0) is not None
         shown = view._repr_html_()
         assert shown.count("<polyline") >= 4 and "q[0] [rad]" in shown
-        assert "rows, 0 lost" in repr(view)
+        assert re.search(r": \d+ rows>$", repr(view))
+        view.lost = 3
+        assert repr(view).endswith("rows, 3 more not shown (a recording keeps all)>")
     assert "closed" in repr(view)
     target.pause()

@@ -276,3 +276,17 @@ def test_a_file_of_others_has_no_machine(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     path.write_text("t [s],q [rad]\n0,1\n0.1,2\n")
     assert machine_of(path, tmp_path) is None
+
+
+def test_a_first_idea_of_each_joint_is_as_uncertain_as_itself() -> None:
+    columns = recording()
+    both = {
+        "t": T,
+        "q": np.stack((columns["q"], columns["q"]), axis=1),
+        "tau": np.stack((20.0 * columns["tau"], columns["tau"]), axis=1),
+    }
+    units = {"t": "s", "q": "rad", "tau": "N m"}
+    one, two = model_of(draft_model(Table(both, units)).text).mechanism["inertia"]
+    assert one.value > 10 * two.value
+    assert one.std / one.value == pytest.approx(0.15, rel=0.05)  # of two digits
+    assert two.std / two.value == pytest.approx(0.15, rel=0.05)

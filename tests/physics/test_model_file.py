@@ -29,7 +29,11 @@ GOOD: dict[str, Any] = {
             "coefficient": {"value": 0.2, "std": 0.01, "unit": "N m s/rad"},
         }
     ],
-    "actuator": {"gain": {"value": [1.0, 2.0]}, "limit": [3.0, 4.0], "delay": 0.001},
+    "actuator": {
+        "gain": {"value": [1.0, 2.0], "std": [0.1, 0.3]},
+        "limit": [3.0, 4.0],
+        "delay": 0.001,
+    },
     "sensor": {
         "position_resolution": [0.001, 0.002],
         "matrix": [[1, 0], [0.5, 1]],
@@ -85,6 +89,10 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"discrepancy": {"torque": [-0.1]}}, "discrepancy"),
     ({"mechanism": {"kind": "rotary", "parameters": {"inertia": {"value": 1, "std": -1}}}}, "std"),
     ({"mechanism": {"kind": "rotary", "parameters": {"inertia": {"value": 1, "std": "x"}}}}, "std"),
+    (
+        {"mechanism": {"kind": "rotary", "parameters": {"inertia": {"value": 1, "std": [1, 2]}}}},
+        "one number, or 1",
+    ),
     ({"mechanism": 3}, "mechanism"),
     ({"effect": {"kind": "viscous"}}, "array of tables"),
     ({"effect": [{"joint": 1}]}, "kind"),

@@ -49,6 +49,12 @@ class ParameterSet:
     target: str = ""
     note: str = field(default="")
 
+    def __repr__(self) -> str:
+        shown = [f"{n} = {v:.6g}" if isinstance(v, float) else f"{n} = {v}"
+                 for n, v in self.values.items()]  # fmt: skip
+        whose = f" of {self.target}" if self.target else ""
+        return f"<ParameterSet{whose}: {', '.join(shown) or 'empty'}>"
+
     def diff(self, other: ParameterSet) -> list[Difference]:
         """List the parameters that differ, in the order of this set."""
         names = [*self.values, *(name for name in other.values if name not in self.values)]

@@ -40,6 +40,12 @@ class Variables(Part):
         super().__init__(requests)
         self._staged: dict[str, Assignable] = {}
 
+    def __repr__(self) -> str:
+        return (
+            f"<Variables of {self.link.target}: target.variables() is their dictionary,"
+            " target['NAME'] reads one, target['NAME'] = value writes it>"
+        )
+
     def __getitem__(self, name: str) -> Value:
         """Read one variable, or one element ``"q[1]"`` of an array, now.
 

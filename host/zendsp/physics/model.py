@@ -173,6 +173,16 @@ class Model:
     robot: Robot = Robot()
     fmu: FmuPorts = FmuPorts()
 
+    def __repr__(self) -> str:
+        """One line; `zendsp.physics.model_text` writes the whole file."""
+        terms = ", ".join(
+            f"{t.effect} {t.joint} ("
+            + ", ".join(f"{n} {q.value:.4g}" for n, q in t.parameters.items())
+            + ")"
+            for t in self.terms
+        )
+        return f"<Model {self.name}: {self.kind}; terms: {terms or 'none'}>"
+
     @property
     def joints(self) -> int:
         """Number of joints, from the columns, the kind or the parameters."""

@@ -115,6 +115,15 @@ class Reference:
     cyclic: bool = False
     unit: str = "rad"
 
+    def __repr__(self) -> str:
+        joints = f"{self.joints} joint{'' if self.joints == 1 else 's'}"
+        whose = f" for {self.machine}" if self.machine else ""
+        cyclic = ", cyclic" if self.cyclic else ""
+        return (
+            f"<Reference {self.kind}{whose}: {joints}, {self.mode}, {self.duration:g} s, "
+            f"{self.samples} samples of {1e3 * self.sample_time:g} ms{cyclic}>"
+        )
+
     def __post_init__(self) -> None:
         if not (np.isfinite(self.sample_time) and self.sample_time > 0.0):
             raise ReferenceError_(

@@ -70,6 +70,12 @@ class Finding:
     # probabilities, given that the mechanism acts
     laws: Mapping[str, float] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        return (
+            f"<Finding {self.effect}, joint {self.joint} ({100 * self.confidence:.0f} %):"
+            f" {self.sentence}>"
+        )
+
     def as_dict(self) -> FindingReport:
         """For the report."""
         numbers: dict[str, EstimateReport] = {
