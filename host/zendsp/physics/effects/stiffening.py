@@ -14,7 +14,7 @@ from zendsp.physics.effects.base import Effect, Facts, Numbers, Parameter
 
 SOFTER = (0.4, 0.7, 1.0)  # of the constant stiffness that was found in its place
 # of the cubic term in the torque, at the typical torque of the load; a resonance bends it far more
-SHARES = (0.001, 0.01, 0.1, 0.3, 1.0, 3.0)
+SHARES = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
 
 
 def _starts(facts: Facts) -> Sequence[Numbers]:
