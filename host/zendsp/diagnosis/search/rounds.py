@@ -10,6 +10,8 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+
 from zendsp.diagnosis.measure.likelihood import (
     Scored,
     deviance,
@@ -29,7 +31,7 @@ from zendsp.diagnosis.search.candidates import (
 from zendsp.diagnosis.search.hypothesis import UNSETTLED, Rival, price, with_numbers
 from zendsp.diagnosis.search.screen import Candidate, with_candidate
 from zendsp.physics.calibration.fit import Data, fit, joint_handles
-from zendsp.physics.calibration.joint import facts
+from zendsp.physics.calibration.joint import added_inertia, facts, own_terms
 from zendsp.physics.effects import get_effect
 from zendsp.physics.kernel.threads import threads
 from zendsp.physics.model import Model, Term
@@ -229,7 +231,14 @@ class Rounds:
         return any(abs(fitted.value(name)) < size for name, size in least(facts(record)).items())
 
     def _possible(self, rival: Rival) -> bool:
-        """Whether a machine can have the numbers of all terms that were found so far."""
+        """Whether a machine can have the numbers of all terms that were found so far: no body, and
+        so no joint, has less inertia than none.
+        """
+        model = rival.scored.model
+        bare = model.with_terms(own_terms(model.terms))
+        inertia, _ = self.data.records[0][self.joint - 1].inertia_and_bias(bare)
+        if float(np.min(inertia)) + added_inertia(bare, self.joint) <= 0.0:
+            return False
         for term in rival.scored.model.at(self.joint):
             possible = get_effect(term.effect).possible
             if possible is not None and not possible(
