@@ -131,7 +131,7 @@ class FakeRuntime:
     def stop_page(self) -> str:
         return ""
 
-    def stop(self) -> None:
+    def stop(self, author: str = "") -> None:
         with self.lock:
             self.state = "stopped"
 
