@@ -48,12 +48,13 @@ class ListTable(DataTable[Text]):
     def render_line(self, y: int) -> Strip:
         strip, end = super().render_line(y), 0
         x, pad = self.scroll_offset.x, self.cell_padding
+        width = self.scrollable_content_region.width  # the rest is under the scroll bar
         left = right = False
         for column in self.ordered_columns:
             begin, end = end, end + column.get_render_width(self)
             left |= begin + pad < x < end - pad
-            right |= begin + pad < x + self.size.width < end - pad
-        return mark_cuts(strip, left, right)
+            right |= begin + pad < x + width < end - pad
+        return mark_cuts(strip.crop(0, width), left, right)
 
 
 Cell = tuple[str, Style]
@@ -184,7 +185,7 @@ class LiveTable(ScrollView, can_focus=True):
         super().notify_style_update()
 
     def render_line(self, y: int) -> Strip:
-        width = self.size.width
+        width = self.scrollable_content_region.width  # the rest is under the scroll bar
         x = self.scroll_offset.x
         if self._back is None:
             self._back = Style(bgcolor=self.rich_style.bgcolor)
