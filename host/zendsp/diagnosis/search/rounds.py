@@ -31,10 +31,11 @@ from zendsp.diagnosis.search.candidates import (
 from zendsp.diagnosis.search.hypothesis import UNSETTLED, Rival, price, with_numbers
 from zendsp.diagnosis.search.screen import Candidate, with_candidate
 from zendsp.physics.calibration.fit import Data, fit, joint_handles
-from zendsp.physics.calibration.joint import added_inertia, facts, own_terms
+from zendsp.physics.calibration.joint import facts, own_terms
 from zendsp.physics.effects import get_effect
 from zendsp.physics.kernel.threads import threads
 from zendsp.physics.model import Model, Term
+from zendsp.physics.term_numbers import added_inertia
 
 Progress = Callable[[str], None]
 
