@@ -107,11 +107,10 @@ def moved(given: Model, calibrated: Model) -> list[str]:
             if q.value and abs(new.value - q.value) > math.hypot(TOLERANCE * q.value, FAR * new.std)
         ]
         if far:
-            alike = len(far) == len(ratios) > 2 and np.ptp(ratios) < TOLERANCE
-            gain = f": all alike, as a torque gain of {1.0 / ratios[0]:.3g} would"
-            out.append(
-                f"joint {joint}: calibration moves {', '.join(far)}" + (gain if alike else "")
-            )
+            text = f"joint {joint}: calibration moves {', '.join(far)}"
+            if len(far) == len(ratios) > 2 and np.ptp(ratios) < TOLERANCE:
+                text += f": all alike, as a torque gain of {1.0 / ratios[0]:.3g} would"
+            out.append(text)
     return out
 
 

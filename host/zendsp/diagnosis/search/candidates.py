@@ -86,18 +86,24 @@ def starts_of(candidate: Candidate, data: Data) -> list[Candidate]:
 def loosened(
     model: Model, joint: int, only: frozenset[str] = frozenset()
 ) -> list[list[Candidate]]:
-    """What the model holds fixed, with its numbers free: its law may be right, a number wrong."""
+    """What the model holds fixed, with its numbers free: its law may be right, a number wrong.
+
+    Numbers with a deviation are those that an earlier diagnosis holds.
+    """
     terms = model.at(joint)
     names = [t.effect for t in terms]
     out = []
     for term in terms:
         effect = get_effect(term.effect)
         fitted = [p.name for p in effect.parameters if p.fitted and p.name in term.parameters]
-        fixed = any(not term.parameters[name].free for name in fitted)
+        numbers = [term.parameters[name] for name in fitted]
+        fixed = any(not q.free and q.std == 0.0 for q in numbers)
         if not fixed or names.count(term.effect) > 1 or (only and term.effect not in only):
             continue
-        numbers = {k: replace(q, free=k in fitted) for k, q in term.parameters.items()}
-        free = replace(term, parameters=numbers)
+        free = replace(
+            term,
+            parameters={k: replace(q, free=k in fitted) for k, q in term.parameters.items()},
+        )
         out.append([Candidate(term.effect, joint, (free,), (term.effect,), math.nan)])
     return out
 

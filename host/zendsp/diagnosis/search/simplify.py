@@ -232,7 +232,13 @@ def _released(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored:
         for t in best.model.terms
     )
     other = _refitted(best.data, best.model.with_terms(terms), found.joint, jobs, 2)
-    return other if other.deviance < best.deviance - math.log(max(n, 10)) else best
+    names = set().union(*free.values())
+    at_bound = any(
+        bound and h.key in names
+        for h, bound in zip(other.fit.handles, other.fit.at_bound, strict=True)
+    )
+    told = other.deviance < best.deviance - math.log(max(n, 10))
+    return other if told and not at_bound else best
 
 
 def upon(first: JointSearch, base: Scored, jobs: int) -> JointSearch:
