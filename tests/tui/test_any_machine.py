@@ -39,6 +39,7 @@ def _seen(name: str = "arm", model: str = "", limits: Limits = LIMITS) -> Snapsh
     """A target with an arm of two joints, enabled, with a program that plays tables."""
     return Snapshot(
         link="up", target="arm", machine=name, joints=2, state="loaded", drive="enabled", mine=True,
+        explicit=True,
         rate_hz=500.0, position=(0.1, -0.2), variables=(_table("ref"),), limits=limits,
         described=MachineInfo(name, joints=JOINTS, model=model),
     )  # fmt: skip
