@@ -109,6 +109,34 @@ def test_a_gap_is_begun_from_the_given_inertia_where_calibration_moved_it() -> N
     assert best(group) < best(plain) - 100.0
 
 
+def test_a_gap_stands_in_the_place_of_a_given_spring_not_of_one_that_was_found() -> None:
+    spring = {
+        "kind": "elasticity",
+        "joint": 1,
+        "stiffness": 20.0,
+        "damping": 0.05,
+        "load_inertia": 0.004,
+    }
+    model = model_of(VISCOUS, COULOMB, spring)
+    data = data_of(
+        reality.simulate(reality.Machine(), reality.multisine(4.0, RATE, 3), RATE), model
+    )
+    (group,) = simulated(data, model, 1, frozenset({"backlash"}), 1, model)
+    assert {c.replaces for c in group} == {("elasticity",)}
+    assert not simulated(data, model, 1, frozenset({"backlash"}), 1, model_of(VISCOUS, COULOMB))
+
+
+@pytest.mark.parametrize(("amount", "possible"), [(-0.004, True), (-0.02, False)])
+def test_no_joint_has_less_inertia_than_none(amount: float, possible: bool) -> None:
+    model = model_of(VISCOUS, COULOMB, {"kind": "inertia", "joint": 1, "amount": amount})
+    data = data_of(
+        reality.simulate(reality.Machine(), reality.multisine(4.0, RATE, 3), RATE), model
+    )
+    done = fit(data, model, joint_handles(data, model, 1), joints=(1,), iterations=0)
+    rival = Rival("inertia", 1, Scored(done, data, 0.0, (1,)), 0.0, model.at(1)[2:], ())
+    assert Rounds(data, 1, 1, lambda _: None)._possible(rival) is possible
+
+
 def test_a_term_that_only_the_fit_wants_does_not_pass_an_untouched_recording() -> None:
     model = model_of(VISCOUS, COULOMB)
     data = data_of(
