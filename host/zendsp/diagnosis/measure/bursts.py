@@ -254,7 +254,7 @@ def _summed(parts: Sequence[tuple[Data, _Acting]], joint: int) -> Bursts:
             ]
             names += [rec[joint - 1].recording] * len(ends)
             each += [float(np.sum(lack[a:b] ** 2)) for a, b in ends]
-            peaks += [_largest(smooth[a:b]) for a, b in ends]
+            peaks += [_largest(lack[a:b]) for a, b in ends]
             inside.append(smooth[high])
             outside.append(smooth[~high])
             energy[0] += float(np.sum(lack[high] ** 2))
