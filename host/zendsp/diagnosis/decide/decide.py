@@ -33,6 +33,7 @@ from zendsp.diagnosis.decide.pieces import (
 )
 from zendsp.diagnosis.decide.thresholds import (
     AMISS,
+    BEYOND_SENSOR,
     BY_CHANCE,
     CLAIMED,
     LAWFUL,
@@ -47,7 +48,7 @@ from zendsp.diagnosis.measure.discrepancy import Size, beyond, discrepancy
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored, informative
 from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, structure
-from zendsp.diagnosis.measure.windows import rms, window_error
+from zendsp.diagnosis.measure.windows import noise_floor, rms, window_error
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
 from zendsp.diagnosis.search.rounds import WAIT
 from zendsp.diagnosis.search.simplify import simplify
@@ -224,13 +225,21 @@ def _asked(out: Decision, parts: Parts, turning: bool) -> Decision:
             return replace(out, kind="missing", claims=(claim,))
         return replace(out, kind="unexplained")
     lawful = lacks > LAWFUL and _lawful(parts, out.base, out.joint, turning)
-    if lawful or lacks > MACHINE:
+    if lawful or (lacks > MACHINE and _surely(out, parts.test)):
         return replace(out, kind="unexplained")
     if parts.choose is not parts.test:  # held out too: what acts there only is no less missing
         chosen = discrepancy(parts.choose, out.base.model, out.joint)
         if beyond(chosen.value, out.known.all) > AMISS:
             return replace(out, kind="unexplained", after=chosen)
     return out
+
+
+def _surely(out: Decision, test: Data) -> bool:
+    """Whether something lacks beyond doubt: torque, or a position far beyond what the sensor errs
+    by, where a recording is too short to say how much torque that is.
+    """
+    error = rms(window_error(test, out.base.model, out.joint))
+    return out.before.low > 0.0 or error > BEYOND_SENSOR * noise_floor(test, out.joint)
 
 
 def _pushed(out: Decision, parts: Parts, jobs: int) -> Decision | None:
