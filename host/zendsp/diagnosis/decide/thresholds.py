@@ -21,8 +21,8 @@ MACHINE = 0.03  # of the RMS torque: below, slow random torques that every machi
 # times the sensor's own error: a position that is off by more lacks torque, however uncertain; of
 # complete models whose torque said 3 % and more, six of ten were at most 1.1, four 4.4 and more
 BEYOND_SENSOR = 3.0
-# as MACHINE, in the recordings to choose by alone: there a push of a second is as uncertain as it is
-# large; at 253 joints of 206 complete models (seeds 103, 107) 0.054 was the most
+# as MACHINE, in the recordings to choose by alone: there a push of a second is as uncertain as
+# it is large; at 253 joints of 206 complete models (seeds 103, 107) 0.054 was the most
 AMISS = 0.1
 # of the RMS torque: a function of state above is missing physics, whatever its name; in 96 complete
 # models it was at most 0.001
