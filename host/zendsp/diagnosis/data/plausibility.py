@@ -56,6 +56,7 @@ SATURATED = 0.98  # of the stated limit: from there on the actuator clips as wel
 NEAR = (0.4, 2.5)  # of the model's inertia: so near it a column may be called clipped
 RIGHT = (0.5, 2.0)  # of the model's inertia: so near it a mistake is undone
 DRIVES = 0.3  # of the torque: friction that gives so much drives
+TURNS = 0.1  # of the RMS speed: below, a joint turns round
 BOTH_WAYS = 0.1  # of the time that a joint must move either way for its friction to show
 
 
@@ -168,7 +169,7 @@ def regress(slow: Slow, model: Model, joint: int, body: tuple[Array, Array]) -> 
     torque = per_joint(model.actuator.gain, joint, 1.0) * slow.command[i]
     q, qd = slow.q[i], slow.qd[i]
     speed = float(np.sqrt(np.mean(qd**2)))
-    columns = [rigid, qd, np.tanh(qd / (0.1 * speed + 1e-300)), np.ones_like(q), q - np.mean(q)]
+    columns = [rigid, qd, np.tanh(qd / (TURNS * speed + 1e-300)), np.ones_like(q), q - np.mean(q)]
     if model.joint_kind(joint) == "rotary" and np.ptp(q) > SWINGS:
         columns += [np.sin(q), np.cos(q)]
     if np.any(weight):
@@ -189,7 +190,7 @@ def regress(slow: Slow, model: Model, joint: int, body: tuple[Array, Array]) -> 
     theta = theta / scale
     rub = a[:, 1] * theta[1] + a[:, 2] * theta[2]
     # of a joint that moves one way, nothing tells friction from an offset
-    ways = min(float(np.mean(way * qd > 0.1 * speed)) for way in (1, -1))
+    ways = min(float(np.mean(way * qd > TURNS * speed)) for way in (1, -1))
     size = float(np.sqrt(np.mean(torque**2)))
     excess, excess_t = _excess(
         a @ theta - torque, torque, slow.at_edge[i], float(np.sqrt(variance))

@@ -274,7 +274,8 @@ class Effect:
     restart : callable or None
         A second start value, from the first.
     tries : tuple of mapping
-        Numbers that are chosen, not estimated, and that a full fit tries too.
+        Numbers that are chosen while laws compete: a full fit tries these too. In the end they
+        are fitted, where the recording tells them.
     hidden : bool
         Has a state, or acts on the timing: counts as a parameter more.
     essence : tuple of str

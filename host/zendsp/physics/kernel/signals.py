@@ -52,6 +52,7 @@ PER_STRIDE = 100  # samples a sample of stride
 FLIPS = 20  # changes of the code that must be there to tell
 BACK = 0.25  # of them that go back: below, it is motion
 STEADY = (0.05, 0.5)  # counts a sample: motion in which noise makes codes go to and fro
+PASSED = 200.0  # counts that such motion must cover to tell
 BENDS = 0.1  # counts a sample: by which the speed over a longer time is another one at most
 CLEARLY = 2.0  # standard deviations of a number of changes
 BINS, LEVELS = 64, 61  # of speed, and of noise, that are looked at
@@ -258,8 +259,9 @@ def smooth(measurement: Measurement, sample_time: float, known_acceleration: Arr
 def noise_beside_quantisation(y: Array, resolution: float) -> float:
     """Standard deviation of sensor noise that the resolution does not explain.
 
-    From fourth differences where the motion is fast: there rounding is as good as white. Where it
-    is nowhere fast, from the codes that go back and forth while the joint hardly moves.
+    From codes that go to and fro where the motion is slow. Where that is too seldom, or the noise
+    larger than a third of a count, from fourth differences of fast motion: there rounding is as
+    good as white. Where it is nowhere fast, from the codes of a joint that hardly moves.
 
     Parameters
     ----------
@@ -305,7 +307,7 @@ def _to_and_fro(y: Array, resolution: float) -> float | None:
     v, seen = np.abs(speed), np.abs(usual)  # chosen by the same speed, the noisy ones were chosen
     use = (seen > STEADY[0]) & (seen < STEADY[1]) & (np.abs(speed - usual) < BENDS)
     v, changes = v[use], float(np.abs(np.diff(y))[use].sum()) / resolution
-    if v.sum() < ENOUGH:
+    if v.sum() < PASSED:
         return None
     if changes - v.sum() < CLEARLY * np.sqrt(changes):
         return 0.0
