@@ -59,7 +59,9 @@ def inertia_ranges(
         ]
         if around[0]:
             lows, highs = zip(*filter(None, around), strict=True)
-            ranges[own_key(model, joint)] = (min(lows), max(highs))
+            key = own_key(model, joint)
+            g = model.mechanism[key][0].value if key in model.mechanism else min(lows)
+            ranges[key] = (min(*lows, g), max(*highs, g))
         elif own_key(model, joint) not in model.mechanism and (
             given := added_inertia(model, joint)
         ) > 0:

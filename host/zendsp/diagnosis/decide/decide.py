@@ -43,7 +43,7 @@ from zendsp.diagnosis.decide.thresholds import (
     RIVAL,
     SURE,
 )
-from zendsp.diagnosis.measure.bursts import FEW, OFTEN, Bursts, bursts, everywhere, periodic
+from zendsp.diagnosis.measure.bursts import FEW, MANY, OFTEN, Bursts, bursts, everywhere, periodic
 from zendsp.diagnosis.measure.discrepancy import Size, beyond, discrepancy
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored, informative
@@ -150,10 +150,16 @@ def _alike(data: Data) -> tuple[Data, ...]:
     return (data,) if data.joints == 1 else ()
 
 
-def _in_fit(parts: Parts, model: Model, joint: int) -> Bursts | None:
+def _in_held(parts: Parts, model: Model, joint: int, often: float) -> Bursts | None:
+    """A push in the recordings that were held out."""
+    dry = dry_torque(parts.held, model, joint)
+    return bursts(parts.held, model, joint, dry=dry, often=often, beside=_alike(parts.fit))
+
+
+def _in_fit(parts: Parts, model: Model, joint: int, many: int = FEW) -> Bursts | None:
     """A push in the recordings of the fit."""
     dry = dry_torque(parts.fit, model, joint)
-    return bursts(parts.fit, model, joint, many=FEW, dry=dry, often=0.0, beside=_alike(parts.held))
+    return bursts(parts.fit, model, joint, many=many, dry=dry, often=0.0, beside=_alike(parts.held))
 
 
 # --- nothing is named
@@ -257,18 +263,19 @@ def _pushed(out: Decision, parts: Parts, jobs: int) -> Decision | None:
     often = OFTEN if beyond(out.before.value, known) > LAWFUL else 0.0
     held = here = None
     if out.state.share < MOST:
-        dry = dry_torque(parts.held, base, joint)
-        held = bursts(parts.held, base, joint, dry=dry, often=often, beside=_alike(parts.fit))
+        held = _in_held(parts, base, joint, often)
         here = held or _in_fit(parts, base, joint)
     bent = held is None or bool(
         everywhere(held, (parts.fit,), base, joint).intervals
         and not everywhere(held, (parts.choose,), base, joint).intervals
     )
-    if bent and somewhere > (MACHINE if here is None else 0.0):
+    if bent:
         other = _fitted_to(parts.choose, out.base, joint, jobs)
         after = discrepancy(parts.test, other.model, joint)
         if held is None and beyond(after.value, known) < LAWFUL:
-            here = _in_fit(parts, other.model, joint) or here
+            here = _in_fit(parts, other.model, joint, MANY) or here
+        elif here is None:
+            here = _in_held(parts, other.model, joint, often)
         if here is not None and after.value <= out.before.value:
             out = replace(out, final=other, after=after)
     if here is None:

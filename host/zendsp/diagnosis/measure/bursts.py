@@ -40,8 +40,9 @@ STICKS = 3.0
 # Of the mean energy where the joint turns round, and of the time: a torque that has so much in so
 # much of its time elsewhere does not come from turning round.
 LASTING, ELSEWHERE = 0.25, 0.1
-# Intervals among which its energy is spread: in recordings that no model was fitted to, and in the
-# others. There five pushes had 1.4 at most, a strap at the ends of the travel 2.6.
+# Intervals among which its energy is spread: in recordings that no model was fitted to, or where
+# nothing lacks in those; and in the others. There five pushes had 1.4 at most, a strap at the ends
+# of the travel 2.6.
 MANY, FEW = 12, 2
 
 
