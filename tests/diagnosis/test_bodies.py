@@ -12,11 +12,10 @@ import numpy as np
 import pytest
 
 import zendsp
-from zendsp.diagnosis.data.inertia import moved_rotors
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
+from zendsp.diagnosis.decide.absorbed import moved
 from zendsp.diagnosis.search.bodies import BodySearch, find_bodies
-from zendsp.physics.calibration.fit import Fit
 from zendsp.physics.calibration.handles import Handle, set_values
 from zendsp.physics.files.model_file import load_model, parse_model
 from zendsp.physics.model import Model
@@ -287,9 +286,9 @@ def test_the_inertia_of_joints_that_accelerate_together_stays_in_its_range(tmp_p
     assert low < rotor < high
 
 
-@pytest.mark.parametrize("moved, noted", [(0.115, True), (0.105, False)])
+@pytest.mark.parametrize("rotor, noted", [(0.115, True), (0.102, False)])
 def test_a_rotor_that_calibration_moves_by_what_a_link_may_weigh_is_noted(
-    tmp_path: Path, moved: float, noted: bool
+    tmp_path: Path, rotor: float, noted: bool
 ) -> None:
     (tmp_path / "arm.urdf").write_text(urdf(LINKS))
     (tmp_path / "model.toml").write_text(
@@ -298,9 +297,5 @@ def test_a_rotor_that_calibration_moves_by_what_a_link_may_weigh_is_noted(
         '[columns]\ntime = "t"\nposition = "q"\ncommand = "u"\n'
     )
     given = load_model(tmp_path / "model.toml")
-    handle = Handle("term", 0, "amount")
-    model = set_values(given, [handle], np.array([moved]))
-    none = np.zeros(0)
-    fit = Fit(model, (handle,), np.array([moved]), np.array([[1e-6]]), 0.0, (False,), none, none)
-    notes = moved_rotors(given, {2: fit})
-    assert bool(notes) == noted and all("0.115 ± 0.001" in n for n in notes)
+    notes = moved(given, set_values(given, [Handle("term", 0, "amount")], np.array([rotor])))
+    assert bool(notes) == noted and all("0.1 to 0.115" in n and "payload" in n for n in notes)

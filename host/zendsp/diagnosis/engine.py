@@ -15,7 +15,6 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from zendsp.diagnosis.data.checks import check_excitation, check_motion, check_signals
-from zendsp.diagnosis.data.inertia import moved_rotors
 from zendsp.diagnosis.data.prepare import one_sensor, prepare
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.signals import Parts, Signals, with_same_columns
@@ -154,7 +153,8 @@ def _diagnose(
     alone = by_one_sensor(parts, found.bodies.model, decisions)
     seen += (*(d for m in found.measured for d in m.detectable), *alone)
     test = _table(parts.test, given, whole.calibrated, improved)
-    notes += [*said(alone), *_told(found, given, findings)]
+    notes += [*said(alone), *loosely_fitted(found.decisions)]
+    notes += moved(given, found.whole.calibrated)
     if not findings:
         notes += bent(test, noise_floor(parts.test))
     return Diagnosis(
@@ -182,17 +182,6 @@ def _diagnose(
         remaining={j: mismatch(parts.fit, improved, j) for j in joints},
         workings=Workings(found.searches, decisions, whole, parts.fit, parts.test),
     )
-
-
-def _told(found: _Found, given: Model, findings: Sequence[Finding]) -> list[str]:
-    """What calibration did, in words."""
-    named = {f.joint for f in findings}
-    others = {d.joint: d.final.fit for d in found.decisions if d.joint not in named}
-    return [
-        *loosely_fitted(found.decisions),
-        *moved(given, found.whole.calibrated),
-        *moved_rotors(given, others),
-    ]
 
 
 def _left(decision: Decision) -> Left:

@@ -11,12 +11,12 @@ together, the coupling columns take from it; it is also asked without them. The 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.physics.calibration.fit import TOO_FAR, Fit
+from zendsp.physics.calibration.fit import TOO_FAR
 from zendsp.physics.calibration.joint import JointRecord, mechanism_value
 from zendsp.physics.kernel.smooth import moving_mean
 from zendsp.physics.model import TREES, Model, per_joint
@@ -30,7 +30,6 @@ AROUND = 1.12  # the calibration may move by this factor around the estimate
 SLIDING = 0.15  # of the RMS speed
 ENOUGH = 60  # rows, of two windows each
 SURE = 5.0  # t value from which the estimate is used
-MOVED = 0.1  # of a given inertia: what makers state is nearer
 
 OWN = {"rotary": ("inertia",), "linear": ("mass",), "planar2r": ("p1", "p2")}
 
@@ -47,11 +46,16 @@ def inertia_ranges(
     records: Sequence[Sequence[JointRecord]], model: Model
 ) -> dict[str, tuple[float, float]]:
     """Range of each joint's own inertia, kg m² or kg, by ``own_key``: where the recordings
-    determine it, and of a given rotor about what is given.
+    determine it, out to what is given; and of a given rotor about what is given.
     """
     ranges = {}
     for joint in range(1, model.joints + 1):
         own = [rec[joint - 1] for rec in records]
+        key = own_key(model, joint)
+        own_mechanism = key in model.mechanism
+        given = (
+            mechanism_value(model, key, joint) if own_mechanism else added_inertia(model, joint)
+        )
         around = [
             _around(*_estimate(own, model, window, coupled=coupled))
             for coupled in (True, False)
@@ -59,37 +63,12 @@ def inertia_ranges(
         ]
         if around[0]:
             lows, highs = zip(*filter(None, around), strict=True)
-            key = own_key(model, joint)
-            g = model.mechanism[key][0].value if key in model.mechanism else min(lows)
-            ranges[key] = (min(*lows, g), max(*highs, g))
-        elif own_key(model, joint) not in model.mechanism and (
-            given := added_inertia(model, joint)
-        ) > 0:
+            # what is missing may bend it away from what is given
+            ranges[key] = min(*lows, given or lows[0]), max(*highs, given)
+        elif not own_mechanism and given > 0:
             # a rotor, free without bounds, grows until it ignores whatever is missing
-            ranges[own_key(model, joint)] = (given / TOO_FAR, given * TOO_FAR)
+            ranges[key] = given / TOO_FAR, given * TOO_FAR
     return ranges
-
-
-def moved_rotors(given: Model, fits: Mapping[int, Fit]) -> list[str]:
-    """Where calibration moves the inertia that a joint of a tree adds to its bodies': it may be a
-    body's. ``fits``: of each joint (1-based).
-    """
-    notes = []
-    for joint, done in fits.items() if given.kind in TREES else ():
-        old, new = added_inertia(given, joint), added_inertia(done.model, joint)
-        std = sum(
-            float(done.std[i])
-            for i, h in enumerate(done.handles)
-            if h.place == "term" and done.model.terms[h.index].effect == "inertia"
-        )
-        if old > 0 and std and abs(new - old) > max(MOVED * old, SURE * std):
-            unit = "kg" if given.joint_kind(joint) == "linear" else "kg m^2"
-            notes.append(
-                f"joint {joint}: calibrated, its rotor has {new:.3g} ± {std:.1g} {unit} where the"
-                f" model gives {old:.3g}; where only its own acceleration shows it, a link or a"
-                " payload of another mass is the same"
-            )
-    return notes
 
 
 def _around(value: float, t: float) -> tuple[float, float] | None:

@@ -27,6 +27,7 @@ from zendsp.physics.model import TREES, Model, Quantity
 TOLERANCE = 0.045
 FAR = 3.0  # standard deviations
 INSISTS = 100.0  # deviance on the recordings of the fit that the given value costs at least
+ROTOR = "inertia amount"  # what a joint of a tree adds to its bodies
 PAYS, SURELY = 50.0, 3.0  # the same on untouched ones, and in standard deviations over blocks
 
 
@@ -110,6 +111,11 @@ def moved(given: Model, calibrated: Model) -> list[str]:
             text = f"joint {joint}: calibration moves {', '.join(far)}"
             if len(far) == len(ratios) > 2 and np.ptp(ratios) < TOLERANCE:
                 text += f": all alike, as a torque gain of {1.0 / ratios[0]:.3g} would"
+            if given.kind in TREES and any(what.startswith(ROTOR) for what in far):
+                text += (
+                    "; where only its own acceleration shows it, a link or a payload of another"
+                    " mass is the same"
+                )
             out.append(text)
     return out
 
@@ -117,16 +123,13 @@ def moved(given: Model, calibrated: Model) -> list[str]:
 def _numbers(
     given: Model, calibrated: Model, joint: int
 ) -> Iterator[tuple[str, Quantity, Quantity]]:
-    """The numbers of a joint as given and as calibrated, by name; the rotors of a tree have notes
-    of their own.
-    """
+    """The numbers of a joint as given and as calibrated, by name."""
     for key, items in given.mechanism.items():
         index = joint - 1 if len(items) > 1 else 0
         if joint == 1 or len(items) > 1:
             yield key, items[index], calibrated.mechanism[key][index]
-    rotors = {"inertia"} if given.kind in TREES else set()
     for old, new in zip(given.at(joint), calibrated.at(joint), strict=False):
-        for key, q in old.parameters.items() if old.effect not in rotors else ():
+        for key, q in old.parameters.items():
             yield f"{old.effect.replace('_', ' ')} {key}", q, new.parameters.get(key, q)
 
 
