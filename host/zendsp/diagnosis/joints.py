@@ -15,11 +15,11 @@ from zendsp.diagnosis.data.inertia import inertia_ranges
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.across import same_timing
 from zendsp.diagnosis.decide.assemble import Assembled, assemble
-from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.claims import Decision, unclaimed
 from zendsp.diagnosis.decide.decide import decide
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import Scored, calibrate_joint, deviance
-from zendsp.diagnosis.measure.windows import model_error
+from zendsp.diagnosis.measure.windows import model_error, rms, window_error
 from zendsp.diagnosis.search.forward import Searcher
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
 from zendsp.diagnosis.search.rounds import WAIT
@@ -120,10 +120,32 @@ def explain(
     searches, decisions = _search(parts, given, beneath, jobs, tell, done)
     decisions = same_timing(parts, decisions, jobs)
     tell("fitting the improved model")
-    whole = assemble(parts, beneath, decisions, jobs)
+    decisions, whole = _no_worse(parts, beneath, decisions, jobs)
     added = beneath.terms[len(given.terms) :]  # held, so they come out as they went in
     known = tuple(t for t in whole.calibrated.terms if t not in added)
     return searches, decisions, replace(whole, calibrated=whole.calibrated.with_terms(known))
+
+
+def _no_worse(
+    parts: Parts, given: Model, decisions: list[Decision], jobs: int
+) -> tuple[list[Decision], Assembled]:
+    """The machine put together, without the claims of joints whose untouched data it would predict
+    worse with them.
+    """
+    while True:
+        whole = assemble(parts, given, decisions, jobs)
+        worse = {}
+        for d in decisions:
+            if any(c.effect != "unknown" for c in d.claims):
+                before, after = (
+                    rms(window_error(parts.test, m, d.joint))
+                    for m in (whole.calibrated, whole.improved)
+                )
+                worse[d.joint] = after / before
+        joint = max(worse, key=lambda j: worse[j], default=0)
+        if not joint or worse[joint] <= 1.0:
+            return decisions, whole
+        decisions = [unclaimed(d) if d.joint == joint else d for d in decisions]
 
 
 def with_bodies(parts: Parts, model: Model) -> Parts:

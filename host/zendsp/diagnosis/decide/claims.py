@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from zendsp.diagnosis.decide.contract import Verdict
@@ -91,3 +91,17 @@ class Decision:
     known: Known = Known()  # what the given model says that this machine leaves unexplained
     # hypotheses that were tried where nothing is claimed
     lost: tuple[tuple[str, str, float], ...] = ()
+
+
+def unclaimed(decision: Decision) -> Decision:
+    """The decision with its claims as refinements: what they stand for stays unexplained."""
+    return replace(
+        decision,
+        kind="unexplained",
+        claims=(),
+        refinements=(*decision.claims, *decision.refinements),
+        final=decision.base,
+        after=decision.before,
+        bare=decision.before,
+        alone=decision.base,
+    )
