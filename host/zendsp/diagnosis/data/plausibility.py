@@ -249,12 +249,15 @@ def check_driven(where: Sequence[str], records: Sequence[JointRecord], model: Mo
     )
     plain = look(y, u, period, noise)
     body = rigid_body(plain, model)
+    slopes: list[float] = []
     for i, name in enumerate(where):
         if not np.any(u[i]):
             continue
         found = regress(plain, model, i + 1, body)
         if found is None:
             continue
+        if found.r2 > GOOD and abs(found.slope) > SURE_ERRORS * found.error:
+            slopes.append(found.slope)
         if found.slope + ERRORS * found.error < LITTLE and _carried(plain, model, i + 1, body):
             continue
         _sign(name, found)
@@ -278,6 +281,19 @@ def check_driven(where: Sequence[str], records: Sequence[JointRecord], model: Mo
                 f" moves as if by {100 * found.excess:.0f} % more: the column is clipped; record it"
                 " with a wider range"
             )
+    _scaled(where[0].removesuffix(": joint 1"), slopes)
+
+
+def _scaled(name: str, slopes: Sequence[float]) -> None:
+    """Refuse where the inertias of all joints are off by one factor."""
+    low, high = min(slopes, default=1.0), max(slopes, default=1.0)
+    if len(slopes) > 1 and high < RIGHT[1] / RIGHT[0] * low and not LITTLE < low < high < MUCH:
+        factor = math.exp(float(np.mean(np.log(slopes))))
+        raise RecordingError(
+            f"{name}: the inertias of all joints come out as {low:.2g} to {high:.2g} times the"
+            f" model's: divide the actuator's gain by about {factor:.2g} (a gear ratio, a torque"
+            " constant, a unit of the command), or correct the model's masses"
+        )
 
 
 def _sign(name: str, found: Regression) -> None:

@@ -274,7 +274,7 @@ def _pushed(out: Decision, parts: Parts, jobs: int) -> Decision | None:
         after = discrepancy(parts.test, other.model, joint)
         if held is None and beyond(after.value, known) < LAWFUL:
             here = _in_fit(parts, other.model, joint, MANY) or here
-        elif here is None:
+        elif here is None and out.state.share < MOST:
             here = _in_held(parts, other.model, joint, often)
         if here is not None and after.value <= out.before.value:
             out = replace(out, final=other, after=after)
