@@ -40,7 +40,7 @@ class Machine:
     # two more that no library has: swirl * sin(2 q̇), and blend * q * q̇
     swirl: float = 0.0
     blend: float = 0.0
-    push: tuple[float, float, float] = (0.0, 0.0, 0.0)  # N m, from s, to s
+    push: tuple[float, ...] = (0.0,)  # N m, from s, to s, from s, to s, …
     gap: float = 0.0  # rad, behind which `load` of the inertia hangs on a contact of 120 N m/rad
     load: float = 0.0
     unrest: float = 0.0  # N m RMS: a random torque below 2 Hz, another one in every run
@@ -132,7 +132,8 @@ def simulate(
                 torque = drive
             torque = max(-m.supply - m.back * v, min(m.supply - m.back * v, torque))
             torque = max(-m.weak, min(m.weak, torque)) + unrest
-            torque += m.push[0] if m.push[1] <= k * T < m.push[2] else 0.0
+            spans = zip(m.push[1::2], m.push[2::2], strict=True)
+            torque += m.push[0] * any(a <= k * T < b for a, b in spans)
             level = m.coulomb + m.uneven * math.sin(7 * q) + (
                 (m.breakaway - m.coulomb) * math.exp(-(abs(v / m.stribeck) ** m.tail))
                 if m.breakaway

@@ -221,6 +221,27 @@ def test_a_push_in_the_recording_of_the_fit_alone_is_told_though_it_bends_the_ca
     assert there == pytest.approx(5.0, abs=1.2)
 
 
+def test_several_pushes_in_the_recording_of_the_fit_alone_are_told(tmp_path: Path) -> None:
+    pushed = reality.Machine(push=(0.03, 1.5, 2.2, 4.0, 4.6, 6.5, 7.3))
+    (found,) = decided(tmp_path, pushed, reality.Machine()).findings
+    assert found.effect == "disturbance"
+    spans = np.array(found.numbers["intervals"])
+    assert spans == pytest.approx(np.array([[1.5, 2.2], [4.0, 4.6], [6.5, 7.3]]), abs=0.2)
+
+
+@pytest.mark.parametrize("size", [0.06, 0.15])
+def test_a_push_through_most_of_what_is_judged_on_leaves_nothing_beside_it(
+    size: float, tmp_path: Path
+) -> None:
+    d = decided(
+        tmp_path,
+        reality.Machine(push=(size, 3.0, 6.0)),
+        reality.Machine(push=(size, 6.0, 9.5 if size > 0.1 else 10.8)),
+    )
+    assert [f.effect for f in d.findings] == ["disturbance"]
+    assert d.unexplained == ""
+
+
 @pytest.mark.parametrize("held", [False, True])
 def test_a_push_while_the_joint_turns_round_is_told_with_its_recording(
     tmp_path: Path, held: bool

@@ -133,8 +133,8 @@ def _diagnose(
         return diagnose_simulator(
             _sources(recordings), given, _sources(heldout), seed=seed, jobs=jobs, progress=tell
         )
-    fit_signals, parts, notes = _ready(recordings, heldout, given, tell)
-    found = _found(fit_signals, parts, given, jobs, tell)
+    signals, parts, notes = _ready(recordings, heldout, given, tell)
+    found = _found(signals, parts, given, jobs, tell)
     parts, decisions, whole = found.parts, found.decisions, found.whole
     notes += [note for m in found.measured for note in m.notes]
     findings, refinements, rejected = _name(found, given)
@@ -147,7 +147,7 @@ def _diagnose(
     lacking = {j: mismatch(parts.fit, whole.calibrated, j) for j in joints}
     places, times = _where({j: lacking[j] for j in _lacking(found, findings, joints)})
     tell("proposing the next recording")
-    proposal = propose(fit_signals, given, found.searches, findings, decisions, seed)
+    proposal = propose(signals[0], given, found.searches, findings, decisions, seed)
     tell("asking what could have been seen")
     seen = detectable(parts, given, decisions, jobs)
     alone = by_one_sensor(parts, found.bodies.model, decisions)
@@ -195,8 +195,10 @@ def _ready(
     heldout: Source | Sequence[Source] | None,
     given: Model,
     tell: Progress,
-) -> tuple[list[Signals], Parts, list[str]]:
-    """The signals to fit to, all recordings ready for the kernel, and what is wrong with them."""
+) -> tuple[tuple[list[Signals], ...], Parts, list[str]]:
+    """The signals to fit to, to choose by and to test on; all of them ready for the kernel, and
+    what is wrong with them.
+    """
     tell("reading the recordings")
     fit_signals, choose_signals, test_signals, notes = _read(recordings, heldout, given)
     tell("smoothing the motion")
@@ -210,7 +212,7 @@ def _ready(
     everything = Data((*fit.records, *choose.records, *test.records), fit.bandwidth)
     notes += check_motion(everything, given, names)
     notes += check_excitation(fit)
-    return fit_signals, parts, notes
+    return (fit_signals, choose_signals, test_signals), parts, notes
 
 
 @dataclass(frozen=True)
@@ -283,17 +285,19 @@ def _find(parts: Parts, given: Model, jobs: int, tell: Progress) -> _Found:
 
 
 def _found(
-    signals: Sequence[Signals], parts: Parts, given: Model, jobs: int, tell: Progress
+    signals: Sequence[Sequence[Signals]], parts: Parts, given: Model, jobs: int, tell: Progress
 ) -> _Found:
-    """What is found; where something pushes in the recordings of the fit (``signals``), in the rest
-    of them.
+    """What is found; where something pushes, in the rest of the recordings (``signals``: to fit to,
+    to choose by, to test on).
     """
     found = _find(parts, given, jobs, tell)
-    quiet = cut_out(signals, _pushes(found.decisions))
-    if not quiet:
+    pushes = _pushes(found.decisions)
+    fit, choose, test = (cut_out(part, pushes) for part in signals)
+    if not pushes or not fit or not (choose or test):
         return found
     tell("once more, without what was pushed")
-    rest = replace(parts, fit=prepare(one_sensor(quiet), given, 64.0))
+    data = [prepare(one_sensor(left), given, 64.0) for left in (fit, choose or test, test or choose)]
+    rest = Parts(data[0], data[1], data[2] if choose and test else data[1])
     return _beside_pushes(found, _find(rest, given, jobs, tell))
 
 

@@ -69,8 +69,8 @@ def halves(held: Sequence[Signals]) -> tuple[list[Signals], list[Signals], list[
 
 
 def cut_out(signals: Sequence[Signals], spans: Sequence[tuple[str, float, float]]) -> list[Signals]:
-    """The recordings without some times of them (name, begin and end in s); empty where none of
-    these lies in one, or too little would be left.
+    """The recordings without some times of them (name, begin and end in s); empty where too little
+    is left.
     """
     out: list[Signals] = []
     for s in signals:
@@ -85,7 +85,7 @@ def cut_out(signals: Sequence[Signals], spans: Sequence[tuple[str, float, float]
             continue
         out += [s.part(a, b, f"{s.name} (quiet)") for a, b in pieces if b - a >= MIN_SAMPLES]
     rows, left = (sum(len(s.time) for s in part) for part in (signals, out))
-    return out if LEFT * rows <= left < rows else []
+    return out if left >= LEFT * rows else []
 
 
 def _way(s: Signals) -> Array:
