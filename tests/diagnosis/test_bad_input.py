@@ -14,7 +14,9 @@ from click.testing import CliRunner
 
 from zendsp.cli.model import check
 from zendsp.diagnosis.data.checks import check_signals
+from zendsp.diagnosis.data.plausibility import scaled
 from zendsp.diagnosis.data.reading import read_signals
+from zendsp.errors import RecordingError
 from zendsp.physics.files.model_file import load_model
 
 RATE = 500.0
@@ -292,3 +294,13 @@ def test_scheduler_without_each_is_refused(
 ) -> None:
     words = (tmp_path / "a.csv", "--model", model, "--scheduler", "tcp://127.0.0.1:1")
     assert "--each" in refuse(*words)
+
+
+@pytest.mark.parametrize("gain, factor", [(10.0, "10"), (0.05, "0.05")])
+def test_a_gain_that_is_wrong_by_one_factor_at_all_joints_is_refused(
+    gain: float, factor: str
+) -> None:
+    with pytest.raises(RecordingError, match=f"divide the actuator's gain by about {factor}"):
+        scaled("run.csv", [gain, 1.02 * gain, gain])
+    scaled("run.csv", [gain])  # of one joint its load may be
+    scaled("run.csv", [1.0, gain])  # one of two

@@ -7,6 +7,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ import zendsp
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.decide.absorbed import moved
+from zendsp.diagnosis.decide.decide_bodies import beside_bodies
 from zendsp.diagnosis.search.bodies import BodySearch, find_bodies
 from zendsp.physics.calibration.handles import Handle, set_values
 from zendsp.physics.files.model_file import load_model, parse_model
@@ -299,3 +302,10 @@ def test_a_rotor_that_calibration_moves_by_what_a_link_may_weigh_is_noted(
     given = load_model(tmp_path / "model.toml")
     notes = moved(given, set_values(given, [Handle("term", 0, "amount")], np.array([rotor])))
     assert bool(notes) == noted and all("0.1 to 0.115" in n and "payload" in n for n in notes)
+
+
+def test_a_mechanism_without_a_law_stands_beside_a_body() -> None:
+    claim = SimpleNamespace(effect="unknown", mechanism="actuator", size=0.001)
+    decision: Any = SimpleNamespace(joint=1, claims=(claim,), refinements=(), kind="missing")
+    body: Any = SimpleNamespace(sizes={1: 0.9})
+    assert beside_bodies([body], [decision]) == [decision]

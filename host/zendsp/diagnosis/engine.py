@@ -296,7 +296,8 @@ def _found(
     if not pushes or not fit or not (choose or test):
         return found
     tell("once more, without what was pushed")
-    data = [prepare(one_sensor(left), given, 64.0) for left in (fit, choose or test, test or choose)]
+    left = (fit, choose or test, test or choose)
+    data = [prepare(one_sensor(part), given, 64.0) for part in left]
     rest = Parts(data[0], data[1], data[2] if choose and test else data[1])
     return _beside_pushes(found, _find(rest, given, jobs, tell))
 

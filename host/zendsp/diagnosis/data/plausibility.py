@@ -281,14 +281,15 @@ def check_driven(where: Sequence[str], records: Sequence[JointRecord], model: Mo
                 f" moves as if by {100 * found.excess:.0f} % more: the column is clipped; record it"
                 " with a wider range"
             )
-    _scaled(where[0].removesuffix(": joint 1"), slopes)
+    scaled(where[0].removesuffix(": joint 1"), slopes)
 
 
-def _scaled(name: str, slopes: Sequence[float]) -> None:
+def scaled(name: str, slopes: Sequence[float]) -> None:
     """Refuse where the inertias of all joints are off by one factor."""
     low, high = min(slopes, default=1.0), max(slopes, default=1.0)
-    if len(slopes) > 1 and high < RIGHT[1] / RIGHT[0] * low and not LITTLE < low < high < MUCH:
-        factor = math.exp(float(np.mean(np.log(slopes))))
+    alike = len(slopes) > 1 and 0.0 < high < RIGHT[1] / RIGHT[0] * low
+    if alike and (low > MUCH or high < LITTLE):
+        factor = math.exp(math.fsum(map(math.log, slopes)) / len(slopes))
         raise RecordingError(
             f"{name}: the inertias of all joints come out as {low:.2g} to {high:.2g} times the"
             f" model's: divide the actuator's gain by about {factor:.2g} (a gear ratio, a torque"

@@ -152,7 +152,10 @@ def beside_bodies(claims: Sequence[BodyClaim], decisions: Sequence[Decision]) ->
             c
             for c in decision.claims
             if c.size < least
-            and (c.mechanism == "position_torque" or get_effect(c.term.effect).constant)
+            and (
+                c.mechanism == "position_torque"
+                or (c.effect != "unknown" and get_effect(c.effect).constant)
+            )
         ]
         keep = tuple(c for c in decision.claims if not any(c is w for w in weight))
         if weight:
