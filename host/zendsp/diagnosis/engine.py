@@ -59,7 +59,8 @@ from zendsp.diagnosis.transmission.torque_sensor import sided
 from zendsp.errors import RecordingError
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.files.model_file import load_model, parse_model
-from zendsp.physics.model import CALLED, Model
+from zendsp.physics.model import CALLED, TREES, Model
+from zendsp.physics.robots.robot import robot_path
 from zendsp.physics.term_numbers import file_model, kernel_model
 from zendsp.recording import Recording, Table
 
@@ -133,6 +134,8 @@ def _diagnose(
         return diagnose_simulator(
             _sources(recordings), given, _sources(heldout), seed=seed, jobs=jobs, progress=tell
         )
+    if given.kind in TREES:
+        robot_path(given)  # refuses a file that is not there
     signals, parts, notes = _ready(recordings, heldout, given, tell)
     found = _found(signals, parts, given, jobs, tell)
     parts, decisions, whole = found.parts, found.decisions, found.whole
@@ -359,6 +362,7 @@ def _read(
     if not signals:
         raise RecordingError("no recording given")
     held = [read_signals(source, model) for source in _sources(heldout)]
+    _refuse_twice(signals, held)
     notes = check_signals([*signals, *held], model)
     signals, held = with_same_columns(signals, held)
     if not held:
@@ -366,6 +370,20 @@ def _read(
         notes += how
     choose, test, how = halves(held)
     return signals, choose, test, [*notes, *how]
+
+
+def _refuse_twice(fitted: Sequence[Signals], held: Sequence[Signals]) -> None:
+    """What models are fitted to is untouched no more."""
+    for h in held:
+        for s in fitted:
+            if len(s.time) == len(h.time) and all(
+                np.array_equal(a, b)
+                for a, b in ((s.position, h.position), (s.command, h.command))
+            ):
+                raise RecordingError(
+                    f"{h.name}: held out, and the same as {s.name}, which the model is fitted to:"
+                    " hold out another recording, or none (a third of each is held out then)"
+                )
 
 
 def _lacking(found: _Found, findings: Sequence[Finding], joints: Sequence[int]) -> set[int]:
@@ -383,6 +401,11 @@ def _where(lacking: dict[int, Any]) -> tuple[Any, Any]:
             places += regions(part, joint)[:2]
             times += intervals(part)
     places.sort(key=lambda r: r.time_share - r.share)
+    # of several recordings the one that shows it best
+    seen: dict[tuple[int, str], Any] = {}
+    for place in places:
+        seen.setdefault((place.joint, place.variable), place)
+    places = list(seen.values())
     times.sort(key=lambda s: -s[2])
     return tuple(places[:6]), tuple((a, b) for a, b, _ in times[:6])
 

@@ -23,6 +23,11 @@ MIN_COUNTS = 8
 
 # What refuses a recording: tests/diagnosis/test_bad_input.py has recordings on either side.
 STILL = 1e-9  # of the largest position: a span below is a constant
+PARKED = {  # a joint that stood still while others moved, by the kind of the model
+    "urdf": "make it type=\"fixed\" in a copy of the URDF (its angle in <origin rpy>) and leave its"
+    " columns out, to diagnose the others",
+    "mjcf": "name the others in [mechanism] joints and leave its columns out, to diagnose them",
+}
 NOISE_SPANS = 15  # standard deviations: 20 000 samples of white noise span 8
 FOLLOWED = 0.8  # R^2 of position on reference from which the slope says unit and sign
 MOSTLY = 0.5  # of the samples
@@ -69,7 +74,7 @@ def check_signals(signals: Sequence[Signals], model: Model) -> list[str]:
         for j in range(joints):
             where = f"{s.name}: joint {j + 1}" if joints > 1 else s.name
             y = raw.position[:, j]
-            _moves(where, y, float(raw.resolution[j]))
+            _moves(where, y, float(raw.resolution[j]), PARKED.get(model.kind, ""))
             _glued(where, y, raw)
             _clipped(where, y, float(raw.resolution[j]), raw.sample_time)
             if raw.reference is not None:
@@ -78,12 +83,11 @@ def check_signals(signals: Sequence[Signals], model: Model) -> list[str]:
     return notes
 
 
-def _moves(where: str, y: Array, resolution: float) -> None:
+def _moves(where: str, y: Array, resolution: float, parked: str = "") -> None:
     span = float(np.ptp(y))
     if span <= STILL * max(STILL, float(np.max(np.abs(y)))):
-        raise RecordingError(
-            f"{where}: the position is constant; nothing moved, so nothing can be diagnosed"
-        )
+        rest = parked or "where nothing moved nothing can be diagnosed"
+        raise RecordingError(f"{where}: the position is constant, {y[0]:.4g}: {rest}")
     if resolution > 0 and span < MIN_COUNTS * resolution:
         raise RecordingError(
             f"{where}: the position spans {span / resolution:.0f} counts of the sensor; a diagnosis"
@@ -168,8 +172,9 @@ def _glued(where: str, y: Array, s: Signals) -> None:
         and jump > JUMP_SPAN * float(np.ptp(y))
     ):
         raise RecordingError(
-            f"{where}: the position jumps by {jump:.4g} between two samples at t = {s.time[k]:.4g}"
-            " s: are two runs glued together, or were samples dropped? Give them as two files"
+            f"{where}: the position jumps by {jump:.4g} after row {k + 1},"
+            f" {s.time[k] - s.time[0]:.4g} s from the beginning: are two runs glued together, or"
+            " were samples dropped? Give them as two files"
         )
 
 
