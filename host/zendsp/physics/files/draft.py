@@ -159,10 +159,15 @@ def _sample_time(page: _Page, clock: Group | None, file: str) -> float:
     jitter = float(np.max(np.abs(steps[steps < 1.5 * step] - step))) / step
     gaps = f", {missing} row{'s' if missing > 1 else ''} missing" if missing else ""
     if shown > 0.1:
+        sizes = (1e5, "ns", 1e-9), (100.0, "us", 1e-6), (0.0, "ms", 1e-3)
+        unit, factor = next((u, f) for least, u, f in sizes if shown > least)
+        clock_name = clock.names[0]
         page.line(
-            f"sample_time = {shown:g}", "s",
-            ask="is that column in seconds? Its steps are long; write its unit: 't [ms]'",
+            f"sample_time = {shown * factor:g}", f"s: if {clock_name} is in {unit}",
+            ask=f"is that column in {unit}? Its steps are {shown:g}; write its unit:"
+            f" '{clock_name} [{unit}]'",
         )
+        shown *= factor
     else:
         page.line(
             f"sample_time = {shown:g}",
@@ -277,7 +282,8 @@ def _numbers(
         )
     elif not linear:
         page.line(
-            comment="gravity = { value = 0.1 }: N m, times sin(q), q = 0 hanging down; none is seen"
+            comment="gravity = { value = 0.1 }: N m, times sin(q), q = 0 hanging down;"
+            " none of this form is seen"
         )
 
 
