@@ -39,6 +39,7 @@ class Variables(Part):
     def __init__(self, requests: Requests) -> None:
         super().__init__(requests)
         self._staged: dict[str, Assignable] = {}
+        self._written = 0  # number of a write that no reading has seen yet
 
     def __repr__(self) -> str:
         return (
@@ -52,7 +53,8 @@ class Variables(Part):
         Warns
         -----
         EndedWarning
-            The program crashed, tripped or was stopped: the value is that of its last sample.
+            The program crashed, tripped or was stopped: the value, which the program computes, is
+            that of its last sample.
 
         Raises
         ------
@@ -60,9 +62,15 @@ class Variables(Part):
             No such variable.
         """
         reading = self.read([name])
-        if reading.ended:
-            warnings.warn(f"{name} is old: {reading.ended}", EndedWarning, stacklevel=2)
+        if reading.ended and not self._is_set(name):
+            said = f"{name} is that of the program's last sample: {reading.ended}"
+            warnings.warn(said, EndedWarning, stacklevel=2)
         return reading.values[name]
+
+    def _is_set(self, name: str) -> bool:
+        """Whether a host sets this variable, so that it is never old."""
+        info = self().get(name.partition("[")[0])
+        return info is not None and info.kind != "signal"
 
     def __setitem__(self, name: str, value: Assignable) -> None:
         """Write one variable: it takes effect at the start of the next sample.
@@ -75,7 +83,8 @@ class Variables(Part):
         self.write(**{name: value})
 
     def read(self, names: Sequence[str]) -> Reading:
-        """Read several variables, all from one sample.
+        """Read several variables, all from one sample, in which all acts that was written here
+        before.
 
         Parameters
         ----------
@@ -89,17 +98,24 @@ class Variables(Part):
         """
         if isinstance(names, str):
             names = [names]
-        found: m.Reading = self.link.request("read", {"names": list(names)})
+        asked: dict[str, Any] = {"names": list(names)}
+        written = self._written
+        if written:
+            asked["after"] = written
+        found: m.Reading = self.link.request("read", asked)
+        if written == self._written:
+            self._written = 0
         if _FLOATS.issuperset(map(type, found.values.values())):
             return Reading(found.tick, cast("dict[str, Value]", found.values), found.ended)
         values = {name: from_wire(value) for name, value in found.values.items()}
         return Reading(found.tick, values, found.ended)
 
     def write(self, /, **values: Assignable) -> int:
-        """Write variables asynchronously; the reply does not wait for the sample. Returns the
-        sequence number.
+        """Write variables asynchronously; the reply does not wait for the sample, the next `read`
+        does. Returns the sequence number.
         """
         written: m.Written = self.link.request("write", {"values": _wire(values)})
+        self._written = written.sequence
         return written.sequence
 
     def stage(self, /, **values: Assignable) -> dict[str, Assignable]:
