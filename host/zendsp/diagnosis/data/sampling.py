@@ -99,8 +99,8 @@ def clock(
     if float(np.max(step)) > max(GAP * period, SLOWEST_CLOCK):
         k = int(np.argmax(step))
         raise RecordingError(
-            f"{name}: a gap of {step[k]:.3g} s at t = {time[k]:.4g} s: are two runs glued together?"
-            " Give them as two files"
+            f"{name}: a gap of {step[k]:.3g} s after row {k + 1}, {time[k] - time[0]:.4g} s from"
+            " its begin: are two runs glued together? Give them as two files"
         )
     spread = float(np.std(step)) / period
     notes.append(

@@ -142,10 +142,15 @@ def _findings_table(findings: Sequence[Finding]) -> str:
         numbers = "<br>".join(f"{escape(n)} = {escape(number(e))}" for n, e in f.parameters.items())
         rows.append(
             f"<tr><td>{escape(WORDS.get(f.mechanism, f.mechanism))}<td>{escape(f.effect)}<td>{f.joint}<td>{numbers}<td"  # noqa: E501
-            f" class=n>{100 * f.share:.0f} %<td class=n>{100 * f.confidence:.0f} %"
+            f" class=n>{_percent(f.share)}<td class=n>{100 * f.confidence:.0f} %"
             f"<td>{escape(', '.join(f.indistinguishable)) or '—'}<td>{escape(', '.join(f.replaces)) or '—'}"  # noqa: E501
         )
     return f"<table>{''.join(rows)}</table>"
+
+
+def _percent(share: float) -> str:
+    """A small share is not none."""
+    return f"{100 * share:.0f} %" if not 0.0 < share < 0.005 else "&lt; 0.5 %"
 
 
 def _where(d: Diagnosis) -> str:

@@ -84,7 +84,7 @@ def summary(d: Diagnosis) -> str:
     if d.findings or d.unexplained:
         lines.append("")
     lines.append(
-        f"{f'RMS position error over 0.25 s, {d.unit}':<36}given     calibrated  improved  noise"
+        f"{f'RMS position error over 0.25 s, {d.unit}':<38}given     calibrated  improved  noise"
         " floor"
     )
     for name, table in (
@@ -92,7 +92,7 @@ def summary(d: Diagnosis) -> str:
         ("  untouched recordings", d.test or d.heldout),
     ):
         lines.append(
-            f"{name:<36}{table.given:<10.3g}{table.calibrated:<12.3g}{table.improved:<10.3g}"
+            f"{name:<38}{table.given:<10.3g}{table.calibrated:<12.3g}{table.improved:<10.3g}"
             f"{d.noise_floor:.3g}"
         )
     for r in d.regions[:2]:

@@ -156,18 +156,19 @@ def _sample_time(page: _Page, clock: Group | None, file: str) -> float:
     shown, even = float(f"{step:.6g}"), float(f"{step:.3g}")
     shown = even if abs(even / step - 1) < 1e-3 else shown
     missing = int(np.sum(np.round(steps / step) - 1, where=steps > 1.5 * step, initial=0.0))
-    jitter = float(np.max(np.abs(steps[steps < 1.5 * step] - step))) / step
+    jitter = float(np.std(steps)) / step  # as `zendsp model check` says of the same recording
     gaps = f", {missing} row{'s' if missing > 1 else ''} missing" if missing else ""
     if shown > 0.1:
         page.line(
             f"sample_time = {shown:g}", "s",
-            ask="is that column in seconds? Its steps are long; write its unit: 't [ms]'",
+            ask="is that column in seconds? Its steps are long; write its unit into the recording:"
+            f" '{clock.names[0]} [{'ms' if shown < 1e3 else 'us' if shown < 1e5 else 'ns'}]'",
         )
     else:
         page.line(
             f"sample_time = {shown:g}",
             f"s: median of {clock.names[0]}"
-            + (f", jitter up to {jitter:.0%}" if jitter > 0.02 else "")
+            + (f", jitter by {100 * jitter:.1f} %" if jitter > 0.02 else "")
             + gaps,
         )
     return shown
@@ -277,7 +278,8 @@ def _numbers(
         )
     elif not linear:
         page.line(
-            comment="gravity = { value = 0.1 }: N m, times sin(q), q = 0 hanging down; none is seen"
+            comment="gravity = { value = 0.1 }: N m, times sin(q), q = 0 hanging down; none of that"
+            " form is seen"
         )
 
 
