@@ -156,7 +156,7 @@ def _sample_time(page: _Page, clock: Group | None, file: str) -> float:
     shown, even = float(f"{step:.6g}"), float(f"{step:.3g}")
     shown = even if abs(even / step - 1) < 1e-3 else shown
     missing = int(np.sum(np.round(steps / step) - 1, where=steps > 1.5 * step, initial=0.0))
-    jitter = float(np.std(steps)) / step  # as `zendsp model check` says of the same recording
+    jitter = float(np.std(steps[steps < 1.5 * step])) / step  # as `model check` says of it
     gaps = f", {missing} row{'s' if missing > 1 else ''} missing" if missing else ""
     if shown > 0.1:
         page.line(
