@@ -40,6 +40,7 @@ class Start(Arguments, frozen=True, kw_only=True):
 
 class Read(Arguments, frozen=True, kw_only=True):
     names: list[str]
+    after: int = 0  # number of an update whose values are to be seen
 
 
 class Write(Arguments, frozen=True, kw_only=True):

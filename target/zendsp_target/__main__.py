@@ -113,10 +113,12 @@ def parser() -> argparse.ArgumentParser:
         help="do not ask for SCHED_RR, locked memory and a CPU",
     )
     p.add_argument("--priority", type=int, default=80, help="of SCHED_RR (default: 80)")
-    p.add_argument("--cpu", type=int, default=-1, help="CPU of the loop (default: the last)")
     p.add_argument(
-        "--spin", type=float, default=60.0, metavar="US",
-        help="waited awake before each sample, in µs",
+        "--cpu", type=int, default=-1, help="CPU of the loop (default: the last without another)"
+    )
+    p.add_argument(
+        "--spin", type=float, default=-1.0, metavar="US",
+        help="waited awake before each sample, in µs (default: 60; 0 on a CPU that is shared)",
     )
     p.add_argument(
         "--memory", type=float, default=1000.0, metavar="MB",

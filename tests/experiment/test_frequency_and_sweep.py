@@ -13,7 +13,7 @@ from waiting import PATIENCE_S, until
 import zendsp
 from zendsp.errors import AcquisitionError, RecordingError, Refused, VariableError
 from zendsp.experiment.frequency import FrequencyResponse, choose_lines, estimate, make_period
-from zendsp.experiment.sweep import Sweep, tried_of, values_of
+from zendsp.experiment.sweep import Sweep, announced, tried_of, values_of
 from zendsp.link import Target, local
 
 RATE = 1000.0
@@ -68,6 +68,12 @@ def test_values_as_typed() -> None:
     for text in ("", "1:2", "a", "1:2:0", "1:2:x"):
         with pytest.raises(VariableError, match="FIRST:LAST:COUNT"):
             values_of(text)
+    with pytest.raises(VariableError, match="one value 2500 times"):
+        values_of("500:500:2500")  # as MATLAB would count: from, step, to
+    tried = tried_of(["Kp1=500:2500:5", "Kd1=60,120"])
+    assert announced(tried, 2.0, 0.5, False) == (
+        "sweep of 10 runs, 30 s at the least: Kp1 = 500 … 2500, Kd1 = 60 … 120"
+    )
     assert tried_of(["Kp1=1,2", "Kd1=3"]) == {"Kp1": [1.0, 2.0], "Kd1": [3.0]}
     with pytest.raises(VariableError, match="NAME=VALUES"):
         tried_of(["Kp1"])

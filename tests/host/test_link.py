@@ -4,27 +4,39 @@ from __future__ import annotations
 
 import gc
 import threading
+import warnings
 import weakref
 
 import numpy as np
 import pytest
 from waiting import PATIENCE_S, until
 
-from zendsp.errors import AcquisitionError, Refused, VariableError
+from zendsp.errors import AcquisitionError, EndedWarning, Refused, VariableError
 from zendsp.link import ParameterSet, Target, connect
 from zendsp_protocol.messages import CompileResult, JointInfo, MachineInfo
 from zendsp_target.runtime import Runtime
 
 
-def test_what_was_written_is_what_is_read(running: Target) -> None:
-    for k in range(100):
-        running["Kp1"] = 300.0 + k
-        assert running["Kp1"] == 300.0 + k
-    running["on"] = np.bool_(True)
-    running["Kp1"] = 400.0
-    assert running.read(["on", "Kp1"]).values == {"on": True, "Kp1": 400.0}
+def test_write_and_read_asynchronously(running: Target) -> None:
+    for value in range(400, 450):  # what is read shows what was written, at once
+        running["Kp1"] = value
+        running["on"] = np.bool_(value % 2)
+        assert (running["Kp1"], running["on"]) == (value, bool(value % 2))
     reading = running.read(["q", "q[1]", "Kp1"])
     assert reading["q"][1] == reading["q[1]"] == -reading["q"][0]
+
+
+def test_what_was_written_is_read_after_a_trip_and_is_not_called_old(running: Target) -> None:
+    running.stop()
+    running.acknowledge()
+    running.start()
+    running.stop()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        running["Kp1"] = 321.0
+        assert running["Kp1"] == 321.0
+    with pytest.warns(EndedWarning, match=r"^q\[0\] is that of the program's last sample: .*STOP"):
+        running["q[0]"]
 
 
 def test_update_applies_everything_staged_in_one_sample_and_says_which(running: Target) -> None:

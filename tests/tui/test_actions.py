@@ -78,7 +78,20 @@ async def test_footer_help_and_palette_come_from_the_table(app: ZendspApp, scree
         assert all(a.help in text for a in ACTIONS if a.scope in ("app", screen))
         commands = [c.title for c in app.get_system_commands(app.screen)]
         wanted = [a for a in ACTIONS if a.scope in ("app", screen) and a.name != "command_palette"]
-        assert commands == [f"{a.label} ({a.shown_key})" for a in wanted]
+        assert commands[: len(wanted)] == [f"{a.label} ({a.shown_key})" for a in wanted]
+        assert len(commands) == len(ACTIONS) - 1  # those of the other screens stand below
+
+
+async def test_the_palette_does_what_belongs_to_another_screen_there(app: ZendspApp) -> None:
+    async with app.run_test(size=(160, 48)) as pilot:
+        await app.action_show("console")
+        await pilot.pause()
+        found = [c for c in app.get_system_commands(app.screen) if "on Execute" in c.title]
+        chosen = next(c for c in found if c.title.startswith("Reference on Execute"))
+        chosen.callback()
+        await pilot.pause()
+        screens = [s.NAME for s in app.screen_stack if isinstance(s, LabScreen)]
+        assert screens == ["execute"]
 
 
 async def test_on_a_small_terminal_the_help_keeps_its_columns(app: ZendspApp) -> None:

@@ -232,15 +232,25 @@ async def test_the_clock_goes_on_under_a_dialog(served: Served) -> None:
 
 
 BROWSER = """
-const bar = {}, ears = {};
-let now = 0, tick;
+const bar = {}, ears = {}, ticks = [], keys = { focus: () => { document.activeElement = keys; } };
+let now = 0;
 Date.now = () => now;
 globalThis.window = globalThis;
-globalThis.document = { querySelector: () => bar };
-globalThis.setInterval = (f) => { tick = f; };
+const elements = { ".silence": bar, ".xterm-helper-textarea": null };
+globalThis.document = { querySelector: (name) => elements[name], body: {}, activeElement: null };
+document.activeElement = document.body;
+globalThis.setInterval = (f) => { ticks.push(f); };
+const tick = () => { for (const f of ticks) f(); };
 globalThis.WebSocket = class { addEventListener(what, f) { ears[what] = f; } };
 SCRIPT
 new WebSocket("ws://");
+tick(); // before the first picture
+elements[".xterm-helper-textarea"] = keys;
+tick();
+console.log(document.activeElement === keys ? "keys reach the terminal" : "keys go nowhere");
+document.activeElement = bar;
+tick();
+console.log(document.activeElement === bar ? "what was chosen stays" : "it was taken away");
 const look = (s) => { now = 1000 * s; tick(); console.log(bar.hidden ? "" : bar.textContent); };
 look(3); look(5); ears.message(); look(6); look(20); ears.close(); look(21);
 """
@@ -256,7 +266,8 @@ def test_a_page_that_hears_nothing_says_so() -> None:
         text=True,
         check=True,
     ).stdout.splitlines()
-    silent = [re.findall(r"No word from zendsp for (\d+) s", line) for line in said]
+    assert said[:2] == ["keys reach the terminal", "what was chosen stays"]
+    silent = [re.findall(r"No word from zendsp for (\d+) s", line) for line in said[2:]]
     assert silent == [[], ["5"], [], ["15"], []], "not after the end: that has words of its own"
 
 

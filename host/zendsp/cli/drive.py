@@ -16,7 +16,7 @@ ACTIONS = (
 
 
 @click.command("drive")
-@click.argument("action", type=click.Choice(ACTIONS), default="status")
+@click.argument("action", type=click.Choice(ACTIONS), default="status", metavar="[ACTION]")
 @click.argument("policy", type=click.Choice(["stop", "hold", "finish"]), required=False)
 @click.option(
     "--mode", type=click.Choice(["torque", "velocity"]), default="torque", show_default=True,
@@ -35,6 +35,9 @@ def command(
 ) -> None:
     """Power, home and enable the drives, acknowledge a trip, or say what happens if the commanding
     host is lost.
+
+    ACTION is status, on, off, home, enable, disable, acknowledge, auto, take or host-lost (which
+    takes stop, hold or finish).
 
     off → ready → homed → enabled → running → stopped or tripped. Without ACTION: where the drives
     are, and what enabling still needs. A command that ends gives the right to command back; "take

@@ -60,7 +60,7 @@ def realities(words: str) -> tuple[str, ...]:
 
 
 @click.command("prove")
-@click.option("--quick", is_flag=True, help="Some forty cases instead of a thousand.")
+@click.option("--quick", is_flag=True, help="36 cases instead of some 1500.")
 @click.option(
     "--reality",
     default="",
@@ -118,7 +118,8 @@ def realities(words: str) -> tuple[str, ...]:
     help="Seconds a diagnosis may take.",
 )
 @click.option(
-    "--real", is_flag=True, help="Real machines instead: EMPS, a pendulum, a Stäubli TX40."
+    "--real", is_flag=True,
+    help="Real machines instead: EMPS, a pendulum, a Stäubli TX40, a KUKA KR300.",
 )
 @click.option("--implant", is_flag=True, help="Known forces added to a real recording instead.")
 @click.option("--only", default="", help="With --real: one machine.")

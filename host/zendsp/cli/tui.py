@@ -85,7 +85,7 @@ def command(
     port: int,
     screenshots: Path | None,
 ) -> None:
-    """Tune, drive, watch and diagnose a machine: IMIConsole, IMIExecute, IMIReference and the
+    """Tune, drive, watch and diagnose a machine: Console, Execute, Reference and Diagnose,
     diagnosis in the terminal.
 
     TARGET is the name of a running target; without it, Ctrl+O chooses one. F9 is STOP, everywhere.

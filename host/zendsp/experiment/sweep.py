@@ -277,6 +277,26 @@ def _runs(
     return runs
 
 
+def announced(
+    values: Mapping[str, Sequence[Assignable]], seconds: float, settle: float, together: bool
+) -> str:
+    """Say how many runs a sweep of these takes, and how long at the least.
+
+    Raises
+    ------
+    AcquisitionError
+        Nothing to try, or too many runs.
+    """
+    runs = len(_runs(values, together))
+    least = (runs + (AGAIN if runs > 1 else 0)) * (settle + seconds)
+    tried = ", ".join(
+        f"{name} = {_short(v[0])} … {_short(v[-1])}" if len(v) > 1 else f"{name} = {_short(v[0])}"
+        for name, v in values.items()
+    )
+    time = f"{least:.0f} s" if least < 120.0 else f"{least / 60.0:.0f} min"
+    return f"sweep of {counted(runs, 'run')}, {time} at the least: {tried}"
+
+
 def _one(
     target: Target,
     run: Mapping[str, Any],
@@ -380,12 +400,18 @@ def values_of(text: str) -> list[float]:
     VariableError
         Anything else.
     """
+    parts = text.split(":")
     try:
-        parts = text.split(":")
-        if len(parts) == 3 and 2 <= int(parts[2]) <= MOST:
-            return [float(v) for v in np.linspace(float(parts[0]), float(parts[1]), int(parts[2]))]
+        count = int(parts[2]) if len(parts) == 3 else 0
         if len(parts) == 1:
             return [float(part) for part in text.split(",")]
+        if 2 <= count <= MOST and float(parts[0]) != float(parts[1]):
+            return [float(v) for v in np.linspace(float(parts[0]), float(parts[1]), count)]
+        same = len(parts) == 3 and float(parts[0]) == float(parts[1])
+        wrong = f"is one value {count} times" if same else "is no list of values"
     except ValueError:
-        pass
-    raise VariableError(f"{text!r}: write 100,200,400 or FIRST:LAST:COUNT, for example 100:500:5")
+        wrong = "is no list of values"
+    raise VariableError(
+        f"{text!r} {wrong}: write 100,200,400 or FIRST:LAST:COUNT, for example 100:500:5 for"
+        " 100, 200, 300, 400, 500"
+    )

@@ -6,12 +6,11 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from typing import Any, cast
 
 import msgspec
 
-from zendsp.errors import EndedWarning, NotYet, Refused, RunnerDied, VariableError
+from zendsp.errors import EndedWarning, VariableError
 from zendsp.link.requests import Part, Requests
 from zendsp_protocol import messages as m
 from zendsp_protocol.values import Assignable, Packed, Value, WireValue, from_wire, to_wire
@@ -40,7 +39,7 @@ class Variables(Part):
     def __init__(self, requests: Requests) -> None:
         super().__init__(requests)
         self._staged: dict[str, Assignable] = {}
-        self._written = 0  # the newest write that no reading has waited for
+        self._written = 0  # number of a write that no reading has seen yet
 
     def __repr__(self) -> str:
         return (
@@ -54,7 +53,8 @@ class Variables(Part):
         Warns
         -----
         EndedWarning
-            The program crashed, tripped or was stopped: a signal is that of its last sample.
+            The program crashed, tripped or was stopped: the value, which the program computes, is
+            that of its last sample.
 
         Raises
         ------
@@ -62,17 +62,18 @@ class Variables(Part):
             No such variable.
         """
         reading = self.read([name])
-        if reading.ended and not self._parameter(name):
-            warnings.warn(
-                f"{name} is of the last sample, the program has ended: {reading.ended}",
-                EndedWarning,
-                stacklevel=2,
-            )
+        if reading.ended and not self._is_set(name):
+            said = f"{name} is that of the program's last sample: {reading.ended}"
+            warnings.warn(said, EndedWarning, stacklevel=2)
         return reading.values[name]
 
+    def _is_set(self, name: str) -> bool:
+        """Whether a host sets this variable, so that it is never old."""
+        info = self().get(name.partition("[")[0])
+        return info is not None and info.kind != "signal"
+
     def __setitem__(self, name: str, value: Assignable) -> None:
-        """Write one variable: it takes effect at the start of the next sample, and whatever this
-        target is read for afterwards shows it.
+        """Write one variable: it takes effect at the start of the next sample.
 
         Raises
         ------
@@ -82,8 +83,8 @@ class Variables(Part):
         self.write(**{name: value})
 
     def read(self, names: Sequence[str]) -> Reading:
-        """Read several variables, all from one sample, in which what was written here before is in
-        effect.
+        """Read several variables, all from one sample, in which all acts that was written here
+        before.
 
         Parameters
         ----------
@@ -97,32 +98,25 @@ class Variables(Part):
         """
         if isinstance(names, str):
             names = [names]
-        if self._written:
-            self._shown()
-        found: m.Reading = self.link.request("read", {"names": list(names)})
+        asked: dict[str, Any] = {"names": list(names)}
+        written = self._written
+        if written:
+            asked["after"] = written
+        found: m.Reading = self.link.request("read", asked)
+        if written == self._written:
+            self._written = 0
         if _FLOATS.issuperset(map(type, found.values.values())):
             return Reading(found.tick, cast("dict[str, Value]", found.values), found.ended)
         values = {name: from_wire(value) for name, value in found.values.items()}
         return Reading(found.tick, values, found.ended)
 
     def write(self, /, **values: Assignable) -> int:
-        """Write variables asynchronously; the reply does not wait for the sample. Returns the
-        sequence number.
+        """Write variables asynchronously; the reply does not wait for the sample, the next `read`
+        does. Returns the sequence number.
         """
         written: m.Written = self.link.request("write", {"values": _wire(values)})
         self._written = written.sequence
         return written.sequence
-
-    def _shown(self) -> None:
-        """Wait until what was written can be read, which takes a sample."""
-        sequence, self._written = self._written, 0
-        with suppress(NotYet, Refused, RunnerDied):  # the reading says what there is
-            self.link.request("wait_applied", {"sequence": sequence})
-
-    def _parameter(self, name: str) -> bool:
-        """Whether a name is something that is set: what stands there is in no sample's past."""
-        info = self().get(name.partition("[")[0])
-        return info is not None and info.kind != "signal"
 
     def stage(self, /, **values: Assignable) -> dict[str, Assignable]:
         """Note values for the next `update`, which the target has checked; returns all that

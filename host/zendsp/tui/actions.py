@@ -83,7 +83,8 @@ ACTIONS = (
            "Enable the drives, or disable them if they are.", footer=True),
     Action("console", "start", "s", "Start", "Start the control program.", footer=True),
     Action("console", "pause", "p", "Pause",
-           "Pause the control program; the outputs go to the safe state.", footer=True),
+           "Pause the control program: hardware goes to its safe state, a simulated machine stands"
+           " still with its time.", footer=True),
     Action("console", "host_lost", "H", "Host lost",
            "Choose what the target does if this host disappears: stop, hold or finish."),
     # -- console: program and variables

@@ -18,7 +18,7 @@ from textual.screen import ModalScreen, Screen
 from textual.widgets import Input
 
 from zendsp.errors import ZendspError
-from zendsp.tui.actions import ACTIONS, bindings
+from zendsp.tui.actions import ACTIONS, Action, bindings
 from zendsp.tui.colours import THEMES
 from zendsp.tui.dialogs import Choose, Message, Option
 from zendsp.tui.dialogs.base import Dialog
@@ -462,11 +462,20 @@ class ZendspApp(App[None]):
     def get_system_commands(self, screen: Screen[object]) -> Iterable[SystemCommand]:
         """Fill the command palette from the table of actions."""
         here = screen.NAME if isinstance(screen, LabScreen) else ""
-        for a in ACTIONS:
-            if a.scope in ("app", here) and a.name != "command_palette":
-                node = self if a.scope == "app" else screen
+        for a in sorted(ACTIONS, key=lambda a: a.scope not in ("app", here)):
+            if a.name == "command_palette":
+                continue
+            where = "" if a.scope in ("app", here) else f" on {a.scope.title()}"
 
-                def run(name: str = a.name, node: object = node) -> None:
-                    self.call_later(self.run_action, name, node)
+            def run(a: Action = a) -> None:
+                self.call_later(self._run_named, a)
 
-                yield SystemCommand(f"{a.label} ({a.shown_key})", a.help, run)
+            yield SystemCommand(f"{a.label}{where} ({a.shown_key})", a.help, run)
+
+    async def _run_named(self, action: Action) -> None:
+        """Do what the palette named, on the screen that it belongs to."""
+        if action.scope == "app":
+            await self.run_action(action.name, self)
+            return
+        await self.action_show(action.scope)
+        await self.run_action(action.name, self.screen)

@@ -237,10 +237,10 @@ class Session:
             pause = POLL_S
             if port is not None:
                 try:
-                    if self._live_wanted:
-                        self._follow(port)
                     begin = time.monotonic()
                     snapshot = port.snapshot()
+                    if self._live_wanted and snapshot.state != "empty":
+                        self._follow(port)
                     if self._port is port:
                         if self.snapshot.link == "lost":
                             self.events.add(f"link to {name} is back", "good")
@@ -319,7 +319,8 @@ class Session:
         self._complaint = ""
         self._ready_stopper(name)
         self._live_wanted = bool(self.channels)
-        self.events.add(f"link to {name} is {'back' if lost else 'up'}", "good")
+        if not lost:  # else its first snapshot says so
+            self.events.add(f"link to {name} is up", "good")
         self._wake.set()
 
     _complaint = ""

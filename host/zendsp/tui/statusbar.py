@@ -245,6 +245,8 @@ class StatusBar(Widget):
         line = Text(" ", no_wrap=True, overflow="ellipsis")
         if s.link in ("none", "connecting"):
             return line.append("Reference and Diagnose work without a target", Style(dim=True))
+        if s.link in ("lost", "ended"):
+            return line.append(f"all below is what was heard last, at t = {s.t:.1f} s", bad)
 
         width = self._line2.size.width
 

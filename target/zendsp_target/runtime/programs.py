@@ -17,6 +17,7 @@ from zendsp_target.runtime import safety
 from zendsp_target.runtime.compile_service import compile_program, program_path
 from zendsp_target.runtime.memory.layout import layout
 from zendsp_target.runtime.memory.shm import SharedFile, SharedFolder
+from zendsp_target.runtime.process.places import Place, placed
 from zendsp_target.runtime.process.runner import ffi_address, look_at
 from zendsp_target.runtime.process.settings import Settings, split_options
 from zendsp_target.runtime.session import Session
@@ -90,6 +91,7 @@ class Programs:
         self.lock = threading.RLock()
         self.session: Session | None = None
         self.log = ChangeLog()
+        self._place: Place | None = None  # once a loop keeps time
         self._loads = 0
         self._sequence = 0  # of the last update of all loads
         self.drive_wish = "auto"
@@ -125,12 +127,19 @@ class Programs:
             set_up(self._page)
             try:
                 self.session = Session(
-                    key, self.settings, path, self.folder.path, self._loads, self.log,
+                    key, self._here(), path, self.folder.path, self._loads, self.log,
                     self._sequence,
                 )
             except (Refused, RunnerDied) as error:
                 raise type(error)(f"{error}{ended}") from None
             self.unsafe = ""
+
+    def _here(self) -> Settings:
+        """The settings, with what they leave to this computer."""
+        if self.settings.clock != "real" or not self.settings.realtime:
+            return self.settings
+        self._place = self._place or Place()
+        return placed(self.settings, self._place)
 
     def unload(self) -> None:
         """End the runner; acquired data, the log, and a STOP or trip stay."""
@@ -254,3 +263,5 @@ class Programs:
                 self.unload()
                 self._closed = True
                 self.folder.close()
+                if self._place is not None:
+                    self._place.close()

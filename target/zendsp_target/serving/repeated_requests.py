@@ -66,7 +66,7 @@ class Repeats:
         self._writes.clear()
 
     def _learn_read(self, request: bytes, args: verbs.Read) -> None:
-        if request in self._reads or not args.names:
+        if request in self._reads or not args.names or args.after:
             return
         values = {name: _PROBE - number for number, name in enumerate(args.names)}
         data = bytearray(codec.encode_result({"tick": _LARGEST, "values": values}))

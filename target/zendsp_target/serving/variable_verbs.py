@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import cast
 
 import msgspec
@@ -10,7 +11,7 @@ import numpy as np
 
 from zendsp_protocol import messages as m
 from zendsp_protocol import values, verbs
-from zendsp_protocol.errors import NotYet, VariableError
+from zendsp_protocol.errors import NotYet, Refused, RunnerDied, VariableError
 from zendsp_protocol.values import Value
 from zendsp_target.api import RuntimeApi
 from zendsp_target.serving.deferred import Later
@@ -19,6 +20,7 @@ from zendsp_target.serving.uploads import Uploads
 PLAIN = frozenset((float, int, bool))
 APPLY_INLINE_S = 0.005  # an update that needs longer is finished by another thread
 APPLY_LIMIT_S = 5.0
+SHOW_LIMIT_S = 2.0  # a reading waits no longer for what its host wrote before
 
 
 class VariableVerbs:
@@ -35,6 +37,25 @@ class VariableVerbs:
         return self.runtime.builtins()
 
     def do_read(self, args: verbs.Read, by: str) -> Mapping[str, object]:
+        if args.after and not self._shown(args.after, APPLY_INLINE_S):
+            raise Later(partial(self._read_late, args))
+        return self._read(args)
+
+    def _read_late(self, args: verbs.Read) -> Mapping[str, object]:
+        self._shown(args.after, SHOW_LIMIT_S)  # what hangs is read as it stands
+        return self._read(args)
+
+    def _shown(self, sequence: int, timeout: float) -> bool:
+        """Wait until an update is seen, or never will be; False where it still may."""
+        try:
+            self.runtime.wait_applied(sequence, timeout)
+        except NotYet:
+            return False
+        except (RunnerDied, Refused):
+            pass
+        return True
+
+    def _read(self, args: verbs.Read) -> Mapping[str, object]:
         ended = self.runtime.ended()  # first: what is read then is not older
         tick, found = self.runtime.read(args.names)
         return (

@@ -36,7 +36,8 @@ from zendsp.diagnosis.data.signals import MIN_SAMPLES, Signals
 from zendsp.errors import RecordingError
 from zendsp.physics.effects import library
 from zendsp.physics.kernel.signals import measure, noise_beside_quantisation, smooth
-from zendsp.physics.model import Model, per_joint
+from zendsp.physics.model import TREES, Model, per_joint
+from zendsp.physics.robots.robot import robot_path
 from zendsp.recording import Recording, Table
 
 Array = npt.NDArray[np.float64]
@@ -56,6 +57,8 @@ def read_signals(source: str | Path | Recording | Table, model: Model) -> Signal
             "the model's [columns] lacks 'position': which column holds the position?"
         )
     name, get, done = getter(source)
+    if model.kind in TREES:
+        robot_path(model)  # without its file, any number of joints is wrong
     joints = model.joints
     get, repeated = without_repeats(get, columns)
     position, command, reference = _main_columns(name, get, columns, joints)

@@ -12,6 +12,7 @@ from zendsp.diagnosis.data.signals import Signals
 from zendsp.errors import RecordingError
 from zendsp.physics.kernel.signals import FOURTH, find_resolution
 from zendsp.physics.model import Model, per_joint
+from zendsp_protocol.texts import counted
 
 Array = npt.NDArray[np.float64]
 TARGET_RATE = 1000.0  # Hz: faster recordings are averaged down to about this
@@ -102,10 +103,12 @@ def clock(
             f"{name}: a gap of {step[k]:.3g} s after row {k + 1}, {time[k] - time[0]:.4g} s from"
             " the beginning: are two runs glued together? Give them as two files"
         )
-    spread = float(np.std(step)) / period
+    spread = float(np.std(step[step < 1.5 * period])) / period
+    missing = int(np.sum(np.round(step / period) - 1, where=step > 1.5 * period, initial=0.0))
     notes.append(
-        f"{name}: time stamps jitter by {100 * spread:.1f} % of the sample time (largest step"
-        f" {np.max(step) / period:.1f} samples); resampled uniformly"
+        f"{name}: time stamps jitter by {100 * spread:.1f} % of the sample time, and"
+        f" {counted(missing, 'row')} missing (largest step {np.max(step) / period:.1f} samples);"
+        " resampled uniformly"
     )
     return time, period, notes, np.arange(time[0], time[-1], period)
 

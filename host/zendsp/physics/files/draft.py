@@ -156,7 +156,7 @@ def _sample_time(page: _Page, clock: Group | None, file: str) -> float:
     shown, even = float(f"{step:.6g}"), float(f"{step:.3g}")
     shown = even if abs(even / step - 1) < 1e-3 else shown
     missing = int(np.sum(np.round(steps / step) - 1, where=steps > 1.5 * step, initial=0.0))
-    jitter = float(np.max(np.abs(steps[steps < 1.5 * step] - step))) / step
+    jitter = float(np.std(steps[steps < 1.5 * step])) / step  # as `model check` says of it
     gaps = f", {missing} row{'s' if missing > 1 else ''} missing" if missing else ""
     if shown > 0.1:
         sizes = (1e5, "ns", 1e-9), (100.0, "us", 1e-6), (0.0, "ms", 1e-3)
@@ -172,7 +172,7 @@ def _sample_time(page: _Page, clock: Group | None, file: str) -> float:
         page.line(
             f"sample_time = {shown:g}",
             f"s: median of {clock.names[0]}"
-            + (f", jitter up to {jitter:.0%}" if jitter > 0.02 else "")
+            + (f", jitter by {100 * jitter:.1f} %" if jitter > 0.02 else "")
             + gaps,
         )
     return shown

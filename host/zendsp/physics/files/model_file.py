@@ -17,6 +17,7 @@ from zendsp.physics.model import (
     KINDS,
     PARAMETERS,
     REQUIRED,
+    TREES,
     Actuator,
     Discrepancy,
     FmuPorts,
@@ -204,6 +205,13 @@ def parse_model(data: Mapping[str, Any], path: str = "model") -> Model:
 def _check_keys(read: _Reader, data: Mapping[str, Any]) -> None:
     """Refuse keys that no model file has, and columns that are no names."""
     read.only(data, KEYS[""], "the file")
+    arm = read.table(data, "mechanism")
+    keys = {*arm, *read.table(arm, "parameters")}
+    if arm.get("kind") in TREES and (theirs := {"inertia", "gravity", "mass"} & keys):
+        raise ModelError(
+            f"{read.path}: [mechanism] {min(theirs)}: of kind {arm['kind']!r} that stands in"
+            f" {arm.get('file', 'its file')!r}: take the line away"
+        )
     for key, allowed in KEYS.items():
         if key:
             read.only(read.table(data, key), allowed, f"[{key}]")

@@ -17,7 +17,9 @@ from zendsp.tui.dialogs.base import Dialog
 
 @dataclass(frozen=True)
 class Option:
-    """One line: what is returned, and what is shown."""
+    """One line: what is returned, and what is shown. The key "" is for something new: no filter
+    hides it, and what was typed is returned beside it.
+    """
 
     key: str
     text: str
@@ -74,7 +76,9 @@ class Choose(Dialog[list[str]]):
         rows = self.query_one(OptionList)
         at = rows.highlighted
         rows.clear_options()
-        shown = [o for o in self._options if words.lower() in f"{o.text} {o.detail}".lower()]
+        shown = [
+            o for o in self._options if not o.key or words.lower() in f"{o.text} {o.detail}".lower()
+        ]
         if words:  # who typed a name whole, or its beginning, means that one
             shown.sort(key=lambda o: _far(o.text.lower(), words.lower()))
         width = max((len(o.text) for o in shown), default=0)
@@ -87,7 +91,9 @@ class Choose(Dialog[list[str]]):
             text.append(o.text.ljust(width))
             text.append(f"  {o.detail}", "dim")
             rows.add_option(Row(text, id=o.key))
-        if shown:
+        if not shown:
+            rows.add_option(Row(Text(f"nothing has {words!r} in it", "dim"), disabled=True))
+        else:
             rows.highlighted = min(at or 0, len(shown) - 1)
 
     @on(Input.Changed)
@@ -137,7 +143,11 @@ class Choose(Dialog[list[str]]):
 
     @on(OptionList.OptionSelected)
     def _selected(self, event: OptionList.OptionSelected) -> None:
-        self.dismiss(self._marked if self._several and self._marked else [str(event.option.id)])
+        key = str(event.option.id)
+        if not key:  # something new, by the name that was typed
+            self.dismiss([key, self.query_one(Input).value])
+        else:
+            self.dismiss(self._marked if self._several and self._marked else [key])
 
     @on(Button.Pressed, "#ok")
     def _accept(self) -> None:

@@ -61,6 +61,9 @@ class DrivePanel(Vertical):
         """Return the safe sequence with the present step marked."""
         c = self.app.theme_variables
         text = Text(no_wrap=True, overflow="ellipsis")
+        if s.link in ("lost", "ended"):
+            text.append(f"no word from the target; heard last: {s.drive}", Style(color=c["error"]))
+            return text
         reached = LADDER.index(s.drive) if s.drive in LADDER else -1
         for k, name in enumerate(LADDER):
             if k:
@@ -83,6 +86,8 @@ class DrivePanel(Vertical):
         """
         c = self.app.theme_variables
         text = Text(no_wrap=True, overflow="ellipsis")
+        if s.link in ("lost", "ended"):
+            return text
         unmet = [(name, advice) for name, met, advice in s.conditions if not met]
         if s.conditions and not unmet:
             text.append("✔ ", Style(color=c["success"]))
@@ -107,7 +112,10 @@ class DrivePanel(Vertical):
             text.append(
                 " ".join(f"{number(float(v)):>9}" for v in list(values)[: max(s.joints, 1)])
             )
-            text.append(f" {unit}\n", Style(dim=True))
+            # nothing goes out of hardware while it is paused
+            held = name == "aout" and s.state == "paused" and any(values)
+            word = f"{unit}, simulated: held with its time" if held else unit
+            text.append(f" {word}\n", Style(dim=True))
         if s.scheduling:
             text.append(s.scheduling, Style(dim=True))
         text.rstrip()

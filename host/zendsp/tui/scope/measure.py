@@ -80,9 +80,10 @@ def _step(t: Floats, y: Floats, reach: float) -> tuple[float, float]:
 
 
 def cursor_lines(
-    picture: Picture, settings: ScopeSettings, channel: Channel, t: Floats, y: Floats
+    picture: Picture, settings: ScopeSettings, channel: Channel, t: Floats, y: Floats, width: int
 ) -> tuple[str, str]:
-    """Return what the cursors measure of the selected channel: at them, and between them.
+    """Return what the cursors measure of the selected channel: at them, and between them; where
+    there is no room, whole numbers are left out.
 
     Parameters
     ----------
@@ -92,6 +93,8 @@ def cursor_lines(
     t : ndarray, shape (n,)
         Of the rows of the picture, s.
     y : ndarray, shape (n, channels)
+    width : int
+        Columns.
     """
     span, curve = picture.end - picture.start, y[:, settings.selected]
     a, b = (picture.start + share * span for share in (settings.cursor_a, settings.cursor_b))
@@ -101,10 +104,13 @@ def cursor_lines(
     dt = b - a
     rate = f" = 1/{short(1.0 / abs(dt))} Hz" if dt else ""
     unit = f" {channel.unit}" if channel.unit else ""
-    at = (
-        f" Δt {duration(dt)}{rate}  {channel.name} Δy {short(yb - ya)}{unit}   A"
-        f" {short(a - picture.zero)} s {short(ya)}  B {short(b - picture.zero)} s {short(yb)}"
+    points = (
+        f"{channel.name} Δy {short(yb - ya)}{unit}  A {short(a - picture.zero)} s {short(ya)}"
+        f"  B {short(b - picture.zero)} s {short(yb)}"
     )
+    at = f" Δt {duration(dt)}{rate}  {points}"
+    if len(at) > width:
+        at = whole_words(f" Δt {duration(dt)}  {points}", width)
     if not len(t):
         return at, ""
     found = measure(t, curve, a, b)
@@ -114,4 +120,13 @@ def cursor_lines(
     )
     if np.isfinite(found.rise):
         between += f"  rise {duration(found.rise)}  over {100.0 * found.overshoot:.3g} %"
-    return at, between
+    return at, whole_words(between, width)
+
+
+def whole_words(line: str, width: int) -> str:
+    """Leave out at the end what has no room, from one double blank to the next: a number that is
+    cut would be another number.
+    """
+    while len(line) > width and "  " in line.strip(" …"):
+        line = f"{line.rstrip(' …').rpartition('  ')[0]} …"
+    return line

@@ -6,6 +6,7 @@ import math
 import sys
 
 STEPS = (1.0, 2.0, 5.0)
+WHOLE = 1e9  # a whole number below it is shown whole
 
 
 def round_up(value: float) -> float:
@@ -96,12 +97,14 @@ def duration(seconds: float) -> str:
 
 def number(value: float) -> str:
     """Return a measured value in six characters or a few more: four significant digits, no trailing
-    noise.
+    noise; whole numbers whole.
     """
     if not math.isfinite(value):
         return "—"
     if abs(value) < sys.float_info.min:  # what a filter that dies away leaves
         return "0"
+    if abs(value) < WHOLE and float(value).is_integer():
+        return f"{value:.0f}"
     if not 1e-4 <= abs(value) < 1e6:
         return f"{value:.3e}"
     return f"{value:.5g}"

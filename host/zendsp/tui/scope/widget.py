@@ -268,7 +268,7 @@ class Scope(Widget, can_focus=True):
             pen, said = self._pens[CURSOR], ("", "")
             if self.channels:
                 channel = self.channels[self.settings.selected]
-                said = cursor_lines(self.picture, self.settings, channel, *self._rows())
+                said = cursor_lines(self.picture, self.settings, channel, *self._rows(), width)
             strips += [self._text([(line, pen)], width) for line in said]
         self._strips = strips
 

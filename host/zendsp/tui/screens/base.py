@@ -4,6 +4,7 @@ at 30 Hz.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -132,7 +133,8 @@ class LabScreen(Screen[None]):
             return
         if scope.history is not self.lab.session.history:
             self.lab.session.watch(scope.channels, scope.history)
-        scope.mark_old(snapshot.tick * snapshot.period_s)
+        gone = snapshot.link in ("lost", "ended")
+        scope.mark_old(math.inf if gone else snapshot.tick * snapshot.period_s)
 
     def pull(self, snapshot: Snapshot, fresh: bool) -> None:
         """Show a snapshot; ``fresh`` tells whether its numbers are to be shown: five times a

@@ -244,8 +244,8 @@ class VariableActions(LabScreen):
 
         def chosen(keys: list[str] | None) -> None:
             sets = [Path(key) for key in keys or () if key]
-            if keys == [""]:
-                self._name_set()
+            if keys and not keys[0]:
+                self._name_set(keys[1] or "set")
             elif len(sets) > 1:
                 self._side_by_side(sets)
             elif sets:
@@ -254,10 +254,10 @@ class VariableActions(LabScreen):
         text = "One: what differs from the target, to be staged. Several: side by side."
         self.app.push_screen(Choose("Parameter sets", options, several=True, text=text), chosen)
 
-    def _name_set(self) -> None:
+    def _name_set(self, name: str) -> None:
         form = Form(
             "Save parameter set",
-            [Field("name", "Name", "set", check=not_empty)],
+            [Field("name", "Name", name, check=not_empty)],
             str(self.lab.workspace.sets),
             "Save",
         )

@@ -137,9 +137,9 @@ class ViewActions(ScopeActions):
         options = [Option("", "save this one …", counted(len(self.scope.channels), "curve"))]
         options += [Option(str(p), p.stem, "") for p in sorted(folder.glob("*.json"))]
         dialog = Choose("Layouts of the scope", options, text=str(folder))
-        self.app.push_screen(dialog, lambda keys: self._layout(keys[0]) if keys else None)
+        self.app.push_screen(dialog, lambda keys: self._layout(*keys) if keys else None)
 
-    def _layout(self, key: str) -> None:
+    def _layout(self, key: str, typed: str = "") -> None:
         if key:
             try:
                 layout = load_layout(Path(key))
@@ -155,7 +155,7 @@ class ViewActions(ScopeActions):
             if lacking:
                 self.say(f"not in this program: {', '.join(lacking)}", "warning")
             return
-        form = Form("Save the layout", [Field("name", "Name", "", check=not_empty)])
+        form = Form("Save the layout", [Field("name", "Name", typed, check=not_empty)])
         self.app.push_screen(form, lambda r: self._save_layout(r["name"]) if r else None)
 
     def _save_layout(self, name: str) -> None:

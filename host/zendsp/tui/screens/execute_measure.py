@@ -144,10 +144,15 @@ class MeasureActions(RunActions):
 
     def _sweep(self, asked: Mapping[str, Any]) -> None:
         self._asked["sweep"] = asked
-        from zendsp.experiment.sweep import tried_of
+        from zendsp.experiment.sweep import announced, tried_of
 
         options = {name: asked[name] for name in ("seconds", "settle", "together")}
         tried = tried_of(asked["words"].split())
+        try:
+            self.say(announced(tried, **options))
+        except ZendspError as error:
+            self.say(str(error), "error")
+            return
         channels, measures = asked["channels"].split(), asked["measures"].split()
         workspace = self.lab.workspace
 

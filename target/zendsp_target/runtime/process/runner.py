@@ -48,7 +48,7 @@ def _fill(control: Any, settings: Settings, program: Path, data: Path, number: i
     control.realtime = settings.realtime
     control.priority, control.cpu = settings.priority, settings.cpu
     control.monitor = os.getpid()
-    control.spin_us, control.speed = settings.spin_us, settings.speed
+    control.spin_us, control.speed = max(settings.spin_us, 0.0), settings.speed
     control.memory = round(settings.memory_mb * 1e6)
     # which load of the session this is: noise goes on, it does not begin again
     given = dict(settings.machine_config) | {"load": str(number)}

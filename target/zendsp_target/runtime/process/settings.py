@@ -11,6 +11,7 @@ from typing import Any
 from zendsp_protocol.errors import Refused
 
 _TRUE, _FALSE = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
+SPIN_US = 60.0  # waited awake where a loop has its CPU for itself
 
 
 @dataclass(frozen=True)
@@ -32,10 +33,10 @@ class Settings:
     priority : int
         Of SCHED_RR, 1 … 99.
     cpu : int
-        CPU of the loop, -1: the last one.
+        CPU of the loop, -1: the last one on which no other loop of this user runs.
     spin_us : float
         Stretch before each deadline that is waited awake (only under SCHED_RR, at most 0.6 of the
-        period), µs.
+        period), µs; -1: 60, or 0 on a CPU where another loop waits so.
     speed : float
         Fast clock: at most so many machine seconds a second; 0: no limit.
     hang_s : float
@@ -54,7 +55,7 @@ class Settings:
     realtime: bool = True
     priority: int = 80
     cpu: int = -1
-    spin_us: float = 60.0
+    spin_us: float = -1.0
     speed: float = 0.0
     hang_s: float = 1.0
     load_s: float = 10.0

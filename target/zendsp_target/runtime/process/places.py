@@ -1,0 +1,67 @@
+"""Where a loop runs and how long it waits awake, beside the other loops of this user here: each on
+a CPU of its own while there are enough, and where CPUs are shared only the first on each awake.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+from dataclasses import replace
+
+from zendsp_target.runtime.process.settings import SPIN_US, Settings
+
+_MOST = 1000  # loops of one user
+
+
+class Place:
+    """Number of a loop among those of this user on this computer: the smallest that is free. It is
+    a lock on a file, so whoever dies gives it back.
+
+    Parameters
+    ----------
+    folder : str, optional
+        Of the files; default: one of this user in shared memory.
+    """
+
+    def __init__(self, folder: str = "") -> None:
+        self.number, self._file = 0, -1
+        folder = folder or f"/dev/shm/loops-of-zendsp-{os.getuid()}"
+        with contextlib.suppress(OSError):  # without shared memory: as if it were the only one
+            os.makedirs(folder, 0o700, exist_ok=True)
+            if os.lstat(folder).st_uid == os.getuid():
+                self._take(folder)
+
+    def _take(self, folder: str) -> None:
+        for number in range(_MOST):
+            file = os.open(f"{folder}/{number}", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                os.close(file)
+            else:
+                self.number, self._file = number, file
+                return
+
+    def close(self) -> None:
+        """Give the number back."""
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1
+
+
+def placed(settings: Settings, place: Place) -> Settings:
+    """Choose what the settings leave open: CPU and waiting awake.
+
+    Parameters
+    ----------
+    settings : Settings
+    place : Place
+        Of this loop.
+    """
+    cpus = sorted(os.sched_getaffinity(0))
+    # from the last on: interrupts and most other work gather on the first
+    cpu = settings.cpu if settings.cpu >= 0 else cpus[-1 - place.number % len(cpus)]
+    alone = place.number < len(cpus)
+    spin_us = settings.spin_us if settings.spin_us >= 0.0 else SPIN_US if alone else 0.0
+    return replace(settings, cpu=cpu, spin_us=spin_us)
