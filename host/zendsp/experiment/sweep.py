@@ -212,7 +212,7 @@ def sweep(
     together : bool
         The first values of all parameters, then the second ones …, in place of all combinations.
     keep : path, optional
-        Folder in which every recording is kept as ``001.mat``, ….
+        New or empty folder in which every recording is kept as ``001.mat``, ….
     progress : callable, optional
         Called with the fraction done.
 
@@ -226,7 +226,8 @@ def sweep(
         A value that the program refuses: unknown, read only, beyond its limits. All are checked
         before the first run.
     AcquisitionError
-        Nothing to try, an unknown measure, or no such channel.
+        Nothing to try, an unknown measure, no such channel, or ``keep`` holds the recordings of
+        another sweep.
     """
     runs = _runs(values, together)
     wrong = [name for name in measures if name not in MEASURES]
@@ -237,6 +238,11 @@ def sweep(
     for run in runs:
         target.request("check", values=dict(run))
     folder = Path(keep) if keep is not None else None
+    if folder is not None and (old := sorted(folder.glob("[0-9]*.mat"))):
+        raise AcquisitionError(
+            f"{folder}: {counted(len(old), 'recording')} of another sweep, {old[0].name} the first:"
+            " move them away, or keep these in another folder"
+        )
     rows: list[Mapping[str, Any]] = []
     again: list[Mapping[str, float]] = []
     todo = [*runs, *(runs[:1] * AGAIN if len(runs) > 1 else [])]
