@@ -259,7 +259,7 @@ def test_a_sweep_measures_every_combination_and_puts_the_parameters_back(
     assert "4 runs: rms e1 is least" in repr(found) and "<table>" in found._repr_html_()
     with pytest.raises(AcquisitionError, match="no result 'x'"):
         found.best("x")
-    with pytest.raises(AcquisitionError, match=r"4 recordings of another sweep, 001\.mat the first"):
+    with pytest.raises(AcquisitionError, match="4 recordings of another sweep"):
         zendsp.sweep(fast, {"Kp1": [500.0]}, ["e1"], seconds=2.0, keep=tmp_path / "kept")
 
 
