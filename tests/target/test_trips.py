@@ -257,6 +257,25 @@ def test_a_command_to_a_joint_that_the_machine_has_not_trips_and_names_it(
     assert "joint 1, which this machine has not: it has 1, counted from 0" in trip.text
 
 
+def test_a_torque_to_a_joint_that_takes_a_voltage_trips_and_names_what_it_takes(
+    make_runtime: Callable[..., Runtime],
+) -> None:
+    runtime = make_runtime(
+        TWO_JOINTS.replace("(1, u)", "(0, u)"), machine="pendulum",
+        machine_config={"drive": "voltage"},
+    )
+    runtime.set_drive("torque")
+    runtime.start(ticks=50)
+    runtime.wait_paused()
+    assert runtime.status().trip is None, "zero asks for nothing"
+    runtime.write({"u": 1e-6}, "test", 60)
+    runtime.start(ticks=50)
+    runtime.wait_paused()
+    trip = runtime.status().trip
+    assert trip is not None and (trip.reason, trip.joint, trip.tick) == ("torque", 1, 60)
+    assert "1e-06 N m to joint 1, which takes a voltage: IOGP_FU1_WRITE_AOUT_ENGU(0)" in trip.text
+
+
 @pytest.mark.parametrize(
     "call", ["WRITE_TORQUE(8, 1.0)", "IOGP_FU1_WRITE_AOUT_ENGU(-1) = 1.0", "READ_POSITION(64)"]
 )

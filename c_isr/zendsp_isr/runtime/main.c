@@ -142,9 +142,9 @@ static void prepare_io(runner *r) {
         const machine_joint *joint = &c->info.joint[j];
         io->counts_per_unit[j] = joint->counts_per_unit != 0.0 ? joint->counts_per_unit : 1.0;
         io->zero_counts[j] = joint->zero_counts;
-        /* what is written to a joint that the machine has not must show */
-        io->mv_per_torque[j] = j < c->info.joints ? joint->mv_per_torque : 1.0;
-        io->torque_max[j] = joint->torque_max;
+        /* what is written to a joint that takes no torque must show, as for one that is not there */
+        io->mv_per_torque[j] = joint->mv_per_torque != 0.0 ? joint->mv_per_torque : NO_TORQUE_MV;
+        io->torque_max[j] = strcmp(joint->command, "none") == 0 ? 0.0 : joint->torque_max;
         io->inertia[j] = joint->inertia;
     }
 }

@@ -105,6 +105,13 @@ def _cause(machine: MachineInfo, reason: str, joint: int, value: float, limit: f
     which = machine.joints[joint - 1] if joint >= 1 else machine.joints[0]
     unit, who = which.unit, which.name
     torque = "N" if unit == "m" else "N m"
+    if reason == "torque" and which.mv_per_torque == 0.0:
+        takes = (
+            "which has no motor"
+            if which.command == "none"
+            else f"which takes a {which.command}: IOGP_FU1_WRITE_AOUT_ENGU({joint - 1}) = mV"
+        )
+        return f"the code writes {value:.4g} {torque} to {who}, {takes}"
     causes = {
         **_ASKED,
         "stop input": "the STOP input of the machine is active",
