@@ -131,8 +131,12 @@ class Drives(Part):
             status: m.Status = self.request("status")
             if status.trip is not None:
                 raise Refused(f"homing ended: {status.trip.text or status.trip.reason}")
-            if status.homed and status.state != ProgramState.RUNNING:
-                return "homed"
+            if status.state != ProgramState.RUNNING:
+                if status.homed:
+                    return "homed"
+                trip = self.request("status").trip  # it may have come in between
+                why = trip.text if trip else "by a pause, or another load, before it was done"
+                raise Refused(f"homing ended: {why}")
             if time.monotonic() > deadline:
                 raise Refused(
                     f"homing is not done after {timeout:g} s; STOP, and look at the machine"
