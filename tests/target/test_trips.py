@@ -233,6 +233,15 @@ def test_what_begins_afresh_sees_a_first_sample_with_the_drives_off(
         firsts += count
 
 
+def test_a_setting_that_the_machine_does_not_know_is_refused(
+    make_runtime: Callable[..., Runtime],
+) -> None:
+    code = "void UserInit(void) {} void UserISR_INT2(void) {}"
+    with pytest.raises(Refused, match="no setting 'command'; it asks for drive") as caught:
+        make_runtime(f'#include "isr.h"\n{code}', "pendulum", machine_config={"command": "voltage"})
+    assert "SAFE" not in str(caught.value)
+
+
 TWO_JOINTS = """
 #include "isr.h"
 static double u;

@@ -119,7 +119,7 @@ def _cause(machine: MachineInfo, reason: str, joint: int, value: float, limit: f
             f"{who}: command of {value:.4g} {torque} exceeds the limit of {limit:.4g} {torque}"
         ),
         "speed": f"{who}: speed of {value:.4g} {unit}/s exceeds the limit of {limit:.4g} {unit}/s",
-        "position": f"{who}: position {value:.4g} {unit} is beyond the limit of {limit:.4g} {unit}",
+        "position": f"{who}: position {value:.6g} {unit} is beyond the limit of {limit:.6g} {unit}",
         "command": f"{who}: command of {value:.5g} mV exceeds the limit of {limit:.5g} mV",
         "nan": f"{who}: the code computed {value} as its output",
         "overrun": f"{value:.0f} samples in a row took longer than the period",
