@@ -54,12 +54,12 @@ static int fail(control *c, const char *what, const char *why) {
 /* A setting that the machine has not asked for, copied into `key`; NULL where there is none. What
  * every machine is given does not count. */
 static const char *unknown_setting(const char *config, const char *asked, char *key, size_t size) {
-    static const char given[] = "\nload\nmodel\nclock\nideal\nconcealed\n";
+    static const char given[] = "\nload\nmodel\nclock\nideal\nfriction\n";
     char line[LAYOUT_NAME + 3];
     for (const char *at = config; asked && asked[0] && *at; at += strcspn(at, "\n") + 1) {
         snprintf(key, size, "%.*s", (int)strcspn(at, " ="), at);
         snprintf(line, sizeof line, "\n%.63s\n", key);
-        if (!strstr(asked, line) && !strstr(given, line))
+        if (!strstr(asked, line) && !strstr(given, line) && strncmp(key, "effect", 6) != 0)
             return key;
     }
     return NULL;
