@@ -149,6 +149,7 @@ class Status(Message, frozen=True):
     drive_mode: str = "off"  # what the drives are told: off, torque or velocity
     hosts: tuple[str, ...] = ()  # filled in by the server: who is connected
     unsafe: str = ""  # why the machine may still move where no program runs; empty: it is safe
+    own: tuple[str, ...] = ()  # parameters that the program itself sets, a sentence each
 
     def __repr__(self) -> str:
         trip = (self.trip.text or self.trip.reason) if self.trip else ""

@@ -26,3 +26,24 @@ def test_ctrl_c_that_comes_with_the_answer_is_heard(
         with pytest.raises(KeyboardInterrupt):
             target.compile({"a.c": '#include "isr.h"'})
     assert target.status().state == "empty"
+
+
+def test_ctrl_c_ends_the_recording_and_pauses_what_was_started_with_it(target: Target) -> None:
+    """In a notebook the process goes on: nobody would watch what the machine does, or end the
+    recorder.
+    """
+
+    def interrupt(share: float) -> None:
+        if share > 0.0:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    target.download("template.c")
+    for start, left in ((True, "paused"), (False, "running")):
+        if not start:
+            target.start()
+        with pytest.raises(KeyboardInterrupt):
+            target.acquire(["tick"], 1e4, start=start, progress=interrupt)
+        assert target.status().state == left
+        assert target.acquire_status().state == "done"
+        assert len(target.acquire_load()) > 0
+    assert target.acquire(["tick"], 0.1).lost == 0

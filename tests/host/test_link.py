@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from waiting import PATIENCE_S, until
 
-from zendsp.errors import AcquisitionError, EndedWarning, Refused, VariableError
+from zendsp.errors import AcquisitionError, EndedWarning, Incomplete, Refused, VariableError
 from zendsp.link import ParameterSet, Target, connect
 from zendsp_protocol.messages import CompileResult, JointInfo, MachineInfo
 from zendsp_target.runtime import Runtime
@@ -141,6 +141,32 @@ def test_a_recorder_in_use_is_refused_to_others_unless_taken(running: Target) ->
         with pytest.raises(Refused, match=f"{running.link.author} is recording"):
             other.acquire(["q"], 0.05)
         assert len(other.acquire(["q"], 0.05, take=True)) == 50
+
+
+@pytest.mark.parametrize(
+    ("what", "says"),
+    [
+        ("load", "the program was replaced before the recording was complete"),
+        ("take", "another recording was begun on this target before this one was complete"),
+    ],
+)
+def test_a_recording_whose_rows_would_be_others_is_no_recording(
+    running: Target, what: str, says: str
+) -> None:
+    with connect("fake") as other:
+
+        def disturb(_: float) -> None:
+            if what == "load":
+                other.download("template.c")
+            elif other.acquire_status().channels != ("Kp1",):
+                other.acquire_configure(["Kp1"], 60.0, take=True)
+                other.acquire_start()
+
+        with pytest.raises(Incomplete, match=says) as caught:
+            running.acquire(["q"], 60.0, progress=disturb)
+        if what == "load":
+            assert "acquire_load() brings home" in caught.value.__notes__[0]
+            assert running.acquire_load().columns == ("q[0]", "q[1]")
 
 
 def test_large_tables_arrive_whole_in_one_sample(running: Target) -> None:

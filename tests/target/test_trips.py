@@ -233,6 +233,15 @@ def test_what_begins_afresh_sees_a_first_sample_with_the_drives_off(
         firsts += count
 
 
+def test_a_setting_that_the_machine_does_not_know_is_refused(
+    make_runtime: Callable[..., Runtime],
+) -> None:
+    code = "void UserInit(void) {} void UserISR_INT2(void) {}"
+    with pytest.raises(Refused, match="no setting 'command'; it asks for drive") as caught:
+        make_runtime(f'#include "isr.h"\n{code}', "pendulum", machine_config={"command": "voltage"})
+    assert "SAFE" not in str(caught.value)
+
+
 TWO_JOINTS = """
 #include "isr.h"
 static double u;
@@ -255,6 +264,25 @@ def test_a_command_to_a_joint_that_the_machine_has_not_trips_and_names_it(
     trip = runtime.status().trip
     assert trip is not None and (trip.reason, trip.joint, trip.tick) == ("command", 2, 60)
     assert "joint 1, which this machine has not: it has 1, counted from 0" in trip.text
+
+
+def test_a_torque_to_a_joint_that_takes_a_voltage_trips_and_names_what_it_takes(
+    make_runtime: Callable[..., Runtime],
+) -> None:
+    runtime = make_runtime(
+        TWO_JOINTS.replace("(1, u)", "(0, u)"), machine="pendulum",
+        machine_config={"drive": "voltage"},
+    )
+    runtime.set_drive("torque")
+    runtime.start(ticks=50)
+    runtime.wait_paused()
+    assert runtime.status().trip is None, "zero asks for nothing"
+    runtime.write({"u": 1e-6}, "test", 60)
+    runtime.start(ticks=50)
+    runtime.wait_paused()
+    trip = runtime.status().trip
+    assert trip is not None and (trip.reason, trip.joint, trip.tick) == ("torque", 1, 60)
+    assert "1e-06 N m to joint 1, which takes a voltage: IOGP_FU1_WRITE_AOUT_ENGU(0)" in trip.text
 
 
 @pytest.mark.parametrize(

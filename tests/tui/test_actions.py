@@ -364,19 +364,22 @@ def test_whole_numbers_and_reals_are_refused_in_words() -> None:
 
 
 def test_the_preflight_names_the_keys_that_are_still_missing() -> None:
-    def advice(drive: str, explicit: bool) -> str:
+    def advice(drive: str, explicit: bool, *failing: str) -> str:
         found = preflight(
-            Snapshot(drive=drive, explicit=explicit), (), (), Setup(), False, Trial(), None
-        )
+            Snapshot(
+                drive=drive, explicit=explicit, conditions=tuple((c, False, "") for c in failing)
+            ),
+            (), (), Setup(), False, Trial(), None,
+        )  # fmt: skip
         (drives,) = [c for c in found if c.text == "drives enabled"]
         return "" if drives.met else drives.advice
 
-    assert advice("off", True).endswith("power (o), home (h), enable (e)")
-    assert advice("homed", False).endswith(
-        "power (o), home (h), enable (e)"
-    ), "automatic: the sequence begins with power"
+    assert advice("off", True, "power", "homed").endswith(": power (o), home (h), enable (e)")
+    assert advice("off", True, "power").endswith(": power (o), enable (e)"), "absolute encoders"
+    assert advice("homed", False).endswith(": enable (e)"), "automatic: e switches the power on"
+    assert advice("ready", False, "homed").endswith(": home (h), enable (e)"), "and so does h"
     assert advice("running", False).endswith(
-        "pause (p), power (o), home (h), enable (e)"
+        ": pause (p), enable (e)"
     ), "automatic: the first Start is refused as the second would be"
     assert advice("homed", True).endswith(": enable (e)"), "o would switch the power off"
     assert not advice("enabled", True) and not advice("running", True)

@@ -81,15 +81,16 @@ typedef struct table {
 #define IOGP_FU1_WRITE_DOUT(ch, on)                                                                \
     (zendsp->dout = (on) ? zendsp->dout | 1u << ((ch) & 31) : zendsp->dout & ~(1u << ((ch) & 31)))
 
-/* The same in physical units, by the scales of the machine: rad (or m), N m (or N). */
+/* The same in physical units, by the scales of the machine: rad (or m), N m (or N). A torque other
+ * than 0 to a joint that takes none (its command is a voltage, or it has no motor) trips. */
 #define READ_POSITION(ch)                                                                          \
     ((zendsp->enc[ZENDSP_CH(ch)] - zendsp->zero_counts[(ch) & 7]) /                                \
      zendsp->counts_per_unit[(ch) & 7])
 #define WRITE_TORQUE(ch, tau)                                                                      \
     (zendsp->aout[ZENDSP_CH(ch)] = (tau) * zendsp->mv_per_torque[(ch) & 7])
 
-/* What the machine says of a joint: its largest torque, N m (or N), and what it turns, kg m^2 (or
- * kg; 0 where it does not say). */
+/* What the machine says of a joint: its largest torque, N m (or N; 0 without a motor), and what it
+ * turns, kg m^2 (or kg; 0 where it does not say). */
 #define TORQUE_MAX(ch) (zendsp->torque_max[ZENDSP_CH(ch)])
 #define JOINT_INERTIA(ch) (zendsp->inertia[ZENDSP_CH(ch)])
 

@@ -42,11 +42,13 @@ enum { MACHINE_HOME_BUSY = 0, MACHINE_HOME_DONE = 1, MACHINE_HOME_FAILED = -1 };
 typedef struct machine_joint {
     char name[MACHINE_NAME];
     char unit[MACHINE_UNIT];    /* "rad" or "m" */
-    char command[MACHINE_UNIT]; /* what aout means in torque mode: "torque", "force" or "voltage" */
+    /* what aout means in torque mode: "torque", "force" or "voltage"; "none" without a motor */
+    char command[MACHINE_UNIT];
     /* encoder counts per rad (or m); negative where the encoder counts backwards */
     double counts_per_unit;
     double zero_counts;         /* encoder reading at position zero, counts */
-    double mv_per_torque;       /* mV per N m in torque mode; 0 where the command is a voltage */
+    /* mV per N m in torque mode; 0 where the command is a voltage, or there is none */
+    double mv_per_torque;
     double mv_per_speed;        /* mV per rad/s in velocity mode */
     double command_max;         /* largest |aout|, mV */
     double position_min;        /* rad */

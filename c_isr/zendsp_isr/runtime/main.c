@@ -51,6 +51,20 @@ static int fail(control *c, const char *what, const char *why) {
     return 1;
 }
 
+/* A setting that the machine has not asked for, copied into `key`; NULL where there is none. What
+ * every machine is given does not count. */
+static const char *unknown_setting(const char *config, const char *asked, char *key, size_t size) {
+    static const char given[] = "\nload\nmodel\nclock\nideal\nfriction\n";
+    char line[LAYOUT_NAME + 3];
+    for (const char *at = config; asked && asked[0] && *at; at += strcspn(at, "\n") + 1) {
+        snprintf(key, size, "%.*s", (int)strcspn(at, " ="), at);
+        snprintf(line, sizeof line, "\n%.63s\n", key);
+        if (!strstr(asked, line) && !strstr(given, line) && strncmp(key, "effect", 6) != 0)
+            return key;
+    }
+    return NULL;
+}
+
 static int open_machine(runner *r) {
     control *c = r->control;
     char why[LAYOUT_TEXT] = "";
@@ -77,6 +91,20 @@ static int open_machine(runner *r) {
     if (c->clock == CLOCK_FAST && !c->info.simulated)
         return fail(c, "machine", "the fast clock needs a simulated machine");
     return 0;
+}
+
+static int check_settings(runner *r) {
+    control *c = r->control;
+    char key[LAYOUT_NAME], why[LAYOUT_TEXT];
+    void *library = dlopen(c->machine_path, RTLD_NOW | RTLD_NOLOAD);
+    const char *asked = library ? dlsym(library, "machine_config_asked") : NULL;
+    if (!unknown_setting(c->machine_config, asked, key, sizeof key))
+        return 0;
+    snprintf(why, sizeof why, "it has no setting '%s'; it asks for%s", key, asked);
+    for (char *at = why; *at; at++)
+        if (*at == '\n')
+            *at = at[1] ? ' ' : 0;
+    return fail(c, "machine", why);
 }
 
 static int find_end(struct dl_phdr_info *info, size_t size, void *data) {
@@ -142,9 +170,9 @@ static void prepare_io(runner *r) {
         const machine_joint *joint = &c->info.joint[j];
         io->counts_per_unit[j] = joint->counts_per_unit != 0.0 ? joint->counts_per_unit : 1.0;
         io->zero_counts[j] = joint->zero_counts;
-        /* what is written to a joint that the machine has not must show */
-        io->mv_per_torque[j] = j < c->info.joints ? joint->mv_per_torque : 1.0;
-        io->torque_max[j] = joint->torque_max;
+        /* what is written to a joint that takes no torque must show, as for one that is not there */
+        io->mv_per_torque[j] = joint->mv_per_torque != 0.0 ? joint->mv_per_torque : NO_TORQUE_MV;
+        io->torque_max[j] = strcmp(joint->command, "none") == 0 ? 0.0 : joint->torque_max;
         io->inertia[j] = joint->inertia;
     }
 }
@@ -240,7 +268,7 @@ int main(int count, char **arguments) {
                     "cannot be mapped, or made by another version of zendsp");
     catch_signals();
     contain_hear_of_end(r->control, SIGKILL);
-    if (open_machine(r) != 0)
+    if (open_machine(r) != 0 || check_settings(r) != 0)
         return 1;
     prepare_io(r);
     dictionary_builtins(r);

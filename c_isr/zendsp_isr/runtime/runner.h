@@ -15,6 +15,8 @@
 #include "machine.h"
 
 enum { SPEED_WINDOW = 256, RANGES = LAYOUT_VARIABLES };
+/* mV per N m of a joint that takes none: no command in mV is as large as a torque becomes by it. */
+#define NO_TORQUE_MV 1e30
 enum { ORPHAN_S = 12 }; /* that a machine may take to be made safe; longer than the monitor waits */
 
 /* What every program can read and record without declaring it; doubles, so that channels treat all

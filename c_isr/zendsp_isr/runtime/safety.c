@@ -241,6 +241,10 @@ static double checked(runner *r, int j, double mv) {
         safety_trip(r, TRIP_NAN, j + 1, mv, 0.0);
         return 0.0;
     }
+    if (joint->mv_per_torque == 0.0 && fabs(mv) > 1e-12 * NO_TORQUE_MV) {
+        safety_trip(r, TRIP_TORQUE, j + 1, mv / NO_TORQUE_MV, 0.0);
+        return 0.0;
+    }
     if (r->control->drive_mode == MACHINE_TORQUE && joint->mv_per_torque != 0.0)
         mv = within_torque(r, j, mv, joint->mv_per_torque);
     if (r->control->drive_mode == MACHINE_VELOCITY && joint->mv_per_speed != 0.0 &&

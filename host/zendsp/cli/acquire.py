@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from zendsp.cli.common import emit, open_target, progress, target_options
 from zendsp.cli.completing import variables
 
-if TYPE_CHECKING:
-    from zendsp.link import Target
-    from zendsp.recording import Recording
-
 PICTURES = (".png", ".svg", ".pdf")
-STOPPING_S = 5.0  # for the loop to end a recording that is interrupted
 
 
 @click.command("acquire")
@@ -100,7 +94,7 @@ def command(
         except KeyboardInterrupt as error:
             ended = "interrupted"
             try:
-                recording = _until_now(t, note, pause=start)
+                recording = t.acquire_load(note)
             except AcquisitionError:
                 raise error from None
     from zendsp.recording.files import save_anyhow
@@ -127,11 +121,3 @@ def command(
         raise click.exceptions.Exit(1)
     if wrong:
         raise click.exceptions.Exit(1)
-
-
-def _until_now(target: Target, note: str, *, pause: bool) -> Recording:
-    """End the acquisition and bring home what there is; pause what was started with it."""
-    target.acquire_stop()
-    if pause:
-        target.pause()
-    return target.acquire_finish(STOPPING_S, note)

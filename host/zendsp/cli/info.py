@@ -76,6 +76,7 @@ def _text(
         lines.append(f"unsafe     {status.unsafe}")
     if status.trip is not None:
         lines.append(f"trip       {status.trip.text}")
+    lines += [f"note       {sentence}" for sentence in status.own]
     rows = [
         [
             v.name,

@@ -210,7 +210,8 @@ class Bench:
         try:
             with kept(target, [], moves=True):
                 recording = target.acquire(
-                    channels, seconds=seconds, decimation=decimation, start=True, note=name
+                    channels, seconds=seconds, decimation=decimation, start=True, note=name,
+                    pauses=False,
                 )
             trip = target.status().trip
             if trip is not None and trip.reason:

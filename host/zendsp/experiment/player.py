@@ -9,7 +9,7 @@ from contextlib import suppress
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.errors import Refused, ZendspError
+from zendsp.errors import Incomplete, Refused, ZendspError
 from zendsp.link import Target
 from zendsp.link.put_back import Before, kept
 from zendsp.link.variables import plain
@@ -83,6 +83,8 @@ class Player:
             except BaseException:  # Ctrl-C too: nobody waits for what the machine goes on doing
                 with suppress(ZendspError):
                     self._come_to_rest(before, real, running)
+                with suppress(ZendspError):
+                    target.acquire_stop()
                 raise
             if running and before.follows:  # a later start stays there too
                 for name, rows in self.tables.items():
@@ -139,7 +141,8 @@ class Player:
             target.upload(name, rows)
         target.variables.update_alone(self.values)
         recording = target.acquire(
-            self._channels, self._seconds, start=True, note=self._note, progress=self._progress
+            self._channels, self._seconds, start=True, note=self._note, progress=self._progress,
+            pauses=False,
         )
         return recording, recording.start_tick
 
@@ -157,6 +160,8 @@ class Player:
             if self._progress is not None:
                 self._progress(max(0.0, min(1.0, 1.0 - (end - status.tick) / (length * rate))))
             time.sleep(0.02)  # until the target's clock has come so far
+        if target.acquire_status().replaced:
+            raise Incomplete("another program was loaded before the motion was played to its end")
         return target.acquire_finish(note=self._note), begin
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import numbers
 import time
 from collections.abc import Callable, Sequence
@@ -39,6 +40,7 @@ POLL_S = 0.02
 END_S = 2.0  # for the loop to see that a ring was stopped
 AFTER_TRIP_S = 1.0  # of the target's time: how the machine comes to rest is recorded
 AFTER_TRIP_REAL_S = 3.0  # of real time: samples may have ended
+BEGUN_ANEW = "another recording was begun on this target before this one was complete"
 SHORTEST_RING_S = 0.25  # a shorter one could not be followed on a busy machine
 
 
@@ -74,8 +76,10 @@ class Recorder(Transfers):
         progress: Callable[[float], None] | None = None,
         timeout: float | None = None,
         patience: float = PATIENCE_S,
+        pauses: bool = True,
     ) -> Recording:
-        """Record channels for some time and bring the data home.
+        """Record channels for some time and bring the data home. Ctrl-C ends the recording on the
+        target too; `acquire_load` then brings home what there is.
 
         Parameters
         ----------
@@ -102,6 +106,9 @@ class Recorder(Transfers):
             time plus 10 s.
         patience : float, s
             For a broken link to come back; the transfer resumes where it stopped.
+        pauses : bool
+            Ctrl-C also pauses a program that was started with the recording. False: who asks sees
+            to it.
 
         Returns
         -------
@@ -130,17 +137,24 @@ class Recorder(Transfers):
         ring_s = self._configure_shot(
             channels, seconds, decimation, trigger, take, status.clock == "real"
         )
-        self.request("acquire_start")
-        if start:
-            # The row of the last wanted sample is written in that sample: so many ticks and not one
-            # more.
-            self.request("start", ticks=max(1, round(seconds * status.rate_hz)))
         if timeout is None and trigger is None:
             timeout = 2.0 * seconds + 10.0
-        if ring_s < seconds:
-            wanted = max(1, round(seconds * status.rate_hz / decimation))
-            return self._follow(wanted, note, timeout, patience, progress)
-        return self.acquire_finish(timeout, note, progress, patience)
+        try:
+            self.request("acquire_start")
+            if start:
+                # The row of the last wanted sample is written in that sample: so many ticks and not
+                # one more.
+                self.request("start", ticks=max(1, round(seconds * status.rate_hz)))
+            if ring_s < seconds:
+                wanted = max(1, round(seconds * status.rate_hz / decimation))
+                return self._follow(wanted, note, timeout, patience, progress)
+            return self.acquire_finish(timeout, note, progress, patience)
+        except (KeyboardInterrupt, SystemExit):  # nobody waits for it any more
+            with contextlib.suppress(ZendspError):
+                if start and pauses:
+                    self.request("pause")
+                self._end_ring(0.0)
+            raise
 
     def _need_channels(self, channels: Sequence[str], status: m.Status) -> None:
         """A channel that is not there is a fault of its own, whatever the program does."""
@@ -199,6 +213,8 @@ class Recorder(Transfers):
         have = gone = 0
         while have < wanted:
             status = self.insist("acquire_status", patience)
+            if status.begun != begun:
+                raise Incomplete(BEGUN_ANEW)
             if status.first > have:  # overwritten before they were fetched: NaN, and counted
                 gone += min(status.first, wanted) - have
                 have = min(status.first, wanted)
@@ -377,13 +393,21 @@ class Recorder(Transfers):
         self, timeout: float | None, patience: float, progress: Callable[[float], None] | None
     ) -> m.AcquireStatus:
         deadline = None if timeout is None else time.monotonic() + timeout
-        ran = time.monotonic()
+        ran, begun = time.monotonic(), None
         while True:
             status: m.AcquireStatus = self.insist("acquire_status", patience)
+            begun = status.begun if begun is None else begun
+            if status.begun != begun:
+                raise Incomplete(BEGUN_ANEW)
             if progress is not None and status.wanted:
                 progress(min(1.0, (status.count - status.first) / status.wanted))
             if status.state in ENDED and status.count - status.first >= status.wanted:
                 return status
+            if status.replaced:
+                raise _loadable(Incomplete(
+                    f"the program was replaced before the recording was complete "
+                    f"({status.count - status.first} of {status.wanted} rows)"
+                ))  # fmt: skip
             overall: m.Status = self.insist("status", patience)
             if overall.state == ProgramState.CRASHED:
                 raise _loadable(RunnerDied(overall.crash))

@@ -116,7 +116,8 @@ class Drives(Part):
         Raises
         ------
         Refused
-            A condition of homing fails, homing itself failed, or it takes longer than ``timeout``.
+            A condition of homing fails, homing itself failed or was ended, or it takes longer than
+            ``timeout``, which ends it.
         """
         try:
             self._drive("home")
@@ -131,11 +132,17 @@ class Drives(Part):
             status: m.Status = self.request("status")
             if status.trip is not None:
                 raise Refused(f"homing ended: {status.trip.text or status.trip.reason}")
-            if status.homed and status.state != ProgramState.RUNNING:
-                return "homed"
+            if status.state != ProgramState.RUNNING:
+                if status.homed:
+                    return "homed"
+                trip = self.request("status").trip  # it may have come in between
+                why = trip.text if trip else "by a pause, or another load, before it was done"
+                raise Refused(f"homing ended: {why}")
             if time.monotonic() > deadline:
+                self.request("pause")  # nobody watches it any longer
                 raise Refused(
-                    f"homing is not done after {timeout:g} s; STOP, and look at the machine"
+                    f"homing was not done after {timeout:g} s and is ended: look at the machine, or"
+                    " give it more time (timeout)"
                 )
             time.sleep(POLL_S)
 

@@ -236,10 +236,12 @@ class Programs(Part):
         first = None
         while True:
             status = self.status()
-            first = status.t if first is None else first
+            # of samples that ran: a loop that got no processor leaves some out
+            ran = status.timing.ticks / status.rate_hz
+            first = ran if first is None else first
             if (
                 status.state != ProgramState.RUNNING
-                or status.t - first >= seconds
+                or ran - first >= seconds
                 or time.monotonic() > deadline
             ):
                 return status

@@ -112,6 +112,7 @@ class LinkPort:
             trip=_trip(s.trip),
             crash=s.crash or s.unsafe,
             unsafe=s.unsafe,
+            own=s.own,
             scheduling=s.scheduling,
             io=io,
             position=tuple(

@@ -144,13 +144,17 @@ def preflight(
 
 
 def _steps(s: Snapshot) -> str:
-    """Return the keys that are still to be pressed until the drives are enabled; o would switch off
-    what is on. A program that runs on automatic drives runs without being enabled.
+    """Return the keys that are still to be pressed until the drives are enabled. On automatic
+    drives home and enable switch the power on, and a program that runs has to be paused first.
     """
-    first = ["pause (p)"] if s.drive == "running" else []
-    steps = ["power (o)", "home (h)", "enable (e)"]
-    done = {"ready": 1, "homed": 2}.get(s.drive, 0) if s.explicit else 0
-    return ", ".join([*first, *steps[done:]])
+    needs = {name for name, met, _ in s.conditions if not met}
+    steps = {
+        "pause (p)": s.drive == "running",
+        "power (o)": "power" in needs,
+        "home (h)": "homed" in needs and "program" not in needs,
+        "enable (e)": True,
+    }
+    return ", ".join(key for key, needed in steps.items() if needed)
 
 
 def _names(files: Sequence[Path]) -> str:

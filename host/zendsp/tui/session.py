@@ -282,6 +282,8 @@ class Session:
             )
         if new.crash != old.crash and new.crash:
             self.events.add(f"crash: {new.crash}", "error")
+        for sentence in set(new.own) - set(old.own):
+            self.events.add(sentence, "warning")
         if new.commander != old.commander:
             self.events.add(f"command right: {'you' if new.mine else new.commander or 'nobody'}")
         if new.program != old.program:

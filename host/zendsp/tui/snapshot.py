@@ -90,6 +90,7 @@ class Snapshot:
     trip: TripView | None = None
     crash: str = ""
     unsafe: str = ""  # why the machine may still move where no program runs
+    own: tuple[str, ...] = ()  # parameters that the program itself sets, a sentence each
     scheduling: str = ""
     io: Mapping[str, npt.NDArray[np.float64]] = field(default_factory=dict)
     # of each joint by its encoder, rad or m; also while no program computes anything

@@ -162,8 +162,8 @@ def create(
     allowed = min(free_bytes // 2, _LARGEST)  # the rest of the computer needs memory too
     if size > allowed:
         raise TooLarge(
-            f"{len(plan.sources)} channels for {config.seconds:g} s need {size / 1e6:.0f} MB of"
-            f" shared memory, {allowed / 1e6:.0f} MB are given here: shorten it, raise the"
+            f"{len(plan.sources)} channels for {config.seconds:g} s need {size / 1e6:.3g} MB of"
+            f" shared memory, {allowed / 1e6:.3g} MB are free for it here: shorten it, raise the"
             " decimation, or record fewer channels"
         )
     file = SharedFile(path, size)

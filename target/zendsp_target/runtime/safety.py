@@ -105,6 +105,13 @@ def _cause(machine: MachineInfo, reason: str, joint: int, value: float, limit: f
     which = machine.joints[joint - 1] if joint >= 1 else machine.joints[0]
     unit, who = which.unit, which.name
     torque = "N" if unit == "m" else "N m"
+    if reason == "torque" and which.mv_per_torque == 0.0:
+        takes = (
+            "which has no motor"
+            if which.command == "none"
+            else f"which takes a {which.command}: IOGP_FU1_WRITE_AOUT_ENGU({joint - 1}) = mV"
+        )
+        return f"the code writes {value:.4g} {torque} to {who}, {takes}"
     causes = {
         **_ASKED,
         "stop input": "the STOP input of the machine is active",
@@ -112,7 +119,7 @@ def _cause(machine: MachineInfo, reason: str, joint: int, value: float, limit: f
             f"{who}: command of {value:.4g} {torque} exceeds the limit of {limit:.4g} {torque}"
         ),
         "speed": f"{who}: speed of {value:.4g} {unit}/s exceeds the limit of {limit:.4g} {unit}/s",
-        "position": f"{who}: position {value:.4g} {unit} is beyond the limit of {limit:.4g} {unit}",
+        "position": f"{who}: position {value:.6g} {unit} is beyond the limit of {limit:.6g} {unit}",
         "command": f"{who}: command of {value:.5g} mV exceeds the limit of {limit:.5g} mV",
         "nan": f"{who}: the code computed {value} as its output",
         "overrun": f"{value:.0f} samples in a row took longer than the period",

@@ -4,6 +4,7 @@ died.
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -22,9 +23,11 @@ from zendsp_target.runtime.process.supervise import Supervisor
 from zendsp_target.runtime.safety import machine_of
 from zendsp_target.runtime.variables.change_log import ChangeLog
 from zendsp_target.runtime.variables.dictionary import Dictionary, Place, decode
+from zendsp_target.runtime.variables.own_writes import OwnWrites
 from zendsp_target.runtime.variables.plans import ReadPlan
 from zendsp_target.runtime.variables.updates import Updates
 
+_LOOK_ROUNDS = 10  # of the supervisor, between looks for what the program itself sets
 _ANSWER_S = 5.0  # the paused loop answers within a millisecond; a loaded machine may take longer
 
 
@@ -69,9 +72,9 @@ class Session:
         data = self.process.data_file
         memory = np.frombuffer(data.map, dtype=np.uint8)
         start = int(self.control.initial_offset)
-        self.dictionary = Dictionary(
-            self.control, memory[start : start + int(self.control.snapshot_bytes)].copy()
-        )
+        initial = memory[start : start + int(self.control.snapshot_bytes)].copy()
+        self.dictionary = Dictionary(self.control, initial)
+        self.own_writes = OwnWrites(self.dictionary, initial)
         self.updates = Updates(
             self.control, data, self.dictionary, log, self.process.alive, self.process.handle,
             sequence,
@@ -88,7 +91,20 @@ class Session:
         ffi, _ = layout()
         self._ended = ffi.new("uint32_t *")  # for what was made ready, and is kept by others
         self._read_plans: dict[tuple[str, ...], ReadPlan] = {}
-        self._supervisor = Supervisor(self.process, self.updates.harvest, self._died)
+        self._rounds = 0
+        self._supervisor = Supervisor(self.process, self._each_round, self._died)
+
+    def _each_round(self) -> None:
+        self.updates.harvest()
+        self._rounds += 1
+        if self._rounds % _LOOK_ROUNDS == 0 and self.alive():
+            with contextlib.suppress(RunnerDied, Refused):  # the end is told elsewhere
+                self._look()
+
+    def _look(self) -> None:
+        seen: list[np.ndarray[tuple[int], np.dtype[np.uint8]]] = []
+        written = self.updates.take_written(lambda: seen.append(self.snapshot()[1]))
+        self.own_writes.look(seen[0], written)
 
     def _died(self, sentence: str) -> None:
         told = safety.trip_of(self.control, self.machine)

@@ -72,6 +72,7 @@ def status_of(session: Session, latched: Callable[[], Trip | None]) -> Status:
         homed=homed,
         drive_mode=mode,
         unsafe=session.unsafe,
+        own=session.own_writes.told(),
     )
 
 

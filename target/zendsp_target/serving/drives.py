@@ -413,9 +413,13 @@ class Drives:
 
     def _check_start(self) -> None:
         with self._lock:
-            if not self._explicit or self._enabled:
+            if self._enabled:
                 return
-            failing = [c for c in self.conditions(self._runtime.status()) if not c.met]
+            status = self._runtime.status()
+            # automatic drives: only where the position is unknown, since its limits would not hold
+            if not self._explicit and (status.homed or not _loaded(status)):
+                return
+            failing = [c for c in self.conditions(status) if not c.met]
             failing = failing or [
                 Condition(
                     "enabled",

@@ -24,7 +24,7 @@ from zendsp_target.runtime.memory.layout import layout
 from zendsp_target.runtime.memory.shm import SharedFile
 from zendsp_target.runtime.variables.change_log import ChangeLog, Flight
 from zendsp_target.runtime.variables.dictionary import Dictionary, Place
-from zendsp_target.runtime.variables.plans import WritePlan
+from zendsp_target.runtime.variables.plans import ENTRY, WritePlan
 from zendsp_target.runtime.variables.values import FloatArray, check_kind, numbers_of
 
 _SLICE_NS = 20_000_000  # waits come up for air so often, to see a runner that died
@@ -88,6 +88,7 @@ class Updates:
         self._flights: dict[int, Flight] = {}
         self._applied: dict[int, int] = {}
         self._before = self._sequence = sequence
+        self._written: dict[int, Flight] = {}  # by variable, its last since `take_written`
         self._bank: dict[int, int] = {}  # bank that a table's newest update names, by variable
 
     # ---- write ------------------------------------------------------------------------------------------------------------  # noqa: E501
@@ -373,6 +374,28 @@ class Updates:
             self._harvest()
         self._log.settle(_WORDED_AT_ONCE)
 
+    def take_written(self, shown: Callable[[], None]) -> dict[int, bytes | None]:
+        """Call ``shown`` while nothing is committed; returns the variables that were written since
+        the last call, and of single numbers what was. None: of an array, or about to be.
+        """
+        with self._lock:
+            self._harvest()
+            shown()
+            written, self._written = self._written, {}
+            waiting = [place for flight in self._flights.values() for _, place in flight.places]
+        found: dict[int, bytes | None] = {}
+        for flight in {id(flight): flight for flight in written.values()}.values():
+            entries = flight.entries()
+            at = 0
+            for _, place in flight.places:
+                size = ENTRY.unpack_from(entries, at)[2]
+                at += ENTRY.size
+                if written[place.entry.index] is flight:
+                    alone = place.entry.info.length == 1
+                    found[place.entry.index] = entries[at : at + size] if alone else None
+                at += size + -size % 8
+        return found | {place.entry.index: None for place in waiting}
+
     def _harvest(self) -> None:
         # What the loop applies while this looks is left for the next time: else a later batch
         # could be seen, and logged, before an earlier one.
@@ -385,6 +408,7 @@ class Updates:
             batch = self._batches[slot]
             tick = int(batch.applied)
             body = self._starts[slot] + self._entries_at
+            self._written.update((place.entry.index, flight) for _, place in flight.places)
             self._log.append(flight, tick, bytes(self._view[body : body + flight.size]))
             batch.state = self._lib.BATCH_FREE
             self._free.append(slot)
