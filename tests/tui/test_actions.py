@@ -33,7 +33,7 @@ from zendsp.tui.screens.console_program import whole
 from zendsp.tui.screens.console_scope import real
 from zendsp.tui.snapshot import Snapshot, TripView
 from zendsp.tui.statusbar import StatusBar, Tabs, mean_and_max
-from zendsp.tui.stopper import EMERGENCY
+from zendsp.tui.stop_process import EMERGENCY
 from zendsp.tui.trial import Trial
 
 

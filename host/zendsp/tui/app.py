@@ -27,7 +27,8 @@ from zendsp.tui.port import Port
 from zendsp.tui.runs import Outcome, Run
 from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.session import Session
-from zendsp.tui.stopper import PICTURE, with_stop
+from zendsp.tui.stop_process import PICTURE
+from zendsp.tui.stopper import with_stop
 from zendsp.tui.workspace import Workspace
 from zendsp_isr.sources import gather, shipped_programs
 

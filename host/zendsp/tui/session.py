@@ -23,7 +23,8 @@ from zendsp.tui.port import Port
 from zendsp.tui.scope import Channel, History
 from zendsp.tui.scope.formula import Computed
 from zendsp.tui.snapshot import Snapshot
-from zendsp.tui.stopper import EMERGENCY, STOPPERS, Field, Stopper
+from zendsp.tui.stop_process import EMERGENCY, STOPPERS, Field
+from zendsp.tui.stopper import Stopper
 
 T = TypeVar("T")
 SHOWN_S = 5.0  # at the least, of the word that the machine stopped

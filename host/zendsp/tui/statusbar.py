@@ -18,7 +18,7 @@ from zendsp.tui.actions import SCREENS
 from zendsp.tui.panels.lines import Lines
 from zendsp.tui.session import Verdict
 from zendsp.tui.snapshot import Snapshot
-from zendsp.tui.stopper import Field
+from zendsp.tui.stop_process import Field
 
 STATE_MARKS = {
     "running": ("●", "success"),
