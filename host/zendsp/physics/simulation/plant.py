@@ -167,8 +167,6 @@ class Plant:
         Integration steps per sample.
     position, velocity : array_like, shape (joints,), optional
         Where it starts, rad or m, and rad/s or m/s; 0 where absent.
-    t0 : float
-        Time of the first sample, s (friction that drifts needs it).
     temperature : array_like, shape (samples,), or float, optional
         Of the machine, °C; the last one stays. 20 where absent.
 
@@ -186,7 +184,6 @@ class Plant:
         inner: int = INNER,
         position: npt.ArrayLike | None = None,
         velocity: npt.ArrayLike | None = None,
-        t0: float = 0.0,
         temperature: npt.ArrayLike | None = None,
     ) -> None:
         if model.kind not in KINDS:
@@ -208,7 +205,7 @@ class Plant:
                 f"{model.name}: {self.joints} joints; the simulator takes at most {MAX_JOINTS}"
             )
         c = self.native.ffi.new("sim_config *")
-        self._fill(c, position, velocity, t0)
+        self._fill(c, position, velocity)
         warmth = np.atleast_1d(
             np.asarray([] if temperature is None else temperature, dtype=np.float64)
         )
@@ -225,12 +222,10 @@ class Plant:
         self.pointer = self.native.ffi.gc(pointer, self.native.lib.sim_free)
 
     def _fill(
-        self, c: Any, position: npt.ArrayLike | None, velocity: npt.ArrayLike | None, t0: float
+        self, c: Any, position: npt.ArrayLike | None, velocity: npt.ArrayLike | None
     ) -> None:
         model, n = self.model, self.joints
-        c.joints, c.kind, c.inner, c.period, c.t0 = (
-            n, KINDS[model.kind], self.inner, self.period, t0,
-        )
+        c.joints, c.kind, c.inner, c.period = n, KINDS[model.kind], self.inner, self.period
         c.load_sensor = int(model.sensor.side == "load")
         c.delay = model.actuator.delay
         c.hold = max(1, round((model.actuator.hold or self.period) / self.period))
