@@ -100,8 +100,10 @@ def section(name: str, rows: list[Any]) -> str:
         )
     note = f" ({EXPERIMENTS[name][0]})" if EXPERIMENTS[name][0] else ""
     return (
-        f"## {name}{note}\n\n{len(rows)} repetitions: {100 * held / count:.1f} % of {count}"
-        " intervals hold.\n\n" + "\n".join(lines) + "\n"
+        f"## {name}{note}\n"
+        "\n"
+        f"{len(rows)} repetitions: {100 * held / count:.1f} % of {count} intervals hold.\n"
+        "\n" + "\n".join(lines) + "\n"
     )
 
 

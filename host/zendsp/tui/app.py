@@ -96,11 +96,9 @@ class ZendspApp(App[None]):
         self.model = ""  # model file that simulation and diagnosis were last given
         self.workspace = Workspace(folder)
         self.source = source
-        self._find, self._start_machine, self._machines = (
-            find_targets,
-            start_machine,
-            tuple(machines),
-        )
+        self._find = find_targets
+        self._start_machine = start_machine
+        self._machines = tuple(machines)
         self._target, self._first, self._theme_name, self._begin = target, first, theme, begin
         self.chosen: tuple[Path, ...] = ()  # references that Execute will play
         self._expected = 0.0  # until when keys wait for a dialog

@@ -194,9 +194,10 @@ class Plant:
         model = with_bodies(model)
         if not model.sample_time:
             raise ModelError(f"{model.name}: lacks sample_time, which a simulation needs")
-        self.model, self.samples, self.period, self.inner = (
-            model, int(samples), float(model.sample_time), int(inner),
-        )
+        self.model = model
+        self.samples = int(samples)
+        self.period = float(model.sample_time)
+        self.inner = int(inner)
         self.native: SimulatorLibrary = simulator_library()
         self._keep: list[Any] = []
         self.joints = joint_count(model)
@@ -261,9 +262,8 @@ class Plant:
         own = (t for t in kernel_model(self.model).terms if t not in bodies)
         terms = sorted(own, key=lambda term: term.joint)
         table = np.zeros((max(1, len(terms)), MAX_PARAMETERS))
-        kinds, joints = np.zeros(max(1, len(terms)), np.int32), np.zeros(
-            max(1, len(terms)), np.int32
-        )
+        kinds = np.zeros(max(1, len(terms)), np.int32)
+        joints = np.zeros(max(1, len(terms)), np.int32)
         for i, term in enumerate(terms):
             kinds[i], joints[i] = self.native.index[term.effect], term.joint - 1
             for k, parameter in enumerate(get_effect(term.effect).parameters):
@@ -277,9 +277,9 @@ class Plant:
                     value -= 1
                 table[i, k] = value
         c.effects = len(terms)
-        c.effect, c.effect_joint, c.effect_p = (
-            self._pointer(kinds), self._pointer(joints), self._pointer(table),
-        )
+        c.effect = self._pointer(kinds)
+        c.effect_joint = self._pointer(joints)
+        c.effect_p = self._pointer(table)
 
     def _pointer(self, array: npt.NDArray[Any]) -> Any:
         array = np.ascontiguousarray(array)

@@ -204,9 +204,11 @@ class Updates:
         if plan is None or commit is None:
             return None
         entries = partial(plan.entries_of, value_at)
-        lock, batches, free, flights, now = (
-            self._lock, self._batches, self._free, self._flights, time.time,
-        )
+        lock = self._lock
+        batches = self._batches
+        free = self._free
+        flights = self._flights
+        now = time.time
 
         def write(request: bytes) -> int:
             with lock:
