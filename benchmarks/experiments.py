@@ -21,7 +21,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from zendsp.experiment import Lab, Result
-from zendsp.experiment.imi_friction import static, viscous
+from zendsp.experiment.imi_breakaway import static
+from zendsp.experiment.imi_friction import viscous
 from zendsp.experiment.lab import Bench
 from zendsp.experiment.pendulum_motor import electrical, mechanical
 from zendsp.experiment.truth import TRUTH

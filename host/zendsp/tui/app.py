@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future
+from functools import partial
 from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -110,6 +111,12 @@ class ZendspApp(App[None]):
 
     # -- life
 
+    def _kept(self, name: str, make: type[LabScreen]) -> LabScreen:
+        """The screen of a mode, made when it is first shown."""
+        if name not in self._screens:
+            self._screens[name] = make()
+        return self._screens[name]
+
     async def on_mount(self) -> None:
         from zendsp.tui.screens.console import ConsoleScreen
         from zendsp.tui.screens.diagnose import DiagnoseScreen
@@ -120,15 +127,14 @@ class ZendspApp(App[None]):
             self.register_theme(theme)
         self.theme = self._theme_name
         self.session.start()
-        makers = {
+        makers: dict[str, type[LabScreen]] = {
             "console": ConsoleScreen,
             "execute": ExecuteScreen,
             "reference": ReferenceScreen,
             "diagnose": DiagnoseScreen,
         }
         for name, maker in makers.items():
-            self.add_mode(name, lambda name=name,
-                maker=maker: self._screens.setdefault(name, maker()))  # type: ignore[misc]
+            self.add_mode(name, partial(self._kept, name, maker))
         self._blind = not self.is_headless
         await self.switch_mode(self._first)
         if not self.is_headless:  # in the queue of the keys: those that are pressed meanwhile wait
