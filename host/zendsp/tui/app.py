@@ -159,7 +159,7 @@ class ZendspApp(App[None]):
         if self._marked:
             return
         self._marked = True
-        stopper = self.session.stopper
+        stopper = self.session.stops.stopper
         if stopper is not None and stopper.picture():
             self.set_timer(HELD_S, self._see)  # should its word not come
         else:
@@ -186,9 +186,9 @@ class ZendspApp(App[None]):
 
     async def action_stop(self) -> None:
         """STOP."""
-        stopper = self.session.stopper
+        stopper = self.session.stops.stopper
         if stopper is None or not stopper.stop():
-            self.session.stop()
+            self.session.stops.stop()
 
     async def action_quit(self) -> None:
         """Leave; where the machine moves, ask first what is to become of it."""
@@ -216,7 +216,7 @@ class ZendspApp(App[None]):
     def _stop_and_leave(self) -> None:
         """Stay where nothing says that it stopped: the banner then tells what to do."""
         try:
-            self.session.stop().result()
+            self.session.stops.stop().result()
         except Exception:
             return
         deadline = time.monotonic() + PUT_BACK_S
@@ -339,11 +339,11 @@ class ZendspApp(App[None]):
         """
         now = self.session.snapshot
         latched = now.trip is not None or now.drive in ("stopped", "tripped") or now.crash
-        if now.link == "up" and not latched and self.session.verdict is None:
+        if now.link == "up" and not latched and self.session.stops.verdict is None:
             if not isinstance(self.focused, Input):
                 self.toast("nothing is latched, so there is nothing to acknowledge")
             raise SkipAction
-        self.session.acknowledged()
+        self.session.stops.acknowledged()
         self.drive("acknowledge", "acknowledge")
 
     # -- keys
@@ -351,7 +351,9 @@ class ZendspApp(App[None]):
     def get_driver_class(self) -> type[Driver]:
         """Read the keys that the process of STOP hands on."""
         return with_stop(
-            super().get_driver_class(), lambda: self.session.stopper, lambda: self.session.stop()
+            super().get_driver_class(),
+            lambda: self.session.stops.stopper,
+            lambda: self.session.stops.stop(),
         )
 
     def expect_dialog(self) -> None:

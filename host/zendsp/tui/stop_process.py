@@ -25,6 +25,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import TYPE_CHECKING
 
 from zendsp.errors import NotStopped, ZendspError
@@ -42,13 +43,21 @@ if TYPE_CHECKING:
 PICTURE, _PICTURE = "f20", b"\x1b[57383u"  # the key, and how a terminal writes it
 F9_MARKS = (b"\x1b[20~", b"\x1b[20;")  # with modifiers and kinds of event
 PASTE_BEGINS, PASTE_ENDS = b"\x1b[200~", b"\x1b[201~"
-HERE = "here"
+HERE = "here"  # the answer to "?"
 EMERGENCY = "NOT STOPPED: use the machine's emergency stop"
 STOPPERS = 2  # a second STOP does not wait for the end of the first
 RETRY_S = 0.4  # between attempts to connect, or to stop what did not answer
 INSIST_S = 10.0  # that a STOP without an answer is asked again
 PASTE_S = 2.0  # of silence, after which a paste whose end did not come is over
 ESCAPE_S = 0.1  # without another byte, after which an Escape is a key of its own
+
+
+class StopState(StrEnum):
+    """How far a STOP is."""
+
+    ASKED = "asked"
+    STOPPED = "stopped"
+    NOT_STOPPED = "not stopped"
 
 
 def is_stop(key: str) -> bool:
@@ -136,10 +145,10 @@ class Stops:
     def _run(self) -> None:
         while True:
             pressed, page, asked = self._pressed.get()
-            self._tell("asked", "STOP asked: no word yet that it stopped")
+            self._tell(StopState.ASKED, "STOP asked: no word yet that it stopped")
             sample = page.taken(asked, TAKEN_S) if page is not None else None
             if sample is not None:
-                self._tell("stopped", f"stopped, at sample {sample}")
+                self._tell(StopState.STOPPED, f"stopped, at sample {sample}")
             else:
                 self._insist(pressed + INSIST_S)
 
@@ -152,14 +161,14 @@ class Stops:
                     raise NotStopped(
                         f"{EMERGENCY} (there is no link to {links.name or 'a target'})"
                     )
-                self._tell("stopped", stopped(target.stop()))
+                self._tell(StopState.STOPPED, stopped(target.stop()))
                 return
             except Exception as error:
                 if not told:
                     detail = (
                         str(error) if isinstance(error, NotStopped) else f"{EMERGENCY} ({error})"
                     )
-                    self._tell("not stopped", EMERGENCY, detail)
+                    self._tell(StopState.NOT_STOPPED, EMERGENCY, detail)
                 told = True
             if time.monotonic() > until or name not in ("", links.name):
                 return

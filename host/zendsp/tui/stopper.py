@@ -18,7 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from zendsp.tui.stop_process import HERE, Field, is_stop
+from zendsp.tui.stop_process import HERE, Field, StopState, is_stop
 
 if TYPE_CHECKING:
     from textual.driver import Driver
@@ -48,7 +48,7 @@ class Stopper:
         ``on_verdict(state, text, detail)``, called in a thread of its own.
     """
 
-    def __init__(self, on_verdict: Callable[[str, str, str], None]) -> None:
+    def __init__(self, on_verdict: Callable[[StopState, str, str], None]) -> None:
         self._on_verdict = on_verdict
         self.terminal = os.dup(0)
         os.set_inheritable(self.terminal, False)
@@ -139,7 +139,8 @@ class Stopper:
                 if verdict["state"] == HERE:
                     self._here.set()
                 else:
-                    self._on_verdict(verdict["state"], verdict["text"], verdict["detail"])
+                    state = StopState(verdict["state"])
+                    self._on_verdict(state, verdict["text"], verdict["detail"])
         if self.alive:
             self.alive = False
             self._process.wait()
