@@ -90,7 +90,7 @@ class Updates:
         self._before = self._sequence = sequence
         self._bank: dict[int, int] = {}  # bank that a table's newest update names, by variable
 
-    # ---- write ------------------------------------------------------------------------------------------------------------  # noqa: E501
+    # -- write
 
     def write(
         self, values: Mapping[str, object], author: str, at_tick: int | None, settings: bool = False
@@ -296,7 +296,7 @@ class Updates:
         """Number of the last update."""
         return self._sequence
 
-    # ---- acknowledge ------------------------------------------------------------------------------------------------------  # noqa: E501
+    # -- acknowledge
 
     def wait_applied(self, sequence: int, timeout: float) -> int:
         """Sleep until a batch has taken effect, and whoever reads from here on gets its values.
