@@ -2,8 +2,8 @@
 that.
 
 Three lanes, so that nothing waits for something slower: the poller takes snapshots and reconnects,
-the worker does what the user asked in order, and STOP has threads to itself that never stand behind
-either.
+the worker does what the user asked in order, and STOP (:mod:`zendsp.tui.stop_lane`) stands behind
+neither.
 """
 
 from __future__ import annotations
