@@ -21,7 +21,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from zendsp.experiment import Lab, Result
-from zendsp.experiment.imi_friction import static, viscous
+from zendsp.experiment.imi_breakaway import static
+from zendsp.experiment.imi_friction import viscous
 from zendsp.experiment.lab import Bench
 from zendsp.experiment.pendulum_motor import electrical, mechanical
 from zendsp.experiment.truth import TRUTH
@@ -100,8 +101,10 @@ def section(name: str, rows: list[Any]) -> str:
         )
     note = f" ({EXPERIMENTS[name][0]})" if EXPERIMENTS[name][0] else ""
     return (
-        f"## {name}{note}\n\n{len(rows)} repetitions: {100 * held / count:.1f} % of {count}"
-        " intervals hold.\n\n" + "\n".join(lines) + "\n"
+        f"## {name}{note}\n"
+        "\n"
+        f"{len(rows)} repetitions: {100 * held / count:.1f} % of {count} intervals hold.\n"
+        "\n" + "\n".join(lines) + "\n"
     )
 
 

@@ -30,8 +30,8 @@ from zendsp_target.runtime import Runtime, program_text
 PRIORITY = 80
 EMPTY = '#include "isr.h"\nvoid UserInit(void) {}\nvoid UserISR_INT2(void) {}\n'
 WIDE = (
-    '#include "isr.h"\nstatic double wide[1024];\nvoid UserInit(void) { SIGNAL(wide, "", "");'
-    " }\nvoid UserISR_INT2(void) { wide[0] = (double)SAMPLE_TICK; wide[127] = -wide[0]; }\n"
+    '#include "isr.h"\nstatic double wide[1024];\nvoid UserInit(void) { SIGNAL(wide, "", ""); }\n'
+    "void UserISR_INT2(void) { wide[0] = (double)SAMPLE_TICK; wide[127] = -wide[0]; }\n"
 )
 BARE = r"""
 #define _GNU_SOURCE
@@ -294,8 +294,9 @@ def update_cost() -> dict[str, float]:
 def report(found: dict[str, Any]) -> None:
     """Print it for people."""
     print(
-        f"scheduling: {found['lateness'].pop('scheduling')}\n\nlateness at the start of a"
-        " sample, us"
+        f"scheduling: {found['lateness'].pop('scheduling')}\n"
+        "\n"
+        "lateness at the start of a sample, us"
     )
     print(f"{'':22}{'p50':>10}{'p99':>10}{'p99.9':>10}{'max':>10}")
     for rate, runs in found["lateness"].items():

@@ -27,9 +27,8 @@ REPEATS = 7
 
 def cpu_s() -> float:
     """CPU time of this process and of the children that it has waited for, s."""
-    own, children = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(
-        resource.RUSAGE_CHILDREN
-    )
+    own = resource.getrusage(resource.RUSAGE_SELF)
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
     return own.ru_utime + own.ru_stime + children.ru_utime + children.ru_stime
 
 
@@ -40,9 +39,8 @@ def measure(what: str, run: Callable[[], object], limit_ms: float | None = None)
     for _ in range(REPEATS):
         wall, cpu = time.perf_counter(), cpu_s()
         run()
-        best_cpu, best_wall = min(best_cpu, cpu_s() - cpu), min(
-            best_wall, time.perf_counter() - wall
-        )
+        best_cpu = min(best_cpu, cpu_s() - cpu)
+        best_wall = min(best_wall, time.perf_counter() - wall)
     kept = limit_ms is None or 1e3 * best_cpu < limit_ms
     promise = (
         "" if limit_ms is None else f"   promised < {limit_ms:g} ms: {'kept' if kept else 'BROKEN'}"
@@ -67,9 +65,8 @@ def main() -> int:
     )
     r = 0.8 * np.sin(2e-3 * np.arange(20000))[:, None]
     wam = load_model(MODELS / "wam7.toml")
-    start, goal = np.array([0, 0.5, 0, 1.5, -1.5, 0, 0]), np.array(
-        [0.5, 0.0, 0.5, 2.0, -1.0, 0.5, 0.5]
-    )
+    start = np.array([0, 0.5, 0, 1.5, -1.5, 0, 0])
+    goal = np.array([0.5, 0.0, 0.5, 2.0, -1.0, 0.5, 0.5])
     reference = make_lspb(
         load_machine("wam7"), start=start, goal=goal, duration=20.0, blend_time=1.0
     )

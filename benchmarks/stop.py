@@ -38,7 +38,7 @@ from contextlib import contextmanager
 import numpy as np
 
 import zendsp
-from zendsp.tui.stopper import be_prompt
+from zendsp.tui.stop_process import be_prompt
 
 CALL = "from zendsp.cli import main; main()"
 F = {2: b"\x1bOQ", 3: b"\x1bOR", 4: b"\x1bOS", 9: b"\x1b[20~"}
@@ -98,7 +98,7 @@ class Direct:
 
     def __init__(self, name: str) -> None:
         read, self._control = os.pipe()
-        call = f"from zendsp.tui.stopper import serve; serve({read}, 2, False)"
+        call = f"from zendsp.tui.stop_process import serve; serve({read}, 2, False)"
         self._process = subprocess.Popen(
             [sys.executable, "-c", call], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL, pass_fds=(read,),

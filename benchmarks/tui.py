@@ -193,8 +193,9 @@ def host_lost() -> dict[str, float]:
     from zendsp.link import local
 
     code = (
-        "import sys, time\nfrom zendsp.link import connect\nt = connect(sys.argv[1]); t.power_on();"
-        " t.enable(); t.start(); print('on', flush=True); time.sleep(600)\n"
+        "import sys, time\nfrom zendsp.link import connect\n"
+        "t = connect(sys.argv[1]); t.power_on(); t.enable(); t.start()\n"
+        "print('on', flush=True); time.sleep(600)\n"
     )
     times = []
     with local("imi_planar", timeout=60.0) as target:

@@ -122,8 +122,14 @@ def _section(effect: Effect) -> str:
     )
     words = [
         (
-            f"\n## {effect.name}\n\n`{effect.equation}`\n\n| parameter | unit | range | default |"
-            f" measures |\n|---|---|---|---|---|\n{rows}\n"
+            "\n"
+            f"## {effect.name}\n"
+            "\n"
+            f"`{effect.equation}`\n"
+            "\n"
+            "| parameter | unit | range | default | measures |\n"
+            "|---|---|---|---|---|\n"
+            f"{rows}\n"
         ),
         f"- *Says:* {effect.sentence}\n- *Confirm by:* {effect.experiment}\n",
     ]

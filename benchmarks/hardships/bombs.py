@@ -22,8 +22,8 @@ PROMISE = (
 # in which a target answers while it compiles a bomb, on a computer with two CPUs that both work
 STATUS_S = 1.0
 HEAD = (
-    '#include "isr.h"\nstatic double x;\nvoid UserInit(void) { SIGNAL(x, "", ""); }\nvoid'
-    " UserISR_INT2(void) { x = 1.0; }\n"
+    '#include "isr.h"\nstatic double x;\nvoid UserInit(void) { SIGNAL(x, "", ""); }\n'
+    "void UserISR_INT2(void) { x = 1.0; }\n"
 )
 TENFOLD = "".join(f"#define A{i + 1} A{i} A{i} A{i} A{i} A{i} A{i} A{i} A{i}\n" for i in range(12))
 SOURCES = {  # the quick ones first

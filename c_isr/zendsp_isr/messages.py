@@ -91,11 +91,9 @@ def _from_json(entry: dict[str, object]) -> list[Message]:
     if isinstance(locations, list) and locations and isinstance(locations[0], dict):
         caret = locations[0].get("caret")
         if isinstance(caret, dict):
-            file, line, column = (
-                str(caret.get("file", "")),
-                int(caret.get("line", 0)),
-                int(caret.get("column", 0)),
-            )
+            file = str(caret.get("file", ""))
+            line = int(caret.get("line", 0))
+            column = int(caret.get("column", 0))
     option = entry.get("option")
     text = str(entry.get("message", "")) + (f" [{option}]" if option else "")
     messages = [Message(severity, file, line, column, text)]

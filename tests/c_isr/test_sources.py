@@ -97,8 +97,8 @@ def test_histogram_bins_have_the_edges_that_are_published(tmp_path: Path) -> Non
     source = tmp_path / "bins.c"
     lines = "".join(f'    printf("%u\\n", timing_bin({value}ull));\n' for value in values)
     source.write_text(
-        f'#define _GNU_SOURCE\n#include <stdio.h>\n#include "timing.h"\nint main(void) {{\n{lines} '
-        "   return 0;\n}\n"
+        f'#define _GNU_SOURCE\n#include <stdio.h>\n#include "timing.h"\nint main(void) {{\n'
+        f"{lines}    return 0;\n}}\n"
     )
     program = tmp_path / "bins"
     subprocess.run(

@@ -152,9 +152,8 @@ def simulate(
             level *= 1.0 - m.thin * (warm[-1] - 20.0)
             inertia = m.inertia
             if m.wobble:  # the load turns by `slope` for each turn of the motor
-                slope, bend = 1.0 + 5 * m.wobble * math.cos(5 * q + 0.6), -25 * m.wobble * math.sin(
-                    5 * q + 0.6
-                )
+                slope = 1.0 + 5 * m.wobble * math.cos(5 * q + 0.6)
+                bend = -25 * m.wobble * math.sin(5 * q + 0.6)
                 inertia *= slope * slope
                 f += m.inertia * slope * bend * v * v
                 f += m.gravity * (

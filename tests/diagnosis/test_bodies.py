@@ -77,16 +77,12 @@ def simulate(arm: Arm, seed: int, seconds: float = 10.0) -> dict[str, np.ndarray
     r = np.random.default_rng(seed)
     f, phase = r.uniform(0.1, 0.9, (3, 5)), r.uniform(0, 6.28, (3, 5))
     size = np.array([0.8, 0.6, 0.8])[:, None] * 0.4 / f**0.5
-    kp, kd, gain = (
-        np.array([60.0, 90.0, 40.0]),
-        np.array([8.0, 12.0, 4.0]),
-        np.array([1.0, arm.gain, 1.0]),
-    )
-    h, q, v = (
-        1.0 / RATE / SUB,
-        np.array([0.0, 0.6, -0.9]) + (size * np.sin(phase)).sum(1),
-        np.zeros(3),
-    )
+    kp = np.array([60.0, 90.0, 40.0])
+    kd = np.array([8.0, 12.0, 4.0])
+    gain = np.array([1.0, arm.gain, 1.0])
+    h = 1.0 / RATE / SUB
+    q = np.array([0.0, 0.6, -0.9]) + (size * np.sin(phase)).sum(1)
+    v = np.zeros(3)
     last, rows = q.copy(), []
     for k in range(int(seconds * RATE)):
         t = k / RATE
@@ -126,9 +122,9 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., tuple[Mode
         ]
         model = folder / "model.toml"
         model.write_text(
-            f'name = "arm"\nsample_time = {1 / RATE}\n[mechanism]\nkind = "urdf"\nfile ='
-            f' "arm.urdf"\n[sensor]\nposition_resolution = {RESOLUTION}\n[columns]\ntime ='
-            ' "t"\nposition = "q"\ncommand = "u"\n'
+            f'name = "arm"\nsample_time = {1 / RATE}\n[mechanism]\nkind = "urdf"\n'
+            f'file = "arm.urdf"\n[sensor]\nposition_resolution = {RESOLUTION}\n[columns]\n'
+            'time = "t"\nposition = "q"\ncommand = "u"\n'
         )
         given = load_model(model)
         if friction:

@@ -509,12 +509,10 @@ def test_only_what_untouched_recordings_bear_out_by_chance_too_rarely_is_claimed
     monkeypatch.setattr(pieces, "_rubbing", lambda *_: [])
     parts = SimpleNamespace(test=SimpleNamespace(joints=1), each=())
     final = SimpleNamespace(model=None)
-    sure, unlikely, uneven, small = (
-        piece(0.1, 5.0, 20.0),
-        piece(0.1, 5.0, 3.0),
-        piece(0.1, 1.0, 20.0),
-        piece(0.005, 5.0, 20.0),
-    )
+    sure = piece(0.1, 5.0, 20.0)
+    unlikely = piece(0.1, 5.0, 3.0)
+    uneven = piece(0.1, 1.0, 20.0)
+    small = piece(0.005, 5.0, 20.0)
     claimed, rest = pieces.held_apart(
         parts,  # type: ignore[arg-type]
         None,  # type: ignore[arg-type]

@@ -238,11 +238,14 @@ def test_user_effect_is_named(tmp_path: Path) -> None:
     """A file of one's own effect, and a recording that has it: it is named, with its number."""
     file = tmp_path / "lubricant.py"
     file.write_text(
-        "from zendsp.physics.effects import Effect, Parameter\nFILM = Effect(name='film',"
-        " site='torque', parameters=(Parameter('strength', 'torque/speed', lower=0),),\n   "
-        " c='return p[0] * s->qd / (1.0 + s->qd * s->qd);', linear=('strength',), sentence='Joint"
-        " {joint} has a film of {strength}.',\n    experiment='Speeds around 1 rad/s.', equation='w"
-        " qd / (1 + qd^2)')\n"
+        "from zendsp.physics.effects import Effect, Parameter\n"
+        "strength = Parameter('strength', 'torque/speed', lower=0)\n"
+        "FILM = Effect(\n"
+        "    name='film', site='torque', parameters=(strength,), linear=('strength',),\n"
+        "    c='return p[0] * s->qd / (1.0 + s->qd * s->qd);', equation='w qd / (1 + qd^2)',\n"
+        "    sentence='Joint {joint} has a film of {strength}.',\n"
+        "    experiment='Speeds around 1 rad/s.',\n"
+        ")\n"
     )
     machine = reality.Machine(wiggle=0.05)
     for name, seed in (("a", 1), ("b", 2)):

@@ -123,8 +123,8 @@ def _arm(folder: Path, friction: str) -> Path:
     model = folder / "arm.toml"
     model.write_text(
         f'name = "arm"\nsample_time = {1 / RATE}\n[mechanism]\nkind = "urdf"\nfile = "arm.urdf"\n'
-        f'{friction}\n[sensor]\nposition_resolution = 1e-5\n[columns]\ntime = "t"\nposition ='
-        ' "q"\ncommand = "u"\n'
+        f'{friction}\n[sensor]\nposition_resolution = 1e-5\n[columns]\ntime = "t"\nposition = "q"\n'
+        'command = "u"\n'
     )
     return model
 

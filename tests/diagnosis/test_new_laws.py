@@ -199,10 +199,8 @@ def test_a_simulated_loop_knows_temperature_load_and_what_is_written_of_its_comm
     np.testing.assert_allclose(
         looped(COULOMB, warm, temperature=30.0).position, looped(half).position, atol=1e-12
     )
-    plain, late = (
-        looped(COULOMB),
-        looped(COULOMB, {"kind": "column_shift", "joint": 1, "time": 0.004}),
-    )
+    plain = looped(COULOMB)
+    late = looped(COULOMB, {"kind": "column_shift", "joint": 1, "time": 0.004})
     np.testing.assert_array_equal(plain.position, late.position)
     np.testing.assert_allclose(late.command[10:], plain.command[8:-2], atol=1e-12)
     hard = {

@@ -35,7 +35,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         )
     reality.model_file(folder / "model.toml", RATE, reality.effect("viscous", coefficient=0.004))
     out = folder / "out"
-    argv, sys.argv = sys.argv, [
+    argv = sys.argv
+    sys.argv = [
         "zendsp",
         "diagnose",
         *map(

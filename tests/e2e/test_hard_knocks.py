@@ -28,8 +28,8 @@ from zendsp.link.settings import Credentials
 from zendsp_protocol import codec, registry
 
 HEAD = (
-    '#include "isr.h"\nstatic int32_t n;\nvoid UserBackground(void) {}\nvoid UserInit(void) {'
-    ' SIGNAL(n, "", ""); }\n'
+    '#include "isr.h"\nstatic int32_t n;\nvoid UserBackground(void) {}\n'
+    'void UserInit(void) { SIGNAL(n, "", ""); }\n'
 )
 CRASH = HEAD + "void UserISR_INT2(void) { if (++n == 500) *(volatile int *)8 = 1; }\n"
 HANG = HEAD + "void UserISR_INT2(void) { if (++n == 500) for (;;) ; }\n"

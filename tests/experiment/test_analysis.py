@@ -14,13 +14,9 @@ from zendsp.cli.experiment import command
 from zendsp.errors import ModelError, RecordingError
 from zendsp.experiment import EXPERIMENTS, Estimate, Result, fit_model, put_into
 from zendsp.experiment.estimates import line_fit, mean_of
+from zendsp.experiment.imi_breakaway import breakaway_torque, bristle_stiffness, pushed_way
 from zendsp.experiment.imi_fit import fit_curve
-from zendsp.experiment.imi_friction import (
-    breakaway_torque,
-    bristle_stiffness,
-    inertia_torque,
-    pushed_way,
-)
+from zendsp.experiment.imi_friction import inertia_torque
 from zendsp.experiment.pendulum_motor import delivered, fit_parameters, pendulum_model, steady_means
 from zendsp.experiment.report import table, wrapped, write_report
 from zendsp.experiment.result import FoundEffect

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from zendsp.experiment import Estimate, Lab, Result, run_experiment
+from zendsp.experiment.imi_breakaway import static
 from zendsp.experiment.imi_circle import circle, compensation_values
 from zendsp.experiment.imi_fit import fit
-from zendsp.experiment.imi_friction import low_speed, static, viscous
+from zendsp.experiment.imi_friction import low_speed, viscous
 from zendsp.experiment.pendulum_motor import electrical, mechanical
 from zendsp.experiment.result import FoundEffect
 from zendsp.experiment.wam_friction import friction

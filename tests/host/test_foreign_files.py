@@ -193,10 +193,8 @@ def bag(path: Path, plugin: str, *, command_every: int = 1, command_from: int = 
 
     store = get_typestore(Stores.ROS2_HUMBLE)
     state, header = store.types["sensor_msgs/msg/JointState"], store.types["std_msgs/msg/Header"]
-    stamp, array = (
-        store.types["builtin_interfaces/msg/Time"],
-        store.types["std_msgs/msg/Float64MultiArray"],
-    )
+    stamp = store.types["builtin_interfaces/msg/Time"]
+    array = store.types["std_msgs/msg/Float64MultiArray"]
     layout, words = store.types["std_msgs/msg/MultiArrayLayout"], store.types["std_msgs/msg/String"]
     with Writer(path, version=9, storage_plugin=StoragePlugin[plugin]) as writer:
         joints = writer.add_connection("/joint_states", state.__msgtype__, typestore=store)

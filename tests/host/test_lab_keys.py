@@ -94,11 +94,9 @@ def test_a_person_s_name_in_a_request_is_that_of_the_certificate(lab: Lab, start
     """Asked under another's name, nothing answers: not with her key expression, and not with her
     name in the message.
     """
-    target, anna, bo = (
-        lab.add_target("imi"),
-        lab.add_user("anna", "observe"),
-        lab.add_user("bo", "download"),
-    )
+    target = lab.add_target("imi")
+    anna = lab.add_user("anna", "observe")
+    bo = lab.add_user("bo", "download")
     monitor = start(lab, target)
     with enter(monitor, lab, bo) as good, enter(monitor, lab, anna) as bad:
         good.download("pd.c")
@@ -121,11 +119,9 @@ def test_a_person_s_name_in_a_request_is_that_of_the_certificate(lab: Lab, start
 
 
 def test_nobody_is_made_present_or_absent_by_another(lab: Lab, start: Open) -> None:
-    target, anna, bo = (
-        lab.add_target("imi"),
-        lab.add_user("anna", "observe"),
-        lab.add_user("bo", "download"),
-    )
+    target = lab.add_target("imi")
+    anna = lab.add_user("anna", "observe")
+    bo = lab.add_user("bo", "download")
     monitor = start(lab, target)
     with enter(monitor, lab, bo) as good, enter(monitor, lab, anna) as bad:
         from zendsp_protocol import keys

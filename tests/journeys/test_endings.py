@@ -109,8 +109,11 @@ def test_the_policy_acts_however_the_commanding_script_ends(installed: Installed
 
 def test_pytest_ends_after_its_last_line(installed: Installed) -> None:
     text = (
-        "import zendsp\ndef test_one():\n    t = zendsp.local('imi_planar')\n   "
-        " t.download('pd.c')\n    t.live(['tick'])\n"
+        "import zendsp\n"
+        "def test_one():\n"
+        "    t = zendsp.local('imi_planar')\n"
+        "    t.download('pd.c')\n"
+        "    t.live(['tick'])\n"
     )
     installed.write(
         "test_mine.py", text + "def test_two():\n    zendsp.local('imi_planar'); assert False\n"

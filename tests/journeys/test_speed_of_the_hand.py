@@ -24,8 +24,10 @@ def test_the_commands_of_all_day_load_nothing_heavy(installed: Installed) -> Non
             "import sys, json\n"
             f"sys.argv = ['zendsp', *{command!r}]\n"
             "from zendsp.cli import main\n"
-            "try:\n    main()\n"
-            "except SystemExit as end:\n    assert not end.code, end.code\n"
+            "try:\n"
+            "    main()\n"
+            "except SystemExit as end:\n"
+            "    assert not end.code, end.code\n"
             f"print(json.dumps([m for m in {HEAVY!r} if m in sys.modules]), file=sys.stderr)\n"
         )
         done = installed.script(code)

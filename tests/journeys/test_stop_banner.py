@@ -193,7 +193,7 @@ def stopper_of(terminal: int) -> int:
     """Number of the process that reads the keys."""
     for task in Path(f"/proc/{terminal}/task").iterdir():
         for child in (task / "children").read_text().split():
-            if "zendsp.tui.stopper" in Path(f"/proc/{child}/cmdline").read_text():
+            if "zendsp.tui.stop_process" in Path(f"/proc/{child}/cmdline").read_text():
                 return int(child)
     pytest.fail("the terminal has no process of the keys")
 

@@ -54,13 +54,16 @@ def test_run_says_that_the_program_crashed_and_reading_it_says_so(user: Installe
     read = user.run("get", "a")
     assert "a = 1" in read.stdout and "crashed" in read.stderr
     script = user.script(
-        "import warnings, zendsp\nwith zendsp.connect('imi') as t,"
-        " warnings.catch_warnings(record=True) as told:\n    warnings.simplefilter('always')\n   "
-        " assert t['a'] == 1.0 and 'crashed' in str(told[0].message), told\n    assert 'crashed' in"
-        " t.read(['a']).ended and 'crashed' in t.read(['a']).ended\n    t.download('runs.c');"
-        " t.start()\n    assert t.read(['a']).ended == '' and t.read(['a']).ended == '' and t['a']"
-        " == 1.0 and len(told) == 1\n    t.stop(); t.wait()\n    assert 'STOP' in"
-        " t.read(['a']).ended\n"
+        "import warnings, zendsp\n"
+        "with zendsp.connect('imi') as t, warnings.catch_warnings(record=True) as told:\n"
+        "    warnings.simplefilter('always')\n"
+        "    assert t['a'] == 1.0 and 'crashed' in str(told[0].message), told\n"
+        "    assert 'crashed' in t.read(['a']).ended and 'crashed' in t.read(['a']).ended\n"
+        "    t.download('runs.c'); t.start()\n"
+        "    assert t.read(['a']).ended == '' and t.read(['a']).ended == ''\n"
+        "    assert t['a'] == 1.0 and len(told) == 1\n"
+        "    t.stop(); t.wait()\n"
+        "    assert 'STOP' in t.read(['a']).ended\n"
     )
     assert script.returncode == 0, script.stderr
 
@@ -85,13 +88,21 @@ def test_true_is_no_number_on_any_way(user: Installed) -> None:
             assert said.returncode == 2 and "true" in said.stderr.lower(), (pair, options, said)
     assert user.run("set", "on=true", "a=2").returncode == 0
     script = user.script(
-        "import numpy as np, zendsp\nwith zendsp.connect('imi') as t:\n    t['a'] = 3.0;"
-        " t.update(a=4.0); t.update(a=np.float64(5.0), on=np.bool_(True))\n    for way in (lambda"
-        " v: t.__setitem__('a', v), lambda v: t.update(a=v), lambda v: t.stage(a=v), lambda v:"
-        " t.update(10**9, a=v)):\n        for value in (True, np.bool_(False)):\n            try:"
-        " way(value)\n            except zendsp.errors.VariableError as e: assert 'not a number' in"
-        " str(e), e\n            else: raise SystemExit('taken')\n    t['a'] = 3; t.update(a=4);"
-        " assert t.staged == {}\n"
+        "import numpy as np, zendsp\n"
+        "with zendsp.connect('imi') as t:\n"
+        "    t['a'] = 3.0; t.update(a=4.0); t.update(a=np.float64(5.0), on=np.bool_(True))\n"
+        "    ways = (\n"
+        "        lambda v: t.__setitem__('a', v),\n"
+        "        lambda v: t.update(a=v),\n"
+        "        lambda v: t.stage(a=v),\n"
+        "        lambda v: t.update(10**9, a=v),\n"
+        "    )\n"
+        "    for way in ways:\n"
+        "        for value in (True, np.bool_(False)):\n"
+        "            try: way(value)\n"
+        "            except zendsp.errors.VariableError as e: assert 'not a number' in str(e), e\n"
+        "            else: raise SystemExit('taken')\n"
+        "    t['a'] = 3; t.update(a=4); assert t.staged == {}\n"
     )
     assert script.returncode == 0, script.stderr
 
@@ -121,17 +132,25 @@ def test_a_mistyped_name_is_told_from_the_names_there_are(user: Installed) -> No
 
 def test_a_mistyped_name_does_not_block_matdsp(user: Installed) -> None:
     script = user.script(
-        "from zendsp.matdsp import *\nfrom zendsp.errors import"
-        " VariableError\nMatDSPconnect('imi'); MatDSPdownload('pd.c');"
-        " MatDSPstart()\nMatDSPvariable('Kp1', 450.0)\nfor name, value in (('Kpp1', 1.0), ('Kp1',"
-        " 1e9), ('Kp1', float('nan')), ('q1', 1.0), ('Kp1', True)):\n    try: MatDSPvariable(name,"
-        " value)\n    except VariableError as e: assert name in str(e)\n    else: raise"
-        " SystemExit(f'{name} = {value} taken')\nMatDSPupdate(); assert MatDSPvariable('Kp1') =="
-        " 450.0\nMatDSPvariable('Kp1', 460.0); assert MatDSPdiscard() == {'Kp1': 460.0} and"
-        " MatDSPdiscard() == {}\nMatDSPvariable('Kp1', 470.0); MatDSPdownload('runs.c');"
-        " MatDSPstart()\ntry: MatDSPupdate()\nexcept VariableError as e: assert 'MatDSPdiscard' in"
-        " ''.join(e.__notes__)\nMatDSPdiscard(); MatDSPvariable('a', 2.0); MatDSPupdate(); assert"
-        " MatDSPvariable('a') == 2.0\nMatDSPclose()\n"
+        "from zendsp.matdsp import *\n"
+        "from zendsp.errors import VariableError\n"
+        "MatDSPconnect('imi'); MatDSPdownload('pd.c'); MatDSPstart()\n"
+        "MatDSPvariable('Kp1', 450.0)\n"
+        "nan = float('nan')\n"
+        "wrong = ('Kpp1', 1.0), ('Kp1', 1e9), ('Kp1', nan), ('q1', 1.0), ('Kp1', True)\n"
+        "for name, value in wrong:\n"
+        "    try: MatDSPvariable(name, value)\n"
+        "    except VariableError as e: assert name in str(e)\n"
+        "    else: raise SystemExit(f'{name} = {value} taken')\n"
+        "MatDSPupdate(); assert MatDSPvariable('Kp1') == 450.0\n"
+        "MatDSPvariable('Kp1', 460.0)\n"
+        "assert MatDSPdiscard() == {'Kp1': 460.0} and MatDSPdiscard() == {}\n"
+        "MatDSPvariable('Kp1', 470.0); MatDSPdownload('runs.c'); MatDSPstart()\n"
+        "try: MatDSPupdate()\n"
+        "except VariableError as e: assert 'MatDSPdiscard' in ''.join(e.__notes__)\n"
+        "MatDSPdiscard(); MatDSPvariable('a', 2.0); MatDSPupdate()\n"
+        "assert MatDSPvariable('a') == 2.0\n"
+        "MatDSPclose()\n"
     )
     assert script.returncode == 0, script.stderr
 
@@ -146,8 +165,8 @@ def test_one_way_to_name_a_program(user: Installed) -> None:
     ):
         user.write(
             "m.toml",
-            '[mechanism]\nkind = "rotary"\n[mechanism.parameters]\ninertia ='
-            ' 1.0\n[columns]\nposition = "q"\n',
+            '[mechanism]\nkind = "rotary"\n[mechanism.parameters]\ninertia = 1.0\n[columns]\n'
+            'position = "q"\n',
         )
         said = user.run(*command)
         assert said.returncode == 2 and "nonsense.c" in said.stderr and "pd.c" in said.stderr, (
@@ -159,8 +178,8 @@ def test_one_way_to_name_a_program(user: Installed) -> None:
 
 def test_a_mistyped_key_of_a_model_is_refused(user: Installed) -> None:
     text = (
-        '[mechanism]\nkind = "rotary"\n[mechanism.parameters]\ninertia = 1.0\n[actuator]\ndealy ='
-        ' 0.004\n[columns]\ntime = "t"\nposition = "q"\n'
+        '[mechanism]\nkind = "rotary"\n[mechanism.parameters]\ninertia = 1.0\n[actuator]\n'
+        'dealy = 0.004\n[columns]\ntime = "t"\nposition = "q"\n'
     )
     user.write("bench.toml", text)
     user.write("run.csv", "t,q\n" + "".join(f"{k / 1000},{k % 7}\n" for k in range(1000)))

@@ -101,9 +101,8 @@ def follow(plant: Plant, q_ref: Callable[[float], Any], kp: Any, kd: Any, second
     h = 1e-5
     for k in range(round(seconds / plant.period)):
         t = k * plant.period
-        r, rd = np.asarray(q_ref(t)), (np.asarray(q_ref(t + h)) - np.asarray(q_ref(t - h))) / (
-            2 * h
-        )
+        r = np.asarray(q_ref(t))
+        rd = (np.asarray(q_ref(t + h)) - np.asarray(q_ref(t - h))) / (2 * h)
         q, qd = plant.q, plant.qd
         tau = (
             np.asarray(kp) * (r - q)

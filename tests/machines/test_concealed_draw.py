@@ -132,15 +132,14 @@ def test_a_payload_on_the_pendulum_is_inertia_and_gravity_of_one_mass() -> None:
 
 def test_effects_are_read_from_toml_and_json_in_the_form_of_a_model_file(tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_text(
-        'friction = "plain"\n[[effect]]\nkind = "coupling"\njoint = 2\nfrom_joint = 1\nlaw ='
-        ' "viscous"\ncoefficient = { value = 0.4 }\n'
+        'friction = "plain"\n[[effect]]\nkind = "coupling"\njoint = 2\nfrom_joint = 1\n'
+        'law = "viscous"\ncoefficient = { value = 0.4 }\n'
     )
     (tmp_path / "a.json").write_text(
         json.dumps({"effect": [{"kind": "delay", "joint": 1, "time": 0.003}]})
     )
-    toml, other = load_concealed(str(tmp_path / "a.toml"), "imi_planar"), load_concealed(
-        str(tmp_path / "a.json"), "pendulum"
-    )
+    toml = load_concealed(str(tmp_path / "a.toml"), "imi_planar")
+    other = load_concealed(str(tmp_path / "a.json"), "pendulum")
     assert (
         toml.config()["effect1"] == "coupling joint=2 from_joint=1.0 law=2.0 coefficient=0.4"
         and toml.friction == "plain"

@@ -306,11 +306,9 @@ def test_plain_machine_is_the_nominal_model_of_the_host(name: str) -> None:
     n = len(CENTRE[name])
     q, qd, tau = rows[:, 1 : 1 + n], rows[:, 1 + n : 1 + 2 * n], rows[:, 1 + 2 * n :]
     # row k: tau is held from k to k + 1, so compare with the motion in the middle of the sample
-    middle, speed, acceleration = (
-        0.5 * (q[1:] + q[:-1]),
-        0.5 * (qd[1:] + qd[:-1]),
-        np.diff(qd, axis=0) / 0.001,
-    )
+    middle = 0.5 * (q[1:] + q[:-1])
+    speed = 0.5 * (qd[1:] + qd[:-1])
+    acceleration = np.diff(qd, axis=0) / 0.001
     needed = load_machine(name).dynamics.inverse(middle, speed, acceleration)
     friction = np.asarray(load_machine(name).parameters["coulomb"])
     sliding = (np.abs(qd[1:]) > 0.15).all(axis=1) & (np.arange(len(tau) - 1) > 200)

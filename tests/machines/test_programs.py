@@ -345,9 +345,8 @@ def test_a_swing_planned_without_friction_misses_open_loop_and_is_helped_by_comp
 
 
 def test_wam_follows_the_papers_lspb_with_all_joints_and_gravity_compensation_matters() -> None:
-    start, goal = np.array([0, 0.5, 0, 1.5, -1.5, 0, 0]), np.array(
-        [0.5, 0.0, 0.5, 2.0, -1.0, 0.5, 0.5]
-    )
+    start = np.array([0, 0.5, 0, 1.5, -1.5, 0, 0])
+    goal = np.array([0.5, 0.0, 0.5, 2.0, -1.0, 0.5, 0.5])
     reference = make_lspb(
         load_machine("wam7"), start=start, goal=goal, duration=7.0, blend_time=1.0
     )

@@ -115,7 +115,8 @@ DRY: dict[str, tuple[list[dict[str, Any]], Torque]] = {
 
 
 def test_a_light_joint_that_rubs_and_is_damped_needs_no_small_steps() -> None:
-    light, terms = 7e-4, [
+    light = 7e-4
+    terms = [
         {"kind": "viscous", "joint": 1, "coefficient": 0.1},
         {"kind": "coulomb", "joint": 1, "level": 0.05},
     ]
@@ -183,9 +184,8 @@ def test_bristles_bend_as_lugre_says() -> None:
         rate = x[1] - s0 * abs(x[1]) * x[2] / level
         return np.array([x[1], (u - s0 * x[2] - s1 * rate) / J, rate])
 
-    true, without = integrate(derivative, 3)[:, 0], rigid(
-        lambda q, v, t, u: dry(level)(v), sub=STIFF
-    )
+    true = integrate(derivative, 3)[:, 0]
+    without = rigid(lambda q, v, t, u: dry(level)(v), sub=STIFF)
     terms = [
         {"kind": "coulomb", "joint": 1, "level": level},
         {"kind": "presliding", "joint": 1, "stiffness": s0, "damping": s1},

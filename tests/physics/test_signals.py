@@ -32,16 +32,13 @@ def rts(
     Q = sd**2 * np.array(
         [[T**5 / 20, T**4 / 8, T**3 / 6], [T**4 / 8, T**3 / 3, T**2 / 2], [T**3 / 6, T**2 / 2, T]]
     )
-    x, P = np.array([y[0], v0, 0.0]), np.diag(
-        [1e4 * variance[0], 1e4 * 1e4 * variance[0] + 1e-3, sd0**2]
-    )
-    xf, Pf, xp, Pp, nll = (
-        np.empty((n, 3)),
-        np.empty((n, 3, 3)),
-        np.empty((n, 3)),
-        np.empty((n, 3, 3)),
-        0.0,
-    )
+    x = np.array([y[0], v0, 0.0])
+    P = np.diag([1e4 * variance[0], 1e4 * 1e4 * variance[0] + 1e-3, sd0**2])
+    xf = np.empty((n, 3))
+    Pf = np.empty((n, 3, 3))
+    xp = np.empty((n, 3))
+    Pp = np.empty((n, 3, 3))
+    nll = 0.0
     for k in range(n):
         xp[k], Pp[k] = x, P
         if variance[k] > 0:
@@ -136,9 +133,8 @@ def test_resolution_is_found_from_the_numbers(resolution: float) -> None:
 def test_sensor_noise_is_told_from_quantisation() -> None:
     r = np.random.default_rng(2)
     _, q, _, _ = motion(3.0)
-    quiet, loud = COUNT * np.round(q / COUNT), COUNT * np.round(
-        (q + 2 * COUNT * r.standard_normal(len(q))) / COUNT
-    )
+    quiet = COUNT * np.round(q / COUNT)
+    loud = COUNT * np.round((q + 2 * COUNT * r.standard_normal(len(q))) / COUNT)
     assert noise_beside_quantisation(quiet, COUNT) < 0.35 * COUNT
     assert noise_beside_quantisation(loud, COUNT) == pytest.approx(2 * COUNT, rel=0.15)
 

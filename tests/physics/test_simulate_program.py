@@ -199,9 +199,8 @@ def test_a_run_that_leaves_the_models_positions_says_where(tmp_path: Path) -> No
 def test_seven_joints_follow_under_gravity_compensation() -> None:
     from zendsp.reference import make_lspb
 
-    start, goal = np.array([0, 0.5, 0, 1.5, -1.5, 0, 0]), np.array(
-        [0.5, 0.0, 0.5, 2.0, -1.0, 0.5, 0.5]
-    )
+    start = np.array([0, 0.5, 0, 1.5, -1.5, 0, 0])
+    goal = np.array([0.5, 0.0, 0.5, 2.0, -1.0, 0.5, 0.5])
     reference = make_lspb(
         load_machine("wam7"), start=start, goal=goal, duration=4.0, blend_time=1.0
     )

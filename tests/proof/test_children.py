@@ -77,8 +77,9 @@ def ask(folder, out, limit):
 list(answers([root / "a", root / "b", root / "c"], root / "log.json", 2, 600.0, ask))
 """
 SLEEPER = (
-    "import os, pathlib, sys,"
-    " time\npathlib.Path(sys.argv[-1]).write_text(str(os.getpid()))\ntime.sleep(600)\n"
+    "import os, pathlib, sys, time\n"
+    "pathlib.Path(sys.argv[-1]).write_text(str(os.getpid()))\n"
+    "time.sleep(600)\n"
 )
 
 

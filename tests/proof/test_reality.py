@@ -93,10 +93,8 @@ def test_delay_moves_the_answer_by_just_that_time() -> None:
     command = np.sin(20 * T)[:, None] * 0.1
     plain = MachineTruth("rotary", (JointTruth(viscous_pos=0.01, viscous_neg=0.01),), (0.01,))
     late = plain.with_joint(0, delay=0.0033)
-    a, b = (
-        run(plain, STILL, feedforward=command).q[:, 0],
-        run(late, STILL, feedforward=command).q[:, 0],
-    )
+    a = run(plain, STILL, feedforward=command).q[:, 0]
+    b = run(late, STILL, feedforward=command).q[:, 0]
     # interpolation of a over 1 ms
     assert np.max(np.abs(b[100:] - np.interp(T[100:] - 0.0033, T, a))) < 1e-5
 

@@ -225,10 +225,10 @@ def _rnea(pin: Any, model: Any, data: Any, *motion: np.ndarray) -> np.ndarray:
 def test_a_machine_of_ones_own_is_a_toml_file_of_the_same_form(tmp_path: Path) -> None:
     file = tmp_path / "slow_arm.toml"
     file.write_text(
-        'name = "slow_arm"\nkind = "planar2r"\njoints = 2\nsample_time = 0.002\nhome = [0,'
-        " 0]\n[limits]\nposition_min = [-1, -1]\nposition_max = [1, 1]\nspeed = [0.5,"
-        " 0.5]\nacceleration = [2, 2]\ntorque = [50, 50]\n[parameters]\np1 = 1.0\np2 = 0.2\np3 ="
-        " 0.1\nl1 = 0.5\nl2 = 0.5\nviscous = [0, 0]\ncoulomb = [0, 0]\n"
+        'name = "slow_arm"\nkind = "planar2r"\njoints = 2\nsample_time = 0.002\nhome = [0, 0]\n'
+        "[limits]\nposition_min = [-1, -1]\nposition_max = [1, 1]\nspeed = [0.5, 0.5]\n"
+        "acceleration = [2, 2]\ntorque = [50, 50]\n[parameters]\np1 = 1.0\np2 = 0.2\np3 = 0.1\n"
+        "l1 = 0.5\nl2 = 0.5\nviscous = [0, 0]\ncoulomb = [0, 0]\n"
     )
     machine = load_machine(str(file))
     reference = make_reference("point_to_point", machine, headroom=1.0, goal=0.8)

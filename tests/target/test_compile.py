@@ -50,8 +50,8 @@ def test_several_files_and_headers_make_one_program() -> None:
     sources = {
         "main.c": HEAD + '#include "gains.h"\nvoid UserISR_INT2(void) { x = law(GAIN); }\n',
         "law.c": (
-            '#include "isr.h"\n#include "gains.h"\ndouble law(double u) { return u *'
-            " SAMPLE_PERIOD; }\n"
+            '#include "isr.h"\n#include "gains.h"\n'
+            "double law(double u) { return u * SAMPLE_PERIOD; }\n"
         ),
         "gains.h": "#define GAIN 2.0\ndouble law(double u);\n",
     }
@@ -75,8 +75,8 @@ def test_several_files_and_headers_make_one_program() -> None:
         ),
         (
             HEAD
-            + 'static long l;\nvoid UserISR_INT2(void) { (void)l; }\nvoid f(void) { SIGNAL(l, "",'
-            ' ""); }\n',
+            + "static long l;\nvoid UserISR_INT2(void) { (void)l; }\n"
+            + 'void f(void) { SIGNAL(l, "", ""); }\n',
             "take double, float, int32_t, bool, and arrays of them, no 'long int'",
         ),
     ],
@@ -109,8 +109,9 @@ def test_an_undefined_function_is_told_with_its_line() -> None:
 def test_a_compilation_without_end_is_stopped() -> None:
     # an include that never ends: the compiler waits on a terminal that is not there, or on itself
     deep = (
-        "#define A(x) x x x x x x x x x x\n#define B(x) A(A(A(A(A(A(A(A(x))))))))\nstatic double"
-        " y[] = { B(1.0,) };\n"
+        "#define A(x) x x x x x x x x x x\n"
+        "#define B(x) A(A(A(A(A(A(A(A(x))))))))\n"
+        "static double y[] = { B(1.0,) };\n"
     )
     result = compile_program(
         {"user.c": HEAD + deep + "void UserISR_INT2(void) { x = y[0]; }\n"}, timeout_s=1.0
@@ -235,8 +236,11 @@ def test_a_compiler_that_does_not_run_is_named(monkeypatch: pytest.MonkeyPatch) 
 
 def test_messages_of_clang_are_read_from_text() -> None:
     text = (
-        "law.c:3:5: error: use of undeclared identifier 'y'\n    y = 1;\n    ^\nlaw.c:9:2: warning:"
-        " unused [-Wx]\n1 error generated.\n"
+        "law.c:3:5: error: use of undeclared identifier 'y'\n"
+        "    y = 1;\n"
+        "    ^\n"
+        "law.c:9:2: warning: unused [-Wx]\n"
+        "1 error generated.\n"
     )
     assert [(m.severity, m.file, m.line, m.column) for m in parse_messages(text)] == [
         ("error", "law.c", 3, 5),

@@ -16,8 +16,8 @@ from zendsp_isr.confine import landlock_version
 from zendsp_target.runtime.compile_service import compile_program
 
 HEAD = (
-    '#include "isr.h"\nstatic double x;\nvoid UserInit(void) { SIGNAL(x, "", ""); }\nvoid'
-    " UserISR_INT2(void) { x = 1.0; }\n"
+    '#include "isr.h"\nstatic double x;\nvoid UserInit(void) { SIGNAL(x, "", ""); }\n'
+    "void UserISR_INT2(void) { x = 1.0; }\n"
 )
 EXITING = 4  # PF_EXITING of the kernel
 SECRET = "root_x_secret_7113"

@@ -253,8 +253,8 @@ STRAYS = {
     "group": 'if (fork_raw() == 0) execvp("sleep", sleeper);',
 }
 RAW = (
-    "static char *const nothing[] = {NULL};\nstatic long fork_raw(void) { return syscall(SYS_clone,"
-    " SIGCHLD, 0, 0, 0, 0); }\n"
+    "static char *const nothing[] = {NULL};\n"
+    "static long fork_raw(void) { return syscall(SYS_clone, SIGCHLD, 0, 0, 0, 0); }\n"
 )
 
 

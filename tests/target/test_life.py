@@ -19,8 +19,8 @@ from zendsp_target.runtime import Runtime
 
 Make = Callable[..., Runtime]
 COUNT = (
-    '#include "isr.h"\nstatic double x;\nvoid UserInit(void) { SIGNAL(x, "", ""); }\nvoid'
-    " UserISR_INT2(void) { x += 1.0; }\n"
+    '#include "isr.h"\nstatic double x;\nvoid UserInit(void) { SIGNAL(x, "", ""); }\n'
+    "void UserISR_INT2(void) { x += 1.0; }\n"
 )
 CRASH = COUNT.replace("x += 1.0;", "x += 1.0; if (SAMPLE_TICK == 5) *(volatile int *)8 = 1;")
 

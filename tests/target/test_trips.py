@@ -166,7 +166,8 @@ def test_a_joint_stopped_beyond_its_limit_goes_no_further_out(make_runtime: Make
 
 
 SLOW = (
-    '#include "isr.h"\n#include <fcntl.h>\n#include <unistd.h>\nvoid UserInit(void) {'
+    '#include "isr.h"\n#include <fcntl.h>\n#include <unistd.h>\n'
+    'void UserInit(void) {'
     ' close(open("%(begun)s", O_CREAT | O_WRONLY, 0600));'
     ' while (access("%(go)s", F_OK) != 0) usleep(1000); }\n'
     "void UserISR_INT2(void) {}\n"

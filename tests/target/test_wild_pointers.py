@@ -103,8 +103,8 @@ def test_the_monitor_survives_shared_memory_full_of_rubbish(
     runtime.acknowledge()  # the STOP among the calls
     load(
         runtime,
-        '#include "isr.h"\nstatic double x;\nvoid UserInit(void) { SIGNAL(x, "", ""); }\nvoid'
-        " UserISR_INT2(void) { x += 1.0; }\n",
+        '#include "isr.h"\nstatic double x;\nvoid UserInit(void) { SIGNAL(x, "", ""); }\n'
+        "void UserISR_INT2(void) { x += 1.0; }\n",
     )
     runtime.start(ticks=10)
     runtime.wait_paused()

@@ -33,7 +33,7 @@ from zendsp.tui.screens.console_program import whole
 from zendsp.tui.screens.console_scope import real
 from zendsp.tui.snapshot import Snapshot, TripView
 from zendsp.tui.statusbar import StatusBar, Tabs, mean_and_max
-from zendsp.tui.stopper import EMERGENCY
+from zendsp.tui.stop_process import EMERGENCY, StopState
 from zendsp.tui.trial import Trial
 
 
@@ -141,7 +141,7 @@ async def test_the_time_is_in_sight_on_80_columns(app: ZendspApp, until: Until) 
 async def test_a_stop_that_ended_before_the_screens_were_there_is_shown(
     app: ZendspApp, until: Until
 ) -> None:
-    app.session._told("not stopped", EMERGENCY, EMERGENCY)
+    app.session.stops.tell(StopState.NOT_STOPPED, EMERGENCY, EMERGENCY)
     async with app.run_test(size=(80, 24)) as pilot:
         line = app.screen.query_one(StatusBar)._line1
         await until(pilot, lambda: EMERGENCY in line.text, "the banner")

@@ -297,8 +297,8 @@ async def test_a_compile_error_is_shown_at_its_line_and_mended_in_place(
 ) -> None:
     bad = folder / "bad.c"
     bad.write_text(
-        '#include "isr.h"\nstatic double a;\nvoid UserInit(void) { a = 1.0 }\nvoid'
-        " UserISR_INT2(void) {}\nvoid UserBackground(void) {}\n"
+        '#include "isr.h"\nstatic double a;\nvoid UserInit(void) { a = 1.0 }\n'
+        "void UserISR_INT2(void) {}\nvoid UserBackground(void) {}\n"
     )
     async with lab.run_test(size=(100, 30)) as pilot:
         await built(lab, pilot)

@@ -42,7 +42,7 @@ async def test_leaving_a_machine_that_moves_is_asked(
         else:
             await until(pilot, lambda: not isinstance(lab.screen, Leave), "the question goes")
         if answer == "not stopped":
-            verdict = lab.session.verdict
+            verdict = lab.session.stops.verdict
             assert verdict is not None and verdict.state == "not stopped" and not lab._exit
         assert (target.status().trip is not None) is (answer == "stop")
         assert lab._exit is (answer in ("stop", "leave"))

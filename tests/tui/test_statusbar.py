@@ -8,7 +8,7 @@ from textual.app import App, ComposeResult
 from zendsp.tui.colours import THEMES
 from zendsp.tui.snapshot import Snapshot
 from zendsp.tui.statusbar import StatusBar, banner_lines
-from zendsp.tui.stopper import EMERGENCY
+from zendsp.tui.stop_process import EMERGENCY
 
 
 @pytest.mark.parametrize(

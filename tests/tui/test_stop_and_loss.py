@@ -242,9 +242,9 @@ async def test_a_runner_that_crashes_is_shown_with_its_signal(
 ) -> None:
     crash = folder / "crash.c"
     crash.write_text(
-        '#include "isr.h"\nstatic double a;\nvoid UserInit(void) { SIGNAL(a, "", ""); }\nvoid'
-        " UserISR_INT2(void) { a += 1.0; if (a > 500.0) *(volatile int *)8 = 1; }\nvoid"
-        " UserBackground(void) {}\n"
+        '#include "isr.h"\nstatic double a;\nvoid UserInit(void) { SIGNAL(a, "", ""); }\n'
+        "void UserISR_INT2(void) { a += 1.0; if (a > 500.0) *(volatile int *)8 = 1; }\n"
+        "void UserBackground(void) {}\n"
     )
     async with lab.run_test(size=(100, 30)) as pilot:
         await built(lab, pilot)

@@ -19,23 +19,23 @@ from textual.events import Key, MouseDown
 from textual.widgets import Input
 from waiting import PATIENCE_S, until
 
-from zendsp.tui import stopper
+from zendsp.tui import stop_process, stopper
 from zendsp.tui.app import ZendspApp
 from zendsp.tui.dialogs import Choose, Field, Form
 
 F9 = b"\x1b[20~"
-SERVE = "from zendsp.tui.stopper import serve; serve({}, {}, False)"
+SERVE = "from zendsp.tui.stop_process import serve; serve({}, {}, False)"
 
 
 def _stops(*parts: bytes, web: bool = False) -> bool:
     return any(
-        stopper.is_stop(press) for press in _presses(*parts, web=web) if isinstance(press, str)
+        stop_process.is_stop(press) for press in _presses(*parts, web=web) if isinstance(press, str)
     )
 
 
 def _presses(*parts: bytes, web: bool = False) -> list[object]:
-    presses = stopper.presses_of(web)
-    return [press for part in parts for press in presses(part)]
+    presses = stop_process.Presses(web)
+    return [press for part in parts for press in presses.find(part)]
 
 
 @pytest.mark.parametrize(
@@ -67,11 +67,11 @@ def test_the_packets_of_a_page_are_read_too() -> None:
 
 
 def test_a_paste_that_never_ends_does_not_take_stop_away(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stopper, "PASTE_S", 0.01)
-    presses = stopper.presses_of(False)
-    assert not list(presses(b"\x1b[200~abc"))
+    monkeypatch.setattr(stop_process, "PASTE_S", 0.01)
+    presses = stop_process.Presses(False)
+    assert not list(presses.find(b"\x1b[200~abc"))
     time.sleep(0.02)
-    assert "f9" in presses(F9)
+    assert "f9" in presses.find(F9)
 
 
 @pytest.mark.parametrize(
@@ -89,7 +89,7 @@ def test_a_paste_that_never_ends_does_not_take_stop_away(monkeypatch: pytest.Mon
 )
 @pytest.mark.parametrize("web", [False, True])
 def test_a_click_stops_where_the_red_field_is(report: bytes, stops: bool, web: bool) -> None:
-    field = stopper.Field(67, 0, 13, 3)
+    field = stop_process.Field(67, 0, 13, 3)
     sent = b"D" + len(report).to_bytes(4, "big") + report if web else report
     assert (
         any(field.holds(press) for press in _presses(sent, web=web) if isinstance(press, MouseDown))

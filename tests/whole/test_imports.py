@@ -76,9 +76,11 @@ def test_import_zendsp_loads_nothing_heavy() -> None:
 
 def test_help_loads_nothing_heavy() -> None:
     said = python(
-        "import sys\nfrom zendsp.cli import cli\nsys.argv = ['zendsp',"
-        " '--help']\ncli(standalone_mode=False)\nprint('LOADED', *{name.partition('.')[0] for name"
-        " in sys.modules})"
+        "import sys\n"
+        "from zendsp.cli import cli\n"
+        "sys.argv = ['zendsp', '--help']\n"
+        "cli(standalone_mode=False)\n"
+        "print('LOADED', *{name.partition('.')[0] for name in sys.modules})"
     )
     shown, _, names = said.partition("LOADED")
     assert "Usage: zendsp" in shown and "diagnose" in shown
@@ -87,11 +89,15 @@ def test_help_loads_nothing_heavy() -> None:
 
 def test_help_of_every_command_shows_an_example_and_loads_no_terminal_and_no_plots() -> None:
     said = python(
-        "import json, sys, click\nfrom zendsp.cli import COMMANDS, cli\nout = {}\nfor name in"
-        " COMMANDS:\n    command = cli.get_command(click.Context(cli), name)\n    out[name] ="
-        " command.get_help(click.Context(command, info_name=name, parent=click.Context(cli,"
-        " info_name='zendsp')))\nprint(json.dumps([out, sorted({name.partition('.')[0] for name in"
-        " sys.modules})]))"
+        "import json, sys, click\n"
+        "from zendsp.cli import COMMANDS, cli\n"
+        "out = {}\n"
+        "parent = click.Context(cli, info_name='zendsp')\n"
+        "for name in COMMANDS:\n"
+        "    command = cli.get_command(parent, name)\n"
+        "    context = click.Context(command, info_name=name, parent=parent)\n"
+        "    out[name] = command.get_help(context)\n"
+        "print(json.dumps([out, sorted({name.partition('.')[0] for name in sys.modules})]))"
     )
     helps, modules = json.loads(said)
     shown = {name: text.partition("Example")[2] for name, text in helps.items()}

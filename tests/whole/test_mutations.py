@@ -30,8 +30,8 @@ def test_small(): assert allowed(1)
 def test_large(): assert not allowed(5)
 """
 ENTRY = (
-    '[[mutation]]\nname = "{}"\nlost = "x"\nfile = "code_of_it.py"\nold = "{}"\nnew = "{}"\ntests ='
-    " [{}]\n"
+    '[[mutation]]\nname = "{}"\nlost = "x"\nfile = "code_of_it.py"\nold = "{}"\nnew = "{}"\n'
+    "tests = [{}]\n"
 )
 LARGE, SMALL = '"tests/test_it.py::test_large"', '"tests/test_it.py::test_small"'
 
@@ -137,8 +137,9 @@ def test_nothing_that_is_let_loose_reaches_a_process_outside(tmp_path: Path) -> 
         pytest.skip(str(error))
     stays = "sleep 577.25 & echo $!; wait"
     code = (
-        f"import os, subprocess, sys\nsubprocess.Popen(['sh', '-c', {stays!r}],"
-        f" start_new_session=True)\nos.kill({os.getpid()}, 0)\n"
+        "import os, subprocess, sys\n"
+        f"subprocess.Popen(['sh', '-c', {stays!r}], start_new_session=True)\n"
+        f"os.kill({os.getpid()}, 0)\n"
     )
     done = subprocess.run(
         [*before, sys.executable, "-c", code], capture_output=True, text=True, timeout=20,

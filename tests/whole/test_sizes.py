@@ -18,8 +18,6 @@ LONG = {
     "host/zendsp/proof/rivals.py:rivals": "a table of rivals and what each is given",
     "host/zendsp/reference/kinds/swing.py:_collocate": "one optimal control problem, stated whole",
     "host/zendsp/diagnosis/decide/laws.py:named": "the decision, case by case",
-    "host/zendsp/tui/preflight.py:preflight": "the checks before a start, in their order",
-    "host/zendsp/tui/playing.py:make_playlist": "the steps of a playlist, in their order",
 }
 PUBLIC = "a user's function: keywords with defaults, each explained"
 PLANNED = "the fields of its form, one keyword each"

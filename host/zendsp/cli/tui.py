@@ -138,11 +138,11 @@ def command(
     )
     # started with nohup, it would look for keys in a terminal that is gone, for ever
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
-    app.session.guard_keys(target)
+    app.session.stops.guard_keys(target)
     try:
         app.run()
     finally:
-        app.session.release_keys()
+        app.session.stops.release_keys()
 
 
 def found(source: str) -> Path:

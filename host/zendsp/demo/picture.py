@@ -104,10 +104,8 @@ def _position(axis: Axes, told: Told, joint: int) -> None:
 
 def _command(axis: Axes, told: Told, joint: int) -> None:
     t = np.arange(len(told.recorded.train)) * told.recorded.train.sample_time
-    u, s = (
-        columns(told.recorded.train, "tau")[:, joint - 1],
-        columns(told.recorded.simulated, "tau")[:, joint - 1],
-    )
+    u = columns(told.recorded.train, "tau")[:, joint - 1]
+    s = columns(told.recorded.simulated, "tau")[:, joint - 1]
     rows = min(len(u), len(s))
     axis.axhline(0.0, color=QUIET, lw=0.8)
     axis.plot(t[:rows], u[:rows] - s[:rows], color=MODEL, lw=0.6)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.experiment import imi_friction
+from zendsp.experiment import imi_breakaway, imi_friction
 from zendsp.experiment.figures import AMBER, BLUE, GREY, RED, label, make_figure, save
 from zendsp.experiment.lab import Lab, needed
 from zendsp.experiment.result import Estimate, FoundEffect, Result
@@ -99,7 +99,7 @@ def fit(lab: Lab) -> Result:
     """One friction curve for each joint from the static, low-speed and viscous experiments; those
     not yet made are made first.
     """
-    static = needed(lab, "imi-static", imi_friction.static)
+    static = needed(lab, "imi-static", imi_breakaway.static)
     viscous = needed(lab, "imi-viscous", imi_friction.viscous)
     low = needed(lab, "imi-low-speed", imi_friction.low_speed)
     result = Result(

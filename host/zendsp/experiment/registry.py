@@ -51,7 +51,7 @@ EXPERIMENTS = {
         Experiment(
             "imi-static", "imi_planar",
             "Static friction: torque steps both ways from several positions.",
-            "imi_friction:static",
+            "imi_breakaway:static",
         ),
         Experiment(
             "imi-viscous", "imi_planar", "Friction at high speed: constant torque, open loop.",

@@ -319,10 +319,8 @@ def _draw(maps: dict[int, Array], result: Result) -> Any:
         )
         for end, sign, k in (("pos", 1, 0), ("neg", -1, 1)):
             x = sign * np.array([0.0, np.abs(points[:, 0]).max()])
-            level, slope = (
-                result.values[f"coulomb{joint}_{end}"].value,
-                result.values[f"viscous{joint}_{end}"].value,
-            )
+            level = result.values[f"coulomb{joint}_{end}"].value
+            slope = result.values[f"viscous{joint}_{end}"].value
             axis.plot(
                 x,
                 sign * (level + slope * np.abs(x)),

@@ -115,9 +115,8 @@ def model_file(
             entry["free"] = False
         entries[key] = entry
     if d.kind == "planar2r":
-        entries["l1"], entries["l2"] = {"value": 0.36, "free": False}, {
-            "value": 0.34, "free": False,
-        }
+        entries["l1"] = {"value": 0.36, "free": False}
+        entries["l2"] = {"value": 0.34, "free": False}
     table["mechanism"] = {"kind": d.kind}
     if d.kind == "urdf":
         table["mechanism"]["file"] = "arm.urdf"

@@ -63,9 +63,8 @@ class Machine:
             raise Unusable(str(self.ffi.string(error).decode()))
         self.handle = handle[0]
         self.truth = self.ffi.cast("truth *", self.handle)
-        self.sensors, self.actuators = self.ffi.new("machine_sensors *"), self.ffi.new(
-            "machine_actuators *"
-        )
+        self.sensors = self.ffi.new("machine_sensors *")
+        self.actuators = self.ffi.new("machine_actuators *")
 
     def write(self, torque: Array) -> None:
         self.actuators.mode = TORQUE

@@ -197,6 +197,7 @@ def raise_violations(found: Sequence[Violation], machine: str) -> None:
     if found:
         lines = "\n".join(f"  {violation}" for violation in found)
         raise ReferenceError_(
-            f"reference breaks {len(found)} limit(s) of {machine}:\n{lines}\n  slow it down, make"
-            " it smaller, move its centre, or use more of the limits (headroom up to 1)"
+            f"reference breaks {len(found)} limit(s) of {machine}:\n{lines}\n"
+            "  slow it down, make it smaller, move its centre, or use more of the limits (headroom"
+            " up to 1)"
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future
+from functools import partial
 from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -27,7 +28,8 @@ from zendsp.tui.port import Port
 from zendsp.tui.runs import Outcome, Run
 from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.session import Session
-from zendsp.tui.stopper import PICTURE, with_stop
+from zendsp.tui.stop_process import PICTURE
+from zendsp.tui.stopper import with_stop
 from zendsp.tui.workspace import Workspace
 from zendsp_isr.sources import gather, shipped_programs
 
@@ -95,11 +97,9 @@ class ZendspApp(App[None]):
         self.model = ""  # model file that simulation and diagnosis were last given
         self.workspace = Workspace(folder)
         self.source = source
-        self._find, self._start_machine, self._machines = (
-            find_targets,
-            start_machine,
-            tuple(machines),
-        )
+        self._find = find_targets
+        self._start_machine = start_machine
+        self._machines = tuple(machines)
         self._target, self._first, self._theme_name, self._begin = target, first, theme, begin
         self.chosen: tuple[Path, ...] = ()  # references that Execute will play
         self._expected = 0.0  # until when keys wait for a dialog
@@ -111,6 +111,12 @@ class ZendspApp(App[None]):
 
     # -- life
 
+    def _kept(self, name: str, make: type[LabScreen]) -> LabScreen:
+        """The screen of a mode, made when it is first shown."""
+        if name not in self._screens:
+            self._screens[name] = make()
+        return self._screens[name]
+
     async def on_mount(self) -> None:
         from zendsp.tui.screens.console import ConsoleScreen
         from zendsp.tui.screens.diagnose import DiagnoseScreen
@@ -121,15 +127,14 @@ class ZendspApp(App[None]):
             self.register_theme(theme)
         self.theme = self._theme_name
         self.session.start()
-        makers = {
+        makers: dict[str, type[LabScreen]] = {
             "console": ConsoleScreen,
             "execute": ExecuteScreen,
             "reference": ReferenceScreen,
             "diagnose": DiagnoseScreen,
         }
         for name, maker in makers.items():
-            self.add_mode(name, lambda name=name,
-                maker=maker: self._screens.setdefault(name, maker()))  # type: ignore[misc]
+            self.add_mode(name, partial(self._kept, name, maker))
         self._blind = not self.is_headless
         await self.switch_mode(self._first)
         if not self.is_headless:  # in the queue of the keys: those that are pressed meanwhile wait
@@ -154,7 +159,7 @@ class ZendspApp(App[None]):
         if self._marked:
             return
         self._marked = True
-        stopper = self.session.stopper
+        stopper = self.session.stops.stopper
         if stopper is not None and stopper.picture():
             self.set_timer(HELD_S, self._see)  # should its word not come
         else:
@@ -181,9 +186,9 @@ class ZendspApp(App[None]):
 
     async def action_stop(self) -> None:
         """STOP."""
-        stopper = self.session.stopper
+        stopper = self.session.stops.stopper
         if stopper is None or not stopper.stop():
-            self.session.stop()
+            self.session.stops.stop()
 
     async def action_quit(self) -> None:
         """Leave; where the machine moves, ask first what is to become of it."""
@@ -211,7 +216,7 @@ class ZendspApp(App[None]):
     def _stop_and_leave(self) -> None:
         """Stay where nothing says that it stopped: the banner then tells what to do."""
         try:
-            self.session.stop().result()
+            self.session.stops.stop().result()
         except Exception:
             return
         deadline = time.monotonic() + PUT_BACK_S
@@ -334,11 +339,11 @@ class ZendspApp(App[None]):
         """
         now = self.session.snapshot
         latched = now.trip is not None or now.drive in ("stopped", "tripped") or now.crash
-        if now.link == "up" and not latched and self.session.verdict is None:
+        if now.link == "up" and not latched and self.session.stops.verdict is None:
             if not isinstance(self.focused, Input):
                 self.toast("nothing is latched, so there is nothing to acknowledge")
             raise SkipAction
-        self.session.acknowledged()
+        self.session.stops.acknowledged()
         self.drive("acknowledge", "acknowledge")
 
     # -- keys
@@ -346,7 +351,9 @@ class ZendspApp(App[None]):
     def get_driver_class(self) -> type[Driver]:
         """Read the keys that the process of STOP hands on."""
         return with_stop(
-            super().get_driver_class(), lambda: self.session.stopper, lambda: self.session.stop()
+            super().get_driver_class(),
+            lambda: self.session.stops.stopper,
+            lambda: self.session.stops.stop(),
         )
 
     def expect_dialog(self) -> None:

@@ -160,65 +160,82 @@ def make_playlist(
     if not references:
         raise ReferenceError_("choose a reference first (o)")
     period = references[0].sample_time
-    parts: list[Floats] = []
-    torques: list[Floats] = []
-    phases: list[tuple[str, float, float]] = []
-    here = np.asarray(start, dtype=np.float64)
-
-    def add(name: str, rows: Floats, torque: Floats | None = None) -> None:
-        nonlocal here
-        begin = sum(len(p) for p in parts) * period
-        parts.append(rows)
-        torques.append(np.zeros_like(rows) if torque is None else torque)
-        phases.append((name, begin, begin + len(rows) * period))
-        here = rows[-1]
-
     still = round(SETTLE_S / period)
+    plan = _Rows(np.asarray(start, dtype=np.float64), period)
     for k, reference in enumerate(references):
-        if reference.joints != player.columns:
+        _require_playable(reference, player, period)
+        first = reference.q[0]
+        if plan.away(first) > AT_START and not setup.preposition:
             raise ReferenceError_(
-                f"the reference has {counted(reference.joints, 'joint')}, the program's table"
-                f" {player.columns}"
-                " columns"
+                f"the arm is {plan.away(first):.3g} rad away from the start: switch"
+                " pre-positioning on (a)"
             )
-        if reference.mode == "torque" and not player.torque_table:
-            raise ReferenceError_(
-                "this reference is a torque law and the program has no table ref_tau: build one"
-                " that has"
-            )
-        if abs(reference.sample_time - period) > SAME * period:
-            raise ReferenceError_(
-                "the chosen references have different sample times: play them one by one"
-            )
-        away = float(np.abs(reference.q[0] - here).max())
-        if away > AT_START and not setup.preposition:
-            raise ReferenceError_(
-                f"the arm is {away:.3g} rad away from the start: switch pre-positioning on (a)"
-            )
-        move = smooth_move(here, reference.q[0], machine, setup.share, period)
-        add("pre-position", np.vstack((move, np.repeat(move[-1:], still, axis=0))))
+        move = smooth_move(plan.here, first, machine, setup.share, period)
+        plan.add("pre-position", np.vstack((move, np.repeat(move[-1:], still, axis=0))))
         for cycle in range(setup.cycles):
+            if plan.away(first) > AT_START:
+                back = smooth_move(plan.here, first, machine, setup.share, period)
+                plan.add("return to start", back)
             name = f"play {cycle + 1}/{setup.cycles}" if setup.cycles > 1 else "play"
-            if cycle and float(np.abs(reference.q[0] - here).max()) > AT_START:
-                add(
-                    "return to start",
-                    smooth_move(here, reference.q[0], machine, setup.share, period),
-                )
-            add(
-                name if len(references) == 1 else f"{name} of {k + 1}",
-                np.asarray(reference.q),
-                reference.tau,
-            )
+            if len(references) > 1:
+                name += f" of {k + 1}"
+            plan.add(name, np.asarray(reference.q), reference.tau)
     if setup.go_home:
-        back = smooth_move(here, machine.home, machine, setup.share, period)
-        add("go home", np.vstack((np.repeat(here[None, :], still, axis=0), back)))
-    rows, torque = np.vstack(parts), np.vstack(torques)
-    thin = _thinning(len(rows), player.capacity, round(1.0 / period))
-    if thin > 1:
-        rows, torque = np.vstack((rows[::thin], rows[-1:])), np.vstack(
-            (torque[::thin], torque[-1:])
+        rest = np.repeat(plan.here[None, :], still, axis=0)
+        home = smooth_move(plan.here, machine.home, machine, setup.share, period)
+        plan.add("go home", np.vstack((rest, home)))
+    return plan.playlist(player.capacity)
+
+
+def _require_playable(reference: Reference, player: Player, period: float) -> None:
+    """Refuse a reference that the program cannot take, or that does not go with the first."""
+    if reference.joints != player.columns:
+        raise ReferenceError_(
+            f"the reference has {counted(reference.joints, 'joint')}, the program's table"
+            f" {player.columns} columns"
         )
-    return Playlist(rows, torque, 1.0 / (period * thin), tuple(phases))
+    if reference.mode == "torque" and not player.torque_table:
+        raise ReferenceError_(
+            "this reference is a torque law and the program has no table ref_tau: build one that"
+            " has"
+        )
+    if abs(reference.sample_time - period) > SAME * period:
+        raise ReferenceError_(
+            "the chosen references have different sample times: play them one by one"
+        )
+
+
+class _Rows:
+    """Rows that are played one after the other, and what happens in them."""
+
+    def __init__(self, start: Floats, period: float) -> None:
+        self.here = start  # where the rows end
+        self._period = period
+        self._motion: list[Floats] = []
+        self._torque: list[Floats] = []
+        self._phases: list[tuple[str, float, float]] = []
+        self._end_s = 0.0
+
+    def away(self, place: Floats) -> float:
+        """How far a place is from the end of the rows, rad."""
+        return float(np.abs(place - self.here).max())
+
+    def add(self, name: str, rows: Floats, torque: Floats | None = None) -> None:
+        """Play these rows next."""
+        self._motion.append(rows)
+        self._torque.append(np.zeros_like(rows) if torque is None else torque)
+        begin, self._end_s = self._end_s, self._end_s + len(rows) * self._period
+        self._phases.append((name, begin, self._end_s))
+        self.here = rows[-1]
+
+    def playlist(self, capacity: int) -> Playlist:
+        """All rows, or as many as a table takes; the last is among them."""
+        rows, torque = np.vstack(self._motion), np.vstack(self._torque)
+        thin = _thinning(len(rows), capacity, round(1.0 / self._period))
+        if thin > 1:
+            kept = np.r_[0 : len(rows) : thin, len(rows) - 1]
+            rows, torque = rows[kept], torque[kept]
+        return Playlist(rows, torque, 1.0 / (self._period * thin), tuple(self._phases))
 
 
 def _thinning(rows: int, capacity: int, rate: int) -> int:

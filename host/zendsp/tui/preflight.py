@@ -77,28 +77,26 @@ def preflight(
     """
     s = snapshot
     plan = None
-    found = [Condition("link to a target", s.link == "up", "Ctrl+O connects")]
-    machine = machine_of(s)
-    found.append(
+    machine, player = machine_of(s), find_player(s.variables)
+    found = [
+        Condition("link to a target", s.link == "up", "Ctrl+O connects"),
         Condition(
             f"machine known{f': {machine.name}' if machine else ''}",
             machine is not None,
             "its limits come with a program: build one on Console (F2, b)",
-        )
-    )
-    loaded = s.state not in ("", "empty", "crashed")
-    found.append(Condition("program loaded", loaded, "build one on Console (F2, b)"))
-    player = find_player(s.variables)
-    found.append(
+        ),
+        Condition(
+            "program loaded",
+            s.state not in ("", "empty", "crashed"),
+            "build one on Console (F2, b)",
+        ),
         Condition(
             f"program plays tables{f': {player.table}' if player else ''}",
             player is not None,
             "it must declare TABLE(ref, rows, joints, …), as joint_pd.c does",
-        )
-    )
-    found.append(
-        Condition(f"reference chosen{_names(files)}", bool(references), "o chooses; F4 plans one")
-    )
+        ),
+        Condition(f"reference chosen{_names(files)}", bool(references), "o chooses; F4 plans one"),
+    ]
     if references and machine is not None:
         found.append(_fits(references, machine))
         if player is not None and not busy:  # where the arm is now is on the way
@@ -106,39 +104,33 @@ def preflight(
             found.append(playable)
             if plan is not None:
                 found.append(_tried(plan, trial, s.state == "running"))
-    found.append(
+    known = {v.name for v in s.variables}
+    missing = [c for c in setup.channels if c.split("[")[0] not in known]
+    found += [
         Condition(
             "no trip, no STOP",
             s.trip is None and s.drive not in ("stopped", "tripped"),
             "acknowledge with Ctrl+K",
-        )
-    )
-    found.append(
+        ),
         Condition(
             "drives enabled",
             s.explicit and s.drive in ("enabled", "running"),
             f"on Console (F2): {_steps(s)}",
-        )
-    )
-    found.append(
+        ),
         Condition(
             "you may command",
             s.mine or not s.commander,
             f"{s.commander} commands; Ctrl+R takes over",
-        )
-    )
-    known = {v.name for v in s.variables}
-    missing = [c for c in setup.channels if c.split("[")[0] not in known]
-    found.append(
+        ),
         Condition(
             "channels exist",
             not missing,
             f"the program has no {', '.join(missing)}: choose again (a)",
-        )
-    )
-    found.append(
-        Condition("a run is in progress" if busy else "no run in progress", not busy, "b aborts it")
-    )
+        ),
+        Condition(
+            "a run is in progress" if busy else "no run in progress", not busy, "b aborts it"
+        ),
+    ]
     trial.look(None if busy or s.state == "running" else plan, port)
     return found
 

@@ -235,9 +235,8 @@ def compare(runs: Sequence[Run]) -> str:
             continue
         lines.append(f"source of {run.name} against {runs[0].name}:")
         for name in sorted(set(first.sources) | set(other.sources)):
-            a, b = (
-                first.sources.get(name, "").splitlines(), other.sources.get(name, "").splitlines(),
-            )
+            a = first.sources.get(name, "").splitlines()
+            b = other.sources.get(name, "").splitlines()
             lines += list(
                 difflib.unified_diff(
                     a, b, f"{runs[0].name}/{name}", f"{run.name}/{name}", lineterm="", n=1

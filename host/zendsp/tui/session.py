@@ -2,8 +2,8 @@
 that.
 
 Three lanes, so that nothing waits for something slower: the poller takes snapshots and reconnects,
-the worker does what the user asked in order, and STOP has threads to itself that never stand behind
-either.
+the worker does what the user asked in order, and STOP (:mod:`zendsp.tui.stop_lane`) stands behind
+neither.
 """
 
 from __future__ import annotations
@@ -13,33 +13,23 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, TypeVar
 
-from zendsp.errors import LinkError, NotStopped, ZendspError
+from zendsp.errors import LinkError, ZendspError
 from zendsp.link.background import background
 from zendsp.tui.events import EventLog
 from zendsp.tui.port import Port
 from zendsp.tui.scope import Channel, History
 from zendsp.tui.scope.formula import Computed
 from zendsp.tui.snapshot import Snapshot
-from zendsp.tui.stopper import EMERGENCY, STOPPERS, Field, Stopper
+from zendsp.tui.stop_lane import StopLane
 
 T = TypeVar("T")
-SHOWN_S = 5.0  # at the least, of the word that the machine stopped
 POLL_S = 0.1  # between snapshots
 RETRY_S = 0.4  # between attempts to reconnect
 END_S = 3.0  # for all threads to end
 SILENCE_S = 3.0  # of curves while the program runs, after which they are asked for again
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """How the last STOP ended, shown on every screen until it is acknowledged or no longer so."""
-
-    state: str  # "asked" | "stopped" | "not stopped"
-    text: str
-    time: float  # of the monotonic clock
 
 
 class Session:
@@ -64,21 +54,18 @@ class Session:
         self._jobs: queue.Queue[tuple[Future[Any], str, Callable[[Port], Any]] | None] = (
             queue.Queue()
         )
-        self.verdict: Verdict | None = None
-        self.stopper: Stopper | None = None
-        self._guarded = ""
-        self._stops: queue.SimpleQueue[Future[str] | None] = queue.SimpleQueue()
         self._live: Callable[[], None] | None = None
         self._live_wanted = False
         self._heard = (0, 0, 0.0)  # rows of the history, tick and time when a row last came
         self._lock = threading.Lock()
-        self._threads = [background(f"tui-stop-{number}", self._stop) for number in range(STOPPERS)]
+        self._threads: list[threading.Thread] = []
+        self.stops = StopLane(self.events, lambda: self._port, self._wake.set)
 
     # -- life
 
     def start(self) -> None:
         """Start the threads."""
-        self._threads += [
+        self._threads = [
             background("tui-poller", self._poll),
             background("tui-worker", self._work),
         ]
@@ -88,10 +75,9 @@ class Session:
         self._closing.set()
         self._wake.set()
         self._jobs.put(None)
-        for _ in range(STOPPERS):
-            self._stops.put(None)
+        self.stops.end()
         deadline = time.monotonic() + END_S
-        for thread in self._threads:
+        for thread in (*self._threads, *self.stops.threads):
             thread.join(max(0.0, deadline - time.monotonic()))
         self._drop()
 
@@ -101,7 +87,7 @@ class Session:
         with self._lock:
             self._name = name
         self.snapshot = Snapshot(link="connecting", target=name)
-        self._ready_stopper(name)
+        self.stops.aim(name)
         self._wake.set()
 
     def tell_found(self, names: Sequence[str]) -> None:
@@ -120,40 +106,9 @@ class Session:
         self._drop()
         with self._lock:
             self._name, self._port = name, port
-        self._ready_stopper(name)
+        self.stops.aim(name)
         self._live_wanted = bool(self.channels)
         self._wake.set()
-
-    def guard_keys(self, name: str = "") -> None:
-        """From now on a process of its own reads the keys first and does STOP, of this target; see
-        :mod:`zendsp.tui.stopper`.
-        """
-        self.stopper = Stopper(self._told)
-        self._ready_stopper(name)
-
-    def release_keys(self) -> None:
-        """End the process that reads the keys."""
-        if self.stopper is not None:
-            self.stopper.close()
-
-    def place_stop(self, field: Field) -> None:
-        """Say where the red field of STOP is."""
-        if self.stopper is not None:
-            self.stopper.place(field)
-
-    def _told(self, state: str, text: str, detail: str = "") -> None:
-        self.verdict = Verdict(state, text, time.monotonic())
-        if state == "stopped":
-            self.events.add(f"STOP: {text}", "warning")
-        elif state == "not stopped":
-            self.events.add(detail, "error")
-        self._wake.set()
-
-    def _ready_stopper(self, name: str) -> None:
-        if name != self._guarded:  # the word of how STOP ended was another target's
-            self._guarded, self.verdict = name, None
-        if self.stopper is not None:
-            self.stopper.want(name)
 
     # -- what the user asks
 
@@ -176,47 +131,6 @@ class Session:
         if port is None:
             raise LinkError("there is no link to a target; connect with Ctrl+O")
         return port
-
-    def stop(self) -> Future[str]:
-        """STOP: at once, from any thread, past everything that waits; the verdict tells how it
-        ended.
-        """
-        future: Future[str] = Future()
-        self._stops.put(future)
-        return future
-
-    def _stop(self) -> None:
-        while True:
-            future = self._stops.get()
-            if future is None:
-                return
-            port = self._port
-            self._told("asked", "STOP asked: no word yet that it stopped")
-            try:
-                if port is None:
-                    raise NotStopped(f"{EMERGENCY} (there is no link to a target)")
-                text = port.stop()
-            except Exception as error:
-                detail = str(error) if isinstance(error, NotStopped) else f"{EMERGENCY} ({error})"
-                self._told("not stopped", EMERGENCY, detail)
-                future.set_exception(error)
-            else:
-                self._told("stopped", text)
-                future.set_result(text)
-
-    def acknowledged(self) -> None:
-        """Take the word about the last STOP away."""
-        self.verdict = None
-
-    def _judge(self, new: Snapshot, begin: float) -> None:
-        """Correct the verdict by a snapshot that was asked for at ``begin``."""
-        verdict = self.verdict
-        if verdict is None or verdict.state == "asked" or begin < verdict.time:
-            return
-        if verdict.state == "not stopped" and new.trip is not None and not new.unsafe:
-            self.verdict = Verdict("stopped", f"stopped, at sample {new.trip.tick}", begin)
-        elif verdict.state == "stopped" and new.trip is None and begin > verdict.time + SHOWN_S:
-            self.verdict = None
 
     def watch(self, channels: Sequence[Channel], history: History | None = None) -> History:
         """Follow these signals live, and no others; returns the history that fills from now on, a
@@ -244,7 +158,7 @@ class Session:
                     if self._port is port:
                         if self.snapshot.link == "lost":
                             self.events.add(f"link to {name} is back", "good")
-                        self._judge(snapshot, begin)
+                        self.stops.judge(snapshot, begin)
                         self._take(replace(snapshot, link="up", target=snapshot.target or name))
                         self._listen(snapshot)
                 except LinkError as error:
@@ -319,7 +233,7 @@ class Session:
                 return
             self._port = port
         self._complaint = ""
-        self._ready_stopper(name)
+        self.stops.aim(name)
         self._live_wanted = bool(self.channels)
         if not lost:  # else its first snapshot says so
             self.events.add(f"link to {name} is up", "good")

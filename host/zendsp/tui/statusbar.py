@@ -16,9 +16,9 @@ from textual.widgets import Static
 
 from zendsp.tui.actions import SCREENS
 from zendsp.tui.panels.lines import Lines
-from zendsp.tui.session import Verdict
 from zendsp.tui.snapshot import Snapshot
-from zendsp.tui.stopper import Field
+from zendsp.tui.stop_lane import Verdict
+from zendsp.tui.stop_process import Field, StopState
 
 STATE_MARKS = {
     "running": ("●", "success"),
@@ -191,8 +191,8 @@ class StatusBar(Widget):
     def banner(self, verdict: Verdict) -> list[Text]:
         """Return the one or two lines that say how STOP ended, over the whole width."""
         c = self.app.theme_variables
-        colour = c["warning"] if verdict.state == "stopped" else c["error"]
-        after = ", then Ctrl+K" if verdict.state == "not stopped" else ""
+        colour = c["warning"] if verdict.state == StopState.STOPPED else c["error"]
+        after = ", then Ctrl+K" if verdict.state == StopState.NOT_STOPPED else ""
         width = self._line1.size.width
         return [
             Text(line.ljust(width), Style(bold=True, color=colour, reverse=True), no_wrap=True)

@@ -168,9 +168,10 @@ def create(
         )
     file = SharedFile(path, size)
     head = file.pointer("stream_head")
-    head.magic, head.version, head.bytes, head.rows = (
-        lib.LAYOUT_MAGIC, lib.LAYOUT_VERSION, size, head_bytes,
-    )
+    head.magic = lib.LAYOUT_MAGIC
+    head.version = lib.LAYOUT_VERSION
+    head.bytes = size
+    head.rows = head_bytes
     head.channels, head.decimation, head.capacity = len(plan.sources), config.decimation, capacity
     head.wanted, head.pre = 0 if config.continuous else plan.rows, plan.pre
     head.fired = -1

@@ -85,9 +85,8 @@ class Session:
         self._newest = ffi_address(self.control, "newest")
         self._slots_at = int(self.control.snapshot_offset)
         self._slots = data.pointer("unsigned char", self._slots_at)
-        self._stride, self._bytes = int(self.control.snapshot_stride), int(
-            self.control.snapshot_bytes
-        )
+        self._stride = int(self.control.snapshot_stride)
+        self._bytes = int(self.control.snapshot_bytes)
         ffi, _ = layout()
         self._ended = ffi.new("uint32_t *")  # for what was made ready, and is kept by others
         self._read_plans: dict[tuple[str, ...], ReadPlan] = {}

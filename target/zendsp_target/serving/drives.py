@@ -36,7 +36,11 @@ log = logging.getLogger(__name__)
 
 # soft start and soft stop of the explicit sequence, unless somebody has chosen otherwise
 SOFT_S = 0.1
+# What happens when the holder of the right to command disappears while the program runs: zero
+# velocity, latched; the program's bool parameter `hold` is set, and without one as "stop"; it goes
+# on.
 POLICIES = ("stop", "hold", "finish")
+POLICY = "stop"  # unless somebody chooses another
 # What could move the machine or change what moves it; STOP is not among them.
 COMMANDING = (
     "start", "pause", "load", "unload", "write", "update", "table_commit", "set_limits",
@@ -66,17 +70,12 @@ class Drives:
     runtime : RuntimeApi
     managed : bool
         True: always explicit; ``auto`` is refused.
-    policy : str
-        What happens when the holder of the right to command disappears while the program runs:
-        ``"stop"`` (zero velocity, latched), ``"hold"`` (the program's bool parameter ``hold`` is
-        set; without one, as stop), ``"finish"`` (goes on). A commander may choose another for as
-        long as it commands.
     """
 
-    def __init__(self, runtime: RuntimeApi, managed: bool = False, policy: str = "stop") -> None:
+    def __init__(self, runtime: RuntimeApi, managed: bool = False) -> None:
         self._runtime = runtime
         self._managed = managed
-        self._policy = self._own = policy
+        self._policy = POLICY
         self._policy_by = ""  # who chose another one
         self._explicit = managed
         self._powered = False
@@ -214,7 +213,7 @@ class Drives:
         """
         before, self.commander = self.commander, host
         if before not in ("", host) and self._policy_by == before:
-            self._policy, self._policy_by = self._own, ""
+            self._policy, self._policy_by = POLICY, ""
         if host in ("", before) or self._policy_by in ("", host):
             return ""
         return f"; if this host is lost: {self._policy}, as {self._policy_by} chose"

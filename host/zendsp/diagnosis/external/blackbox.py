@@ -287,9 +287,8 @@ def _recordings(
     if not held:
         signals, held, how = split(signals)
         notes += how
-    train, test = [bench(s, model, simulator) for s in signals], [
-        bench(s, model, simulator) for s in held
-    ]
+    train = [bench(s, model, simulator) for s in signals]
+    test = [bench(s, model, simulator) for s in held]
     if _restarts(train[0], model):
         for b in (*train, *test):
             b.size = max(16, round(WINDOW / b.signals.sample_time))

@@ -76,28 +76,24 @@ def simulate_joint_loop(
     cumulative, out = np.zeros(n + 1), np.empty(n)
     others = np.zeros((model.joints, 3, n))
     m = ffi.new("zk_model *")
-    m.n, m.sub, m.T, m.ucum, m.uloop, m.delay = (
-        n, inner, sample_time, p(cumulative), p(cumulative), model.actuator.delay,
-    )
-    m.gain, m.limit = per_joint(model.actuator.gain, joint, 1.0), per_joint(
-        model.actuator.limit, joint, 0.0
-    )
+    m.n = n
+    m.sub = inner
+    m.T = sample_time
+    m.ucum = m.uloop = p(cumulative)
+    m.delay = model.actuator.delay
+    m.gain = per_joint(model.actuator.gain, joint, 1.0)
+    m.limit = per_joint(model.actuator.limit, joint, 0.0)
     m.m, m.half, m.k1, m.k2, m.w = (p(zeros) for _ in range(5))
     m.inertia, m.bias, m.reference, m.temperature = p(inertias), p(zeros), inertia, p(warm)
     m.gravity = mechanism_value(model, "gravity", joint) if model.kind == "rotary" else 0.0
-    m.other, m.nfx, m.kind, m.p = (
-        p(others),
-        len(own_terms(model.at(joint))),
-        ffi.cast("int *", ffi.from_buffer(kinds)),
-        p(table),
-    )
-    m.q0, m.qd0, m.load_sensor, m.rq, m.rqd = (
-        float(reference[0]),
-        0.0,
-        int(model.sensor.side == "load"),
-        p(zeros),
-        p(zeros),
-    )
+    m.other = p(others)
+    m.nfx = len(own_terms(model.at(joint)))
+    m.kind = ffi.cast("int *", ffi.from_buffer(kinds))
+    m.p = p(table)
+    m.q0 = float(reference[0])
+    m.qd0 = 0.0
+    m.load_sensor = int(model.sensor.side == "load")
+    m.rq = m.rqd = p(zeros)
     m.kp, m.kd, m.ref, m.resolution = kp, kd, p(reference), resolution
     lib.lib.zk_run(m, p(out), ffi.NULL, ffi.NULL, ffi.NULL)
     command = np.diff(cumulative) / sample_time

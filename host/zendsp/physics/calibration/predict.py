@@ -229,15 +229,18 @@ def fill(
     inertia, bias = known[values]
     k1, k2, w = record.gains(bandwidth)
     rq, rqd = record.motion.states[0], record.motion.states[1]
-    m.n, m.sub, m.T, m.ucum, m.delay = (
-        n, steps(record, model, inertia, inner), record.sample_time, p(record.integral),
-        model.actuator.delay,
-    )
+    m.n = n
+    m.sub = steps(record, model, inertia, inner)
+    m.T = record.sample_time
+    m.ucum = p(record.integral)
+    m.delay = model.actuator.delay
     m.gain = per_joint(model.actuator.gain, record.joint, 1.0)
     m.limit = per_joint(model.actuator.limit, record.joint, 0.0)
-    m.m, m.half, m.k1, m.k2, m.w = (
-        p(record.measurement.value), p(record.measurement.half), p(k1), p(k2), p(w),
-    )
+    m.m = p(record.measurement.value)
+    m.half = p(record.measurement.half)
+    m.k1 = p(k1)
+    m.k2 = p(k2)
+    m.w = p(w)
     fill_rigid(m, record, model, inertia, bias)
     m.other, m.extra = p(record.others), ffi.NULL
     own = own_terms(model.at(record.joint))
@@ -353,12 +356,10 @@ def sensed(
     q = np.ascontiguousarray(record.motion.states[0] if position is None else position)
     kinds, table = pack(terms)
     m, out = ffi.new("zk_model *"), np.empty(len(q))
-    m.n, m.nfx, m.kind, m.p = (
-        len(q),
-        len(terms),
-        ffi.cast("int *", ffi.from_buffer(kinds)),
-        p(table),
-    )
+    m.n = len(q)
+    m.nfx = len(terms)
+    m.kind = ffi.cast("int *", ffi.from_buffer(kinds))
+    m.p = p(table)
     lib.lib.zk_sense(m, p(q), p(out))
     return out
 

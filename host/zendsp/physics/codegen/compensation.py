@@ -212,8 +212,8 @@ def _cases(made: Sequence[Line]) -> str:
 
 def _inverse(made: Sequence[Line]) -> str:
     return "".join(
-        f"    if (joint == {line.joint})\n        wanted += comp_now * ({line.expression} -"
-        f" wanted); /* {line.comment} */\n"
+        f"    if (joint == {line.joint})\n"
+        f"        wanted += comp_now * ({line.expression} - wanted); /* {line.comment} */\n"
         for line in made
         if line.inverse
     )

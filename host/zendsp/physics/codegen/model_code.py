@@ -77,8 +77,10 @@ def model_code(model: Model, *, sign_speed: float = SIGN_SPEED) -> str:
     about = "\n".join([f"The model {model.name!r} for the ISR: {note}.", *left_out])
     effects = "".join(_extra(line) for line in made if not line.inverse)
     inverse = "".join(
-        f"    {{\n        const double wanted = torque[{line.joint}];\n        torque[{line.joint}]"
-        f" = {line.expression}; /* {line.comment} */\n    }}\n"
+        f"    {{\n"
+        f"        const double wanted = torque[{line.joint}];\n"
+        f"        torque[{line.joint}] = {line.expression}; /* {line.comment} */\n"
+        "    }\n"
         for line in made
         if line.inverse
     )

@@ -47,8 +47,9 @@ def rigid_code(model: Model) -> tuple[list[Variable], str, str, str]:
 
 def _function(name: str, body: str) -> str:
     return (
-        f"static inline void {name}(const double *pos, const double *vel, const double *acc, double"
-        f" *torque) {{\n    (void)pos, (void)vel, (void)acc;\n{body}}}\n"
+        f"static inline void {name}("
+        "const double *pos, const double *vel, const double *acc, double *torque) {\n"
+        f"    (void)pos, (void)vel, (void)acc;\n{body}}}\n"
     )
 
 
@@ -96,10 +97,10 @@ def _planar(model: Model) -> tuple[list[Variable], str, str, str]:
         for k, text in words.items()
     ]
     rigid = (
-        "    const double c = model_p3 * cos(pos[1]), s = model_p3 * sin(pos[1]);\n    torque[0] ="
-        " (model_p1 + 2.0 * c) * acc[0] + (model_p2 + c) * acc[1] - s * vel[1] * (2.0 * vel[0] +"
-        " vel[1]);\n    torque[1] = (model_p2 + c) * acc[0] + model_p2 * acc[1] + s * vel[0] *"
-        " vel[0];\n"
+        "    const double c = model_p3 * cos(pos[1]), s = model_p3 * sin(pos[1]);\n"
+        "    torque[0] = (model_p1 + 2.0 * c) * acc[0] + (model_p2 + c) * acc[1]"
+        " - s * vel[1] * (2.0 * vel[0] + vel[1]);\n"
+        "    torque[1] = (model_p2 + c) * acc[0] + model_p2 * acc[1] + s * vel[0] * vel[0];\n"
     )
     gravity = "    torque[0] = torque[1] = 0.0;\n"
     note = "M = [[p1 + 2 p3 cos q2, p2 + p3 cos q2], [p2 + p3 cos q2, p2]]"

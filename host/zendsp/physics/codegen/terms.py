@@ -179,8 +179,9 @@ def declare(variables: Sequence[Variable]) -> tuple[str, str]:
 def sign_function(prefix: str) -> str:
     """C function ``{prefix}_sign``: smooth over ``{prefix}_sign_speed``, hard where that is 0."""
     return (
-        f"static inline double {prefix}_sign(double x) {{\n    return {prefix}_sign_speed > 0.0 ?"
-        f" tanh(x / {prefix}_sign_speed) : (double)((x > 0.0) - (x < 0.0));\n}}"
+        f"static inline double {prefix}_sign(double x) {{\n"
+        f"    return {prefix}_sign_speed > 0.0 ? tanh(x / {prefix}_sign_speed)"
+        " : (double)((x > 0.0) - (x < 0.0));\n}"
     )
 
 

@@ -167,8 +167,6 @@ class Plant:
         Integration steps per sample.
     position, velocity : array_like, shape (joints,), optional
         Where it starts, rad or m, and rad/s or m/s; 0 where absent.
-    t0 : float
-        Time of the first sample, s (friction that drifts needs it).
     temperature : array_like, shape (samples,), or float, optional
         Of the machine, °C; the last one stays. 20 where absent.
 
@@ -186,7 +184,6 @@ class Plant:
         inner: int = INNER,
         position: npt.ArrayLike | None = None,
         velocity: npt.ArrayLike | None = None,
-        t0: float = 0.0,
         temperature: npt.ArrayLike | None = None,
     ) -> None:
         if model.kind not in KINDS:
@@ -197,9 +194,10 @@ class Plant:
         model = with_bodies(model)
         if not model.sample_time:
             raise ModelError(f"{model.name}: lacks sample_time, which a simulation needs")
-        self.model, self.samples, self.period, self.inner = (
-            model, int(samples), float(model.sample_time), int(inner),
-        )
+        self.model = model
+        self.samples = int(samples)
+        self.period = float(model.sample_time)
+        self.inner = int(inner)
         self.native: SimulatorLibrary = simulator_library()
         self._keep: list[Any] = []
         self.joints = joint_count(model)
@@ -208,7 +206,7 @@ class Plant:
                 f"{model.name}: {self.joints} joints; the simulator takes at most {MAX_JOINTS}"
             )
         c = self.native.ffi.new("sim_config *")
-        self._fill(c, position, velocity, t0)
+        self._fill(c, position, velocity)
         warmth = np.atleast_1d(
             np.asarray([] if temperature is None else temperature, dtype=np.float64)
         )
@@ -225,12 +223,10 @@ class Plant:
         self.pointer = self.native.ffi.gc(pointer, self.native.lib.sim_free)
 
     def _fill(
-        self, c: Any, position: npt.ArrayLike | None, velocity: npt.ArrayLike | None, t0: float
+        self, c: Any, position: npt.ArrayLike | None, velocity: npt.ArrayLike | None
     ) -> None:
         model, n = self.model, self.joints
-        c.joints, c.kind, c.inner, c.period, c.t0 = (
-            n, KINDS[model.kind], self.inner, self.period, t0,
-        )
+        c.joints, c.kind, c.inner, c.period = n, KINDS[model.kind], self.inner, self.period
         c.load_sensor = int(model.sensor.side == "load")
         c.delay = model.actuator.delay
         c.hold = max(1, round((model.actuator.hold or self.period) / self.period))
@@ -266,9 +262,8 @@ class Plant:
         own = (t for t in kernel_model(self.model).terms if t not in bodies)
         terms = sorted(own, key=lambda term: term.joint)
         table = np.zeros((max(1, len(terms)), MAX_PARAMETERS))
-        kinds, joints = np.zeros(max(1, len(terms)), np.int32), np.zeros(
-            max(1, len(terms)), np.int32
-        )
+        kinds = np.zeros(max(1, len(terms)), np.int32)
+        joints = np.zeros(max(1, len(terms)), np.int32)
         for i, term in enumerate(terms):
             kinds[i], joints[i] = self.native.index[term.effect], term.joint - 1
             for k, parameter in enumerate(get_effect(term.effect).parameters):
@@ -282,9 +277,9 @@ class Plant:
                     value -= 1
                 table[i, k] = value
         c.effects = len(terms)
-        c.effect, c.effect_joint, c.effect_p = (
-            self._pointer(kinds), self._pointer(joints), self._pointer(table),
-        )
+        c.effect = self._pointer(kinds)
+        c.effect_joint = self._pointer(joints)
+        c.effect_p = self._pointer(table)
 
     def _pointer(self, array: npt.NDArray[Any]) -> Any:
         array = np.ascontiguousarray(array)

@@ -352,9 +352,9 @@ class _Session:
             )
         self.keep.append(rows)
         entry = self.native.ffi.cast("isr_table *", self.entries[name].address)
-        entry.data, entry.rows, entry.version = (
-            self.native.doubles(rows), len(rows), entry.version + 1,
-        )
+        entry.data = self.native.doubles(rows)
+        entry.rows = len(rows)
+        entry.version = entry.version + 1
 
     def _write(self, given: Mapping[str, Assignable]) -> None:
         wrong = []
@@ -428,12 +428,10 @@ class _Session:
             if base in self.variables and self.variables[base].kind != _TABLE:
                 v = self.variables[base]
                 kind = self.entries[base].type
-                start, size, length, unit = (
-                    int(ffi.cast("uintptr_t", self.entries[base].address)),
-                    _TYPES[kind][1],
-                    v.length,
-                    v.unit,
-                )
+                start = int(ffi.cast("uintptr_t", self.entries[base].address))
+                size = _TYPES[kind][1]
+                length = v.length
+                unit = v.unit
             elif base in own:
                 pointer, length, unit = own[base]
                 start, size, kind = int(ffi.cast("uintptr_t", pointer)), 8, 1

@@ -288,10 +288,8 @@ def recording(
             for j, name in enumerate(names):
                 columns[name], units[name] = values[:, j], unit
         else:
-            columns[str(names)], units[str(names)] = (
-                (values if values.shape[1] > 1 else values[:, 0]),
-                unit,
-            )
+            columns[str(names)] = values if values.shape[1] > 1 else values[:, 0]
+            units[str(names)] = unit
 
     put("position", out["measured"], unit)
     put("command", out["command"], model.actuator.unit or torque)

@@ -15,7 +15,7 @@ typedef struct sim_config {
     int32_t load_sensor;         /* 1: the sensor sits on the load side of an elastic joint */
     int32_t hold;                /* samples for which a command is held */
     int32_t effects;
-    double period, t0;           /* s */
+    double period;               /* s */
     double delay;                /* s, of every command */
     double p1, p2, p3;           /* planar2r, kg m^2 */
     double gravity[3];           /* tree, m/s^2 */

@@ -208,7 +208,7 @@ static void inner_step(sim *S, double tl, double h) {
             u = mean;
         }
         j->u = u;
-        j->tau = act(S, i, u, S->c.t0 + tl + 0.5 * h);
+        j->tau = act(S, i, u, tl + 0.5 * h);
     }
     double M[SIM_MAX * SIM_MAX], xm[SIM_DOF], vm[SIM_DOF], vn[SIM_DOF], y[SIM_MAX], slope[SIM_MAX],
         bend[SIM_MAX], from[SIM_MAX], unused;
@@ -220,7 +220,7 @@ static void inner_step(sim *S, double tl, double h) {
     inertia(S, S->uneven ? y : xm, &pose, M);
     for (int i = 0; i < n && S->filtered; i++)
         from[i] = side(S, i, &unused);
-    const double t = S->c.t0 + tl + 0.5 * h;
+    const double t = tl + 0.5 * h;
     stage(S, 0.5 * h, t, M, &pose, xm, S->v, S->v, vm, 0);
     stage(S, h, t, M, &pose, xm, S->v, vm, vn, 1);
     for (int i = 0; i < S->dof; i++) {

@@ -239,9 +239,9 @@ def to_c(ffi: object, truth: MachineTruth) -> object:
         m.link[i].rotation, m.link[i].place = link.rotation, link.place
         m.link[i].mass, m.link[i].com, m.link[i].inertia = link.mass, link.com, link.inertia
     m.down = truth.down
-    m.sample_time, m.substeps, m.velocity_filter = (
-        truth.sample_time, truth.substeps, truth.velocity_filter,
-    )
+    m.sample_time = truth.sample_time
+    m.substeps = truth.substeps
+    m.velocity_filter = truth.velocity_filter
     return m
 
 

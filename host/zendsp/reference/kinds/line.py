@@ -73,7 +73,7 @@ def make_line(
 
     if duration <= 0.0:
         _, qd, qdd = plan(np.linspace(0.0, 1.0, 2001), 1.0)
-        duration = max(fastest_duration(machine, qd, qdd, 1.0), 10 * dt)
+        duration = max(fastest_duration(machine, qd, qdd), 10 * dt)
     q, qd, qdd = plan(make_grid(duration, dt), duration)
     used = {
         "x0": x0, "y0": y0, "x1": x1, "y1": y1, "duration": duration, "elbow": elbow, "law": law,

@@ -84,9 +84,8 @@ def make_multisine(
     dt = sample_time or machine.sample_time
     peak = spread(machine, "amplitude", amplitude)
     samples = max(2, round(period / dt))
-    k_min, k_max = max(1, int(np.ceil(f_min * samples * dt - 1e-9))), int(
-        np.floor(f_max * samples * dt + 1e-9)
-    )
+    k_min = max(1, int(np.ceil(f_min * samples * dt - 1e-9)))
+    k_max = int(np.floor(f_max * samples * dt + 1e-9))
     moving = np.flatnonzero(peak)
     if k_max - k_min + 1 < max(1, len(moving)) or k_max >= samples // 2:
         raise ReferenceError_(

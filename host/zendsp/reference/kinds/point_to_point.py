@@ -11,20 +11,18 @@ from zendsp.reference.machine import Machine
 from zendsp.reference.profiles import Law, make_grid, rest_to_rest
 
 
-def fastest_duration(machine: Machine, qd: Array, qdd: Array, duration: float) -> float:
+def fastest_duration(machine: Machine, qd: Array, qdd: Array) -> float:
     """Shortest duration of a path within the speed and acceleration limits, s.
 
-    Slowing a path down by r divides its speeds by r and its accelerations by r^2, so one plan at
-    any duration tells the answer.
+    Slowing a path down by r divides its speeds by r and its accelerations by r^2, so one plan tells
+    the answer.
 
     Parameters
     ----------
     machine : Machine
         Its limits count.
     qd, qdd : ndarray, shape (N, joints)
-        The path played in ``duration``.
-    duration : float
-        s.
+        The path played in 1 s.
 
     Returns
     -------
@@ -35,12 +33,12 @@ def fastest_duration(machine: Machine, qd: Array, qdd: Array, duration: float) -
     --------
     >>> from zendsp.reference import load_machine
     >>> arm = load_machine("imi_planar")
-    >>> round(fastest_duration(arm, np.array([[12.56, 0.0]]), np.zeros((1, 2)), 1.0), 3)
+    >>> round(fastest_duration(arm, np.array([[12.56, 0.0]]), np.zeros((1, 2))), 3)
     2.02
     """
     speed = float(np.max(np.abs(qd) / machine.pace.speed))
     acceleration = float(np.max(np.abs(qdd) / machine.pace.acceleration))
-    return float(1.01 * duration * max(speed, acceleration**0.5, 1e-3))
+    return float(1.01 * max(speed, acceleration**0.5, 1e-3))
 
 
 def make_point_to_point(
@@ -86,7 +84,7 @@ def make_point_to_point(
     a, b = spread(machine, "start", start), spread(machine, "goal", goal)
     if duration <= 0.0:
         _, sd, sdd = rest_to_rest(np.linspace(0.0, 1.0, 2001), 1.0, law, blend)
-        duration = fastest_duration(machine, sd[:, None] * (b - a), sdd[:, None] * (b - a), 1.0)
+        duration = fastest_duration(machine, sd[:, None] * (b - a), sdd[:, None] * (b - a))
         duration = max(duration, 10 * dt)
     t = make_grid(duration, dt)
     s, sd, sdd = rest_to_rest(t, duration, law, blend)

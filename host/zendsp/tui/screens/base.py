@@ -111,14 +111,14 @@ class LabScreen(Screen[None]):
             self._clock.pause()
             return
         snapshot, shown = self.lab.session.snapshot, self._pulled
-        self.lab.session.place_stop(self.bar.field)
+        self.lab.session.stops.place(self.bar.field)
         now = time.monotonic()
         fresh = snapshot is not shown and (
             shown is None or now >= self._shown_at + NUMBERS_S or snapshot.news(shown)
         )
         if fresh:
             self._pulled, self._shown_at = snapshot, now
-        self.bar.show(self._pulled or snapshot, self.lab.session.verdict)
+        self.bar.show(self._pulled or snapshot, self.lab.session.stops.verdict)
         self.pull(snapshot, fresh)
         for scope in self._scopes:
             if scope.is_on_screen:

@@ -196,7 +196,8 @@ class LoopActions(LabScreen):
         if not has_room(texts):
             text = (
                 f"{source.name} has no room for a compensation yet. {FILE} is written to\n"
-                f"{place.parent}; the program takes it with three lines:\n\n{LINES}\n\n"
+                f"{place.parent}; the program takes it with three lines:\n\n"
+                f"{LINES}\n\n"
                 "Then build it (b on Console)."
             )
             self.app.push_screen(

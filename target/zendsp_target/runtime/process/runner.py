@@ -39,9 +39,9 @@ BEING_MADE_SAFE = "the machine is being made safe"
 
 def _fill(control: Any, settings: Settings, program: Path, data: Path, number: int = 1) -> None:
     ffi, lib = layout()
-    control.magic, control.version, control.bytes = (
-        lib.LAYOUT_MAGIC, lib.LAYOUT_VERSION, ffi.sizeof("control"),
-    )
+    control.magic = lib.LAYOUT_MAGIC
+    control.version = lib.LAYOUT_VERSION
+    control.bytes = ffi.sizeof("control")
     control.rate_hz = settings.rate_hz
     control.period_ns = round(1e9 / settings.rate_hz)
     control.clock = lib.CLOCK_REAL if settings.clock == "real" else lib.CLOCK_FAST

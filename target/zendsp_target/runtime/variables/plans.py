@@ -47,9 +47,9 @@ def set_part(part: Any, place: Place, rows: int | None = None) -> None:
     if info.kind == "table" and rows is None:
         part.type, part.count, size, limits = lib.TYPE_INT32, 2, 4, (-_UNLIMITED, _UNLIMITED)
     else:
-        part.type, size, limits = (
-            _TYPES[info.type], entry.dtype.itemsize, (info.minimum, info.maximum),
-        )
+        part.type = _TYPES[info.type]
+        size = entry.dtype.itemsize
+        limits = (info.minimum, info.maximum)
         part.count = rows if rows is not None else 1 if place.scalar else info.length
     part.entry.size = part.count * size
     part.least, part.greatest = limits
@@ -115,9 +115,8 @@ class WritePlan:
     def _entries(self, numbers: bytes) -> bytes:
         entries = bytearray(self.size)
         parts = self._fixed[2]
-        numbers_at, entries_at = self._ffi.from_buffer("double[]", numbers), self._ffi.from_buffer(
-            "unsigned char[]", entries
-        )
+        numbers_at = self._ffi.from_buffer("double[]", numbers)
+        entries_at = self._ffi.from_buffer("unsigned char[]", entries)
         self._lib.monitor_pack(parts, len(parts), numbers_at, entries_at)
         return bytes(entries)
 

@@ -91,7 +91,7 @@ class Updates:
         self._written: dict[int, Flight] = {}  # by variable, its last since `take_written`
         self._bank: dict[int, int] = {}  # bank that a table's newest update names, by variable
 
-    # ---- write ------------------------------------------------------------------------------------------------------------  # noqa: E501
+    # -- write
 
     def write(
         self, values: Mapping[str, object], author: str, at_tick: int | None, settings: bool = False
@@ -205,9 +205,11 @@ class Updates:
         if plan is None or commit is None:
             return None
         entries = partial(plan.entries_of, value_at)
-        lock, batches, free, flights, now = (
-            self._lock, self._batches, self._free, self._flights, time.time,
-        )
+        lock = self._lock
+        batches = self._batches
+        free = self._free
+        flights = self._flights
+        now = time.time
 
         def write(request: bytes) -> int:
             with lock:
@@ -295,7 +297,7 @@ class Updates:
         """Number of the last update."""
         return self._sequence
 
-    # ---- acknowledge ------------------------------------------------------------------------------------------------------  # noqa: E501
+    # -- acknowledge
 
     def wait_applied(self, sequence: int, timeout: float) -> int:
         """Sleep until a batch has taken effect, and whoever reads from here on gets its values.
