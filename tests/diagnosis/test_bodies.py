@@ -19,6 +19,8 @@ from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.decide.absorbed import moved
 from zendsp.diagnosis.decide.decide_bodies import beside_bodies
 from zendsp.diagnosis.search.bodies import BodySearch, find_bodies
+from zendsp.diagnosis.search.body_explain import price_of
+from zendsp.diagnosis.search.body_hypotheses import LIMITS, Hypothesis
 from zendsp.physics.calibration.handles import Handle, set_values
 from zendsp.physics.files.model_file import load_model, parse_model
 from zendsp.physics.model import Model
@@ -305,3 +307,18 @@ def test_a_mechanism_without_a_law_stands_beside_a_body() -> None:
     decision: Any = SimpleNamespace(joint=1, claims=(claim,), refinements=(), kind="missing")
     body: Any = SimpleNamespace(sizes={1: 0.9})
     assert beside_bodies([body], [decision]) == [decision]
+
+
+@pytest.mark.parametrize("std, price", [(0.0, True), (0.036, False)])
+def test_a_figure_that_the_model_calls_rough_is_calibrated_at_no_price(
+    std: float, price: bool
+) -> None:
+    """From 0.29 to 0.24, which is 17 %."""
+    found: Any = SimpleNamespace(
+        hypothesis=Hypothesis("calibration", free=("p3",), cost=9.0), values=np.array([-0.05])
+    )
+    solver: Any = SimpleNamespace(
+        limits=LIMITS,
+        layout=SimpleNamespace(given=np.array([0.29]), given_std=np.array([std])),
+    )
+    assert (price_of(found, solver) > 0.0) == price

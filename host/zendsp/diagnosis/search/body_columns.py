@@ -138,6 +138,7 @@ class Layout:
     def __init__(self, model: Model, links: Links) -> None:
         self.model, self.links, self.keys = model, links, calibrated(model)
         self.given = np.array([model.mechanism[key][0].value for key in self.keys])
+        self.given_std = np.array([model.mechanism[key][0].std for key in self.keys])
         self.joints = len(links.bodies)
         self.tilt = NUISANCE + 10 * self.joints
         self.scale = self.tilt + 2

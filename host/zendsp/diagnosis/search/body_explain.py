@@ -100,7 +100,7 @@ def explain(solver: Solver, tried: Sequence[Hypothesis]) -> list[Explained]:
         for e in out
     ]
     ties = [e for e in out if tied(e, top, solver.limits)]
-    ties.sort(key=lambda e: (_cost(e, solver), -e.gain))
+    ties.sort(key=lambda e: (price_of(e, solver), -e.gain))
     first = first_of(ties, solver.limits)
     ties.sort(key=lambda e: e is not first)
     others = sorted((e for e in out if not any(e is t for t in ties)), key=lambda e: -e.gain)
@@ -134,11 +134,11 @@ def clear(e: Explained, limits: BodyLimits = LIMITS) -> bool:
     return e.z > limits.clear and float(e.share.max()) > limits.little
 
 
-def _cost(e: Explained, solver: Solver) -> float:
+def price_of(e: Explained, solver: Solver) -> float:
     """What an explanation costs; nothing where free parameters of the model need little for it."""
     if e.hypothesis.effect == "calibration":
-        given = solver.layout.given
-        if np.all(np.abs(e.values) < solver.limits.calibrated * np.abs(given)):
+        usual = solver.limits.calibrated * np.abs(solver.layout.given)
+        if np.all(np.abs(e.values) < np.maximum(usual, solver.limits.far * solver.layout.given_std)):
             return 0.0
     return e.hypothesis.cost
 
