@@ -165,7 +165,7 @@ async def test_stop_works_under_every_dialog(
     app: ZendspApp, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pressed: list[str] = []
-    monkeypatch.setattr(app.session, "stop", lambda: pressed.append(over))
+    monkeypatch.setattr(app.session.stops, "stop", lambda: pressed.append(over))
     source = tmp_path / "pd.c"
     source.write_text("int x;\n")
     dialogs = {
