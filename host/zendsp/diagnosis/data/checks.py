@@ -82,7 +82,9 @@ def _moves(where: str, y: Array, resolution: float) -> None:
     span = float(np.ptp(y))
     if span <= STILL * max(STILL, float(np.max(np.abs(y)))):
         raise RecordingError(
-            f"{where}: the position is constant; nothing moved, so nothing can be diagnosed"
+            f"{where}: the position is constant; what does not move cannot be diagnosed: let every"
+            " joint of the model move, or make this one fixed in the model (in a URDF:"
+            ' type="fixed") and name the columns of the others'
         )
     if resolution > 0 and span < MIN_COUNTS * resolution:
         raise RecordingError(
