@@ -31,7 +31,7 @@ def _seconds(pid: str) -> float:
 def main() -> None:
     """Start them one after the other, let all run, and look for ten seconds."""
     p = argparse.ArgumentParser(description=__doc__)
-    p.add_argument("targets", type=int)
+    p.add_argument("targets", type=int, nargs="?", default=20)
     targets = p.parse_args().targets
     os.environ["ZENDSP_RUNTIME_DIR"] = tempfile.mkdtemp()
     command = [sys.executable, "-m", "zendsp_target", "--machine", "imi_planar", "--json"]

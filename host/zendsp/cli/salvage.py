@@ -16,7 +16,7 @@ from zendsp.cli.common import emit, table
     "-o",
     "--out",
     type=click.Path(path_type=Path),
-    help="Save the newest: .mat, .npz, .parquet or .csv.",
+    help="Save the newest: .mat, .npz, .parquet, .csv, .mcap or .mf4.",
 )
 @click.option(
     "--drop", is_flag=True, help="Free the memory of all that is listed, without saving it."

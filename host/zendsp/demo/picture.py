@@ -202,7 +202,7 @@ def _error(axis: Axes, told: Told, joint: int) -> None:
     axis.axvline(at, color="0.2", lw=1.0, ls="--")
     b, a = 1e3 * told.tracking.before[joint - 1], 1e3 * told.tracking.after[joint - 1]
     for x, words, colour in (
-        (0.0, " grey: setting out and at rest, not counted", QUIET),
+        (0.0, " grey, not counted: setting out, and at\n rest, where dry friction holds it", QUIET),
         (at, f" one synchronous update, sample {told.tracking.tick}", "0.2"),
     ):
         axis.text(x, low, words, fontsize=8, va="bottom", color=colour)

@@ -12,6 +12,7 @@ import numpy as np
 from zendsp.tui.scope.ticks import number
 from zendsp.tui.snapshot import Variable
 
+LARGEST = 2.0**31 - 1.0
 COUNTS = 1e7  # a whole number below it is shown whole
 
 def show_value(value: Any, most: int = 4) -> str:
@@ -52,6 +53,7 @@ def show_exact(value: Any) -> str:
 def show_limits(variable: Variable) -> str:
     """Return ``0 … 5000``, ``≥ 0``, or nothing."""
     low, high = math.isfinite(variable.minimum), math.isfinite(variable.maximum)
+    high = high and variable.maximum < LARGEST  # what no int32 passes is no limit
     if low and high:
         return f"{variable.minimum:g} … {variable.maximum:g}"
     return f"≥ {variable.minimum:g}" if low else f"≤ {variable.maximum:g}" if high else ""

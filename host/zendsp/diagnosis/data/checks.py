@@ -23,11 +23,6 @@ MIN_COUNTS = 8
 
 # What refuses a recording: tests/diagnosis/test_bad_input.py has recordings on either side.
 STILL = 1e-9  # of the largest position: a span below is a constant
-PARKED = {  # a joint that stood still while others moved, by the kind of the model
-    "urdf": "make it type=\"fixed\" in a copy of the URDF (its angle in <origin rpy>) and leave its"
-    " columns out, to diagnose the others",
-    "mjcf": "name the others in [mechanism] joints and leave its columns out, to diagnose them",
-}
 NOISE_SPANS = 15  # standard deviations: 20 000 samples of white noise span 8
 FOLLOWED = 0.8  # R^2 of position on reference from which the slope says unit and sign
 MOSTLY = 0.5  # of the samples
@@ -74,7 +69,7 @@ def check_signals(signals: Sequence[Signals], model: Model) -> list[str]:
         for j in range(joints):
             where = f"{s.name}: joint {j + 1}" if joints > 1 else s.name
             y = raw.position[:, j]
-            _moves(where, y, float(raw.resolution[j]), PARKED.get(model.kind, ""))
+            _moves(where, y, float(raw.resolution[j]))
             _glued(where, y, raw)
             _clipped(where, y, float(raw.resolution[j]), raw.sample_time)
             if raw.reference is not None:
@@ -83,11 +78,14 @@ def check_signals(signals: Sequence[Signals], model: Model) -> list[str]:
     return notes
 
 
-def _moves(where: str, y: Array, resolution: float, parked: str = "") -> None:
+def _moves(where: str, y: Array, resolution: float) -> None:
     span = float(np.ptp(y))
     if span <= STILL * max(STILL, float(np.max(np.abs(y)))):
-        rest = parked or "where nothing moved nothing can be diagnosed"
-        raise RecordingError(f"{where}: the position is constant, {y[0]:.4g}: {rest}")
+        raise RecordingError(
+            f"{where}: the position is constant; what does not move cannot be diagnosed: let every"
+            " joint of the model move, or make this one fixed in the model (in a URDF:"
+            ' type="fixed") and name the columns of the others'
+        )
     if resolution > 0 and span < MIN_COUNTS * resolution:
         raise RecordingError(
             f"{where}: the position spans {span / resolution:.0f} counts of the sensor; a diagnosis"

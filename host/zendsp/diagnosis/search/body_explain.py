@@ -137,8 +137,9 @@ def clear(e: Explained, limits: BodyLimits = LIMITS) -> bool:
 def price_of(e: Explained, solver: Solver) -> float:
     """What an explanation costs; nothing where free parameters of the model need little for it."""
     if e.hypothesis.effect == "calibration":
-        usual = solver.limits.calibrated * np.abs(solver.layout.given)
-        if np.all(np.abs(e.values) < np.maximum(usual, solver.limits.far * solver.layout.given_std)):
+        layout, limits = solver.layout, solver.limits
+        usual = np.maximum(limits.calibrated * np.abs(layout.given), limits.far * layout.given_std)
+        if np.all(np.abs(e.values) < usual):
             return 0.0
     return e.hypothesis.cost
 
