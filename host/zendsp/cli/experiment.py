@@ -53,7 +53,7 @@ def command(
 
     Moves the machine. Ctrl-C stops it at the next sample. Every recording is kept, also the one
     that Ctrl-C ends; the result is a TOML file that a model takes in. With --target, all means all
-    of that machine.
+    of that machine; of a machine without its own, those for any.
 
     Example:  zendsp experiment imi-fit --into examples/models/imi_planar.toml
     """
@@ -72,7 +72,8 @@ def command(
 
         opened = closing.enter_context(open_target(target, connect))
         if name == "all":
-            names = [each for each in names if EXPERIMENTS[each].machine == opened.info.machine]
+            own = [each for each in names if EXPERIMENTS[each].machine == opened.info.machine]
+            names = own or [each for each, e in EXPERIMENTS.items() if not e.machine]
             for each in [each for each in names if EXPERIMENTS[each].command != "torque"]:
                 names.remove(each)
                 click.echo(
