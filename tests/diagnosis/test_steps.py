@@ -305,7 +305,7 @@ def test_what_comes_at_most_reversals_is_how_friction_turns_round_and_no_disturb
         for k in at:
             torque[max(0, k - 20) : k + after] = size
         data = data_of({**quiet, "u": quiet["u"] + torque}, model)
-        return bursts(data, model, 1, many=99, dry=dry, often=often) is not None
+        return bursts(data, model, 1, data, many=99, dry=dry, often=often) is not None
 
     some = turns[[len(turns) // 3, len(turns) // 2]]
     assert found(some), "a push happens to come when it turns"

@@ -143,23 +143,16 @@ def _beside(decision: Decision, parts: Parts) -> Bursts | None:
     return _in_fit(parts, model, joint)
 
 
-def _alike(data: Data) -> tuple[Data, ...]:
-    """Other recordings, where the states of one joint are all that there is: what comes from
-    others depends on more than is looked at.
-    """
-    return (data,) if data.joints == 1 else ()
-
-
 def _in_held(parts: Parts, model: Model, joint: int, often: float) -> Bursts | None:
     """A push in the recordings that were held out."""
     dry = dry_torque(parts.held, model, joint)
-    return bursts(parts.held, model, joint, dry=dry, often=often, beside=_alike(parts.fit))
+    return bursts(parts.held, model, joint, parts.fit, dry=dry, often=often)
 
 
 def _in_fit(parts: Parts, model: Model, joint: int, many: int = FEW) -> Bursts | None:
     """A push in the recordings of the fit."""
     dry = dry_torque(parts.fit, model, joint)
-    return bursts(parts.fit, model, joint, many=many, dry=dry, often=0.0, beside=_alike(parts.held))
+    return bursts(parts.fit, model, joint, parts.held, many=many, dry=dry, often=0.0)
 
 
 # --- nothing is named

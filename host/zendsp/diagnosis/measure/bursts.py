@@ -109,10 +109,10 @@ def bursts(
     data: Data,
     model: Model,
     joint: int,
+    beside: Data,
     many: int = MANY,
     dry: float = 0.0,
     often: float = OFTEN,
-    beside: Sequence[Data] = (),
 ) -> Bursts | None:
     """Find the times outside of which a model lacks next to nothing; None where there are none
     such.
@@ -123,6 +123,9 @@ def bursts(
     model : Model
     joint : int
         1-based.
+    beside : Data
+        Other recordings: they show how little acts at other times; of a machine of one joint, in
+        which states as well (what comes from other joints depends on more than is looked at).
     many : int
         Intervals; more come and go with something else than time.
     dry : float
@@ -130,31 +133,34 @@ def bursts(
         again, and is no larger than ``STICKS`` times that, may be friction; 0: none.
     often : float
         At how many of these places it is "again and again".
-    beside : sequence of Data
-        Recordings that show, too, in which states nothing acts.
 
     Returns
     -------
     Bursts or None
     """
-    acting = _acting(data, model, joint)
+    quiet = _quiet((data, beside), model, joint)
+    acting = _acting(data, model, joint, quiet)
     if dry > 0.0 and _peak(acting) < STICKS * dry and _turns(data, acting, joint, often):
         return None
     covered = sum(int(high.sum()) for high in acting.masks)
     count = sum(len(high) for high in acting.masks)
-    if not covered or covered > BRIEF * count:
+    others = _acting(beside, model, joint, quiet, acting.least)
+    rest = sum(len(high) for high in others.masks)
+    if not covered or covered > BRIEF * (count + rest):
         return None
-    every = [(data, acting), *[(d, _acting(d, model, joint, acting.least)) for d in beside]]
+    every = [(data, acting), *([(beside, others)] if data.joints == 1 else [])]
     high = np.concatenate([mask for _, a in every for mask in a.masks])
     seen = [np.isin(c, np.unique(c[~high])) for c in _states(every, joint)]
     if int(np.all(seen, axis=0)[:count][high[:count]].sum()) < REVISITED * covered:
         return None
     out = _summed([(data, acting)], joint)
+    everywhere_high = covered + sum(int(high.sum()) for high in others.masks)
     normal = NormalDist()
-    z = -normal.inv_cdf(0.5 * covered / count)
+    z = -normal.inv_cdf(0.5 * everywhere_high / (count + rest))
     # of a random torque's energy, in its largest values for so long
     by_chance = 2.0 * (z * normal.pdf(z) + normal.cdf(-z))
-    scattered = 1.0 - out.share > CONCENTRATED * (1.0 - by_chance)
+    share = _summed([(data, acting), (beside, others)], joint).share
+    scattered = 1.0 - share > CONCENTRATED * (1.0 - by_chance)
     return None if scattered or out.spread > many else out
 
 
@@ -188,29 +194,51 @@ def everywhere(
     found: Bursts, parts: Sequence[Data], model: Model, joint: int
 ) -> Bursts:
     """The times of a torque that was found in some recordings, in all of them."""
-    acting = [(data, _acting(data, model, joint, found.least)) for data in parts]
+    quiet = _quiet(parts, model, joint)
+    acting = [(data, _acting(data, model, joint, quiet, found.least)) for data in parts]
     return _summed(acting, joint)
 
 
+def _windows(data: Data, joint: int) -> list[tuple[slice, Array]]:
+    """Per recording the samples that count, and the memory of the observer."""
+    out = []
+    for rec in data.records:
+        record = rec[joint - 1]
+        width = max(3, round(3.0 / BAND / record.sample_time))
+        out.append((kept(record, BAND), np.ones(width) / width))
+    return out
+
+
+def _levels(data: Data, model: Model, joint: int) -> list[Array]:
+    """Energy of what a model lacks along each recording, over the observer's memory."""
+    lacks = lacking(data, model, joint, BAND)
+    return [
+        np.asarray(np.convolve(lack**2, window, mode="same")[use], float)
+        for lack, (use, window) in zip(lacks, _windows(data, joint), strict=True)
+    ]
+
+
+def _quiet(parts: Sequence[Data], model: Model, joint: int) -> float:
+    """Median of that energy in the part in which it is least: a push may fill most of the others.
+    """
+    return min(float(np.median(np.concatenate(_levels(p, model, joint)))) for p in parts)
+
+
 def _acting(
-    data: Data, model: Model, joint: int, least: float | None = None
+    data: Data, model: Model, joint: int, quiet: float, least: float | None = None
 ) -> _Acting:
-    """Where the energy of what a model lacks is far above its median, and above ``least``; without
+    """Where the energy of what a model lacks is far above a median, and above ``least``; without
     it, above a part of its own peak.
     """
     lacks: list[Array] = []
     smooth: list[Array] = []
-    levels, used = [], []
-    for lack, rec in zip(lacking(data, model, joint, BAND), data.records, strict=True):
-        record = rec[joint - 1]
-        use = kept(record, BAND)
-        width = max(3, round(3.0 / BAND / record.sample_time))
-        window = np.ones(width) / width
-        levels.append(np.convolve(lack**2, window, mode="same")[use])
+    used = []
+    levels = _levels(data, model, joint)
+    found = lacking(data, model, joint, BAND)
+    for lack, (use, window) in zip(found, _windows(data, joint), strict=True):
         lacks.append(lack[use])
         smooth.append(np.asarray(np.convolve(lack[use], window, mode="same"), float))
         used.append(use)
-    quiet = float(np.quantile(np.concatenate(levels), 0.5))
     high = max(float(level.max()) for level in levels)
     above = max(BURST * quiet, OF_PEAK * high if least is None else least)
     from scipy.ndimage import binary_closing  # takes a third of a second
