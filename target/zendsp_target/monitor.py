@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import queue
 import signal
-import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -83,14 +84,16 @@ class Monitor:
 
         ``ready`` is called once a signal would end it cleanly.
         """
-        end = threading.Event()
+        # no threading.Event: its lock may be held by what the signal interrupts, for ever then
+        asked: queue.SimpleQueue[int] = queue.SimpleQueue()
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-            signal.signal(number, lambda *_: end.set())
+            signal.signal(number, lambda number, _: asked.put(number))
         try:
             if ready is not None:
                 ready()
-            while not end.wait(PARENT_POLL_S):
-                if parent and os.getppid() != parent:
+            while not parent or os.getppid() == parent:
+                with contextlib.suppress(queue.Empty):
+                    asked.get(timeout=PARENT_POLL_S)
                     break
         finally:
             self.close()
