@@ -5,6 +5,8 @@ too, untouched recordings refuse what only the fit wants.
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +14,9 @@ import reality
 
 from zendsp.diagnosis.data.prepare import one_sensor, prepare
 from zendsp.diagnosis.data.signals import Parts, Signals
+from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide.assemble import with_disagreement
+from zendsp.diagnosis.decide.pieces import may_leave
 from zendsp.diagnosis.decide.thresholds import BY_CHANCE, LAWFUL, OF_STATE, SURE
 from zendsp.diagnosis.measure.bursts import bursts, periodic
 from zendsp.diagnosis.measure.discrepancy import at_reversals, deviation, discrepancy
@@ -33,6 +37,8 @@ from zendsp.diagnosis.search.screen import Candidate, with_candidate
 from zendsp.diagnosis.search.simplify import simplify
 from zendsp.diagnosis.transmission.links import divided, with_links
 from zendsp.physics.calibration.fit import Data, fit, joint_handles, residual
+from zendsp.physics.calibration.terms import make_term
+from zendsp.physics.effects import get_effect
 from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.model import Model
 
@@ -371,3 +377,37 @@ def test_a_recording_in_which_the_joint_hardly_moves_has_the_noise_of_the_sensor
     twice = one_sensor([rests, moves[0], moves[0], moves[1]])[0].least_noise
     assert alone == 0.0 and beside == pytest.approx(0.5 * count, rel=0.15)
     assert twice is not None and twice[0] == beside
+
+
+def test_a_search_that_runs_away_goes_on_with_its_next_first_step(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def simplified(other: Any, n: int, jobs: int) -> Any:
+        return other.best, ()
+
+    monkeypatch.setattr(decision, "simplify", simplified)
+    monkeypatch.setattr(decision, "informative", lambda data, joint: 100)
+    steps: Any = [
+        SimpleNamespace(effect=effect, scored=SimpleNamespace(deviance=deviance))
+        for effect, deviance in (("stiffening", -900.0), ("backlash", -800.0), ("ripple", 1.0))
+    ]
+    base: Any = SimpleNamespace(deviance=0.0)
+    final: Any = SimpleNamespace(
+        model=SimpleNamespace(at=lambda joint: (SimpleNamespace(effect="stiffening"),))
+    )
+    parts: Any = SimpleNamespace(fit=None)
+    other = decision.find_sounder(parts, JointSearch(1, base, tried=steps), final, 1)
+    assert other is not None and other.best is steps[1].scored
+    assert decision.find_sounder(parts, other, final, 1) is None, "nothing left gains"
+
+
+def test_an_exponent_that_is_fitted_at_the_end_does_not_count_against_a_law() -> None:
+    def left(free: bool) -> float:
+        numbers = {"breakaway": 0.2, "velocity": 0.1, "exponent": 1.7}
+        term = make_term(get_effect("stribeck"), 1, numbers)
+        exponent = replace(term.parameters["exponent"], free=free)
+        term = replace(term, parameters={**term.parameters, "exponent": exponent})
+        piece: Any = SimpleNamespace(mechanism="dry_friction", terms=(term,), size=1.0)
+        return may_leave(piece)
+
+    assert left(True) == left(False) > 0.0

@@ -56,6 +56,7 @@ from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.model import Model, Term
 
 Array = npt.NDArray[np.float64]
+AWAY = 1.0  # of the RMS torque: what lacks more than there is has run away
 Progress = Callable[[str], None]
 
 
@@ -91,6 +92,11 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
         ]
         pieces.sort(key=lambda p: -p.size)
         claimed, rest = held_apart(parts, given, search, final, pieces)
+        sounder = None
+        if not claimed and any(p.size > AWAY for p in pieces):
+            sounder = find_sounder(parts, search, final, jobs)
+        if sounder is not None:
+            return decide(parts, given, sounder, jobs, tell)
         if claimed:
             first = named(parts, given, search, final, claimed, rest, before, jobs, tell)
             other = _exchanged(parts, search, final, first, jobs)
@@ -132,6 +138,22 @@ def _exchanged(
             other.best, _ = simplify(other, informative(parts.fit, search.joint), jobs)
             if other.best.deviance < final.deviance - WAIT:
                 return other
+    return None
+
+
+def find_sounder(
+    parts: Parts, search: JointSearch, final: Scored, jobs: int
+) -> JointSearch | None:
+    """The search with its next first step alone, in the place of one that ended in what runs away
+    on recordings that it was not fitted to; None where nothing is left to try.
+    """
+    there = {t.effect for t in final.model.at(search.joint)}
+    for k, rival in enumerate(search.tried):
+        gain = search.base.deviance - rival.scored.deviance
+        if rival.effect not in there and gain > WAIT:
+            other = replace(search, best=rival.scored, tried=search.tried[k + 1 :])
+            other.best, _ = simplify(other, informative(parts.fit, search.joint), jobs)
+            return other
     return None
 
 

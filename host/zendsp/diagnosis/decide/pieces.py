@@ -264,12 +264,18 @@ def may_leave(piece: Piece) -> float:
     """What a mechanism's laws may leave in its own variables, as a part of the RMS torque.
 
     A law of several free numbers can be bent to resemble what it is not, and leaves the less for
-    it.
+    it. (Not counted: what is fitted at the end only, an exponent.)
     """
     laws = [t for t in piece.terms if mechanism_of(t.effect) == piece.mechanism] or list(
         piece.terms
     )
-    freedom = min(sum(q.free for q in t.parameters.values()) for t in laws)
+    freedom = min(
+        sum(
+            q.free and get_effect(t.effect).parameter(key).fitted
+            for key, q in t.parameters.items()
+        )
+        for t in laws
+    )
     return LEFT_BY_A_LAW * piece.size / max(freedom, 1) ** 2
 
 
