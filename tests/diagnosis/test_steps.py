@@ -15,7 +15,9 @@ import reality
 from zendsp.diagnosis.data.prepare import one_sensor, prepare
 from zendsp.diagnosis.data.signals import Parts, Signals
 from zendsp.diagnosis.decide import decide as decision
+from zendsp.diagnosis.decide import laws
 from zendsp.diagnosis.decide.assemble import with_disagreement
+from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.pieces import may_leave
 from zendsp.diagnosis.decide.thresholds import BY_CHANCE, LAWFUL, OF_STATE, SURE
 from zendsp.diagnosis.measure.bursts import bursts, periodic
@@ -411,3 +413,27 @@ def test_an_exponent_that_is_fitted_at_the_end_does_not_count_against_a_law() ->
         return may_leave(piece)
 
     assert left(True) == left(False) > 0.0
+
+
+def test_beside_a_doubted_law_another_of_its_mechanism_is_not_stated(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    large, small, other = (
+        SimpleNamespace(effect=e, mechanism=m, size=s)
+        for e, m, s in (
+            ("stribeck", "dry_friction", 0.3), ("hysteresis", "dry_friction", 0.1),
+            ("ripple", "position_torque", 0.1),
+        )
+    )  # fmt: skip
+    nothing: Any = SimpleNamespace(value=1.0)
+    decision: Any = Decision(
+        1, "missing", (large, small, other), (), nothing, nothing, nothing, nothing, nothing,
+        nothing, nothing, 1.0,
+    )  # type: ignore[arg-type]  # fmt: skip
+    parts: Any = None
+    monkeypatch.setattr(laws, "_goes_on", lambda *_: True)
+    monkeypatch.setattr(laws, "_alone", lambda *_: nothing)
+    monkeypatch.setattr(laws, "stated", lambda claim, _: True)
+    assert laws.believed(decision, parts, 1).claims == (large, small, other)
+    monkeypatch.setattr(laws, "stated", lambda claim, _: claim is not large)
+    assert laws.believed(decision, parts, 1).claims == (other,)

@@ -162,10 +162,15 @@ def believed(decision: Decision, parts: Parts, jobs: int) -> Decision:
     if likely and rest:
         alone = _alone(decision.final, decision.joint, likely, (*decision.refinements, *rest), jobs)
     keep, more = [], list(decision.refinements)
+    doubted: set[str] = set()  # mechanisms: what stood beside a doubted law may be a part of it
     for claim in decision.claims:
         if claim.effect == "unknown":
             keep.append(without_law(claim, decision))
-        elif any(claim is k for k in likely) and _goes_on(claim, decision, alone, parts):
+        elif (
+            claim.mechanism not in doubted
+            and any(claim is k for k in likely)
+            and _goes_on(claim, decision, alone, parts)
+        ):
             keep.append(claim)
         elif (
             claim is decision.claims[0]
@@ -174,8 +179,10 @@ def believed(decision: Decision, parts: Parts, jobs: int) -> Decision:
             and not _turns_otherwise(claim, decision, parts)
         ):
             keep.append(without_law(claim, decision))
+            doubted.add(claim.mechanism)
         else:
             more.append(claim)
+            doubted.add(claim.mechanism)
     keep, parts_of_it = _beside_unknown(keep)
     return replace(decision, claims=tuple(keep), refinements=tuple(more + parts_of_it))
 
