@@ -53,8 +53,8 @@ class Variables(Part):
         Warns
         -----
         EndedWarning
-            The program crashed, tripped or was stopped: the value, which the program computes, is
-            that of its last sample.
+            The program crashed, tripped or was stopped: what it computes is that of its last
+            sample, what is set acts when it runs again.
 
         Raises
         ------
@@ -62,13 +62,14 @@ class Variables(Part):
             No such variable.
         """
         reading = self.read([name])
-        if reading.ended and not self._is_set(name):
-            said = f"{name} is that of the program's last sample: {reading.ended}"
+        if reading.ended:
+            last = "as it was set last" if self._is_set(name) else "that of its last sample"
+            said = f"the program has ended, {name} is {last}: {reading.ended}"
             warnings.warn(said, EndedWarning, stacklevel=2)
         return reading.values[name]
 
     def _is_set(self, name: str) -> bool:
-        """Whether a host sets this variable, so that it is never old."""
+        """Whether a host sets this variable."""
         info = self().get(name.partition("[")[0])
         return info is not None and info.kind != "signal"
 
