@@ -154,14 +154,22 @@ def bursts(
     if int(np.all(seen, axis=0)[:count][high[:count]].sum()) < REVISITED * covered:
         return None
     out = _summed([(data, acting)], joint)
-    everywhere_high = covered + sum(int(high.sum()) for high in others.masks)
+    whole = _summed([(data, acting), (beside, others)], joint)
+    there = covered + sum(int(high.sum()) for high in others.masks)
+    # a push may fill most of these recordings; and bend what is lacking in the others
+    scattered = _scattered(out.share, covered / count) and _scattered(
+        whole.share, there / (count + rest)
+    )
+    return None if scattered or out.spread > many else out
+
+
+def _scattered(share: float, part: float) -> bool:
+    """Whether too much of the energy, all but ``share``, lies outside of a ``part`` of the time."""
     normal = NormalDist()
-    z = -normal.inv_cdf(0.5 * everywhere_high / (count + rest))
+    z = -normal.inv_cdf(0.5 * part)
     # of a random torque's energy, in its largest values for so long
     by_chance = 2.0 * (z * normal.pdf(z) + normal.cdf(-z))
-    share = _summed([(data, acting), (beside, others)], joint).share
-    scattered = 1.0 - share > CONCENTRATED * (1.0 - by_chance)
-    return None if scattered or out.spread > many else out
+    return 1.0 - share > CONCENTRATED * (1.0 - by_chance)
 
 
 def _turns(data: Data, acting: _Acting, joint: int, often: float) -> bool:
