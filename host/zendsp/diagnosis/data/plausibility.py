@@ -44,6 +44,7 @@ ERRORS = 4  # standard errors by which a factor has to lie beyond a limit
 MANY_ERRORS = 10  # the same, for a sign: with the samples that are one fact counted once
 SURE_ERRORS = 8  # the same, for the factor once a mistake is undone
 LITTLE, MUCH = 0.3, 5.0  # of the model's inertia: outside, columns may have wrong units
+GEARED = 7.0  # of all joints' inertias: a model of a real KR 300 is off by 4, a gear by 10 and more
 NONE = 0.2  # of the model's inertia: below, it does not show
 SHARE = 0.3  # of the command: a rigid body that should take so much of it, and does not show
 VISIBLE = 0.05  # of the command: a rigid body below cannot show its sign
@@ -288,7 +289,7 @@ def scaled(name: str, slopes: Sequence[float]) -> None:
     """Refuse where the inertias of all joints are off by one factor."""
     low, high = min(slopes, default=1.0), max(slopes, default=1.0)
     alike = len(slopes) > 1 and 0.0 < high < RIGHT[1] / RIGHT[0] * low
-    if alike and (low > MUCH or high < LITTLE):
+    if alike and (low > GEARED or high < 1.0 / GEARED):
         factor = math.exp(math.fsum(map(math.log, slopes)) / len(slopes))
         raise RecordingError(
             f"{name}: the inertias of all joints come out as {low:.2g} to {high:.2g} times the"
