@@ -42,6 +42,7 @@ def rounds(place: Place, tally: Tally) -> Iterator[None]:
         while True:
             whom, how = draw.choice(WHOM), draw.choice(HOW)
             if target.status().state in ("empty", "crashed"):
+                target.take_command(force=True)  # the last host may not have been missed yet
                 target.download("pd.c")
             host = place.script(HOST)
             try:
