@@ -398,9 +398,13 @@ def test_a_search_that_runs_away_goes_on_with_its_next_first_step(
         model=SimpleNamespace(at=lambda joint: (SimpleNamespace(effect="stiffening"),))
     )
     parts: Any = SimpleNamespace(fit=None)
-    other = decision.find_sounder(parts, JointSearch(1, base, tried=steps), final, 1)
+    ran: Any = [SimpleNamespace(size=36.0)]
+    search = JointSearch(1, base, tried=steps)
+    other = decision.find_sounder(parts, search, final, ran, 1)
     assert other is not None and other.best is steps[1].scored
-    assert decision.find_sounder(parts, other, final, 1) is None, "nothing left gains"
+    assert decision.find_sounder(parts, other, final, ran, 1) is None, "nothing left gains"
+    sound: Any = [SimpleNamespace(size=0.5)]
+    assert decision.find_sounder(parts, search, final, sound, 1) is None, "nothing ran away"
 
 
 def test_an_exponent_that_is_fitted_at_the_end_does_not_count_against_a_law() -> None:

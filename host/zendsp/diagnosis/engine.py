@@ -59,8 +59,7 @@ from zendsp.diagnosis.transmission.torque_sensor import sided
 from zendsp.errors import RecordingError
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.files.model_file import load_model, parse_model
-from zendsp.physics.model import CALLED, TREES, Model
-from zendsp.physics.robots.robot import robot_path
+from zendsp.physics.model import CALLED, Model
 from zendsp.physics.term_numbers import file_model, kernel_model
 from zendsp.recording import Recording, Table
 
@@ -134,8 +133,6 @@ def _diagnose(
         return diagnose_simulator(
             _sources(recordings), given, _sources(heldout), seed=seed, jobs=jobs, progress=tell
         )
-    if given.kind in TREES:
-        robot_path(given)  # refuses a file that is not there
     signals, parts, notes = _ready(recordings, heldout, given, tell)
     found = _found(signals, parts, given, jobs, tell)
     parts, decisions, whole = found.parts, found.decisions, found.whole
@@ -295,8 +292,10 @@ def _found(
     """
     found = _find(parts, given, jobs, tell)
     pushes = _pushes(found.decisions)
+    if not pushes:
+        return found
     fit, choose, test = (cut_out(part, pushes) for part in signals)
-    if not pushes or not fit or not (choose or test):
+    if not fit or not (choose or test):
         return found
     tell("once more, without what was pushed")
     left = (fit, choose or test, test or choose)
