@@ -66,6 +66,18 @@ def test_joints_that_come_late_by_as_much_do_so_by_one_law(
     assert named(found) == [one, one, [("coulomb", "dry_friction", ())]]
 
 
+@pytest.mark.parametrize(("law", "parameter", "other"), [
+    ("lag", "time_constant", "position_filter"), ("delay", "time", "column_shift"),
+])
+def test_where_all_joints_come_late_alike_command_and_position_cannot_be_told_apart(
+    law: str, parameter: str, other: str
+) -> None:
+    late = [lacking(1, law, **{parameter: 0.0040}), lacking(2, law, **{parameter: 0.0038})]
+    found = across.same_timing(SimpleNamespace(), late, 1)  # type: ignore[arg-type]
+    assert named(found) == [[(law, mechanism_of(law), (other,))]] * 2
+    assert across.same_timing(SimpleNamespace(), late[:1], 1) == late[:1]  # type: ignore[arg-type]
+
+
 def test_joints_that_come_late_by_unlike_times_keep_their_laws() -> None:
     late = [
         lacking(1, "lag", time_constant=0.010),

@@ -13,7 +13,7 @@ from zendsp.diagnosis.measure.significance import counterpart
 from zendsp.diagnosis.measure.windows import rms, window_error
 from zendsp.physics.calibration.fit import joint_handles
 from zendsp.physics.calibration.terms import make_term
-from zendsp.physics.effects import get_effect, mechanism_of
+from zendsp.physics.effects import get_effect, library, mechanism_of
 
 PLACE = "position_torque"
 # ratio of the times of two joints, at most, that may be one: one filter of six joints was found as
@@ -64,7 +64,9 @@ def same_timing(parts: Parts, decisions: Sequence[Decision], jobs: int) -> list[
     """The decisions, with one law where several joints come late by as much.
 
     A filter of all position columns, a current loop, a bus act on every joint alike; which of them
-    it is, each joint can hardly tell. All together decide.
+    it is, each joint can hardly tell. All together decide; but where each names the same law, the
+    other side of the loop is as likely: behind a filter of all position columns every joint feels
+    where the others were some time ago, which a command that comes as late explains.
 
     Parameters
     ----------
@@ -81,8 +83,10 @@ def same_timing(parts: Parts, decisions: Sequence[Decision], jobs: int) -> list[
     late = {d.joint: c for d in decisions for c in d.claims if _is_late(c)}
     times = [_time(c) for c in late.values()]
     names = sorted({c.effect for c in late.values()})
-    if len(names) < 2 or max(times) > ALIKE * min(times):
+    if len(late) < 2 or max(times) > ALIKE * min(times):
         return list(decisions)
+    if len(names) == 1:
+        return [_either(d, late[d.joint]) if d.joint in late else d for d in decisions]
     tried = {
         name: {
             d.joint: _in_place(d, late[d.joint], name, jobs) for d in decisions if d.joint in late
@@ -105,6 +109,18 @@ def _is_late(claim: Claim) -> bool:
         return False
     effect = get_effect(claim.effect)
     return effect.family == "timing" and (effect.parameters[0].lower or 0.0) >= 0.0
+
+
+def _either(decision: Decision, claim: Claim) -> Decision:
+    """The decision, with what cannot be told from a claim where several joints come late alike."""
+    law = get_effect(claim.effect)
+    others = tuple(
+        effect.name
+        for effect in library().values()
+        if effect.family == law.family and effect.names == law.names and effect.name != law.name
+    )
+    one = replace(claim, same=tuple(dict.fromkeys((*claim.same, *others))))
+    return replace(decision, claims=tuple(one if c is claim else c for c in decision.claims))
 
 
 def _time(claim: Claim) -> float:
