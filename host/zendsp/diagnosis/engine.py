@@ -20,7 +20,7 @@ from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.signals import Parts, Signals, with_same_columns
 from zendsp.diagnosis.data.split import cut_out, halves, split
 from zendsp.diagnosis.decide.absorbed import moved
-from zendsp.diagnosis.decide.across import across_joints
+from zendsp.diagnosis.decide.across import across_joints, timing
 from zendsp.diagnosis.decide.assemble import Assembled, calibrated_machine
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.contract import Verdict
@@ -240,6 +240,12 @@ def _find(parts: Parts, given: Model, jobs: int, tell: Progress) -> _Found:
     known = tuple(t for m in measured for t in m.terms)
     beneath, bare = bodies.model.with_terms((*bodies.model.terms, *known)), parts
     explained = explain(with_bodies(bare, beneath), given, beneath, jobs, tell)
+    late = timing(explained[1])
+    if late and not bodies.found:  # torque that comes at another time hides a body
+        bodies = find_bodies(parts.fit, parts.choose, given, jobs, tell, beside=late)
+        if bodies.found:
+            beneath = bodies.model.with_terms((*bodies.model.terms, *known))
+            explained = explain(with_bodies(bare, beneath), given, beneath, jobs, tell)
     bare, explained = with_their_links(measured_motion, bare, given, beneath, explained, jobs, tell)
     parts, (searches, decisions, whole) = with_bodies(bare, beneath), explained
     claims = decide_bodies(parts, bodies, decisions, jobs)

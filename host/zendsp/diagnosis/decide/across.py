@@ -14,6 +14,7 @@ from zendsp.diagnosis.measure.windows import rms, window_error
 from zendsp.physics.calibration.fit import joint_handles
 from zendsp.physics.calibration.terms import make_term
 from zendsp.physics.effects import get_effect, library, mechanism_of
+from zendsp.physics.model import Term
 
 PLACE = "position_torque"
 # ratio of the times of two joints, at most, that may be one: one filter of six joints was found as
@@ -101,6 +102,17 @@ def same_timing(parts: Parts, decisions: Sequence[Decision], jobs: int) -> list[
         else d
         for d in decisions
     ]
+
+
+def timing(decisions: Sequence[Decision]) -> tuple[Term, ...]:
+    """The terms by which command and position of two joints or more are apart in time."""
+    terms = tuple(
+        c.term
+        for d in decisions
+        for c in d.claims
+        if c.effect != "unknown" and get_effect(c.effect).family == "timing"
+    )
+    return terms if len(terms) > 1 else ()
 
 
 def _is_late(claim: Claim) -> bool:

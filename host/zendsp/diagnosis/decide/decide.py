@@ -297,6 +297,8 @@ def _pushed(out: Decision, parts: Parts, jobs: int) -> Decision | None:
     if here is None:
         return None
     both = everywhere(here, (parts.fit, parts.held), out.final.model, joint)
+    if both.spread > FEW * sum(len(part.records) for part in (parts.fit, parts.held)):
+        return None  # what comes so often comes with the motion
     return replace(out, kind="disturbance", bursts=both)
 
 
