@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import reality
+from reality import KNOWN, RATE
 
-RATE = 500.0
+from zendsp.diagnosis import Diagnosis, diagnose
 
 
 @pytest.fixture(scope="session")
@@ -27,12 +28,30 @@ def other() -> dict[str, np.ndarray]:
 @pytest.fixture
 def model(tmp_path: Path) -> Path:
     """A complete model of it, inertia off by 2 %."""
-    return reality.model_file(
-        tmp_path / "model.toml",
-        RATE,
-        reality.effect("viscous", coefficient=0.004),
-        reality.effect("coulomb", level=0.03),
-    )
+    return reality.model_file(tmp_path / "model.toml", RATE, *KNOWN)
+
+
+@pytest.fixture
+def decided(tmp_path: Path) -> Callable[..., Diagnosis]:
+    """Diagnose run1.csv of a machine, with run2.csv of another or the same one held out."""
+
+    def run(
+        fit: reality.Machine, held: reality.Machine | None = None, *effects: str
+    ) -> Diagnosis:
+        machines = ((fit, 9.0, 1), (held or fit, 12.0, 2))
+        files = [
+            reality.save(
+                tmp_path / f"run{seed}.csv",
+                reality.simulate(m, reality.multisine(s, RATE, seed), RATE, seed),
+            )
+            for m, s, seed in machines
+        ]
+        model = reality.model_file(
+            tmp_path / "model.toml", RATE, *(effects or KNOWN), resolution=fit.resolution
+        )
+        return diagnose(files[0], model, files[1])
+
+    return run
 
 
 @pytest.fixture

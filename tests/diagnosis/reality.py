@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 RESOLUTION = 2 * math.pi / 16384
+RATE = 500.0
 
 
 @dataclass
@@ -244,6 +245,10 @@ def effect(kind: str, **numbers: float) -> str:
     """One [[effect]] table."""
     rows = "\n".join(f"{k} = {{ value = {v} }}" for k, v in numbers.items())
     return f'[[effect]]\nkind = "{kind}"\njoint = 1\n{rows}\n'
+
+
+# what a given model usually has of a Machine()
+KNOWN = (effect("viscous", coefficient=0.004), effect("coulomb", level=0.03))
 
 
 def model_file(

@@ -19,7 +19,6 @@ from zendsp.diagnosis.data.reading import read_signals
 from zendsp.errors import RecordingError
 from zendsp.physics.files.model_file import load_model
 
-RATE = 500.0
 Columns = dict[str, np.ndarray]
 
 

@@ -15,12 +15,11 @@ from typing import Any
 import numpy as np
 import pytest
 import reality
+from reality import KNOWN, RATE
 
 from zendsp.diagnosis import Diagnosis, diagnose
 
-RATE = 500.0
-VISCOUS = reality.effect("viscous", coefficient=0.004)
-COULOMB = reality.effect("coulomb", level=0.03)
+VISCOUS, COULOMB = KNOWN
 
 
 def _held(effect: str) -> str:

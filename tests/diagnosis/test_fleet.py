@@ -9,11 +9,10 @@ from pathlib import Path
 
 import pytest
 import reality
+from reality import KNOWN, RATE
 
 from zendsp.diagnosis.fleet import diagnose_each, stems, table
 from zendsp.errors import LinkError, ZendspError
-
-RATE = 500.0
 
 
 @pytest.fixture(scope="module")
@@ -27,12 +26,7 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
             folder / f"{name}.csv", reality.simulate(machine, reality.multisine(8.0, RATE, 4), RATE)
         )
     (folder / "three.csv").write_text("t,q,u\n0,0,0\n")
-    reality.model_file(
-        folder / "model.toml",
-        RATE,
-        reality.effect("viscous", coefficient=0.004),
-        reality.effect("coulomb", level=0.03),
-    )
+    reality.model_file(folder / "model.toml", RATE, *KNOWN)
     return folder
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import reality
+from reality import KNOWN, RATE
 
 from zendsp.diagnosis import Diagnosis, diagnose
 from zendsp.diagnosis.data.prepare import prepare
@@ -21,8 +22,6 @@ from zendsp.physics import inverse_dynamics, load_model
 from zendsp.physics.calibration.terms import make_term
 from zendsp.physics.effects import get_effect
 
-RATE = 500.0
-GIVEN = [reality.effect("viscous", coefficient=0.004), reality.effect("coulomb", level=0.03)]
 MACHINES = {
     "two effects": reality.Machine(ripple=0.02, drag=0.004),
     "a foreign torque": reality.Machine(wave=0.05),
@@ -75,7 +74,7 @@ def _diagnosed(folder: Path, name: str, change: str) -> Diagnosis:
         files.append(folder / f"run{seed}.npz")
         np.savez(files[-1], **columns)
     resolution = MACHINES[name].resolution
-    model = Path(reality.model_file(folder / "model.toml", RATE, *GIVEN, resolution=resolution))
+    model = Path(reality.model_file(folder / "model.toml", RATE, *KNOWN, resolution=resolution))
     model.write_text(_model(model.read_text(), change))
     train = [files[0]] * (2 if change == "twice" else 1)
     return diagnose(train, model, files[1])

@@ -162,8 +162,7 @@ def test_a_column_that_one_recording_lacks_is_used_by_none(tmp_path: Path) -> No
         if name == "held":
             del columns["warm"]
         files.append(reality.save(tmp_path / f"{name}.csv", columns))
-    tables = (reality.effect("viscous", coefficient=0.004), reality.effect("coulomb", level=0.03))
-    model = reality.model_file(tmp_path / "model.toml", RATE, *tables)
+    model = reality.model_file(tmp_path / "model.toml", RATE, *reality.KNOWN)
     model.write_text(model.read_text() + 'temperature = "warm"\n')
     d = diagnose(files[0], model, files[1], jobs=1)
     assert "friction_temperature" not in {f.effect for f in (*d.findings, *d.refinements)}

@@ -13,14 +13,13 @@ from typing import Any
 
 import pytest
 import reality
+from reality import RATE
 
 from zendsp.cli import main
 from zendsp.diagnosis import diagnose
 from zendsp.diagnosis.decide.result import Detectable
 from zendsp.diagnosis.report.summary import _sized
 from zendsp.physics.effects import library
-
-RATE = 500.0
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +32,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
             folder / f"{name}.csv",
             reality.simulate(machine, reality.multisine(9.0, RATE, seed), RATE),
         )
-    reality.model_file(folder / "model.toml", RATE, reality.effect("viscous", coefficient=0.004))
+    reality.model_file(folder / "model.toml", RATE, reality.KNOWN[0])
     out = folder / "out"
     argv = sys.argv
     sys.argv = [

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import reality
+from reality import RATE
 
 from zendsp.diagnosis.data.prepare import one_sensor, prepare
 from zendsp.diagnosis.data.signals import Parts, Signals
@@ -43,8 +44,6 @@ from zendsp.physics.calibration.terms import make_term
 from zendsp.physics.effects import get_effect
 from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.model import Model
-
-RATE = 500.0
 
 
 def data_of(columns: dict[str, np.ndarray], model: Model) -> Data:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import reality
+from reality import KNOWN, RATE
 
 from zendsp.diagnosis.data import checks
 from zendsp.diagnosis.data.checks import check_excitation, check_motion, check_signals
@@ -22,7 +23,6 @@ from zendsp.errors import RecordingError
 from zendsp.physics.files.model_file import load_model, parse_model
 from zendsp.physics.term_numbers import kernel_model
 
-RATE = 500.0
 Columns = dict[str, np.ndarray]
 
 
@@ -51,11 +51,7 @@ def test_unusual_but_right_recordings_are_accepted(name: str, tmp_path: Path) ->
     machine, reference = UNUSUAL[name]
     columns = reality.simulate(machine, reality.multisine(10.0, RATE, 3, **reference), RATE)
     model = reality.model_file(
-        tmp_path / "model.toml",
-        RATE,
-        reality.effect("viscous", coefficient=0.004),
-        reality.effect("coulomb", level=0.03),
-        resolution=machine.resolution,
+        tmp_path / "model.toml", RATE, *KNOWN, resolution=machine.resolution
     )
     if machine.limit < 3.0:
         model.write_text(model.read_text().replace("limit = 3.0", f"limit = {machine.limit}"))

@@ -58,6 +58,7 @@ def run_plant(text: str) -> Array:
 
 
 Extra = Callable[[float, Array, Array, Array, Array], Array]
+Case = Callable[[], Array]  # joint positions of the reference
 
 
 def run_reference(
@@ -194,168 +195,106 @@ E_K, E_C, E_J = 60.0, 0.3, 0.1
 BOUC, BOUC_STATES = bouc_wen(1.5, 10.0)
 TWO_PI = 2 * math.pi
 
+
+def torque(joint: int, law: Callable[[float, Array, Array, Array], float]) -> Case:
+    """The reference with one more torque that resists; the law is one of t, q, qd and tau."""
+    return lambda: run_reference(lambda t, q, qd, tau, x: on(joint, law(t, q, qd, tau)))
+
+
+def driven(actuator: Callable[[float], Array]) -> Case:
+    return lambda: run_reference(actuator=actuator)
+
+
+def swell(t: float) -> float:
+    """A push between 0.2 and 0.5 s."""
+    return math.sin(math.pi * (t - 0.2) / 0.3) ** 2 if 0.2 < t < 0.5 else 0.0
+
+
+def late(t: float) -> Array:
+    """Joint 1 by 8 ms."""
+    return np.array([command(t - 0.008)[0] if t > 0.0079 else 0.0, command(t)[1]])
+
+
+WAVE = {"amplitude": 0.9, "period": 0.5, "phase": 0.4}
+SPRING = {"stiffness": E_K, "load_inertia": E_J}
 # effect, joint, parameters, and the same thing for the reference
-CASES: list[tuple[str, int, dict[str, float], Callable[[], Array]]] = [
+CASES: list[tuple[str, int, dict[str, float], Case]] = [
+    ("viscous", 1, {"coefficient": 4.0}, torque(1, lambda t, q, qd, tau: 4.0 * qd[0])),
     (
-        "viscous",
-        1,
-        {"coefficient": 4.0},
-        lambda: run_reference(lambda t, q, qd, tau, x: on(1, 4.0 * qd[0])),
+        "viscous_asymmetry", 2, {"coefficient_pos": 0.8, "coefficient_neg": 9.0},
+        torque(2, lambda t, q, qd, tau: 0.8 * qd[1]),
+    ),
+    ("coulomb", 2, {"level": 1.0}, torque(2, lambda t, q, qd, tau: 1.0)),
+    (
+        "coulomb_asymmetry", 1, {"level_pos": 5.0, "level_neg": 90.0},
+        torque(1, lambda t, q, qd, tau: 5.0),
     ),
     (
-        "viscous_asymmetry",
-        2,
-        {"coefficient_pos": 0.8, "coefficient_neg": 9.0},
-        lambda: run_reference(lambda t, q, qd, tau, x: on(2, 0.8 * qd[1])),
+        "quadratic_drag", 2, {"coefficient": 0.9},
+        torque(2, lambda t, q, qd, tau: 0.9 * qd[1] * abs(qd[1])),
     ),
-    ("coulomb", 2, {"level": 1.0}, lambda: run_reference(lambda t, q, qd, tau, x: on(2, 1.0))),
+    ("load_friction", 1, {"coefficient": 0.2}, torque(1, lambda t, q, qd, tau: 0.2 * abs(tau[0]))),
     (
-        "coulomb_asymmetry",
-        1,
-        {"level_pos": 5.0, "level_neg": 90.0},
-        lambda: run_reference(lambda t, q, qd, tau, x: on(1, 5.0)),
+        "position_friction", 2, WAVE,
+        torque(2, lambda t, q, qd, tau: 0.9 * math.sin(TWO_PI * q[1] / 0.5 + 0.4)),
     ),
     (
-        "quadratic_drag",
-        2,
-        {"coefficient": 0.9},
-        lambda: run_reference(lambda t, q, qd, tau, x: on(2, 0.9 * qd[1] * abs(qd[1]))),
+        "friction_drift", 1, {"ratio": 0.8, "time_constant": 0.3},
+        torque(1, lambda t, q, qd, tau: 0.8 * (1 - math.exp(-t / 0.3)) * (8.45 + 5.3 * qd[0])),
     ),
     (
-        "load_friction",
-        1,
-        {"coefficient": 0.2},
-        lambda: run_reference(lambda t, q, qd, tau, x: on(1, 0.2 * abs(tau[0]))),
+        "gravity", 1, {"torque": 9.0, "angle": 0.5},
+        torque(1, lambda t, q, qd, tau: 9.0 * math.sin(q[0] - 0.5)),
     ),
     (
-        "position_friction",
-        2,
-        {"amplitude": 0.9, "period": 0.5, "phase": 0.4},
-        lambda: run_reference(
-            lambda t, q, qd, tau, x: on(2, 0.9 * math.sin(TWO_PI * q[1] / 0.5 + 0.4))
-        ),
+        "stiffness", 2, {"coefficient": 3.0, "neutral": 0.2},
+        torque(2, lambda t, q, qd, tau: 3.0 * (q[1] - 0.2)),
     ),
     (
-        "friction_drift",
-        1,
-        {"ratio": 0.8, "time_constant": 0.3},
-        lambda: run_reference(
-            lambda t, q, qd, tau, x: on(1, 0.8 * (1 - math.exp(-t / 0.3)) * (8.45 + 5.3 * qd[0]))
-        ),
-    ),
-    (
-        "gravity",
-        1,
-        {"torque": 9.0, "angle": 0.5},
-        lambda: run_reference(lambda t, q, qd, tau, x: on(1, 9.0 * math.sin(q[0] - 0.5))),
-    ),
-    (
-        "stiffness",
-        2,
-        {"coefficient": 3.0, "neutral": 0.2},
-        lambda: run_reference(lambda t, q, qd, tau, x: on(2, 3.0 * (q[1] - 0.2))),
-    ),
-    (
-        "cubic_stiffness",
-        2,
-        {"coefficient": 4.0, "neutral": 0.1},
-        lambda: run_reference(lambda t, q, qd, tau, x: on(2, 4.0 * (q[1] - 0.1) ** 3)),
+        "cubic_stiffness", 2, {"coefficient": 4.0, "neutral": 0.1},
+        torque(2, lambda t, q, qd, tau: 4.0 * (q[1] - 0.1) ** 3),
     ),
     ("inertia", 2, {"amount": 0.1}, lambda: run_reference(mass=entry(2, 2, 0.1))),
     (
-        "coupling",
-        2,
-        {"from_joint": 1.0, "law": 0.0, "coefficient": 0.15},
+        "coupling", 2, {"from_joint": 1.0, "law": 0.0, "coefficient": 0.15},
         lambda: run_reference(mass=entry(2, 1, 0.15)),
     ),
     (
-        "coupling",
-        2,
-        {"from_joint": 1.0, "law": 1.0, "coefficient": 0.6},
-        lambda: run_reference(lambda t, q, qd, tau, x: on(2, 0.6 * qd[0] ** 2)),
+        "coupling", 2, {"from_joint": 1.0, "law": 1.0, "coefficient": 0.6},
+        torque(2, lambda t, q, qd, tau: 0.6 * qd[0] ** 2),
     ),
     (
-        "coupling",
-        1,
-        {"from_joint": 2.0, "law": 2.0, "coefficient": 3.0},
-        lambda: run_reference(lambda t, q, qd, tau, x: on(1, 3.0 * qd[1])),
+        "coupling", 1, {"from_joint": 2.0, "law": 2.0, "coefficient": 3.0},
+        torque(1, lambda t, q, qd, tau: 3.0 * qd[1]),
     ),
     (
-        "coupling",
-        1,
-        {"from_joint": 2.0, "law": 3.0, "coefficient": 6.0},
-        lambda: run_reference(lambda t, q, qd, tau, x: on(1, 6.0)),
+        "coupling", 1, {"from_joint": 2.0, "law": 3.0, "coefficient": 6.0},
+        torque(1, lambda t, q, qd, tau: 6.0),
     ),
+    ("elasticity", 2, {"damping": E_C, **SPRING}, lambda: run_behind(E_K, E_C, 0.0, E_J)),
     (
-        "elasticity",
-        2,
-        {"stiffness": E_K, "damping": E_C, "load_inertia": E_J},
-        lambda: run_behind(E_K, E_C, 0.0, E_J),
-    ),
-    (
-        "backlash",
-        2,
-        {"gap": 0.04, "stiffness": E_K, "load_inertia": E_J},
+        "backlash", 2, {"gap": 0.04, **SPRING},
         lambda: run_behind(E_K, 0.1 * math.sqrt(E_K * E_J), 0.04, E_J),
     ),
     (
-        "hysteresis",
-        2,
-        {"force": 1.5, "stiffness": 10.0, "exponent": 1.0},
+        "hysteresis", 2, {"force": 1.5, "stiffness": 10.0, "exponent": 1.0},
         lambda: run_reference(BOUC, states=BOUC_STATES, x0=(0.0,)),
     ),
     (
-        "ripple",
-        1,
-        {"order": 8.0, "amplitude": 6.0, "phase": 0.7},
-        lambda: run_reference(lambda t, q, qd, tau, x: on(1, 6.0 * math.sin(8 * q[0] + 0.7))),
+        "ripple", 1, {"order": 8.0, "amplitude": 6.0, "phase": 0.7},
+        torque(1, lambda t, q, qd, tau: 6.0 * math.sin(8 * q[0] + 0.7)),
     ),
+    ("torque_gain", 1, {"ratio": -0.15}, driven(lambda t: command(t) * [0.85, 1.0])),
+    ("torque_offset", 2, {"level": -0.8}, driven(lambda t: command(t) - [0.0, -0.8])),
+    ("dead_zone", 1, {"width": 4.0}, driven(lambda t: command(t) - [4.0, 0.0])),
+    ("saturation", 1, {"level": 29.0}, driven(lambda t: np.minimum(command(t), [29.0, 99.0]))),
+    ("lag", 2, {"time_constant": 0.010}, driven(lagged)),
+    ("delay", 1, {"time": 0.008}, driven(late)),
     (
-        "torque_gain",
-        1,
-        {"ratio": -0.15},
-        lambda: run_reference(actuator=lambda t: command(t) * [0.85, 1.0]),
+        "disturbance", 2, {"level": 1.5, "begin": 0.2, "duration": 0.3},
+        torque(2, lambda t, q, qd, tau: 1.5 * swell(t)),
     ),
-    (
-        "torque_offset",
-        2,
-        {"level": -0.8},
-        lambda: run_reference(actuator=lambda t: command(t) + np.array([0.0, 0.8])),
-    ),
-    (
-        "dead_zone",
-        1,
-        {"width": 4.0},
-        lambda: run_reference(actuator=lambda t: command(t) - [4.0, 0.0]),
-    ),
-    (
-        "saturation",
-        1,
-        {"level": 29.0},
-        lambda: run_reference(actuator=lambda t: np.minimum(command(t), [29.0, 99.0])),
-    ),
-    ("lag", 2, {"time_constant": 0.010}, lambda: run_reference(actuator=lagged)),
-    (
-        "delay",
-        1,
-        {"time": 0.008},
-        lambda: run_reference(
-            actuator=lambda t: np.where(
-                [t < 0.0079, False], 0.0, np.array([command(t - 0.008)[0], command(t)[1]])
-            )
-        ),
-    ),
-    (
-        "disturbance",
-        2,
-        {"level": 1.5, "begin": 0.2, "duration": 0.3},
-        lambda: run_reference(
-            lambda t, q, qd, tau, x: on(
-                2, 1.5 * math.sin(math.pi * (t - 0.2) / 0.3) ** 2 if 0.2 < t < 0.5 else 0.0
-            )
-        ),
-    ),
-]
+]  # fmt: skip
 
 
 DRY = {

@@ -1,6 +1,4 @@
-"""C made from models: the same torque as Python and Pinocchio, in a target and in a simulation, and
-it does cancel what was found.
-"""
+"""C made from models: the same torque as Python and Pinocchio, in a target and in a simulation."""
 
 from __future__ import annotations
 
@@ -9,12 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benches import MODELS, STRICT, every_effect, rotary, two_joints
 from click.testing import CliRunner
 
 from zendsp.cli.codegen import command
 from zendsp.errors import ModelError
 from zendsp.physics import (
-    compensation,
     inverse_dynamics,
     library,
     load_effects,
@@ -24,14 +22,11 @@ from zendsp.physics import (
     simulate,
 )
 from zendsp.physics.codegen.terms import compensable
-from zendsp.physics.model import Actuator, Model, Quantity, Term
+from zendsp.physics.model import Model, Quantity, Term
 from zendsp.physics.simulation.program import compile_program
 from zendsp_isr.build import source_root
 from zendsp_target.api import AcquireConfig
 from zendsp_target.runtime import Runtime
-
-MODELS = Path(__file__).parents[2] / "examples" / "models"
-STRICT = ("-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Werror")
 
 PROBE = """#include "isr.h"
 #include "model.c"
@@ -164,24 +159,6 @@ def test_numbers_are_parameters_that_change_the_torque_while_it_runs() -> None:
     assert np.abs(heavy["tau"] - plain["tau"] - expected).max() < 1e-12
 
 
-def every_effect() -> list[Term]:
-    numbers = {
-        "from_joint": 2.0, "law": 1.0, "order": 7.0, "period": 0.5, "exponent": 2.0,
-        "velocity": 0.3, "split": 0.7, "smooth": 0.05,
-    }
-    return [
-        Term(
-            e.name,
-            1,
-            {
-                p.name: Quantity(numbers.get(p.name, 0.11 + 0.01 * k))
-                for k, p in enumerate(e.parameters)
-            },
-        )
-        for e in library().values()
-    ]
-
-
 def _friction_block(p: dict[str, float], speed: np.ndarray) -> np.ndarray:
     v, s = np.abs(speed), p["split"]
     w = v - s
@@ -229,16 +206,11 @@ LAWS = {  # p: parameters; s: the smooth sign of the speed; joint 1 of two, over
 
 def test_every_effect_that_has_c_is_its_law_in_a_program_and_in_python() -> None:
     """Each alone; those of actuator and load need a command and are checked below."""
-    base = {
-        "sample_time": 0.001,
-        "mechanism": {"kind": "rotary", "parameters": {"inertia": [0.01, 0.02]}},
-        "columns": {"position": ["a", "b"]},
-    }
     checked = []
     for term in every_effect():
         if not compensable(term) or term.effect in ("torque_gain", "dead_zone", "load_friction"):
             continue
-        model = parse_model(base).with_terms((term,))
+        model = two_joints().with_terms((term,))
         rec = simulate(probe(model), model, seconds=0.4)
         motion = q, v, a = rec["q"], rec["qd"], rec["qdd"]
         numbers = {p.name: term.value(p.name) for p in library()[term.effect].parameters}
@@ -265,171 +237,8 @@ def test_an_effect_of_ones_own_is_in_the_torque_of_a_motion(
     )
     monkeypatch.setattr("zendsp.physics.effects._extra", {})
     load_effects(path)
-    model = parse_model({"mechanism": {"kind": "rotary", "parameters": {"inertia": 0.01}}})
-    model = model.with_terms((Term("air", 1, {"size": Quantity(0.5)}),))
+    model = rotary().with_terms((Term("air", 1, {"size": Quantity(0.5)}),))
     assert inverse_dynamics(model, [0.0], [3.0], [0.0]) == pytest.approx([4.5])
-
-
-LOOP = """#include "isr.h"
-#define N 1
-#include "motion.h"
-#include "compensation.c"
-static double tau[N];
-void UserInit(void) { MotionInit(); CompensationInit(); SIGNAL(tau, "N m", ""); }
-void UserISR_INT2(void) {
-    MotionStep();
-    tau[0] = 0.01 * rdd[0] + 20.0 * e[0] + 0.4 * (rd[0] - qd[0]);
-    tau[0] += Compensation(0, r, rd, rdd, tau[0]); /* along the reference: it knows the reversals */
-    WRITE_TORQUE(0, tau[0]);
-}
-void UserBackground(void) {}
-"""
-
-
-@pytest.mark.parametrize(
-    ("kind", "values"),
-    [
-        ("coulomb", {"level": 0.2}),
-        ("gravity", {"torque": 0.5, "angle": 0.4}),
-        ("stiffness", {"coefficient": 0.6, "neutral": 0.2}),
-        ("ripple", {"order": 6.0, "amplitude": 0.2, "phase": 0.5}),
-        ("torque_gain", {"ratio": -0.4}),
-        ("dead_zone", {"width": 0.15}),
-        ("quadratic_drag", {"coefficient": 0.05}),
-        ("coulomb_asymmetry", {"level_pos": 0.1, "level_neg": 0.3}),
-    ],
-)
-def test_compensation_takes_the_effect_out_of_the_loop(kind: str, values: dict[str, float]) -> None:
-    from zendsp.reference import Reference
-    from zendsp_isr.build import source_root
-
-    model = parse_model(
-        {
-            "sample_time": 0.001,
-            "mechanism": {"kind": "rotary", "parameters": {"inertia": 0.01}},
-            "effect": [{"kind": kind, "joint": 1, **values}],
-        }
-    )
-    motion = (source_root() / "programs" / "motion.h").read_text()
-    sources = {
-        "loop.c": LOOP,
-        "motion.h": motion,
-        "compensation.c": compensation(model.terms, actuator=model.actuator),
-    }
-    t = 0.001 * np.arange(3000)
-    reference = Reference((0.6 * np.sin(4.0 * t))[:, None], 0.001)
-    error = {}
-    for share in (0.0, 1.0):
-        rec = simulate(
-            sources,
-            model,
-            reference=reference,
-            parameters={"comp_share": share, "approach_time": 0.2},
-        )
-        error[share] = float(np.sqrt(np.mean(rec["e"][700:3200] ** 2)))
-    # what is left: a sign taken late, a sample of delay, quantised speed
-    assert error[1.0] < 0.35 * error[0.0], error
-
-
-FADING = """#include "isr.h"
-#define N 1
-#include "motion.h"
-#undef TORQUE_MAX
-#define TORQUE_MAX(ch) 4.0
-#include "compensation.c"
-static double added;
-void UserInit(void) { MotionInit(); CompensationInit(); SIGNAL(added, "N m", ""); }
-void UserISR_INT2(void) {
-    const double still[N] = {0.0}, moving[N] = {1.0};
-    MotionStep();
-    if (SAMPLE_TICK == 500)
-        comp_share = 0.0;
-    if (SAMPLE_TICK == 1500)
-        comp_share = 1.0;
-    added = Compensation(0, still, moving, still, 0.0);
-    (void)Compensation(0, still, moving, still, 0.0); /* a second joint's call moves nothing */
-}
-void UserBackground(void) {}
-"""
-
-
-@pytest.mark.parametrize(("level", "limit", "height"), [(1.0, 0.5, 1.0), (3.0, 0.5, 2.0)])
-def test_compensation_fades_and_stays_within_its_limit(
-    level: float, limit: float, height: float
-) -> None:
-    model = parse_model(
-        {
-            "sample_time": 0.001,
-            "mechanism": {"kind": "rotary", "parameters": {"inertia": 0.01}},
-            "effect": [{"kind": "coulomb", "joint": 1, "level": level}],
-        }
-    )
-    rec = simulate(
-        {"loop.c": FADING, "motion.h": _motion(), "compensation.c": compensation(model.terms)},
-        model,
-        seconds=2.2,
-        channels=["added"],
-        parameters={"comp_limit": limit, "comp_sign_speed": 0.0, "comp_fade": 0.5},
-    )
-    added = rec["added"]
-    assert added[100] == pytest.approx(height), "there from the first sample, up to the limit"
-    faded = np.minimum(level * np.clip(1.0 - np.arange(600) / 500.0, 0.0, 1.0), height)
-    # a sample more or less: which one sees the new share is the loop's affair
-    assert np.abs(added[500:1100] - faded).max() < 2.1 * level / 500.0
-    assert np.abs(np.diff(added)).max() < 1.1 * level / 500.0, "no step anywhere"
-    assert np.all(added[1010:1490] == 0.0) and added[2100] == pytest.approx(height)
-
-
-def test_what_a_torque_cannot_cancel_is_named_with_its_reason_and_valid_c_comes_out() -> None:
-    terms = [t for t in every_effect() if not compensable(t)]
-    assert {t.effect for t in terms} >= {
-        "delay", "lag", "backlash", "elasticity", "presliding", "hysteresis", "saturation",
-    }
-    text = compensation(terms, title="a */ b", sentences=["Joint 1 lacks everything. */"])
-    for term in terms:
-        assert f"Not compensated: {term.effect} of joint 1 (" in text
-    model = load_model(MODELS / "pendulum.toml")
-    rec = simulate(
-        {
-            "loop.c": LOOP.replace('#include "motion.h"', '#include "motion.h"'),
-            "motion.h": _motion(),
-            "compensation.c": text,
-        },
-        model,
-        seconds=0.05,
-        flags=STRICT,
-    )
-    assert np.all(np.isfinite(rec["tau"]))
-
-
-def _motion() -> str:
-    from zendsp_isr.build import source_root
-
-    return (source_root() / "programs" / "motion.h").read_text()
-
-
-def test_all_compensable_effects_together_compile_without_a_warning() -> None:
-    terms = every_effect()
-    text = compensation(
-        [*terms, *[t for t in terms if t.effect == "ripple"]], actuator=Actuator(gain=(2.0,))
-    )
-    body = LOOP.replace("#define N 1", "#define N 2").replace(
-        "tau[0] +=", "tau[1] = 0.0;\n    tau[0] +="
-    )
-    model = parse_model(
-        {
-            "sample_time": 0.001,
-            "mechanism": {"kind": "rotary", "parameters": {"inertia": [0.01, 0.02]}},
-            "columns": {"position": ["a", "b"]},
-        }
-    )
-    rec = simulate(
-        {"loop.c": body, "motion.h": _motion(), "compensation.c": text},
-        model,
-        seconds=0.02,
-        flags=STRICT,
-    )
-    assert "comp_ripple1_2_order" in rec.parameters and "comp_dead_zone1_width" in rec.parameters
 
 
 def test_a_python_model_has_no_c() -> None:
@@ -446,29 +255,3 @@ def test_model2c_writes_what_the_function_gives(tmp_path: Path) -> None:
     assert out.read_text() == model_code(load_model(MODELS / "imi_planar.toml"))
     shown = CliRunner().invoke(command, [str(MODELS / "imi_planar.toml"), "--effects-only"])
     assert "Compensation(int32_t joint" in shown.output and "comp_coulomb2_level" in shown.output
-
-
-def test_a_stribeck_term_alone_is_compensated_over_the_coulomb_level_of_its_model() -> None:
-    base = {
-        "sample_time": 0.001,
-        "mechanism": {"kind": "linear", "parameters": {"mass": 1.0}},
-        "actuator": {"unit": "V"},
-    }
-    model = parse_model(
-        {
-            **base,
-            "name": "axis",
-            "effect": [
-                {"kind": "coulomb", "joint": 1, "level": 0.4},
-                {"kind": "stribeck", "joint": 1, "breakaway": 0.7, "velocity": 0.02},
-            ],
-        }
-    )
-    text = compensation([model.terms[1]], model=model, sentences=["Friction falls with speed."])
-    assert (
-        "comp_stribeck1_breakaway, 0.29999" in text
-        and '"N"' in text
-        and "physics found in axis" in text
-        and "Friction falls" in text
-    )
-    assert "comp_coulomb1" not in text

@@ -10,47 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benches import MODELS, T, effect, planar, rotary, two_joints
 from scipy.integrate import solve_ivp
 
 from zendsp.errors import ModelError
 from zendsp.physics import load_model, parse_model, simulate_loop
-from zendsp.physics.model import Model
 from zendsp.physics.simulation.native import simulator_library
 from zendsp.physics.simulation.plant import tree_of
-
-MODELS = Path(__file__).parents[2] / "examples" / "models"
-T = 0.001
-
-
-def effect(kind: str, joint: int = 1, **values: float) -> dict[str, Any]:
-    return {"kind": kind, "joint": joint, **values}
-
-
-def rotary(
-    *effects: dict[str, Any], inertia: float = 0.01, gravity: float = 0.0, **tables: Any
-) -> Model:
-    return parse_model(
-        {
-            "name": "bench",
-            "sample_time": T,
-            "effect": list(effects),
-            "mechanism": {"kind": "rotary", "parameters": {"inertia": inertia, "gravity": gravity}},
-            **tables,
-        }
-    )
-
-
-def planar(*effects: dict[str, Any], **tables: Any) -> Model:
-    parameters = {"p1": 3.473, "p2": 0.196, "p3": 0.242}
-    return parse_model(
-        {
-            "name": "arm",
-            "sample_time": T,
-            "effect": list(effects),
-            "mechanism": {"kind": "planar2r", "parameters": parameters},
-            **tables,
-        }
-    )
 
 
 def test_a_free_pendulum_swings_as_scipy_says() -> None:
@@ -387,14 +353,9 @@ def test_bristles_are_a_spring_before_they_slide() -> None:
 
 def test_the_sensor_counts_and_mixes_as_the_model_says() -> None:
     matrix = [[0.1, 0.0], [0.05, 0.1]]
-    model = parse_model(
-        {
-            "sample_time": T,
-            "mechanism": {"kind": "rotary", "parameters": {"inertia": [0.01, 0.02]}},
-            "sensor": {"position_resolution": 0.01, "matrix": matrix, "offset": [0.2, 0.0]},
-            "actuator": {"matrix": [[2.0, 0.0], [1.0, 1.0]]},
-            "columns": {"position": ["a", "b"]},
-        }
+    model = two_joints(
+        sensor={"position_resolution": 0.01, "matrix": matrix, "offset": [0.2, 0.0]},
+        actuator={"matrix": [[2.0, 0.0], [1.0, 1.0]]},
     )
     rec = simulate_loop(model, command=np.tile([0.1, -0.05], (200, 1)))
     expected = np.linalg.solve(np.array(matrix), (rec["plant_q"] - [0.2, 0.0]).T).T
@@ -405,14 +366,8 @@ def test_the_sensor_counts_and_mixes_as_the_model_says() -> None:
 
 
 def test_coupling_of_inertia_enters_the_mass_matrix() -> None:
-    model = parse_model(
-        {
-            "sample_time": T,
-            "mechanism": {"kind": "rotary", "parameters": {"inertia": [0.01, 0.02]}},
-            "effect": [effect("coupling", 1, from_joint=2, law="inertia", coefficient=0.004)],
-            "columns": {"position": ["a", "b"]},  # type: ignore[arg-type]
-        }
-    )
+    coupling = {"from_joint": 2, "law": "inertia", "coefficient": 0.004}
+    model = two_joints({"kind": "coupling", "joint": 1, **coupling})
     rec = simulate_loop(model, command=np.tile([0.0, 0.02], (101, 1)))
     assert rec["plant_qd"][100] == pytest.approx([-0.004 * 1.0 / 0.01 * 0.1, 0.1], rel=1e-9)
 

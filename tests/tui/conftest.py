@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from steps import nobody
 from textual.pilot import Pilot
 from waiting import PATIENCE_S
 
@@ -87,6 +88,12 @@ def folder(tmp_path: Path) -> Path:
     source = resources.files("zendsp_isr").joinpath("programs", "pd.c").read_text()
     (tmp_path / "pd.c").write_text(source)
     return tmp_path
+
+
+@pytest.fixture
+def app(tmp_path: Path) -> ZendspApp:
+    """The application, where there is no target."""
+    return ZendspApp(nobody, folder=tmp_path, frames=4.0)
 
 
 @pytest.fixture

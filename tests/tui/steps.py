@@ -8,14 +8,21 @@ from typing import TypeVar
 import numpy as np
 from textual.pilot import Pilot
 
+from zendsp.errors import LinkError
 from zendsp.recording import Recording
 from zendsp.tui.actions import SCREENS
 from zendsp.tui.app import ZendspApp
+from zendsp.tui.port import Port
 from zendsp.tui.screens.base import LabScreen
 
 Until = Callable[[Pilot[None], Callable[[], object], str], Awaitable[None]]
 Step = Callable[[ZendspApp, Pilot[None]], Awaitable[None]]
 AnyScreen = TypeVar("AnyScreen", bound=LabScreen)
+
+
+def nobody(name: str) -> Port:
+    """Open no target: there is none."""
+    raise LinkError(f"no target {name}")
 
 
 async def opened(

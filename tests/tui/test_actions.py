@@ -10,24 +10,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rich.style import Style
-from steps import Until
+from steps import Until, nobody
 from textual.app import App, ComposeResult
 from textual.containers import VerticalScroll
-from textual.widgets import DataTable, OptionList, Static
+from textual.widgets import DataTable, Static
 from textual.widgets._footer import FooterKey
 
-from zendsp.errors import LinkError
 from zendsp.recording import Recording
 from zendsp.tui.actions import ACTIONS, SCREENS, actions
 from zendsp.tui.app import ZendspApp
-from zendsp.tui.dialogs import Choose, Field, Form, Message, Option
-from zendsp.tui.dialogs.source import SourceView
+from zendsp.tui.dialogs import Message
 from zendsp.tui.panels.table import Column, LiveTable
 from zendsp.tui.playing import Setup
-from zendsp.tui.port import Port
 from zendsp.tui.preflight import preflight
 from zendsp.tui.runs import Outcome, store_run
-from zendsp.tui.screens.analysis import ProcessView
 from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.screens.console_program import whole
 from zendsp.tui.screens.console_scope import real
@@ -35,15 +31,6 @@ from zendsp.tui.snapshot import Snapshot, TripView
 from zendsp.tui.statusbar import StatusBar, Tabs, mean_and_max
 from zendsp.tui.stop_process import EMERGENCY, StopState
 from zendsp.tui.trial import Trial
-
-
-def _nobody(name: str) -> Port:
-    raise LinkError(f"no target {name}")
-
-
-@pytest.fixture
-def app(tmp_path: Path) -> ZendspApp:
-    return ZendspApp(_nobody, folder=tmp_path, frames=4.0)
 
 
 def test_no_key_has_two_meanings_on_a_screen() -> None:
@@ -161,87 +148,6 @@ def test_stop_has_priority_and_is_always_in_the_footer() -> None:
     assert stop.priority and stop.footer and "f9" in stop.keys.split(",")
 
 
-async def test_stop_works_under_every_dialog(
-    app: ZendspApp, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pressed: list[str] = []
-    monkeypatch.setattr(app.session.stops, "stop", lambda: pressed.append(over))
-    source = tmp_path / "pd.c"
-    source.write_text("int x;\n")
-    dialogs = {
-        "nothing": None,
-        "form": Form("f", [Field("a", "a", "1")]),
-        "choose": Choose("c", [Option("a", "a")], several=True),
-        "message": Message("m", "text", agree="yes"),
-        "source": SourceView(source, (), lambda _: None),
-        "process": ProcessView("p", ["--help"], tmp_path),
-    }
-    async with app.run_test(size=(100, 30)) as pilot:
-        for over, dialog in dialogs.items():
-            if dialog is not None:
-                await app.push_screen(dialog)
-            await pilot.pause()
-            await pilot.press("f9", "ctrl+@")
-            await pilot.click(offset=(95, 1))
-            await pilot.pause()
-            assert pressed == [over, over, over], "by key, and by a click on the red field"
-            pressed.clear()
-            if dialog is not None:
-                assert dialog.query_one(".box").region.y >= 3, "the status bar stays in sight"
-                await pilot.press("escape")
-                await pilot.pause()
-        over = "palette"
-        app.action_command_palette()
-        await pilot.pause()
-        await pilot.press("f9")
-        await pilot.pause()
-        assert pressed == [over]
-
-
-async def test_screens_cannot_be_left_while_a_dialog_asks(app: ZendspApp) -> None:
-    async with app.run_test() as pilot:
-        await app.push_screen(Form("f", [Field("a", "a", "1")]))
-        await pilot.press("f4")
-        await pilot.pause()
-        assert app.current_mode == "console"
-        await pilot.press("escape", "f4")
-        await pilot.pause()
-        assert app.current_mode == "reference"
-
-
-async def test_a_form_says_what_is_wrong_and_waits(app: ZendspApp, until: Until) -> None:
-    results: list[object] = []
-    async with app.run_test() as pilot:
-        app.push_screen(
-            Form("f", [Field("x", "Level", "1", unit="[V]", check=float)]), results.append
-        )
-        await until(
-            pilot,
-            lambda: app.focused is not None and app.focused.id == "f-x" and app.focused.has_focus,
-            "the form is open",
-        )
-        await pilot.press("end", "x", "enter")
-        await until(
-            pilot,
-            lambda: "Level" in str(app.screen.query_one("#problem").render()),
-            "what is wrong is said",
-        )
-        assert results == []
-        assert "[V]" in "".join(str(w.render()) for w in app.screen.query(".unit"))
-        await pilot.press("backspace", "enter")
-        await until(pilot, lambda: results, "the form is closed")
-        assert results == [{"x": 1.0}] or results == [{"x": 11.0}]
-
-
-async def test_toasts_and_lists_keep_units_in_brackets(app: ZendspApp) -> None:
-    async with app.run_test(size=(100, 30)) as pilot:
-        app.toast("q [rad] above 2.15 [rad]", "error")
-        await app.push_screen(Choose("Curves", [Option("q", "q [rad]", "[N m]")]))
-        await pilot.pause()
-        picture = app.export_screenshot()
-        assert picture.count("[rad]") >= 1 and "[N&#160;m]" in picture
-
-
 async def test_every_screen_fits_from_80_by_24_up(app: ZendspApp, until: Until) -> None:
     async with app.run_test(size=(80, 24)) as pilot:
         for screen in SCREENS:
@@ -269,20 +175,6 @@ async def test_every_screen_fits_from_80_by_24_up(app: ZendspApp, until: Until) 
                     screen,
                     size,
                 )
-
-
-async def test_a_dialog_answers_once_however_often_a_key_is_pressed(app: ZendspApp) -> None:
-    answers: list[list[str] | None] = []
-    async with app.run_test(size=(100, 30)) as pilot:
-        below = app.screen
-        await app.push_screen(Choose("Curves", [Option("q", "q", "rad")]), answers.append)
-        await pilot.pause()
-        rows = app.screen.query_one(OptionList)
-        for _ in range(3):  # before the first has closed it
-            rows.action_select()
-        await pilot.pause()
-        assert answers == [["q"]]
-        assert app.screen is below
 
 
 async def test_no_key_of_the_footer_is_cut(app: ZendspApp, until: Until) -> None:
@@ -395,43 +287,12 @@ def test_the_preflight_names_the_keys_that_are_still_missing() -> None:
 async def test_an_empty_terminal_says_what_there_is_and_what_to_press(
     tmp_path: Path, until: Until, found: list[tuple[str, str]], words: str, event: str
 ) -> None:
-    app = ZendspApp(_nobody, folder=tmp_path, find_targets=lambda: found, frames=4.0)
+    app = ZendspApp(nobody, folder=tmp_path, find_targets=lambda: found, frames=4.0)
     async with app.run_test(size=(100, 30)) as pilot:
         await until(pilot, lambda: app.session.snapshot.here is not None, "looked around")
         line = app.screen.query_one(StatusBar).where(app.session.snapshot)
         assert words in line.plain
         assert any(event in e.text for e in app.session.events.since(0)[1])
-
-
-async def test_a_list_filters_while_one_types_and_the_arrows_stay(app: ZendspApp) -> None:
-    chosen: list[object] = []
-    options = [Option(name, name, detail) for name, detail in (
-        ("Kp1", "N m/rad"), ("Kp2", "N m/rad"), ("tau 2", "N m"))]  # fmt: skip
-    async with app.run_test(size=(100, 30)) as pilot:
-        await app.push_screen(Choose("Curves", options), chosen.append)
-        await pilot.pause()
-        rows = app.screen.query_one(OptionList)
-        await pilot.press("k", "p")
-        assert [o.id for o in rows.options] == ["Kp1", "Kp2"]
-        await pilot.press("backspace", "backspace", "u", "space", "2")
-        assert [o.id for o in rows.options] == ["tau 2"]
-        await pilot.press("backspace", "backspace", "backspace", "k", "down", "enter")
-        assert chosen == [["Kp2"]]
-
-
-async def test_the_name_that_was_typed_whole_comes_first(app: ZendspApp) -> None:
-    """Who types pd.c means pd.c, not joint_pd.c, which stands before it."""
-    chosen: list[object] = []
-    names = ("a.c", "joint_pd.c", "pd.c", "pd.cpp")
-    async with app.run_test(size=(100, 30)) as pilot:
-        await app.push_screen(Choose("Source", [Option(n, n) for n in names]), chosen.append)
-        await pilot.pause()
-        await pilot.press("down", "down", "d", ".", "c")
-        rows = app.screen.query_one(OptionList)
-        assert [o.id for o in rows.options] == ["joint_pd.c", "pd.c", "pd.cpp"]
-        assert rows.highlighted == 0, "the first of what is left"
-        await pilot.press("backspace", "backspace", "backspace", "p", "d", ".", "c", "enter")
-        assert chosen == [["pd.c"]]
 
 
 async def test_build_without_a_source_asks_for_one_and_builds_it(

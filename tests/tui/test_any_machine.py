@@ -10,10 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from steps import Until
+from steps import Until, nobody
 from textual.widgets import Select, Static
 
-from zendsp.errors import LinkError
 from zendsp.link import Rehearsal, local, rehearse
 from zendsp.reference import UNPREDICTED, load_reference, make_reference, save_reference
 from zendsp.tui.app import ZendspApp
@@ -122,14 +121,10 @@ def test_torque_that_is_not_predicted_is_neither_drawn_nor_zero() -> None:
     assert lines[2][1][1].rstrip().endswith("– %"), "no share of a limit that nobody knows"
 
 
-def _nobody(name: str) -> Any:
-    raise LinkError(f"no target {name}")
-
-
 async def test_the_reference_screen_begins_with_the_machine_of_the_target(
     tmp_path: Path, until: Until
 ) -> None:
-    app = ZendspApp(_nobody, folder=tmp_path, first="reference", frames=4.0)
+    app = ZendspApp(nobody, folder=tmp_path, first="reference", frames=4.0)
     async with app.run_test(size=(120, 40)) as pilot:
         screen = app.screen
         assert isinstance(screen, ReferenceScreen)

@@ -8,26 +8,20 @@ from typing import Any
 
 import numpy as np
 import pytest
-from steps import Until
+from steps import Until, nobody
 from textual.widgets import Button, Input, Select, Static
 
-from zendsp.errors import LinkError
 from zendsp.reference import KINDS, load_machine, load_reference, make_reference, save_reference
 from zendsp.tui.app import ZendspApp
-from zendsp.tui.port import Port
 from zendsp.tui.preview import views_of
 from zendsp.tui.scope import Scope
 from zendsp.tui.scope.path import PathPlot
 from zendsp.tui.screens.reference import ReferenceScreen
 
 
-def _nobody(name: str) -> Port:
-    raise LinkError(f"no target {name}")
-
-
 @pytest.fixture
 def app(tmp_path: Path) -> ZendspApp:
-    return ZendspApp(_nobody, folder=tmp_path, first="reference", frames=4.0)
+    return ZendspApp(nobody, folder=tmp_path, first="reference", frames=4.0)
 
 
 def _screen(app: ZendspApp) -> ReferenceScreen:

@@ -194,7 +194,7 @@ async def test_what_is_typed_before_a_dialog_opens_is_no_command(
         seek.wait(30.0)
         return [("one", "a target")]
 
-    lab._find = slow
+    lab.targets._find = slow
     async with lab.run_test(size=(100, 30)) as pilot:
         await until(pilot, lambda: lab.session.snapshot.link == "up", "the link is up")
         asked.clear()

@@ -18,10 +18,9 @@ from textual.message_pump import MessagePump
 from textual.screen import ModalScreen, Screen
 from textual.widgets import Input
 
-from zendsp.errors import ZendspError
 from zendsp.tui.actions import ACTIONS, Action, bindings
 from zendsp.tui.colours import THEMES
-from zendsp.tui.dialogs import Choose, Message, Option
+from zendsp.tui.dialogs import Message
 from zendsp.tui.dialogs.base import Dialog
 from zendsp.tui.dialogs.leave import LEFT, Leave, moves
 from zendsp.tui.port import Port
@@ -30,6 +29,7 @@ from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.session import Session
 from zendsp.tui.stop_process import PICTURE
 from zendsp.tui.stopper import with_stop
+from zendsp.tui.targets import Targets
 from zendsp.tui.workspace import Workspace
 from zendsp_isr.sources import gather, shipped_programs
 
@@ -97,9 +97,7 @@ class ZendspApp(App[None]):
         self.model = ""  # model file that simulation and diagnosis were last given
         self.workspace = Workspace(folder)
         self.source = source
-        self._find = find_targets
-        self._start_machine = start_machine
-        self._machines = tuple(machines)
+        self.targets = Targets(self, find_targets, start_machine, machines)
         self._target, self._first, self._theme_name, self._begin = target, first, theme, begin
         self.chosen: tuple[Path, ...] = ()  # references that Execute will play
         self._expected = 0.0  # until when keys wait for a dialog
@@ -142,9 +140,9 @@ class ZendspApp(App[None]):
         if self._target:
             self.session.connect(self._target)
         elif self._begin:
-            self._connect([f"machine {self._begin}"])
-        elif self._find is not None:
-            self.run_worker(self._look_around, thread=True, group="discovery")
+            self.targets.connect([f"machine {self._begin}"])
+        else:
+            self.targets.look_around()
 
     def post_display_hook(self) -> None:
         """Tell the process of the keys of the first picture, as soon as it is drawn."""
@@ -248,71 +246,7 @@ class ZendspApp(App[None]):
 
     def action_connect(self) -> None:
         """Choose a target."""
-        self.expect_dialog()
-        self.run_worker(self._ask_target, thread=True, exclusive=True, group="discovery")
-
-    def _look_around(self) -> None:
-        """Log the targets that answer, or what can be done without one."""
-        assert self._find is not None
-        try:
-            found = self._find()
-        except ZendspError as error:
-            self.session.events.add(f"discovery: {error}", "warning")
-            return
-        for name, text in found:
-            self.session.events.add(f"target {name} answers ({text}): Ctrl+O connects")
-        if not found:
-            self.session.events.add(
-                "no target answers: Ctrl+O starts a simulated machine, F4 plans a motion,"
-                " F5 diagnoses a file"
-            )
-        self.session.tell_found([name for name, _ in found])
-
-    def _ask_target(self) -> None:
-        try:
-            found = self._find() if self._find else []
-        except ZendspError as error:
-            found = []
-            self.session.events.add(f"discovery: {error}", "warning")
-        options = [Option(f"target {name}", name, text) for name, text in found]
-        options += [
-            Option(f"machine {m}", f"start {m} here", "a simulated machine in a process of its own")
-            for m in self._machines
-        ]
-        self.call_from_thread(self._offer_targets, options)
-
-    def _offer_targets(self, options: list[Option]) -> None:
-        if not options:
-            self.no_dialog()
-            self.toast(
-                "no target answers, and none can be started here; start one with: zendsp target",
-                "warning",
-            )
-            return
-        self.push_screen(Choose("Connect to", options), self._connect)
-
-    def _connect(self, keys: list[str] | None) -> None:
-        if not keys:
-            return
-        what, _, name = keys[0].partition(" ")
-        if what == "target":
-            self.session.connect(name)
-        elif self._start_machine is not None:
-            self.session.await_start(name)
-            self.run_worker(
-                lambda: self._start_here(name), thread=True, exclusive=True, group="discovery"
-            )
-
-    def _start_here(self, machine: str) -> None:
-        assert self._start_machine is not None
-        try:
-            name, port = self._start_machine(machine)
-        except ZendspError as error:
-            self.session.await_start("")
-            self.session.events.add(f"start {machine}: {error}", "error")
-            self.call_from_thread(self.toast, str(error), "error")
-            return
-        self.session.adopt(port, name)
+        self.targets.ask()
 
     def action_command(self) -> None:
         """Take the right to command, or give it back."""

@@ -250,8 +250,8 @@ class Effect:
         What of the machine it is a law of: one of ``MECHANISMS``; empty: one by itself, under its
         own name.
     c : str
-        Body of the C function; ``p`` are the parameters in order, ``s`` the state (see observer.c),
-        ``dir`` the direction for ``dry``.
+        Body of the C function; ``p`` are the parameters in order, ``s`` the state (see
+        kernel/effects.c), ``dir`` the direction for ``dry``.
     over : str
         What it is best drawn over: velocity, position, acceleration, command or time.
     linear : tuple of str

@@ -1,12 +1,12 @@
 /* One joint seen through an observer: predicts every position sample, returns the normalised
  * innovations.
  *
- * The file is completed at build time: the lines OBSERVER are replaced by observer.c, the line
- * EFFECT_FUNCTIONS therein by one small function per physical effect (see effects/), the lines
- * EFFECT_CASES_* by the cases of the switches that call them. Scheme per inner step h: half drift,
- * two evaluations of the smooth torque at mid position (second order), dry friction as a set-valued
- * law (exact sticking at any step), bristle and hysteresis states implicitly. Units: rad or m, s, N
- * m or N.
+ * The file is completed at build time: the lines OBSERVER are replaced by effects.c and observer.c,
+ * the line EFFECT_FUNCTIONS therein by one small function per physical effect (see effects/), the
+ * lines EFFECT_CASES_* by the cases of the switches that call them. Scheme per inner step h: half
+ * drift, two evaluations of the smooth torque at mid position (second order), dry friction as a
+ * set-valued law (exact sticking at any step), bristle and hysteresis states implicitly. Units: rad
+ * or m, s, N m or N.
  */
 #include <math.h>
 #include <string.h>
@@ -73,7 +73,7 @@ static inline double soft(double v, double lim) {
 }
 static inline double clip(double v, double lim) { return v > lim ? lim : v < -lim ? -lim : v; }
 
-/* the other joint's measured motion, for couplings; S: a state of observer.c */
+/* the other joint's measured motion, for couplings; S: a state of effects.c */
 #define LOOK_AT(joint) for (int l = 0; l < LANES; l++) { \
         const double *j = M->other + (size_t)(joint) * 3 * M->n + k + stride * l; \
         S->oq[l] = j[0]; S->oqd[l] = j[M->n]; S->oqdd[l] = j[2 * (size_t)M->n]; }

@@ -50,7 +50,7 @@ void zf_swing(int n, double T, double first, double second, const double *a, dou
 
 LANES = 8  # parameter sets that ``zk_run_lanes`` takes at once
 
-_PLACES = {  # of an effect: the mark in observer.c, and what is done there for each lane
+_PLACES = {  # of an effect: the mark in effects.c, and what is done there for each lane
     "torque": ("FORCE", "EACH (*torque)[l] += OF(fx_{name})(p, S, l);"),
     "viscous": ("FORCE", "EACH visc[l] += OF(fx_{name})(p, S, l);"),
     "scale": (
@@ -99,7 +99,7 @@ def source_text(effects: dict[str, Effect]) -> str:
             f"static inline double OF(fx_{effect.name}){head} {{ {_of_lane(effect)} }}"
         )
     folder = resources.files("zendsp.physics.kernel")
-    observer = (folder / "observer.c").read_text()
+    observer = "".join((folder / name).read_text() for name in ("effects.c", "observer.c"))
     for mark, lines in cases.items():
         observer = observer.replace(f"/* EFFECT_CASES_{mark} */", "\n".join(lines))
     observer = observer.replace("/* EFFECT_FUNCTIONS */", "\n".join(functions))

@@ -1,0 +1,154 @@
+/* What the effects of a model do, for LANES parameter sets at once (see kernel.c, which takes this
+ * and observer.c in twice: for one and for many). native.py writes each effect's C into its place.
+ *
+ * The lanes have the recording, the observer and the kinds of effects in common and differ in
+ * numbers only, so every loop over them is arithmetic without branches: a step is a long chain of
+ * operations that wait for each other, and lanes fill the waiting.
+ */
+
+typedef struct {
+    double p[MAXFX][MAXP * LANES];
+    double shift[LANES], gain[LANES], limit[LANES], gravity[LANES];
+    double delay[LANES], lag[LANES], k_spring[LANES], c_spring[LANES], j_load[LANES], gap[LANES];
+    double s0[LANES], s1[LANES], bw_force[LANES], bw_a[LANES], bw_n[LANES], j_extra[LANES];
+    double k_cubic[LANES], w_amp[LANES], w_order[LANES], w_phase[LANES], filter[LANES];
+    int two_mass, lag_on, gapped, bristled, bent, pulled, late, drives, senses, wavy, filtered,
+        hidden; /* whether any lane has it */
+} OF(numbers);
+
+#if LANES > 1 /* a vector, which stays in a register where an array would not */
+typedef double OF(lane) __attribute__((vector_size(8 * LANES)));
+#else
+typedef double OF(lane)[LANES];
+#endif
+
+typedef struct { /* what an effect may look at */
+    OF(lane) q, qd, qdd; /* of the joint; qdd only where a trace is asked for */
+    OF(lane) u, tau;     /* command (its own unit) and actuator torque */
+    /* time, degrees C; motion of the other joint, for couplings */
+    OF(lane) t, temp, oq, oqd, oqdd;
+} OF(state);
+
+/* EFFECT_FUNCTIONS */
+
+static void OF(set_up)(const zk_model *M, OF(numbers) *N)
+{
+    memset(N, 0, sizeof *N);
+    for (int l = 0; l < LANES; l++) {
+        double delay = M[l].delay, lag = 0, k_spring = 0, c_spring = 0, j_load = 0, gap = 0;
+        double s0 = 0, s1 = 0, bw_force = 0, bw_a = 0, bw_n = 1, j_extra = 0;
+        double k_cubic = 0, w_amp = 0, w_order = 0, w_phase = 0, filter = 0, column_late = 0;
+        int two_mass = 0, lag_on = 0, drives = 0, senses = 0;
+        for (int i = 0; i < M->nfx; i++) {
+            const double *p = M[l].p + i * MAXP;
+            for (int j = 0; j < MAXP; j++) N->p[i][j * LANES + l] = p[j];
+            switch (M->kind[i]) {
+/* EFFECT_CASES_SETUP */
+            default: break;
+            }
+        }
+        /* nobody says how much of the inertia is the load */
+        if (two_mass && !(j_load > 0)) j_load = 0.5 * M[l].reference;
+        /* nor what damps it: a twentieth of critical */
+        if (c_spring < 0) c_spring = 0.1 * sqrt(k_spring * j_load);
+        /* a loop knows its command before it is recorded */
+        if (!(M[l].kp > 0)) delay -= column_late;
+        N->shift[l] = M[l].shift;
+        N->gain[l] = M[l].gain;
+        N->limit[l] = M[l].limit > 0 ? M[l].limit : INFINITY;
+        N->gravity[l] = M[l].gravity;
+        N->delay[l] = delay;
+        N->lag[l] = lag;
+        N->k_spring[l] = k_spring;
+        N->c_spring[l] = c_spring;
+        N->j_load[l] = j_load;
+        N->gap[l] = gap;
+        N->s0[l] = s0;
+        N->s1[l] = s1;
+        N->bw_force[l] = bw_force;
+        N->bw_a[l] = bw_a;
+        N->bw_n[l] = bw_n;
+        N->j_extra[l] = j_extra;
+        N->k_cubic[l] = k_cubic;
+        N->w_amp[l] = w_amp;
+        N->w_order[l] = w_order;
+        N->w_phase[l] = w_phase;
+        N->filter[l] = filter;
+        N->wavy |= w_amp != 0 || k_cubic != 0;
+        N->hidden |= lag_on || delay != 0 || s0 > 0 || bw_force > 0;
+        N->filtered |= filter > 0;
+        N->drives |= drives;
+        N->senses |= senses;
+        N->two_mass |= two_mass;
+        N->lag_on |= lag_on;
+        N->gapped |= gap > 0;
+        N->bristled |= s0 > 0;
+        N->bent |= bw_force > 0;
+        N->pulled |= M[l].gravity != 0; N->late |= delay != 0;
+    }
+}
+
+/* torque without dry friction, and what dry friction is multiplied by; lane l looks at sample k +
+ * stride l of what is recorded. What the drive cannot give at the speed is a torque that resists,
+ * and S->tau then is what it gives. */
+static inline __attribute__((always_inline)) void OF(gather)(const zk_model *M,
+                                                             const OF(numbers) * N, OF(state) * S,
+                                                             int k, int stride, OF(lane) *torque,
+                                                             OF(lane) *scale) {
+    OF(lane) visc, thick;
+    EACH { (*torque)[l] = 0; (*scale)[l] = thick[l] = 1; visc[l] = 0; }
+    for (int i = 0; i < M->nfx; i++) {
+        const double *p = N->p[i];
+        switch (M->kind[i]) {
+/* EFFECT_CASES_FORCE */
+        default: break;
+        }
+    }
+    EACH (*torque)[l] += visc[l] * thick[l];
+    (void)k; (void)stride;
+}
+
+/* dry friction for motion in the direction of v */
+static inline __attribute__((always_inline)) void OF(dry)(const zk_model *M, const OF(numbers) * N,
+                                                          const OF(state) * S, const OF(lane) *v,
+                                                          const OF(lane) *scale, OF(lane) *level) {
+    EACH (*level)[l] = 0;
+    for (int i = 0; i < M->nfx; i++) {
+        const double *p = N->p[i];
+        switch (M->kind[i]) {
+/* EFFECT_CASES_DRY */
+        default: break;
+        }
+    }
+    EACH (*level)[l] *= (*scale)[l];
+    (void)v; (void)S;
+}
+
+static inline __attribute__((always_inline)) void OF(act)(const zk_model *M, const OF(numbers) * N,
+                                                          const OF(state) * S,
+                                                          const OF(lane) *command, OF(lane) *tau) {
+    OF(lane) u;
+    EACH u[l] = clip((*command)[l], N->limit[l]);
+    for (int i = 0; i < M->nfx; i++) {
+        const double *p = N->p[i];
+        switch (M->kind[i]) {
+/* EFFECT_CASES_ACTUATOR */
+        default: break;
+        }
+    }
+    EACH (*tau)[l] = N->gain[l] * u[l];
+    (void)S;
+}
+
+static inline __attribute__((always_inline)) void
+OF(sense)(const zk_model *M, const OF(numbers) * N, OF(state) * S, const OF(lane) *q,
+          OF(lane) *out) {
+    EACH { S->q[l] = (*q)[l]; (*out)[l] = (*q)[l]; }
+    for (int i = 0; i < M->nfx; i++) {
+        const double *p = N->p[i];
+        switch (M->kind[i]) {
+/* EFFECT_CASES_SENSOR */
+        default: break;
+        }
+    }
+}

@@ -1,0 +1,119 @@
+"""Which law is stated for what a joint lacks, and where none is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from zendsp.diagnosis.decide import laws
+from zendsp.diagnosis.decide.claims import Claim, Decision
+from zendsp.diagnosis.decide.confidence import least_stated, stated
+from zendsp.diagnosis.decide.naming import bent
+from zendsp.diagnosis.decide.remember import remembered
+from zendsp.diagnosis.decide.result import FitTable
+from zendsp.diagnosis.measure.discrepancy import Size
+from zendsp.diagnosis.measure.evidence import Evidence
+from zendsp.diagnosis.measure.structure import Structure
+from zendsp.physics.calibration.terms import make_term
+from zendsp.physics.effects import get_effect, mechanism_of
+from zendsp.physics.files.model_file import parse_model
+from zendsp.physics.model import Term
+
+
+def claim_of(term: Term, size: float, evidence: Evidence | None = None) -> Claim:
+    sure = evidence or Evidence(100.0, 15.0, np.zeros(1))
+    mechanism = mechanism_of(term.effect)
+    return Claim(term.effect, mechanism, term, size, sure, 0.5 * sure.gain, {}, (), (), ())
+
+
+def of_one_claim(claim: Claim, before: float, left: float, base: Any = None) -> Decision:
+    """A joint whose unexplained torque ``claim`` brings from ``before`` down to ``left``."""
+    was, after = (Size(x, 0.9 * x, 1.1 * x) for x in (before, left))
+    state = Structure(0.0, 0.0, 0.0)
+    return Decision(1, "missing", (claim,), (), base, base, was, after, state, after, base, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("effect", "size", "left", "named"),
+    [
+        ("coulomb", 0.007, 0.008, True),  # what every machine has
+        ("dead_zone", 0.02, 0.01, False),  # a function of the state, as others may be
+        ("dead_zone", 0.02, 0.0, True),  # and nothing is left that speaks against it
+        ("elasticity", 0.02, 0.01, True),  # no function of the state
+        ("gain_drift", 0.02, 0.005, True),  # over time: no function of the state resembles it
+    ],
+)
+def test_a_law_is_named_where_what_it_leaves_allows_no_other(
+    effect: str, size: float, left: float, named: bool
+) -> None:
+    outcome = of_one_claim(claim_of(Term(effect, 1, {}), size), 0.025, left)
+    assert stated(outcome.claims[0], outcome) is named
+
+
+@pytest.mark.parametrize("effect", ["stiffness", "ripple", "torque_gain"])
+def test_what_is_said_to_be_seen_is_as_large_as_what_is_named(effect: str) -> None:
+    claim = claim_of(make_term(get_effect(effect), 1, {}), 0.0)
+    least = least_stated(effect, of_one_claim(claim, 0.02, 0.02))
+    assert least >= 0.02
+    for size, named in ((1.02 * least, True), (0.98 * least, least == 0.02)):
+        outcome = of_one_claim(replace(claim, size=size), size, 0.02)
+        assert stated(outcome.claims[0], outcome) is named
+
+
+DOUBTFUL = Evidence(50.0, 4.0, np.zeros(1))
+
+
+@pytest.mark.parametrize(("size", "stands"), [(0.02, True), (0.005, False)])
+def test_a_law_that_is_not_believed_leaves_its_mechanism_where_it_explains_more_than_it_leaves(
+    size: float, stands: bool
+) -> None:
+    lag = of_one_claim(claim_of(Term("lag", 1, {}), size, DOUBTFUL), 0.1, 0.01)
+    outcome = laws.believed(lag, None, 1)  # type: ignore[arg-type]
+    assert [c.effect for c in outcome.claims] == (["unknown"] if stands else [])
+    assert len(outcome.refinements) == (not stands)
+
+
+@pytest.mark.parametrize(("moving", "stands"), [(0.0, False), (0.008, True)])
+def test_how_a_known_friction_turns_round_is_no_missing_mechanism(
+    monkeypatch: pytest.MonkeyPatch, moving: float, stands: bool
+) -> None:
+    monkeypatch.setattr(laws, "structure", lambda *_, turning: Structure(moving, 0.6, 5.0))
+    friction = Term("coulomb", 1, {})
+    base = SimpleNamespace(model=SimpleNamespace(at=lambda _: (friction,)))
+    bristles = claim_of(Term("presliding", 1, {}), 0.01, DOUBTFUL)
+    found = of_one_claim(bristles, 0.012, 0.008, base)
+    outcome = laws.believed(found, SimpleNamespace(each=()), 1)  # type: ignore[arg-type]
+    assert [c.effect for c in outcome.claims] == (["unknown"] if stands else [])
+
+
+@pytest.mark.parametrize(
+    ("size", "z", "much"),
+    [(0.1, 9.0, True), (0.1, 2.0, False), (0.05, 9.0, False), (0.052, 9.0, False)],
+)
+def test_a_law_leaves_too_much_only_where_that_is_sure(size: float, z: float, much: bool) -> None:
+    """Of 5 % that are allowed; the evidence is that for what is beyond them."""
+    assert laws._surely_more(Structure(size, 0.5, z), 0.05) is much
+
+
+def test_what_only_refined_the_fit_is_held_in_the_model_file() -> None:
+    """Of two terms of one effect the second; not what stands for a term of the given model."""
+    terms = [
+        make_term(get_effect(name), 1, {key: 1.0})
+        for name, key in (("coulomb", "level"), ("ripple", "amplitude"), ("ripple", "amplitude"))
+    ]
+    given = parse_model({"mechanism": {"kind": "rotary", "parameters": {"inertia": 1.0}}})
+    final: Any = SimpleNamespace(model=given.with_terms(tuple(terms)))
+    claimed, refined = (claim_of(t, 0.1) for t in terms[1:])
+    outcome = replace(of_one_claim(claimed, 0.02, 0.02, final), refinements=(refined,), scale=5.0)
+    model = remembered(given.with_terms(tuple(replace(t) for t in terms)), given, [outcome])
+    assert [any(q.free for q in t.parameters.values()) for t in model.terms] == [True, True, False]
+    assert model.discrepancy.torque == (0.1,)
+
+
+def test_calibration_that_makes_untouched_recordings_worse_is_told() -> None:
+    assert bent(FitTable(1e-4, 2e-4, 2e-4), 1e-5) and not bent(FitTable(1e-4, 1.2e-4, 1e-4), 1e-5)
+    assert not bent(FitTable(1e-6, 1e-5, 1e-5), 1e-5), "both within the sensor's noise"

@@ -1,0 +1,202 @@
+"""What each mechanism of a proposed model is worth on recordings that nothing has touched."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from zendsp.diagnosis.decide import decide as decision
+from zendsp.diagnosis.decide import laws, pieces
+from zendsp.diagnosis.decide.claims import Claim, Decision, Known, Piece
+from zendsp.diagnosis.decide.naming import left_over
+from zendsp.diagnosis.measure.discrepancy import Size
+from zendsp.diagnosis.measure.evidence import Evidence
+from zendsp.diagnosis.measure.structure import Structure
+from zendsp.physics.effects import mechanism_of
+from zendsp.physics.model import Quantity, Term
+
+PARTS: Any = SimpleNamespace(fit="fit", choose="choose", test=SimpleNamespace(joints=1), each=())
+SEARCH: Any = SimpleNamespace(joint=1)
+FINAL: Any = SimpleNamespace(model=None)
+Held = Callable[..., tuple[list[Piece], list[Piece]]]
+NOTHING = Structure(0.0, 0.0, 0.0)
+
+
+def piece(size: float, z: float, log_e: float, effect: str = "ripple") -> Piece:
+    term = Term(effect, 1, {})
+    evidence = Evidence(gain=2 * log_e, z=z, blocks=np.zeros(1))
+    without: Any = SimpleNamespace(model=None, deviance=100.0)
+    return Piece(mechanism_of(effect), (term,), without, size, evidence, log_e)
+
+
+@pytest.fixture
+def held_apart(monkeypatch: pytest.MonkeyPatch) -> Held:
+    """Which pieces are claimed and which are not, where all of them leave ``left``."""
+
+    def ask(
+        *found: Piece,
+        left: Size,
+        structure: Structure = NOTHING,
+        known: Known | None = None,
+        search: Any = SEARCH,
+        final: Any = FINAL,
+    ) -> tuple[list[Piece], list[Piece]]:
+        monkeypatch.setattr(pieces, "discrepancy", lambda *_: left)
+        monkeypatch.setattr(pieces, "structure", lambda *_: structure)
+        monkeypatch.setattr(pieces, "kept_laws", lambda *_: [])
+        monkeypatch.setattr(pieces, "known_discrepancy", lambda *_: known or Known())
+        return pieces.held_apart(PARTS, None, search, final, list(found))  # type: ignore[arg-type]
+
+    return ask
+
+
+@pytest.fixture
+def moving(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing acts where the joint turns round."""
+    monkeypatch.setattr(pieces, "_rubbing", lambda *_: [])
+
+
+@pytest.mark.usefixtures("moving")
+@pytest.mark.parametrize(("size", "claims"), [(0.021, True), (0.019, False)])
+def test_what_is_not_twice_what_a_machine_is_known_to_leave_may_be_a_part_of_it(
+    held_apart: Held, size: float, claims: bool
+) -> None:
+    one = piece(size, 5.0, 20.0)
+    claimed, _ = held_apart(one, left=Size(0.0, 0.0, 0.0), known=Known(0.01, 0.01))
+    assert claimed == ([one] if claims else [])
+
+
+@pytest.mark.parametrize(("apart", "curve"), [(0.2, True), (5.0, False)])
+def test_two_ripples_that_the_travel_does_not_tell_apart_are_one_that_fades(
+    apart: float, curve: bool
+) -> None:
+    """Over 3 rad: a fifth of a wave apart, and more than two."""
+    found = [
+        replace(piece(0.1, 5.0, 20.0), terms=(Term("ripple", 1, {"order": Quantity(order)}),))
+        for order in (12.0, 12.0 + apart)
+    ]
+    assert laws._is_curve(found, 3.0) is curve
+
+
+@pytest.mark.parametrize(
+    ("turning", "softer", "claims"), [(0.8, 20.0, False), (0.8, 5.0, True), (0.2, 20.0, True)]
+)
+def test_what_acts_where_a_joint_turns_round_is_more_than_its_dry_friction_may_be_wrong_by(
+    monkeypatch: pytest.MonkeyPatch, held_apart: Held, turning: float, softer: float, claims: bool
+) -> None:
+    """A lag of 0.4 % beside dry friction of 20 %, whose law is good to 3 % of that, where bristles
+    gain a part of the hundred that the lag gains.
+    """
+    monkeypatch.setattr(pieces, "at_reversals", lambda *_: turning)
+    monkeypatch.setattr(pieces, "difference", lambda *_: 0.2)
+    friction = Term("coulomb", 1, {})
+    model = SimpleNamespace(terms=(friction,), at=lambda _: (friction,), with_terms=lambda _: None)
+    lag = piece(0.004, 5.0, 50.0, "lag")
+    bristles = SimpleNamespace(effect="presliding", value=100.0 - softer)
+    claimed, rest = held_apart(
+        lag,
+        left=Size(0.0025, 0.0, 0.01),
+        search=SimpleNamespace(joint=1, base=SimpleNamespace(deviance=100.0), tried=[bristles]),
+        final=SimpleNamespace(model=model, deviance=0.0),
+    )
+    assert (claimed, rest) == (([lag], []) if claims else ([], [lag]))
+
+
+@pytest.mark.usefixtures("moving")
+def test_only_what_untouched_recordings_bear_out_by_chance_too_rarely_is_claimed(
+    held_apart: Held,
+) -> None:
+    sure = piece(0.1, 5.0, 20.0)
+    unlikely = piece(0.1, 5.0, 3.0)
+    uneven = piece(0.1, 1.0, 20.0)
+    small = piece(0.005, 5.0, 20.0)
+    left, structure = Size(0.01, 0.0, 0.02), Structure(0.01, 0.5, 1.0)
+    claimed, rest = held_apart(sure, unlikely, uneven, small, left=left, structure=structure)
+    assert claimed == [sure] and rest == [unlikely, uneven, small]
+
+
+@pytest.mark.usefixtures("moving")
+@pytest.mark.parametrize(
+    ("effect", "size", "claims"),
+    [("elasticity", 0.002, False), ("elasticity", 0.003, True), ("ripple", 0.002, True)],
+)
+def test_what_another_integration_step_makes_is_no_spring(
+    held_apart: Held, effect: str, size: float, claims: bool
+) -> None:
+    one = piece(size, 5.0, 20.0, effect)
+    claimed, _ = held_apart(one, left=Size(0.0001, 0.0, 0.01))
+    assert claimed == ([one] if claims else [])
+
+
+@pytest.fixture
+def one_term(monkeypatch: pytest.MonkeyPatch) -> Callable[[str, Any], None]:
+    """A search that proposes one effect, scored as ``final``, and names nothing by itself."""
+
+    def propose(effect: str, final: Any) -> None:
+        term = Term(effect, 1, {})
+        group = {(mechanism_of(effect), 0): (term,)}
+        monkeypatch.setattr(decision, "worth_choosing", lambda *_: final)
+        monkeypatch.setattr(decision, "new_terms", lambda *_: [term])
+        monkeypatch.setattr(decision, "grouped", lambda *_: group)
+
+    return propose
+
+
+def test_what_a_mechanism_is_worth_is_asked_of_the_recordings_to_test_on(
+    monkeypatch: pytest.MonkeyPatch, one_term: Callable[[str, Any], None]
+) -> None:
+    asked: list[object] = []
+
+    def ask(data: object, *_: object) -> Piece:
+        asked.append(data)
+        return piece(0.1, 0.0, 0.0)
+
+    one_term("ripple", FINAL)
+    monkeypatch.setattr(decision, "discrepancy", lambda *_: None)
+    monkeypatch.setattr(decision, "piece_of", ask)
+    monkeypatch.setattr(decision, "held_apart", lambda *_: ([], []))
+    monkeypatch.setattr(decision, "_nothing_named", lambda *_: "nothing")
+    search: Any = SimpleNamespace(joint=1, base=FINAL)
+    outcome: Any = decision.decide(PARTS, None, search, 1, lambda _: None)  # type: ignore[arg-type]
+    assert outcome == "nothing" and asked == [PARTS.test]
+
+
+@pytest.mark.parametrize(("after", "stands"), [(0.2, True), (0.6, False), (2.5e8, False)])
+def test_what_leaves_more_unexplained_than_there_was_or_is_at_all_is_no_finding(
+    monkeypatch: pytest.MonkeyPatch,
+    one_term: Callable[[str, Any], None],
+    after: float,
+    stands: bool,
+) -> None:
+    """A spring that holds a joint where it was seen follows every recording."""
+    before = Size(0.5, 0.4, 0.6) if after < 1.0 else Size(3.6e9, 2e9, 5e9)
+    left = Size(after, after, after)
+    term, evidence = Term("stiffness", 1, {}), Evidence(50.0, 9.0, np.zeros(1))
+    claim = Claim("stiffness", "position_torque", term, 9.0, evidence, 25.0, {}, (), (), ())
+    model: Any = SimpleNamespace(at=lambda _: (), torque_unit=lambda _: "N m")
+    one: Any = SimpleNamespace(model=model)
+    found = Decision(1, "missing", (claim,), (), one, one, before, left, NOTHING, left, one, 7.0)
+    one_term("stiffness", one)
+    other: Any = SimpleNamespace(claims=())
+    for name, answer in {
+        "discrepancy": before,
+        "piece_of": piece(0.1, 9.0, 50.0, "stiffness"),
+        "held_apart": ([0], []),
+        "named": found,
+        "believed": found,
+        "window_error": np.zeros(3),
+        "_beside": None,
+        "_nothing_named": other,
+    }.items():
+        monkeypatch.setattr(decision, name, lambda *_, answer=answer: answer)
+    search: Any = SimpleNamespace(joint=1, base=one)
+    outcome = decision.decide(PARTS, None, search, 1, lambda _: None)  # type: ignore[arg-type]
+    assert outcome.claims is (found if stands else other).claims
+    if after > 1.0:
+        words = left_over([found], model)
+        assert "does not follow" in words and "%" not in words

@@ -1,0 +1,103 @@
+"""A torque that comes from outside and does not return is a disturbance, with its times."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import reality
+from reality import KNOWN
+
+from zendsp.diagnosis import Diagnosis
+from zendsp.diagnosis.decide import decide as decision
+from zendsp.diagnosis.report.figures import torque_chart
+
+Decided = Callable[..., Diagnosis]
+
+
+def test_what_acts_in_the_recordings_to_choose_by_alone_is_not_complete(
+    decided: Decided, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(decision, "_pushed", lambda *_: None)  # nothing of it comes again
+    pushed = reality.Machine(push=(0.3, 2.0, 3.0))
+    assert decided(reality.Machine(), pushed).verdict == "unexplained"
+
+
+def test_a_push_is_a_disturbance_with_its_times(decided: Decided) -> None:
+    d = decided(reality.Machine(push=(0.06, 2.0, 4.0)), reality.Machine(push=(0.06, 8.0, 10.0)))
+    assert [f.effect for f in d.findings] == ["disturbance"]
+    # of the recording of the fit, then of the one held out
+    spans = np.array(d.findings[0].numbers["intervals"])
+    assert spans == pytest.approx(np.array([[2.0, 4.0], [8.0, 10.0]]), abs=0.2)
+    rms, peak = (d.findings[0].parameters[name] for name in ("rms", "peak"))
+    assert peak.value == pytest.approx(0.06, rel=0.3) and 0.0 < peak.std < 0.02
+    assert rms.value <= peak.value and 0.0 < rms.std < 0.02
+
+
+@pytest.mark.parametrize("push", [0.01, 0.15])
+def test_a_push_in_the_recording_of_the_fit_alone_is_told_though_it_bends_the_calibration(
+    push: float, decided: Decided
+) -> None:
+    d = decided(reality.Machine(push=(push, 4.0, 6.0)), reality.Machine())
+    assert [f.effect for f in d.findings] == ["disturbance"]
+    spans = np.array(d.findings[0].numbers["intervals"])
+    assert spans == pytest.approx(np.array([[4.0, 6.0]]), abs=0.2)
+    assert d.test is not None and d.test.improved < 1.2 * d.test.given
+    (panel,) = torque_chart(d, 1).panels  # on the same clock
+    lacking = panel.series[0]
+    there = lacking.x[np.abs(lacking.y) > 0.5 * np.max(np.abs(lacking.y))]
+    assert there == pytest.approx(5.0, abs=1.2)
+
+
+def test_several_pushes_in_the_recording_of_the_fit_alone_are_told(decided: Decided) -> None:
+    pushed = reality.Machine(push=(0.03, 1.5, 2.2, 4.0, 4.6, 6.5, 7.3))
+    (found,) = decided(pushed, reality.Machine()).findings
+    assert found.effect == "disturbance"
+    spans = np.array(found.numbers["intervals"])
+    assert spans == pytest.approx(np.array([[1.5, 2.2], [4.0, 4.6], [6.5, 7.3]]), abs=0.2)
+
+
+@pytest.mark.parametrize("size", [0.06, 0.15])
+def test_a_push_through_most_of_what_is_judged_on_leaves_nothing_beside_it(
+    size: float, decided: Decided
+) -> None:
+    again = reality.Machine(push=(size, 6.0, 9.5 if size > 0.1 else 10.8))
+    d = decided(reality.Machine(push=(size, 3.0, 6.0)), again)
+    assert [f.effect for f in d.findings] == ["disturbance"]
+    assert d.unexplained == ""
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_a_push_while_the_joint_turns_round_is_told_with_its_recording(
+    decided: Decided, tmp_path: Path, held: bool
+) -> None:
+    """It holds the joint for all of its time, with more than friction does."""
+    pushed, quiet = reality.Machine(push=(0.3, 4.0, 5.0), kp=1.0), reality.Machine(kp=1.0)
+    d = decided(*((quiet, pushed) if held else (pushed, quiet)))
+    (found,) = d.findings
+    assert found.effect == "disturbance"
+    assert {Path(name).name for name in found.numbers["recordings"]} == {f"run{1 + held}.csv"}
+    assert f"of {tmp_path}/run{1 + held}.csv" in found.sentence
+
+
+def test_what_lacks_beside_a_push_is_found_where_nothing_pushes(decided: Decided) -> None:
+    """The push is cut out, and the rest diagnosed again: it had bent all numbers."""
+    law = {"breakaway": 0.04, "stribeck": 0.8}
+    d = decided(reality.Machine(push=(0.2, 4.0, 5.0), **law), reality.Machine(**law))
+    assert [f.effect for f in d.findings] == ["disturbance", "stribeck"]
+    assert d.findings[1].parameters["breakaway"].value == pytest.approx(0.04, rel=0.03)
+    ((begin, end),) = d.findings[0].numbers["intervals"]
+    assert (begin, end) == (pytest.approx(4.0, abs=0.15), pytest.approx(5.0, abs=0.15))
+
+
+def test_a_push_beside_what_is_found_is_told(decided: Decided) -> None:
+    """Dry friction is missing too: it is the finding, and the push stands in what is left."""
+    pushed = reality.Machine(push=(0.08, 4.0, 6.0))
+    d = decided(pushed, reality.Machine(), KNOWN[0])
+    assert [f.effect for f in d.findings] == ["coulomb"]
+    assert re.search(r"acts at (3\.9|4\.0)\d–(5\.9|6\.[01])\d s of \S+run1.csv that", d.unexplained)
+    alone = decided(reality.Machine(), None, KNOWN[0])
+    assert "push" not in alone.unexplained

@@ -1,0 +1,146 @@
+"""The C that compensates for what was found: it takes the effect out of the loop, fades, and says
+what it leaves out.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from benches import MODELS, STRICT, effect, every_effect, rotary, two_joints
+
+from zendsp.physics import compensation, load_model, simulate
+from zendsp.physics.codegen.terms import compensable
+from zendsp.physics.model import Actuator
+from zendsp.reference import Reference
+from zendsp_isr.build import source_root
+
+MOTION = (source_root() / "programs" / "motion.h").read_text()
+
+
+def program(loop: str, compensation: str) -> dict[str, str]:
+    return {"loop.c": loop, "motion.h": MOTION, "compensation.c": compensation}
+
+
+LOOP = """#include "isr.h"
+#define N 1
+#include "motion.h"
+#include "compensation.c"
+static double tau[N];
+void UserInit(void) { MotionInit(); CompensationInit(); SIGNAL(tau, "N m", ""); }
+void UserISR_INT2(void) {
+    MotionStep();
+    tau[0] = 0.01 * rdd[0] + 20.0 * e[0] + 0.4 * (rd[0] - qd[0]);
+    tau[0] += Compensation(0, r, rd, rdd, tau[0]); /* along the reference: it knows the reversals */
+    WRITE_TORQUE(0, tau[0]);
+}
+void UserBackground(void) {}
+"""
+
+
+@pytest.mark.parametrize(
+    ("kind", "values"),
+    [
+        ("coulomb", {"level": 0.2}),
+        ("gravity", {"torque": 0.5, "angle": 0.4}),
+        ("stiffness", {"coefficient": 0.6, "neutral": 0.2}),
+        ("ripple", {"order": 6.0, "amplitude": 0.2, "phase": 0.5}),
+        ("torque_gain", {"ratio": -0.4}),
+        ("dead_zone", {"width": 0.15}),
+        ("quadratic_drag", {"coefficient": 0.05}),
+        ("coulomb_asymmetry", {"level_pos": 0.1, "level_neg": 0.3}),
+    ],
+)
+def test_compensation_takes_the_effect_out_of_the_loop(kind: str, values: dict[str, float]) -> None:
+    model = rotary(effect(kind, **values))
+    sources = program(LOOP, compensation(model.terms, actuator=model.actuator))
+    t = 0.001 * np.arange(3000)
+    reference = Reference((0.6 * np.sin(4.0 * t))[:, None], 0.001)
+    error = {}
+    for share in (0.0, 1.0):
+        settings = {"comp_share": share, "approach_time": 0.2}
+        rec = simulate(sources, model, reference=reference, parameters=settings)
+        error[share] = float(np.sqrt(np.mean(rec["e"][700:3200] ** 2)))
+    # what is left: a sign taken late, a sample of delay, quantised speed
+    assert error[1.0] < 0.35 * error[0.0], error
+
+
+FADING = """#include "isr.h"
+#define N 1
+#include "motion.h"
+#undef TORQUE_MAX
+#define TORQUE_MAX(ch) 4.0
+#include "compensation.c"
+static double added;
+void UserInit(void) { MotionInit(); CompensationInit(); SIGNAL(added, "N m", ""); }
+void UserISR_INT2(void) {
+    const double still[N] = {0.0}, moving[N] = {1.0};
+    MotionStep();
+    if (SAMPLE_TICK == 500)
+        comp_share = 0.0;
+    if (SAMPLE_TICK == 1500)
+        comp_share = 1.0;
+    added = Compensation(0, still, moving, still, 0.0);
+    (void)Compensation(0, still, moving, still, 0.0); /* a second joint's call moves nothing */
+}
+void UserBackground(void) {}
+"""
+
+
+@pytest.mark.parametrize(("level", "limit", "height"), [(1.0, 0.5, 1.0), (3.0, 0.5, 2.0)])
+def test_compensation_fades_and_stays_within_its_limit(
+    level: float, limit: float, height: float
+) -> None:
+    model = rotary(effect("coulomb", level=level))
+    rec = simulate(
+        program(FADING, compensation(model.terms)),
+        model,
+        seconds=2.2,
+        channels=["added"],
+        parameters={"comp_limit": limit, "comp_sign_speed": 0.0, "comp_fade": 0.5},
+    )
+    added = rec["added"]
+    assert added[100] == pytest.approx(height), "there from the first sample, up to the limit"
+    faded = np.minimum(level * np.clip(1.0 - np.arange(600) / 500.0, 0.0, 1.0), height)
+    # a sample more or less: which one sees the new share is the loop's affair
+    assert np.abs(added[500:1100] - faded).max() < 2.1 * level / 500.0
+    assert np.abs(np.diff(added)).max() < 1.1 * level / 500.0, "no step anywhere"
+    assert np.all(added[1010:1490] == 0.0) and added[2100] == pytest.approx(height)
+
+
+def test_what_a_torque_cannot_cancel_is_named_with_its_reason_and_valid_c_comes_out() -> None:
+    terms = [t for t in every_effect() if not compensable(t)]
+    assert {t.effect for t in terms} >= {
+        "delay", "lag", "backlash", "elasticity", "presliding", "hysteresis", "saturation",
+    }
+    text = compensation(terms, title="a */ b", sentences=["Joint 1 lacks everything. */"])
+    for term in terms:
+        assert f"Not compensated: {term.effect} of joint 1 (" in text
+    model = load_model(MODELS / "pendulum.toml")
+    rec = simulate(program(LOOP, text), model, seconds=0.05, flags=STRICT)
+    assert np.all(np.isfinite(rec["tau"]))
+
+
+def test_all_compensable_effects_together_compile_without_a_warning() -> None:
+    terms = every_effect()
+    text = compensation(
+        [*terms, *[t for t in terms if t.effect == "ripple"]], actuator=Actuator(gain=(2.0,))
+    )
+    body = LOOP.replace("#define N 1", "#define N 2").replace(
+        "tau[0] +=", "tau[1] = 0.0;\n    tau[0] +="
+    )
+    rec = simulate(program(body, text), two_joints(), seconds=0.02, flags=STRICT)
+    assert "comp_ripple1_2_order" in rec.parameters and "comp_dead_zone1_width" in rec.parameters
+
+
+def test_a_stribeck_term_alone_is_compensated_over_the_coulomb_level_of_its_model() -> None:
+    friction = effect("coulomb", level=0.4), effect("stribeck", breakaway=0.7, velocity=0.02)
+    mechanism = {"kind": "linear", "parameters": {"mass": 1.0}}
+    model = rotary(*friction, name="axis", mechanism=mechanism, actuator={"unit": "V"})
+    text = compensation([model.terms[1]], model=model, sentences=["Friction falls with speed."])
+    assert (
+        "comp_stribeck1_breakaway, 0.29999" in text
+        and '"N"' in text
+        and "physics found in axis" in text
+        and "Friction falls" in text
+    )
+    assert "comp_coulomb1" not in text

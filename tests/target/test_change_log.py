@@ -1,0 +1,95 @@
+"""The log of changes: its order, and what it keeps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+import pytest
+
+from zendsp_target.runtime import Runtime
+from zendsp_target.runtime.memory.layout import layout
+from zendsp_target.runtime.variables.change_log import ChangeLog, Flight
+from zendsp_target.runtime.variables.plans import ENTRY
+
+Make = Callable[..., Runtime]
+PROGRAM = """
+#include "isr.h"
+static double a;
+void UserInit(void) { PARAMETER(a, 0.0, "", NO_MIN, NO_MAX, ""); }
+void UserISR_INT2(void) {}
+"""
+
+
+@pytest.mark.parametrize("looks", [1, 2, 3])
+@pytest.mark.parametrize(
+    "order", [[(3, 300), (1, 100), (2, 100), (0, None)], [(0, None), (1, 100), (2, 100), (3, 300)]]
+)
+def test_the_log_is_in_the_order_of_the_samples_whenever_it_is_taken_down(
+    monkeypatch: pytest.MonkeyPatch,
+    make_runtime: Make,
+    order: list[tuple[int, int | None]],
+    looks: int,
+) -> None:
+    """The loop applies what waits between two looks of the harvest; also what waits for its sample
+    and was written first.
+    """
+    runtime = make_runtime(PROGRAM)
+    session = runtime.programs.session
+    assert session is not None
+    updates = session.updates
+
+    class Meanwhile:
+        """The monitor's functions; after so many looks into memory the loop runs 400 samples."""
+
+        looked = 0
+
+        def __getattr__(self, name: str) -> object:
+            found = getattr(layout()[1], name)
+            return partial(self.look, found) if name.startswith("monitor_") else found
+
+        def look(self, function: Callable[..., object], *arguments: object) -> object:
+            seen = function(*arguments)
+            self.looked += 1
+            if self.looked == looks:
+                runtime.start(ticks=400)
+                runtime.wait_paused()
+            return seen
+
+    monkeypatch.setattr(updates, "_lib", Meanwhile())
+    for value, tick in order:
+        runtime.write({"a": value}, "me", at_tick=tick)
+    updates.harvest()
+    assert [change.new for change in runtime.log()] == [0, 1, 2, 3]
+    assert [change.old for change in runtime.log()] == [0, 0, 1, 2]
+
+
+def test_the_log_keeps_its_newest_lines_and_their_numbers(
+    monkeypatch: pytest.MonkeyPatch, make_runtime: Make
+) -> None:
+    monkeypatch.setattr("zendsp_target.runtime.variables.change_log._MAX_LOG", 10)
+    runtime = make_runtime(PROGRAM)
+    session = runtime.programs.session
+    assert session is not None
+    place = session.dictionary.place("a")
+    log = ChangeLog()
+
+    def batch(number: int) -> bytes:
+        return ENTRY.pack(place.entry.index, 0, 8, 0) + np.float64(number).tobytes()
+
+    def come(first: int, last: int) -> None:
+        for k in range(first, last):
+            log.append(Flight(0, (("a", place),), 24, lambda k=k: batch(k), "me", 0.0), k,
+                batch(k - 1))  # type: ignore[misc]
+
+    come(0, 4)
+    log.settle(2)
+    assert [c.new for c in log.since(1)] == [1.0, 2.0, 3.0]
+    come(4, 40)
+    log.settle(1)
+    assert [(c.tick, c.old, c.new) for c in log.since(0)] == [
+        (k, k - 1.0, k) for k in range(30, 40)
+    ]
+    assert [c.new for c in log.since(38)] == [38.0, 39.0]
+    assert log.since(40) == ()

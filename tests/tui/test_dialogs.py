@@ -1,0 +1,140 @@
+"""Forms, lists and messages over a screen: what they answer, and that STOP goes on working."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from steps import Until
+from textual.widgets import OptionList
+
+from zendsp.tui.app import ZendspApp
+from zendsp.tui.dialogs import Choose, Field, Form, Message, Option
+from zendsp.tui.dialogs.source import SourceView
+from zendsp.tui.screens.analysis import ProcessView
+
+
+async def test_stop_works_under_every_dialog(
+    app: ZendspApp, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pressed: list[str] = []
+    monkeypatch.setattr(app.session.stops, "stop", lambda: pressed.append(over))
+    source = tmp_path / "pd.c"
+    source.write_text("int x;\n")
+    dialogs = {
+        "nothing": None,
+        "form": Form("f", [Field("a", "a", "1")]),
+        "choose": Choose("c", [Option("a", "a")], several=True),
+        "message": Message("m", "text", agree="yes"),
+        "source": SourceView(source, (), lambda _: None),
+        "process": ProcessView("p", ["--help"], tmp_path),
+    }
+    async with app.run_test(size=(100, 30)) as pilot:
+        for over, dialog in dialogs.items():
+            if dialog is not None:
+                await app.push_screen(dialog)
+            await pilot.pause()
+            await pilot.press("f9", "ctrl+@")
+            await pilot.click(offset=(95, 1))
+            await pilot.pause()
+            assert pressed == [over, over, over], "by key, and by a click on the red field"
+            pressed.clear()
+            if dialog is not None:
+                assert dialog.query_one(".box").region.y >= 3, "the status bar stays in sight"
+                await pilot.press("escape")
+                await pilot.pause()
+        over = "palette"
+        app.action_command_palette()
+        await pilot.pause()
+        await pilot.press("f9")
+        await pilot.pause()
+        assert pressed == [over]
+
+
+async def test_screens_cannot_be_left_while_a_dialog_asks(app: ZendspApp) -> None:
+    async with app.run_test() as pilot:
+        await app.push_screen(Form("f", [Field("a", "a", "1")]))
+        await pilot.press("f4")
+        await pilot.pause()
+        assert app.current_mode == "console"
+        await pilot.press("escape", "f4")
+        await pilot.pause()
+        assert app.current_mode == "reference"
+
+
+async def test_a_form_says_what_is_wrong_and_waits(app: ZendspApp, until: Until) -> None:
+    results: list[object] = []
+    async with app.run_test() as pilot:
+        app.push_screen(
+            Form("f", [Field("x", "Level", "1", unit="[V]", check=float)]), results.append
+        )
+        await until(
+            pilot,
+            lambda: app.focused is not None and app.focused.id == "f-x" and app.focused.has_focus,
+            "the form is open",
+        )
+        await pilot.press("end", "x", "enter")
+        await until(
+            pilot,
+            lambda: "Level" in str(app.screen.query_one("#problem").render()),
+            "what is wrong is said",
+        )
+        assert results == []
+        assert "[V]" in "".join(str(w.render()) for w in app.screen.query(".unit"))
+        await pilot.press("backspace", "enter")
+        await until(pilot, lambda: results, "the form is closed")
+        assert results == [{"x": 1.0}] or results == [{"x": 11.0}]
+
+
+async def test_toasts_and_lists_keep_units_in_brackets(app: ZendspApp) -> None:
+    async with app.run_test(size=(100, 30)) as pilot:
+        app.toast("q [rad] above 2.15 [rad]", "error")
+        await app.push_screen(Choose("Curves", [Option("q", "q [rad]", "[N m]")]))
+        await pilot.pause()
+        picture = app.export_screenshot()
+        assert picture.count("[rad]") >= 1 and "[N&#160;m]" in picture
+
+
+async def test_a_dialog_answers_once_however_often_a_key_is_pressed(app: ZendspApp) -> None:
+    answers: list[list[str] | None] = []
+    async with app.run_test(size=(100, 30)) as pilot:
+        below = app.screen
+        await app.push_screen(Choose("Curves", [Option("q", "q", "rad")]), answers.append)
+        await pilot.pause()
+        rows = app.screen.query_one(OptionList)
+        for _ in range(3):  # before the first has closed it
+            rows.action_select()
+        await pilot.pause()
+        assert answers == [["q"]]
+        assert app.screen is below
+
+
+async def test_a_list_filters_while_one_types_and_the_arrows_stay(app: ZendspApp) -> None:
+    chosen: list[object] = []
+    options = [Option(name, name, detail) for name, detail in (
+        ("Kp1", "N m/rad"), ("Kp2", "N m/rad"), ("tau 2", "N m"))]  # fmt: skip
+    async with app.run_test(size=(100, 30)) as pilot:
+        await app.push_screen(Choose("Curves", options), chosen.append)
+        await pilot.pause()
+        rows = app.screen.query_one(OptionList)
+        await pilot.press("k", "p")
+        assert [o.id for o in rows.options] == ["Kp1", "Kp2"]
+        await pilot.press("backspace", "backspace", "u", "space", "2")
+        assert [o.id for o in rows.options] == ["tau 2"]
+        await pilot.press("backspace", "backspace", "backspace", "k", "down", "enter")
+        assert chosen == [["Kp2"]]
+
+
+async def test_the_name_that_was_typed_whole_comes_first(app: ZendspApp) -> None:
+    """Who types pd.c means pd.c, not joint_pd.c, which stands before it."""
+    chosen: list[object] = []
+    names = ("a.c", "joint_pd.c", "pd.c", "pd.cpp")
+    async with app.run_test(size=(100, 30)) as pilot:
+        await app.push_screen(Choose("Source", [Option(n, n) for n in names]), chosen.append)
+        await pilot.pause()
+        await pilot.press("down", "down", "d", ".", "c")
+        rows = app.screen.query_one(OptionList)
+        assert [o.id for o in rows.options] == ["joint_pd.c", "pd.c", "pd.cpp"]
+        assert rows.highlighted == 0, "the first of what is left"
+        await pilot.press("backspace", "backspace", "backspace", "p", "d", ".", "c", "enter")
+        assert chosen == [["pd.c"]]
