@@ -217,49 +217,74 @@ def _ready(
 
 @dataclass(frozen=True)
 class _Found:
-    """What is known of a machine before it is put into words: bodies, transmissions, joints."""
+    """What is known of a machine before it is put into words: bodies, transmissions, joints.
+
+    ``bare`` are the recordings without what inverse dynamics says of inertias, ``beneath`` is the
+    given model with the bodies and transmissions that the joints were searched with.
+    """
 
     parts: Parts
+    bare: Parts
+    beneath: Model
     bodies: BodySearch
     measured: list[Measured]
     searches: list[JointSearch]
     decisions: list[Decision]
     whole: Assembled
     claims: tuple[BodyClaim, ...]
-    fine: tuple[FineRipple, ...]
+    fine: tuple[FineRipple, ...] = ()
 
 
-def _find(parts: Parts, given: Model, jobs: int, tell: Progress) -> _Found:
+def _find(measured_motion: Parts, given: Model, jobs: int, tell: Progress) -> _Found:
     """Bodies first, then measured transmissions, then every joint; again where one changes what
     the others have to explain.
     """
     tell("calibrating the given model")
-    measured_motion, parts = parts, with_links(parts, given, divided(given))
+    parts = with_links(measured_motion, given, divided(given))
     bodies = find_bodies(parts.fit, parts.choose, given, jobs, tell)
+    found = _beneath(bodies, measured_motion, parts, given, jobs, tell)
+    late = timing(found.decisions)
+    if late and not found.claims:  # torque that comes at another time hides a body
+        bodies = find_bodies(parts.fit, parts.choose, given, jobs, tell, beside=late)
+        if bodies.found:
+            again = _beneath(bodies, measured_motion, parts, given, jobs, tell)
+            found = again if again.claims else found
+    return _finished(found, given, jobs, tell)
+
+
+def _beneath(
+    bodies: BodySearch,
+    measured_motion: Parts,
+    parts: Parts,
+    given: Model,
+    jobs: int,
+    tell: Progress,
+) -> _Found:
+    """What is found with some bodies, or with those of them that can be claimed beside it."""
     measured = measured_transmissions(parts, bodies.model, jobs)
     known = tuple(t for m in measured for t in m.terms)
     beneath, bare = bodies.model.with_terms((*bodies.model.terms, *known)), parts
     explained = explain(with_bodies(bare, beneath), given, beneath, jobs, tell)
-    late = timing(explained[1])
-    if late and not bodies.found:  # torque that comes at another time hides a body
-        bodies = find_bodies(parts.fit, parts.choose, given, jobs, tell, beside=late)
-        if bodies.found:
-            beneath = bodies.model.with_terms((*bodies.model.terms, *known))
-            explained = explain(with_bodies(bare, beneath), given, beneath, jobs, tell)
     bare, explained = with_their_links(measured_motion, bare, given, beneath, explained, jobs, tell)
-    parts, (searches, decisions, whole) = with_bodies(bare, beneath), explained
+    parts, decisions = with_bodies(bare, beneath), explained[1]
     claims = decide_bodies(parts, bodies, decisions, jobs)
     if len(claims) < len(bodies.found):  # what is no body has to be explained at the joints
         beneath = given.with_terms((*given.terms, *(c.found.term for c in claims), *known))
         parts = with_bodies(bare, beneath)
-        searches, decisions, whole = explain(parts, given, beneath, jobs, tell)
+        explained = explain(parts, given, beneath, jobs, tell)
     elif claims and any(c.mechanism == "inertia" for d in decisions for c in d.claims):
         # a body that the joints have to correct may be none: the plainer explanation stands
         plain = given.with_terms((*given.terms, *known))
         other = explain(with_bodies(bare, plain), given, plain, jobs, tell)
-        if plainer(bare.test, other, (searches, decisions, whole), len(claims)):
-            claims, beneath, parts = (), plain, with_bodies(bare, plain)
-            searches, decisions, whole = other
+        if plainer(bare.test, other, explained, len(claims)):
+            claims, beneath, parts, explained = (), plain, with_bodies(bare, plain), other
+    return _Found(parts, bare, beneath, bodies, measured, *explained, claims)
+
+
+def _finished(found: _Found, given: Model, jobs: int, tell: Progress) -> _Found:
+    """With what passes fast, and bodies and joints settled together."""
+    parts, bare, beneath, claims = found.parts, found.bare, found.beneath, found.claims
+    searches, decisions, whole = found.searches, found.decisions, found.whole
     tell("looking for what passes fast")
     fine = [
         ripple
@@ -286,8 +311,14 @@ def _find(parts: Parts, given: Model, jobs: int, tell: Progress) -> _Found:
         calibrated = calibrated_machine(bare.fit, given, bases, jobs)
         whole = replace(whole, improved=improved, calibrated=calibrated)
         decisions = beside_bodies(claims, decisions)
-    decisions = shown(parts, bodies.model, across_joints(decisions))
-    return _Found(parts, bodies, measured, searches, decisions, whole, claims, tuple(fine))
+    return replace(
+        found,
+        searches=searches,
+        decisions=shown(parts, found.bodies.model, across_joints(decisions)),
+        whole=whole,
+        claims=claims,
+        fine=tuple(fine),
+    )
 
 
 def _found(

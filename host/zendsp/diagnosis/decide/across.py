@@ -105,14 +105,19 @@ def same_timing(parts: Parts, decisions: Sequence[Decision], jobs: int) -> list[
 
 
 def timing(decisions: Sequence[Decision]) -> tuple[Term, ...]:
-    """The terms by which command and position of two joints or more are apart in time."""
-    terms = tuple(
-        c.term
+    """The terms by which command and position are apart in time, where they are at two joints or
+    more; at a joint where that does not show, as at another one.
+    """
+    terms = {
+        d.joint: c.term
         for d in decisions
         for c in d.claims
         if c.effect != "unknown" and get_effect(c.effect).family == "timing"
-    )
-    return terms if len(terms) > 1 else ()
+    }
+    if len(terms) < 2:
+        return ()
+    like = next(iter(terms.values()))
+    return tuple(terms.get(d.joint, replace(like, joint=d.joint)) for d in decisions)
 
 
 def _is_late(claim: Claim) -> bool:
