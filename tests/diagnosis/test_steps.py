@@ -439,6 +439,7 @@ def test_beside_a_doubted_law_another_of_its_mechanism_is_not_stated(
     )  # type: ignore[arg-type]  # fmt: skip
     parts: Any = None
     monkeypatch.setattr(laws, "_goes_on", lambda *_: True)
+    monkeypatch.setattr(laws, "confidence", lambda *_: 0.2)
     monkeypatch.setattr(laws, "_alone", lambda *_: nothing)
     monkeypatch.setattr(laws, "stated", lambda claim, _: True)
     assert laws.believed(decision, parts, 1).claims == (large, small, other)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 from zendsp.diagnosis.data.signals import Parts
@@ -65,9 +65,10 @@ def same_timing(parts: Parts, decisions: Sequence[Decision], jobs: int) -> list[
     """The decisions, with one law where several joints come late by as much.
 
     A filter of all position columns, a current loop, a bus act on every joint alike; which of them
-    it is, each joint can hardly tell. All together decide; but where each names the same law, the
-    other side of the loop is as likely: behind a filter of all position columns every joint feels
-    where the others were some time ago, which a command that comes as late explains.
+    it is, each joint can hardly tell. All together decide, also for a joint that by itself would
+    claim no law; but where each names the same law, the other side of the loop is as likely: behind
+    a filter of all position columns every joint feels where the others were some time ago, which a
+    command that comes as late explains.
 
     Parameters
     ----------
@@ -86,6 +87,9 @@ def same_timing(parts: Parts, decisions: Sequence[Decision], jobs: int) -> list[
     names = sorted({c.effect for c in late.values()})
     if len(late) < 2 or max(times) > ALIKE * min(times):
         return list(decisions)
+    nearby = (max(times) / ALIKE, min(times) * ALIKE)
+    decisions = [_with_law(d, names, nearby) for d in decisions]
+    late = {d.joint: c for d in decisions for c in d.claims if _is_late(c)}
     if len(names) == 1:
         return [_either(d, late[d.joint]) if d.joint in late else d for d in decisions]
     tried = {
@@ -128,13 +132,32 @@ def _is_late(claim: Claim) -> bool:
     return effect.family == "timing" and (effect.parameters[0].lower or 0.0) >= 0.0
 
 
+def _with_law(
+    decision: Decision, names: Collection[str], times: tuple[float, float]
+) -> Decision:
+    """The decision with the law that it was likeliest of, where that is one of ``names`` and its
+    time lies between ``times``.
+    """
+    claims = tuple(
+        replace(c, effect=c.term.effect)
+        if c.effect == "unknown"
+        and c.term.effect in names
+        and times[0] <= _time(c) <= times[1]
+        and any(t.effect == c.term.effect for t in decision.final.model.at(decision.joint))
+        else c
+        for c in decision.claims
+    )
+    return replace(decision, claims=claims)
+
+
 def _either(decision: Decision, claim: Claim) -> Decision:
     """The decision, with what cannot be told from a claim where several joints come late alike."""
     law = get_effect(claim.effect)
+    shapes = {get_effect(name).names for name in (law.name, *claim.same)}
     others = tuple(
         effect.name
         for effect in library().values()
-        if effect.family == law.family and effect.names == law.names and effect.name != law.name
+        if effect.family == law.family and effect.names in shapes and effect.name != law.name
     )
     one = replace(claim, same=tuple(dict.fromkeys((*claim.same, *others))))
     return replace(decision, claims=tuple(one if c is claim else c for c in decision.claims))
