@@ -69,12 +69,34 @@ DOUBTFUL = Evidence(50.0, 4.0, np.zeros(1))
 
 @pytest.mark.parametrize(("size", "stands"), [(0.02, True), (0.005, False)])
 def test_a_law_that_is_not_believed_leaves_its_mechanism_where_it_explains_more_than_it_leaves(
-    size: float, stands: bool
+    size: float, stands: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(laws, "_told_apart", lambda *_: True)
     lag = of_one_claim(claim_of(Term("lag", 1, {}), size, DOUBTFUL), 0.1, 0.01)
     outcome = laws.believed(lag, None, 1)  # type: ignore[arg-type]
     assert [c.effect for c in outcome.claims] == (["unknown"] if stands else [])
     assert len(outcome.refinements) == (not stands)
+
+
+@pytest.mark.parametrize(
+    ("effect", "other", "stands"),
+    [
+        ("dead_zone", ("position_torque", 0.021), False),  # 0.02 of its own
+        ("dead_zone", ("position_torque", 0.019), True),
+        ("coulomb", ("fluid_friction", 0.030), True),  # functions of the same variables
+        ("torque_offset", ("dry_friction", 0.030), True),  # and of any
+    ],
+)
+def test_a_mechanism_without_a_law_is_one_whose_variables_alone_predict_what_lacks(
+    effect: str, other: tuple[str, float], stands: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    claim = replace(claim_of(Term(effect, 1, {}), 0.02), effect="unknown")
+    sizes = {claim.mechanism: 0.02, **dict([other])}
+    predicted = lambda *to: Structure(sizes.get(to[-1][0], 0.0), 0.9, 5.0)  # noqa: E731
+    monkeypatch.setattr(laws, "structure", predicted)
+    model: Any = SimpleNamespace(model=None)
+    outcome = laws.believed(of_one_claim(claim, 0.03, 0.01, model), SimpleNamespace(each=()), 1)  # type: ignore[arg-type]
+    assert [c.effect for c in outcome.claims] == (["unknown"] if stands else [])
 
 
 @pytest.mark.parametrize(("ahead", "named"), [(4.0, True), (2.0, False)])
@@ -82,6 +104,7 @@ def test_a_doubted_law_that_predicts_surely_better_than_its_neighbours_is_named(
     ahead: float, named: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(laws, "_ahead", lambda *_: ahead)
+    monkeypatch.setattr(laws, "_told_apart", lambda *_: True)
     doubted = of_one_claim(claim_of(Term("dead_zone", 1, {}), 0.02), 0.025, 0.01)
     outcome = laws.believed(doubted, None, 1)  # type: ignore[arg-type]
     assert [c.effect for c in outcome.claims] == ["dead_zone" if named else "unknown"]
@@ -92,6 +115,7 @@ def test_how_a_known_friction_turns_round_is_no_missing_mechanism(
     monkeypatch: pytest.MonkeyPatch, moving: float, stands: bool
 ) -> None:
     monkeypatch.setattr(laws, "structure", lambda *_, turning: Structure(moving, 0.6, 5.0))
+    monkeypatch.setattr(laws, "_told_apart", lambda *_: True)
     monkeypatch.setattr(laws, "_ahead", lambda *_: 0.0)
     friction = Term("coulomb", 1, {})
     base = SimpleNamespace(model=SimpleNamespace(at=lambda _: (friction,)))

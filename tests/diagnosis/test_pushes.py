@@ -106,11 +106,26 @@ def test_a_push_beside_what_is_found_is_told(decided: Decided) -> None:
     assert "push" not in alone.unexplained
 
 
-@pytest.mark.parametrize(("spread", "pushed"), [(6.0, True), (6.5, False)])
-def test_what_comes_more_often_than_twice_a_recording_is_no_push(
-    spread: float, pushed: bool, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("spread", "share", "loads", "pushed"),
+    [
+        (6.0, 0.9, (), True),
+        (6.5, 0.9, (), False),  # more than twice a recording
+        (6.0, 0.4, (), False),  # most of what lacks comes at other times
+        (6.0, 0.9, ("a.csv",), False),
+    ],
+)
+def test_what_comes_often_or_explains_little_or_is_another_load_is_no_push(
+    spread: float,
+    share: float,
+    loads: tuple[str, ...],
+    pushed: bool,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    found: Any = SimpleNamespace(intervals=(), spread=spread)
+    found: Any = SimpleNamespace(
+        intervals=(), recordings=(), spread=spread, share=share
+    )
+    monkeypatch.setattr(decision, "_by_own_numbers", lambda *_: loads)
     data: Any = SimpleNamespace(records=(1,))
     parts: Any = SimpleNamespace(
         fit=data, choose=data, test=data, held=SimpleNamespace(records=(1, 2))
@@ -123,4 +138,11 @@ def test_what_comes_more_often_than_twice_a_recording_is_no_push(
     nothing: Any = SimpleNamespace(share=0.0, size=0.0, z=0.0, apart=0.0)
     base: Any = SimpleNamespace(model=None)
     out = Decision(1, "complete", (), (), base, base, size, size, nothing, size, base, 1.0)
-    assert (decision._pushed(out, parts, 1) is not None) == pushed
+    outcome = decision._pushed(out, parts, 1)
+    assert (outcome is not None and outcome.kind == "disturbance") == pushed
+
+
+def test_a_recording_with_another_load_is_said_to_be_one(decided: Decided) -> None:
+    d = decided(reality.Machine(), reality.Machine(inertia=0.014))
+    assert d.verdict == "unexplained" and not d.findings
+    assert any("numbers of its own explain" in note for note in d.notes)

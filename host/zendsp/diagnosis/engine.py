@@ -33,7 +33,13 @@ from zendsp.diagnosis.decide.decide_bodies import (
 )
 from zendsp.diagnosis.decide.detectable import detectable
 from zendsp.diagnosis.decide.fast_ripple import FineRipple, fine_ripples, fixed
-from zendsp.diagnosis.decide.naming import bent, left_over, loosely_fitted, name_findings
+from zendsp.diagnosis.decide.naming import (
+    bent,
+    left_over,
+    loosely_fitted,
+    name_findings,
+    other_loads,
+)
 from zendsp.diagnosis.decide.propose import propose
 from zendsp.diagnosis.decide.remember import remembered
 from zendsp.diagnosis.decide.result import Diagnosis, Finding, FitTable, Left, Rejected, Workings
@@ -153,7 +159,7 @@ def _diagnose(
     alone = by_one_sensor(parts, found.bodies.model, decisions)
     seen += (*(d for m in found.measured for d in m.detectable), *alone)
     test = _table(parts.test, given, whole.calibrated, improved)
-    notes += [*said(alone), *loosely_fitted(found.decisions)]
+    notes += [*said(alone), *loosely_fitted(decisions), *other_loads(decisions)]
     notes += moved(given, found.whole.calibrated)
     if not findings:
         notes += bent(test, noise_floor(parts.test))

@@ -89,6 +89,8 @@ class Decision:
     # times of the recordings of the fit at which what the claims leave acts
     beside: Bursts | None = None
     known: Known = Known()  # what the given model says that this machine leaves unexplained
+    # recordings that numbers of their own explain, where those of the others do not
+    loads: tuple[str, ...] = ()
     # hypotheses that were tried where nothing is claimed
     lost: tuple[tuple[str, str, float], ...] = ()
 

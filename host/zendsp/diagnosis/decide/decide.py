@@ -9,7 +9,7 @@ decides.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -122,7 +122,9 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
                     return decision if stands else plain
                 # several mechanisms, and no law of any: it is one torque that nobody knows
                 return replace(plain, kind="unexplained") if plain.kind == "complete" else plain
-    return _nothing_named(parts, given, search, before, pieces, jobs)
+    nothing = _nothing_named(parts, given, search, before, pieces, jobs)
+    loads = _by_own_numbers(nothing, parts, jobs) if nothing.kind == "unexplained" else ()
+    return replace(nothing, loads=loads)
 
 
 def _exchanged(
@@ -299,7 +301,31 @@ def _pushed(out: Decision, parts: Parts, jobs: int) -> Decision | None:
     both = everywhere(here, (parts.fit, parts.held), out.final.model, joint)
     if both.spread > FEW * sum(len(part.records) for part in (parts.fit, parts.held)):
         return None  # what comes so often comes with the motion
+    if both.share < MOST:
+        return None
+    if _by_own_numbers(out, parts, jobs, both.recordings):
+        return None
     return replace(out, kind="disturbance", bursts=both)
+
+
+def _by_own_numbers(
+    out: Decision, parts: Parts, jobs: int, among: Collection[str] = ()
+) -> tuple[str, ...]:
+    """The recordings that lack something, where each is explained by numbers of its own: they are
+    of a machine with another load. ``among``: of these alone; else of all.
+    """
+    joint, found = out.joint, []
+    for part in (parts.fit, parts.held):
+        for rec in part.records:
+            alone, name = replace(part, records=(rec,)), rec[joint - 1].recording
+            lacks = discrepancy(alone, out.final.model, joint).value
+            if lacks > LAWFUL and (name in among or not among):
+                fitted = _fitted_to(alone, out.final, joint, jobs)
+                left = discrepancy(alone, fitted.model, joint).value
+                if left > LAWFUL or left**2 > (1.0 - MOST) * lacks**2:
+                    return ()
+                found.append(name)
+    return tuple(dict.fromkeys(found))
 
 
 def _fitted_to(data: Data, base: Scored, joint: int, jobs: int) -> Scored:

@@ -153,9 +153,8 @@ def _alone(
 
 def believed(decision: Decision, parts: Parts, jobs: int) -> Decision:
     """The decision without the laws that are too likely wrong, and not surely better than any of
-    their neighbours; of what is first, the mechanism
-    stays where functions of its variables can be told and it explains more than it leaves, the
-    rest refines the fit.
+    their neighbours; of what is first, the mechanism stays where its variables can be told from
+    those of others and it explains more than it leaves, the rest refines the fit.
     """
     likely = [
         c
@@ -172,7 +171,8 @@ def believed(decision: Decision, parts: Parts, jobs: int) -> Decision:
     doubted: set[str] = set()  # mechanisms: what stood beside a doubted law may be a part of it
     for claim in decision.claims:
         if claim.effect == "unknown":
-            keep.append(without_law(claim, decision))
+            if _told_apart(claim, decision, parts):
+                keep.append(without_law(claim, decision))
         elif (
             claim.mechanism not in doubted
             and any(claim is k for k in likely)
@@ -184,6 +184,7 @@ def believed(decision: Decision, parts: Parts, jobs: int) -> Decision:
             and claim.mechanism in STRUCTURED
             and claim.size > decision.after.value
             and not _turns_otherwise(claim, decision, parts)
+            and _told_apart(claim, decision, parts)
         ):
             keep.append(without_law(claim, decision))
             doubted.add(claim.mechanism)
@@ -202,6 +203,18 @@ def without_law(claim: Claim, decision: Decision) -> Claim:
     sure = min(confidence(replace(claim, effect=claim.term.effect), decision), most)
     laws = {name: sure * weight for name, weight in claim.laws.items()}
     return replace(claim, effect="unknown", laws={**laws, "unknown": 1.0 - sure})
+
+
+def _told_apart(claim: Claim, decision: Decision, parts: Parts) -> bool:
+    """Whether no other mechanism's variables predict more of what lacks: a mechanism without a law
+    is known by its variables alone. (A constant is a function of any.)
+    """
+    if claim.mechanism not in STRUCTURED or get_effect(claim.term.effect).constant:
+        return True
+    model, joint = decision.base.model, decision.joint
+    of = {m: structure(parts.each, model, joint, [m]).size ** 2 for m in STRUCTURED}
+    others = max(of[m] for m in STRUCTURED if m not in kind_of(claim.mechanism))
+    return others <= of[claim.mechanism]
 
 
 def _goes_on(claim: Claim, alone: Scored, parts: Parts) -> bool:

@@ -324,6 +324,16 @@ def _spans(found: Bursts) -> str:
     )
 
 
+def other_loads(decisions: Sequence[Decision]) -> list[str]:
+    """Which recordings are of a machine with another load."""
+    return [
+        f"joint {d.joint}: numbers of its own explain {' and '.join(d.loads)}: another load, or"
+        " another machine; diagnose each recording by itself (zendsp diagnose --each)"
+        for d in decisions
+        if d.loads
+    ]
+
+
 def loosely_fitted(decisions: Sequence[Decision]) -> list[str]:
     """Where nothing is missing, and yet numbers fitted to the first recordings do not predict the
     untouched ones.
