@@ -113,7 +113,7 @@ def steady_means(rec: Recording) -> tuple[float, float, float]:
 
 def pendulum_model(theta: Array) -> Model:
     """theta1 qdd + theta2 g sin q + theta3 sign(qd) + viscous qd = tau, one sample late."""
-    effects: list[dict[str, Any]] = [{"kind": "coulomb", "joint": 1, "level": float(theta[2])}]
+    effects: list[dict[str, object]] = [{"kind": "coulomb", "joint": 1, "level": float(theta[2])}]
     if len(theta) > 3:
         effects.append({"kind": "viscous", "joint": 1, "coefficient": float(theta[3])})
     return parse_model(

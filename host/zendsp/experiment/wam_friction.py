@@ -228,7 +228,7 @@ def fit_friction(sliding: Sliding, weighs: bool, unknown: bool = False) -> Frict
 
 def _fit_joint(result: Result, joint: int, sliding: Sliding) -> Array:
     """Put a joint's friction into the result; the points of its curve."""
-    row: dict[str, Any] = {"joint": joint}
+    row: dict[str, int | float | str] = {"joint": joint}
     fitted = fit_friction(sliding, weighs=bool(np.abs(sliding.gravity).max() > WEIGHS))
     found, points = fitted.value, sliding.points(fitted.free)
     result.values[f"gravity{joint}_lacking"] = Estimate(
@@ -287,7 +287,7 @@ def _warning(
 
 
 def _fit_narrow(result: Result, joint: int, points: Array) -> None:
-    row: dict[str, Any] = {"joint": joint}
+    row: dict[str, int | float | str] = {"joint": joint}
     for word, direction, end in (("+", 1, "pos"), ("-", -1, "neg")):
         chosen = points[np.sign(points[:, 0]) == direction]
         (_, viscous), (_, half), correlation = line_fit(chosen[:, 0], chosen[:, 1])

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any, NotRequired, TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -141,7 +141,7 @@ def simulate(
         return run_program(build, plant, job, timeout)
 
     began = time.time()
-    extra: dict[str, Any] = {"simulation": {"inner": inner, "model": model_text(model)}}
+    extra: Extra = {"simulation": {"inner": inner, "model": model_text(model)}}
     if check:
         inner, extra["step_check"] = converge(
             model, inner, lambda steps: run(steps, ["plant_q"]).columns["plant_q"]
@@ -210,6 +210,21 @@ class Halving(TypedDict):
     change: list[float]
 
 
+class SimulationNote(TypedDict):
+    """What a recording says of the simulation that made it."""
+
+    inner: int  # integration steps a sample
+    model: str  # its file
+    beyond: NotRequired[list[str]]  # limits that it left
+
+
+class Extra(TypedDict):
+    """What a simulation adds to its recording."""
+
+    simulation: SimulationNote
+    step_check: NotRequired[StepCheck]
+
+
 class StepCheck(TypedDict):
     """Whether more steps a sample would still move the positions, as the recording keeps it."""
 
@@ -275,7 +290,7 @@ def stretch(rows: Array, count: int, *, hold: bool) -> Array:
 
 
 def recording(
-    model: Model, out: dict[str, Array], r: Array | None, extra: dict[str, Any]
+    model: Model, out: dict[str, Array], r: Array | None, extra: Extra
 ) -> Recording:
     linear = model.joint_kind(1) == "linear"
     unit, torque = ("m", "N") if linear else ("rad", "N m")
