@@ -19,8 +19,9 @@ from zendsp.errors import ModelError, RecordingError
 from zendsp.physics.files.model_file import load_model
 from zendsp.physics.files.model_write import model_text
 from zendsp.physics.model import Model, per_joint
+from zendsp.physics.simulation.loaded import Job, Outcome
 from zendsp.physics.simulation.plant import INNER, Plant, joint_count
-from zendsp.physics.simulation.program import Job, Outcome, compile_program, run_program
+from zendsp.physics.simulation.program import compile_program, run_program
 from zendsp.recording import Recording
 from zendsp.recording.names import gather_vectors
 from zendsp.reference import Reference, load_reference
