@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -64,6 +65,28 @@ def test_joints_that_come_late_by_as_much_do_so_by_one_law(
     one = [(law, mechanism_of(law), (other,))]
     found = across.same_timing(parts, late, 1)  # type: ignore[arg-type]
     assert named(found) == [one, one, [("coulomb", "dry_friction", ())]]
+
+
+@pytest.mark.parametrize(("law", "parameter", "other"), [
+    ("lag", "time_constant", "position_filter"), ("delay", "time", "column_shift"),
+])
+def test_where_all_joints_come_late_alike_command_and_position_cannot_be_told_apart(
+    law: str, parameter: str, other: str
+) -> None:
+    late = [lacking(1, law, **{parameter: 0.0040}), lacking(2, law, **{parameter: 0.0038})]
+    found = across.same_timing(SimpleNamespace(), late, 1)  # type: ignore[arg-type]
+    assert named(found) == [[(law, mechanism_of(law), (other,))]] * 2
+    assert across.same_timing(SimpleNamespace(), late[:1], 1) == late[:1]  # type: ignore[arg-type]
+
+
+def test_a_joint_that_is_late_like_the_others_has_their_law() -> None:
+    late = [lacking(joint, "delay", time=0.0072) for joint in (1, 2, 3, 4)]
+    for k, time in ((2, 0.008), (3, 0.020)):
+        (claim,) = lacking(k + 1, "delay", time=time).claims
+        late[k] = replace(late[k], claims=(replace(claim, effect="unknown"),))
+        late[k] = replace(late[k], final=fitted(claim.term))  # type: ignore[arg-type]
+    found = across.same_timing(SimpleNamespace(), late, 1)  # type: ignore[arg-type]
+    assert [d.claims[0].effect for d in found] == ["delay", "delay", "delay", "unknown"]
 
 
 def test_joints_that_come_late_by_unlike_times_keep_their_laws() -> None:

@@ -194,6 +194,24 @@ def test_a_larger_fault_of_one_joint_does_not_hide_a_body(record) -> None:  # ty
     assert found.term.value("angle_x") == pytest.approx(np.deg2rad(0.5), rel=0.1)
 
 
+def test_a_wrong_link_is_found_beside_a_command_column_that_is_late(record,
+    tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    model, paths = record("heavier", Arm(heavier=0.5), True)
+    late = []
+    for path in paths:
+        columns = dict(np.load(path))
+        columns["u"] = np.roll(columns["u"], 3, axis=0)
+        late.append(tmp_path / path.name)
+        np.savez(late[-1], **{key: x[3:] for key, x in columns.items()})
+    d = zendsp.diagnose(late[0], model, late[1], jobs=1)
+    (body,) = [f for f in d.findings if f.effect in ("body", "payload")]
+    mass = body.parameters["mass"]
+    assert mass.value == pytest.approx(0.5, abs=3.0 * mass.std) and mass.std < 0.1
+    # joint 2 leaves 0.6 % of its torque else, which no law describes
+    named = {(f.effect, f.joint) for f in d.findings if f is not body}
+    assert named - {("inertia", 1)} == {("column_shift", joint) for joint in (1, 2, 3)}
+
+
 def test_a_body_that_is_not_there_is_proposed_in_vain(record,
     monkeypatch) -> None:  # type: ignore[no-untyped-def]
     from zendsp.diagnosis import engine

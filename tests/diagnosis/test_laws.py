@@ -77,11 +77,22 @@ def test_a_law_that_is_not_believed_leaves_its_mechanism_where_it_explains_more_
     assert len(outcome.refinements) == (not stands)
 
 
+@pytest.mark.parametrize(("ahead", "named"), [(4.0, True), (2.0, False)])
+def test_a_doubted_law_that_predicts_surely_better_than_its_neighbours_is_named(
+    ahead: float, named: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(laws, "_ahead", lambda *_: ahead)
+    doubted = of_one_claim(claim_of(Term("dead_zone", 1, {}), 0.02), 0.025, 0.01)
+    outcome = laws.believed(doubted, None, 1)  # type: ignore[arg-type]
+    assert [c.effect for c in outcome.claims] == ["dead_zone" if named else "unknown"]
+
+
 @pytest.mark.parametrize(("moving", "stands"), [(0.0, False), (0.008, True)])
 def test_how_a_known_friction_turns_round_is_no_missing_mechanism(
     monkeypatch: pytest.MonkeyPatch, moving: float, stands: bool
 ) -> None:
     monkeypatch.setattr(laws, "structure", lambda *_, turning: Structure(moving, 0.6, 5.0))
+    monkeypatch.setattr(laws, "_ahead", lambda *_: 0.0)
     friction = Term("coulomb", 1, {})
     base = SimpleNamespace(model=SimpleNamespace(at=lambda _: (friction,)))
     bristles = claim_of(Term("presliding", 1, {}), 0.01, DOUBTFUL)

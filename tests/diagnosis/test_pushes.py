@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from reality import KNOWN
 
 from zendsp.diagnosis import Diagnosis
 from zendsp.diagnosis.decide import decide as decision
+from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.report.figures import torque_chart
 
 Decided = Callable[..., Diagnosis]
@@ -101,3 +104,23 @@ def test_a_push_beside_what_is_found_is_told(decided: Decided) -> None:
     assert re.search(r"acts at (3\.9|4\.0)\d–(5\.9|6\.[01])\d s of \S+run1.csv that", d.unexplained)
     alone = decided(reality.Machine(), None, KNOWN[0])
     assert "push" not in alone.unexplained
+
+
+@pytest.mark.parametrize(("spread", "pushed"), [(6.0, True), (6.5, False)])
+def test_what_comes_more_often_than_twice_a_recording_is_no_push(
+    spread: float, pushed: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found: Any = SimpleNamespace(intervals=(), spread=spread)
+    data: Any = SimpleNamespace(records=(1,))
+    parts: Any = SimpleNamespace(
+        fit=data, choose=data, test=data, held=SimpleNamespace(records=(1, 2))
+    )
+    size: Any = SimpleNamespace(value=0.2)
+    monkeypatch.setattr(decision, "discrepancy", lambda *_: size)
+    monkeypatch.setattr(decision, "_in_held", lambda *_: found)
+    monkeypatch.setattr(decision, "everywhere", lambda *_: found)
+    monkeypatch.setattr(decision, "_fitted_to", lambda *_: SimpleNamespace(model=None))
+    nothing: Any = SimpleNamespace(share=0.0, size=0.0, z=0.0, apart=0.0)
+    base: Any = SimpleNamespace(model=None)
+    out = Decision(1, "complete", (), (), base, base, size, size, nothing, size, base, 1.0)
+    assert (decision._pushed(out, parts, 1) is not None) == pushed

@@ -18,7 +18,7 @@ from zendsp.diagnosis.data.signals import Parts, Signals
 from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide import laws
 from zendsp.diagnosis.decide.assemble import with_disagreement
-from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.claims import Decision, unclaimed
 from zendsp.diagnosis.decide.pieces import may_leave
 from zendsp.diagnosis.decide.thresholds import BY_CHANCE, LAWFUL, OF_STATE, SURE
 from zendsp.diagnosis.measure.bursts import bursts, periodic
@@ -229,6 +229,10 @@ def test_a_torque_that_acts_seldom_is_told_from_chance() -> None:
         ]
         return structure(parts, model, 1, STRUCTURED)
 
+    v = np.gradient(quiet["q"]) * RATE
+    wave = v / np.std(v) * np.cos(20.0 * np.pi * quiet["q"] / np.ptp(quiet["q"]))
+    fine = seen({**quiet, "u": quiet["u"] + 0.02 * rms * wave})
+    assert fine.size > OF_STATE and fine.apart > BY_CHANCE, "damping with ten waves over the travel"
     seldom, never = seen({**quiet, "u": quiet["u"] + 0.05 * rms * bump}), seen(restless)
     assert seldom.size > OF_STATE and seldom.z < SURE and seldom.apart > BY_CHANCE
     assert never.size < OF_STATE or never.apart < BY_CHANCE
@@ -397,9 +401,13 @@ def test_a_search_that_runs_away_goes_on_with_its_next_first_step(
         model=SimpleNamespace(at=lambda joint: (SimpleNamespace(effect="stiffening"),))
     )
     parts: Any = SimpleNamespace(fit=None)
-    other = decision.find_sounder(parts, JointSearch(1, base, tried=steps), final, 1)
+    ran: Any = [SimpleNamespace(size=36.0)]
+    search = JointSearch(1, base, tried=steps)
+    other = decision.find_sounder(parts, search, final, ran, 1)
     assert other is not None and other.best is steps[1].scored
-    assert decision.find_sounder(parts, other, final, 1) is None, "nothing left gains"
+    assert decision.find_sounder(parts, other, final, ran, 1) is None, "nothing left gains"
+    sound: Any = [SimpleNamespace(size=0.5)]
+    assert decision.find_sounder(parts, search, final, sound, 1) is None, "nothing ran away"
 
 
 def test_an_exponent_that_is_fitted_at_the_end_does_not_count_against_a_law() -> None:
@@ -431,8 +439,24 @@ def test_beside_a_doubted_law_another_of_its_mechanism_is_not_stated(
     )  # type: ignore[arg-type]  # fmt: skip
     parts: Any = None
     monkeypatch.setattr(laws, "_goes_on", lambda *_: True)
+    monkeypatch.setattr(laws, "confidence", lambda *_: 0.2)
     monkeypatch.setattr(laws, "_alone", lambda *_: nothing)
     monkeypatch.setattr(laws, "stated", lambda claim, _: True)
     assert laws.believed(decision, parts, 1).claims == (large, small, other)
     monkeypatch.setattr(laws, "stated", lambda claim, _: claim is not large)
     assert laws.believed(decision, parts, 1).claims == (other,)
+
+
+def test_claims_that_are_dropped_leave_no_law_that_the_model_lacks() -> None:
+    base: Any = SimpleNamespace(deviance=10.0)
+    law: Any = SimpleNamespace(effect="backlash")
+    size: Any = SimpleNamespace(value=0.1)
+    final: Any = SimpleNamespace(deviance=-90.0)
+    state = Structure(0.0, 0.0, 0.0)
+    claimed = Decision(
+        1, "missing", (law,), (law,), base, final, size, size, state, size, final, 1.0
+    )
+    dropped = unclaimed(claimed)
+    assert (dropped.claims, dropped.refinements, dropped.final) == ((), (), base)
+    ((effect, why, gained),) = dropped.lost
+    assert (effect, gained) == ("backlash", 50.0) and "untouched recordings worse" in why

@@ -20,7 +20,7 @@ from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.signals import Parts, Signals, with_same_columns
 from zendsp.diagnosis.data.split import cut_out, halves, split
 from zendsp.diagnosis.decide.absorbed import moved
-from zendsp.diagnosis.decide.across import across_joints
+from zendsp.diagnosis.decide.across import across_joints, timing
 from zendsp.diagnosis.decide.assemble import Assembled, calibrated_machine
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.contract import Verdict
@@ -59,8 +59,7 @@ from zendsp.diagnosis.transmission.torque_sensor import sided
 from zendsp.errors import RecordingError
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.files.model_file import load_model, parse_model
-from zendsp.physics.model import CALLED, TREES, Model
-from zendsp.physics.robots.robot import robot_path
+from zendsp.physics.model import CALLED, Model
 from zendsp.physics.term_numbers import file_model, kernel_model
 from zendsp.recording import Recording, Table
 
@@ -134,8 +133,6 @@ def _diagnose(
         return diagnose_simulator(
             _sources(recordings), given, _sources(heldout), seed=seed, jobs=jobs, progress=tell
         )
-    if given.kind in TREES:
-        robot_path(given)  # refuses a file that is not there
     signals, parts, notes = _ready(recordings, heldout, given, tell)
     found = _found(signals, parts, given, jobs, tell)
     parts, decisions, whole = found.parts, found.decisions, found.whole
@@ -220,43 +217,74 @@ def _ready(
 
 @dataclass(frozen=True)
 class _Found:
-    """What is known of a machine before it is put into words: bodies, transmissions, joints."""
+    """What is known of a machine before it is put into words: bodies, transmissions, joints.
+
+    ``bare`` are the recordings without what inverse dynamics says of inertias, ``beneath`` is the
+    given model with the bodies and transmissions that the joints were searched with.
+    """
 
     parts: Parts
+    bare: Parts
+    beneath: Model
     bodies: BodySearch
     measured: list[Measured]
     searches: list[JointSearch]
     decisions: list[Decision]
     whole: Assembled
     claims: tuple[BodyClaim, ...]
-    fine: tuple[FineRipple, ...]
+    fine: tuple[FineRipple, ...] = ()
 
 
-def _find(parts: Parts, given: Model, jobs: int, tell: Progress) -> _Found:
+def _find(measured_motion: Parts, given: Model, jobs: int, tell: Progress) -> _Found:
     """Bodies first, then measured transmissions, then every joint; again where one changes what
     the others have to explain.
     """
     tell("calibrating the given model")
-    measured_motion, parts = parts, with_links(parts, given, divided(given))
+    parts = with_links(measured_motion, given, divided(given))
     bodies = find_bodies(parts.fit, parts.choose, given, jobs, tell)
+    found = _beneath(bodies, measured_motion, parts, given, jobs, tell)
+    late = timing(found.decisions)
+    if late and not found.claims:  # torque that comes at another time hides a body
+        bodies = find_bodies(parts.fit, parts.choose, given, jobs, tell, beside=late)
+        if bodies.found:
+            again = _beneath(bodies, measured_motion, parts, given, jobs, tell)
+            found = again if again.claims else found
+    return _finished(found, given, jobs, tell)
+
+
+def _beneath(
+    bodies: BodySearch,
+    measured_motion: Parts,
+    parts: Parts,
+    given: Model,
+    jobs: int,
+    tell: Progress,
+) -> _Found:
+    """What is found with some bodies, or with those of them that can be claimed beside it."""
     measured = measured_transmissions(parts, bodies.model, jobs)
     known = tuple(t for m in measured for t in m.terms)
     beneath, bare = bodies.model.with_terms((*bodies.model.terms, *known)), parts
     explained = explain(with_bodies(bare, beneath), given, beneath, jobs, tell)
     bare, explained = with_their_links(measured_motion, bare, given, beneath, explained, jobs, tell)
-    parts, (searches, decisions, whole) = with_bodies(bare, beneath), explained
+    parts, decisions = with_bodies(bare, beneath), explained[1]
     claims = decide_bodies(parts, bodies, decisions, jobs)
     if len(claims) < len(bodies.found):  # what is no body has to be explained at the joints
         beneath = given.with_terms((*given.terms, *(c.found.term for c in claims), *known))
         parts = with_bodies(bare, beneath)
-        searches, decisions, whole = explain(parts, given, beneath, jobs, tell)
+        explained = explain(parts, given, beneath, jobs, tell)
     elif claims and any(c.mechanism == "inertia" for d in decisions for c in d.claims):
         # a body that the joints have to correct may be none: the plainer explanation stands
         plain = given.with_terms((*given.terms, *known))
         other = explain(with_bodies(bare, plain), given, plain, jobs, tell)
-        if plainer(bare.test, other, (searches, decisions, whole), len(claims)):
-            claims, beneath, parts = (), plain, with_bodies(bare, plain)
-            searches, decisions, whole = other
+        if plainer(bare.test, other, explained, len(claims)):
+            claims, beneath, parts, explained = (), plain, with_bodies(bare, plain), other
+    return _Found(parts, bare, beneath, bodies, measured, *explained, claims)
+
+
+def _finished(found: _Found, given: Model, jobs: int, tell: Progress) -> _Found:
+    """With what passes fast, and bodies and joints settled together."""
+    parts, bare, beneath, claims = found.parts, found.bare, found.beneath, found.claims
+    searches, decisions, whole = found.searches, found.decisions, found.whole
     tell("looking for what passes fast")
     fine = [
         ripple
@@ -283,8 +311,14 @@ def _find(parts: Parts, given: Model, jobs: int, tell: Progress) -> _Found:
         calibrated = calibrated_machine(bare.fit, given, bases, jobs)
         whole = replace(whole, improved=improved, calibrated=calibrated)
         decisions = beside_bodies(claims, decisions)
-    decisions = shown(parts, bodies.model, across_joints(decisions))
-    return _Found(parts, bodies, measured, searches, decisions, whole, claims, tuple(fine))
+    return replace(
+        found,
+        searches=searches,
+        decisions=shown(parts, found.bodies.model, across_joints(decisions)),
+        whole=whole,
+        claims=claims,
+        fine=tuple(fine),
+    )
 
 
 def _found(
@@ -295,8 +329,10 @@ def _found(
     """
     found = _find(parts, given, jobs, tell)
     pushes = _pushes(found.decisions)
+    if not pushes:
+        return found
     fit, choose, test = (cut_out(part, pushes) for part in signals)
-    if not pushes or not fit or not (choose or test):
+    if not fit or not (choose or test):
         return found
     tell("once more, without what was pushed")
     left = (fit, choose or test, test or choose)

@@ -286,15 +286,18 @@ def check_driven(where: Sequence[str], records: Sequence[JointRecord], model: Mo
 
 
 def scaled(name: str, slopes: Sequence[float]) -> None:
-    """Refuse where the inertias of all joints are off by one factor."""
+    """Refuse where the inertias of all joints that show theirs are off by one factor (``slopes``,
+    of the model's).
+    """
     low, high = min(slopes, default=1.0), max(slopes, default=1.0)
+    # once the factor is undone, each is as near its model's as RIGHT allows
     alike = len(slopes) > 1 and 0.0 < high < RIGHT[1] / RIGHT[0] * low
     if alike and (low > GEARED or high < 1.0 / GEARED):
         factor = math.exp(math.fsum(map(math.log, slopes)) / len(slopes))
         raise RecordingError(
-            f"{name}: the inertias of all joints come out as {low:.2g} to {high:.2g} times the"
-            f" model's: divide the actuator's gain by about {factor:.2g} (a gear ratio, a torque"
-            " constant, a unit of the command), or correct the model's masses"
+            f"{name}: the inertias of all joints that show theirs come out as {low:.2g} to"
+            f" {high:.2g} times the model's: divide the actuator's gain by about {factor:.2g} (a"
+            " gear ratio, a torque constant, a unit of the command), or correct the model's masses"
         )
 
 

@@ -103,8 +103,9 @@ def clock(
             f"{name}: a gap of {step[k]:.3g} s after row {k + 1}, {time[k] - time[0]:.4g} s from"
             " the beginning: are two runs glued together? Give them as two files"
         )
-    spread = float(np.std(step[step < 1.5 * period])) / period
-    missing = int(np.sum(np.round(step / period) - 1, where=step > 1.5 * period, initial=0.0))
+    whole = np.round(step / period)  # samples from one row to the next
+    spread = float(np.std(step[whole < 2])) / period
+    missing = int(np.sum(whole - 1, where=whole > 1, initial=0.0))
     notes.append(
         f"{name}: time stamps jitter by {100 * spread:.1f} % of the sample time, and"
         f" {counted(missing, 'row')} missing (largest step {np.max(step) / period:.1f} samples);"

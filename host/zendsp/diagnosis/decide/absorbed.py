@@ -27,8 +27,8 @@ from zendsp.physics.model import TREES, Model, Quantity
 TOLERANCE = 0.045
 FAR = 3.0  # standard deviations
 INSISTS = 100.0  # deviance on the recordings of the fit that the given value costs at least
-ROTOR = "inertia amount"  # what a joint of a tree adds to its bodies
 PAYS, SURELY = 50.0, 3.0  # the same on untouched ones, and in standard deviations over blocks
+ROTOR = "inertia amount"  # what a joint of a tree adds to its bodies
 
 
 def shifted(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 from zendsp.diagnosis.data.signals import Parts
@@ -13,7 +13,8 @@ from zendsp.diagnosis.measure.significance import counterpart
 from zendsp.diagnosis.measure.windows import rms, window_error
 from zendsp.physics.calibration.fit import joint_handles
 from zendsp.physics.calibration.terms import make_term
-from zendsp.physics.effects import get_effect, mechanism_of
+from zendsp.physics.effects import get_effect, library, mechanism_of
+from zendsp.physics.model import Term
 
 PLACE = "position_torque"
 # ratio of the times of two joints, at most, that may be one: one filter of six joints was found as
@@ -64,7 +65,10 @@ def same_timing(parts: Parts, decisions: Sequence[Decision], jobs: int) -> list[
     """The decisions, with one law where several joints come late by as much.
 
     A filter of all position columns, a current loop, a bus act on every joint alike; which of them
-    it is, each joint can hardly tell. All together decide.
+    it is, each joint can hardly tell. All together decide, also for a joint that by itself would
+    claim no law; but where each names the same law, the other side of the loop is as likely: behind
+    a filter of all position columns every joint feels where the others were some time ago, which a
+    command that comes as late explains.
 
     Parameters
     ----------
@@ -81,8 +85,13 @@ def same_timing(parts: Parts, decisions: Sequence[Decision], jobs: int) -> list[
     late = {d.joint: c for d in decisions for c in d.claims if _is_late(c)}
     times = [_time(c) for c in late.values()]
     names = sorted({c.effect for c in late.values()})
-    if len(names) < 2 or max(times) > ALIKE * min(times):
+    if len(late) < 2 or max(times) > ALIKE * min(times):
         return list(decisions)
+    nearby = (max(times) / ALIKE, min(times) * ALIKE)
+    decisions = [_with_law(d, names, nearby) for d in decisions]
+    late = {d.joint: c for d in decisions for c in d.claims if _is_late(c)}
+    if len(names) == 1:
+        return [_either(d, late[d.joint]) if d.joint in late else d for d in decisions]
     tried = {
         name: {
             d.joint: _in_place(d, late[d.joint], name, jobs) for d in decisions if d.joint in late
@@ -99,12 +108,59 @@ def same_timing(parts: Parts, decisions: Sequence[Decision], jobs: int) -> list[
     ]
 
 
+def timing(decisions: Sequence[Decision]) -> tuple[Term, ...]:
+    """The terms by which command and position are apart in time, where they are at two joints or
+    more; at a joint where that does not show, as at another one.
+    """
+    terms = {
+        d.joint: c.term
+        for d in decisions
+        for c in d.claims
+        if c.effect != "unknown" and get_effect(c.effect).family == "timing"
+    }
+    if len(terms) < 2:
+        return ()
+    like = next(iter(terms.values()))
+    return tuple(terms.get(d.joint, replace(like, joint=d.joint)) for d in decisions)
+
+
 def _is_late(claim: Claim) -> bool:
     """Whether a claim is of a time by which the joint comes late, and nothing else."""
     if claim.effect == "unknown":
         return False
     effect = get_effect(claim.effect)
     return effect.family == "timing" and (effect.parameters[0].lower or 0.0) >= 0.0
+
+
+def _with_law(
+    decision: Decision, names: Collection[str], times: tuple[float, float]
+) -> Decision:
+    """The decision with the law that it was likeliest of, where that is one of ``names`` and its
+    time lies between ``times``.
+    """
+    claims = tuple(
+        replace(c, effect=c.term.effect)
+        if c.effect == "unknown"
+        and c.term.effect in names
+        and times[0] <= _time(c) <= times[1]
+        and any(t.effect == c.term.effect for t in decision.final.model.at(decision.joint))
+        else c
+        for c in decision.claims
+    )
+    return replace(decision, claims=claims)
+
+
+def _either(decision: Decision, claim: Claim) -> Decision:
+    """The decision, with what cannot be told from a claim where several joints come late alike."""
+    law = get_effect(claim.effect)
+    shapes = {get_effect(name).names for name in (law.name, *claim.same)}
+    others = tuple(
+        effect.name
+        for effect in library().values()
+        if effect.family == law.family and effect.names in shapes and effect.name != law.name
+    )
+    one = replace(claim, same=tuple(dict.fromkeys((*claim.same, *others))))
+    return replace(decision, claims=tuple(one if c is claim else c for c in decision.claims))
 
 
 def _time(claim: Claim) -> float:

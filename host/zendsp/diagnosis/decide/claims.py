@@ -94,14 +94,20 @@ class Decision:
 
 
 def unclaimed(decision: Decision) -> Decision:
-    """The decision with its claims as refinements: what they stand for stays unexplained."""
+    """The decision without its claims, which make the whole machine predict untouched recordings
+    worse: what they stand for stays unexplained.
+    """
+    gained = 0.5 * (decision.base.deviance - decision.final.deviance)
+    why = "with it the whole machine predicts untouched recordings worse"
+    lost = ((c.effect, why, gained) for c in decision.claims if c.effect != "unknown")
     return replace(
         decision,
         kind="unexplained",
         claims=(),
-        refinements=(*decision.claims, *decision.refinements),
+        refinements=(),
         final=decision.base,
         after=decision.before,
         bare=decision.before,
         alone=decision.base,
+        lost=(*decision.lost, *lost),
     )

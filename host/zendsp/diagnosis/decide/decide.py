@@ -41,6 +41,7 @@ from zendsp.diagnosis.decide.thresholds import (
     MOST,
     OF_STATE,
     RIVAL,
+    RUN_AWAY,
     SURE,
 )
 from zendsp.diagnosis.measure.bursts import FEW, MANY, OFTEN, Bursts, bursts, everywhere, periodic
@@ -56,7 +57,6 @@ from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.model import Model, Term
 
 Array = npt.NDArray[np.float64]
-AWAY = 1.0  # of the RMS torque: what lacks more than there is has run away
 Progress = Callable[[str], None]
 
 
@@ -92,11 +92,10 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
         ]
         pieces.sort(key=lambda p: -p.size)
         claimed, rest = held_apart(parts, given, search, final, pieces)
-        sounder = None
-        if not claimed and any(p.size > AWAY for p in pieces):
-            sounder = find_sounder(parts, search, final, jobs)
-        if sounder is not None:
-            return decide(parts, given, sounder, jobs, tell)
+        if not claimed:
+            sounder = find_sounder(parts, search, final, pieces, jobs)
+            if sounder is not None:
+                return decide(parts, given, sounder, jobs, tell)
         if claimed:
             first = named(parts, given, search, final, claimed, rest, before, jobs, tell)
             other = _exchanged(parts, search, final, first, jobs)
@@ -142,11 +141,13 @@ def _exchanged(
 
 
 def find_sounder(
-    parts: Parts, search: JointSearch, final: Scored, jobs: int
+    parts: Parts, search: JointSearch, final: Scored, pieces: Sequence[Piece], jobs: int
 ) -> JointSearch | None:
     """The search with its next first step alone, in the place of one that ended in what runs away
-    on recordings that it was not fitted to; None where nothing is left to try.
+    on recordings that it was not fitted to; None where nothing ran away or is left to try.
     """
+    if not any(p.size > RUN_AWAY for p in pieces):
+        return None
     there = {t.effect for t in final.model.at(search.joint)}
     for k, rival in enumerate(search.tried):
         gain = search.base.deviance - rival.scored.deviance
@@ -296,6 +297,8 @@ def _pushed(out: Decision, parts: Parts, jobs: int) -> Decision | None:
     if here is None:
         return None
     both = everywhere(here, (parts.fit, parts.held), out.final.model, joint)
+    if both.spread > FEW * sum(len(part.records) for part in (parts.fit, parts.held)):
+        return None  # what comes so often comes with the motion
     return replace(out, kind="disturbance", bursts=both)
 
 

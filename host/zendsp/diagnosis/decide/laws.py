@@ -152,11 +152,18 @@ def _alone(
 
 
 def believed(decision: Decision, parts: Parts, jobs: int) -> Decision:
-    """The decision without the laws that are too likely wrong; of what is first, the mechanism
+    """The decision without the laws that are too likely wrong, and not surely better than any of
+    their neighbours; of what is first, the mechanism
     stays where functions of its variables can be told and it explains more than it leaves, the
     rest refines the fit.
     """
-    likely = [c for c in decision.claims if c.effect == "unknown" or stated(c, decision)]
+    likely = [
+        c
+        for c in decision.claims
+        if c.effect == "unknown"
+        or stated(c, decision)
+        or (confidence(c, decision) > ALONE and _ahead(c, decision.alone, parts) > SURE)
+    ]
     rest = [c for c in decision.claims if not any(c is k for k in likely)]
     alone = decision.alone
     if likely and rest:
@@ -169,7 +176,7 @@ def believed(decision: Decision, parts: Parts, jobs: int) -> Decision:
         elif (
             claim.mechanism not in doubted
             and any(claim is k for k in likely)
-            and _goes_on(claim, decision, alone, parts)
+            and _goes_on(claim, alone, parts)
         ):
             keep.append(claim)
         elif (
@@ -197,17 +204,26 @@ def without_law(claim: Claim, decision: Decision) -> Claim:
     return replace(claim, effect="unknown", laws={**laws, "unknown": 1.0 - sure})
 
 
-def _goes_on(claim: Claim, decision: Decision, alone: Scored, parts: Parts) -> bool:
+def _goes_on(claim: Claim, alone: Scored, parts: Parts) -> bool:
     """Whether a law goes on as the torque does: none of its neighbours predicts better, or surely
     better where every machine has it.
     """
     if claim.mechanism not in STRUCTURED:
         return True
-    joint = decision.joint
+    ahead = _ahead(claim, alone, parts)
+    return ahead > -(PLAIN if get_effect(claim.effect).common else BEHIND)
+
+
+def _ahead(claim: Claim, alone: Scored, parts: Parts) -> float:
+    """By how much a function of the state predicts better than its neighbours, in standard
+    deviations; below 0 for what is none.
+    """
+    if claim.mechanism not in STRUCTURED:
+        return -math.inf
+    joint = claim.term.joint
     term = counterpart(alone.model.at(joint), claim.term)
     turning = claim.mechanism != DRY
-    ahead = against_neighbours(together(*parts.each), alone, term, joint, LAW_ERROR, turning)
-    return ahead > -(PLAIN if get_effect(claim.effect).common else BEHIND)
+    return against_neighbours(together(*parts.each), alone, term, joint, LAW_ERROR, turning)
 
 
 def _turns_otherwise(claim: Claim, decision: Decision, parts: Parts) -> bool:

@@ -41,8 +41,9 @@ STICKS = 3.0
 # much of its time elsewhere does not come from turning round.
 LASTING, ELSEWHERE = 0.25, 0.1
 # Intervals among which its energy is spread: in recordings that no model was fitted to, or where
-# nothing lacks in those; and in the others. There five pushes had 1.4 at most, a strap at the ends
-# of the travel 2.6.
+# nothing lacks in those; and in the others, and in each on average. There five pushes had 1.4 at
+# most, a strap at the ends of the travel 2.6; over all of three recordings 2.3, and a strap, a gap
+# and two frictions 6.0 to 12.3.
 MANY, FEW = 12, 2
 
 
@@ -67,19 +68,28 @@ class Bursts:
 
 
 @dataclass(frozen=True)
-class _Acting:
-    """Where a lacking torque is large: per recording a mask (n,), the torque, the same smoothed
-    over the observer's memory, and the samples that count.
+class _Lacking:
+    """What a model lacks at one joint: per recording its energy over the observer's memory (n,),
+    the torque, the same smoothed over that memory, and the samples that count.
     """
 
-    masks: tuple[npt.NDArray[np.bool_], ...]
+    data: Data
+    levels: tuple[Array, ...]
     lacks: tuple[Array, ...]
     smooth: tuple[Array, ...]
     used: tuple[slice, ...]
+
+
+@dataclass(frozen=True)
+class _Acting:
+    """Where a lacking torque is large: per recording a mask (n,); ``least``: its energy there."""
+
+    of: _Lacking
+    masks: tuple[npt.NDArray[np.bool_], ...]
     least: float
 
 
-def _states(parts: Sequence[tuple[Data, _Acting]], joint: int) -> list[Array]:
+def _states(parts: Sequence[_Acting], joint: int) -> list[Array]:
     """Cells of the states that a joint is in, recordings one after the other, (n,) each: place,
     direction and speed; the way since it last turned round; the place of each neighbour, with the
     direction.
@@ -89,8 +99,8 @@ def _states(parts: Sequence[tuple[Data, _Acting]], joint: int) -> list[Array]:
         return np.floor((count - 0.01) * unit(x, (float(x.min()), float(x.max()))))
 
     rows: list[list[Array]] = []
-    for data, acting in parts:
-        for rec, use in zip(data.records, acting.used, strict=True):
+    for acting in parts:
+        for rec, use in zip(acting.of.data.records, acting.of.used, strict=True):
             q, v = (x[use] for x in rec[joint - 1].motion.states[:2])
             turns = np.flatnonzero(np.diff(v > 0)) + 1
             since = np.zeros(len(q), int)
@@ -138,27 +148,28 @@ def bursts(
     -------
     Bursts or None
     """
-    quiet = _quiet((data, beside), model, joint)
-    acting = _acting(data, model, joint, quiet)
-    if dry > 0.0 and _peak(acting) < STICKS * dry and _turns(data, acting, joint, often):
+    here, there = _lacking(data, model, joint), _lacking(beside, model, joint)
+    quiet = _quiet((here, there))
+    acting = _acting(here, joint, quiet)
+    if dry > 0.0 and _peak(acting) < STICKS * dry and _turns(acting, joint, often):
         return None
     covered = sum(int(high.sum()) for high in acting.masks)
     count = sum(len(high) for high in acting.masks)
-    others = _acting(beside, model, joint, quiet, acting.least)
+    others = _acting(there, joint, quiet, acting.least)
     rest = sum(len(high) for high in others.masks)
     if not covered or covered > BRIEF * (count + rest):
         return None
-    every = [(data, acting), *([(beside, others)] if data.joints == 1 else [])]
-    high = np.concatenate([mask for _, a in every for mask in a.masks])
+    every = [acting, others] if data.joints == 1 else [acting]
+    high = np.concatenate([mask for a in every for mask in a.masks])
     seen = [np.isin(c, np.unique(c[~high])) for c in _states(every, joint)]
     if int(np.all(seen, axis=0)[:count][high[:count]].sum()) < REVISITED * covered:
         return None
-    out = _summed([(data, acting)], joint)
-    whole = _summed([(data, acting), (beside, others)], joint)
-    there = covered + sum(int(high.sum()) for high in others.masks)
+    out = _summed([acting], joint)
+    whole = _summed([acting, others], joint)
+    all_covered = covered + sum(int(high.sum()) for high in others.masks)
     # a push may fill most of these recordings; and bend what is lacking in the others
     scattered = _scattered(out.share, covered / count) and _scattered(
-        whole.share, there / (count + rest)
+        whole.share, all_covered / (count + rest)
     )
     return None if scattered or out.spread > many else out
 
@@ -172,14 +183,14 @@ def _scattered(share: float, part: float) -> bool:
     return 1.0 - share > CONCENTRATED * (1.0 - by_chance)
 
 
-def _turns(data: Data, acting: _Acting, joint: int, often: float) -> bool:
+def _turns(acting: _Acting, joint: int, often: float) -> bool:
     """Whether what acts comes where the joint turns round alone, and not at a few of these
     places.
     """
     there = total = 0.0
     turning = moving = met = count = 0
     for high, lack, use, rec in zip(
-        acting.masks, acting.lacks, acting.used, data.records, strict=True
+        acting.masks, acting.of.lacks, acting.of.used, acting.of.data.records, strict=True
     ):
         record = rec[joint - 1]
         turns = reversals(record, band_of(record, BAND))[use]
@@ -198,64 +209,50 @@ def _turns(data: Data, acting: _Acting, joint: int, often: float) -> bool:
     return there > MOSTLY * total and met > often * count
 
 
-def everywhere(
-    found: Bursts, parts: Sequence[Data], model: Model, joint: int
-) -> Bursts:
+def everywhere(found: Bursts, parts: Sequence[Data], model: Model, joint: int) -> Bursts:
     """The times of a torque that was found in some recordings, in all of them."""
-    quiet = _quiet(parts, model, joint)
-    acting = [(data, _acting(data, model, joint, quiet, found.least)) for data in parts]
-    return _summed(acting, joint)
+    each = [_lacking(data, model, joint) for data in parts]
+    quiet = _quiet(each)
+    return _summed([_acting(part, joint, quiet, found.least) for part in each], joint)
 
 
-def _windows(data: Data, joint: int) -> list[tuple[slice, Array]]:
-    """Per recording the samples that count, and the memory of the observer."""
-    out = []
-    for rec in data.records:
-        record = rec[joint - 1]
-        width = max(3, round(3.0 / BAND / record.sample_time))
-        out.append((kept(record, BAND), np.ones(width) / width))
-    return out
-
-
-def _levels(data: Data, model: Model, joint: int) -> list[Array]:
-    """Energy of what a model lacks along each recording, over the observer's memory."""
-    lacks = lacking(data, model, joint, BAND)
-    return [
-        np.asarray(np.convolve(lack**2, window, mode="same")[use], float)
-        for lack, (use, window) in zip(lacks, _windows(data, joint), strict=True)
-    ]
-
-
-def _quiet(parts: Sequence[Data], model: Model, joint: int) -> float:
-    """Median of that energy in the part in which it is least: a push may fill most of the others.
-    """
-    return min(float(np.median(np.concatenate(_levels(p, model, joint)))) for p in parts)
-
-
-def _acting(
-    data: Data, model: Model, joint: int, quiet: float, least: float | None = None
-) -> _Acting:
-    """Where the energy of what a model lacks is far above a median, and above ``least``; without
-    it, above a part of its own peak.
-    """
+def _lacking(data: Data, model: Model, joint: int) -> _Lacking:
+    """What a model lacks along recordings."""
+    levels: list[Array] = []
     lacks: list[Array] = []
     smooth: list[Array] = []
     used = []
-    levels = _levels(data, model, joint)
-    found = lacking(data, model, joint, BAND)
-    for lack, (use, window) in zip(found, _windows(data, joint), strict=True):
+    for lack, rec in zip(lacking(data, model, joint, BAND), data.records, strict=True):
+        record = rec[joint - 1]
+        use = kept(record, BAND)
+        width = max(3, round(3.0 / BAND / record.sample_time))
+        window = np.ones(width) / width
+        levels.append(np.asarray(np.convolve(lack**2, window, mode="same")[use], float))
         lacks.append(lack[use])
         smooth.append(np.asarray(np.convolve(lack[use], window, mode="same"), float))
         used.append(use)
-    high = max(float(level.max()) for level in levels)
+    return _Lacking(data, tuple(levels), tuple(lacks), tuple(smooth), tuple(used))
+
+
+def _quiet(parts: Sequence[_Lacking]) -> float:
+    """Median of that energy in the part in which it is least: a push may fill most of the others.
+    """
+    return min(float(np.median(np.concatenate(part.levels))) for part in parts)
+
+
+def _acting(part: _Lacking, joint: int, quiet: float, least: float | None = None) -> _Acting:
+    """Where the energy of what a model lacks is far above a median, and above ``least``; without
+    it, above a part of its own peak.
+    """
+    high = max(float(level.max()) for level in part.levels)
     above = max(BURST * quiet, OF_PEAK * high if least is None else least)
     from scipy.ndimage import binary_closing  # takes a third of a second
 
     masks = []
-    for level, rec in zip(levels, data.records, strict=True):
+    for level, rec in zip(part.levels, part.data.records, strict=True):
         gap = max(1, round(0.25 / rec[joint - 1].sample_time))
         masks.append(binary_closing(np.pad(level > above, 1), iterations=gap)[1:-1])
-    return _Acting(tuple(masks), tuple(lacks), tuple(smooth), tuple(used), above)
+    return _Acting(part, tuple(masks), above)
 
 
 def _largest(within: Array) -> float:
@@ -265,11 +262,11 @@ def _largest(within: Array) -> float:
 
 def _peak(acting: _Acting) -> float:
     """The largest torque that acts, N m or N."""
-    parts = zip(acting.smooth, acting.masks, strict=True)
+    parts = zip(acting.of.smooth, acting.masks, strict=True)
     return _largest(np.concatenate([smooth[high] for smooth, high in parts]))
 
 
-def _summed(parts: Sequence[tuple[Data, _Acting]], joint: int) -> Bursts:
+def _summed(parts: Sequence[_Acting], joint: int) -> Bursts:
     """Intervals and sizes of what acts."""
     spans: list[tuple[float, float]] = []
     names: list[str] = []
@@ -278,9 +275,10 @@ def _summed(parts: Sequence[tuple[Data, _Acting]], joint: int) -> Bursts:
     energy = [0.0, 0.0]
     each: list[float] = []
     peaks: list[float] = []
-    for data, acting in parts:
+    for acting in parts:
+        of = acting.of
         for high, lack, smooth, use, rec in zip(
-            acting.masks, acting.lacks, acting.smooth, acting.used, data.records, strict=True
+            acting.masks, of.lacks, of.smooth, of.used, of.data.records, strict=True
         ):
             step, start = rec[joint - 1].sample_time, rec[joint - 1].t0
             change = np.flatnonzero(np.diff(np.r_[0, high.astype(int), 0]))
@@ -306,7 +304,7 @@ def _summed(parts: Sequence[tuple[Data, _Acting]], joint: int) -> Bursts:
         peak,
         float(np.sqrt(np.sum(within**2) / max(len(within), 1))),
         float(np.sqrt(np.sum(beside**2) / max(len(beside), 1))),
-        max(acting.least for _, acting in parts),
+        max(acting.least for acting in parts),
         sum(each) ** 2 / max(sum(e * e for e in each), 1e-300),
     )
 

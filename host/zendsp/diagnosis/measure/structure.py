@@ -113,11 +113,14 @@ def shapes(
         return np.concatenate(columns)
     if mechanism == "dry_friction":
         level = sign * _splines(fast, 6 * detail)
-        return np.concatenate([level, _products(sign * _splines(place, 8), _splines(fast, 3))])
+        along = _products(sign * _splines(place, 8), _splines(fast, 3))
+        return np.concatenate([level, along, sign * _splines(place, 8 * detail)])
     if mechanism == "fluid_friction":
         w = np.clip(v / ranges.speed, -1, 1)
-        along = _products(np.stack([w, w * np.abs(w), w * w]), _splines(place, 8))
-        return np.concatenate([_splines(0.5 + 0.5 * w, 8 * detail), along])
+        along = _products(np.stack([w * np.abs(w), w * w]), _splines(place, 8))
+        return np.concatenate([
+            _splines(0.5 + 0.5 * w, 8 * detail), along, w * _splines(place, 8 * detail)
+        ])
     if mechanism == "actuator":
         command = unit(record.command, ranges.command)
         return np.concatenate([_splines(command, 10 * detail), command * _splines(place, 6)])

@@ -73,7 +73,13 @@ class BodySearch:
 
 
 def find_bodies(
-    fit: Data, choose: Data, model: Model, jobs: int, tell: Progress, limits: BodyLimits = LIMITS
+    fit: Data,
+    choose: Data,
+    model: Model,
+    jobs: int,
+    tell: Progress,
+    limits: BodyLimits = LIMITS,
+    beside: Sequence[Term] = (),
 ) -> BodySearch:
     """Look for wrong bodies: payloads, links, gravity.
 
@@ -88,6 +94,8 @@ def find_bodies(
     tell : callable
         Receives a sentence at each stage.
     limits : BodyLimits
+    beside : sequence of Term
+        What the joints have of their own, while bodies are looked for.
 
     Returns
     -------
@@ -98,7 +106,7 @@ def find_bodies(
     # a single joint's payload is its inertia and its gravity
     if links is None or all(b.parent < 0 for b in links.bodies):
         return BodySearch(model)
-    begun = model
+    begun, model = model, model.with_terms((*model.terms, *beside))
     found: list[FoundBody] = []
     tried: list[Explained] = []
     aside: frozenset[int] = frozenset()
@@ -142,8 +150,9 @@ def find_bodies(
                 for key, items in begun.mechanism.items()
             }
             begun = replace(begun, mechanism=held)
-        model = begun.with_terms((*begun.terms, *(f.term for f in found)))
-    return BodySearch(model, tuple(found), tuple(tried), aside)
+        model = begun.with_terms((*begun.terms, *(f.term for f in found), *beside))
+    wrong = begun.with_terms((*begun.terms, *(f.term for f in found)))
+    return BodySearch(wrong, tuple(found), tuple(tried), aside)
 
 
 def _round(
