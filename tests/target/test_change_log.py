@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from samples import run
 
 from zendsp_target.runtime import Runtime
 from zendsp_target.runtime.memory.layout import layout
@@ -54,8 +55,7 @@ def test_the_log_is_in_the_order_of_the_samples_whenever_it_is_taken_down(
             seen = function(*arguments)
             self.looked += 1
             if self.looked == looks:
-                runtime.start(ticks=400)
-                runtime.wait_paused()
+                run(runtime, 400)
             return seen
 
     monkeypatch.setattr(updates, "_lib", Meanwhile())
