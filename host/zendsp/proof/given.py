@@ -14,6 +14,7 @@ from zendsp.proof.model_table import (
     ModelTable,
     Parameter,
     one_or_each,
+    parameter,
 )
 from zendsp.proof.reality import inverse_dynamics
 
@@ -59,9 +60,7 @@ def given_parameters(d: Draft, rng: np.random.Generator) -> dict[str, float]:
     return out
 
 
-def fit_terms(
-    d: Draft, parameters: dict[str, float], scales: list[Scale], rng: np.random.Generator
-) -> list[EffectTable]:
+def fit_terms(d: Draft, parameters: dict[str, float], scales: list[Scale]) -> list[EffectTable]:
     """Friction of the given laws by least squares on the true motion, wrong inertia and concealed
     effect included.
     """
@@ -74,17 +73,13 @@ def fit_terms(
         columns = np.stack([feature(name, s.v) for name in names], 1)
         if d.exact or d.fixed_terms:
             fit = np.array([d.joints[i].get(TRUTH[name], 0.0) for name in names])
-            if not (d.exact or d.fixed_terms):
-                fit = fit * (1 + 0.05 * rng.standard_normal(len(names)))
         else:
             target = s.drive - inertial[i] - known_torque(d, i, s)
             fit = np.linalg.lstsq(columns, target, rcond=None)[0]
         for name, value in zip(names, fit, strict=True):
             key = PARAMETER[name]
             floor = 1e-3 * s.torque / float(np.sqrt(np.mean(feature(name, s.v) ** 2)))
-            entry: Parameter = {"value": max(float(value), floor)}
-            if d.fixed_terms:
-                entry["free"] = False
+            entry = parameter(max(float(value), floor), d.fixed_terms)
             out.append({"kind": name, "joint": i + 1, key: entry})
     return out
 
@@ -117,14 +112,14 @@ def model_file(
         mechanism["file"] = "arm.urdf"
     else:
         mechanism["parameters"] = figures(d, parameters)
-    effects = [*fit_terms(d, parameters, scales, rng), *known_terms(d, rng)]
+    effects = [*fit_terms(d, parameters, scales), *known_terms(d, rng)]
     table: ModelTable = {
         "name": name,
         "sample_time": d.sample_time,
         "mechanism": mechanism,
         "effect": effects,
         "actuator": {
-            "gain": {"value": one_or_each(d.stated_gain), "free": False},
+            "gain": parameter(one_or_each(d.stated_gain), fixed=True),
             "limit": one_or_each([j["limit"] for j in d.joints]),
             "hold": d.sample_time,
             "delay": d.known_delay,
@@ -141,14 +136,10 @@ def model_file(
 
 def figures(d: Draft, parameters: dict[str, float]) -> dict[str, Parameter]:
     """``[mechanism.parameters]``; what the draft fixes, or leaves out, is not calibrated."""
-    out: dict[str, Parameter] = {}
-    for key, value in parameters.items():
-        out[key] = {"value": value}
-        if key in d.fixed or key in d.absent or (key == "gravity" and value == 0.0):
-            out[key]["free"] = False
+    fixed = {*d.fixed, *d.absent, *(["gravity"] if parameters.get("gravity") == 0.0 else [])}
+    out = {key: parameter(value, key in fixed) for key, value in parameters.items()}
     if d.kind == "planar2r":
-        out["l1"] = {"value": 0.36, "free": False}
-        out["l2"] = {"value": 0.34, "free": False}
+        out |= {"l1": parameter(0.36, fixed=True), "l2": parameter(0.34, fixed=True)}
     return out
 
 
@@ -159,6 +150,6 @@ def known_terms(d: Draft, rng: np.random.Generator) -> list[EffectTable]:
         entry: EffectTable = {"kind": term.kind, "joint": term.joint, **term.extra}
         for key, value in term.values.items():
             sure = d.exact or key in ("order", "neutral", "phase")
-            entry[key] = {"value": value * (1.0 if sure else 1 + 0.03 * rng.standard_normal())}
+            entry[key] = parameter(value * (1.0 if sure else 1 + 0.03 * rng.standard_normal()))
         out.append(entry)
     return out

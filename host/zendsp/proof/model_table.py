@@ -63,6 +63,11 @@ class ModelTable(TypedDict):
     controller: NotRequired[Controller]
 
 
+def parameter(value: OneOrEach, fixed: bool = False) -> Parameter:
+    """A parameter as a model file states it."""
+    return {"value": value, "free": False} if fixed else {"value": value}
+
+
 def one_or_each(values: Sequence[float]) -> OneOrEach:
     """A number a joint, as a model file states it: plain where there is one joint."""
     return list(values) if len(values) > 1 else values[0]

@@ -18,6 +18,7 @@ from zendsp.proof.model_table import (
     ModelTable,
     Parameter,
     one_or_each,
+    parameter,
 )
 from zendsp.proof.mujoco.chain import Joint, World, mjcf, urdf
 from zendsp.proof.mujoco.foreign import PARTS, TOGETHER, add_form
@@ -289,7 +290,7 @@ def given(b: Bench, columns: Columns, rng: Rng, name: str) -> ModelTable:
         "mechanism": mechanism,
         "effect": effects,
         "actuator": {
-            "gain": {"value": one_or_each([g / thousand for g in b.stated_gain]), "free": False},
+            "gain": parameter(one_or_each([g / thousand for g in b.stated_gain]), fixed=True),
             "limit": one_or_each([x * thousand for x in b.limit]),
             "hold": b.sample_time,
         },
@@ -303,17 +304,12 @@ def given(b: Bench, columns: Columns, rng: Rng, name: str) -> ModelTable:
 
 def given_figures(b: Bench, near: Near) -> dict[str, Parameter]:
     """``[mechanism.parameters]``: off by 3 %, or exact where they are fixed."""
-    figures: dict[str, Parameter] = {}
-    for key, value in inertial_figures(b).items():
-        figures[key] = {"value": near(value, 0.03)}
-        if b.fixed:
-            figures[key]["free"] = False
+    figures = {k: parameter(near(v, 0.03), b.fixed) for k, v in inertial_figures(b).items()}
     if b.kind == "rotary" and b.gravity == 0.0:
-        figures["gravity"] = {"value": 0.0, "free": False}
+        figures["gravity"] = parameter(0.0, fixed=True)
     if b.kind == "planar2r":
-        lengths = (b.nominal[1].place[0], 2 * b.nominal[1].com[0])
-        for key, value in zip(("l1", "l2"), lengths, strict=True):
-            figures[key] = {"value": value, "free": False}
+        figures["l1"] = parameter(b.nominal[1].place[0], fixed=True)
+        figures["l2"] = parameter(2 * b.nominal[1].com[0], fixed=True)
     return figures
 
 
@@ -322,19 +318,14 @@ def known_effects(b: Bench, near: Near) -> list[EffectTable]:
     out: list[EffectTable] = []
     for i in range(b.n):
         if "viscous" not in b.hidden[i]:
-            value = near(b.nominal_damping[i], 0.05)
-            out.append({"kind": "viscous", "joint": i + 1, "coefficient": {"value": value}})
+            value = parameter(near(b.nominal_damping[i], 0.05))
+            out.append({"kind": "viscous", "joint": i + 1, "coefficient": value})
         if "coulomb" not in b.hidden[i] and b.nominal_dry[i] > 0:
-            value = near(b.nominal_dry[i], 0.05)
-            out.append({"kind": "coulomb", "joint": i + 1, "level": {"value": value}})
+            value = parameter(near(b.nominal_dry[i], 0.05))
+            out.append({"kind": "coulomb", "joint": i + 1, "level": value})
     for term in b.known:
-        entry: EffectTable = {"kind": term.kind, "joint": term.joint}
-        for key, value in term.values.items():
-            number: Parameter = {"value": near(value, 0.02)}
-            if b.fixed:
-                number["free"] = False
-            entry[key] = number
-        out.append(entry)
+        values = {k: parameter(near(v, 0.02), b.fixed) for k, v in term.values.items()}
+        out.append({"kind": term.kind, "joint": term.joint, **values})
     return out
 
 
