@@ -77,8 +77,8 @@ FILM = Effect(
 | `compensable`, `inverse`, `why_not` | C expression of the torque that cancels it (`q`, `qd`, `qdd`, `tau`, `sgn()`); of what to send so that the torque `wanted` comes out; why neither can be |
 
 At most six parameters an effect. An effect with a state of its own (a bristle, a gap) belongs into
-`kernel/` and `simulation/effects.h`; its file has `site="setup"`, sets their variables in `c`, and says
-with `column` what it resists along a measured motion, or with `scan` where its fit begins.
+`kernel/` and `simulation/effects.h`; its file has `site="setup"`, sets their variables in `c`, and
+says with `column` what it resists along a measured motion, or with `scan` where its fit begins.
 `physics/effects/base.py` describes every field, `effects/axes.py` has grids and bounds that several
 share.
 """  # noqa: E501

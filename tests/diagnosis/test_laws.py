@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from zendsp.diagnosis.decide import laws
-from zendsp.diagnosis.decide.claims import Claim, Decision
+from zendsp.diagnosis.decide.claims import Claim, Decision, unclaimed
 from zendsp.diagnosis.decide.confidence import least_stated, stated
 from zendsp.diagnosis.decide.naming import bent
+from zendsp.diagnosis.decide.pieces import may_leave
 from zendsp.diagnosis.decide.remember import remembered
 from zendsp.diagnosis.decide.result import FitTable
 from zendsp.diagnosis.measure.discrepancy import Size
@@ -152,3 +153,55 @@ def test_what_only_refined_the_fit_is_held_in_the_model_file() -> None:
 def test_calibration_that_makes_untouched_recordings_worse_is_told() -> None:
     assert bent(FitTable(1e-4, 2e-4, 2e-4), 1e-5) and not bent(FitTable(1e-4, 1.2e-4, 1e-4), 1e-5)
     assert not bent(FitTable(1e-6, 1e-5, 1e-5), 1e-5), "both within the sensor's noise"
+
+
+def test_an_exponent_that_is_fitted_at_the_end_does_not_count_against_a_law() -> None:
+    def left(free: bool) -> float:
+        numbers = {"breakaway": 0.2, "velocity": 0.1, "exponent": 1.7}
+        term = make_term(get_effect("stribeck"), 1, numbers)
+        exponent = replace(term.parameters["exponent"], free=free)
+        term = replace(term, parameters={**term.parameters, "exponent": exponent})
+        piece: Any = SimpleNamespace(mechanism="dry_friction", terms=(term,), size=1.0)
+        return may_leave(piece)
+
+    assert left(True) == left(False) > 0.0
+
+
+def test_beside_a_doubted_law_another_of_its_mechanism_is_not_stated(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    large, small, other = (
+        SimpleNamespace(effect=e, mechanism=m, size=s)
+        for e, m, s in (
+            ("stribeck", "dry_friction", 0.3), ("hysteresis", "dry_friction", 0.1),
+            ("ripple", "position_torque", 0.1),
+        )
+    )  # fmt: skip
+    nothing: Any = SimpleNamespace(value=1.0)
+    decision: Any = Decision(
+        1, "missing", (large, small, other), (), nothing, nothing, nothing, nothing, nothing,
+        nothing, nothing, 1.0,
+    )  # type: ignore[arg-type]  # fmt: skip
+    parts: Any = None
+    monkeypatch.setattr(laws, "_goes_on", lambda *_: True)
+    monkeypatch.setattr(laws, "confidence", lambda *_: 0.2)
+    monkeypatch.setattr(laws, "_alone", lambda *_: nothing)
+    monkeypatch.setattr(laws, "stated", lambda claim, _: True)
+    assert laws.believed(decision, parts, 1).claims == (large, small, other)
+    monkeypatch.setattr(laws, "stated", lambda claim, _: claim is not large)
+    assert laws.believed(decision, parts, 1).claims == (other,)
+
+
+def test_claims_that_are_dropped_leave_no_law_that_the_model_lacks() -> None:
+    base: Any = SimpleNamespace(deviance=10.0)
+    law: Any = SimpleNamespace(effect="backlash")
+    size: Any = SimpleNamespace(value=0.1)
+    final: Any = SimpleNamespace(deviance=-90.0)
+    state = Structure(0.0, 0.0, 0.0)
+    claimed = Decision(
+        1, "missing", (law,), (law,), base, final, size, size, state, size, final, 1.0
+    )
+    dropped = unclaimed(claimed)
+    assert (dropped.claims, dropped.refinements, dropped.final) == ((), (), base)
+    ((effect, why, gained),) = dropped.lost
+    assert (effect, gained) == ("backlash", 50.0) and "untouched recordings worse" in why

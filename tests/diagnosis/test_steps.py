@@ -16,10 +16,7 @@ from reality import RATE
 from zendsp.diagnosis.data.prepare import one_sensor, prepare
 from zendsp.diagnosis.data.signals import Parts, Signals
 from zendsp.diagnosis.decide import decide as decision
-from zendsp.diagnosis.decide import laws
 from zendsp.diagnosis.decide.assemble import with_disagreement
-from zendsp.diagnosis.decide.claims import Decision, unclaimed
-from zendsp.diagnosis.decide.pieces import may_leave
 from zendsp.diagnosis.decide.thresholds import BY_CHANCE, LAWFUL, OF_STATE, SURE
 from zendsp.diagnosis.measure.bursts import bursts, periodic
 from zendsp.diagnosis.measure.discrepancy import at_reversals, deviation, discrepancy
@@ -40,8 +37,6 @@ from zendsp.diagnosis.search.screen import Candidate, with_candidate
 from zendsp.diagnosis.search.simplify import simplify
 from zendsp.diagnosis.transmission.links import divided, with_links
 from zendsp.physics.calibration.fit import Data, fit, joint_handles, residual
-from zendsp.physics.calibration.terms import make_term
-from zendsp.physics.effects import get_effect
 from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.model import Model
 
@@ -408,55 +403,3 @@ def test_a_search_that_runs_away_goes_on_with_its_next_first_step(
     assert decision.find_sounder(parts, other, final, ran, 1) is None, "nothing left gains"
     sound: Any = [SimpleNamespace(size=0.5)]
     assert decision.find_sounder(parts, search, final, sound, 1) is None, "nothing ran away"
-
-
-def test_an_exponent_that_is_fitted_at_the_end_does_not_count_against_a_law() -> None:
-    def left(free: bool) -> float:
-        numbers = {"breakaway": 0.2, "velocity": 0.1, "exponent": 1.7}
-        term = make_term(get_effect("stribeck"), 1, numbers)
-        exponent = replace(term.parameters["exponent"], free=free)
-        term = replace(term, parameters={**term.parameters, "exponent": exponent})
-        piece: Any = SimpleNamespace(mechanism="dry_friction", terms=(term,), size=1.0)
-        return may_leave(piece)
-
-    assert left(True) == left(False) > 0.0
-
-
-def test_beside_a_doubted_law_another_of_its_mechanism_is_not_stated(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    large, small, other = (
-        SimpleNamespace(effect=e, mechanism=m, size=s)
-        for e, m, s in (
-            ("stribeck", "dry_friction", 0.3), ("hysteresis", "dry_friction", 0.1),
-            ("ripple", "position_torque", 0.1),
-        )
-    )  # fmt: skip
-    nothing: Any = SimpleNamespace(value=1.0)
-    decision: Any = Decision(
-        1, "missing", (large, small, other), (), nothing, nothing, nothing, nothing, nothing,
-        nothing, nothing, 1.0,
-    )  # type: ignore[arg-type]  # fmt: skip
-    parts: Any = None
-    monkeypatch.setattr(laws, "_goes_on", lambda *_: True)
-    monkeypatch.setattr(laws, "confidence", lambda *_: 0.2)
-    monkeypatch.setattr(laws, "_alone", lambda *_: nothing)
-    monkeypatch.setattr(laws, "stated", lambda claim, _: True)
-    assert laws.believed(decision, parts, 1).claims == (large, small, other)
-    monkeypatch.setattr(laws, "stated", lambda claim, _: claim is not large)
-    assert laws.believed(decision, parts, 1).claims == (other,)
-
-
-def test_claims_that_are_dropped_leave_no_law_that_the_model_lacks() -> None:
-    base: Any = SimpleNamespace(deviance=10.0)
-    law: Any = SimpleNamespace(effect="backlash")
-    size: Any = SimpleNamespace(value=0.1)
-    final: Any = SimpleNamespace(deviance=-90.0)
-    state = Structure(0.0, 0.0, 0.0)
-    claimed = Decision(
-        1, "missing", (law,), (law,), base, final, size, size, state, size, final, 1.0
-    )
-    dropped = unclaimed(claimed)
-    assert (dropped.claims, dropped.refinements, dropped.final) == ((), (), base)
-    ((effect, why, gained),) = dropped.lost
-    assert (effect, gained) == ("backlash", 50.0) and "untouched recordings worse" in why

@@ -61,16 +61,6 @@ def test_on_the_fast_clock_an_experiment_is_quick_and_the_same_each_time(
     assert [(c.tick, c.name, c.new) for c in first.log] == [(2000, "Kp1", 500.0)]
 
 
-def test_a_synchronous_update_takes_effect_at_the_sample_that_the_reply_names(fast: Target) -> None:
-    fast.download({"counter.c": COUNTER})
-    fast.run_for(0.1)
-    tick = fast.update(step=3.0)
-    rec = fast.acquire(["level", "n"], seconds=0.05, start=True)
-    grown = np.diff(rec["level"])
-    assert tick == 100 == rec.start_tick and np.array_equal(grown, np.full(len(grown), 3.0))
-    assert rec["level"][0] == 103.0
-
-
 def test_decimation_trigger_and_pre_trigger(fast: Target) -> None:
     fast.download({"counter.c": COUNTER})
     trigger = Trigger(source="level", level=700.5, edge="rising", pre_s=0.1)

@@ -10,8 +10,16 @@ import numpy as np
 import pytest
 from waiting import PATIENCE_S, until
 
-from zendsp.errors import AcquisitionError, EndedWarning, Incomplete, Refused, VariableError
+from zendsp.errors import (
+    AcquisitionError,
+    CompileFailed,
+    EndedWarning,
+    Incomplete,
+    Refused,
+    VariableError,
+)
 from zendsp.link import ParameterSet, Target, connect
+from zendsp.matdsp import MatDSPcompile, MatDSPdownload
 from zendsp_protocol.messages import CompileResult, JointInfo, MachineInfo
 from zendsp_target.runtime import Runtime
 
@@ -222,3 +230,10 @@ def test_a_closed_live_view_is_freed_while_the_link_lasts(running: Target) -> No
     gc.collect()
     # else each change of the curves would grow the memory
     assert [view() for view in held] == [None] * 3
+
+
+@pytest.mark.parametrize("verb", [MatDSPcompile, MatDSPdownload])
+def test_a_target_in_the_place_of_the_file_is_refused_with_what_to_write(verb: object) -> None:
+    target = object.__new__(Target)  # no link: what is refused asks for none
+    with pytest.raises(CompileFailed, match=r"MatDSPconnect\(target\)"):
+        verb(target, "pd.c")  # type: ignore[operator]

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from samples import run
 from waiting import PATIENCE_S, until
 
 from zendsp_isr.confine import landlock_version
@@ -115,8 +116,7 @@ def mark() -> str:
 @pytest.mark.parametrize("way", list(WAYS))
 def test_user_code_starts_no_process(make_runtime: Make, way: str, where: str, mark: str) -> None:
     runtime = make_runtime(_program(WAYS[way], mark, where))
-    runtime.start(ticks=3)
-    runtime.wait_paused()
+    run(runtime, 3)
     assert _left(mark) == []
     values = runtime.read(["answer", "refused"])[1]
     assert values["answer"] < 0.0, values

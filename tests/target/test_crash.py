@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hardware import driver
+from samples import run
 
 from zendsp_protocol.errors import Refused, RunnerDied
 from zendsp_target.api import AcquireConfig
@@ -93,8 +94,7 @@ def test_a_crash_is_told_with_signal_and_last_sample_and_loses_nothing(
     with pytest.raises(RunnerDied, match="load the program again"):
         runtime.write({"gain": 3.0}, "me")
     load(runtime, GOOD)
-    runtime.start(ticks=10)
-    runtime.wait_paused()
+    run(runtime, 10)
     assert runtime.read(["x"])[1]["x"] == 10.0
     assert runtime.acquire_read(0, 0, 100).shape == (50, 2)
 
@@ -106,8 +106,7 @@ def acknowledged(runtime: Runtime, load: Callable[[Runtime, str], None]) -> None
     runtime.acknowledge()
     assert runtime.status().trip is None
     load(runtime, GOOD)
-    runtime.start(ticks=3)
-    runtime.wait_paused()
+    run(runtime, 3)
     assert (runtime.status().tick, runtime.status().trip) == (3, None)
 
 
@@ -169,8 +168,7 @@ def test_a_sample_that_never_returns_is_ended_by_the_watchdog(
     assert "no return within 0.4 s in UserISR_INT2" in runtime.status().crash
     assert "last sample 49" in runtime.status().crash
     load(runtime, GOOD)
-    runtime.start(ticks=3)
-    runtime.wait_paused()
+    run(runtime, 3)
     assert runtime.status().tick == 3
 
 

@@ -9,9 +9,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from samples import rows_of
 
 from zendsp_isr.build import source_root
-from zendsp_target.api import AcquireConfig
 from zendsp_target.runtime import Runtime
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -31,11 +31,7 @@ def test_the_program_of_the_page_controls_the_machine_of_the_page(
     machine.write_text(first_code("machines.md"))
     runtime = make_runtime(first_code("isr.md"), machine=str(machine), machine_config={"q1": 0.5})
     runtime.wait_applied(runtime.write({"Kp": 1.0}, "me"), 10.0)
-    runtime.acquire_configure(0, AcquireConfig(("q", "tau", "cmd", "aout"), seconds=2.0))
-    runtime.acquire_start(0)
-    runtime.start(ticks=2000)
-    runtime.wait_paused()
-    rows = runtime.acquire_read(0, 0, 2000)
+    rows = rows_of(runtime, ("q", "tau", "cmd", "aout"), 2000)
     assert rows[0, 0] == np.floor(0.5 * 4096 / (2 * np.pi)) * 2 * np.pi / 4096
     assert abs(rows[-1, 0]) < 0.1  # a damped swing to zero: time constant 2 J / b = 1 s
     assert np.array_equal(rows[:, 1], -rows[:, 0])

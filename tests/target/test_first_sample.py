@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from hardware import driver
+from samples import run
 from waiting import freeze
 
 from zendsp_target.runtime import Runtime
@@ -52,8 +53,7 @@ NAMES = ["fresh", "fresh_tick", "fresh_enabled", "speed"]
 
 
 def _run(runtime: Runtime, ticks: int = 50) -> dict[str, float]:
-    runtime.start(ticks=ticks)
-    runtime.wait_paused()
+    run(runtime, ticks)
     return {name: float(value) for name, value in runtime.read(NAMES)[1].items()}  # type: ignore[arg-type]
 
 
@@ -76,8 +76,7 @@ def test_after_an_acknowledged_stop_it_begins_afresh_and_its_first_output_is_not
     found = _run(runtime, 1)
     assert (found["fresh"], found["fresh_tick"], found["fresh_enabled"]) == (2.0, 50.0, 0.0)
     assert runtime.read(["cmd"])[1]["cmd"][0] != 0.0, "it said something"  # type: ignore[index]
-    runtime.start(ticks=1)
-    runtime.wait_paused()
+    run(runtime, 1)
     assert not runtime.read(["aout"])[1]["aout"].any(), "which does not act"  # type: ignore[union-attr]
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from samples import run
 
 from zendsp_protocol.errors import AcquisitionError, Refused
 from zendsp_target.api import AcquireConfig
@@ -38,8 +39,7 @@ def test_many_loads_and_crashes_leak_neither_files_nor_threads_nor_memory(
             runtime.start(ticks=None)
             wait_for(lambda: runtime.status().state == "crashed")
         else:
-            runtime.start(ticks=20)
-            runtime.wait_paused()
+            run(runtime, 20)
 
     def counted() -> tuple[int, int, int]:
         gc.collect()
@@ -101,8 +101,7 @@ def test_a_program_that_is_replaced_lets_go_of_its_files_at_once(
 def test_the_speed_of_the_fast_clock_can_be_limited(make_runtime: Make) -> None:
     runtime = make_runtime(COUNT, speed=4.0)
     began = time.monotonic()
-    runtime.start(ticks=2000)
-    runtime.wait_paused()
+    run(runtime, 2000)
     assert time.monotonic() - began > 0.45  # 2 s of machine time at four times real time
 
 
@@ -133,8 +132,7 @@ def test_recordings_survive_the_next_load(
     runtime = make_runtime(COUNT)
     runtime.acquire_configure(0, AcquireConfig(("x",), seconds=0.05))
     runtime.acquire_start(0)
-    runtime.start(ticks=50)
-    runtime.wait_paused()
+    run(runtime, 50)
     load(runtime, COUNT)
     assert np.array_equal(runtime.acquire_read(0, 0, 50)[:, 0], np.arange(1.0, 51.0))
     with pytest.raises(AcquisitionError, match="no longer loaded"):
@@ -143,8 +141,7 @@ def test_recordings_survive_the_next_load(
 
 def test_timing_is_counted_for_every_sample(make_runtime: Make) -> None:
     runtime = make_runtime(COUNT, clock="real")
-    runtime.start(ticks=300)
-    runtime.wait_paused()
+    run(runtime, 300)
     timing = runtime.status().timing
     assert timing.ticks == 300
     assert timing.exec_histogram.sum() == timing.late_histogram.sum() == 300
@@ -171,8 +168,7 @@ def test_acquire_stores_the_row_where_it_is_called(make_runtime: Make) -> None:
     runtime = make_runtime(code)
     runtime.acquire_configure(0, AcquireConfig(("x",), seconds=0.01))
     runtime.acquire_start(0)
-    runtime.start(ticks=10)
-    runtime.wait_paused()
+    run(runtime, 10)
     assert np.all(runtime.acquire_read(0, 0, 10) == 1.0)
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from samples import run
 
 from zendsp_protocol.errors import VariableError
 from zendsp_target.api import AcquireConfig
@@ -55,8 +56,7 @@ def test_a_matrix_is_written_and_read_whole_or_by_element(loaded: Runtime) -> No
     given = np.arange(8.0).reshape(2, 4)
     loaded.write({"K": given}, "me")
     loaded.write({"K[1,2]": 50.0, "K[1]": -1.0}, "me")  # one index counts row after row
-    loaded.start(ticks=3)
-    loaded.wait_paused()
+    run(loaded, 3)
     given[1, 2], given[0, 1] = 50.0, -1.0
     _, found = loaded.read(("K", "K[1,2]", "P", "P[1,0]"))
     assert np.array_equal(found["K"], given) and found["K[1,2]"] == 50.0
@@ -84,8 +84,7 @@ def test_a_matrix_is_recorded_whole_and_by_element(loaded: Runtime) -> None:
     loaded.acquire_configure(0, AcquireConfig(("P", "P[1,0]"), seconds=0.01))
     assert loaded.acquire_status(0).channels == ("P[0]", "P[1]", "P[2]", "P[3]", "P[1,0]")
     loaded.acquire_start(0)
-    loaded.start(ticks=12)
-    loaded.wait_paused()
+    run(loaded, 12)
     rows = loaded.acquire_read(0, 0, 10)
     assert np.array_equal(rows[-1], [1.0, 3.0, 15.0, 17.0, 15.0])
 

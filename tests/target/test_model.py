@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
+from samples import rows_of, run
 from scipy.integrate import solve_ivp
 
 from zendsp_target.api import AcquireConfig
@@ -90,11 +91,7 @@ def simulate(samples: int, dt: float) -> tuple[Array, Array]:
 def test_the_closed_loop_agrees_with_an_independent_model(make_runtime: Make) -> None:
     samples = 900
     runtime = make_runtime(program_text("pd"), machine_config={"ideal": 1.0})
-    runtime.acquire_configure(0, AcquireConfig(("enc", "tau", "aout"), seconds=samples / 1000.0))
-    runtime.acquire_start(0)
-    runtime.start(ticks=samples)
-    runtime.wait_paused()
-    rows = runtime.acquire_read(0, 0, samples)
+    rows = rows_of(runtime, ("enc", "tau", "aout"), samples)
     counts, torques = simulate(samples, 1e-3)
     assert np.ptp(counts[:, 0]) > 3000  # it moved, through stiction
     assert np.ptp(counts[:, 1]) > 3000
@@ -113,14 +110,8 @@ def test_both_clocks_give_identical_results(make_runtime: Make) -> None:
     found = []
     for clock, rate in (("fast", 1000.0), ("real", 1000.0)):
         runtime = make_runtime(program_text("pd"), clock=clock, rate_hz=rate)
-        runtime.acquire_configure(
-            0, AcquireConfig(("tick", "t", "enc", "tau", "aout", "qd1"), seconds=0.8)
-        )
-        runtime.acquire_start(0)
         runtime.write({"Kp1": 2500.0}, "me", at_tick=300)
-        runtime.start(ticks=800)
-        runtime.wait_paused()
-        found.append(runtime.acquire_read(0, 0, 800))
+        found.append(rows_of(runtime, ("tick", "t", "enc", "tau", "aout", "qd1"), 800))
     assert np.array_equal(found[0], found[1])
 
 
@@ -131,8 +122,7 @@ def test_pauses_leave_no_trace_in_the_results(make_runtime: Make) -> None:
         runtime.acquire_configure(0, AcquireConfig(("tick", "enc", "tau", "aout"), seconds=0.6))
         runtime.acquire_start(0)
         for ticks in pieces:
-            runtime.start(ticks=ticks)
-            runtime.wait_paused()
+            run(runtime, ticks)
         found.append(runtime.acquire_read(0, 0, 600))
     assert np.array_equal(found[0], found[1])
 

@@ -16,6 +16,7 @@ import hypothesis as hyp
 import pytest
 from desk import Desk, desk_of
 from hypothesis import strategies as st
+from samples import run
 from waiting import until
 
 from zendsp_protocol import codec, verbs
@@ -47,8 +48,7 @@ void UserBackground(void) {}
 
 
 def samples(runtime: Runtime, count: int = 1) -> None:
-    runtime.start(ticks=count)
-    runtime.wait_paused()
+    run(runtime, count)
 
 
 def test_a_repeated_write_or_read_gets_the_reply_that_the_first_one_got(make_runtime: Make) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from samples import run
 from waiting import until
 
 from zendsp_protocol.chunks import FOLD, crc, folded_crc
@@ -27,12 +28,10 @@ def runtime(request: pytest.FixtureRequest) -> Iterator[Runtime]:
 
 def test_a_program_runs_exactly_the_samples_asked_for(runtime: Runtime) -> None:
     assert runtime.status().state == "loaded"
-    runtime.start(ticks=200)
-    runtime.wait_paused()
+    run(runtime, 200)
     status = runtime.status()
     assert (status.state, status.tick, status.t) == ("paused", 200, 0.2)
-    runtime.start(ticks=1)
-    runtime.wait_paused()
+    run(runtime, 1)
     assert runtime.status().tick == 201
 
 
@@ -41,8 +40,7 @@ def test_a_recording_has_one_row_a_sample_and_nothing_lost(runtime: Runtime) -> 
     assert status.channels == ("tick", "q[0]", "q[1]", "aout[1]")
     assert status.units == ("", "rad", "rad", "mV")
     runtime.acquire_start(0)
-    runtime.start(ticks=310)
-    runtime.wait_paused()
+    run(runtime, 310)
     status = runtime.acquire_status(0)
     assert (status.state, status.count, status.lost, status.start_tick) == ("done", 300, 0, 0)
     rows = runtime.acquire_read(0, 0, 1000)
@@ -72,8 +70,7 @@ def test_a_table_switches_over_whole_at_one_sample_with_its_length(runtime: Runt
     runtime.write({"approach_time": 0.4, "use_table": True}, "me")
     first = np.full((500, 2), 0.25)
     sequence = runtime.write({"ref": first}, "me")
-    runtime.start(ticks=600)
-    runtime.wait_paused()
+    run(runtime, 600)
     runtime.wait_applied(sequence, 10.0)
     tick, values = runtime.read(["ref", "r1", "tick"])
     assert np.array_equal(values["ref"], first)
@@ -81,8 +78,7 @@ def test_a_table_switches_over_whole_at_one_sample_with_its_length(runtime: Runt
     assert tick == values["tick"] == 599
     second = np.array([[0.1, 0.2], [0.3, 0.4]])
     runtime.write({"ref": second}, "me", at_tick=700)
-    runtime.start(ticks=300)
-    runtime.wait_paused()
+    run(runtime, 300)
     assert np.array_equal(runtime.read(["ref"])[1]["ref"], second)
     assert [(c.old, c.new) for c in runtime.log() if c.name == "ref"] == [(0, 500), (500, 2)]
 
@@ -122,8 +118,7 @@ def test_stop_is_latched_until_acknowledged(runtime: Runtime, reason: str) -> No
         runtime.start()
     runtime.acknowledge()
     assert runtime.status().state == "paused"
-    runtime.start(ticks=5)
-    runtime.wait_paused()
+    run(runtime, 5)
 
 
 def runtime_state_is(runtime: Runtime, state: str) -> None:
@@ -137,8 +132,7 @@ def test_a_trigger_keeps_what_came_before_it(runtime: Runtime) -> None:
     )
     runtime.acquire_configure(3, config)
     runtime.acquire_start(3)
-    runtime.start(ticks=400)
-    runtime.wait_paused()
+    run(runtime, 400)
     status = runtime.acquire_status(3)
     assert (status.state, status.wanted, status.trigger_row, status.first) == (
         "done", 100, 200, 160,
@@ -153,18 +147,15 @@ def test_a_forced_trigger_fires_once_and_only_the_armed_acquisition(runtime: Run
     )
     runtime.acquire_configure(2, config)
     runtime.acquire_start(2)
-    runtime.start(ticks=50)
-    runtime.wait_paused()
+    run(runtime, 50)
     assert runtime.acquire_status(2).state == "armed"
     runtime.acquire_start(2, force=True)
-    runtime.start(ticks=50)
-    runtime.wait_paused()
+    run(runtime, 50)
     status = runtime.acquire_status(2)
     assert (status.state, status.trigger_row) == ("done", 50)
     assert np.array_equal(runtime.acquire_read(2, status.first, 20)[:, 0], np.arange(45, 65))
     runtime.acquire_start(2)
-    runtime.start(ticks=50)
-    runtime.wait_paused()
+    run(runtime, 50)
     assert runtime.acquire_status(2).state == "armed"  # armed anew: the old force is spent
 
 
@@ -173,8 +164,7 @@ def test_a_ring_keeps_the_newest_rows_and_counts_what_a_reader_missed(runtime: R
         1, AcquireConfig(("tick",), seconds=0.1, continuous=True, decimation=2)
     )
     runtime.acquire_start(1)
-    runtime.start(ticks=600)
-    runtime.wait_paused()
+    run(runtime, 600)
     status = runtime.acquire_status(1)
     assert (status.state, status.count, status.first, status.wanted) == ("running", 300, 250, 0)
     rows = runtime.acquire_read(1, status.first, 50)
@@ -191,8 +181,7 @@ def test_rows_are_folded_into_their_checksum_on_the_way_also_across_the_end_of_a
         1, AcquireConfig(("tick", "t", "exec_us"), seconds=0.3, continuous=True)
     )
     runtime.acquire_start(1)
-    runtime.start(ticks=600)
-    runtime.wait_paused()
+    run(runtime, 600)
     # the ring holds 364 rows: row 364 follows the last place
     for first, count in ((300, 300), (300, 2), (301, 171), (370, 200)):
         fold = bytearray(FOLD)

@@ -9,6 +9,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 import pytest
+from samples import rows_of, run
 
 from zendsp_protocol.errors import Refused
 from zendsp_protocol.messages import Status
@@ -41,11 +42,7 @@ def record(
     """
     for tick, values in at.items():
         runtime.write(values, "test", at_tick=tick)  # type: ignore[arg-type]
-    runtime.acquire_configure(0, AcquireConfig(CHANNELS, seconds=ticks / 1000.0))
-    runtime.acquire_start(0)
-    runtime.start(ticks=ticks)
-    runtime.wait_paused()
-    return runtime.acquire_read(0, 0, ticks)
+    return rows_of(runtime, CHANNELS, ticks)
 
 
 def tripped(runtime: Runtime) -> Status:
@@ -86,17 +83,14 @@ def test_stop_zeroes_output_within_two_samples_and_forces_velocity_mode(make_run
 
 def test_the_stop_input_of_the_machine_stops(make_runtime: Make) -> None:
     runtime = make_runtime(CONSTANT)
-    runtime.start(ticks=10)
-    runtime.wait_paused()
+    run(runtime, 10)
     runtime.set_inputs(1)
-    runtime.start(ticks=10)
-    runtime.wait_paused()
+    run(runtime, 10)
     trip = tripped(runtime).trip
     assert trip is not None and (trip.reason, trip.tick) == ("stop input", 10)
     runtime.set_inputs(0)
     runtime.acknowledge()
-    runtime.start(ticks=10)
-    runtime.wait_paused()
+    run(runtime, 10)
     assert runtime.status().trip is None
 
 
@@ -172,8 +166,7 @@ def test_a_joint_beyond_its_limit_trips_and_can_be_brought_back(make_runtime: Ma
     rows = record(runtime, 500, {0: {"u": [-1500.0, 0.0]}})
     assert runtime.status().trip is None
     assert rows[-1, 4] < rows[0, 4] - 100
-    runtime.start(ticks=1)
-    runtime.wait_paused()
+    run(runtime, 1)
     record(runtime, 3000, {0: {"u": [2500.0, 0.0]}})
     assert tripped(runtime).trip is not None  # and the limit holds again
 
@@ -279,8 +272,7 @@ def test_skipped_samples_are_counted_and_time_stays_true(make_runtime: Make) -> 
     runtime.set_overrun("skip")
     runtime.acquire_configure(0, AcquireConfig(("tick",), seconds=5.0))
     runtime.acquire_start(0)
-    runtime.start(ticks=400)
-    runtime.wait_paused()
+    run(runtime, 400)
     status, kept = runtime.status(), runtime.acquire_status(0)
     assert status.timing.missed > 0
     assert status.timing.ticks + status.timing.missed == status.tick

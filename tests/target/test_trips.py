@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from samples import run
 from waiting import PATIENCE_S
 
 from zendsp_protocol.errors import Refused
@@ -62,12 +63,6 @@ static int other_home(void *h, const machine_sensors *s, machine_actuators *u) {
 const machine_ops zendsp_machine = {.abi = MACHINE_ABI, .open = other_open, .read = other_read, .write = other_write,
     .step = other_step, .safe = other_safe, .home = other_home};
 """  # noqa: E501
-
-
-def run(runtime: Runtime, ticks: int) -> None:
-    """So many samples, or fewer where it trips."""
-    runtime.start(ticks=ticks)
-    runtime.wait_paused()
 
 
 def trip_of(runtime: Runtime) -> Trip:
@@ -256,12 +251,10 @@ def test_a_command_to_a_joint_that_the_machine_has_not_trips_and_names_it(
 ) -> None:
     runtime = make_runtime(TWO_JOINTS, machine="pendulum")
     runtime.set_drive("torque")
-    runtime.start(ticks=50)
-    runtime.wait_paused()
+    run(runtime, 50)
     assert runtime.status().trip is None, "zero asks for nothing"
     runtime.write({"u": 1.0}, "test", 60)
-    runtime.start(ticks=50)
-    runtime.wait_paused()
+    run(runtime, 50)
     trip = runtime.status().trip
     assert trip is not None and (trip.reason, trip.joint, trip.tick) == ("command", 2, 60)
     assert "joint 1, which this machine has not: it has 1, counted from 0" in trip.text
@@ -275,12 +268,10 @@ def test_a_torque_to_a_joint_that_takes_a_voltage_trips_and_names_what_it_takes(
         machine_config={"drive": "voltage"},
     )
     runtime.set_drive("torque")
-    runtime.start(ticks=50)
-    runtime.wait_paused()
+    run(runtime, 50)
     assert runtime.status().trip is None, "zero asks for nothing"
     runtime.write({"u": 1e-6}, "test", 60)
-    runtime.start(ticks=50)
-    runtime.wait_paused()
+    run(runtime, 50)
     trip = runtime.status().trip
     assert trip is not None and (trip.reason, trip.joint, trip.tick) == ("torque", 1, 60)
     assert "1e-06 N m to joint 1, which takes a voltage: IOGP_FU1_WRITE_AOUT_ENGU(0)" in trip.text

@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from samples import run
 
 from zendsp_protocol.errors import Refused, VariableError
 from zendsp_target.api import AcquireConfig
@@ -210,8 +211,7 @@ def test_updates_for_later_samples_do_not_hold_up_earlier_ones(make_runtime: Mak
     same = runtime.write({"alone": 2}, "me", at_tick=100)
     runtime.acquire_configure(0, AcquireConfig(("alone",), seconds=0.4))
     runtime.acquire_start(0)
-    runtime.start(ticks=400)
-    runtime.wait_paused()
+    run(runtime, 400)
     assert [runtime.wait_applied(sequence, 10.0) for sequence in (early, same, late)] == [
         100, 100, 300,
     ]
@@ -233,8 +233,7 @@ def test_more_updates_than_fit_are_refused_and_those_that_fit_are_all_applied(
             assert "updates wait already" in str(refusal)
             break
     assert 100 <= len(sequences) <= 128
-    runtime.start(ticks=200)
-    runtime.wait_paused()
+    run(runtime, 200)
     ticks = [runtime.wait_applied(sequence, 10.0) for sequence in sequences]
     assert ticks == sorted(ticks)
     assert set(ticks) == {50}
@@ -333,8 +332,7 @@ def test_a_reading_of_the_same_names_is_fresh_and_in_the_order_asked_for(
     runtime = make_runtime(LIMITED)
     for k in range(1, 4):
         runtime.wait_applied(runtime.write({"a": float(k)}, "me"), 10.0)
-        runtime.start(ticks=1)
-        runtime.wait_paused()
+        run(runtime, 1)
         tick, found = runtime.read(["n", "list", "a", "list[1]"])
         assert list(found) == ["n", "list", "a", "list[1]"]
         assert (tick, found["n"], found["a"], found["list[1]"]) == (k - 1, k, k, k)
@@ -391,7 +389,6 @@ def test_an_update_that_is_refused_for_one_table_leaves_the_bank_of_the_other_al
     runtime.write({"a": rows[4]}, "me", at_tick=60)
     # what the loop uses now is never written over
     assert np.array_equal(runtime.read(["a"])[1]["a"], rows[1])
-    runtime.start(ticks=100)
-    runtime.wait_paused()
+    run(runtime, 100)
     found = runtime.read(["a", "b"])[1]
     assert np.array_equal(found["a"], rows[4]) and np.array_equal(found["b"], rows[2])

@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from samples import run
 
 from zendsp_protocol.errors import RunnerDied, ZendspError
 from zendsp_protocol.messages import Trigger
@@ -106,6 +107,5 @@ def test_the_monitor_survives_shared_memory_full_of_rubbish(
         '#include "isr.h"\nstatic double x;\nvoid UserInit(void) { SIGNAL(x, "", ""); }\n'
         "void UserISR_INT2(void) { x += 1.0; }\n",
     )
-    runtime.start(ticks=10)
-    runtime.wait_paused()
+    run(runtime, 10)
     assert runtime.read(["x"])[1]["x"] == 10.0

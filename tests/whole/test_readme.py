@@ -1,17 +1,20 @@
-"""What README.md tells a stranger to type works as it stands."""
+"""What README.md tells a stranger to type works as it stands, and so do the pages' model files."""
 
 from __future__ import annotations
 
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import click
+import pytest
 
 from zendsp.cli import COMMANDS, cli
+from zendsp.physics import load_model
 from zendsp.recording import Recording
 
 ROOT = Path(__file__).parents[2]
@@ -89,3 +92,25 @@ def anchors(page: Path) -> set[str]:
     """Anchors of a page's headings, as code hosts make them."""
     headings = re.findall(r"^#+ (.+)$", page.read_text(), re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def _printed(page: str, folder: Path) -> Path:
+    match = re.search(r"```toml\n(.*?)```", (ROOT / "docs" / page).read_text(), re.DOTALL)
+    assert match is not None
+    file = folder / "printed.toml"
+    file.write_text(match[1])
+    return file
+
+
+def test_the_model_file_of_the_page_loads(tmp_path: Path) -> None:
+    model = load_model(_printed("models.md", tmp_path))
+    assert (model.kind, model.joints, model.sample_time) == ("rotary", 1, 0.001)
+    assert [term.effect for term in model.terms] == ["viscous"]
+
+
+def test_the_model_file_of_the_mujoco_page_loads(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    arm = ROOT / "tests" / "machines" / "models" / "bench_arm.xml"
+    shutil.copy(arm, tmp_path / "arm.xml")
+    model = load_model(_printed("machines_mujoco.md", tmp_path))
+    assert (model.kind, model.columns["command"]) == ("mjcf", "tau")

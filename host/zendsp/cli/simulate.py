@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -134,7 +134,7 @@ def command(
         raise click.exceptions.Exit(1)
 
 
-def _peaks(rec: Recording) -> dict[str, Any]:
+def _peaks(rec: Recording) -> dict[str, float | list[float]]:
     """Largest magnitudes of each signal."""
     import numpy as np
 

@@ -137,7 +137,7 @@ def _diagnose(
         from zendsp.diagnosis.external.blackbox import diagnose_simulator
 
         return diagnose_simulator(
-            _sources(recordings), given, _sources(heldout), seed=seed, jobs=jobs, progress=tell
+            _sources(recordings), given, _sources(heldout), jobs=jobs, progress=tell
         )
     signals, parts, notes = _ready(recordings, heldout, given, tell)
     found = _found(signals, parts, given, jobs, tell)

@@ -5,6 +5,7 @@ of 100, however few measurements there were (`benchmarks/experiments.py` counts 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +14,18 @@ from zendsp.experiment.result import Estimate
 
 Array = npt.NDArray[np.float64]
 NORMAL = 1.96  # half width of 95 % in standard deviations
+
+
+def smoothed(
+    x: Array, window: int, sample_time: float = 1.0, order: int = 0, *, degree: int = 2,
+    ends: Literal["interp", "wrap"] = "interp",
+) -> Array:
+    """A row, or its derivative of an order, by the polynomial through ``window`` samples about each
+    (Savitzky and Golay 1964); along time, (n,) or (n, joints).
+    """
+    from scipy.signal import savgol_filter  # half a second to import
+
+    return np.asarray(savgol_filter(x, window, degree, order, sample_time, axis=0, mode=ends))
 
 
 def half_width(std: float | Array, free: int) -> Array:

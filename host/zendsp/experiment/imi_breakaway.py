@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from zendsp.errors import RecordingError
-from zendsp.experiment.estimates import mean_of
+from zendsp.experiment.estimates import mean_of, smoothed
 from zendsp.experiment.figures import BLUE, RED, label, make_figure, save
 from zendsp.experiment.imi_friction import (
     BRAKE,
@@ -179,8 +179,6 @@ def pushed_way(rec: Recording, joint: int, window: int) -> tuple[Array, Array, A
     """Way, speed and friction torque of a pushed joint, smoothed by a local parabola, its sign
     taken off: friction is the torque less what accelerates the joint.
     """
-    from scipy.signal import savgol_filter
-
     rows = np.flatnonzero(rec["phase"] == 2)
     before = np.arange(max(0, rows[0] - 50), rows[0])
     used = np.r_[before, rows]
@@ -188,9 +186,9 @@ def pushed_way(rec: Recording, joint: int, window: int) -> tuple[Array, Array, A
     q, torque = rec["q"][used], rec["torque"][used] * (rec["phase"][used] == 2)
     # what acts at a sample is the mean of the commands of the two samples before it
     torque = 0.5 * (np.r_[[0.0] * DELAY, torque[:-DELAY]] + np.r_[[0.0, 0.0], torque[:-2]])
-    qd, qdd = (savgol_filter(q, window, 2, order, dt, axis=0) for order in (1, 2))
-    smooth = savgol_filter(q[:, joint - 1], window, 2)
-    friction = savgol_filter(torque, window, 2) - inertia_torque(q, qd, qdd)[:, joint - 1]
+    qd, qdd = (smoothed(q, window, dt, order) for order in (1, 2))
+    smooth = smoothed(q[:, joint - 1], window)
+    friction = smoothed(torque, window) - inertia_torque(q, qd, qdd)[:, joint - 1]
     sign = np.sign(torque[-1])
     way = sign * (smooth - q[: len(before), joint - 1].mean())
     first = len(before)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.experiment.estimates import NORMAL, line_fit
+from zendsp.experiment.estimates import NORMAL, line_fit, smoothed
 from zendsp.experiment.figures import AMBER, BLUE, GREY, label, make_figure, save
 from zendsp.experiment.lab import Bench, Lab, own_program, playing
 from zendsp.experiment.result import Estimate, Result
@@ -190,8 +190,6 @@ def friction_curve(
     surely slide. The average over repetitions is smoothed by a local parabola of 41 ms before it is
     differentiated.
     """
-    from scipy.signal import savgol_filter
-
     rows = playing(rec, samples)
     q, tau = rec["q"][rows], rec["tau"][rows]
     # what acts at a sample is the command of the sample before
@@ -203,11 +201,8 @@ def friction_curve(
         x[period : cycles * period].reshape(cycles - 1, period, 2).mean(axis=0) for x in (q, tau)
     )
     dt = rec.sample_time * rec.decimation
-    qd, qdd = (
-        np.asarray(savgol_filter(q, 41, 2, deriv=order, delta=dt, axis=0, mode="wrap"))
-        for order in (1, 2)
-    )
-    tau = np.asarray(savgol_filter(tau, 41, 2, axis=0, mode="wrap"))
+    qd, qdd = (smoothed(q, 41, dt, order, ends="wrap") for order in (1, 2))
+    tau = smoothed(tau, 41, ends="wrap")
     friction = tau - inertia_torque(q, qd, qdd)
     v = qd[:, joint - 1]
     order = np.argsort(v)

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from zendsp.errors import RecordingError
-from zendsp.experiment.estimates import NORMAL, half_width, least_squares
+from zendsp.experiment.estimates import NORMAL, half_width, least_squares, smoothed
 from zendsp.experiment.figures import BLUE, GREEN, RED, label, make_figure, save
 from zendsp.experiment.lab import Lab
 from zendsp.experiment.result import Estimate, FoundEffect, Result
@@ -113,7 +113,7 @@ def steady_means(rec: Recording) -> tuple[float, float, float]:
 
 def pendulum_model(theta: Array) -> Model:
     """theta1 qdd + theta2 g sin q + theta3 sign(qd) + viscous qd = tau, one sample late."""
-    effects: list[dict[str, Any]] = [{"kind": "coulomb", "joint": 1, "level": float(theta[2])}]
+    effects: list[dict[str, object]] = [{"kind": "coulomb", "joint": 1, "level": float(theta[2])}]
     if len(theta) > 3:
         effects.append({"kind": "viscous", "joint": 1, "coefficient": float(theta[3])})
     return parse_model(
@@ -243,10 +243,8 @@ def delivered(rec: Recording) -> Recording:
     steps and noise do not enter the torque. It is read at the end of a sample; over the sample the
     back-EMF takes from it, i = (v - k_b qd) / R_a, and its mean is that of half a sample before.
     """
-    from scipy.signal import savgol_filter
-
-    qd = savgol_filter(rec["q"], SMOOTHED, 2, 1, rec.sample_time)
-    qdd = savgol_filter(rec["q"], SMOOTHED, 3, 2, rec.sample_time)
+    qd = smoothed(rec["q"], SMOOTHED, rec.sample_time, 1)
+    qdd = smoothed(rec["q"], SMOOTHED, rec.sample_time, 2, degree=3)
     rate = np.gradient(rec["tau"], rec.sample_time)
     A = np.stack([rec["tau"], rate, qdd, np.ones(len(rec))], axis=1)
     current, voltage = rec["adc"].T
@@ -268,9 +266,7 @@ def spinning(rec: Recording) -> tuple[Recording, float]:
     """What of a recording follows when the shaft turns back no more, and its speed there, rad/s;
     all of it, from rest, where it never does.
     """
-    from scipy.signal import savgol_filter
-
-    speed = savgol_filter(rec["q"], SMOOTHED, 2, 1, rec.sample_time)
+    speed = smoothed(rec["q"], SMOOTHED, rec.sample_time, 1)
     rocking = np.flatnonzero(np.abs(speed) < SPINS)
     first = int(rocking[-1]) + 1 if len(rocking) else 0
     if not len(rocking) or (len(rec) - first) * rec.sample_time < EARLY:

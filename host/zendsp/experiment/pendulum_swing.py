@@ -81,13 +81,12 @@ def measured_machine(measured: Result) -> Machine:
     return replace(nominal, parameters={**nominal.parameters, **found})
 
 
-def _rows(rec: Recording, reference: Reference) -> slice:
-    first = playing(rec, 0).start
-    return slice(first, len(rec))
+def _rows(rec: Recording) -> slice:
+    return slice(playing(rec, 0).start, len(rec))
 
 
 def _measure(result: Result, name: str, rec: Recording, reference: Reference) -> None:
-    rows = _rows(rec, reference)
+    rows = _rows(rec)
     q, tau = rec["q"][rows], rec["tau"][rows]
     n = min(reference.samples, len(q))
     key = name.replace(" ", "_")
@@ -122,7 +121,7 @@ def _draw(recs: dict[str, Recording], with_friction: Reference, without: Referen
         "feedback level": "friction compensated at the feedback level",
     }
     for (name, rec), colour in zip(recs.items(), (BLUE, GREEN, RED), strict=True):
-        rows = _rows(rec, with_friction)
+        rows = _rows(rec)
         t = rec.t[rows] - rec.t[rows.start]
         position.plot(t, rec["q"][rows], color=colour, linewidth=1.4, label=words[name])
         for axis, values in ((speed, rec["qd"]), (torque, rec["tau"]), (current, rec["adc"][:, 0])):

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.experiment.estimates import NORMAL, least_squares, line_fit
+from zendsp.experiment.estimates import NORMAL, least_squares, line_fit, smoothed
 from zendsp.experiment.figures import BLUE, GREY, RED, label, make_figure, save
 from zendsp.experiment.lab import Bench, Lab, playing
 from zendsp.experiment.result import Estimate, FoundEffect, Result
@@ -150,8 +150,6 @@ def constant_speed_pieces(
 
     The first 30 % of each part are left out: the controller settles there.
     """
-    from scipy.signal import savgol_filter
-
     rows = playing(rec, reference.samples // rec.decimation)
     q, tau = (np.atleast_2d(rec[name].T).T[rows][:, joint - 1] for name in ("q", "tau"))
     # where the program compensates no weight, all of it is found beside friction
@@ -160,7 +158,7 @@ def constant_speed_pieces(
     steady = (np.abs(reference.qdd[:: rec.decimation, joint - 1][: len(q)]) < STEADY) & (
         np.abs(wanted) > MOVING
     )
-    qdd = savgol_filter(q, 41, 2, 2, rec.sample_time)
+    qdd = smoothed(q, 41, rec.sample_time, 2)
     edges = np.flatnonzero(np.diff(np.r_[0, steady.astype(int), 0]))
     pieces = []
     for part, (first, last) in enumerate(zip(edges[::2], edges[1::2], strict=True)):
@@ -228,7 +226,7 @@ def fit_friction(sliding: Sliding, weighs: bool, unknown: bool = False) -> Frict
 
 def _fit_joint(result: Result, joint: int, sliding: Sliding) -> Array:
     """Put a joint's friction into the result; the points of its curve."""
-    row: dict[str, Any] = {"joint": joint}
+    row: dict[str, int | float | str] = {"joint": joint}
     fitted = fit_friction(sliding, weighs=bool(np.abs(sliding.gravity).max() > WEIGHS))
     found, points = fitted.value, sliding.points(fitted.free)
     result.values[f"gravity{joint}_lacking"] = Estimate(
@@ -287,7 +285,7 @@ def _warning(
 
 
 def _fit_narrow(result: Result, joint: int, points: Array) -> None:
-    row: dict[str, Any] = {"joint": joint}
+    row: dict[str, int | float | str] = {"joint": joint}
     for word, direction, end in (("+", 1, "pos"), ("-", -1, "neg")):
         chosen = points[np.sign(points[:, 0]) == direction]
         (_, viscous), (_, half), correlation = line_fit(chosen[:, 0], chosen[:, 1])

@@ -260,18 +260,12 @@ class Recorder(Transfers):
 
         Parameters
         ----------
-        channels : sequence of str
-            Variables, elements ``"q[0]"``, or built-in signals.
+        channels, decimation, trigger, take
+            As for `acquire`.
         seconds : float, s
             Length of the shot, or of the ring.
-        decimation : int
-            Every how many samples a row.
-        trigger : Trigger, optional
-            Wait for it; default: record from the start.
         continuous : bool
             Keep the last ``seconds`` in a ring until stopped.
-        take : bool
-            Also when another host is recording.
 
         Returns
         -------
@@ -315,12 +309,8 @@ class Recorder(Transfers):
 
         Parameters
         ----------
-        note : str
-            Kept in the recording.
-        progress : callable, optional
-            Called with the share done, 0 … 1.
-        patience : float, s
-            How long to wait for a link that is lost meanwhile.
+        note, progress, patience
+            As for `acquire`.
 
         Returns
         -------
@@ -358,7 +348,7 @@ class Recorder(Transfers):
         timeout : float, s, optional
             Of real time; None waits for ever.
         note, progress, patience
-            As for `acquire_load`.
+            As for `acquire`.
 
         Returns
         -------

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
+from zendsp.proof.model_table import ModelTable
 from zendsp.proof.reality import Run
 from zendsp.proof.truth import Truth
 
@@ -28,7 +28,7 @@ class Case:
 
     train: Run
     heldout: Run
-    model: dict[str, Any]
+    model: ModelTable
     truth: Truth
     form: str
     layout: str  # of the files: see Draft.layout

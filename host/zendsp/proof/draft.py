@@ -24,7 +24,7 @@ class Term:
     joint: int  # 1-based
     values: dict[str, float]
     free: bool = True
-    extra: dict[str, Any] = field(default_factory=dict)  # strings and integers, written as they are
+    extra: dict[str, str | int] = field(default_factory=dict)  # written as they are
 
 
 @dataclass

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +9,8 @@ import numpy as np
 
 from zendsp.extras import need
 from zendsp.proof.draft import Array
+from zendsp.proof.model_table import Columns, ModelTable
 from zendsp.proof.reality import Run
-
-Columns = Mapping[str, str | list[str]]  # of [columns]: one name, or one a joint
 
 FORMATS = ("csv", "npz", "mat", "parquet", "h5")
 NAMES = (
@@ -118,7 +116,7 @@ def scalar(value: Any) -> str:
     return '"' + str(value).replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
-def toml(table: dict[str, Any]) -> str:
+def toml(table: ModelTable) -> str:
     """The given model as TOML text: tables one level deep, parameters as inline tables."""
     lines = [
         f"{k} = {scalar(plain(v))}" for k, v in table.items() if not isinstance(v, dict | list)

@@ -22,6 +22,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from zendsp.proof.answer import Answer, Finding
 from zendsp.proof.draft import Array
+from zendsp.proof.model_table import EffectTable, ModelTable
 from zendsp.proof.rivals import bouc_wen, bristle, stack
 from zendsp.proof.tables import Table, read_case
 
@@ -44,7 +45,7 @@ class Motion:
     tau_rate: Array
 
 
-def motion(table: Table, model: dict[str, Any]) -> Motion:
+def motion(table: Table, model: ModelTable) -> Motion:
     """Zero-phase motion and torque at the full rate."""
     dt = float(model["sample_time"])
     sos = butter(4, CUTOFF_HZ, fs=1 / dt, output="sos")
@@ -77,7 +78,7 @@ def is_free(entry: Any) -> bool:
     return bool(entry.get("free", True)) if isinstance(entry, dict) else True
 
 
-def mechanism_columns(model: dict[str, Any], m: Motion, joint: int) -> dict[str, Array]:
+def mechanism_columns(model: ModelTable, m: Motion, joint: int) -> dict[str, Array]:
     """Torque per unit of each mechanism parameter on one joint."""
     kind = model["mechanism"]["kind"]
     if kind == "linear":
@@ -93,7 +94,7 @@ def mechanism_columns(model: dict[str, Any], m: Motion, joint: int) -> dict[str,
     return {"p1": 0 * a1, "p2": a1 + a2, "p3": c * a1 + s * v1**2}
 
 
-def effect_columns(entry: dict[str, Any], m: Motion, joint: int) -> tuple[Array, Array]:
+def effect_columns(entry: EffectTable, m: Motion, joint: int) -> tuple[Array, Array]:
     """(free columns, fixed torque) of one ``[[effect]]`` of the given model."""
     q, v = m.q[:, joint], m.v[:, joint]
     kind = entry["kind"]
@@ -113,7 +114,7 @@ def effect_columns(entry: dict[str, Any], m: Motion, joint: int) -> tuple[Array,
     return columns[:, :0], columns[:, 0] * float(plain(values[0]))
 
 
-def split_model(model: dict[str, Any], m: Motion, joint: int) -> tuple[Array, Array]:
+def split_model(model: ModelTable, m: Motion, joint: int) -> tuple[Array, Array]:
     """Columns of the free parameters and torque of the fixed ones on one joint."""
     entries = model["mechanism"].get("parameters", {})
     free, fixed = [], np.zeros(len(m.t))

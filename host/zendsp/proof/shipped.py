@@ -18,8 +18,9 @@ import numpy as np
 
 from zendsp.proof.case import Case, Request, Unusable
 from zendsp.proof.draft import Array, Scale
-from zendsp.proof.files import NAMES, Columns, columns_of
+from zendsp.proof.files import NAMES, columns_of
 from zendsp.proof.measure import apply_faults, format_of, jittered
+from zendsp.proof.model_table import Columns, EffectTable, ModelTable, one_or_each, parameter
 from zendsp.proof.reality import Run
 from zendsp.proof.references import make_reference
 from zendsp.proof.shipped_laws import (
@@ -231,39 +232,35 @@ def conceal(r: Rig, request: Request, joint: int, s: Scale, rng: Rng) -> None:
     )
 
 
-def given(r: Rig, columns: Columns, rng: Rng, name: str) -> dict[str, Any]:
+def given(r: Rig, columns: Columns, rng: Rng, name: str) -> ModelTable:
     """The model file: figures off by 3 %, friction by 5 %; exact where inertial figures are fixed.
     """
 
-    def near(value: float, spread: float) -> dict[str, Any]:
-        if r.fixed:
-            return {"value": value}
-        return {"value": value * (1 + spread * float(rng.standard_normal()))}
+    def near(value: float, spread: float) -> float:
+        return value if r.fixed else value * (1 + spread * float(rng.standard_normal()))
 
-    free = {"free": False} if r.fixed else {}
-    parameters: dict[str, Any] = {k: {**near(v, 0.03), **free} for k, v in r.figures.items()}
-    parameters |= {k: {"value": v, "free": False} for k, v in r.lengths.items()}
-    terms = []
+    parameters = {k: parameter(near(v, 0.03), r.fixed) for k, v in r.figures.items()}
+    parameters |= {k: parameter(v, fixed=True) for k, v in r.lengths.items()}
+    terms: list[EffectTable] = []
     for j in range(r.n):
         for kind, key, value in (
             ("viscous", "coefficient", r.viscous[j]),
             ("coulomb", "level", r.coulomb[j]),
         ):
             if (kind, j) not in r.hidden:
-                terms.append({"kind": kind, "joint": j + 1, key: near(value, 0.05)})
-    one = r.n == 1
+                terms.append({"kind": kind, "joint": j + 1, key: parameter(near(value, 0.05))})
     return {
         "name": name,
         "sample_time": PERIOD,
         "mechanism": {"kind": r.kind, "parameters": parameters},
         "effect": terms,
         "actuator": {
-            "gain": {"value": 1.0 if one else [1.0] * r.n, "free": False},
-            "limit": r.limit[0] if one else list(r.limit),
+            "gain": parameter(one_or_each([1.0] * r.n), fixed=True),
+            "limit": one_or_each(r.limit),
             "hold": PERIOD,
             "delay": PERIOD + r.loop,
         },
-        "sensor": {"position_resolution": r.resolution if one else [r.resolution] * r.n},
+        "sensor": {"position_resolution": one_or_each([r.resolution] * r.n)},
         "columns": columns,
     }
 

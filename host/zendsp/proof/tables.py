@@ -6,13 +6,13 @@ import json
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import cast
 
 import numpy as np
 
 from zendsp.extras import need
 from zendsp.proof.draft import Array
-from zendsp.proof.files import Columns
+from zendsp.proof.model_table import Columns, ModelTable
 
 
 @dataclass(frozen=True)
@@ -61,10 +61,11 @@ def read_recording(path: Path, columns: Columns) -> Table:
     return Table(time, signal("position"), signal("command"))
 
 
-def read_case(folder: Path) -> tuple[dict[str, Any], list[Table], list[Table]]:
+def read_case(folder: Path) -> tuple[ModelTable, list[Table], list[Table]]:
     """(given model, training recordings, held-out recordings) of a case folder."""
     listing = json.loads((folder / "case.json").read_text(encoding="utf-8"))
-    model = tomllib.loads((folder / listing["model"]).read_text(encoding="utf-8"))
+    text = (folder / listing["model"]).read_text(encoding="utf-8")
+    model = cast(ModelTable, tomllib.loads(text))
     load = [
         [read_recording(folder / n, model["columns"]) for n in listing[k]]
         for k in ("train", "heldout")

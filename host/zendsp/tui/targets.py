@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import cast
+
+from textual.app import App
 
 from zendsp.errors import ZendspError
 from zendsp.tui.dialogs import Choose, Option
-
-if TYPE_CHECKING:
-    from zendsp.tui.app import ZendspApp
-    from zendsp.tui.port import Port
+from zendsp.tui.lab import Lab
+from zendsp.tui.port import Port
 
 
 class Targets:
@@ -19,20 +19,21 @@ class Targets:
 
     Parameters
     ----------
-    app : ZendspApp
-        Shows the question, and has the session that connects.
+    app : App
+        A :class:`~zendsp.tui.lab.Lab`: shows the question, and has the session that connects.
     find, start, machines
         ``find_targets``, ``start_machine`` and ``machines`` of the application.
     """
 
     def __init__(
         self,
-        app: ZendspApp,
+        app: App[None],
         find: Callable[[], list[tuple[str, str]]] | None,
         start: Callable[[str], tuple[str, Port]] | None,
         machines: Iterable[str],
     ) -> None:
-        self._app, self._session = app, app.session
+        self._app, self._lab = app, cast(Lab, app)
+        self._session = self._lab.session
         self._find = find
         self._start = start
         self._machines = tuple(machines)
@@ -44,7 +45,7 @@ class Targets:
 
     def ask(self) -> None:
         """Ask which target to connect to, or which machine to start."""
-        self._app.expect_dialog()
+        self._lab.expect_dialog()
         self._app.run_worker(self._seek, thread=True, exclusive=True, group="discovery")
 
     def connect(self, keys: list[str] | None) -> None:
@@ -92,8 +93,8 @@ class Targets:
         if options:
             self._app.push_screen(Choose("Connect to", options), self.connect)
             return
-        self._app.no_dialog()
-        self._app.toast(
+        self._lab.no_dialog()
+        self._lab.toast(
             "no target answers, and none can be started here; start one with: zendsp target",
             "warning",
         )
@@ -104,6 +105,6 @@ class Targets:
         except ZendspError as error:
             self._session.await_start("")
             self._session.events.add(f"start {machine}: {error}", "error")
-            self._app.call_from_thread(self._app.toast, str(error), "error")
+            self._app.call_from_thread(self._lab.toast, str(error), "error")
             return
         self._session.adopt(port, name)

@@ -126,7 +126,6 @@ def diagnose_simulator(
     model: Model,
     heldout: Sequence[Any],
     *,
-    seed: int = 0,
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> Diagnosis:
@@ -139,9 +138,8 @@ def diagnose_simulator(
     model : Model
         Of ``kind = "python"`` or ``"fmu"``; its mechanism parameters go to the simulator, its
         effects act on the command.
-    seed, jobs : int
-        As for ``diagnose``; a Python function is called in one thread, an FMU runs in ``jobs``
-        processes.
+    jobs : int
+        A Python function is called in one thread, an FMU runs in so many processes.
     progress : callable, optional
         Receives a sentence at each stage.
 

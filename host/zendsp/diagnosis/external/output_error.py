@@ -317,7 +317,7 @@ def screen(
                 -np.linalg.lstsq(gram, moment, rcond=1e-9)[0], dtype=np.float64
             )
             promise = float(-2 * theta @ moment - theta @ gram @ theta) / cost
-            start = _start(effect, record, values, linear, theta)
+            start = _start(effect, record, values, theta)
             if start is not None and (best is None or promise > best[0]):
                 best = (promise, make_term(effect, joint, start))
         if best is not None:
@@ -390,11 +390,7 @@ def _step(effect: Effect, record: Any, direction: dict[str, float]) -> dict[str,
 
 
 def _start(
-    effect: Effect,
-    record: Any,
-    values: dict[str, float],
-    linear: list[dict[str, float]],
-    theta: Array,
+    effect: Effect, record: Any, values: dict[str, float], theta: Array
 ) -> dict[str, float] | None:
     if not effect.linear:
         return values if theta[0] > 0 else None

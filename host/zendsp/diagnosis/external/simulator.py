@@ -245,7 +245,7 @@ class Bench:
         out = out.copy()
         for i, record in enumerate(self.records):
             if terms := tuple(t for t in model.at(i + 1) if get_effect(t.effect).site == "sensor"):
-                out[:, i] += sensed(record, model, terms, np.ascontiguousarray(out[:, i]))
+                out[:, i] += sensed(record, terms, np.ascontiguousarray(out[:, i]))
         return np.clip(np.nan_to_num(out, nan=1e6), -1e6, 1e6)
 
 

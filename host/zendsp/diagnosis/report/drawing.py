@@ -30,15 +30,18 @@ def draw(chart: Chart) -> Figure:
     """Draw one chart."""
     n = len(chart.panels)
     ratio = list(chart.ratio) or [1] * n
-    shape: dict[str, Any] = (
-        {"nrows": 1, "ncols": n, "width_ratios": ratio}
-        if chart.beside
-        else {"nrows": n, "ncols": 1, "height_ratios": ratio}
-    )
     with rc_context(STYLE):
         # no pyplot: its choice of a window is the user's
         figure = Figure(figsize=chart.size, layout="constrained")
-        grid = figure.subplots(sharex=chart.same, sharey=chart.same, squeeze=False, **shape)
+        grid = figure.subplots(
+            nrows=1 if chart.beside else n,
+            ncols=n if chart.beside else 1,
+            width_ratios=ratio if chart.beside else None,
+            height_ratios=None if chart.beside else ratio,
+            sharex=chart.same,
+            sharey=chart.same,
+            squeeze=False,
+        )
         axes: list[Axes] = list(grid.ravel())
         for k, (axis, panel) in enumerate(zip(axes, chart.panels, strict=True)):
             _fill(figure, axis, panel, inner=chart.same and k > 0)

@@ -140,7 +140,7 @@ class Screen:
                 effect.column(self.motions[i], {n: q.value for n, q in terms[0].parameters.items()})
             )
         if effect.at_sensor:
-            return -sensed(rec, self.model, terms)
+            return -sensed(rec, terms)
         if alone or (not self.scaled and effect.site in ADDED):
             return self._alone(rec, terms, floor)
         together = (*self.model.at(self.joint), *terms)

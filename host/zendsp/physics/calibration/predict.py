@@ -345,9 +345,7 @@ def _felt(record: JointRecord, terms: tuple[Term, ...]) -> Array:
     return felt
 
 
-def sensed(
-    record: JointRecord, model: Model, terms: tuple[Term, ...], position: Array | None = None
-) -> Array:
+def sensed(record: JointRecord, terms: tuple[Term, ...], position: Array | None = None) -> Array:
     """What the position sensor adds to a motion, (n,) rad or m; the measured one where no
     ``position`` is given.
     """

@@ -91,16 +91,12 @@ def draft_model(table: Table, machine: Machine | None = None) -> Draft:
     command = best_group(groups, Role.COMMAND, joints) or best_group(groups, Role.CURRENT, joints)
     page = _Page()
     page.line(
-        comment=(
-            f"Model of the machine in {table.path.name}, begun by: zendsp model new"
-            f" {table.path.name}"
-        )
+        comment=f"Model of the machine in {table.path.name}, begun by: zendsp model new"
+        f" {table.path.name}"
     )
     page.line(
-        comment=(
-            "What the recording cannot tell is asked with a question mark, above its line."
-            " docs/models.md explains every key."
-        )
+        comment="What the recording cannot tell is asked with a question mark, above its line."
+        " docs/models.md explains every key."
     )
     for note in table.notes:
         page.line(comment=note)
@@ -127,10 +123,8 @@ def draft_model(table: Table, machine: Machine | None = None) -> Draft:
     _sensor(page, position, linear, known)
     page.line()
     page.line(
-        comment=(
-            "The feedback law, where it is known: command = kp (reference - position) - kd"
-            " velocity."
-        )
+        comment="The feedback law, where it is known: command = kp (reference - position) - kd"
+        " velocity."
     )
     for text in ("[controller]", 'kind = "pd"', "kp = 0.0", "kd = 0.0"):
         page.line(comment=text)
@@ -216,19 +210,15 @@ def _mechanism(
     if joints > 1:
         page.line(
             comment="",
-            ask=(
-                f"do the {joints} joints act on one another, as in an arm? Then a URDF says it"
-                ' best: kind = "urdf", file = "arm.urdf"; or a MuJoCo model: kind = "mjcf"'
-            ),
+            ask=f"do the {joints} joints act on one another, as in an arm? Then a URDF says it"
+            ' best: kind = "urdf", file = "arm.urdf"; or a MuJoCo model: kind = "mjcf"',
         )
     page.line("[mechanism.parameters]")
     _numbers(page, position, command, step, linear)
     page.line()
     page.line(
-        comment=(
-            "Physics that you know already; names and parameters as in docs/effects.md. What is"
-            " missing is for zendsp diagnose to find."
-        )
+        comment="Physics that you know already; names and parameters as in docs/effects.md. What is"
+        " missing is for zendsp diagnose to find."
     )
     for text in (
         "[[effect]]", 'kind = "viscous"', "joint = 1",
@@ -341,10 +331,9 @@ def _limit(page: _Page, command: Group) -> None:
             "the command stayed at this value again and again; 0: none seen",
         )
     else:
+        seen = _list([float(f"{p:.3g}") for p in peaks])
         page.line(
-            comment=(
-                f"limit = {_list([float(f'{p:.3g}') for p in peaks])}: the largest command seen"
-            ),
+            comment=f"limit = {seen}: the largest command seen",
             ask="where does the drive cut off?",
         )
 

@@ -14,7 +14,14 @@ from zendsp.physics.files.model_file import load_model
 from zendsp.physics.files.model_write import model_text
 from zendsp.physics.model import Model
 from zendsp.physics.simulation.plant import INNER, Plant, joint_count
-from zendsp.physics.simulation.run import Controller, converge, recording, reference_rows, stretch
+from zendsp.physics.simulation.run import (
+    Controller,
+    Extra,
+    converge,
+    recording,
+    reference_rows,
+    stretch,
+)
 from zendsp.recording import Recording
 from zendsp.reference import Reference
 
@@ -122,7 +129,7 @@ def simulate_loop(
         )
         return {**out, "command": plant.recorded_command(out["command"])}
 
-    extra: dict[str, Any] = {"simulation": {"inner": inner, "model": model_text(model)}}
+    extra: Extra = {"simulation": {"inner": inner, "model": model_text(model)}}
     if check:
         inner, extra["step_check"] = converge(model, inner, lambda steps: run(steps)["q"])
         extra["simulation"]["inner"] = inner

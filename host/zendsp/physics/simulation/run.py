@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any, NotRequired, TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -19,8 +19,9 @@ from zendsp.errors import ModelError, RecordingError
 from zendsp.physics.files.model_file import load_model
 from zendsp.physics.files.model_write import model_text
 from zendsp.physics.model import Model, per_joint
+from zendsp.physics.simulation.loaded import Job, Outcome
 from zendsp.physics.simulation.plant import INNER, Plant, joint_count
-from zendsp.physics.simulation.program import Job, Outcome, compile_program, run_program
+from zendsp.physics.simulation.program import compile_program, run_program
 from zendsp.recording import Recording
 from zendsp.recording.names import gather_vectors
 from zendsp.reference import Reference, load_reference
@@ -141,7 +142,7 @@ def simulate(
         return run_program(build, plant, job, timeout)
 
     began = time.time()
-    extra: dict[str, Any] = {"simulation": {"inner": inner, "model": model_text(model)}}
+    extra: Extra = {"simulation": {"inner": inner, "model": model_text(model)}}
     if check:
         inner, extra["step_check"] = converge(
             model, inner, lambda steps: run(steps, ["plant_q"]).columns["plant_q"]
@@ -210,6 +211,21 @@ class Halving(TypedDict):
     change: list[float]
 
 
+class SimulationNote(TypedDict):
+    """What a recording says of the simulation that made it."""
+
+    inner: int  # integration steps a sample
+    model: str  # its file
+    beyond: NotRequired[list[str]]  # limits that it left
+
+
+class Extra(TypedDict):
+    """What a simulation adds to its recording."""
+
+    simulation: SimulationNote
+    step_check: NotRequired[StepCheck]
+
+
 class StepCheck(TypedDict):
     """Whether more steps a sample would still move the positions, as the recording keeps it."""
 
@@ -275,7 +291,7 @@ def stretch(rows: Array, count: int, *, hold: bool) -> Array:
 
 
 def recording(
-    model: Model, out: dict[str, Array], r: Array | None, extra: dict[str, Any]
+    model: Model, out: dict[str, Array], r: Array | None, extra: Extra
 ) -> Recording:
     linear = model.joint_kind(1) == "linear"
     unit, torque = ("m", "N") if linear else ("rad", "N m")

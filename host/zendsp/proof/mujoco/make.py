@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
 
 from zendsp.proof.case import Case, Request, Unusable
 from zendsp.proof.draft import Array, Concealed, Scale
-from zendsp.proof.files import NAMES, Columns, columns_of
+from zendsp.proof.files import NAMES, columns_of
 from zendsp.proof.forms import FORMS, foreign
 from zendsp.proof.measure import DRESSINGS, apply_faults, format_of
+from zendsp.proof.model_table import (
+    Columns,
+    EffectTable,
+    Mechanism,
+    ModelTable,
+    Parameter,
+    one_or_each,
+    parameter,
+)
 from zendsp.proof.mujoco.chain import Joint, World, mjcf, urdf
 from zendsp.proof.mujoco.foreign import PARTS, TOGETHER, add_form
 from zendsp.proof.mujoco.friction import mujoco_dry
@@ -22,6 +31,7 @@ from zendsp.proof.oracle import DETECTABLE, PROCESS, steady_observer
 from zendsp.proof.truth import Effect, Number, Oracle, Truth
 
 Rng = np.random.Generator
+Near = Callable[[float, float], float]  # a value, off by a share of itself
 FAULTS = ("plain", "jitter", "repeat", "stale", "float32", "filtered", "slow", "origin", "unit")
 
 
@@ -259,7 +269,7 @@ def truth_of(b: Bench, request: Request, train: Record) -> Truth:
     }  # fmt: skip
 
 
-def given(b: Bench, columns: Columns, rng: Rng, name: str) -> dict[str, Any]:
+def given(b: Bench, columns: Columns, rng: Rng, name: str) -> ModelTable:
     """The model file: inertial figures off by 3 %, known friction by 5 %; exact where they are
     fixed.
     """
@@ -268,66 +278,74 @@ def given(b: Bench, columns: Columns, rng: Rng, name: str) -> dict[str, Any]:
         return value * (1 + (0.0 if b.fixed else spread * float(rng.standard_normal())))
 
     thousand = 1000.0 if "unit" in b.faults else 1.0
-    table: dict[str, Any] = {"name": name, "sample_time": b.sample_time}
-    table["mechanism"] = {"kind": b.kind}
+    mechanism: Mechanism = {"kind": b.kind}
     if b.kind == "urdf":
-        table["mechanism"]["file"] = "arm.urdf"
+        mechanism["file"] = "arm.urdf"
     else:
-        free = {} if not b.fixed else {"free": False}
-        figures = inertial_figures(b)
-        entries: dict[str, Any] = {k: {"value": near(v, 0.03), **free} for k, v in figures.items()}
-        if b.kind == "rotary" and b.gravity == 0.0:
-            entries["gravity"] = {"value": 0.0, "free": False}
-        if b.kind == "planar2r":
-            lengths = (b.nominal[1].place[0], 2 * b.nominal[1].com[0])
-            entries |= {
-                k: {"value": v, "free": False} for k, v in zip(("l1", "l2"), lengths, strict=True)
-            }
-        table["mechanism"]["parameters"] = entries
-    table["effect"] = []
-    for i in range(b.n):
-        if "viscous" not in b.hidden[i]:
-            value = near(b.nominal_damping[i], 0.05)
-            table["effect"].append(
-                {"kind": "viscous", "joint": i + 1, "coefficient": {"value": value}}
-            )
-        if "coulomb" not in b.hidden[i] and b.nominal_dry[i] > 0:
-            value = near(b.nominal_dry[i], 0.05)
-            table["effect"].append({"kind": "coulomb", "joint": i + 1, "level": {"value": value}})
-    for term in b.known:
-        values = {
-            k: {"value": near(v, 0.02), **({"free": False} if b.fixed else {})}
-            for k, v in term.values.items()
-        }
-        table["effect"].append({"kind": term.kind, "joint": term.joint, **values})
-    if not table["effect"]:
-        del table["effect"]
-    gains = [g / thousand for g in b.stated_gain]
-    limits = [x * thousand for x in b.limit]
-    table["actuator"] = {
-        "gain": {"value": gains if b.n > 1 else gains[0], "free": False},
-        "limit": limits if b.n > 1 else limits[0],
-        "hold": b.sample_time,
+        mechanism["parameters"] = given_figures(b, near)
+    effects = known_effects(b, near)
+    table: ModelTable = {
+        "name": name,
+        "sample_time": b.sample_time,
+        "mechanism": mechanism,
+        "effect": effects,
+        "actuator": {
+            "gain": parameter(one_or_each([g / thousand for g in b.stated_gain]), fixed=True),
+            "limit": one_or_each([x * thousand for x in b.limit]),
+            "hold": b.sample_time,
+        },
+        "sensor": {"position_resolution": one_or_each(b.resolution)},
+        "columns": columns,
     }
-    table["sensor"] = {"position_resolution": b.resolution if b.n > 1 else b.resolution[0]}
-    table["columns"] = columns
+    if not effects:
+        del table["effect"]
     return table
 
 
-def as_mjcf(b: Bench, table: dict[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
+def given_figures(b: Bench, near: Near) -> dict[str, Parameter]:
+    """``[mechanism.parameters]``: off by 3 %, or exact where they are fixed."""
+    figures = {k: parameter(near(v, 0.03), b.fixed) for k, v in inertial_figures(b).items()}
+    if b.kind == "rotary" and b.gravity == 0.0:
+        figures["gravity"] = parameter(0.0, fixed=True)
+    if b.kind == "planar2r":
+        figures["l1"] = parameter(b.nominal[1].place[0], fixed=True)
+        figures["l2"] = parameter(2 * b.nominal[1].com[0], fixed=True)
+    return figures
+
+
+def known_effects(b: Bench, near: Near) -> list[EffectTable]:
+    """Friction off by 5 % but for what is hidden, and the other effects that the model has."""
+    out: list[EffectTable] = []
+    for i in range(b.n):
+        if "viscous" not in b.hidden[i]:
+            value = parameter(near(b.nominal_damping[i], 0.05))
+            out.append({"kind": "viscous", "joint": i + 1, "coefficient": value})
+        if "coulomb" not in b.hidden[i] and b.nominal_dry[i] > 0:
+            value = parameter(near(b.nominal_dry[i], 0.05))
+            out.append({"kind": "coulomb", "joint": i + 1, "level": value})
+    for term in b.known:
+        values = {k: parameter(near(v, 0.02), b.fixed) for k, v in term.values.items()}
+        out.append({"kind": term.kind, "joint": term.joint, **values})
+    return out
+
+
+def as_mjcf(b: Bench, table: ModelTable) -> tuple[ModelTable, dict[str, str]]:
     """The same given model with an MJCF, which states what the table and the URDF stated before."""
-    rest = {key: value for key, value in table.items() if key not in ("effect", "actuator")}
     joints = [Joint() for _ in range(b.n)]
     words = {"viscous": "damping", "coulomb": "dry", "inertia": "armature"}
     for entry in table.get("effect", []):
         value = next(v["value"] for v in entry.values() if isinstance(v, dict))
         setattr(joints[entry["joint"] - 1], words[entry["kind"]], value)
     actuator = table["actuator"]
-    for joint, gain, limit in zip(joints, actuator["gain"]["value"], actuator["limit"],
-                                  strict=True):  # fmt: skip
+    gains, limits = (np.atleast_1d(x) for x in (actuator["gain"]["value"], actuator["limit"]))
+    for joint, gain, limit in zip(joints, gains.tolist(), limits.tolist(), strict=True):
         joint.gain, joint.force_limit = gain, gain * limit
-    rest["mechanism"] = {"kind": "mjcf", "file": "arm.xml"}
-    rest["actuator"] = {"hold": actuator["hold"]}
+    rest: ModelTable = {
+        **table,
+        "mechanism": {"kind": "mjcf", "file": "arm.xml"},
+        "actuator": {"hold": actuator["hold"]},
+    }
+    rest.pop("effect", None)
     world = World(gravity=nominal_gravity(b))
     return rest, {"arm.xml": mjcf(b.nominal, joints, world, b.substep, b.integrator)}
 

@@ -165,7 +165,7 @@ class LabScreen(Screen[None]):
 
     def help_text(self) -> Text:
         """Return every key of this screen and those that work everywhere."""
-        c: dict[str, Any] = self.app.theme_variables
+        c = self.app.theme_variables
         text = Text()
         # of the dialog: its frame, its scroll bar and the columns before the explanation
         room = max(20, min(96, int(0.96 * self.app.size.width)) - 6 - len(HANGING))
