@@ -351,3 +351,10 @@ def test_run_says_of_a_program_that_is_always_late(tmp_path: Path) -> None:
         done = zendsp_("run", str(slow), "-t", target.name)
         assert done.stdout == "running\n"
         assert "samples took longer than the period of 1 ms: shorten UserISR_INT2" in done.stderr
+
+
+def test_ls_tells_that_what_is_elsewhere_may_refuse_a_password() -> None:
+    done = zendsp_("ls", "nobody-*", "--connect", "tcp/127.0.0.1:9")
+    assert done.returncode == 1
+    for said in ("'nobody-*'", "tcp/127.0.0.1:9", "refuses the certificate or password"):
+        assert said in done.stdout

@@ -270,3 +270,28 @@ def test_the_command_line_goes_through_the_sequence(target: Target) -> None:
     assert "exclusive right" in _cli(target, "off").stderr
     assert _cli(target, "take", "--force").returncode == 0
     assert target.drive_status().commander == "", "freed"
+
+
+COMMANDS_AND_DIES = """
+import os, sys, zendsp
+target = zendsp.connect(sys.argv[1])
+target.take_command()
+target.acquire_configure(["q"], 60.0)
+target.acquire_start()
+target.start()
+while target.acquire_status().count < 100: pass
+os._exit(0)
+"""
+
+
+def test_a_recording_ends_a_second_after_a_trip_by_the_loss_of_its_host() -> None:
+    with local("imi_planar", clock="real") as target:
+        target.download("pd.c")
+        subprocess.run([sys.executable, "-c", COMMANDS_AND_DIES, target.name], timeout=60)
+        until(lambda: target.status().trip is not None, "tripped")
+        until(lambda: target.acquire_status().state == "done", "ended")
+        tripped = target.status().trip
+        assert tripped is not None and tripped.reason == "host lost"
+        held = target.acquire_status()
+        after = (held.start_tick + held.count - tripped.tick) / 1000.0
+        assert 0.5 < after < 3.0, "the second in which it comes to rest; a loaded computer's delay"

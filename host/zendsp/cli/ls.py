@@ -32,12 +32,22 @@ def command(pattern: str, connect: str | None, as_json: bool) -> None:
         {"name": f.name, "endpoints": f.endpoints, "problem": f.problem, "info": f.info}
         for f in found
     ]
-    text = (
-        table(rows, ["NAME", "MACHINE", "HZ", "CLOCK", "PID", "ENDPOINT"])
-        if found
-        else "no target answers: 'zendsp target' starts one here; --connect or $ZENDSP_CONNECT"
-        " finds one elsewhere"
-    )
-    emit(body, as_json, text)
+    columns = ["NAME", "MACHINE", "HZ", "CLOCK", "PID", "ENDPOINT"]
+    emit(body, as_json, table(rows, columns) if found else _none(pattern, connect))
     if not found:
         raise click.exceptions.Exit(1)
+
+
+def _none(pattern: str, connect: str | None) -> str:
+    from zendsp.here.registered import remote_endpoints
+
+    which = "no target" if pattern == "*" else f"no target named {pattern!r}"
+    if where := ", ".join(remote_endpoints(connect)):
+        return (
+            f"{which} answers here or at {where}; or the one there refuses the certificate or"
+            " password given"
+        )
+    return (
+        f"{which} answers: 'zendsp target' starts one here; --connect or $ZENDSP_CONNECT"
+        " finds one elsewhere"
+    )

@@ -401,8 +401,14 @@ class Recorder(Transfers):
             overall: m.Status = self.insist("status", patience)
             if overall.state == ProgramState.CRASHED:
                 raise _loadable(RunnerDied(overall.crash))
-            if status.state in ENDED:
+            lost = overall.trip is not None and overall.trip.reason == "host lost"
+            if status.state in ENDED and not lost:
                 return status  # ended before it was full, by a host
+            if status.state in ENDED:
+                raise _loadable(Incomplete(
+                    f"the program was {overall.state} before the recording was complete "
+                    f"({status.count - status.first} of {status.wanted} rows)"
+                ))  # fmt: skip
             if overall.state == ProgramState.RUNNING:
                 ran = time.monotonic()
             elif (

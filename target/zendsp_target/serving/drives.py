@@ -30,7 +30,7 @@ from zendsp_protocol import verbs
 from zendsp_protocol.errors import Refused, ZendspError
 from zendsp_protocol.messages import Status
 from zendsp_protocol.states import DriveState, ProgramState
-from zendsp_target.api import RuntimeApi
+from zendsp_target.api import RECORDER, RuntimeApi
 
 log = logging.getLogger(__name__)
 
@@ -40,6 +40,7 @@ SOFT_S = 0.1
 # velocity, latched; the program's bool parameter `hold` is set, and without one as "stop"; it goes
 # on.
 POLICIES = ("stop", "hold", "finish")
+AFTER_TRIP_S = 1.0  # a recording shows how the machine comes to rest
 POLICY = "stop"  # unless somebody chooses another
 # What could move the machine or change what moves it; STOP is not among them.
 COMMANDING = (
@@ -234,10 +235,28 @@ class Drives:
                     return policy
                 self._runtime.trip("host lost")
                 self._enabled = False
+                self._end_recording()
             except ZendspError as error:
                 # the runner died meanwhile: it is in the safe state already
                 log.warning("host %s lost: %s", host, error)
             return "stop"
+
+    def _end_recording(self) -> None:
+        """End what is recorded now as after STOP, once the machine has come to rest: its host, who
+        would have, is gone.
+        """
+        began = self._runtime.acquire_status(RECORDER).start_tick
+
+        def end() -> None:
+            try:
+                if self._runtime.acquire_status(RECORDER).start_tick == began:
+                    self._runtime.acquire_stop(RECORDER)
+            except ZendspError as error:
+                log.warning("the recorder was not ended: %s", error)
+
+        timer = threading.Timer(AFTER_TRIP_S, end)
+        timer.daemon = True
+        timer.start()
 
     def _hold(self) -> bool:
         infos = {info.name: info for info in self._runtime.variables()}
