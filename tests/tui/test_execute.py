@@ -45,7 +45,7 @@ async def test_the_trial_is_shown_before_start(
     lab: ZendspApp, target: Target, enabled: Step, until: Until, folder: Path
 ) -> None:
     hasty = folder / "references" / "hasty.mat"
-    save_reference(make_reference("point_to_point", "imi_planar", headroom=1.0), hasty)
+    save_reference(make_reference("point_to_point", "imi_planar", duration=0, headroom=1.0), hasty)
     gentle = folder / "references" / "gentle.mat"
     save_reference(make_reference("point_to_point", "imi_planar"), gentle)
     async with lab.run_test(size=(160, 50)) as pilot:
@@ -401,7 +401,7 @@ def test_a_process_that_is_watched_says_each_stage_as_a_line(
 async def test_a_motion_that_trips_in_its_rehearsal_moves_nothing(
     lab: ZendspApp, target: Target, enabled: Step, until: Until, folder: Path
 ) -> None:
-    hasty = make_reference("point_to_point", "imi_planar", headroom=1.0)
+    hasty = make_reference("point_to_point", "imi_planar", duration=0.0, headroom=1.0)
     save_reference(hasty, folder / "references" / "circle.mat")
     async with lab.run_test(size=(100, 30)) as pilot:
         await enabled(lab, pilot)
