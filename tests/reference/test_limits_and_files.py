@@ -348,6 +348,6 @@ def test_a_move_whose_time_nobody_gave_is_calm_and_within_limits(machine: str) -
     assert calm.duration == pytest.approx(2.0)
     assert make_reference("point_to_point", machine, duration=0).duration < 1.0
     own = load_machine(machine)
-    slow = replace(own, limits=replace(own.limits, speed=0.01 * own.limits.speed))
+    slow = replace(own, limits=replace(own.limits, speed=0.001 * own.limits.speed))
     long = make_reference("point_to_point", slow)
     assert long.duration > 2.0 and not slow.find_violations(long)
