@@ -241,7 +241,7 @@ async def test_abort_keeps_what_was_acquired(
 
 
 def test_an_abort_in_the_middle_of_a_fast_motion_is_no_trip(tmp_path: Path) -> None:
-    # with the default motion of a kind, at its full speed: a reference that stood still at once
+    # with the shortest motion within the limits: a reference that stood still at once
     # would ask for 315 N m of 245
     found = SimpleNamespace(trip=None, simulated=True, good=True, text="as planned")
     with local("imi_planar", clock="real") as target:
@@ -251,7 +251,8 @@ def test_an_abort_in_the_middle_of_a_fast_motion_is_no_trip(tmp_path: Path) -> N
         port.snapshot()
         job = PlayJob(
             SimpleNamespace(require=lambda: port, events=EventLog()),
-            [make_reference("point_to_point", "imi_planar")], [], load_machine("imi_planar"),
+            [make_reference("point_to_point", "imi_planar", duration=0)], [],
+            load_machine("imi_planar"),
             Setup(), tmp_path, {}, SimpleNamespace(found=lambda plan: found),  # type: ignore[arg-type]
         )  # fmt: skip
         job.start()
