@@ -49,7 +49,7 @@ def main() -> None:
             assert running[-1].stdout is not None
             running[-1].stdout.readline()
         for k in range(targets):
-            with connect(f"t{k}") as target:
+            with connect(f"t{k}", timeout=30.0) as target:
                 target.download("pd.c")
                 target.start()
         before, begin = [used(process) for process in running], time.monotonic()
@@ -61,7 +61,7 @@ def main() -> None:
         )
         overruns = ticks = 0
         for k in range(targets):
-            with connect(f"t{k}") as target:
+            with connect(f"t{k}", timeout=30.0) as target:
                 timing = target.status().timing
                 overruns, ticks = overruns + timing.overruns, ticks + timing.ticks
     finally:

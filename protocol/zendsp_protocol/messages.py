@@ -362,6 +362,10 @@ class Program(Message, frozen=True, kw_only=True):
     compiler: str = ""  # path and version
     log_start: int = 0  # lines of the parameter log from before it was loaded
 
+    def __repr__(self) -> str:
+        files = (f"{name} ({text.count(chr(10))} lines)" for name, text in self.sources.items())
+        return f"<Program {', '.join(files) or 'none'}; {self.compiler or 'no compiler known'}>"
+
 
 class Replaced(Message, frozen=True, kw_only=True):
     """What the recorder's rows were made by, where that program is loaded no more."""

@@ -36,6 +36,18 @@ def _written(found: re.Match[str]) -> str:
     return found[0].encode("unicode_escape").decode()
 
 
+def units_of(unit: str, length: int) -> tuple[str, ...]:
+    """Return the unit of each element: a variable has one, or names one for each of its elements.
+
+    Examples
+    --------
+    >>> units_of("rad", 2), units_of("A, V", 2)
+    (('rad', 'rad'), ('A', 'V'))
+    """
+    each = tuple(unit.split(", "))
+    return each if len(each) == length else (unit,) * length
+
+
 def counted(number: int, noun: str) -> str:
     """Return a number with its noun, in the singular where it is one.
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from zendsp import local
 from zendsp.errors import RecordingError
 from zendsp.recording import ParameterChange, Recording, read_table
 
@@ -249,3 +250,16 @@ def test_columns_are_taken_by_name_and_other_ways_say_so(recording: Recording) -
             recording[wrong]  # type: ignore[index]
     with pytest.raises(RecordingError, match=r"dict\(rec\)"):
         list(recording)
+
+
+def test_analog_inputs_keep_the_unit_of_each(tmp_path: Path) -> None:
+    program = '#include "isr.h"\nvoid UserInit(void) {}\nvoid UserISR_INT2(void) {}\n'
+    with local("pendulum", clock="fast", options=["--speed", "20"]) as target:
+        target.download({"idle.c": program})
+        target.start()
+        assert target.builtins()["adc"].unit == "A, V"
+        rec = target.acquire(["adc", "enc"], seconds=0.01)
+        assert target.acquire(["adc[1]"], seconds=0.01).column_units == ("V",)
+    assert rec["adc"].shape == (10, 2)
+    for name in ("run.mat", "run.csv", "run.npz"):
+        assert Recording.load(rec.save(tmp_path / name)).column_units == ("A", "V", "counts")

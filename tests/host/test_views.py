@@ -96,6 +96,14 @@ def test_a_target_shows_its_state_and_completes_its_variables(target: Target) ->
     assert "overruns, missed" in status._repr_html_()
 
 
+def test_what_a_target_hands_out_is_a_line_at_a_prompt(target: Target) -> None:
+    parts = (target.drives, target.variables, target.program(), target.limits(), target.info)
+    for part in parts:
+        said = repr(part)
+        assert "\n" not in said and len(said) < 250 and " object at 0x" not in said, said
+    assert repr(target.program()).startswith("<Program pd.c (")
+
+
 def test_a_target_without_a_program_is_shown_too(target: Target) -> None:
     target.request("unload")
     try:

@@ -62,8 +62,8 @@ import subprocess, sys
 import zendsp
 from zendsp.reference import make_reference, save_reference
 
-save_reference(make_reference("point_to_point", "imi_planar"), "gentle.mat")
-save_reference(make_reference("point_to_point", "imi_planar", headroom=1.0), "hasty.mat")
+save_reference(make_reference("point_to_point", "imi_planar", duration=0), "gentle.mat")
+save_reference(make_reference("point_to_point", "imi_planar", duration=0, headroom=1), "hasty.mat")
 target = zendsp.connect()
 target.download("pd.c")
 before = target.status().tick

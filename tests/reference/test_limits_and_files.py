@@ -29,6 +29,7 @@ from zendsp.reference import (
     plot_reference,
     save_reference,
 )
+from zendsp.reference.kind import MOVE_TIME
 
 
 @pytest.mark.parametrize(
@@ -177,8 +178,9 @@ def test_every_parameter_of_every_kind_is_ready_for_a_form() -> None:
         for parameter in kind.parameters:
             assert parameter.description.endswith(".") and parameter.name.isidentifier()
             for machine in (load_machine(name) for name in MACHINES):
-                if kind.fits(machine) and parameter.type != "path":
-                    parameter.parse(parameter.default_for(machine), machine)
+                default = parameter.default_for(machine)
+                if kind.fits(machine) and parameter.type != "path" and parameter != MOVE_TIME:
+                    parameter.parse(default, machine)
 
 
 def test_command_line_plans_saves_draws_and_refuses(tmp_path: Path) -> None:
@@ -231,7 +233,7 @@ def test_a_machine_of_ones_own_is_a_toml_file_of_the_same_form(tmp_path: Path) -
         "l1 = 0.5\nl2 = 0.5\nviscous = [0, 0]\ncoulomb = [0, 0]\n"
     )
     machine = load_machine(str(file))
-    reference = make_reference("point_to_point", machine, headroom=1.0, goal=0.8)
+    reference = make_reference("point_to_point", machine, duration=0.0, headroom=1.0, goal=0.8)
     machine.check(reference)
     assert (
         reference.sample_time == 0.002 and 0.45 < abs(reference.qd).max() <= 0.5
@@ -287,7 +289,7 @@ def test_a_motion_leaves_the_rest_of_every_limit_to_the_controller(
 
 def test_headroom_is_kept_when_a_motion_is_checked_again() -> None:
     machine = load_machine("imi_planar")
-    hasty = make_reference("point_to_point", machine, headroom=1.0)
+    hasty = make_reference("point_to_point", machine, duration=0.0, headroom=1.0)
     assert not machine.find_violations(hasty)
     claimed = replace(hasty, parameters={**hasty.parameters, "headroom": 0.7})
     found = machine.find_violations(claimed)
@@ -297,7 +299,7 @@ def test_headroom_is_kept_when_a_motion_is_checked_again() -> None:
 @pytest.mark.parametrize("share", [0.0, 0.04, 1.01, "much"])
 def test_a_headroom_that_is_none_is_refused(share: float | str) -> None:
     with pytest.raises(ReferenceError_, match="headroom"):
-        make_reference("point_to_point", "imi_planar", headroom=share)
+        make_reference("point_to_point", "imi_planar", duration=0.0, headroom=share)
 
 
 def test_a_reference_that_cannot_be_written_leaves_nothing_half(
@@ -327,7 +329,7 @@ def test_a_machine_without_a_model_is_planned_for_by_its_limits_alone(tmp_path: 
         "acceleration = [inf, inf]\ntorque = [5, 5]\n"
     )
     machine = load_machine(str(file))
-    reference = make_reference("point_to_point", machine, goal=[0.5, 0.5], headroom=1.0)
+    reference = make_reference("point_to_point", machine, goal=[0.5, 0.5], duration=0, headroom=1)
     assert machine.torque(reference) is None and not machine.find_violations(reference)
     peaks = np.abs(reference.qd).max(), np.abs(reference.qdd).max()
     assert 0.9 < peaks[0] <= 1.0 and peaks[1] <= 10.0, "moderate where no limit is known"
@@ -338,3 +340,14 @@ def test_a_machine_without_a_model_is_planned_for_by_its_limits_alone(tmp_path: 
     assert len(plot_reference(reference, machine).axes) == 3
     said = CliRunner().invoke(command, ["trapezoid", "--machine", str(file)])
     assert said.exit_code == 0 and "torque is not predicted" in said.output, said.output
+
+
+@pytest.mark.parametrize("machine", ["imi_planar", "pendulum", "wam7"])
+def test_a_move_whose_time_nobody_gave_is_calm_and_within_limits(machine: str) -> None:
+    calm = make_reference("point_to_point", machine)
+    assert calm.duration == pytest.approx(2.0)
+    assert make_reference("point_to_point", machine, duration=0).duration < 1.0
+    own = load_machine(machine)
+    slow = replace(own, limits=replace(own.limits, speed=0.001 * own.limits.speed))
+    long = make_reference("point_to_point", slow)
+    assert long.duration > 2.0 and not slow.find_violations(long)

@@ -45,7 +45,7 @@ async def test_the_trial_is_shown_before_start(
     lab: ZendspApp, target: Target, enabled: Step, until: Until, folder: Path
 ) -> None:
     hasty = folder / "references" / "hasty.mat"
-    save_reference(make_reference("point_to_point", "imi_planar", headroom=1.0), hasty)
+    save_reference(make_reference("point_to_point", "imi_planar", duration=0, headroom=1.0), hasty)
     gentle = folder / "references" / "gentle.mat"
     save_reference(make_reference("point_to_point", "imi_planar"), gentle)
     async with lab.run_test(size=(160, 50)) as pilot:
@@ -241,7 +241,7 @@ async def test_abort_keeps_what_was_acquired(
 
 
 def test_an_abort_in_the_middle_of_a_fast_motion_is_no_trip(tmp_path: Path) -> None:
-    # with the default motion of a kind, at its full speed: a reference that stood still at once
+    # with the shortest motion within the limits: a reference that stood still at once
     # would ask for 315 N m of 245
     found = SimpleNamespace(trip=None, simulated=True, good=True, text="as planned")
     with local("imi_planar", clock="real") as target:
@@ -251,7 +251,8 @@ def test_an_abort_in_the_middle_of_a_fast_motion_is_no_trip(tmp_path: Path) -> N
         port.snapshot()
         job = PlayJob(
             SimpleNamespace(require=lambda: port, events=EventLog()),
-            [make_reference("point_to_point", "imi_planar")], [], load_machine("imi_planar"),
+            [make_reference("point_to_point", "imi_planar", duration=0)], [],
+            load_machine("imi_planar"),
             Setup(), tmp_path, {}, SimpleNamespace(found=lambda plan: found),  # type: ignore[arg-type]
         )  # fmt: skip
         job.start()
@@ -401,7 +402,7 @@ def test_a_process_that_is_watched_says_each_stage_as_a_line(
 async def test_a_motion_that_trips_in_its_rehearsal_moves_nothing(
     lab: ZendspApp, target: Target, enabled: Step, until: Until, folder: Path
 ) -> None:
-    hasty = make_reference("point_to_point", "imi_planar", headroom=1.0)
+    hasty = make_reference("point_to_point", "imi_planar", duration=0.0, headroom=1.0)
     save_reference(hasty, folder / "references" / "circle.mat")
     async with lab.run_test(size=(100, 30)) as pilot:
         await enabled(lab, pilot)

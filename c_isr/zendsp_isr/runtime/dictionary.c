@@ -149,6 +149,17 @@ static void own(control *c, int32_t kind, const char *name, const char *unit, co
     v->size = length * size_of_type[type];
 }
 
+/* The unit of the analog inputs; where they differ, that of each: "A, V". */
+static void analog_units(const machine_info *info, char *text, size_t room) {
+    size_t used = 0;
+    int alike = 1;
+    for (int i = 1; i < info->adcs; i++)
+        alike = alike && strcmp(info->adc_unit[i], info->adc_unit[0]) == 0;
+    for (int i = 0; i < (alike ? 1 : info->adcs) && used < room; i++)
+        used += (size_t)snprintf(text + used, room - used, "%s%s", i ? ", " : "",
+                                 info->adc_unit[i]);
+}
+
 /* Signals that exist without being declared, and the settings. */
 void dictionary_builtins(runner *r) {
     control *c = r->control;
@@ -159,6 +170,8 @@ void dictionary_builtins(runner *r) {
     const char *torque = strcmp(unit, "m") == 0 ? "N" : "N m";
     char speed[MACHINE_UNIT + 4];
     snprintf(speed, sizeof speed, "%s/s", unit);
+    char analog[MACHINE_ADCS * (MACHINE_UNIT + 2)] = "";
+    analog_units(&c->info, analog, sizeof analog);
     const int D = TYPE_DOUBLE, I = TYPE_INT32, B = KIND_BUILTIN, S = KIND_SETTING;
     own(c, B, "tick", "", "index of the sample", &b->tick, D, 1);
     own(c, B, "t", "s", "time since load", &b->t, D, 1);
@@ -171,7 +184,7 @@ void dictionary_builtins(runner *r) {
     own(c, B, "cmd", "mV", "command computed in this sample; acts from the next", b->cmd, D,
         joints);
     if (adcs > 0)
-        own(c, B, "adc", c->info.adc_unit[0], "analog inputs", b->adc, D, adcs);
+        own(c, B, "adc", analog, "analog inputs", b->adc, D, adcs);
     own(c, B, "din", "", "digital inputs, one bit each", &b->din, D, 1);
     own(c, B, "dout", "", "digital outputs, one bit each", &b->dout, D, 1);
     own(c, S, "limit.position_min", unit, "trip below", s->position_min, D, joints);

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import threading
+import signal
 from pathlib import Path
 
 import click
@@ -53,7 +53,7 @@ def foxglove(
     ):
         words = f"{t.name} at {bridge.url} (Foxglove: Open connection, Foxglove WebSocket)"
         emit({"url": bridge.url, "target": t.name}, as_json, words)
-        threading.Event().wait()  # until Ctrl-C
+        signal.pause()  # until Ctrl-C
 
 
 @command.command("rerun")
@@ -85,4 +85,4 @@ def rerun(
     with open_target(target, connect) as t, show(t, channels, rate=rate, save=save):
         where = save if save is not None else "the Rerun viewer"
         emit({"target": t.name, "to": str(where)}, as_json, f"{t.name} to {where}; Ctrl-C ends it")
-        threading.Event().wait()  # until Ctrl-C
+        signal.pause()  # until Ctrl-C

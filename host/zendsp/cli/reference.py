@@ -114,6 +114,8 @@ def _common(function: Any) -> Any:
 def _default_text(parameter: Any) -> str:
     if parameter.by_machine or (parameter.type == "joints" and parameter.default is None):
         return MACHINE_DEFAULT
+    if parameter.default is None:
+        return "none"
     if isinstance(parameter.default, list):
         return ",".join(f"{x:g}" for x in parameter.default)
     return (

@@ -19,6 +19,7 @@ from zendsp.recording import Channel, ParameterChange, Recording
 from zendsp.recording.names import FloatArray, split_element
 from zendsp_protocol import messages as m
 from zendsp_protocol.states import ProgramState
+from zendsp_protocol.texts import units_of
 from zendsp_protocol.values import Assignable, from_wire
 from zendsp_protocol.version import PROTOCOL
 
@@ -144,8 +145,8 @@ def join_channels(columns: Sequence[str], units: Sequence[str]) -> tuple[Channel
 
     Examples
     --------
-    >>> [(c.name, c.width) for c in join_channels(["q[0]", "q[1]", "u", "e[0]"], ["rad", "rad", "V", "rad"])]
-    [('q', 2), ('u', 1), ('e[0]', 1)]
+    >>> [(c.name, c.unit) for c in join_channels(["q[0]", "q[1]", "u[0]", "u[1]"], ["rad", "rad", "A", "V"])]
+    [('q', 'rad'), ('u', 'A, V')]
     """  # noqa: E501
     channels: list[Channel] = []
     for name, unit in zip(columns, units, strict=True):
@@ -154,9 +155,11 @@ def join_channels(columns: Sequence[str], units: Sequence[str]) -> tuple[Channel
             element
             and element[1] > 0
             and channels
-            and channels[-1] == Channel(element[0], unit, element[1])
+            and (channels[-1].name, channels[-1].width) == element
         ):
-            channels[-1] = Channel(element[0], unit, element[1] + 1)
+            each = (*units_of(channels[-1].unit, element[1]), unit)
+            joined = unit if len(set(each)) == 1 else ", ".join(each)
+            channels[-1] = Channel(element[0], joined, len(each))
         elif element and element[1] == 0:
             channels.append(Channel(element[0], unit, 1))
         else:

@@ -61,6 +61,9 @@ class Part:
         self._requests = requests
         self.request, self.insist = requests.request, requests.insist
 
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} of {self.link.target}>"
+
     @property
     def link(self) -> Link:
         """The present link; ``Target.reconnect`` makes another."""

@@ -15,13 +15,15 @@ import numpy.typing as npt
 
 from zendsp.errors import RecordingError
 from zendsp.recording.names import FloatArray, element_names, listing, pick
-from zendsp_protocol.texts import counted
+from zendsp_protocol.texts import counted, units_of
 from zendsp_protocol.values import Assignable
 
 
 @dataclass(frozen=True)
 class Channel:
-    """One recorded signal: a scalar (width 1) or a vector of ``width`` columns."""
+    """One recorded signal: a scalar (width 1) or a vector of ``width`` columns. Its unit is that of
+    all columns, or names one for each: ``"A, V"``.
+    """
 
     name: str
     unit: str = ""
@@ -159,7 +161,7 @@ class Samples:
     @property
     def column_units(self) -> tuple[str, ...]:
         """Units of the columns of ``data``, in order."""
-        return tuple(c.unit for c in self.channels for _ in range(c.width))
+        return tuple(unit for c in self.channels for unit in units_of(c.unit, c.width))
 
     @property
     def units(self) -> dict[str, str]:

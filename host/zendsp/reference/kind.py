@@ -32,7 +32,7 @@ class Parameter:
     unit : str
         "" where none.
     default : object
-        Used where ``by_machine`` has no entry.
+        Used where ``by_machine`` has no entry; None: the generator's own.
     description : str
         One line for forms and ``--help``.
     minimum, maximum : float
@@ -208,13 +208,14 @@ def move_one_joint(machine: Machine, start: Array, joint: int, motion: Array) ->
     return np.asarray(start + motion[:, None] * moving)
 
 
+CALM_S = 2.0  # of a move whose time nobody gave; the shortest takes 0.1 to 0.7 s
 # what several kinds ask for
 ELBOW = Parameter(
     "elbow", "choice", "", "positive", "Sign of q2.", choices=("positive", "negative")
 )
 MOVE_TIME = Parameter(
-    "duration", "float", "s", 0.0, "Time of the move; 0: the shortest within the limits.", 0.0,
-    3600.0,
+    "duration", "float", "s", None,
+    "Time of the move; without: 2 s, or as long as the limits need; 0: the shortest.", 0.0, 3600.0,
 )
 TIME_LAW = Parameter(
     "law", "choice", "", "quintic", "Time law along the way.", choices=("quintic", "trapezoid")

@@ -104,8 +104,9 @@ def make_reference(
             f"{kind} has no parameter {', '.join(sorted(unknown))}; expected {expected}"
         )
     values = {
-        p.name: p.parse(parameters.get(p.name, p.default_for(machine)), machine)
+        p.name: None if value is None else p.parse(value, machine)
         for p in chosen.parameters
+        for value in (parameters.get(p.name, p.default_for(machine)),)
     }
     share = float(HEADROOM.parse(headroom, machine))
     planned = chosen.make(machine.with_headroom(share), sample_time=sample_time, **values)

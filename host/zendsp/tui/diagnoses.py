@@ -18,6 +18,7 @@ from pathlib import Path
 
 from zendsp.diagnosis.decide.contract import LeftReport, Report
 from zendsp.diagnosis.report.chart import SUFFIX, Chart, load_chart
+from zendsp.diagnosis.report.summary import percent
 from zendsp.tui.workspace import file_name
 
 CARD = "diagnosis.json"
@@ -152,4 +153,4 @@ def _errors(d: Diagnosed) -> tuple[str, str]:
 
 
 def _left(item: LeftReport | None) -> str:
-    return "—" if item is None or item["share"] is None else f"{100 * item['share']:.2g} %"
+    return "—" if item is None or item["share"] is None else percent(item["share"])

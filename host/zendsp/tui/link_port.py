@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -142,10 +141,6 @@ class LinkPort:
             for info in self.target.builtins().values()
             if info.name not in names
         ]
-        units = dict.fromkeys(self._described.adc_units)  # the dictionary has that of the first
-        if len(units) > 1:
-            both = ", ".join(units)
-            builtin = [replace(v, unit=both) if v.name == "adc" else v for v in builtin]
         self._variables = (*own, *builtin)
         self._names = [
             v.name for v in self._variables if v.kind != "table" and v.length <= SHOWN_ELEMENTS

@@ -23,6 +23,7 @@ from zendsp_protocol.errors import AcquisitionError, TooLarge, VariableError
 from zendsp_protocol.kept import About, Kept, first_row
 from zendsp_protocol.messages import AcquireStatus, Held
 from zendsp_protocol.states import RecorderState
+from zendsp_protocol.texts import units_of
 from zendsp_target.api import AcquireConfig
 from zendsp_target.runtime.memory.layout import layout, set_text
 from zendsp_target.runtime.memory.shm import SharedFile
@@ -84,10 +85,11 @@ def _expand(
             continue
         whole = place.element is None and info.length > 1
         elements = range(info.length) if whole else [place.element or 0]
+        each = units_of(info.unit, info.length)
         for element in elements:
             sources.append((place.entry.index, element))
             labels.append(f"{name}[{element}]" if whole else name)
-            units.append(info.unit)
+            units.append(each[element])
     if problems:
         raise AcquisitionError("\n".join(problems))
     return sources, labels, units

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -229,6 +230,7 @@ def check_limits(machine: MachineInfo, changes: Mapping[str, Value]) -> dict[str
     return settings
 
 
+@lru_cache
 def histogram_edges(bins: int) -> npt.NDArray[np.float64]:
     """Edges of the timing histograms: four bins an octave, the last one open.
 
@@ -237,8 +239,11 @@ def histogram_edges(bins: int) -> npt.NDArray[np.float64]:
     ndarray, shape (bins + 1,)
         ns; bin b counts durations in [edge b, edge b + 1).
     """
-    edges = [float(b) if b < 4 else float((4 + b % 4) * 2 ** (b // 4 - 1)) for b in range(bins + 1)]
-    return np.array(edges)
+    edges = np.array(
+        [float(b) if b < 4 else float((4 + b % 4) * 2 ** (b // 4 - 1)) for b in range(bins + 1)]
+    )
+    edges.flags.writeable = False  # one array for all who ask
+    return edges
 
 
 def timing_of(control: Any) -> Timing:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from zendsp.reference.core import Array, Reference
-from zendsp.reference.kind import BLEND, ELBOW, MOVE_TIME, TIME_LAW, Kind, Parameter
+from zendsp.reference.kind import BLEND, CALM_S, ELBOW, MOVE_TIME, TIME_LAW, Kind, Parameter
 from zendsp.reference.kinds.point_to_point import fastest_duration
 from zendsp.reference.kinematics import Elbow, cartesian_to_joint
 from zendsp.reference.machine import Machine
@@ -19,7 +19,7 @@ def make_line(
     y0: float,
     x1: float,
     y1: float,
-    duration: float = 0.0,
+    duration: float | None = None,
     elbow: Elbow = "positive",
     law: Law = "quintic",
     blend: float = 0.25,
@@ -33,8 +33,9 @@ def make_line(
         A planar2r machine.
     x0, y0, x1, y1 : float
         Start and goal of the tip, m.
-    duration : float
-        s; 0 takes the shortest that the joints' speed and acceleration limits allow.
+    duration : float, optional
+        s; where not given, 2 s, or as long as the limits need. 0 takes the shortest that the
+        joints' speed and acceleration limits allow.
     elbow : {"positive", "negative"}
         Sign of q2.
     law : {"quintic", "trapezoid"}
@@ -71,9 +72,10 @@ def make_line(
             machine, begin + np.outer(s, way), np.outer(sd, way), np.outer(sdd, way), elbow
         )
 
-    if duration <= 0.0:
+    if duration is None or duration <= 0.0:
         _, qd, qdd = plan(np.linspace(0.0, 1.0, 2001), 1.0)
-        duration = max(fastest_duration(machine, qd, qdd), 10 * dt)
+        shortest = fastest_duration(machine, qd, qdd)
+        duration = max(shortest, CALM_S if duration is None else 10 * dt)
     q, qd, qdd = plan(make_grid(duration, dt), duration)
     used = {
         "x0": x0, "y0": y0, "x1": x1, "y1": y1, "duration": duration, "elbow": elbow, "law": law,

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.reference.core import Array, Reference
-from zendsp.reference.kind import BLEND, MOVE_TIME, TIME_LAW, Kind, Parameter, spread
+from zendsp.reference.kind import BLEND, CALM_S, MOVE_TIME, TIME_LAW, Kind, Parameter, spread
 from zendsp.reference.machine import Machine
 from zendsp.reference.profiles import Law, make_grid, rest_to_rest
 
@@ -46,7 +46,7 @@ def make_point_to_point(
     *,
     start: npt.ArrayLike,
     goal: npt.ArrayLike,
-    duration: float = 0.0,
+    duration: float | None = None,
     law: Law = "quintic",
     blend: float = 0.25,
     sample_time: float | None = None,
@@ -59,8 +59,9 @@ def make_point_to_point(
         Whose joints move.
     start, goal : array_like, shape () or (joints,)
         rad.
-    duration : float
-        s; 0 takes the shortest that the speed and acceleration limits allow.
+    duration : float, optional
+        s; where not given, 2 s, or as long as the limits need. 0 takes the shortest that the
+        speed and acceleration limits allow.
     law : {"quintic", "trapezoid"}
         Time law, see `zendsp.reference.profiles.rest_to_rest`.
     blend : float
@@ -82,10 +83,10 @@ def make_point_to_point(
     """  # noqa: E501
     dt = sample_time or machine.sample_time
     a, b = spread(machine, "start", start), spread(machine, "goal", goal)
-    if duration <= 0.0:
+    if duration is None or duration <= 0.0:
         _, sd, sdd = rest_to_rest(np.linspace(0.0, 1.0, 2001), 1.0, law, blend)
-        duration = fastest_duration(machine, sd[:, None] * (b - a), sdd[:, None] * (b - a))
-        duration = max(duration, 10 * dt)
+        shortest = fastest_duration(machine, sd[:, None] * (b - a), sdd[:, None] * (b - a))
+        duration = max(shortest, CALM_S if duration is None else 10 * dt)
     t = make_grid(duration, dt)
     s, sd, sdd = rest_to_rest(t, duration, law, blend)
     used = {

@@ -14,7 +14,7 @@ from zendsp.tui.scope.formula import sources
 from zendsp.tui.scope.picture import arrange
 from zendsp.tui.scope.settings import LANES, MOST_CHANNELS
 from zendsp.tui.screens.base import LabScreen
-from zendsp_protocol.texts import counted
+from zendsp_protocol.texts import counted, units_of
 
 
 def real(text: str) -> float:
@@ -53,7 +53,10 @@ class ScopeActions(LabScreen):
             if v.length == 1:
                 found.append((v.name, v.unit, v.description))
             else:
-                found += [(f"{v.name}[{k}]", v.unit, v.description) for k in range(v.length)]
+                found += [
+                    (f"{v.name}[{k}]", unit, v.description)
+                    for k, unit in enumerate(units_of(v.unit, v.length))
+                ]
         return found
 
     def plot_names(self, names: Sequence[str]) -> None:

@@ -318,8 +318,10 @@ class LoopActions(LabScreen):
         reference = d.next_reference
         if reference is None:
             proposal = d.report["next_recording"]
-            sentence = proposal["sentence"] if proposal else "nothing is left open"
-            self.say(f"no motion is proposed: {sentence}", "warning")
+            if proposal:
+                self.say(f"no motion was planned; by hand: {proposal['sentence']}", "warning")
+            else:
+                self.say("no motion is proposed: nothing is left open", "warning")
             return
         folder = self.lab.workspace.references
         folder.mkdir(parents=True, exist_ok=True)

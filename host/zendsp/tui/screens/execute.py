@@ -36,6 +36,7 @@ from zendsp.tui.screens.execute_measure import MeasureActions
 from zendsp.tui.screens.execute_runs import shorten, signals_to_show
 from zendsp.tui.snapshot import Snapshot
 from zendsp.tui.trial import Trial
+from zendsp_protocol.texts import units_of
 
 LOOK_S = 0.5  # between looks at the conditions, where nothing told that they changed
 
@@ -248,7 +249,7 @@ class ExecuteScreen(MeasureActions):
             channels += (
                 [Channel(name, unit)]
                 if one
-                else [Channel(f"{name}[{k}]", unit) for k in range(length)]
+                else [Channel(f"{name}[{k}]", u) for k, u in enumerate(units_of(unit, length))]
             )
         live = self.query_one("#run-live", Scope)
         live.show_channels(channels[:8], self.lab.session.watch(channels[:8]))
