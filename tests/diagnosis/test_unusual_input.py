@@ -226,12 +226,35 @@ def test_a_tool_that_pulls_against_the_links_own_inertia_is_no_bad_recording(too
         looked_at(angles, np.stack([command[:, 0], run(0.0, seed=6)[1][:, 1]], axis=1))
 
 
+def test_the_sign_of_a_recording_is_that_of_its_liveliest_part(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    seen: list[bool] = []
+    monkeypatch.setattr(checks, "check_driven", lambda *_, signs: seen.append(signs))
+    parts = [
+        SimpleNamespace(
+            command=np.sin(np.arange(9.0)),
+            motion=SimpleNamespace(states=[None, speed * np.sin(np.arange(9.0))]),
+            recording=name,
+            joint=1,
+        )
+        for name, speed in (("a", 1.0), ("a", 0.1), ("b", 0.2))
+    ]
+    data: Any = SimpleNamespace(records=[[part] for part in parts])
+    check_motion(data, SimpleNamespace(columns={}), ["a (first)", "a (last)", "b"])  # type: ignore[arg-type]
+    assert seen == [True, False, True]
+
+
 def test_a_joint_without_a_drive_is_no_mistake_where_another_has_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     seen: list[str] = []
-    monkeypatch.setattr(checks, "check_driven", lambda where, rec, model: seen.extend(where))
-    pushed, silent = (SimpleNamespace(command=c) for c in (np.sin(np.arange(9.0)), np.zeros(9)))
+    monkeypatch.setattr(checks, "check_driven", lambda where, *_, signs: seen.extend(where))
+    motion = SimpleNamespace(states=np.zeros((3, 9)))
+    pushed, silent = (
+        SimpleNamespace(command=c, motion=motion, recording="run")
+        for c in (np.sin(np.arange(9.0)), np.zeros(9))
+    )
     model: Any = SimpleNamespace(columns={"command": "tau"})
     for k, record in enumerate((pushed, silent), 1):
         record.joint = k

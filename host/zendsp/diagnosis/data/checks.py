@@ -235,7 +235,13 @@ def check_motion(data: Data, model: Model, names: Sequence[str]) -> list[str]:
         Where position and command contradict the model so plainly that the data must be wrong, with
         the likeliest mistake.
     """
-    for rec, name in zip(data.records, names, strict=True):
+    # the signs of a recording in parts are those of its liveliest part
+    speeds = np.array([[float(np.std(r.motion.states[1])) for r in rec] for rec in data.records])
+    lively = (speeds / np.maximum(speeds.max(axis=0), TINY)).sum(axis=1)
+    most: dict[str, float] = {}
+    for rec, speed in zip(data.records, lively, strict=True):
+        most[rec[0].recording] = max(speed, most.get(rec[0].recording, 0.0))
+    for rec, name, speed in zip(data.records, names, lively, strict=True):
         where = [f"{name}: joint {record.joint}" if len(rec) > 1 else name for record in rec]
         driven = False
         for place, record in zip(where, rec, strict=True):
@@ -252,7 +258,10 @@ def check_motion(data: Data, model: Model, names: Sequence[str]) -> list[str]:
                 )
             else:
                 driven = True
-        (check_driven if driven else check_free)(where, rec, model)
+        if driven:
+            check_driven(where, rec, model, signs=speed == most[rec[0].recording])
+        else:
+            check_free(where, rec, model)
     return []
 
 

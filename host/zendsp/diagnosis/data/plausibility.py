@@ -226,7 +226,9 @@ def _excess(
     )
 
 
-def check_driven(where: Sequence[str], records: Sequence[JointRecord], model: Model) -> None:
+def check_driven(
+    where: Sequence[str], records: Sequence[JointRecord], model: Model, signs: bool = True
+) -> None:
     """Compare commands with motion, joint by joint.
 
     Parameters
@@ -236,6 +238,8 @@ def check_driven(where: Sequence[str], records: Sequence[JointRecord], model: Mo
     records : sequence of JointRecord
         All joints of one recording.
     model : Model
+    signs : bool
+        Whether a sign may be accused.
 
     Raises
     ------
@@ -261,7 +265,8 @@ def check_driven(where: Sequence[str], records: Sequence[JointRecord], model: Mo
             slopes.append(found.slope)
         if found.slope + ERRORS * found.error < LITTLE and _carried(plain, model, i + 1, body):
             continue
-        _sign(name, found)
+        if signs:
+            _sign(name, found)
         if found.slope + ERRORS * found.error < LITTLE or (
             found.slope - ERRORS * found.error > MUCH and found.r2 > HALF
         ):

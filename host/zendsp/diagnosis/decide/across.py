@@ -91,7 +91,8 @@ def same_timing(parts: Parts, decisions: Sequence[Decision], jobs: int) -> list[
     decisions = [_with_law(d, names, nearby) for d in decisions]
     late = {d.joint: c for d in decisions for c in d.claims if _is_late(c)}
     if len(names) == 1:
-        return [_either(d, late[d.joint]) if d.joint in late else d for d in decisions]
+        alike = _alike({names[0], *(n for c in late.values() for n in c.same)}) - {names[0]}
+        return [_either(d, late[d.joint], alike) if d.joint in late else d for d in decisions]
     tried = {
         name: {
             d.joint: _in_place(d, late[d.joint], name, jobs) for d in decisions if d.joint in late
@@ -150,16 +151,16 @@ def _with_law(
     return replace(decision, claims=claims)
 
 
-def _either(decision: Decision, claim: Claim) -> Decision:
+def _alike(names: Collection[str]) -> set[str]:
+    """Laws of timing, with those that have the same numbers."""
+    family = {get_effect(name).family for name in names}
+    shapes = {get_effect(name).names for name in names}
+    return {e.name for e in library().values() if e.family in family and e.names in shapes}
+
+
+def _either(decision: Decision, claim: Claim, others: Collection[str]) -> Decision:
     """The decision, with what cannot be told from a claim where several joints come late alike."""
-    law = get_effect(claim.effect)
-    shapes = {get_effect(name).names for name in (law.name, *claim.same)}
-    others = tuple(
-        effect.name
-        for effect in library().values()
-        if effect.family == law.family and effect.names in shapes and effect.name != law.name
-    )
-    one = replace(claim, same=tuple(dict.fromkeys((*claim.same, *others))))
+    one = replace(claim, same=tuple(dict.fromkeys((*claim.same, *sorted(others)))))
     return replace(decision, claims=tuple(one if c is claim else c for c in decision.claims))
 
 

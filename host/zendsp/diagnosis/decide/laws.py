@@ -161,7 +161,7 @@ def believed(decision: Decision, parts: Parts, jobs: int) -> Decision:
         for c in decision.claims
         if c.effect == "unknown"
         or stated(c, decision)
-        or (confidence(c, decision) > ALONE and _ahead(c, decision.alone, parts) > SURE)
+        or (confidence(c, decision) > ALONE and SURE < _ahead(c, decision.alone, parts) < math.inf)
     ]
     rest = [c for c in decision.claims if not any(c is k for k in likely)]
     alone = decision.alone

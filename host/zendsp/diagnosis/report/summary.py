@@ -11,6 +11,7 @@ if TYPE_CHECKING:
 
 LEAST = 1e-4  # of a torque: less is not told from nothing
 MOST = 9.99
+OFF = 3.0  # times the calibrated model's error: what is given is not what the machine has
 
 WORDS = {
     "dry_friction": "dry friction",
@@ -25,9 +26,14 @@ WORDS = {
 
 
 def headline(d: Diagnosis) -> str:
-    """The verdict in one sentence: the mechanism first."""
+    """The verdict in one sentence, the mechanism first; in two where the given numbers were off."""
     found = [(f.mechanism, (f.effect, *f.indistinguishable), f.joint) for f in d.findings]
-    return verdict_sentence(d.verdict, found)
+    text = verdict_sentence(d.verdict, found)
+    table = d.test or d.heldout
+    if d.verdict == "complete" and table.given > OFF * table.calibrated:
+        times = table.given / table.calibrated
+        text += f" The given numbers were off: calibrated, it errs {times:.2g} times less (notes)."
+    return text
 
 
 def verdict_sentence(verdict: Verdict, found: Sequence[tuple[str, Sequence[str], int]]) -> str:

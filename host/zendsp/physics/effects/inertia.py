@@ -11,8 +11,8 @@ EFFECT = Effect(
     parameters=(Parameter("amount", "inertia"),),
     c="j_extra += p[0];",
     sentence=(
-        "Joint {joint} carries {amount} of inertia that the model lacks (a payload, or a wrong"
-        " figure)."
+        "The inertia of joint {joint} differs from the model's by {amount} (a payload where it is"
+        " more, or a wrong figure)."
     ),
     experiment="Fast accelerations with and without the suspected payload.",
     equation="ΔJ q̈",
