@@ -15,10 +15,11 @@ from zendsp.physics.kernel.native import native
 from zendsp.physics.kernel.signals import Measurement, Motion, means, thin_measurement
 from zendsp.physics.model import Model, Term, per_joint
 from zendsp.physics.robots.bodies import Links, body_terms
-from zendsp.physics.robots.rigid import Basis
+from zendsp.physics.robots.rigid import Basis, bases
 from zendsp.physics.term_numbers import added_inertia
 
 Array = npt.NDArray[np.float64]
+SMALL = 1e-4  # rad or m: a step of a derivative
 
 
 @dataclass
@@ -46,6 +47,7 @@ class JointRecord:
     _integral: Array | None = None
     _facts: Facts | None = None
     _thinned: JointRecord | None = None
+    _slope: Array | None = None
     # fits to it, by all that they depend on: the latest, see ``fit``
     fits: dict[Any, Any] = field(default_factory=dict)
     # predictions of it, by all that they depend on: the latest, see ``run``
@@ -135,6 +137,7 @@ class JointRecord:
                 _gains={},
                 _integral=None,
                 _thinned=None,
+                _slope=None,
                 fits={},
                 runs={},
                 traces={},
@@ -163,6 +166,21 @@ class JointRecord:
             biases.append(means(change.bias, self.every))
         inertia, bias = _sum(inertias, self.n), _sum(biases, self.n)
         return np.maximum(inertia, 1e-9 * self.scale.inertia), bias
+
+    def bias_slope(self, model: Model) -> Array:
+        """Change of the known torque with the joint's own position, (n,) N m/rad or N/m: what
+        gravity and the other joints do at a load that is not where its motor is.
+        """
+        if self._slope is None:
+            slope = np.zeros(self.n)
+            for off in (-SMALL, SMALL):
+                moved = self.others.copy()
+                moved[self.joint - 1, 0] += off
+                for key, basis in bases(model, list(moved))[self.joint - 1].items():
+                    value = 1.0 if key == "fixed" else mechanism_value(model, key, self.joint)
+                    slope += 0.5 * value / off * basis.bias
+            self._slope = slope
+        return self._slope
 
     def reference_inertia(self, model: Model, inertia: Array) -> float:
         """Inertia that motor and load share, kg m^2 or kg: what is the same at every pose, or the

@@ -39,6 +39,7 @@ typedef struct {
     const double *inertia;    /* n: inertia of the joint along the record */
     /* n: torque known from the measured motion of all joints; it acts on the load */
     const double *bias;
+    const double *bias_slope; /* n: its change with the load's position, or 0 */
     /* inertia that the inertia of a load is a part of: the rest is the motor's, at any pose */
     double reference;
     double gravity;           /* torque = gravity sin(q) evaluated on the predicted position */

@@ -29,7 +29,7 @@ CDEF = """
 typedef struct {
     int n; int sub; double T; const double *ucum; double delay; double gain; double limit;
     const double *m; double shift; const double *half; const double *k1; const double *k2; const double *w;
-    const double *inertia; const double *bias; double reference; double gravity; const double *other; const double *temperature;
+    const double *inertia; const double *bias; const double *bias_slope; double reference; double gravity; const double *other; const double *temperature;
     const double *extra;
     int nfx; const int *kind; const double *p; double q0; double qd0; double a0; int load_sensor; int beyond; int reset;
     const double *rq; const double *rqd; double t0;

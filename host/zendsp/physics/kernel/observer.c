@@ -152,6 +152,9 @@ static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, 
                 }
         EACH { jm[l] = inertias[ahead][l] + N->j_extra[l]; bias[l] = biases[ahead][l]; }
         if (geared) EACH load[l] = jm[l] - N->j_extra[l];
+        if (two_mass && M->bias_slope) /* the load is not where the motor was measured */
+            for (int l = 0; l < LANES; l++)
+                bias[l] += M[l].bias_slope[k] * (ql[l] - M[l].rq[k] - M[l].shift);
         if (two_mass)
             for (int l = 0; l < LANES; l++) {
                 double motor, beyond;
