@@ -18,6 +18,8 @@ import reality
 from reality import KNOWN, RATE
 
 from zendsp.diagnosis import Diagnosis, diagnose
+from zendsp.physics.files.draft import draft_model
+from zendsp.recording import read_table
 
 VISCOUS, COULOMB = KNOWN
 
@@ -286,3 +288,30 @@ def test_file_that_defines_no_effect_is_refused(
     words = ("a.csv", "--model", "m.toml", "--effects", tmp_path / "none.py")
     status, _, err = typed("diagnose", *words)
     assert status == 2 and "none.py" in err
+
+
+def test_a_drafted_model_of_joints_of_unlike_inertia_leads_to_their_friction(
+    tmp_path: Path,
+) -> None:
+    # dry friction is most of the light joint's torque: its inertia must not be sought where the
+    # heavy joint's is
+    light = reality.Machine(viscous=0.05, coulomb=0.1)
+    heavy = reality.Machine(inertia=0.08, viscous=0.06, coulomb=0.06, kp=24.0, kd=0.96)
+    runs = [
+        reality.simulate(machine, reality.multisine(14.0, RATE, seed), RATE)
+        for seed, machine in enumerate((light, heavy))
+    ]
+    both = {f"{key}{j} [{unit}]": run[key] for j, run in enumerate(runs, 1)
+            for key, unit in (("q", "rad"), ("u", "N m"))}
+    run = reality.save(tmp_path / "run.csv", {"t [s]": runs[0]["t"]} | both)
+    draft = draft_model(read_table(run)).text
+    (tmp_path / "model.toml").write_text(draft)
+    found = diagnose([run], tmp_path / "model.toml")
+    assert {(f.effect, f.joint) for f in found.findings} == {
+        (effect, joint) for effect in ("coulomb", "viscous") for joint in (1, 2)
+    }
+    size = {(f.effect, f.joint): next(iter(f.parameters.values())).value for f in found.findings}
+    for joint, machine in enumerate((light, heavy), 1):
+        # 3 %: the draft knows neither the delay nor what a sample holds
+        assert size["coulomb", joint] == pytest.approx(machine.coulomb, rel=0.03)
+        assert size["viscous", joint] == pytest.approx(machine.viscous, rel=0.03)

@@ -290,3 +290,16 @@ def test_a_first_idea_of_each_joint_is_as_uncertain_as_itself() -> None:
     assert one.value > 10 * two.value
     assert one.std / one.value == pytest.approx(0.15, rel=0.05)  # of two digits
     assert two.std / two.value == pytest.approx(0.15, rel=0.05)
+
+
+def test_gravity_about_the_hanging_pose_is_told_from_a_negative_inertia() -> None:
+    # nearly one sine about q = 0: without gravity, least squares give J - g / w² < 0
+    w, columns = 2.0, recording()
+    q = 0.3 * np.sin(w * T) + 0.01 * np.sin(2.3 * w * T)
+    qd, qdd = np.gradient(q, STEP), np.gradient(np.gradient(q, STEP), STEP)
+    tau = INERTIA * qdd + 0.05 * qd + 0.1 * np.sign(qd) + GRAVITY * np.sin(q)
+    table = Table(columns | {"q": q, "tau": tau, "r": q}, {"t": "s", "q": "rad", "tau": "N m"})
+    model = model_of(draft_model(table).text)
+    # as uncertain as the file says of a first idea
+    assert model.mechanism["inertia"][0].value == pytest.approx(INERTIA, rel=0.15)
+    assert model.mechanism["gravity"][0].value == pytest.approx(GRAVITY, rel=0.15)

@@ -44,15 +44,17 @@ def own_key(model: Model, joint: int) -> str:
 
 def inertia_ranges(
     records: Sequence[Sequence[JointRecord]], model: Model
-) -> dict[str, tuple[float, float]]:
-    """Range of each joint's own inertia, kg m² or kg, by ``own_key``: where the recordings
-    determine it, out to what is given; and of a given rotor about what is given.
+) -> dict[tuple[str, int], tuple[float, float]]:
+    """Range of each joint's own inertia, kg m² or kg, by ``own_key`` and the 0-based place of its
+    number: where the recordings determine it, out to what is given; and of a given rotor about what
+    is given. A number that joints share has the range that holds those of all.
     """
-    ranges = {}
+    ranges: dict[tuple[str, int], tuple[float, float]] = {}
     for joint in range(1, model.joints + 1):
         own = [rec[joint - 1] for rec in records]
         key = own_key(model, joint)
         own_mechanism = key in model.mechanism
+        place = key, min(joint, len(model.mechanism.get(key, ()))) - 1 if own_mechanism else 0
         given = (
             mechanism_value(model, key, joint) if own_mechanism else added_inertia(model, joint)
         )
@@ -64,10 +66,12 @@ def inertia_ranges(
         if around[0]:
             lows, highs = zip(*filter(None, around), strict=True)
             # what is missing may bend it away from what is given
-            ranges[key] = min(*lows, given or lows[0]), max(*highs, given)
+            low, high = min(*lows, given or lows[0]), max(*highs, given)
+            others = ranges.get(place, (low, high))
+            ranges[place] = min(low, others[0]), max(high, others[1])
         elif not own_mechanism and given > 0:
             # a rotor, free without bounds, grows until it ignores whatever is missing
-            ranges[key] = given / TOO_FAR, given * TOO_FAR
+            ranges[place] = given / TOO_FAR, given * TOO_FAR
     return ranges
 
 

@@ -69,7 +69,7 @@ class Data:
     records: tuple[tuple[JointRecord, ...], ...]
     bandwidth: tuple[float, ...]
     inner: int = 2
-    ranges: Mapping[str, tuple[float, float]] = field(
+    ranges: Mapping[tuple[str, int], tuple[float, float]] = field(
         default_factory=dict
     )  # of inertial figures: see diagnosis/data/inertia.py
 
@@ -172,7 +172,7 @@ def bounds_and_steps(
             s = record.scale.of(parameter.size)
             lower, upper = parameter_bounds(term.effect, h.key, record)
             if get_effect(term.effect).same_as:
-                lower, upper = data.ranges.get(f"inertia {term.joint}", (lower, upper))
+                lower, upper = data.ranges.get((f"inertia {term.joint}", 0), (lower, upper))
             low.append(lower)
             high.append(upper)
             size.append(
@@ -194,9 +194,8 @@ def bounds_and_steps(
             wide = (value / TOO_FAR, value * TOO_FAR)
             # Data.ranges takes the command for what accelerates
             free = any(get_effect(t.effect).loosens_inertia for t in model.terms)
-            lower, upper = (
-                (-np.inf, np.inf) if signed else wide if free else data.ranges.get(h.key, wide)
-            )
+            known = wide if free else data.ranges.get((h.key, h.index), wide)
+            lower, upper = (-np.inf, np.inf) if signed else known
             low.append(lower)
             high.append(upper)
             size.append(abs(value))

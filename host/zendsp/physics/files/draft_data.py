@@ -211,6 +211,7 @@ def first_idea(q: Array, u: Array, step: float, linear: bool) -> Idea | None:
     gravity = 0.0
     if not linear:
         with_gravity, more = fit([*base, np.sin(q)])
-        if more - share > MATTERS and with_gravity[4] > 0:
+        # swinging about q = 0, gravity looks like a negative inertia
+        if (more - share > MATTERS or x[0] <= 0) and with_gravity[4] > 0:
             x, share, gravity = with_gravity, more, float(with_gravity[4])
     return Idea(float(x[0]), gravity, share) if share > EXPLAINS and x[0] > 0 else None
