@@ -243,7 +243,7 @@ class _Found:
 
 def _find(measured_motion: Parts, given: Model, jobs: int, tell: Progress) -> _Found:
     """Bodies first, then measured transmissions, then every joint; again where one changes what
-    the others have to explain.
+    the others have to explain, and without bodies that make untouched recordings worse.
     """
     tell("calibrating the given model")
     parts = with_links(measured_motion, given, divided(given))
@@ -255,7 +255,13 @@ def _find(measured_motion: Parts, given: Model, jobs: int, tell: Progress) -> _F
         if bodies.found:
             again = _beneath(bodies, measured_motion, parts, given, jobs, tell)
             found = again if again.claims else found
-    return _finished(found, given, jobs, tell)
+    finished = _finished(found, given, jobs, tell)
+    test, whole = finished.parts.test, finished.whole
+    if finished.claims and model_error(test, whole.improved) > model_error(test, whole.calibrated):
+        none = replace(bodies, model=given, found=())
+        found = _beneath(none, measured_motion, parts, given, jobs, tell)
+        finished = _finished(found, given, jobs, tell)
+    return finished
 
 
 def _beneath(

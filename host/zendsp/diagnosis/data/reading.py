@@ -51,7 +51,7 @@ def read_signals(source: str | Path | Recording | Table, model: Model) -> Signal
     RecordingError
         With the file, the column and what was expected.
     """
-    columns = model.columns or {"time": "t", "position": "q", "command": "u"}
+    columns = {"time": "t", **(model.columns or {"position": "q", "command": "u"})}
     if "position" not in columns:
         raise RecordingError(
             "the model's [columns] lacks 'position': which column holds the position?"

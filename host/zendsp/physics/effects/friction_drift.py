@@ -20,6 +20,7 @@ EFFECT = Effect(
     ),
     experiment="A long record at constant excitation, starting cold.",
     equation="friction (1 + r (1 - exp(-t/T)))",
+    essence=("ratio", "time_constant"),  # in no time it is a constant factor
     over="time",
     linear=("ratio",),
     grid={"time_constant": (0.1, 0.3, 1.0)},
