@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import stat
 import struct
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -121,10 +122,11 @@ def abandoned() -> Iterator[Iterator[Path]]:
     """
     locks = []
 
-    def found() -> Iterator[Path]:
+    def each() -> Iterator[Path]:
         for folder in sorted(base().glob(f"{PREFIX}*")):
             try:
-                if folder.stat().st_uid != os.getuid():
+                found = folder.lstat()  # no link: who planted it could turn it at any time
+                if found.st_uid != os.getuid() or not stat.S_ISDIR(found.st_mode):
                     continue
                 lock = (folder / LOCK).open("r+")
                 locks.append(lock)
@@ -134,7 +136,7 @@ def abandoned() -> Iterator[Iterator[Path]]:
             yield folder
 
     try:
-        yield found()
+        yield each()
     finally:
         for lock in locks:
             lock.close()

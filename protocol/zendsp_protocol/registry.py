@@ -40,6 +40,11 @@ def folder(environment: Mapping[str, str] = os.environ) -> str:
     return os.path.join(runtime, "zendsp") if runtime else f"/tmp/zendsp-{os.getuid()}"
 
 
+def steady(path: str | os.PathLike[str]) -> bool:
+    """Whether a folder is no link of another user, who could turn it between two looks."""
+    return os.lstat(path).st_uid in (os.getuid(), 0)
+
+
 def file_name(target: str) -> str:
     """File of one target's entry."""
     return f"{target}.json"

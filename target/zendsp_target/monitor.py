@@ -104,6 +104,7 @@ def _open(options: Options, doors: Doors) -> tuple[Any, list[str]]:
     access = access_control(options.name, doors, options.connect)
     for attempt in range(TRIES):
         chosen = listening.with_free_ports(doors.endpoints)
+        usual = os.umask(0o077)  # a socket is its user's alone, at any path
         try:
             with users_file(options.name, doors.users) as users:
                 config = listening.zenoh_config(
@@ -114,6 +115,8 @@ def _open(options: Options, doors: Doors) -> tuple[Any, list[str]]:
             if list(doors.endpoints) == chosen or attempt == TRIES - 1:
                 shown = ", ".join(doors.endpoints)
                 raise LinkError(f"cannot listen on {shown}: {_reason(error)}") from error
+        finally:
+            os.umask(usual)
     raise Refused("no endpoint was given to --listen")
 
 

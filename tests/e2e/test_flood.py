@@ -18,6 +18,8 @@ from waiting import PATIENCE_S
 import zendsp
 from zendsp.link import Target
 from zendsp.link.settings import Credentials
+from zendsp_protocol import keys
+from zendsp_target.access.endpoints import MOST_REQUEST
 
 SECONDS = 4.0
 # As fast as the link takes them, on every lane, STOP's too, by a client that does not wait for
@@ -61,6 +63,25 @@ def endpoint(tmp_path: Path) -> Iterator[str]:
     yield json.loads(target.stdout.readline())["endpoints"][0]
     target.terminate()
     target.communicate(timeout=PATIENCE_S)
+
+
+def test_a_huge_request_is_not_even_taken_in(endpoint: str, tmp_path: Path) -> None:
+    """Whoever was let in, for whatever, could otherwise fill the memory of the target's computer."""
+
+    def most_mb(pid: int) -> int:
+        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+        return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) // 1024
+
+    huge = 300_000_000
+    mallory = Credentials(user="mallory", password="m")
+    with zendsp.connect("imi", endpoint, mallory) as target:
+        before = most_mb(target.info.pid)
+        key = keys.rpc("imi", "bulk", "mallory")
+        replies = list(target.link.session.get(key, payload=bytes(huge), timeout=5.0))
+        assert all(reply.ok is None for reply in replies), "only that time has run out"
+        assert target.status().state == "empty"
+        # what is put together, and a copy of it at most; it was 570 MB
+        assert most_mb(target.info.pid) - before < 2 * MOST_REQUEST / 1e6
 
 
 def test_a_flood_of_requests_keeps_nobody_else_from_stopping_the_machine(

@@ -341,6 +341,26 @@ def test_a_planted_entry_leads_nowhere(
     assert [found.name for found in zendsp.discover()] == [fast.name]
     folder.chmod(0o777)
     assert zendsp.discover() == []
+    if os.getuid() == 0:  # only root can make a link of another user
+        folder.chmod(0o700)
+        link = tmp_path / "link"
+        link.symlink_to(folder)
+        monkeypatch.setenv("ZENDSP_RUNTIME_DIR", str(link))
+        assert [found.name for found in zendsp.discover()] == [fast.name]
+        os.lchown(link, 65534, 65534)
+        assert zendsp.discover() == [], "its owner could turn it at any time"
+
+
+def test_a_socket_at_any_path_is_for_its_user_alone(
+    start: Callable[..., Target], tmp_path: Path
+) -> None:
+    path = tmp_path / "own"
+    before = os.umask(0)
+    try:
+        start(clock="fast", options=["--listen", f"unixsock-stream/{path}"])
+    finally:
+        os.umask(before)
+    assert not path.stat().st_mode & 0o077
 
 
 def test_two_targets_of_one_name_are_refused(start: Callable[..., Target]) -> None:

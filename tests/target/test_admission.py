@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from zendsp_protocol import kept
 from zendsp_protocol.errors import Refused
 from zendsp_protocol.verbs import ROLES, VERBS
 from zendsp_target.access import admission
@@ -219,6 +220,33 @@ def test_a_folder_that_others_may_use_is_refused(
     monkeypatch.setenv("ZENDSP_RUNTIME_DIR", str(open_to_all))
     with pytest.raises(Refused, match="chmod 700"):
         own_folder()
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root can make a link of another user")
+def test_a_link_that_another_user_can_turn_leads_nowhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own, link = tmp_path / "own", tmp_path / "link"
+    own.mkdir(mode=0o700)
+    link.symlink_to(own)
+    monkeypatch.setenv("ZENDSP_RUNTIME_DIR", str(link))
+    assert own_folder() == link
+    os.lchown(link, 65534, 65534)
+    with pytest.raises(Refused, match="belongs to another user"):
+        own_folder()
+
+
+def test_a_link_in_shared_memory_is_no_folder_of_a_killed_target(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever plants one could turn it to files of this user, between two looks."""
+    folder = tmp_path / "zendsp-1"
+    folder.mkdir(mode=0o700)
+    (folder / kept.LOCK).touch()
+    (tmp_path / "zendsp-2").symlink_to(folder)
+    monkeypatch.setattr(kept, "base", lambda: tmp_path)
+    with kept.abandoned() as folders:
+        assert list(folders) == [folder]
 
 
 @pytest.mark.parametrize(

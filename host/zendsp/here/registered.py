@@ -18,7 +18,8 @@ def local_entries() -> list[registry.Entry]:
     entries = []
     try:
         found = os.stat(registry.folder())
-        if found.st_uid != os.getuid() or found.st_mode & 0o022:
+        own = found.st_uid == os.getuid() and registry.steady(registry.folder())
+        if not own or found.st_mode & 0o022:
             return []  # somebody else's, or written by others: what stands there may lead anywhere
     except OSError:
         return []

@@ -20,6 +20,9 @@ LEASE_MS = 1000  # a stopped or unplugged host is noticed within this time
 # packets of 64 kB that may wait for the link: the most that Zenoh takes, and a whole chunk of a
 # recording
 BULK_QUEUE = 16
+# bytes; the largest is a program of 16 MB, and what is larger is put together nowhere: whoever may
+# look could otherwise fill the memory
+MOST_REQUEST = 64_000_000
 
 
 @dataclass(frozen=True)
@@ -165,6 +168,7 @@ def zenoh_config(
         "scouting/gossip/enabled": False,  # hosts of one target need not know of each other
         "scouting/delay": 0,
         "open/return_conditions/connect_scouted": False,
+        "transport/link/rx/max_message_size": MOST_REQUEST,
         "transport/link/tx/lease": LEASE_MS,  # the default of 10 s hides a dead host for 10 s
         # the recorder needs what there is; and see the host's settings
         "transport/shared_memory/enabled": False,

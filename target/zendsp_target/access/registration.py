@@ -26,7 +26,7 @@ def own_folder() -> Path:
     folder = Path(registry.folder())
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     found = folder.stat()
-    if found.st_uid != os.getuid():
+    if found.st_uid != os.getuid() or not registry.steady(folder):
         raise Refused(
             f"{folder} belongs to another user; set ZENDSP_RUNTIME_DIR to a folder of your own"
         )
