@@ -66,7 +66,7 @@ def endpoint(tmp_path: Path) -> Iterator[str]:
 
 
 def test_a_huge_request_is_not_even_taken_in(endpoint: str, tmp_path: Path) -> None:
-    """Whoever was let in, for whatever, could otherwise fill the memory of the target's computer."""
+    """Whoever was let in, for whatever, could otherwise fill the memory of the target computer."""
 
     def most_mb(pid: int) -> int:
         lines = Path(f"/proc/{pid}/status").read_text().splitlines()
