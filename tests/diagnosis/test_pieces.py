@@ -160,10 +160,11 @@ def test_what_a_mechanism_is_worth_is_asked_of_the_recordings_to_test_on(
     monkeypatch.setattr(decision, "discrepancy", lambda *_: None)
     monkeypatch.setattr(decision, "piece_of", ask)
     monkeypatch.setattr(decision, "held_apart", lambda *_: ([], []))
-    monkeypatch.setattr(decision, "_nothing_named", lambda *_: "nothing")
+    nothing: Any = SimpleNamespace(kind="complete")
+    monkeypatch.setattr(decision, "_nothing_named", lambda *_: nothing)
     search: Any = SimpleNamespace(joint=1, base=FINAL)
     outcome: Any = decision.decide(PARTS, None, search, 1, lambda _: None)  # type: ignore[arg-type]
-    assert outcome == "nothing" and asked == [PARTS.test]
+    assert outcome is nothing and asked == [PARTS.test]
 
 
 @pytest.mark.parametrize(("after", "stands"), [(0.2, True), (0.6, False), (2.5e8, False)])
@@ -182,7 +183,7 @@ def test_what_leaves_more_unexplained_than_there_was_or_is_at_all_is_no_finding(
     one: Any = SimpleNamespace(model=model)
     found = Decision(1, "missing", (claim,), (), one, one, before, left, NOTHING, left, one, 7.0)
     one_term("stiffness", one)
-    other: Any = SimpleNamespace(claims=())
+    other: Any = SimpleNamespace(claims=(), kind="complete")
     for name, answer in {
         "discrepancy": before,
         "piece_of": piece(0.1, 9.0, 50.0, "stiffness"),

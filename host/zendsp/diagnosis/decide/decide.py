@@ -123,8 +123,9 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
                 # several mechanisms, and no law of any: it is one torque that nobody knows
                 return replace(plain, kind="unexplained") if plain.kind == "complete" else plain
     nothing = _nothing_named(parts, given, search, before, pieces, jobs)
-    loads = _by_own_numbers(nothing, parts, jobs) if nothing.kind == "unexplained" else ()
-    return replace(nothing, loads=loads)
+    if nothing.kind != "unexplained":
+        return nothing
+    return replace(nothing, loads=_by_own_numbers(nothing, parts, jobs))
 
 
 def _exchanged(
