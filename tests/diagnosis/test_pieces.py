@@ -156,14 +156,16 @@ def test_what_a_mechanism_is_worth_is_asked_of_the_recordings_to_test_on(
         asked.append(data)
         return piece(0.1, 0.0, 0.0)
 
+    left = Size(0.1, 0.1, 0.1)
+    nothing = Decision(1, "complete", (), (), FINAL, FINAL, left, left, NOTHING, left, FINAL, 7.0)
     one_term("ripple", FINAL)
     monkeypatch.setattr(decision, "discrepancy", lambda *_: None)
     monkeypatch.setattr(decision, "piece_of", ask)
     monkeypatch.setattr(decision, "held_apart", lambda *_: ([], []))
-    monkeypatch.setattr(decision, "_nothing_named", lambda *_: "nothing")
+    monkeypatch.setattr(decision, "_nothing_named", lambda *_: nothing)
     search: Any = SimpleNamespace(joint=1, base=FINAL)
     outcome: Any = decision.decide(PARTS, None, search, 1, lambda _: None)  # type: ignore[arg-type]
-    assert outcome == "nothing" and asked == [PARTS.test]
+    assert outcome == nothing and asked == [PARTS.test]
 
 
 @pytest.mark.parametrize(("after", "stands"), [(0.2, True), (0.6, False), (2.5e8, False)])
