@@ -4,7 +4,9 @@ other requests.
 
 from __future__ import annotations
 
+import contextlib
 import json
+import socket
 import subprocess
 import sys
 import time
@@ -65,8 +67,17 @@ def endpoint(tmp_path: Path) -> Iterator[str]:
     target.communicate(timeout=PATIENCE_S)
 
 
+def test_strangers_who_say_nothing_keep_no_host_out(endpoint: str) -> None:
+    address, _, port = endpoint.partition("/")[2].rpartition(":")
+    with contextlib.ExitStack() as strangers:
+        for _ in range(300):  # three times what Zenoh lets wait
+            strangers.enter_context(socket.create_connection((address, int(port))))
+        with zendsp.connect("imi", endpoint, Credentials(user="anna", password="a")) as target:
+            assert target.status().state == "empty"
+
+
 def test_a_huge_request_is_not_even_taken_in(endpoint: str, tmp_path: Path) -> None:
-    """Whoever was let in, for whatever, could otherwise fill the memory of the target computer."""
+    """Whoever was let in, for whatever, could otherwise fill the memory of the target."""
 
     def most_mb(pid: int) -> int:
         lines = Path(f"/proc/{pid}/status").read_text().splitlines()

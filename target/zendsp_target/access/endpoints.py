@@ -23,6 +23,7 @@ BULK_QUEUE = 16
 # bytes; the largest is a program of 16 MB, and what is larger is put together nowhere: whoever may
 # look could otherwise fill the memory
 MOST_REQUEST = 64_000_000
+STRANGERS = 100_000  # that may wait at a port; open files are fewer
 
 
 @dataclass(frozen=True)
@@ -168,6 +169,8 @@ def zenoh_config(
         "scouting/gossip/enabled": False,  # hosts of one target need not know of each other
         "scouting/delay": 0,
         "open/return_conditions/connect_scouted": False,
+        # the default lets a hundred strangers who say nothing keep every host out
+        "transport/unicast/accept_pending": STRANGERS,
         "transport/link/rx/max_message_size": MOST_REQUEST,
         "transport/link/tx/lease": LEASE_MS,  # the default of 10 s hides a dead host for 10 s
         # the recorder needs what there is; and see the host's settings
