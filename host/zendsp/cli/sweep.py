@@ -66,5 +66,5 @@ def command(
     emit([dict(row) for row in found.rows], as_json, f"{shown}\n{repr(found)[1:-1]}")
     if out is not None:  # last: what was measured is seen where it cannot be written
         found.save(out)
-    if any(row["ended"] for row in found.rows):
+    if found.ended:
         raise click.exceptions.Exit(1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,6 +31,8 @@ MEASURES: dict[str, Callable[[Floats], float]] = {
 }
 MOST = 10_000  # runs
 AGAIN = 2  # measurements of the first values after the last ones: how well a result repeats
+WATCH_S = 0.2  # of the target's time: what is put back acts at once, and a speed builds up
+PATIENCE_S = 2.0  # for a slow target to come so far
 
 
 # Times the range of three measurements: two others that are alike lie further apart once in twenty
@@ -53,12 +56,15 @@ class Sweep:
         The results of the first row's values, measured again after the last row. Where the motion
         is periodic and a window does not last whole periods, they differ as much as the pieces of
         the motion do.
+    ended : str
+        What ended the program, in a run or when the parameters were put back; "" where it goes on.
     """
 
     parameters: tuple[str, ...]
     results: tuple[str, ...]
     rows: tuple[Mapping[str, Any], ...]
     again: tuple[Mapping[str, float], ...] = ()
+    ended: str = ""
 
     def spread(self, result: str = "") -> float:
         """Return by how much a result differs where the same values are measured again; NaN where
@@ -147,24 +153,29 @@ class Sweep:
         ]
 
     def __repr__(self) -> str:
+        end = f"; the program ended: {self.ended}"
+        return f"<{self._found()}{end if self.ended else ''}>"
+
+    def _found(self) -> str:
+        """What the runs say, in a sentence."""
         try:
             best = self.best()
         except AcquisitionError as error:
-            return f"<Sweep of {counted(len(self.rows), 'run')}: {error}>"
+            return f"Sweep of {counted(len(self.rows), 'run')}: {error}"
         cells = self.cells()[self.best_row() or 0]
         at = ", ".join(f"{n} = {cells[k]}" for k, n in enumerate(self.parameters))
         what, spread = self.results[0], self.spread()
-        head = f"<Sweep of {counted(len(self.rows), 'run')}: "
+        head = f"Sweep of {counted(len(self.rows), 'run')}: "
         least = f"{_short(best[what])}, at {at}"
         if (alike := len(self.best_rows())) > 1:
             return (
                 f"{head}none is best: {alike} may be alike but for chance, from the least {what},"
                 f" {least}, on; the first values, measured again, differ by {_short(spread)}; of a"
-                " periodic motion, measure whole periods>"
+                " periodic motion, measure whole periods"
             )
         known = spread == spread  # not NaN
         again = f"; the first values measured again differ by {_short(spread)}" if known else ""
-        return f"{head}{what} is least, {least}{again}>"
+        return f"{head}{what} is least, {least}{again}"
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the best run, and all of them."""
@@ -188,8 +199,9 @@ def sweep(
 
     Each set takes effect in one sample; what follows within ``settle`` seconds of the target's time
     is not measured. At the end, and after Ctrl-C or an error, the parameters are put back as they
-    were, in one sample. Where a limit trips or the program crashes, the sweep ends; the row says
-    why.
+    were, in one sample. That acts at once: after gains so weak that the machine lags far behind,
+    the old ones pull it back with a jerk, and a limit may trip. Where a limit trips or the program
+    crashes, the sweep ends; the row says why, and ``ended``, also of what came afterwards.
 
     Every window is another piece of the motion. After the last set the first one is measured twice
     more: by how much its results differ is told, and differences that are no larger are none. Of a
@@ -245,6 +257,7 @@ def sweep(
         )
     rows: list[Mapping[str, Any]] = []
     again: list[Mapping[str, float]] = []
+    why = ""
     todo = [*runs, *(runs[:1] * AGAIN if len(runs) > 1 else [])]
     with kept(target, values):
         for number, run in enumerate(todo, 1):
@@ -260,9 +273,13 @@ def sweep(
             if progress is not None:
                 progress(number / len(todo))
             if ended:
+                repeated = number > len(runs)
+                why = f"{'the first values, again' if repeated else f'run {number}'}: {ended}"
                 break
+    if not why and (ended := _afterwards(target)):
+        why = f"the parameters were put back: {ended}"
     names = [f"{m} {c}" for c in _columns(rows, channels, measures) for m in measures]
-    return Sweep(tuple(values), tuple(names), tuple(rows), tuple(again))
+    return Sweep(tuple(values), tuple(names), tuple(rows), tuple(again), why)
 
 
 def _runs(
@@ -335,6 +352,18 @@ def _trouble(target: Target) -> str:
     """Why the program no longer runs by itself; "" where nothing stopped it."""
     status = target.status()
     return status.crash or (status.trip.text or status.trip.reason if status.trip else "")
+
+
+def _afterwards(target: Target) -> str:
+    """Why the program ends soon after the parameters were put back; "" where it does not."""
+    status, deadline = target.status(), time.monotonic() + PATIENCE_S
+    end = status.tick + round(WATCH_S * target.info.rate_hz)
+    while status.state == "running" and status.tick < end and time.monotonic() < deadline:
+        if status.trip is not None:
+            break
+        time.sleep(0.01)  # until the target's clock has come so far
+        status = target.status()
+    return _trouble(target)
 
 
 def _measured(
