@@ -180,6 +180,20 @@ def test_a_spring_is_found_wherever_its_resonance_lies(hertz: float) -> None:
     assert found.model.terms[-1].value("stiffness") == pytest.approx(stiffness, rel=0.03)
 
 
+def test_the_load_on_a_spring_may_weigh_more_than_the_whole_that_the_model_states() -> None:
+    """A model that forgot the motor's inertia: what is at a bound counts as not seen."""
+    load, motor = 0.0085, 0.0015
+    stiffness = (2 * np.pi * 12.0) ** 2 * load * motor / (load + motor)
+    machine = reality.Machine(load=load, soft=stiffness)
+    columns = reality.simulate(machine, reality.multisine(8.0, RATE, 5, high=6.0), RATE)
+    base = model_of(VISCOUS, COULOMB, inertia=load)
+    found = Rounds(data_of(columns, base), 1, 2, print, base).stand_ins(
+        calibrate_joint(data_of(columns, base), base, 1), frozenset({"elasticity"})
+    )
+    assert found[0].terms[0].effect == "elasticity"
+    assert found[0].scored.model.terms[-1].value("load_inertia") == pytest.approx(load, rel=0.05)
+
+
 def test_what_repeats_itself_and_what_remembers_are_told_from_unrest() -> None:
     reference = reality.multisine(10.0, RATE, 3)
     model = model_of(VISCOUS, COULOMB)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from zendsp.proof.build_case import Request, Unusable, make_case
 from zendsp.proof.cases import write_all
@@ -100,6 +101,22 @@ def test_every_effect_that_fits_can_be_concealed_and_is_named_by_the_contract(ma
         assert set(concealed.accepted) <= set(MECHANISM) and set(concealed.mechanisms) <= set(LAWS)
         changed.seconds = 0.1
         assert np.all(np.isfinite(simulate(changed, "sines", np.random.default_rng(9)).run.q)), name
+
+
+@pytest.mark.parametrize("name", ["elasticity", "equality"])
+def test_a_rotor_drags_its_load_along_whatever_holds_them_together(name: str) -> None:
+    b, record = bench("mj_cart", 3, 4.0)
+    scale = make.scales_of(b, record)[0]
+    MAKERS[name](b, 0, scale, 0.1, np.random.default_rng(1))
+    b.seconds = 4.0
+    run = simulate(b, "sines", np.random.default_rng(2)).run
+    slow = signal.butter(2, 2.0 * 2 * b.sample_time, output="sos")
+    speed = np.gradient(signal.sosfiltfilt(slow, run.q[:, 0]), b.sample_time)
+    motion = np.stack([np.gradient(speed, b.sample_time), speed, np.tanh(speed / 1e-3)], axis=1)
+    force = b.joints[0].gain * signal.sosfiltfilt(slow, run.command[:, 0])
+    inner = slice(len(force) // 8, -len(force) // 8)
+    mass = np.linalg.lstsq(motion[inner], force[inner], rcond=None)[0][0]
+    assert mass == pytest.approx(b.links[0].mass + b.joints[0].armature, rel=0.1)
 
 
 def test_gravity_is_not_concealed_where_there_is_none() -> None:

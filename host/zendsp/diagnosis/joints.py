@@ -4,6 +4,7 @@ machine put together of them.
 
 from __future__ import annotations
 
+import math
 import multiprocessing
 from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -18,8 +19,8 @@ from zendsp.diagnosis.decide.assemble import Assembled, assemble
 from zendsp.diagnosis.decide.claims import Decision, unclaimed
 from zendsp.diagnosis.decide.decide import decide
 from zendsp.diagnosis.measure.evidence import compare
-from zendsp.diagnosis.measure.likelihood import Scored, calibrate_joint, deviance
-from zendsp.diagnosis.measure.windows import model_error, rms, window_error
+from zendsp.diagnosis.measure.likelihood import Scored, calibrate_joint
+from zendsp.diagnosis.measure.windows import model_error, noise_floor, rms, window_error
 from zendsp.diagnosis.search.forward import Searcher
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
 from zendsp.diagnosis.search.rounds import WAIT
@@ -96,13 +97,14 @@ def _transmissions(explained: Explained) -> frozenset[int]:
 
 
 def _cost(choose: Data, explained: Explained) -> tuple[int, float]:
-    """How much an explanation claims, and how unlikely the recordings to choose by are under it."""
-    unlikely = 0.0
+    """How much an explanation claims, and how far it leaves the recordings to choose by from where
+    the sensor reads them: a likelihood forgives what its observer follows.
+    """
+    away = 0.0
     for decision in explained[1]:
-        joint, final = decision.joint, decision.final
-        data = choose.at_bandwidth(joint, final.data.bandwidth[joint - 1])
-        unlikely += deviance(data, final.model, (joint,))
-    return sum(len(d.claims) for d in explained[1]), unlikely
+        error = rms(window_error(choose, decision.final.model, decision.joint))
+        away += math.log(max(error, noise_floor(choose, decision.joint)))
+    return sum(len(d.claims) for d in explained[1]), away
 
 
 def explain(

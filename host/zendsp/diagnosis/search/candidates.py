@@ -140,7 +140,7 @@ def simulated(
         if effect.sole and kin - set(effect.replaces) - had:  # what was found already stays
             continue
         beneath = [model]
-        if effect.rough and given is not None:
+        if effect.family == "transmission" and given is not None:
             before = as_given(model, given)
             change = float(np.mean(effective_inertia(record, before))) / float(
                 np.mean(effective_inertia(record, model))

@@ -8,7 +8,7 @@ from math import pi, sin
 import numpy as np
 
 from zendsp.proof.case import Unusable
-from zendsp.proof.draft import Concealed, Scale
+from zendsp.proof.draft import Concealed, Scale, Term
 from zendsp.proof.mujoco.chain import numbers
 from zendsp.proof.mujoco.kit import maker, truth, unit
 from zendsp.proof.mujoco.machines import Bench
@@ -165,10 +165,14 @@ TWO_SIDED = ("elasticity", "equality", "stiffening", "backlash")
 
 
 def split(b: Bench, joint: int) -> tuple[float, float]:
-    """Inertia of the rotor and of the load, of a joint that gets a spring or a gap."""
+    """Inertia of the rotor and of the load, of a joint that gets a spring or a gap: the model
+    knows the rotor.
+    """
     j = b.joints[joint]
     load = float(Nominal(b).inertia(np.array(b.centre))[joint]) - j.armature
-    j.armature = j.armature or 0.2 * load
+    if not j.armature:
+        j.armature = 0.2 * load
+        b.known.append(Term("inertia", joint + 1, {"amount": j.armature}))
     return j.armature, load
 
 

@@ -193,6 +193,9 @@ def simulate(bench: Bench, shape: str, rng: Rng, size: list[float] | None = None
     )
     data = mj.MjData(model)
     dof = [int(model.joint(f"j{k}").dofadr[0]) for k in range(bench.n)]
+    for k, joint in enumerate(bench.joints):
+        if joint.two_sided:  # MuJoCo softens constraints by inertias without armature
+            model.dof_invweight0[dof[k]] = 1.0 / joint.armature
     p = plan(bench, shape, rng)
     start(mj, model, data, bench, p.r[0])
     controller = Controller(bench, Nominal(bench), p)
