@@ -26,6 +26,7 @@ MACHINES = {
     "two effects": reality.Machine(ripple=0.02, drag=0.004),
     "a foreign torque": reality.Machine(wave=0.05),
     "nothing": reality.Machine(),
+    "friction that falls with time": reality.Machine(thin=0.03),
 }
 Columns = dict[str, np.ndarray]
 

@@ -411,6 +411,8 @@ def _read(
         raise RecordingError("no recording given")
     held = [read_signals(source, model) for source in _sources(heldout)]
     _refuse_twice(signals, held)
+    begin = min(float(s.time[0]) for s in (*signals, *held))
+    signals, held = ([replace(s, origin=begin) for s in each] for each in (signals, held))
     notes = check_signals([*signals, *held], model)
     signals, held = with_same_columns(signals, held)
     if not held:

@@ -81,6 +81,7 @@ def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
             joint=j + 1,
             sample_time=s.sample_time,
             t0=float(s.time[0]),
+            origin=s.origin,
             command=np.ascontiguousarray(s.command[:, j]),
             measurement=measurement,
             motion=motion,

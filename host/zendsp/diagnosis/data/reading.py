@@ -82,7 +82,10 @@ def read_signals(source: str | Path | Recording | Table, model: Model) -> Signal
         reference = None if reference is None else resample(grid, time, reference)
         extra = {role: resample(grid, time, values) for role, values in extra.items()}
         stamps, time = time, grid
-    read = Signals(name, time, sample_time, position, command, reference, resolution, extra=extra)
+    read = Signals(
+        name, time, sample_time, position, command, reference, resolution, extra=extra,
+        origin=float(time[0]),
+    )  # fmt: skip
     signals, said = _of_joints(read, model)
     signals = decimated(replace(signals, notes=(*done, *notes, *said)))
     if grid is None or signals.raw is not None:  # of means, neighbours share no row

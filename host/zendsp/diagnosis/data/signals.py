@@ -37,6 +37,7 @@ class Signals:
     # stands
     least_noise: Array | None = None
     whole: str = ""  # name of the recording that this is a part of; empty: it is no part
+    origin: float = 0.0  # s: where the time of what changes with time begins, for all recordings
 
     def part(self, start: int, stop: int, name: str) -> Signals:
         """Rows start … stop - 1 as a recording of their own."""

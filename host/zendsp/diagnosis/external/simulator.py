@@ -286,6 +286,7 @@ def bench(signals: Signals, model: Model, simulator: Simulator) -> Bench:
                 joint=i + 1,
                 sample_time=signals.sample_time,
                 t0=float(signals.time[0]),
+                origin=float(signals.time[0]),
                 command=np.ascontiguousarray(signals.command[:, i]),
                 measurement=measurements[i],
                 motion=motions[i],

@@ -42,6 +42,7 @@ class JointRecord:
     # optional ones by their role in [columns], (n,)
     columns: Mapping[str, Array] = field(default_factory=dict)
     recording: str = ""  # its name
+    origin: float = 0.0  # s, of ``t0``'s clock: where the time of effects begins
     every: int = 1  # samples of the recording that one stands for, see ``thinned``
     _gains: dict[float, tuple[Array, Array, Array]] = field(default_factory=dict)
     _integral: Array | None = None
@@ -54,6 +55,11 @@ class JointRecord:
     runs: dict[Any, Any] = field(default_factory=dict)
     # torques of single terms along it, see ``Screen``
     traces: dict[Any, Array] = field(default_factory=dict)
+
+    @property
+    def began(self) -> float:
+        """Time of the first sample, s, as effects know it."""
+        return self.t0 - self.origin
 
     @property
     def n(self) -> int:
@@ -263,7 +269,7 @@ def along(record: JointRecord, model: Model) -> Along:
         q=q,
         qd=qd,
         qdd=qdd,
-        t=np.asarray(record.t0 + record.sample_time * np.arange(record.n), dtype=np.float64),
+        t=record.began + record.sample_time * np.arange(record.n, dtype=np.float64),
         torque=per_joint(model.actuator.gain, record.joint, 1.0) * record.command,
         sample_time=record.sample_time,
         inertia=effective_inertia(record, model),

@@ -251,7 +251,7 @@ def fill(
     soon = min(n - 1, max(1, round(AT_FIRST / record.sample_time)))
     m.a0 = float(rqd[soon] - rqd[0]) / (soon * record.sample_time)
     m.load_sensor = 1 if model.sensor.side == "load" else 0
-    m.reset, m.rq, m.rqd, m.t0 = 0, p(rq), p(rqd), record.t0
+    m.reset, m.rq, m.rqd, m.t0 = 0, p(rq), p(rqd), record.began
     return [kinds, table, inertia, bias, k1, k2, w]
 
 
@@ -297,7 +297,7 @@ def trace(record: JointRecord, model: Model, terms: tuple[Term, ...], speed_floo
     p, ffi = lib.doubles, lib.ffi
     kinds, table = pack(terms)
     m = ffi.new("zk_model *")
-    m.n, m.T, m.t0 = n, record.sample_time, record.t0
+    m.n, m.T, m.t0 = n, record.sample_time, record.began
     m.gain, m.limit = per_joint(model.actuator.gain, record.joint, 1.0), 0.0
     m.other, m.nfx, m.temperature = p(record.others), len(own_terms(terms)), p(_felt(record, terms))
     m.kind, m.p = ffi.cast("int *", ffi.from_buffer(kinds)), p(table)

@@ -13,6 +13,7 @@ HARMONICS = 60
 # damping ratio of a load: rubber has 0.1, MuJoCo's constraints 1; a fit that needs more stands in
 # for something else
 OVERDAMPED = 2.0
+DAMPING = 0.3  # of √(stiffness load): a damping ratio of 0.15 of the load on its spring
 SLOWEST, FASTEST = 0.5, 200.0  # Hz: a resonance beyond is not seen in a recording
 
 Limits = Callable[[Facts], tuple[float, float]]

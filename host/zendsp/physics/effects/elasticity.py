@@ -7,6 +7,7 @@ import math
 from collections.abc import Sequence
 
 from zendsp.physics.effects.axes import (
+    DAMPING,
     load_limits,
     resonance,
     swings,
@@ -19,7 +20,6 @@ from zendsp.physics.effects.base import Effect, Facts, Numbers, Parameter
 # either side, nearly any share of the inertia, and the more the better the start is damped
 RESONANCES = tuple(2.0 * 2 ** (i / 4) for i in range(21))
 SHARES = (0.2, 0.45, 0.75)  # of the inertia, on the load
-DAMPING = 0.3  # of √(stiffness load): a damping ratio of 0.15 of the load on its spring
 
 
 def _starts(facts: Facts) -> Sequence[Numbers]:

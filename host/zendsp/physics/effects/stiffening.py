@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 
 from zendsp.physics.effects.axes import (
+    DAMPING,
     load_limits,
+    resonance,
     transmission_damping_limits,
     transmission_limits,
 )
@@ -15,16 +18,28 @@ from zendsp.physics.effects.base import Effect, Facts, Numbers, Parameter
 SOFTER = (0.4, 0.7, 1.0)  # of the constant stiffness that was found in its place
 # of the cubic term in the torque, at the typical torque of the load; a resonance bends it far more
 SHARES = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
+# where no constant stiffness was found, half as many as it has: the cubic term makes a basin wider
+RESONANCES = tuple(2.0 * 2 ** (i / 2) for i in range(11))  # Hz
+LOADS = (0.3, 0.65)  # of the inertia, on the load
+LARGE = (0.3, 3.0)  # of the cubic term: a spring that bends little is found as a constant one
 
 
 def _starts(facts: Facts) -> Sequence[Numbers]:
+    shares: Sequence[float] = LARGE
+    if facts.replaced:
+        old, shares = facts.replaced, SHARES
+        springs = [{**old, "stiffness": soft * old["stiffness"]} for soft in SOFTER]
+    else:
+        springs = []
+        for hertz, load in itertools.product(RESONANCES, LOADS):
+            spring = {
+                "stiffness": resonance(facts, hertz, load), "load_inertia": load * facts.inertia
+            }
+            springs.append({**spring, "damping": DAMPING * math.sqrt(math.prod(spring.values()))})
     starts = []
-    for soft, share in itertools.product(SOFTER, SHARES):
-        stiffness, load = soft * facts.replaced["stiffness"], facts.replaced["load_inertia"]
-        bend = facts.scale.torque * load / facts.inertia / stiffness
-        starts.append(
-            {**facts.replaced, "stiffness": stiffness, "stiffness3": share * stiffness / bend**2}
-        )
+    for spring, share in itertools.product(springs, shares):
+        torque = facts.scale.torque * spring["load_inertia"] / facts.inertia
+        starts.append({**spring, "stiffness3": share * spring["stiffness"] ** 3 / torque**2})
     return starts
 
 
@@ -62,7 +77,6 @@ EFFECT = Effect(
     family="transmission",
     sole=True,
     replaces=("elasticity",),
-    needs=("elasticity",),
     rivals=("elasticity", "backlash"),
     shown_by=("position_load",),
     why_not="its motion is not that of the motor: control both sides, or filter the resonance",
