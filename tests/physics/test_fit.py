@@ -18,7 +18,7 @@ from zendsp.diagnosis.measure.likelihood import (
     tune_bandwidth,
 )
 from zendsp.physics.calibration.convergence import step_error, with_step_error
-from zendsp.physics.calibration.fit import Data, fit
+from zendsp.physics.calibration.fit import Data, fit, robust_covariance
 from zendsp.physics.calibration.handles import free_handles, get_values, set_values
 from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.kernel.native import native
@@ -210,3 +210,18 @@ def test_a_fit_that_is_asked_for_again_is_remembered_and_its_terms_are_the_calle
         fit(data, model, handles, joints=(1,), iterations=1),
     ):
         assert other.cost != first.cost
+
+
+@pytest.mark.parametrize("misfit", [1.0, 100.0])
+def test_a_number_that_hides_behind_a_known_one_is_as_sure_as_that_allows(misfit: float) -> None:
+    """However large the residuals are: what a model lacks does not make a zero less known."""
+    draw = np.random.default_rng(1)
+    pattern = draw.standard_normal(4000)
+    jacobian = np.stack([pattern, pattern], axis=1)
+    known = 0.01
+    covariance = robust_covariance(
+        jacobian, misfit * draw.standard_normal(4000), 50, np.array([0.0, 1.0 / known])
+    )
+    std = np.sqrt(np.diag(covariance))
+    assert std[1] == pytest.approx(known, rel=0.05)
+    assert std[0] == pytest.approx(np.hypot(known, misfit / np.sqrt(4000)), rel=0.2)

@@ -146,19 +146,31 @@ def _exchanged(
 def find_sounder(
     parts: Parts, search: JointSearch, final: Scored, pieces: Sequence[Piece], jobs: int
 ) -> JointSearch | None:
-    """The search with its next first step alone, in the place of one that ended in what runs away
-    on recordings that it was not fitted to; None where nothing ran away or is left to try.
+    """The search to decide upon where nothing that it proposed can be claimed; None where nothing
+    is left to try.
+
+    Where it ended in what runs away on recordings that it was not fitted to, its next first step
+    alone. Else its first step, where others followed: what they take up of the discrepancy between
+    machine and model bends them, and costs the first its evidence.
     """
-    if not any(p.size > RUN_AWAY for p in pieces):
+    if any(p.size > RUN_AWAY for p in pieces):
+        there = {t.effect for t in final.model.at(search.joint)}
+        for k, rival in enumerate(search.tried):
+            gain = search.base.deviance - rival.scored.deviance
+            if rival.effect not in there and gain > WAIT:
+                return _with_best(replace(search, tried=search.tried[k + 1 :]), rival, parts, jobs)
         return None
-    there = {t.effect for t in final.model.at(search.joint)}
-    for k, rival in enumerate(search.tried):
-        gain = search.base.deviance - rival.scored.deviance
-        if rival.effect not in there and gain > WAIT:
-            other = replace(search, best=rival.scored, tried=search.tried[k + 1 :])
-            other.best, _ = simplify(other, informative(parts.fit, search.joint), jobs)
-            return other
-    return None
+    if len(search.steps) < 2:
+        return None
+    first = search.steps[0]
+    return _with_best(replace(search, steps=[first]), first.chosen, parts, jobs)
+
+
+def _with_best(search: JointSearch, rival: Rival, parts: Parts, jobs: int) -> JointSearch:
+    """The search with one hypothesis alone as its best model, in its simplest words."""
+    other = replace(search, best=rival.scored)
+    other.best, _ = simplify(other, informative(parts.fit, search.joint), jobs)
+    return other
 
 
 def _beside(decision: Decision, parts: Parts) -> Bursts | None:

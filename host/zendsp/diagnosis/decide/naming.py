@@ -21,7 +21,7 @@ from zendsp.diagnosis.decide.thresholds import ALONE, CLAIMED, OF_STATE, PLAIN
 from zendsp.diagnosis.measure.bursts import Bursts
 from zendsp.diagnosis.measure.curve import curve_of
 from zendsp.diagnosis.measure.likelihood import fit_scored
-from zendsp.diagnosis.measure.significance import counterpart, essence_of
+from zendsp.diagnosis.measure.significance import counterpart, essence_of, essential_deviation
 from zendsp.diagnosis.measure.where import mismatch, units
 from zendsp.physics.calibration.fit import Data, Fit, joint_handles
 from zendsp.physics.effects import get_effect
@@ -215,7 +215,12 @@ def _numbers(
             record=record,
         )
 
-    values = of((whole.fits if alone else whole.agreed)[joint])
+    fit = (whole.fits if alone else whole.agreed)[joint]
+    values = of(fit)
+    if alone and get_effect(claim.effect).shape:
+        for key in essence_of(claim.effect):
+            spread = essential_deviation(fit, claim.term, key)
+            values[key] = replace(values[key], std=min(spread, values[key].std))
     if (bare := _unrefined(decision, claim)) is not None:
         values = between(values, of(bare))
     if alone:

@@ -48,20 +48,32 @@ def vanishes(fitted: Fit, term: Term) -> bool:
     """Whether a number that makes an effect what it is cannot be told from zero or infinity, or
     lies at the bound of what can be seen.
     """
-    effect, same = term.effect, counterpart(fitted.model.terms, term)
-    own = {
+    own = _numbers_of(fitted, term)
+    return any(
+        fitted.at_bound[own[key]]
+        or abs(fitted.x[own[key]]) < SIGNIFICANT * essential_deviation(fitted, term, key)
+        for key in essence_of(term.effect)
+        if key in own
+    )
+
+
+def essential_deviation(fitted: Fit, term: Term, key: str) -> float:
+    """Standard deviation of a number that makes an effect what it is, its shape known: without any
+    size there is no shape, and a weight may hide behind the model's own but for a part.
+    """
+    own = _numbers_of(fitted, term)
+    i, shape = own[key], own.get(get_effect(term.effect).shape)
+    variance = float(fitted.covariance[i, i])
+    if shape is not None and fitted.covariance[shape, shape] > 0:
+        variance -= float(fitted.covariance[i, shape] ** 2 / fitted.covariance[shape, shape])
+    return math.sqrt(max(variance, 0.0))
+
+
+def _numbers_of(fitted: Fit, term: Term) -> dict[str, int]:
+    """Where a term's free numbers stand in a fit."""
+    same = counterpart(fitted.model.terms, term)
+    return {
         handle.key: i
         for i, handle in enumerate(fitted.handles)
         if handle.place == "term" and fitted.model.terms[handle.index] is same
     }
-    for key in essence_of(effect):
-        if key not in own:
-            continue
-        i = own[key]
-        variance = float(fitted.covariance[i, i])
-        shape = own.get(get_effect(effect).shape)
-        if shape is not None and fitted.covariance[shape, shape] > 0:
-            variance -= float(fitted.covariance[i, shape] ** 2 / fitted.covariance[shape, shape])
-        if fitted.at_bound[i] or abs(fitted.x[i]) < SIGNIFICANT * math.sqrt(max(variance, 0.0)):
-            return True
-    return False

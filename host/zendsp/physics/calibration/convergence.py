@@ -37,8 +37,11 @@ def step_error(data: Data, fitted: Fit, joints: Sequence[int]) -> Array:
     if not len(fitted.handles):
         return np.zeros(0)
     finer = residual(replace(data, inner=2 * data.inner), fitted.model, tuple(joints))
-    change = finer - fitted.residual[: len(finer)]
-    jacobian = fitted.jacobian[: len(finer)]
+    rows = len(finer)  # those that follow are of what is known of numbers without any recording
+    change = np.zeros(len(fitted.residual))
+    change[:rows] = finer - fitted.residual[:rows]
+    jacobian = fitted.jacobian.copy()
+    jacobian[rows:] *= np.sqrt(np.mean(fitted.residual[:rows] ** 2))
     if not np.all(np.isfinite(change)):
         return np.zeros(len(fitted.handles))
     unit = np.sqrt(np.maximum(np.sum(jacobian**2, axis=0), 1e-300))

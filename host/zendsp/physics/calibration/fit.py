@@ -395,7 +395,8 @@ def fit(
         problem = _Problem(data, model, handles, wanted, each, central)
         x = get_values(model, handles) if start is None else start
         x, r, jac = problem.descend(x, iterations, tolerance, brief)
-    covariance = robust_covariance(jac, r, block_count(data))
+    rows = len(r) - np.count_nonzero(problem.prior)  # of the recordings
+    covariance = robust_covariance(jac[:rows], r[:rows], block_count(data), problem.prior)
     low, high = problem.low, problem.high
     near = np.isclose(x, low, rtol=NEAR, atol=1e-12) | np.isclose(x, high, rtol=NEAR, atol=1e-12)
     at_bound = tuple(bool(v) for v in near)
@@ -418,29 +419,35 @@ def _content(model: Model) -> tuple[object, ...]:
     )
 
 
-def robust_covariance(jac: Array, r: Array, block: int) -> Array:
+def robust_covariance(jac: Array, r: Array, block: int, prior: Array | None = None) -> Array:
     """Covariance of least squares that holds when residuals are correlated within blocks
     (sandwich), (p, p).
 
     Where the blocks vary more than white innovations would, their variance counts. They may vary
     less: what a fast observer gets wrong in one sample it makes good in the next. Then their
     variance counts as much as there are blocks, beside the classical one.
+
+    ``prior``: 1 over the standard deviation that a number has without any recording, 0 where it has
+    none, (p,). What a model lacks makes residuals larger, but not a sensor's zero more uncertain.
     """
     n, p = jac.shape
     if not p:
         return np.zeros((0, 0))
-    normal = jac.T @ jac
+    normal, noise = jac.T @ jac, float(r @ r) / max(1, n - p)
+    known = np.diag(noise * prior**2) if prior is not None else np.zeros((p, p))
+    normal = normal + known
     if not np.all(np.isfinite(jac)) or ran_away(r):
         return np.diag(np.full(p, UNKNOWN))  # the prediction has diverged
     strength = np.diag(normal)
     idle = strength <= float(r @ r) / UNKNOWN  # numbers that nothing depends on
     scale = np.where(idle, 1.0, np.sqrt(strength))
     inverse = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-13) / np.outer(scale, scale)
-    classic = inverse * float(r @ r) / max(1, n - p)
+    classic = inverse * noise
     starts = np.arange(0, n, block)
     scores = np.add.reduceat(jac * r[:, None], starts, axis=0)
     count = len(scores)
-    sandwich = inverse @ (scores.T @ scores) @ inverse * count / max(1, count - p)
+    spread = scores.T @ scores * count / max(1, count - p) + noise * known
+    sandwich = inverse @ spread @ inverse
     white = np.maximum(np.diag(classic), 1e-300)
     blocks = np.maximum(np.diag(sandwich), 1e-6 * white)
     grow = np.sqrt(

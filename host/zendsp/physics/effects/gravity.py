@@ -20,6 +20,7 @@ EFFECT = Effect(
     turns=True,
     linear=("torque",),
     grid={"angle": (0.0, -1.5707963267948966)},
+    shape="angle",
     sized=True,
     rivals=("stiffness", "torque_offset"),
     compensable="p[0] * sin(q - p[1])",
