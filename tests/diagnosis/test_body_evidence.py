@@ -92,10 +92,13 @@ def test_fewer_numbers_of_a_link_must_predict_as_well_as_more_of_it() -> None:
     assert first_of([nearly, centre], LIMITS) is nearly
 
 
-@pytest.mark.parametrize(("com", "nothing"), [(0.33, True), (0.45, False)])
+@pytest.mark.parametrize(("com", "nothing"), [(0.45, True), (0.65, False)])
 def test_a_body_of_which_no_number_is_surely_other_than_nothing_is_none(
     com: float, nothing: bool
 ) -> None:
     """A payload of 70 ± 64 g somewhere on its link; its moment may still be sure."""
-    explained: Any = SimpleNamespace(values=np.array([0.070, com]), std=np.array([0.064, 0.2]))
+    explained: Any = SimpleNamespace(
+        values=np.array([0.070, com]), std=np.array([0.064, 0.2]),
+        hypothesis=SimpleNamespace(free=("mass", "com_x")),
+    )  # fmt: skip
     assert unsure(explained) is nothing

@@ -21,7 +21,7 @@ from zendsp.diagnosis.decide.confidence import MOST as SUREST
 from zendsp.diagnosis.decide.findings import NUMERIC
 from zendsp.diagnosis.decide.pieces import dependence
 from zendsp.diagnosis.decide.result import Estimate, Finding, Rejected, number
-from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES, LAW_ERROR, PLAIN
+from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES, LAW_ERROR, PLAIN, SURE
 from zendsp.diagnosis.measure.discrepancy import difference
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import fit_scored
@@ -168,9 +168,12 @@ def beside_bodies(claims: Sequence[BodyClaim], decisions: Sequence[Decision]) ->
 
 def unsure(explained: Explained) -> bool:
     """Whether every number of a body, the free ones of its hypothesis, lies within two standard
-    deviations of nothing.
+    deviations of nothing; where a mass is, three say of its place that its moment is none.
     """
-    return bool(np.all(np.abs(explained.values) < PLAIN * explained.std))
+    many = np.full(len(explained.values), PLAIN)
+    if "mass" in explained.hypothesis.free:
+        many[1:] = SURE
+    return bool(np.all(np.abs(explained.values) < many * explained.std))
 
 
 def feels(found: FoundBody, joint: int, links: Links | None) -> bool:
