@@ -58,7 +58,9 @@ class Kept(msgspec.Struct, frozen=True, kw_only=True):
     count_at: int  # bytes of the words that the loop writes: rows written,
     start_at: int  # tick of row 0,
     fired_at: int  # row of the trigger (-1: not yet),
-    missed_at: int  # rows that were lost
+    missed_at: int  # rows that were lost,
+    gaps_at: int  # how many gaps, and what `AcquireStatus` has of each
+    gaps_held: int  # the newest: gap n stands at n mod gaps_held
 
     def word(self, folder: Path, at: int) -> int:
         """A word that the loop wrote."""
@@ -66,6 +68,15 @@ class Kept(msgspec.Struct, frozen=True, kw_only=True):
             file.seek(at)
             found: int = struct.unpack("=q", file.read(8))[0]
             return found
+
+    def gaps(self, folder: Path) -> tuple[tuple[int, int], ...]:
+        """Where rows are missing, as in `AcquireStatus`."""
+        words = 1 + 2 * self.gaps_held
+        with (folder / self.file).open("rb") as file:
+            file.seek(self.gaps_at)
+            found, *held = struct.unpack(f"={words}q", file.read(8 * words))
+        newest = (2 * (n % self.gaps_held) for n in range(max(0, found - self.gaps_held), found))
+        return tuple((held[i], held[i + 1]) for i in newest)
 
     def count(self, folder: Path) -> int:
         """Rows written; 0 where the file is gone or cut."""

@@ -310,6 +310,8 @@ class AcquireStatus(Message, frozen=True):
     count: int = 0  # rows written so far
     wanted: int = 0  # rows of a single shot; 0 for a continuous ring
     lost: int = 0  # rows that were overwritten or never stored
+    # where samples were left out: [row, rows that are missing before it, all together]
+    gaps: tuple[tuple[int, int], ...] = ()
     start_tick: int = 0  # sample of row 0
     trigger_row: int = -1  # row at which the trigger fired; -1 where none
     begun: int = 0  # how often it was configured or started: with another number, other rows

@@ -258,3 +258,38 @@ def test_at_a_prompt_everything_is_a_line(fast: Target) -> None:
         lines, ("variables()", fast.info.name, "Kp1 = 2000", "automatic", "joint 1"), strict=True
     ):
         assert word in line and "\n" not in line and len(line) < 400 and " at 0x" not in line
+
+
+STALLS = """#include "isr.h"
+#include <time.h>
+static double now;
+void UserInit(void) { SIGNAL(now, "s", ""); }
+void UserISR_INT2(void) {
+    struct timespec a, b;
+    now = SAMPLE_TICK;
+    clock_gettime(CLOCK_MONOTONIC, &a);
+    if (SAMPLE_TICK > 100 && SAMPLE_TICK % 150 < 3)
+        do clock_gettime(CLOCK_MONOTONIC, &b);
+        while ((b.tv_sec - a.tv_sec) + 1e-9 * (b.tv_nsec - a.tv_nsec) < 0.02);
+}
+void UserBackground(void) {}
+"""
+
+
+@pytest.mark.parametrize("decimation", [1, 7])
+def test_samples_that_were_left_out_are_a_gap_in_the_time_of_a_recording(
+    start: Callable[..., Target], decimation: int, tmp_path: Path
+) -> None:
+    target = start()
+    target.download({"stalls.c": STALLS})
+    target.set_overrun("skip")
+    target.start()
+    blocks: list[Any] = []
+    with target.live("now", decimation=decimation, callback=blocks.append):
+        rec = target.acquire(["now"], 0.6, decimation)
+    assert rec.lost > 0 and np.max(np.diff(rec.t)) > 1.5 * rec.sample_time
+    assert np.allclose(rec.t / 0.001, rec["now"], atol=1e-6)
+    assert rec.start_tick == rec["now"][0]
+    for block in blocks:
+        assert np.allclose(block.t / 0.001, block.data[:, 0], atol=1e-6)
+    assert np.array_equal(zendsp.Recording.load(rec.save(tmp_path / "run.csv")).t, rec.t)

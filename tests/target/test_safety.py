@@ -11,6 +11,7 @@ import numpy.typing as npt
 import pytest
 from samples import rows_of, run
 
+from zendsp.link.metadata import ticks_of
 from zendsp_protocol.errors import Refused
 from zendsp_protocol.messages import Status
 from zendsp_target.api import AcquireConfig
@@ -279,4 +280,5 @@ def test_skipped_samples_are_counted_and_time_stays_true(make_runtime: Make) -> 
     rows = runtime.acquire_read(0, 0, 1000)[:, 0]
     assert rows[0] == 0.0
     assert len(rows) + kept.lost == status.tick
-    assert np.all(np.diff(rows) >= 1.0)
+    ticks = ticks_of(0, len(rows), kept.start_tick, kept.decimation, kept.gaps)
+    assert kept.gaps and np.array_equal(ticks, rows), "a gap in time where samples were left out"

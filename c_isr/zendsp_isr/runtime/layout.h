@@ -21,13 +21,14 @@
 #include "machine.h"
 
 enum {
-    LAYOUT_VERSION = 4,
+    LAYOUT_VERSION = 5,
     LAYOUT_MAGIC = 0x5a445350, /* "ZDSP" */
     STOP_PAGE_VERSION = 3, /* of its own: a host of another zendsp can still stop the loop */
     LAYOUT_VARIABLES = 1024,   /* entries of the dictionary, built-ins and settings included */
     LAYOUT_ELEMENTS = 4096,    /* longest array that is not a table */
     LAYOUT_CHANNELS = 1024,    /* of one stream */
     LAYOUT_STREAMS = 8,
+    LAYOUT_GAPS = 256, /* of a stream: the newest that are known */
     LAYOUT_BATCHES = 128,  /* synchronous updates in flight */
     LAYOUT_SNAPSHOTS = 32, /* newest samples kept for readers */
     LAYOUT_BINS = 128,     /* histogram bins: four an octave, from 1 ns */
@@ -133,6 +134,12 @@ typedef struct channel {
     int32_t element;
 } channel;
 
+/* Where rows of a stream are missing. */
+typedef struct stream_gap {
+    uint64_t row;    /* the first after it */
+    uint64_t missed; /* rows up to there, all gaps together */
+} stream_gap;
+
 /* Head of a stream file; rows of double follow at `rows`. */
 typedef struct stream_head {
     uint32_t magic, version;
@@ -157,6 +164,8 @@ typedef struct stream_head {
     uint64_t first_tick; /* tick of row 0 */
     int64_t fired;       /* row of the trigger, -1: not yet */
     uint64_t missed;     /* rows that fell on samples which never ran */
+    uint64_t gaps;       /* so far; gap n stands at n mod LAYOUT_GAPS */
+    stream_gap gap[LAYOUT_GAPS];
     channel channel[LAYOUT_CHANNELS];
 } stream_head;
 

@@ -31,6 +31,7 @@ static void begin(stream *s, uint64_t tick) {
     h->count = 0;
     h->fired = -1;
     h->missed = 0;
+    h->gaps = 0;
     h->first_tick = tick;
     s->place = 0;
     s->countdown = 0;
@@ -139,7 +140,20 @@ void stream_idle(runner *r) {
     }
 }
 
-/* Samples that never ran: say how many rows are not there. */
+/* From the next row on, time is later by all rows that are missing. */
+static void note_gap(stream_head *h) {
+    stream_gap *last = &h->gap[(h->gaps - 1) % LAYOUT_GAPS];
+    if (h->gaps > 0 && last->row == h->count) {
+        store64(&last->missed, h->missed);
+        return;
+    }
+    stream_gap *gap = &h->gap[h->gaps % LAYOUT_GAPS];
+    gap->row = h->count;
+    gap->missed = h->missed;
+    store64(&h->gaps, h->gaps + 1);
+}
+
+/* Samples that never ran: say how many rows are not there, and where. */
 void stream_skip(runner *r, uint64_t samples) {
     for (int i = 0; i < LAYOUT_STREAMS; i++) {
         stream *s = r->state.active[i];
@@ -147,7 +161,10 @@ void stream_skip(runner *r, uint64_t samples) {
             continue;
         const uint64_t every = s->head->decimation;
         const uint64_t rows = samples > s->countdown ? 1 + (samples - s->countdown - 1) / every : 0;
-        s->head->missed += rows;
         s->countdown = (uint32_t)(rows * every + s->countdown - samples);
+        if (rows > 0 && s->head->count > 0) { /* row 0 stands where it was taken */
+            s->head->missed += rows;
+            note_gap(s->head);
+        }
     }
 }

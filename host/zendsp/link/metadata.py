@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 import msgspec.json
 import numpy as np
+import numpy.typing as npt
 
 from zendsp.errors import AcquisitionError, Refused, RunnerDied
 from zendsp.link.parameters import ParameterSets
@@ -49,8 +50,7 @@ def describe(
     """
     overall: m.Status = parameters.insist("status", patience)
     info: m.Info = parameters.insist("info", patience)
-    start_tick = status.start_tick + first * status.decimation
-    ticks = start_tick + status.decimation * np.arange(len(data))
+    ticks = ticks_of(first, len(data), status.start_tick, status.decimation, status.gaps)
     last = int(ticks[-1]) if len(ticks) else 0
     program, read, changes, replaced = _made_by(parameters, status, last, patience)
     full = status.wanted > 0 and status.count - status.first >= status.wanted
@@ -63,7 +63,7 @@ def describe(
         data=data,
         channels=join_channels(status.channels, status.units),
         sample_time=status.decimation / overall.rate_hz,
-        start_tick=start_tick,
+        start_tick=int(ticks[0]) if len(ticks) else status.start_tick,
         decimation=status.decimation,
         trigger_row=status.trigger_row - first if status.trigger_row >= 0 else -1,
         lost=status.lost,
@@ -82,6 +82,29 @@ def describe(
         note=note,
         extra=_extra(parameters, overall, patience) | {"program": program.key},
     )
+
+
+def ticks_of(
+    first: int, rows: int, start: int, decimation: int, gaps: Sequence[tuple[int, int]]
+) -> npt.NDArray[np.int64]:
+    """Samples at which rows were taken, (rows,): left-out samples are a gap.
+
+    Parameters
+    ----------
+    first, rows : int
+        Number of the first row, and how many.
+    start : int
+        Sample of row 0.
+    decimation : int
+        Samples per row.
+    gaps : sequence of (int, int)
+        As in `AcquireStatus`.
+    """
+    number = np.arange(first, first + rows, dtype=np.int64)
+    missing = np.zeros(rows, dtype=np.int64)
+    for row, missed in gaps:
+        missing[max(0, row - first) :] = missed
+    return start + decimation * (number + missing)
 
 
 def _made_by(

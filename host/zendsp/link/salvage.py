@@ -61,7 +61,7 @@ class Salvage:
         AcquisitionError
             It is gone.
         """
-        from zendsp.link.metadata import host_version, join_channels
+        from zendsp.link.metadata import host_version, join_channels, ticks_of
         from zendsp.link.variables import plain
         from zendsp.recording import Recording
         from zendsp_protocol.values import from_wire
@@ -74,14 +74,15 @@ class Salvage:
             )
         first, data = _rows(self.folder, found)
         about, program = found.about, found.about.program
-        start_tick = found.word(self.folder, found.start_at) + first * found.decimation
+        begin = found.word(self.folder, found.start_at)
+        ticks = ticks_of(first, len(data), begin, found.decimation, found.gaps(self.folder))
         fired = found.word(self.folder, found.fired_at)
         return Recording(
-            t=(start_tick + found.decimation * np.arange(len(data))) / about.rate_hz,
+            t=ticks / about.rate_hz,
             data=data,
             channels=join_channels(found.columns, found.units),
             sample_time=found.decimation / about.rate_hz,
-            start_tick=start_tick,
+            start_tick=int(ticks[0]) if len(ticks) else begin,
             decimation=found.decimation,
             trigger_row=fired - first if fired >= 0 else -1,
             lost=found.word(self.folder, found.missed_at),

@@ -39,7 +39,8 @@ class Recording(Samples):
     sample_time : float, s
         Between rows (the period of the loop times the decimation).
     start_tick, decimation : int
-        Row k was taken at tick ``start_tick + k * decimation`` of the ISR.
+        Row 0 was taken at tick ``start_tick`` of the ISR, and every ``decimation``-th sample gives
+        a row. Where samples were left out rows are missing: ``t`` has a gap there.
     trigger_row : int
         Row at which the trigger fired, -1 where there was none.
     lost : int

@@ -250,7 +250,7 @@ def note_of(stream: Stream, about: About) -> Kept:
     ffi, _ = layout()
     at = {
         word: ffi.offsetof("stream_head", word)
-        for word in ("count", "first_tick", "fired", "missed")
+        for word in ("count", "first_tick", "fired", "missed", "gaps")
     }
     return Kept(
         about=about, file=stream.file.path.name, rows_at=stream.offset, capacity=stream.capacity,
@@ -258,6 +258,7 @@ def note_of(stream: Stream, about: About) -> Kept:
         rows=stream.rows, pre=stream.pre, ring=stream.config.continuous,
         triggered=stream.config.trigger is not None, count_at=at["count"],
         start_at=at["first_tick"], fired_at=at["fired"], missed_at=at["missed"],
+        gaps_at=at["gaps"], gaps_held=len(stream.head.gap),
     )
 
 
@@ -284,8 +285,18 @@ def status(stream: Stream, alive: bool) -> AcquireStatus:
         state=state, channels=stream.channels, units=stream.units,
         decimation=stream.config.decimation, first=first, count=count,
         wanted=0 if ring else stream.rows, lost=stream.lost + int(head.missed),
-        start_tick=int(head.first_tick), trigger_row=fired,
+        gaps=_gaps(head, first), start_tick=int(head.first_tick), trigger_row=fired,
     )
+
+
+def _gaps(head: Any, first: int) -> tuple[tuple[int, int], ...]:
+    """Where rows are missing, as far as the rows from ``first`` on are concerned."""
+    ffi, lib = layout()
+    count, held = int(lib.monitor_load64(ffi.addressof(head[0], "gaps"))), len(head.gap)
+    newest = (head.gap[n % held] for n in range(max(0, count - held), count))
+    gaps = [(int(gap.row), int(gap.missed)) for gap in newest]
+    before = sum(row <= first for row, _ in gaps)
+    return tuple(gaps[max(0, before - 1) :])
 
 
 def held(stream: Stream, alive: bool) -> Held:

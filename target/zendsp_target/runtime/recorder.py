@@ -113,7 +113,7 @@ class Recorder:
     def status(self, stream: int) -> AcquireStatus:
         """Where a stream stands."""
         if stream not in self._streams:
-            return AcquireStatus(RecorderState.IDLE, (), (), 1, 0, 0, 0, 0, 0, -1)
+            return AcquireStatus(RecorderState.IDLE)
         found, session = self._streams[stream]
         return acquisition.status(found, self._fed(session))
 

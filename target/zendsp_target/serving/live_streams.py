@@ -243,7 +243,10 @@ class LiveStreams:
                 log.debug("live stream %d waits: %s", stream.number, error)
             stream.broken = True
             return RETRY_S
-        self._publish(stream, status, first, rows)
+        # a message has no place for a gap: what follows one is a message of its own
+        cuts = [row for row, _ in status.gaps if first < row < first + len(rows)]
+        for begin, end in itertools.pairwise((first, *cuts, first + len(rows))):
+            self._publish(stream, status, begin, rows[begin - first : end - first])
         return stream.interval
 
     def _publish(
@@ -251,13 +254,14 @@ class LiveStreams:
     ) -> None:
         stream.skipped += first - stream.next_row
         stream.next_row = first + len(rows)
+        missing = max((missed for row, missed in status.gaps if row <= first), default=0)
         header = m.LiveHeader(
             v=PROTOCOL,
             session=stream.session,
             first=first,
             rows=len(rows),
             columns=stream.columns,
-            tick=status.start_tick + first * status.decimation,
+            tick=status.start_tick + (first + missing) * status.decimation,
             decimation=status.decimation,
             lost=stream.skipped,
         )

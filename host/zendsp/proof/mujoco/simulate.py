@@ -193,9 +193,6 @@ def simulate(bench: Bench, shape: str, rng: Rng, size: list[float] | None = None
     )
     data = mj.MjData(model)
     dof = [int(model.joint(f"j{k}").dofadr[0]) for k in range(bench.n)]
-    for k, joint in enumerate(bench.joints):
-        if joint.two_sided:  # MuJoCo softens constraints by inertias without armature
-            model.dof_invweight0[dof[k]] = 1.0 / joint.armature
     p = plan(bench, shape, rng)
     start(mj, model, data, bench, p.r[0])
     controller = Controller(bench, Nominal(bench), p)
@@ -253,8 +250,10 @@ def simulate(bench: Bench, shape: str, rng: Rng, size: list[float] | None = None
 
 def start(mj: Any, model: Any, data: Any, bench: Bench, q: Array) -> None:
     """Put every joint at the reference's first position, at rest."""
-    for k in range(bench.n):
+    for k, joint in enumerate(bench.joints):
+        if joint.two_sided:  # MuJoCo softens constraints by inertias without armature
+            model.dof_invweight0[model.joint(f"j{k}").dofadr] = 1.0 / joint.armature
         data.joint(f"j{k}").qpos[0] = q[k]
-        if bench.joints[k].equality is not None:
+        if joint.equality is not None:
             data.joint(f"f{k}").qpos[0] = q[k]
     mj.mj_forward(model, data)
