@@ -30,6 +30,7 @@ from zendsp.diagnosis.decide.thresholds import (
     CURVE,
     HARMONIC,
     LAW_ERROR,
+    MOST,
     NUMERIC,
     OF_STATE,
     OWN_SHARE,
@@ -162,6 +163,7 @@ def believed(decision: Decision, parts: Parts, jobs: int) -> Decision:
         if c.effect == "unknown"
         or stated(c, decision)
         or (confidence(c, decision) > ALONE and SURE < _ahead(c, decision.alone, parts) < math.inf)
+        or _behind_a_transmission(c, decision, parts)
     ]
     rest = [c for c in decision.claims if not any(c is k for k in likely)]
     alone = decision.alone
@@ -193,6 +195,18 @@ def believed(decision: Decision, parts: Parts, jobs: int) -> Decision:
             doubted.add(claim.mechanism)
     keep, parts_of_it = _beside_unknown(keep)
     return replace(decision, claims=tuple(keep), refinements=tuple(more + parts_of_it))
+
+
+def _behind_a_transmission(claim: Claim, decision: Decision, parts: Parts) -> bool:
+    """Whether a load of its own explains most of what lacks, and that is no function of the state:
+    of no other law can that be said, however freely the transmission's numbers may be bent.
+    """
+    if get_effect(claim.effect).family != "transmission":
+        return False
+    most = decision.after.value**2 < (1.0 - MOST) * decision.before.value**2
+    return most and (
+        structure(parts.each, decision.base.model, decision.joint, STRUCTURED).share < MOST
+    )
 
 
 def without_law(claim: Claim, decision: Decision) -> Claim:
