@@ -17,7 +17,7 @@ from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.across import same_timing
 from zendsp.diagnosis.decide.assemble import Assembled, assemble
 from zendsp.diagnosis.decide.claims import Decision, unclaimed
-from zendsp.diagnosis.decide.decide import decide
+from zendsp.diagnosis.decide.decide import decide, unpushed
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import Scored, calibrate_joint
 from zendsp.diagnosis.measure.windows import model_error, noise_floor, rms, window_error
@@ -85,7 +85,12 @@ def with_their_links(
         if best[0][0] > before[0] or best[0][1] > before[1]:
             break
         felt, now, explained = felt | {best[1]}, best[2], best[3]
-    return now, explained
+    swinging = _transmissions(explained)
+    calm = [
+        unpushed(d) if swinging - {d.joint} and d.kind == "disturbance" else d
+        for d in explained[1]
+    ]
+    return now, (explained[0], calm, explained[2])
 
 
 def _transmissions(explained: Explained) -> frozenset[int]:

@@ -321,6 +321,21 @@ def _pushed(out: Decision, parts: Parts, jobs: int) -> Decision | None:
     return replace(out, kind="disturbance", bursts=both)
 
 
+def unpushed(decision: Decision) -> Decision:
+    """The decision without a disturbance: of what comes and goes beside a load that swings unseen
+    at another joint nobody can say that no state explains it.
+    """
+    lacks = beyond(decision.before.value, decision.known.all)
+    surely = lacks > MACHINE and decision.before.low > 0.0
+    return replace(
+        decision,
+        kind="unexplained" if surely else "complete",
+        bursts=None,
+        final=decision.base,
+        after=decision.before,
+    )
+
+
 def _by_own_numbers(
     out: Decision, parts: Parts, jobs: int, among: Collection[str] = ()
 ) -> tuple[str, ...]:
