@@ -6,6 +6,8 @@ import json
 import re
 from dataclasses import dataclass, replace
 
+from zendsp_protocol.texts import placed
+
 _TEXT = re.compile(
     r"^(?P<file>[^\s:][^:\n]*):(?P<line>\d+):(?:(?P<column>\d+):)?\s*"
     r"(?:(?P<severity>fatal error|error|warning|note):\s*)?(?P<message>.+)$"
@@ -28,6 +30,9 @@ class Message:
     line: int
     column: int
     message: str
+
+    def __str__(self) -> str:
+        return placed(self.file, self.line, self.column, f"{self.severity}: {self.message}")
 
 
 def parse_messages(text: str) -> tuple[Message, ...]:
@@ -93,7 +98,7 @@ def _from_json(entry: dict[str, object]) -> list[Message]:
         if isinstance(caret, dict):
             file = str(caret.get("file", ""))
             line = int(caret.get("line", 0))
-            column = int(caret.get("column", 0))
+            column = max(int(caret.get("column", 0)), 0)  # gcc says -1 of none
     option = entry.get("option")
     text = str(entry.get("message", "")) + (f" [{option}]" if option else "")
     messages = [Message(severity, file, line, column, text)]

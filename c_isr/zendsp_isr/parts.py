@@ -14,11 +14,7 @@ _MODELS = (".xml", ".mjcf", ".urdf")  # what MuJoCo reads
 
 def _trusted(kind: str, built: Built) -> Path:
     if built.path is None:
-        lines = [
-            f"{m.file}:{m.line}:{m.column}: {m.severity}: {m.message}"
-            for m in built.messages
-            if m.severity == "error"
-        ]
+        lines = [str(m) for m in built.messages if m.severity == "error"]
         raise CompileFailed(
             f"the {kind} does not compile with {built.compiler}:\n" + "\n".join(lines)
         )

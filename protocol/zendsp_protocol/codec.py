@@ -62,18 +62,24 @@ def _said(message: Any, data: bytes) -> Any:
     return shown_all(message) if suspicious(data) else message
 
 
+def _why(error: Exception) -> str:
+    """What is wrong; msgpack has words for little of it."""
+    deep = isinstance(error, msgpack.StackError)
+    return str(error) or ("it is nested too deeply" if deep else "not MessagePack")
+
+
 def _unpack(data: bytes, what: str) -> Any:
     try:
         return msgpack.unpackb(data)
     except _MALFORMED as error:
-        raise LinkError(f"malformed {what}: {error or 'not MessagePack'}") from error
+        raise LinkError(f"malformed {what}: {_why(error)}") from error
 
 
 def _convert(value: Any, kind: Any, what: str) -> Any:
     try:
         return msgspec.convert(value, kind)
     except _MALFORMED as error:
-        raise LinkError(f"malformed {what}: {error}") from error
+        raise LinkError(f"malformed {what}: {_why(error)}") from error
 
 
 def encode_request(verb: str, arguments: Any, by: str, version: int = PROTOCOL) -> bytes:
@@ -172,7 +178,7 @@ def _explain(data: bytes, kind: Any) -> Any:
         reply = msgspec.convert(message, Reply)
     except _MALFORMED as error:
         _check_version(message, "host")
-        raise LinkError(f"malformed reply: {error}") from error
+        raise LinkError(f"malformed reply: {_why(error)}") from error
     if reply.error is not None:
         raise make_error(reply.error)
     _check_version(message, "host")

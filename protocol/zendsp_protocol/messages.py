@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 
 from zendsp_protocol.states import DriveState, ProgramState, RecorderState
-from zendsp_protocol.texts import counted
+from zendsp_protocol.texts import counted, placed
 from zendsp_protocol.values import WireValue
 from zendsp_protocol.views import html_table
 
@@ -50,8 +50,12 @@ class Diagnostic(Message, frozen=True):
     severity: str  # error, warning or note
     file: str  # as the host named it
     line: int  # from 1; 0 where the compiler gives none
-    column: int  # from 1
+    column: int  # from 1; 0 where there is none, as of the linker
     message: str  # the compiler's own words
+
+    def __str__(self) -> str:
+        words = f"{self.severity}: {self.message}"
+        return placed(self.file, self.line, self.column, words) if self.line else words
 
 
 class CompileResult(Message, frozen=True):
@@ -68,8 +72,7 @@ class CompileResult(Message, frozen=True):
     def __repr__(self) -> str:
         cached = " (from the cache)" if self.cached else ""
         parts = [f"ok in {self.seconds:.2g} s{cached}" if self.ok else "not compiled"]
-        parts += [f"{d.file}:{d.line}:{d.column}: {d.severity}: {d.message}"
-                  for d in self.diagnostics]  # fmt: skip
+        parts += map(str, self.diagnostics)
         return f"<CompileResult {'; '.join(parts)}>"
 
 
@@ -253,6 +256,7 @@ class DriveStatus(Message, frozen=True, kw_only=True):
     explicit: bool = False
     homed: bool = True
     commander: str = ""  # who has the exclusive right to command
+    moved_by: str = ""  # whose run moves the machine now
     host_lost: str = "stop"  # what happens when the commander disappears: stop | hold | finish
     conditions: tuple[Condition, ...] = ()  # of enabling
 

@@ -36,6 +36,17 @@ def _written(found: re.Match[str]) -> str:
     return found[0].encode("unicode_escape").decode()
 
 
+def placed(file: str, line: int, column: int, words: str) -> str:
+    """Return a compiler's words behind their place, as compilers write it; 0 is left out.
+
+    Examples
+    --------
+    >>> placed("pd.c", 3, 0, "error: undefined reference to `gain'")
+    "pd.c:3: error: undefined reference to `gain'"
+    """
+    return ": ".join((":".join([file, *(str(n) for n in (line, column) if n)]), words))
+
+
 def units_of(unit: str, length: int) -> tuple[str, ...]:
     """Return the unit of each element: a variable has one, or names one for each of its elements.
 

@@ -153,8 +153,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         doors = settle(args.name or machine_title(args.machine), listen, args.connect, security)
         if doors.sentence:
             print(f"zendsp target: {doors.sentence}", file=sys.stderr, flush=True)
-        if os.getuid() == 0:
-            print(AS_ROOT, file=sys.stderr, flush=True)
         return _serve(args, listen, security)
     except (ZendspError, ValueError, OSError) as error:
         print(f"zendsp target: {error}", file=sys.stderr)
@@ -242,6 +240,8 @@ def _serve(args: argparse.Namespace, listen: Sequence[str], security: Security) 
     name = args.name or machine_title(args.machine)
     with _patience(f"zendsp target: starting {args.machine}; one that is new is compiled first …"):
         runtime, monitor = _monitor(args, name, listen, security)
+    if os.getuid() == 0:  # said of one that runs: where it does not start, why comes first
+        print(AS_ROOT, file=sys.stderr, flush=True)
     kept, dropped = runtime.left_behind
     for note in kept:
         if note.about.target == name:

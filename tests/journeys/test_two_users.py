@@ -114,3 +114,30 @@ def test_a_user_who_leaves_while_commanding_leaves_a_machine_that_stands(
     until(lambda: gone in installed.run("get", "Kp1").stderr, "others are told that she is gone")
     assert installed.run("drive", "acknowledge").returncode == 0
     assert installed.run("run", "pd.c").returncode == 0, "and another goes on"
+
+
+def test_a_run_that_is_refused_stops_nothing_of_who_commands(
+    installed: Installed, anna: Anna
+) -> None:
+    anna.types("t.take_command()")
+    name = anna.types("t.drive_status().commander").strip("'")
+    anna.types("t.acquire_configure(['q'], 60.0)")
+    anna.types("t.acquire_start()")
+    for command in (
+        ("experiment", "friction", "-t", "imi"),
+        ("bode",),
+        ("sweep", "Kp1=90,100", "-c", "q", "-s", "1"),
+    ):
+        said = installed.run(*command)
+        assert said.returncode == 2 and name in said.stderr, (command, said.stdout, said.stderr)
+        assert "not put back" not in said.stdout + said.stderr, (command, said)
+        assert anna.types("t.status().trip") == "None", command
+        assert anna.types("t.status().state") == "'running'", command
+        assert anna.types("t.acquire_status().state") == "'running'", command
+    run = installed.script(
+        "import zendsp\n"
+        "from zendsp.link.put_back import Before\n"
+        "Before(zendsp.connect('imi'), ['Kp1'], moves=True)\n"
+    )
+    assert name in run.stderr and anna.types("t.drive_status().moved_by") == "''", run.stderr
+    anna.leaves()

@@ -5,9 +5,12 @@ names that are mistyped.
 from __future__ import annotations
 
 import json
+import os
+import signal
+import time
 
 import pytest
-from journey import Installed
+from journey import PATIENCE_S, Installed, until
 
 HEAD = '#include "isr.h"\nstatic double a = 1.0;\nstatic bool on;\nstatic double list[3];\n'
 INIT = """void UserInit(void) {
@@ -17,6 +20,7 @@ void UserBackground(void) {}
 """  # noqa: E501
 TRIPS = HEAD + INIT + "void UserISR_INT2(void) { a = 2.0; WRITE_TORQUE(0, 0.0 / (a - 2.0)); }\n"
 CRASHES = HEAD + INIT + "void UserISR_INT2(void) { *(volatile int *)8 = 1; }\n"
+AFTER_TRIP_S = 1.0  # what a recorder still records after a trip
 RUNS = HEAD + INIT + "void UserISR_INT2(void) {}\n"
 
 
@@ -187,3 +191,73 @@ def test_a_mistyped_key_of_a_model_is_refused(user: Installed) -> None:
     assert said.returncode == 2
     for word in ("bench.toml", "[actuator]", "dealy", "did you mean delay", "limit"):
         assert word in said.stderr, said.stderr
+
+
+def test_what_tripped_is_never_called_merely_stopped(user: Installed) -> None:
+    said = user.run("run", "trips.c")
+    assert said.stdout == "tripped at sample 0\n", said  # not where the paused clock is now
+    assert user.run("pause").stdout == "tripped at sample 0\n"
+    said = user.run("stop")
+    assert said.stdout.count("stopped, at sample 0") == 1 and "computed nan" in said.stdout, said
+    refused = user.run("experiment", "friction", "-t", "imi")
+    assert refused.returncode == 2 and "acknowledge" in refused.stderr, refused
+    assert "program    trips.c (" in user.run("info").stdout  # it was declined whole
+    user.run("drive", "acknowledge")
+    user.run("run", "runs.c")
+    assert user.run("stop").stdout.startswith("stopped, at sample")
+    assert user.run("pause").stdout.startswith("stopped at sample")
+
+
+def test_refusals_say_what_there_is(user: Installed) -> None:
+    user.write("unlinked.c", RUNS.replace("INT2(void) {}", "INT2(void) { absent(); }"))
+    said = user.run("compile", "unlinked.c")
+    assert "undefined reference to" in said.stderr and ":0:" not in said.stderr, said
+    assert f"unlinked.c:{len(RUNS.splitlines())}: error: undefined reference" in said.stderr
+    user.write("macro.c", RUNS.replace('PARAMETER(on, 0, "", 0, 1, "")', 'PARAMETER(on, 0, "")'))
+    said = user.run("compile", "macro.c")
+    assert "PARAMETER" in said.stderr and ":-1:" not in said.stderr, said
+    user.run("run", "runs.c")
+    said = user.run("bode")
+    assert said.returncode == 2 and "it declares no signal" in said.stderr, said
+    script = user.script("import zendsp\nzendsp.local('imi_planer')\n")
+    assert "did not start: zendsp target: no machine 'imi_planer'" in script.stderr
+    for command in ("info", "stop"):
+        said = user.run(command, "-t", "nobody")
+        assert "ZENDSP_CONNECT=" in said.stderr and "--connect" not in said.stderr, said
+
+
+def test_it_is_said_who_moves_a_machine_that_nobody_commands(user: Installed) -> None:
+    user.run("run", "pd.c")
+    script = user.script(
+        "import subprocess, sys, zendsp\n"
+        "from zendsp.link.put_back import kept\n"
+        "with zendsp.connect('imi') as t:\n"
+        "    ask = [sys.argv[1], 'drive']\n"
+        "    with kept(t, ['Kp1'], moves=True):\n"
+        "        print(subprocess.run(ask, capture_output=True, text=True).stdout)\n"
+        "        print(t.link.author, t.drive_status().moved_by)\n"
+        "    assert t.drive_status().moved_by == ''\n",
+        str(user.zendsp),
+    )
+    assert script.returncode == 0, script.stderr
+    *status, last, names = script.stdout.strip().splitlines()
+    author, mover = names.split()
+    assert author == mover
+    assert last == "" and status[-1].startswith(f"commanded by nobody, moved by a run of {author};")
+
+
+def test_the_end_of_a_host_is_no_trouble_of_the_target(installed: Installed) -> None:
+    target = installed.target("imi")
+    script = installed.script(
+        "import zendsp\n"
+        "t = zendsp.connect('imi')\n"
+        "t.download('pd.c'); t.power_on(); t.home_and_wait(); t.enable(); t.start()\n"
+    )
+    assert script.returncode == 0, script.stderr
+    until(
+        lambda: "is gone" in installed.run("info").stderr, "the policy acts", alive=target
+    )
+    time.sleep(AFTER_TRIP_S + 0.5)  # when the recorder would be ended; nothing tells that it was
+    os.killpg(target.pid, signal.SIGTERM)
+    said, _ = target.communicate(timeout=PATIENCE_S)
+    assert "listens on" in said and "WARNING" not in said, said

@@ -284,3 +284,11 @@ def test_the_page_on_security_lists_every_verb_under_its_role() -> None:
     assert said == {
         role: {verb.name for verb in VERBS.values() if verb.role == role} for role in ROLES
     }
+
+
+@pytest.mark.parametrize("data", [b"\x91" * 4000, b"\xc1", b"", b"\x81\xa1a"])
+def test_what_is_no_message_is_refused_in_words(data: bytes) -> None:
+    decoders = (lambda d: codec.decode_request(d, "quick"), lambda d: codec.decode_reply(d, int))
+    for decode in decoders:
+        with pytest.raises(LinkError, match=r"malformed (request|reply): \w+"):
+            decode(data)

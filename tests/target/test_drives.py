@@ -200,7 +200,7 @@ def test_the_right_to_command_is_exclusive_and_taken_over_deliberately(target: T
             with pytest.raises(Refused, match="exclusive right"):
                 forbidden()
         assert other["Kp1"] == 2000.0
-        with pytest.raises(Refused, match="take it over with force"):
+        with pytest.raises(Refused, match="take it over deliberately"):
             other.take_command()
         assert "taken over" in other.take_command(force=True)
         with pytest.raises(Refused, match="exclusive right"):

@@ -55,3 +55,28 @@ async def test_a_long_name_leaves_room_for_what_the_target_does(width: int) -> N
             assert words in line
         assert (f"{name} on imi_planar  ▲" in line) == (width == 160)
         assert "F5" in tabs and "Execute" in tabs and "rec" in tabs
+
+
+@pytest.mark.parametrize(
+    ("commander", "mine", "mover", "said"),
+    [
+        ("", False, "you", "cmd nobody  run you"),
+        ("", False, "anna@lab", "cmd nobody  run anna@lab"),
+        ("anna@lab", False, "anna@lab", "cmd anna@lab"),
+        ("me@lab", True, "you", "cmd you"),
+    ],
+)
+async def test_whose_run_moves_the_machine_is_said_once(
+    commander: str, mine: bool, mover: str, said: str
+) -> None:
+    app = _Bar()
+    async with app.run_test(size=(80, 5)) as pilot:
+        app.query_one(StatusBar).show(
+            Snapshot(
+                link="up", target="imi", state="running", drive="running", commander=commander,
+                mine=mine, moved_by=mover,
+            )
+        )
+        await pilot.pause()
+        line = app.screen._compositor.render_strips()[1].text
+        assert said in line and line.count("run ") == said.count("run "), line

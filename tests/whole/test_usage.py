@@ -108,7 +108,7 @@ def test_ls_says_how_to_start_a_target_where_there_is_none(
     assert ended.value.code == 1
     assert "zendsp target" in capsys.readouterr().out
     status, text = said(capsys, "get")
-    assert status == 2 and "--connect" in text and "connect=" not in text
+    assert status == 2 and "ZENDSP_CONNECT=" in text and "connect=" not in text
 
 
 def test_a_group_without_a_word_shows_its_help(capsys: pytest.CaptureFixture[str]) -> None:

@@ -54,10 +54,9 @@ def compiled(work: Callable[[], Any], as_json: bool, target: Target | None = Non
 def report(result: Any, as_json: bool) -> None:
     """Print what the compiler said: its messages to standard error, the outcome to standard output.
     """
-    from zendsp.link.programs import describe
 
     if not as_json:
         for message in result.diagnostics:
-            click.echo(describe(message), err=True)
+            click.echo(str(message), err=True)
     how = "from the cache" if result.cached else f"in {result.seconds:.2f} s"
     emit(result, as_json, f"compiled {how}: {result.key[:12]}" if result.ok else "not compiled")

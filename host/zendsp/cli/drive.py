@@ -76,8 +76,10 @@ def command(
             f"  {'✔' if c.met else '✖'} {c.name}{f': {c.advice}' if c.advice else ''}"
             for c in status.conditions
         ]
+        mover = status.moved_by
+        moved = f", moved by a run of {mover}" if mover not in ("", status.commander) else ""
         lines.append(
-            f"commanded by {status.commander or 'nobody'}; if the commanding host is lost:"
+            f"commanded by {status.commander or 'nobody'}{moved}; if the commanding host is lost:"
             f" {status.host_lost}"
         )
         emit(status, as_json, "\n".join(lines))

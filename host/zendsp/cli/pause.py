@@ -14,7 +14,9 @@ def command(target: str, connect: str | None, as_json: bool) -> None:
 
     Example:  zendsp pause
     """
+    from zendsp.here.stopped import state_at
+
     with open_target(target, connect) as t:
         t.pause()
         status = t.status()
-        emit(status, as_json, f"{status.state} at sample {status.tick}")
+        emit(status, as_json, state_at(status))

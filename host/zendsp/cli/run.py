@@ -39,6 +39,7 @@ def command(
     Example:  zendsp run pd.c --set Kp1=400 --seconds 10
     """
     from zendsp.errors import RunnerDied
+    from zendsp.here.stopped import state_at
     from zendsp.link.programs import late
 
     values = parse_assignments(assignments)
@@ -66,7 +67,7 @@ def command(
                 except RunnerDied:  # open_target says how
                     status = t.status()
         going = status.state == "running"
-        emit(status, as_json, "running" if going else f"{status.state} at sample {status.tick}")
+        emit(status, as_json, "running" if going else state_at(status))
         if said := late(status):
             click.echo(f"zendsp: {t.name}: {said}", err=True)
         if status.state == "crashed" or status.trip is not None:

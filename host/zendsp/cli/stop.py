@@ -70,8 +70,9 @@ def command(
             failed += 1
             say(NotStopped(f"{head}{how}"))
             continue
-        ended[name] = how
-        text = f"{head}{stopped(how)}"
+        before, ended[name] = ended.get(name), how
+        told_already = stopped(before) if before else ""
+        text = head + stopped(how).removeprefix(told_already).lstrip()
         if not as_json and text not in told:
             told.add(text)
             emit(how, False, text)

@@ -405,9 +405,10 @@ def _first(infos: Mapping[str, Any], joint: int, name: str) -> str:
         return f"{name}[{joint - 1}]" if infos[name].length > 1 else name
     if f"{name}{joint}" in infos:
         return f"{name}{joint}"
+    signals = [n for n, i in infos.items() if i.kind == "signal"]
     raise AcquisitionError(
         f"the program has no signal {name}[{joint - 1}] or {name}{joint}: name input and output;"
-        f" it has {', '.join(n for n, i in infos.items() if i.kind == 'signal')}"
+        f" it declares {', '.join(signals) or 'no signal'}"
     )
 
 

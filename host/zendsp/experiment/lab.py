@@ -115,16 +115,22 @@ class Lab:
             target.close()
 
     def _guard(self, bench: Bench) -> Iterator[Bench]:
-        before = Loaded(bench.target)
+        target = bench.target
+        before = Loaded(target)
+        held = target.drive_status().commander == target.link.author
+        target.take_command()  # refused, nothing is touched: another's machine is not stopped
         try:
             yield bench
         except BaseException:  # Ctrl-C as well: the machine stands before the program ends
             with contextlib.suppress(ZendspError):
-                _stop(bench.target)
+                _stop(target)
             raise
         finally:
             if why := before.put_back():
                 self.say(why)
+            if not held:
+                with contextlib.suppress(ZendspError):
+                    target.release_command()
 
 
 class Bench:

@@ -28,6 +28,13 @@ def stopped(status: m.Status) -> str:
     return f"stopped, at sample {status.trip.tick}{why}"
 
 
+def state_at(status: m.Status) -> str:
+    """Say in what state a program is, and since which sample if a STOP or a trip ended it."""
+    if status.trip is None or status.state != ProgramState.STOPPED:
+        return f"{status.state} at sample {status.tick}"
+    return f"{status.drive} at sample {status.trip.tick}"
+
+
 def stopped_at(sample: int) -> m.Status:
     """What is known once the loop has taken a STOP, where the target itself does not answer."""
     trip = m.Trip(

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 else:  # only local() starts anything
     select, subprocess, tempfile = map(Lazily, ("select", "subprocess", "tempfile"))
 
-WHERE = f"by --connect, by the endpoint that connect() takes, or by {CONNECT}"
+WHERE = f"{CONNECT}=tls/robot.lab:7447, for example"
 # for a target to come up, on a machine that is busy with everything else and has to compile it
 # first; one that ends is told at once
 START_S = 150.0

@@ -57,7 +57,7 @@ class Programs(Part):
         result: m.CompileResult = self.request("compile", sources=gather(source), flags=list(flags))
         if not result.ok:
             error = CompileFailed(
-                "\n".join(describe(message) for message in result.diagnostics) or "no reason given"
+                "\n".join(map(str, result.diagnostics)) or "no reason given"
             )
             error.result = result
             raise error
@@ -322,9 +322,3 @@ def late(status: m.Status) -> str:
         f" {1e3 / status.rate_hz:g} ms: shorten UserISR_INT2, or give the target a lower --rate;"
         " 'zendsp stats' shows the times"
     )
-
-
-def describe(message: m.Diagnostic) -> str:
-    """Write a compiler's message the way compilers do: ``pd.c:12:5: error: …``."""
-    place = f"{message.file}:{message.line}:{message.column}: " if message.line else ""
-    return f"{place}{message.severity}: {message.message}"

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from zendsp.errors import ZendspError
+from zendsp.errors import Refused, ZendspError
 from zendsp_protocol import messages as m
 from zendsp_protocol.states import ProgramState
 
@@ -59,11 +59,19 @@ class Loaded:
     Parameters
     ----------
     target : Target
+
+    Raises
+    ------
+    Refused
+        A STOP or a trip is latched: nothing could be loaded, and nothing is touched.
     """
 
     def __init__(self, target: Target) -> None:
         self._target = target
-        self._empty = target.status().state in GONE
+        status = target.status()
+        if status.trip is not None:
+            raise Refused(f"{status.trip.text or status.trip.reason}: acknowledge it first")
+        self._empty = status.state in GONE
         if not self._empty:
             infos = target.variables().values()
             names = [info.name for info in infos if info.kind in ("parameter", "table")]

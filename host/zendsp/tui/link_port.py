@@ -17,7 +17,7 @@ from zendsp.link.live import LiveBlock
 from zendsp.link.put_back import Before
 from zendsp.link.variables import plain
 from zendsp.recording import Recording
-from zendsp.tui.port import Build, Remark, Shot, Sink, Tell
+from zendsp.tui.port import Build, Shot, Sink, Tell
 from zendsp.tui.snapshot import Snapshot, TripView, Variable
 from zendsp_protocol import messages as m
 from zendsp_protocol.values import Assignable, Value
@@ -105,6 +105,7 @@ class LinkPort:
             lost=recorder.lost if recorder is not None else 0,
             latency_s=latency,
             commander=drive.commander,
+            moved_by="you" if drive.moved_by == self.target.link.author else drive.moved_by,
             mine=bool(drive.commander) and drive.commander == self.target.link.author,
             recording=recorder is not None and recorder.state in ("armed", "running"),
             host_lost=drive.host_lost,
@@ -183,10 +184,10 @@ class LinkPort:
             failed = getattr(error, "result", None)
             if failed is None:
                 raise
-            return Build(False, failed.seconds, failed.cached, _remarks(failed))
+            return Build(False, failed.seconds, failed.cached, failed.diagnostics)
         self.target.load(result.key)
         self._program = ""
-        return Build(True, result.seconds, result.cached, _remarks(result))
+        return Build(True, result.seconds, result.cached, result.diagnostics)
 
     # -- variables
 
@@ -287,12 +288,6 @@ def _variable(info: m.VariableInfo, kind: str) -> Variable:
     return Variable(
         info.name, info.type, info.length, kind, info.unit, info.minimum, info.maximum,
         plain(info.initial), info.description, info.columns,
-    )
-
-
-def _remarks(result: m.CompileResult) -> tuple[Remark, ...]:
-    return tuple(
-        Remark(d.severity, d.file, d.line, d.column, d.message) for d in result.diagnostics
     )
 
 

@@ -14,6 +14,7 @@ from zendsp.link import Rehearsal
 from zendsp.link.put_back import Before
 from zendsp.recording import Recording
 from zendsp.tui.snapshot import Snapshot
+from zendsp_protocol.messages import Diagnostic
 from zendsp_protocol.values import Assignable
 
 if TYPE_CHECKING:  # the experiments are loaded when one is asked for
@@ -24,24 +25,13 @@ Sink = Callable[[npt.NDArray[np.int64], npt.NDArray[np.float64], float], None]
 
 
 @dataclass(frozen=True)
-class Remark:
-    """One message of the compiler."""
-
-    severity: str  # "error" | "warning" | "note"
-    file: str
-    line: int
-    column: int
-    message: str
-
-
-@dataclass(frozen=True)
 class Build:
     """What became of a source."""
 
     ok: bool
     seconds: float
     cached: bool
-    remarks: tuple[Remark, ...]
+    remarks: tuple[Diagnostic, ...]
 
 
 @dataclass(frozen=True)

@@ -84,6 +84,7 @@ class Snapshot:
     lost: int = 0
     latency_s: float = float("nan")
     commander: str = ""  # who holds the right to command, "" if nobody
+    moved_by: str = ""  # whose run moves the machine, "you" of this terminal
     mine: bool = False  # it is held here
     recording: bool = False
     host_lost: str = ""

@@ -234,6 +234,8 @@ class StatusBar(Widget):
         who = "you" if s.mine else s.commander or "nobody"
         line.append("cmd ", Style(dim=True))
         line.append(f"{who}  ", Style(color=c["success"] if s.mine else c["warning"]))
+        if s.moved_by and s.moved_by != who:
+            line.append(f"run {s.moved_by}  ", Style(color=c["warning"]))
         if s.trip is not None or s.crash:
             words = s.crash if s.trip is None or s.unsafe else s.trip.text
             line.append(words, Style(color=c["error"], bold=True))

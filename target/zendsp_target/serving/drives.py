@@ -29,7 +29,7 @@ from zendsp_protocol import messages as m
 from zendsp_protocol import verbs
 from zendsp_protocol.errors import Refused, ZendspError
 from zendsp_protocol.messages import Status
-from zendsp_protocol.states import DriveState, ProgramState
+from zendsp_protocol.states import DriveState, ProgramState, RecorderState
 from zendsp_target.api import RECORDER, RuntimeApi
 
 log = logging.getLogger(__name__)
@@ -82,6 +82,7 @@ class Drives:
         self._powered = False
         self._enabled = False
         self.commander = ""  # who holds the right to command
+        self.moved_by = ""  # whose run moves the machine now
         self._ramp_s = SOFT_S
         self._lock = threading.RLock()
         if managed:
@@ -173,6 +174,7 @@ class Drives:
                 explicit=self._explicit,
                 homed=status.homed,
                 commander=self.commander,
+                moved_by=self.moved_by,
                 host_lost=self._policy,
                 conditions=tuple(
                     m.Condition(name=c.name, met=c.met, advice="" if c.met else c.advice)
@@ -196,8 +198,8 @@ class Drives:
         """Give the right to command to ``by``."""
         with self._lock:
             before = self.commander
-            if before and before != by and not force:
-                raise Refused(f"{before} has the right to command; take it over with force")
+            if not force:
+                self.check_right(by)
             word = f"taken over from {before}" if before and before != by else "you command"
             return word + self._pass_to(by)
 
@@ -245,7 +247,10 @@ class Drives:
         """End what is recorded now as after STOP, once the machine has come to rest: its host, who
         would have, is gone.
         """
-        began = self._runtime.acquire_status(RECORDER).start_tick
+        recorder = self._runtime.acquire_status(RECORDER)
+        if recorder.state not in (RecorderState.ARMED, RecorderState.RUNNING):
+            return
+        began = recorder.start_tick
 
         def end() -> None:
             try:

@@ -66,11 +66,13 @@ class Runs:
                 raise Refused(f"{MOST} runs are open: end one")
             number = next(self._numbers)
             self._open[number] = run
+            self._tell()
         return m.RunBegun(run=number, names=tuple(names), follows=follows)
 
     def do_run_end(self, args: verbs.RunEnd, by: str) -> m.Applied:
         with self._lock:
             run = self._open.pop(args.run, None)
+            self._tell()
         sequence = self._put_back(run, by) if run is not None else 0
         return applied(self._runtime, sequence) if sequence else m.Applied(sequence=0, tick=0)
 
@@ -81,6 +83,7 @@ class Runs:
         with self._lock:
             mine = [number for number, run in self._open.items() if run.host == host]
             runs = [self._open.pop(number) for number in reversed(mine)]
+            self._tell()
         moves = any(run.moves for run in runs)
         policy = self._drives.host_gone(host, moves)
         if (moves and policy == "finish") or self._drives.commander not in ("", host):
@@ -93,6 +96,9 @@ class Runs:
                 self._put_back(run, f"{host}, lost")
             except ZendspError as error:
                 log.warning("what %s had set stays: %s", host, error)
+
+    def _tell(self) -> None:
+        self._drives.moved_by = next((r.host for r in self._open.values() if r.moves), "")
 
     def _moves(self) -> bool:
         status = self._runtime.status()

@@ -56,11 +56,7 @@ def compile_program(program: Source, flags: Sequence[str] = ()) -> Build:
     encoded = {name: text.encode() for name, text in sources.items()}
     built = build("program", encoded, [source_root() / "include"], flags=tuple(flags))
     if built.path is None:
-        lines = [
-            f"{m.file}:{m.line}:{m.column}: {m.severity}: {m.message}"
-            for m in built.messages
-            if m.severity == "error"
-        ]
+        lines = [str(m) for m in built.messages if m.severity == "error"]
         raise CompileFailed("\n".join(lines))
     return Build(built.path, sources, built.compiler, tuple(flags))
 

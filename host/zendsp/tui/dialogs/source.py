@@ -15,7 +15,8 @@ from textual.widgets import Button, OptionList, Static, TextArea
 from textual.widgets.option_list import Option
 
 from zendsp.tui.dialogs.base import Dialog
-from zendsp.tui.port import Remark
+from zendsp_protocol.messages import Diagnostic
+from zendsp_protocol.texts import placed
 
 
 class SourceView(Dialog[bool]):
@@ -32,7 +33,9 @@ class SourceView(Dialog[bool]):
         Binding("f8", "next_remark", "Next remark"),
     ]
 
-    def __init__(self, path: Path, remarks: Sequence[Remark], saved: Callable[[str], None]) -> None:
+    def __init__(
+        self, path: Path, remarks: Sequence[Diagnostic], saved: Callable[[str], None]
+    ) -> None:
         super().__init__()
         self._path, self._remarks, self._saved = path, tuple(remarks), saved
         self._at = -1
@@ -54,7 +57,7 @@ class SourceView(Dialog[bool]):
                 yield Button("Save ^s", id="save", compact=True)
                 yield Button("Close", id="close", compact=True)
 
-    def _line(self, r: Remark) -> Text:
+    def _line(self, r: Diagnostic) -> Text:
         c = self.app.theme_variables
         colour = (
             c["error"]
@@ -63,7 +66,7 @@ class SourceView(Dialog[bool]):
             if r.severity == "warning"
             else c["foreground"]
         )
-        text = Text(f"{r.file}:{r.line}:{r.column} ", Style(bold=True))
+        text = Text(placed(r.file, r.line, r.column, ""), Style(bold=True))
         return text.append(f"{r.severity}: {r.message}", Style(color=colour))
 
     def on_mount(self) -> None:
@@ -79,7 +82,7 @@ class SourceView(Dialog[bool]):
             self._at = (self._at + 1) % len(here)
             self._go(here[self._at])
 
-    def _go(self, r: Remark) -> None:
+    def _go(self, r: Diagnostic) -> None:
         area = self.query_one(TextArea)
         area.move_cursor((max(r.line - 1, 0), max(r.column - 1, 0)))
         area.focus()

@@ -9,11 +9,12 @@ from typing import Any
 from zendsp.errors import ZendspError
 from zendsp.tui.dialogs import Choose, Field, Form, Option
 from zendsp.tui.dialogs.source import SourceView
-from zendsp.tui.port import Build, Port, Remark, Shot
+from zendsp.tui.port import Build, Port, Shot
 from zendsp.tui.runs import store_run
 from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.screens.console_scope import real
 from zendsp_isr.sources import gather
+from zendsp_protocol.messages import Diagnostic
 from zendsp_protocol.texts import counted
 
 
@@ -41,7 +42,7 @@ class ProgramActions(LabScreen):
 
     def __init__(self) -> None:
         super().__init__()
-        self.remarks: tuple[Remark, ...] = ()
+        self.remarks: tuple[Diagnostic, ...] = ()
 
     # -- the sequence
 
@@ -136,9 +137,7 @@ class ProgramActions(LabScreen):
         self.remarks = build.remarks
         for r in build.remarks:
             level = "error" if r.severity == "error" else "warning"
-            self.lab.session.events.add(
-                f"{r.file}:{r.line}:{r.column}: {r.severity}: {r.message}", level
-            )
+            self.lab.session.events.add(str(r), level)
         errors = sum(r.severity == "error" for r in build.remarks)
         if build.ok:
             warnings = (
