@@ -78,7 +78,7 @@ class _Line:
         elif self._handle is None:
             from IPython.display import display
 
-            content = {"text/plain": text}
-            self._handle = display(content, raw=True, display_id=True)  # type: ignore[no-untyped-call]
+            data = {"text/plain": text}
+            self._handle = display(data, raw=True, display_id=True)  # type: ignore[no-untyped-call]
         else:
             self._handle.update({"text/plain": text}, raw=True)
