@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from zendsp.experiment.result import Estimate as Measured
 from zendsp.experiment.result import Result
 from zendsp.link import Target, local
 from zendsp.physics import parse_model
-from zendsp.recording import Recording
+from zendsp.recording import Recording, Table
 from zendsp.reference import load_machine
 
 
@@ -36,7 +37,11 @@ def test_every_repr_is_one_line_that_a_person_can_read() -> None:
     recording = Recording.from_columns({"q": np.zeros(5)}, 1e-3, units={"q": "rad"})
     assert repr(_diagnosis()) == "<Diagnosis missing: coulomb at joint 1 (97 %); 2.0 s>"
     assert repr(result) == "<Result imi-static on imi_planar: level 8.4 ± 0.1 N m>"
-    for thing in (load_machine("imi_planar"), recording):
+    table = Table({"t": np.zeros(5), "q": np.zeros((5, 2))}, {"t": "s"}, path=Path("a/run.csv"))
+    assert repr(table) == "<Table run.csv: t [s], q; 5 rows>"
+    many = Table({f"channel {k}": np.zeros(5) for k in range(60)})
+    assert repr(many).startswith("<Table: 60 columns: channel 0, channel 1, ")
+    for thing in (load_machine("imi_planar"), recording, many):
         assert len(repr(thing)) < 120 and "\n" not in repr(thing)
 
 

@@ -1,4 +1,5 @@
-"""The terminal as a user sees it: `zendsp tui` behind a pseudo-terminal, its screen read by pyte.
+"""The terminal as a user sees it: `zendsp tui`, or a shell, behind a pseudo-terminal, its screen
+read by pyte.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import signal
 import struct
 import termios
 import threading
+from collections.abc import Sequence
 
 import pyte
 from journey import Installed, until
@@ -26,16 +28,23 @@ class Screen:
         Columns and rows.
     *options : str
         Of the command.
+    program : sequence of str
+        What to run in its place, with its arguments.
     """
 
-    def __init__(self, installed: Installed, size: tuple[int, int], *options: str) -> None:
+    def __init__(
+        self, installed: Installed, size: tuple[int, int], *options: str,
+        program: Sequence[str] = (),
+    ) -> None:
         self.shown = pyte.Screen(*size)
         stream = pyte.ByteStream(self.shown)
         self.status: int | None = None  # of the end
         self.pid, self.fd = pty.fork()
         if self.pid == 0:
             os.chdir(installed.folder)
-            command = [str(installed.zendsp), "tui", *options, "--frames", "8"]
+            command = list(program) or [
+                str(installed.zendsp), "tui", *options, "--frames", "8"
+            ]
             os.execve(command[0], command, installed.env)
         fcntl.ioctl(self.fd, termios.TIOCSWINSZ, struct.pack("HHHH", size[1], size[0], 0, 0))
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 
+import pytest
 from journey import PATIENCE_S, Installed
+from screen import Screen
 
 # what bash does when Tab is pressed behind these words
 PRESS = """
@@ -60,3 +63,21 @@ def test_the_shell_runs_commands_over_one_link_and_survives_mistakes(installed: 
     assert "Commands:" in done.stdout
     assert "Usage: zendsp set" in done.stdout
     assert "No closing quotation" in done.stderr
+
+
+@pytest.mark.skipif(shutil.which("zsh") is None, reason="needs zsh")
+def test_zsh_completes_for_a_user_who_has_not_set_up_its_completion(installed: Installed) -> None:
+    installed.target("imi")
+    assert installed.run("run", "pd.c", "-t", "imi").returncode == 0
+    installed.write(".zshrc", 'PS1="ready> "\n' + 'eval "$(zendsp completion zsh)"\n')
+    terminal = Screen(installed, (100, 24), program=[str(shutil.which("zsh")), "-d", "-i"])
+    try:
+        terminal.until("ready>")
+        assert "compdef" not in terminal.text(), terminal.text()
+        terminal.keys(b"zendsp set -t imi cut\t")
+        terminal.until("cutoff=")
+        terminal.keys(b"50 Kp\t")
+        terminal.until("Kp1=  -- [N m/rad]")
+        assert "cutoff=50 Kp" in terminal.text(), "no space behind the equals sign"
+    finally:
+        terminal.end()

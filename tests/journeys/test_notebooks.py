@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -34,3 +35,40 @@ def test_notebooks_are_kept_without_what_they_put_out() -> None:
         text = path.read_text()
         assert '"outputs": []' in text and '"execution_count": null' in text
         assert '"output_type"' not in text, f"{path.name}: clear its outputs before it is kept"
+
+
+DRAWN = """
+import nbformat
+from nbclient import NotebookClient
+cells = [
+    "import zendsp, numpy as np",
+    "t = zendsp.local('imi_planar'); t.download('pd.c'); t.start()",
+    "t.acquire(['q', 'tau'], seconds=2.5).save('run.mat')",
+    "quick = t.acquire(['q'], seconds=0.2)",
+    "told = t.acquire(['q'], seconds=1.5, progress=lambda done: None)",
+    "t.close(); zendsp.diagnose('run.mat', 'imi_planar.toml')",
+]
+shown = [""] * len(cells)
+class Client(NotebookClient):
+    def process_message(self, message, cell, index):
+        data = message["content"].get("data", {})
+        shown[index] += data.get("text/plain", "") + "\\n"
+        return super().process_message(message, cell, index)
+book = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(cell) for cell in cells])
+Client(book, timeout=250, kernel_name="python3").execute()
+for cell, text in zip(book.cells, shown):
+    left = [output.data["text/plain"] for output in cell.outputs if "data" in output]
+    print("CELL", text, "LEFT", left)
+"""
+
+
+def test_what_takes_a_second_shows_in_a_notebook_how_far_it_is(kernels: Installed) -> None:
+    model = (NOTEBOOKS[0].parents[1] / "models" / "imi_planar.toml").read_text()
+    kernels.write("imi_planar.toml", model)
+    done = kernels.script(DRAWN, timeout=300.0)
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
+    recorded, quick, told, diagnosed = done.stdout.split("CELL")[3:]
+    assert re.search(r"█+░* +[3-9]\d %", recorded)
+    assert "joint 1: screening the library" in diagnosed
+    assert "LEFT ['', '<Diagnosis " in diagnosed, "the line is taken away at the end"
+    assert "%" not in quick + told, "nothing of what is short, or has a progress of its own"

@@ -305,11 +305,10 @@ async def test_compensation_fades_in_and_out_of_the_running_program(
         await until(pilot, lambda: lab.session.snapshot.t > 3.0, "running on the circle")
         await pilot.press("f5")
         await pilot.pause()
-        screen.query_one("#findings", OptionList).highlighted = len(screen.entries) - 1
-        await until(pilot, lambda: screen._rms().get("e1", 0.0) > 0.0, "the error is followed")
-        await until(pilot, lambda: "off" in _text(screen, "#loop-words"), "it says off")
-        await pilot.press("c")
+        await pilot.press("c", "c")  # at once; a second press while it measures starts no other
+        await until(pilot, lambda: "compensation off" in _text(screen, "#loop-words"), "measures")
         await until(pilot, lambda: share() == 1.0, "on")
+        assert screen.before["e1"] > 0.0, "the error without it was measured first"
         at = lab.session.snapshot.t
         await until(pilot, lambda: "compensation on" in _text(screen, "#loop-words"), "it says so")
         assert target.read(["comp_coulomb1_level"]).values["comp_coulomb1_level"] == 8.0

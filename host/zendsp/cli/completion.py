@@ -7,6 +7,14 @@ from click.shell_completion import get_completion_class
 
 # bash ends what it completed with a space; behind NAME= a value follows
 NO_SPACE = "    [[ ${COMPREPLY[0]} == *= ]] && compopt -o nospace\n\n    return 0\n"
+DESCRIBED = "        _describe -V unsorted completions_with_descriptions -U"
+JOINED = (
+    "        local -a joined\n"
+    "        [[ $completions_with_descriptions[1] == *=:* ]] && joined=(-S '')\n"
+    f'{DESCRIBED} "${{joined[@]}}"'
+)
+# a new user's .zshrc has not begun zsh's completion
+BEGUN = "(( $+functions[compdef] )) || { autoload -Uz compinit && compinit -i }\n"
 
 
 @click.command("completion")
@@ -27,4 +35,9 @@ def command(shell: str) -> None:
     assert maker is not None, shell
     made = maker(cli, {}, "zendsp", "_ZENDSP_COMPLETE")
     text = made.source_template % made.source_vars()
-    click.echo(text.replace("    return 0\n", NO_SPACE, 1) if shell == "bash" else text)
+    if shell == "bash":
+        text = text.replace("    return 0\n", NO_SPACE, 1)
+    elif shell == "zsh":
+        text = text.replace("    compdef ", f"    {BEGUN}    compdef ", 1)
+        text = text.replace(DESCRIBED, JOINED, 1)
+    click.echo(text)

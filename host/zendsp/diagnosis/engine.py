@@ -67,11 +67,13 @@ from zendsp.physics.calibration.fit import Data
 from zendsp.physics.files.model_file import load_model, parse_model
 from zendsp.physics.model import CALLED, Model
 from zendsp.physics.term_numbers import file_model, kernel_model
+from zendsp.prompt import shows_progress
 from zendsp.recording import Recording, Table
 
 Source = str | Path | Recording | Table
 
 
+@shows_progress
 def diagnose(
     recordings: Source | Sequence[Source],
     model: Model | str | Path | dict[str, Any],

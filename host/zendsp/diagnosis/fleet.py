@@ -18,6 +18,7 @@ from typing import Any
 from zendsp.cluster import connect
 from zendsp.diagnosis.decide.contract import Report
 from zendsp.errors import ZendspError
+from zendsp.prompt import shows_progress
 
 Progress = Callable[[str], None]
 
@@ -33,6 +34,7 @@ class Item:
     error: str = ""
 
 
+@shows_progress
 def diagnose_each(
     recordings: Sequence[str | Path],
     model: str | Path,

@@ -23,6 +23,7 @@ from zendsp.errors import AcquisitionError, RecordingError
 from zendsp.experiment.excite import play
 from zendsp.experiment.table_file import write_rows
 from zendsp.link import Target
+from zendsp.prompt import shows_progress
 from zendsp.recording import Recording
 from zendsp.reference.crest import low_crest_phases
 from zendsp_protocol.views import curves, html_table, sentence
@@ -207,6 +208,7 @@ class FrequencyResponse:
         return sentence(self.summary()) + drawn + html_table(header, rows)
 
 
+@shows_progress
 def frequency_response(
     target: Target,
     *,

@@ -10,12 +10,14 @@ from zendsp.diagnosis import Diagnosis, diagnose
 from zendsp.errors import ZendspError
 from zendsp.experiment.separating import run_reference
 from zendsp.link import connect
+from zendsp.prompt import shows_progress
 from zendsp.recording import Recording
 from zendsp.reference import Reference, load_reference, save_reference
 
 FILE = "next_recording.mat"
 
 
+@shows_progress
 def run_next(
     diagnosis: Diagnosis,
     recordings: Sequence[str | Path],

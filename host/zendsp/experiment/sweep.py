@@ -16,6 +16,7 @@ from zendsp.errors import AcquisitionError, VariableError, ZendspError
 from zendsp.experiment.table_file import write_rows
 from zendsp.link import Target
 from zendsp.link.put_back import kept
+from zendsp.prompt import shows_progress
 from zendsp.recording import Recording
 from zendsp_protocol.texts import counted
 from zendsp_protocol.values import Assignable
@@ -183,6 +184,7 @@ class Sweep:
         return sentence(repr(self)[1:-1]) + html_table(header, self.cells())
 
 
+@shows_progress
 def sweep(
     target: Target,
     values: Mapping[str, Sequence[Assignable]],

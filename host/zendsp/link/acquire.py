@@ -22,6 +22,7 @@ from zendsp.errors import (
 from zendsp.link.parameters import ParameterSets
 from zendsp.link.requests import PATIENCE_S, Requests
 from zendsp.link.transfer import Transfers
+from zendsp.prompt import shows_progress
 from zendsp_protocol import messages as m
 from zendsp_protocol.lazily import Lazily
 from zendsp_protocol.states import ProgramState, RecorderState
@@ -64,6 +65,7 @@ class Recorder(Transfers):
         super().__init__(requests)
         self._parameters = parameters
 
+    @shows_progress
     def acquire(
         self,
         channels: Sequence[str],
@@ -333,6 +335,7 @@ class Recorder(Transfers):
 
         return describe(self._parameters, status, status.first, data, note, patience)
 
+    @shows_progress
     def acquire_finish(
         self,
         timeout: float | None = 60.0,

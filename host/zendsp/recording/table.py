@@ -14,6 +14,7 @@ from zendsp.recording.formats import Raw
 from zendsp.recording.names import FloatArray, gather_vectors, listing, pick, split_unit
 from zendsp.recording.own import checked
 from zendsp.recording.units import in_si
+from zendsp_protocol.texts import counted
 
 READERS = {  # suffix: module of zendsp.recording.formats
     ".csv": "csv",
@@ -35,6 +36,7 @@ READERS = {  # suffix: module of zendsp.recording.formats
 }
 BAG = "metadata.yaml"  # what makes a folder a bag of rosbag2
 SAID = 160  # characters of what another library said of a damaged file
+REPR = 80  # characters of names that a prompt shows
 CONVERSIONS = {  # suffixes of what is not read: the command that makes something of it that is
     ".xlsx": "libreoffice --headless --convert-to csv {path}",
     ".xls": "libreoffice --headless --convert-to csv {path}",
@@ -79,6 +81,14 @@ class Table:
     constants: Mapping[str, float] = field(default_factory=dict)
     path: Path = Path()
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        names = [f"{n} [{self.units[n]}]" if self.units.get(n) else n for n in self.columns]
+        shown = ", ".join(names)
+        if len(shown) > REPR:
+            shown = f"{len(names)} columns: {', '.join(names[:3])}, …"
+        rows = len(next(iter(self.columns.values()), ()))
+        return f"<{f'Table {self.path.name}'.rstrip()}: {shown}; {counted(rows, 'row')}>"
 
     def __getitem__(self, name: str) -> FloatArray:
         """Return a column; ``"q[1]"`` is one column of a vector, ``"q1 [rad]"`` is ``"q1"``.

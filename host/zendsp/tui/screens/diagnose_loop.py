@@ -47,6 +47,7 @@ class LoopActions(LabScreen):
         self._errors: tuple[Channel, ...] = ()
         self._followed: History | None = None
         self._state = ""
+        self._measuring = False  # the error without it, before it is switched on
 
     def _need(self) -> Diagnosed | None:
         if self.shown is None:
@@ -149,6 +150,8 @@ class LoopActions(LabScreen):
     def action_compensate(self) -> None:
         """Switch the compensation on or off, or prepare the program for it."""
         s, c = self.lab.session.snapshot, self.compensation
+        if self._measuring:
+            return
         if self._acts(s):  # that can be ended at any time
             self._switch({SHARE: 0.0}, "out")
             return
@@ -164,13 +167,32 @@ class LoopActions(LabScreen):
         elif state == "no room":
             self._offer_room(c)
         else:
-            self._switch({**c.values, SHARE: 1.0}, "in")
+            self._fade_in()
 
-    def _switch(self, values: Mapping[str, float], word: str) -> None:
+    def _fade_in(self) -> None:
+        """Measure the tracking error without it, then fade it in."""
+        self._show_loop()
+        self.follow_loop()
+
+        def measured() -> None:
+            self._measuring = False
+            c, (state, words) = self.compensation, self._standing(self.lab.session.snapshot)
+            if c is not None and state == "off":
+                self.before = self._rms()
+                self._switch({**c.values, SHARE: 1.0}, "in")
+            else:
+                self.say(f"not faded in: {words}", "warning")
+
+        self._measuring = True
+        moves = self.lab.session.snapshot.state == "running"
+        self.set_timer(LOOK_S if moves and not self._rms() else 0.0, measured)
+
+    def _show_loop(self) -> None:
         if self.entries:
             self.query_one("#findings", OptionList).highlighted = len(self.entries) - 1
-        if word == "in":
-            self.before = self._rms()
+
+    def _switch(self, values: Mapping[str, float], word: str) -> None:
+        self._show_loop()
         fade = self.lab.session.snapshot.values.get("comp_fade", 0.0)
 
         def said(tick: int) -> None:
