@@ -288,6 +288,7 @@ class Change(Message, frozen=True):
     old: WireValue  # value before
     new: WireValue  # value after
     author: str  # who asked
+    fade: int = 0  # samples over which it came; `tick` is then that of its end
 
 
 class Trigger(Message, frozen=True):

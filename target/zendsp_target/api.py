@@ -89,9 +89,9 @@ class RuntimeApi(Protocol):
     def ended(self) -> str: ...
     # raises what write would; nothing is written
     def check(self, values: Mapping[str, Value]) -> None: ...
-    # -> sequence
+    # -> sequence; `fade`: samples over which numbers go over to their new values
     def write(
-        self, values: Mapping[str, Value], author: str, at_tick: int | None = None
+        self, values: Mapping[str, Value], author: str, at_tick: int | None = None, fade: int = 0
     ) -> int: ...
 
     # Of the next two, None: there is no shorter way; what they return gives 0, and nothing has

@@ -72,7 +72,7 @@ def test_values_as_typed() -> None:
         values_of("500:500:2500")  # as MATLAB would count: from, step, to
     tried = tried_of(["Kp1=500:2500:5", "Kd1=60,120"])
     assert announced(tried, 2.0, 0.5, False) == (
-        "sweep of 10 runs, 30 s at the least: Kp1 = 500 … 2500, Kd1 = 60 … 120"
+        "sweep of 10 runs, 42 s at the least: Kp1 = 500 … 2500, Kd1 = 60 … 120"
     )
     assert tried_of(["Kp1=1,2", "Kd1=3"]) == {"Kp1": [1.0, 2.0], "Kd1": [3.0]}
     with pytest.raises(VariableError, match="NAME=VALUES"):

@@ -107,8 +107,9 @@ typedef struct runner_buffers {
     machine_actuators acting; /* what acts in this sample */
     builtins now;
     int32_t counts_before[SPEED_WINDOW][MACHINE_JOINTS]; /* a ring */
-    const batch *waiting[LAYOUT_BATCHES];                /* sorted by at_tick */
-    int waiting_used;
+    batch *waiting[LAYOUT_BATCHES];                      /* sorted by at_tick */
+    batch *fading[LAYOUT_BATCHES];                       /* begun, first come first */
+    int waiting_used, fading_used;
     stream *streams[LAYOUT_STREAMS];  /* by the service thread: what to work with next (atomic) */
     uint32_t offered[LAYOUT_STREAMS]; /* generation of streams[i] */
 } runner_buffers;

@@ -155,6 +155,7 @@ class Target:
     stage = _of("variables", Variables.stage)
     discard = _of("variables", Variables.discard)
     update = _of("variables", Variables.update)
+    fade = _of("variables", Variables.fade)
     builtins = _of("variables", Variables.builtins)
     log = _of("variables", Variables.log)
 

@@ -267,7 +267,7 @@ class Session:
 
     def set_settings(self, values: Mapping[str, object], author: str) -> int:
         """Write the runtime's own settings as one update."""
-        return self.updates.write(values, author, None, settings=True)
+        return self.updates.write(values, author, settings=True)
 
     @property
     def unsafe(self) -> str:
