@@ -150,6 +150,7 @@ class Status(Message, frozen=True):
     hosts: tuple[str, ...] = ()  # filled in by the server: who is connected
     unsafe: str = ""  # why the machine may still move where no program runs; empty: it is safe
     own: tuple[str, ...] = ()  # parameters that the program itself sets, a sentence each
+    pressed: bool = False  # the machine's STOP input is active
 
     def __repr__(self) -> str:
         trip = (self.trip.text or self.trip.reason) if self.trip else ""

@@ -29,6 +29,7 @@ from zendsp_protocol.messages import (
 )
 from zendsp_protocol.values import Value
 
+PRESSED = "the STOP input of the machine is active: release the emergency stop, then try again"
 RECORDER = 0  # the acquisition stream that `acquire_…` verbs speak of
 
 

@@ -253,6 +253,8 @@ typedef struct control {
     uint32_t acknowledged;
     int32_t drive_mode; /* what the drives are told */
     int32_t homed;
+    uint32_t pressed; /* 1 while the machine's STOP input is active */
+    uint32_t pad;
     double gain; /* 0 … 1, soft start */
     uint64_t newest; /* snapshots written */
     trip_latch trip;

@@ -187,6 +187,7 @@ static void idle(runner *r) {
         stand_still(r);
     else
         rest(r);
+    safety_panel(r);
     r->buffers.now.drive = (double)c->drive_mode;
     if (r->state.unseen)
         publish(r, c->tick);

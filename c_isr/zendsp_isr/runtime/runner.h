@@ -174,6 +174,7 @@ void safety_anew(runner *r);
 void safety_requests(runner *r, bool paused);
 void safety_output(runner *r);
 void safety_acted(runner *r);
+void safety_panel(runner *r);
 bool safety_inputs(runner *r);
 void safety_command(runner *r);
 void safety_home(runner *r, int answer);

@@ -30,7 +30,7 @@ from zendsp_protocol import verbs
 from zendsp_protocol.errors import Refused, ZendspError
 from zendsp_protocol.messages import Status
 from zendsp_protocol.states import DriveState, ProgramState
-from zendsp_target.api import RECORDER, RuntimeApi
+from zendsp_target.api import PRESSED, RECORDER, RuntimeApi
 
 log = logging.getLogger(__name__)
 
@@ -142,6 +142,7 @@ class Drives:
                     "no position comes from the machine: check its sensors, load the program again"
                 ),
             ),
+            Condition("stop input", not status.pressed, PRESSED),
             Condition(
                 "no trip",
                 trip is None,
@@ -314,7 +315,7 @@ class Drives:
         failing = [
             c
             for c in self.conditions(status)
-            if not c.met and c.name in ("power", "program", "no trip")
+            if not c.met and c.name in ("power", "program", "stop input", "no trip")
         ]
         if failing:
             raise Refused(_refusal("homing", failing))
@@ -434,8 +435,9 @@ class Drives:
             if self._enabled:
                 return
             status = self._runtime.status()
+            known = status.homed or not _loaded(status)
             # automatic drives: only where the position is unknown, since its limits would not hold
-            if not self._explicit and (status.homed or not _loaded(status)):
+            if not self._explicit and known and not status.pressed:
                 return
             failing = [c for c in self.conditions(status) if not c.met]
             failing = failing or [
