@@ -151,6 +151,7 @@ class Status(Message, frozen=True):
     unsafe: str = ""  # why the machine may still move where no program runs; empty: it is safe
     own: tuple[str, ...] = ()  # parameters that the program itself sets, a sentence each
     pressed: bool = False  # the machine's STOP input is active
+    homings: int = 0  # that came to their end since the program was loaded
 
     def __repr__(self) -> str:
         trip = (self.trip.text or self.trip.reason) if self.trip else ""

@@ -6,7 +6,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from waiting import until
 
@@ -86,3 +88,44 @@ def test_nor_does_its_host_when_it_is_lost(watched: Target) -> None:
     lost.close()
     until(lambda: watched["Kp1"] == 2000.0, "it is put back")
     assert watched.status().trip is None and watched["step"] < STEP
+
+
+@pytest.fixture(scope="module")
+def arm() -> Iterator[Target]:
+    with local("imi_planar", clock="fast", options=["--ideal"]) as target:
+        yield target
+
+
+@pytest.mark.parametrize(
+    ("program", "before", "change"),
+    [
+        ("pd.c", {"turn_time": 2.0}, {"center1": 0.5}),
+        ("pd.c", {"turn_time": 2.0}, {"turn_time": 4.0}),
+        ("pd.c", {"turn_time": 2.0}, {"use_table": True}),
+        ("pd.c", {"use_table": True}, {"use_table": False}),
+        ("pd.c", {"use_table": True}, {"ref": 0.5}),
+        ("joint_pd.c", {"amplitude": 0.2, "period": 2.0}, {"play": 1}),
+        ("joint_pd.c", {"amplitude": 0.2, "period": 2.0}, {"amplitude": 0.4}),
+        ("joint_pd.c", {"amplitude": 0.2, "period": 2.0}, {"period": 1.0}),
+        ("joint_pd.c", {"amplitude": 0.2, "period": 2.0}, {"ref": 0.5}),
+        ("inverse_dynamics.c", {"compensate": True}, {"compensate": False}),
+        ("inverse_dynamics.c", {"compensate": True}, {"play": 1}),
+    ],
+)
+def test_another_motion_takes_over_without_a_step(
+    program: str, before: dict[str, Any], change: dict[str, Any], arm: Target
+) -> None:
+    """In the middle of a motion, in one sample: position, speed and command go on."""
+    rows = 0.1 * (1.0 - np.cos(2.0 * np.pi * np.arange(4001) / 1000.0))[:, None] * np.ones(2)
+    arm.download(program)
+    arm.upload("ref", rows)
+    arm.update(None, approach_time=0.5, **before)
+    at = 2300
+    if "ref" in change:
+        arm.upload("ref", change["ref"] * rows, at_tick=at)
+    else:
+        arm.update(at, **change)
+    tau = arm.acquire(["tau"], 4.5, start=True).data
+    step = np.abs(np.diff(tau, axis=0)).max(axis=1)
+    assert arm.status().trip is None
+    assert step[at - 3 : at + 3].max() < 1.2 * step[600 : at - 3].max()

@@ -328,3 +328,22 @@ def test_nothing_starts_while_the_emergency_stop_is_pressed(target: Target) -> N
     assert [c.name for c in target.drive_status().conditions if not c.met] == ["stop input"]
     target.set_inputs(0)
     target.start()
+
+
+def test_off_is_told_when_the_drives_are_off(target: Target) -> None:
+    for switch in (target.disable, target.power_off):
+        target.power_on()
+        target.enable()
+        target.start()
+        until(lambda: target.status().io["aout"][0] != 0.0, "it commands")  # type: ignore[index]
+        assert switch() in ("disabled", "power off")
+        assert target.status().drive_mode == "off"
+        target.pause()
+    target.power_on()
+    target.enable()
+    target.start()
+    target.set_ramp(50.0)
+    assert target.disable() == "disabled; the soft stop of 50 s goes on"
+    target.stop()
+    assert "until the trip is acknowledged, the drives hold at zero speed" in target.power_off()
+    target.set_ramp(0.0)

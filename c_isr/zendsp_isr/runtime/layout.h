@@ -254,7 +254,7 @@ typedef struct control {
     int32_t drive_mode; /* what the drives are told */
     int32_t homed;
     uint32_t pressed; /* 1 while the machine's STOP input is active */
-    uint32_t pad;
+    uint32_t homings; /* that came to their end */
     double gain; /* 0 … 1, soft start */
     uint64_t newest; /* snapshots written */
     trip_latch trip;

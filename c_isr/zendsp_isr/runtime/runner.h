@@ -89,6 +89,7 @@ typedef struct runner_state {
     uint32_t speed_place;           /* row of counts_before that is written next */
     uint32_t speed_known;           /* rows of it that hold, at most speed_window */
     uint32_t overruns_in_row;
+    uint64_t lag_ns; /* by which the sample before ended too late */
     bool anew;       /* the program begins afresh at its next sample: FIRST_SAMPLE, and a run-in */
     uint32_t run_in; /* samples left of the run-in, in which outputs are not taken */
     uint32_t off_seen;

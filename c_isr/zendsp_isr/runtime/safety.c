@@ -293,8 +293,10 @@ void safety_home(runner *r, int answer) {
         safety_trip(r, TRIP_HOMING, 0, 0.0, 0.0);
     if (answer == MACHINE_HOME_BUSY && !latched(r))
         return; /* cut short by a pause or a STOP: idle() and the acknowledgement see to it */
-    if (answer == MACHINE_HOME_DONE && !latched(r))
+    if (answer == MACHINE_HOME_DONE && !latched(r)) {
         c->homed = 1;
+        store32(&c->homings, c->homings + 1);
+    }
     r->state.speed_known = 0;
     safety_anew(r);
     uint32_t home = RUN_HOME;

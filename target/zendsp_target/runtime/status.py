@@ -74,6 +74,7 @@ def status_of(session: Session, latched: Callable[[], Trip | None]) -> Status:
         unsafe=session.unsafe,
         own=session.own_writes.told(),
         pressed=session.pressed,
+        homings=int(control.homings),
     )
 
 
