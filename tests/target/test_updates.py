@@ -406,6 +406,12 @@ void UserISR_INT2(void) {}
 """
 
 
+def faded(part: np.ndarray | float) -> np.ndarray:
+    """The share of the way after a part of the time."""
+    x = np.clip(part, 0.0, 1.0)
+    return x**3 * (4.0 - 3.0 * x)
+
+
 def test_a_faded_update_begins_slowly_and_is_logged_when_it_is_there(
     make_runtime: Make,
 ) -> None:
@@ -413,7 +419,7 @@ def test_a_faded_update_begins_slowly_and_is_logged_when_it_is_there(
     goal = np.array([8.0, -8.0, 16.0])
     sequence = runtime.write({"a": 80.0, "list": goal, "f": 4.0, "n": 7}, "anna", 10, 40)
     rows = rows_of(runtime, ("a", "list", "f", "n"), 100)
-    share = np.clip((np.arange(100) - 10) / 40, 0.0, 1.0) ** 2
+    share = faded((np.arange(100) - 10) / 40)
     assert np.allclose(rows[:, 0], 80.0 * share)
     assert np.allclose(rows[:, 1:4], share[:, None] * goal)
     assert np.allclose(rows[:, 4], 4.0 * share)
@@ -430,13 +436,13 @@ def test_what_is_written_later_ends_the_fade_of_that_variable_alone(make_runtime
     runtime.write({"list[1]": 0.0}, "ben", 30, 10)
     rows = rows_of(runtime, ("a", "list"), 60)
     k = np.arange(60)
-    first, second = 40.0 * (k / 40) ** 2, 22.5 - 22.5 * ((k - 30) / 10) ** 2
+    first, second = 40.0 * faded(k / 40), 29.53125 * (1.0 - faded((k - 30) / 10))
     assert np.allclose(rows[:, 0], np.where(k < 20, 2.0 * first, 5.0)), "it is not lost again"
     there = np.select([k < 30, k < 40], [first, second], 0.0)
     assert np.allclose(rows[:, 2], there), "from where it was"
     assert [(c.tick, c.name, c.old, c.new) for c in runtime.log()] == [
-        (20, "a", 20.0, 5.0), (40, "a", 0.0, 80.0), (40, "list[1]", 0.0, 40.0),
-        (40, "list[1]", 22.5, 0.0),
+        (20, "a", 25.0, 5.0), (40, "a", 0.0, 80.0), (40, "list[1]", 0.0, 40.0),
+        (40, "list[1]", 29.53125, 0.0),
     ]  # fmt: skip
 
 
@@ -446,8 +452,8 @@ def test_a_fade_stands_while_the_time_of_the_machine_stands(make_runtime: Make) 
     run(runtime, 20)
     with pytest.raises(NotYet):
         runtime.wait_applied(sequence, 0.05)
-    assert runtime.read(["a"])[1]["a"] == 80.0 * (19 / 40) ** 2
+    assert runtime.read(["a"])[1]["a"] == pytest.approx(80.0 * faded(19 / 40))
     rows = rows_of(runtime, ("a",), 40)
-    assert np.allclose(rows[:, 0], 80.0 * np.minimum((np.arange(40) + 20) / 40, 1.0) ** 2)
+    assert np.allclose(rows[:, 0], 80.0 * faded((np.arange(40) + 20) / 40))
     runtime.write({"n": 3}, "anna", None, 1)
     assert rows_of(runtime, ("n",), 3)[:, 0].tolist() == [0.0, 3.0, 3.0]

@@ -131,9 +131,10 @@ static void remember(runner *r, batch *b, batch_entry *e, const void *with) {
 }
 
 /* A share of the way, which begins slowly: a machine that lags behind weak gains comes along before
- * they are strong. Whole numbers, flags and tables switch at the end. */
+ * they are strong; and ends without a step of its speed, which may be one of a reference. Whole
+ * numbers, flags and tables switch at the end. */
 static void lead(runner *r, batch *b, batch_entry *e, const void *with) {
-    const double part = *(const double *)with, share = part * part;
+    const double part = *(const double *)with, share = part * part * part * (4.0 - 3.0 * part);
     unsigned char *mine = place_of(r, e);
     if (!mine || e->left)
         return;

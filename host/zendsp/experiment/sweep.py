@@ -30,7 +30,7 @@ MEASURES: dict[str, Callable[[Floats], float]] = {
     "p2p": lambda y: float(np.ptp(y)),
 }
 MOST = 10_000  # runs
-FADE_S = 1.0  # back from weak gains the planar arm asks for 95 N m at the most, in 0.5 s for 163
+FADE_S = 1.0  # back from weak gains the planar arm asks for 123 N m at the most, in 2 s for 72
 AGAIN = 2  # measurements of the first values after the last ones: how well a result repeats
 WATCH_S = 0.2  # of the target's time: what is put back acts at once, and a speed builds up
 PATIENCE_S = 2.0  # for a slow target to come so far
