@@ -16,6 +16,7 @@ from zendsp_protocol.errors import (
     Refused,
     RunnerDied,
     TooLarge,
+    Tripped,
     VariableError,
     VersionMismatch,
     ZendspError,
@@ -25,6 +26,6 @@ from zendsp_protocol.errors import (
 __all__ = [
     "AcquisitionError", "CompileFailed", "EndedWarning", "Incomplete", "LinkError", "ModelError",
     "NoAnswer", "NotApplied", "NotStopped", "NotYet", "RecordingError", "ReferenceError_",
-    "Refused", "RunnerDied", "TooLarge", "VariableError", "VersionMismatch", "ZendspError",
-    "did_you_mean",
+    "Refused", "RunnerDied", "TooLarge", "Tripped", "VariableError", "VersionMismatch",
+    "ZendspError", "did_you_mean",
 ]

@@ -82,6 +82,10 @@ class Refused(ZendspError, RuntimeError):
     """The target understood the request and declines it; the message says which condition fails."""
 
 
+class Tripped(ZendspError, RuntimeError):
+    """A program was started, and a STOP, a limit or a fault ended it in its first samples."""
+
+
 class NotYet(ZendspError, TimeoutError):
     """An update was accepted, and its sample has not come."""
 

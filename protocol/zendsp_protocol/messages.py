@@ -153,6 +153,8 @@ class Status(Message, frozen=True):
     hosts: tuple[str, ...] = ()  # filled in by the server: who is connected
     unsafe: str = ""  # why the machine may still move where no program runs; empty: it is safe
     own: tuple[str, ...] = ()  # parameters that the program itself sets, a sentence each
+    pressed: bool = False  # the machine's STOP input is active
+    homings: int = 0  # that came to their end since the program was loaded
 
     def __repr__(self) -> str:
         trip = (self.trip.text or self.trip.reason) if self.trip else ""
@@ -292,6 +294,7 @@ class Change(Message, frozen=True):
     old: WireValue  # value before
     new: WireValue  # value after
     author: str  # who asked
+    fade: int = 0  # samples over which it came; `tick` is then that of its end
 
 
 class Trigger(Message, frozen=True):

@@ -46,6 +46,7 @@ class Read(Arguments, frozen=True, kw_only=True):
 class Write(Arguments, frozen=True, kw_only=True):
     values: dict[str, WireValue]
     at_tick: int | None = None
+    fade: float = 0.0  # s, over which numbers go over to their new values; at most 2
 
 
 class Wait(Arguments, frozen=True, kw_only=True):
@@ -95,6 +96,7 @@ class Drive(Arguments, frozen=True, kw_only=True):
 class RunBegin(Arguments, frozen=True, kw_only=True):
     names: list[str]  # what the run will set; those that the program lacks are left out
     moves: bool = False  # it moves the machine: if its host is lost, the host-lost policy acts
+    fade: float = 0.0  # s, over which it is put back while the program runs; at most 2
 
 
 class RunEnd(Arguments, frozen=True, kw_only=True):

@@ -29,6 +29,7 @@ from zendsp_protocol.messages import (
 )
 from zendsp_protocol.values import Value
 
+PRESSED = "the STOP input of the machine is active: release the emergency stop, then try again"
 RECORDER = 0  # the acquisition stream that `acquire_…` verbs speak of
 
 
@@ -89,9 +90,9 @@ class RuntimeApi(Protocol):
     def ended(self) -> str: ...
     # raises what write would; nothing is written
     def check(self, values: Mapping[str, Value]) -> None: ...
-    # -> sequence
+    # -> sequence; `fade`: samples over which numbers go over to their new values
     def write(
-        self, values: Mapping[str, Value], author: str, at_tick: int | None = None
+        self, values: Mapping[str, Value], author: str, at_tick: int | None = None, fade: int = 0
     ) -> int: ...
 
     # Of the next two, None: there is no shorter way; what they return gives 0, and nothing has

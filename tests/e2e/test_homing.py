@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import shutil
 import threading
 from pathlib import Path
 
 import pytest
 
 import zendsp
+import zendsp_isr
 from zendsp.errors import Refused
+from zendsp.experiment import Lab, run_experiment
 
 CODE = {
     "p.c": '#include "isr.h"\nvoid UserInit(void) {}\nvoid UserISR_INT2(void) {}\n'
@@ -78,3 +81,66 @@ def test_homing_without_end_ends_with_the_time_it_was_given_or_with_a_pause(mach
         with pytest.raises(Refused, match="homing ended: by a pause, or another load"):
             target.home_and_wait()
         pause.join()
+
+
+def test_a_homing_that_was_cut_short_is_not_told_as_done(machine: str) -> None:
+    """Neither of a machine that was homed before, nor of one whose positions are always known."""
+    for name, seconds, known in ((machine, 0.05, False), ("imi_planar", 0.2, True)):
+        with zendsp.local(name, options=["--machine-option", "q1=1.5"]) as target:
+            target.download(CODE)
+            if not known:
+                assert target.home_and_wait() == "homed" and target.status().homings == 1
+                with zendsp.local(name, options=["--machine-option", "lost=1"]) as other:
+                    other.download(CODE)
+                    with pytest.raises(Refused):
+                        other.home_and_wait(0.2)
+                    assert not other.status().homed
+                continue
+            pause = threading.Timer(seconds, target.pause)
+            pause.start()
+            with pytest.raises(Refused, match="homing ended: by a pause"):
+                target.home_and_wait()
+            pause.join()
+            assert target.status().homed, "its encoders are absolute"
+
+
+@pytest.fixture
+def arm_to_home(tmp_path: Path) -> str:
+    """The planar arm, with encoders that are not absolute."""
+    machines = Path(zendsp_isr.__file__).parent / "machines"
+    for header in machines.glob("*.h"):
+        shutil.copy(header, tmp_path)
+    text = (machines / "imi_planar.c").read_text()
+    assert text.count("    info->stop_input = 0;\n") == 1
+    text = text.replace("    info->stop_input = 0;\n", "    info->needs_homing = 1;\n")
+    text = text.replace("info->stop_level = 1;", "info->stop_input = -1;")
+    (tmp_path / "homed.c").write_text(text)
+    return str(tmp_path / "homed.c")
+
+
+def test_an_experiment_homes_a_machine_that_has_to_be(arm_to_home: str, tmp_path: Path) -> None:
+    said: list[str] = []
+    with zendsp.local(arm_to_home, clock="fast", options=["--ideal"]) as target:
+        lab = Lab(tmp_path / "kept", target, said.append)
+        result = run_experiment("friction", lab)
+        assert abs(result.values["coulomb1"].value - 8.45) < 1.0
+        assert "where_it_stands: homing the machine" in said
+        assert not target.drive_status().explicit and target.status().state == "empty"
+
+
+def test_an_experiment_enables_the_drives_again_and_is_refused_before_where_they_are_off(
+    arm_to_home: str, tmp_path: Path
+) -> None:
+    with zendsp.local(arm_to_home, clock="fast", options=["--ideal", "--managed"]) as target:
+        lab = Lab(tmp_path / "kept", target)
+        for _ in range(2):
+            with pytest.raises(Refused, match="friction moves the machine, and its drives are off"):
+                run_experiment("friction", lab)
+            assert not (tmp_path / "kept" / "friction").exists()
+            target.download("pd.c")
+        target.power_on()
+        target.home_and_wait()
+        target.enable()
+        run_experiment("friction", lab)
+        assert target.drive_status().commander == target.link.author
+        assert target.status().drive == "ready", "loading what was there before switches them off"

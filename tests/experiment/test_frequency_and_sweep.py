@@ -72,7 +72,7 @@ def test_values_as_typed() -> None:
         values_of("500:500:2500")  # as MATLAB would count: from, step, to
     tried = tried_of(["Kp1=500:2500:5", "Kd1=60,120"])
     assert announced(tried, 2.0, 0.5, False) == (
-        "sweep of 10 runs, 30 s at the least: Kp1 = 500 … 2500, Kd1 = 60 … 120"
+        "sweep of 10 runs, 42 s at the least: Kp1 = 500 … 2500, Kd1 = 60 … 120"
     )
     assert tried_of(["Kp1=1,2", "Kd1=3"]) == {"Kp1": [1.0, 2.0], "Kd1": [3.0]}
     with pytest.raises(VariableError, match="NAME=VALUES"):
@@ -311,7 +311,9 @@ def test_a_run_that_trips_ends_the_sweep_and_says_why(fast: Target) -> None:
     fast.update(approach_time=0.1)
     try:
         # 1.3 rad within 0.1 s ask for more than 245 N m
-        found = zendsp.sweep(fast, {"center1": [0.2, 1.5, 0.2]}, ["e1"], seconds=1.0, settle=0.0)
+        found = zendsp.sweep(
+            fast, {"center1": [0.2, 1.5, 0.2]}, ["e1"], seconds=1.0, settle=0.0, fade=0.0
+        )
         assert len(found.rows) == 2 and "exceeds the limit" in found.rows[1]["ended"]
         assert found.best()["center1"] == 0.2 and fast["center1"] == 0.2
         assert found.ended == f"run 2: {found.rows[1]['ended']}" and found.ended in repr(found)
@@ -326,7 +328,7 @@ def test_a_trip_at_putting_back_is_told(fast: Target) -> None:
     fast.update(approach_time=0.1)  # 1.3 rad back within 0.1 s ask for more than 245 N m
     there = {"center1": [1.5], "approach_time": [3.0]}
     try:
-        found = zendsp.sweep(fast, there, ["e1"], seconds=0.5, settle=3.0)
+        found = zendsp.sweep(fast, there, ["e1"], seconds=0.5, settle=3.0, fade=0.0)
         assert found.rows[0]["ended"] == "" and fast["center1"] == 0.2
         assert found.ended.startswith("the parameters were put back: ")
         assert "exceeds the limit" in found.ended and found.ended in repr(found)

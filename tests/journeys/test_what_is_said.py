@@ -72,6 +72,31 @@ def test_run_says_that_the_program_crashed_and_reading_it_says_so(user: Installe
     assert script.returncode == 0, script.stderr
 
 
+def test_start_says_that_the_program_ended_in_its_first_samples(user: Installed) -> None:
+    script = user.script(
+        "import zendsp\n"
+        "from zendsp.errors import RunnerDied, Tripped\n"
+        "from zendsp.matdsp import *\n"
+        "def raises(what, call, *words):\n"
+        "    try: call()\n"
+        "    except what as e: assert all(w in str(e) for w in words), e\n"
+        "    else: raise SystemExit(f'{call} returned')\n"
+        "with zendsp.connect('imi') as t:\n"
+        "    t.download('trips.c')\n"
+        "    raises(Tripped, t.start, 'started', 'sample 0', 'acknowledge()')\n"
+        "    t.acknowledge()\n"
+        "    raises(Tripped, lambda: t.start(5), 'started', 'acknowledge()')\n"
+        "    t.acknowledge(); t.download('crashes.c')\n"
+        "    raises(RunnerDied, t.start, 'crashed', 'SIGSEGV')\n"
+        "    t.download('runs.c'); t.start(2); assert t.wait().tick == 2\n"
+        "    t.start(); assert t.status().state == 'running'\n"
+        "MatDSPconnect('imi'); MatDSPdownload('trips.c')\n"
+        "raises(Tripped, MatDSPstart, 'started', 'acknowledge()')\n"
+        "MatDSPclose()\n"
+    )
+    assert script.returncode == 0, script.stderr
+
+
 def test_load_loads_without_starting(user: Installed) -> None:
     said = user.run("load", "pd.c")
     assert said.returncode == 0, said.stderr

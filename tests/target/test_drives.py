@@ -295,3 +295,55 @@ def test_a_recording_ends_a_second_after_a_trip_by_the_loss_of_its_host() -> Non
         held = target.acquire_status()
         after = (held.start_tick + held.count - tripped.tick) / 1000.0
         assert 0.5 < after < 3.0, "the second in which it comes to rest; a loaded computer's delay"
+
+
+def test_an_emergency_stop_that_is_still_pressed_is_not_acknowledged(target: Target) -> None:
+    """Neither that which tripped, nor one that was pressed after another trip."""
+    pressed = "STOP input of the machine is active: release the emergency stop"
+    for first in (lambda: target.set_inputs(1), target.stop):
+        target.start()
+        first()
+        until(lambda: target.status().trip is not None, "latched at the next sample")
+        target.set_inputs(1)
+        for _ in range(2):
+            with pytest.raises(Refused, match=f"acknowledging is refused: the {pressed}"):
+                target.acknowledge()
+        assert target.status().trip is not None
+        said = _cli(target, "acknowledge")
+        assert said.returncode != 0 and pressed in said.stderr
+        target.set_inputs(0)
+        assert target.acknowledge().startswith("acknowledged")
+
+
+def test_nothing_starts_while_the_emergency_stop_is_pressed(target: Target) -> None:
+    target.set_inputs(1)
+    pressed = "stop input: the STOP input of the machine is active: release the emergency stop"
+    for what, word in ((target.start, "starting"), (target.enable, "enabling")):
+        with pytest.raises(Refused, match=f"{word} is refused: {pressed}"):
+            what()
+    with pytest.raises(Refused, match=f"homing is refused: {pressed}"):
+        target.home_and_wait()
+    status = target.status()
+    assert status.trip is None and status.tick == 0, "and nothing has tripped"
+    assert [c.name for c in target.drive_status().conditions if not c.met] == ["stop input"]
+    target.set_inputs(0)
+    target.start()
+
+
+def test_off_is_told_when_the_drives_are_off(target: Target) -> None:
+    for switch in (target.disable, target.power_off):
+        target.power_on()
+        target.enable()
+        target.start()
+        until(lambda: target.status().io["aout"][0] != 0.0, "it commands")  # type: ignore[index]
+        assert switch() in ("disabled", "power off")
+        assert target.status().drive_mode == "off"
+        target.pause()
+    target.power_on()
+    target.enable()
+    target.start()
+    target.set_ramp(50.0)
+    assert target.disable() == "disabled; the soft stop of 50 s goes on"
+    target.stop()
+    assert "until the trip is acknowledged, the drives hold at zero speed" in target.power_off()
+    target.set_ramp(0.0)

@@ -4,12 +4,18 @@ what acts on the machine.
 
 from __future__ import annotations
 
+import os
+import signal
+import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 import pytest
+from hardware import driver
 from samples import rows_of, run
+from waiting import freeze
 
 from zendsp.link.metadata import ticks_of
 from zendsp_protocol.errors import Refused
@@ -260,6 +266,30 @@ def test_overruns_trip_after_so_many_in_a_row(
     assert trip is not None and trip.reason == "overrun" and trip.value == 5.0
     assert runtime.status().timing.overruns >= 5
     runtime.write({"heavy": False}, "test")
+
+
+def test_a_stall_of_the_computer_is_no_slow_program(
+    make_runtime: Make, wait_for: Callable[..., None], tmp_path: Path
+) -> None:
+    """A simulated machine is waited for. Hardware was without control for so many samples."""
+    hardware = tmp_path / "still.c"
+    hardware.write_text(driver(""))
+    for machine, trips in (("imi_planar", False), (str(hardware), True)):
+        runtime = make_runtime(CONSTANT, machine=machine, clock="real", realtime=False)
+        runtime.set_overrun("trip", 60)
+        runtime.start()
+        wait_for(lambda runtime=runtime: runtime.status().tick > 50)
+        overruns = runtime.status().timing.overruns
+        freeze(runtime.runner_pid())
+        time.sleep(0.2)
+        os.kill(runtime.runner_pid(), signal.SIGCONT)
+        wait_for(lambda runtime=runtime: runtime.status().tick > 300)
+        status = runtime.status()
+        assert (status.trip is not None) == trips, status
+        if trips:
+            assert status.trip is not None and status.trip.reason == "overrun"
+        else:
+            assert status.timing.overruns - overruns > 100, "they are counted as late all the same"
 
 
 def test_skipped_samples_are_counted_and_time_stays_true(make_runtime: Make) -> None:

@@ -15,6 +15,7 @@
 static double Kp[N] = {1600.0, 1600.0}, Kd[N] = {80.0, 80.0};
 static double p1, p2, p3;
 static bool compensate;
+static double share; /* of the friction torque that acts */
 static double low1[4] = {8.45, 5.3, 0.0, 0.0}, high1[3] = {8.45, 5.3, 0.0};
 static double low2[4] = {2.35, 1.1, 0.0, 0.0}, high2[3] = {2.35, 1.1, 0.0};
 static double split[N] = {0.5, 0.5};
@@ -52,8 +53,9 @@ static double sliding(double v, const double *low, const double *high, double wh
 
 void UserISR_INT2(void) {
     MotionStep();
-    friction[0] = compensate ? sliding(rd[0], low1, high1, split[0]) : 0.0;
-    friction[1] = compensate ? sliding(rd[1], low2, high2, split[1]) : 0.0;
+    share = MotionShare(share, compensate);
+    friction[0] = share * sliding(rd[0], low1, high1, split[0]);
+    friction[1] = share * sliding(rd[1], low2, high2, split[1]);
     const double a1 = rdd[0] + Kp[0] * e[0] + Kd[0] * (rd[0] - qd[0]);
     const double a2 = rdd[1] + Kp[1] * e[1] + Kd[1] * (rd[1] - qd[1]);
     const double c = p3 * cos(q[1]), s = p3 * sin(q[1]);

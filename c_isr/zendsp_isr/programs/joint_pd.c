@@ -18,6 +18,8 @@ static double J[8];   /* kg m^2 (or kg) */
 static double tau[8]; /* N m (or N) */
 static double sum[8]; /* N m, of the integrals */
 static double phase;  /* of the sway, turns */
+/* amplitude and 1 / period of the sway as they act, and on their way there */
+static double swing[2], pace[2];
 
 void UserInit(void) {
     MotionInit();
@@ -34,16 +36,26 @@ void UserInit(void) {
     SIGNAL_FIRST(tau, N, "N m", "commands");
 }
 
+/* Lead what acts over to what was set, in two lags of 0.15 s: neither it nor its speed jumps. */
+static void lead(double *x, double goal, bool at_once) {
+    const double share = at_once ? 1.0 : SAMPLE_PERIOD / (0.15 + SAMPLE_PERIOD);
+    x[1] += share * (goal - x[1]);
+    x[0] += share * (x[1] - x[0]);
+}
+
 /* Sway: in and out with the drives, every joint at a frequency of its own, so that a recording
  * tells the joints apart. */
 static void sway(void) {
     double faster = 1.0;
-    phase = DRIVE_ENABLED && !FIRST_SAMPLE ? phase + motion.pace * SAMPLE_PERIOD / period : 0.0;
+    const bool fresh = FIRST_SAMPLE || !DRIVE_ENABLED;
+    lead(swing, amplitude, fresh);
+    lead(pace, 1.0 / period, fresh);
+    phase = fresh ? 0.0 : phase + motion.pace * SAMPLE_PERIOD * pace[0];
     const double in = MotionSmooth(0.5 * phase);
     for (int32_t j = 0; j < N; j++, faster *= 1.2) {
         const double turn = 6.283185307179586 * faster;
-        r[j] += in * amplitude * sin(turn * phase);
-        rd[j] += in * amplitude * turn / period * cos(turn * phase);
+        r[j] += in * swing[0] * sin(turn * phase);
+        rd[j] += in * swing[0] * turn * pace[0] * cos(turn * phase);
         e[j] = r[j] - q[j];
     }
 }

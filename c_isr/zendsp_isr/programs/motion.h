@@ -46,6 +46,9 @@
 #ifndef MOTION_TORQUE
 #define MOTION_TORQUE 0.4 /* of a joint's largest torque, at the most to accelerate an approach */
 #endif
+#ifndef MOTION_COAST
+#define MOTION_COAST 0.6 /* s in which a motion that another takes over from comes to rest */
+#endif
 #ifndef MOTION_ROWS
 #define MOTION_ROWS 60000 /* 60 s at 1 kHz */
 #endif
@@ -66,6 +69,9 @@ static struct motion {
     bool tabled;    /* use_table, as it was */
     /* positions one sample ago and at the beginning, and when that was */
     double last[MOTION_MOST], start[MOTION_MOST], t0;
+    double v[MOTION_MOST], a[MOTION_MOST]; /* speed and acceleration at the beginning */
+    /* reference of the sample before, whatever the program adds to it */
+    double r[MOTION_MOST], rd[MOTION_MOST], rdd[MOTION_MOST];
     double approach; /* s, of this motion */
     double rate;     /* rows a second, of this motion */
     double pace;     /* of the reference's time: 1 runs, 0 stands */
@@ -106,9 +112,25 @@ static inline double MotionSmooth(double s) {
     return s < 1.0 ? s * s * s * (10.0 + s * (6.0 * s - 15.0)) : 1.0;
 }
 
+/* The motion that was, from time t = 0 on: it comes to rest without a step of speed or
+ * acceleration. */
+static inline double MotionFrom(double t, int32_t j) {
+    const double x = t < MOTION_COAST ? t / MOTION_COAST : 1.0;
+    const double of_v = x * (1.0 + x * x * (0.5 * x - 1.0));
+    const double of_a = x * x * (0.5 + x * (0.25 * x - 2.0 / 3.0));
+    return motion.start[j] + MOTION_COAST * (motion.v[j] * of_v + MOTION_COAST * motion.a[j] * of_a);
+}
+
+/* Lead a share over to 0 or 1 within MOTION_COAST: what is added to a command comes and goes without
+ * a step. Where the program begins afresh it is there at once. */
+static inline double MotionShare(double share, bool on) {
+    const double step = SAMPLE_PERIOD / MOTION_COAST, goal = on ? 1.0 : 0.0;
+    return FIRST_SAMPLE || !DRIVE_ENABLED ? goal : share + fmax(-step, fmin(step, goal - share));
+}
+
 /* Reference of joint j at time t since the beginning. */
 static inline double MotionAt(double t, int32_t j) {
-    const double from = motion.start[j];
+    const double from = MotionFrom(t, j);
     if (!use_table || ref.rows == 0)
         return from;
     /* before row 0 and after the last: these hold */
@@ -132,7 +154,7 @@ static inline double MotionApproach(void) {
     if (!use_table || ref.rows == 0 || time <= 0.0)
         return time;
     for (int32_t j = 0; j < N; j++) {
-        const double d = fabs(TableValue(&ref, 0.0, j) - motion.start[j]);
+        const double d = fabs(TableValue(&ref, 0.0, j) - MotionFrom(MOTION_COAST, j));
         const double most = TORQUE_MAX(j), J = JOINT_INERTIA(j);
         const double a = J > 0.0 && most > 0.0 ? MOTION_TORQUE * most / J : 100.0 * MOTION_TORQUE;
         time = fmax(time, fmax(1.875 * d / MOTION_SPEED, sqrt(5.7735 * d / a)));
@@ -141,15 +163,19 @@ static inline double MotionApproach(void) {
 }
 
 static inline void MotionBegin(void) {
-    for (int32_t j = 0; j < N;
-         j++) /* while the drives are on, from the reference, so that nothing jumps */
-        motion.start[j] = !FIRST_SAMPLE && DRIVE_ENABLED ? r[j] : q[j];
+    const bool fresh = FIRST_SAMPLE || !DRIVE_ENABLED;
+    const double pace = motion.pace; /* of the sample before */
+    for (int32_t j = 0; j < N; j++) { /* drives on: on from the reference, so that nothing jumps */
+        motion.start[j] = fresh ? q[j] : motion.r[j] + SAMPLE_PERIOD * motion.rd[j];
+        motion.v[j] = fresh || pace <= 0.0 ? 0.0 : motion.rd[j] / pace;
+        motion.a[j] = fresh || pace < 1.0 ? 0.0 : motion.rdd[j];
+    }
     motion.approach = MotionApproach();
     motion.t0 = SAMPLE_TIME;
     motion.seen = ref.version;
     motion.played = play;
     motion.tabled = use_table;
-    if (FIRST_SAMPLE || !DRIVE_ENABLED)
+    if (fresh)
         motion.pace = hold ? 0.0 : 1.0;
 }
 
@@ -179,6 +205,9 @@ static inline void MotionStep(void) {
         const double speed = (after - before) / (2.0 * h);
         rd[j] = pace * speed;
         rdd[j] = pace * pace * (after - 2.0 * r[j] + before) / (h * h) + slowing * speed;
+        motion.r[j] = r[j];
+        motion.rd[j] = rd[j];
+        motion.rdd[j] = rdd[j];
         e[j] = r[j] - q[j];
         /* a torque is held, not interpolated; it belongs to the motion, and fades with it */
         tau_ff[j] =

@@ -8,8 +8,8 @@
  * along the reference: a measured speed at rest would chatter, a reference knows its reversals.
  *
  * The circle: r1 = center1 + radius cos(phi), r2 = center2 + radius sin(phi), entered and left
- * smoothly from where the arm stands. When it is changed the reference is led over to the new one,
- * within approach_time. A table whose first row is far away makes that longer; approach_time is that
+ * smoothly from where the arm stands. When it is changed by a leap the reference is led over to the
+ * new one, within approach_time: the motion that was comes to rest on the way. A table whose first row is far away makes that longer; approach_time is that
  * of the beginning, and row_rate that of the first row.
  */
 #include "isr.h"
@@ -25,6 +25,7 @@ enum { N = 2, ROWS = 60000 }; /* reference of 60 s at 1 kHz */
 #define STEP_SPEED 40.0        /* rad/s; the drives trip at 15 at the latest */
 #define APPROACH_SPEED 3.0     /* rad/s at the most, to the first row */
 #define APPROACH_TORQUE 0.4    /* of the largest torque at the most, to accelerate to it */
+#define COAST 0.6              /* s in which a motion that another takes over from comes to rest */
 
 static double Kp1, Kd1, Kp2, Kd2, cutoff;
 static double center1, center2, radius, turn_time, approach_time;
@@ -37,12 +38,13 @@ static double q[N], e[N], tau[N];
 static double r[N], rd[N], rdd[N];
 
 static double rd1, rd2;
-static double start[N], last_q[N], last_r[N], t0;
+static double start[N], coast[N], last_q[N], last_r[N], t0;
+static double phi; /* of the circle, rad */
 static double approach, rate; /* approach_time and row_rate of this motion */
 static double pace; /* of the reference's time: 1 runs, 0 stands */
 static uint32_t seen;
 static bool tabled;
-static struct circle { double center1, center2, radius, turn_time; } led; /* it was led over to */
+static struct circle { double center1, center2, radius, turn_time; } led; /* as it was */
 
 void UserInit(void) {
     CompensationInit();
@@ -88,7 +90,7 @@ static double smooth(double s) {
 static double time_to_table(void) {
     double time = approach_time;
     for (int32_t j = 0; j < N && ref.rows > 0; j++) {
-        const double d = fabs(TableValue(&ref, 0.0, j) - start[j]);
+        const double d = fabs(TableValue(&ref, 0.0, j) - start[j] - 0.5 * COAST * coast[j]);
         const double most = TORQUE_MAX(j), J = JOINT_INERTIA(j);
         const double a = J > 0.0 && most > 0.0 ? APPROACH_TORQUE * most / J : INFINITY;
         time = fmax(time, fmax(1.875 * d / APPROACH_SPEED, sqrt(5.7735 * d / a)));
@@ -96,8 +98,14 @@ static double time_to_table(void) {
     return time;
 }
 
+/* Where the motion that was has come to, at time t since the beginning of another. */
+static double from(double t, int32_t j) {
+    const double x = t < COAST ? t / COAST : 1.0;
+    return start[j] + COAST * coast[j] * x * (1.0 + x * x * (0.5 * x - 1.0));
+}
+
 static void reference(double t) {
-    const double blend = smooth(t / approach);
+    const double blend = smooth(t / approach), from1 = from(t, 0), from2 = from(t, 1);
     double target1, target2;
     if (use_table) {
         if (t <= approach)
@@ -106,24 +114,29 @@ static void reference(double t) {
         target1 = TableValue(&ref, row, 0);
         target2 = TableValue(&ref, row, 1);
     } else {
-        const double phi = 6.283185307179586 * t / turn_time;
         target1 = center1 + radius * cos(phi);
         target2 = center2 + radius * sin(phi);
     }
-    r1 = start[0] + blend * (target1 - start[0]);
-    r2 = start[1] + blend * (target2 - start[1]);
+    phi += pace * SAMPLE_PERIOD * 6.283185307179586 / turn_time;
+    r1 = from1 + blend * (target1 - from1);
+    r2 = from2 + blend * (target2 - from2);
 }
 
-/* Whether another circle is asked for than the one that was led over to. */
-static bool circle_changed(void) {
-    return led.center1 != center1 || led.center2 != center2 || led.radius != radius ||
-           led.turn_time != turn_time;
+/* Whether the circle leaps: more than an approach would within a sample. What a host fades is
+ * followed as it comes. */
+static bool circle_leaps(void) {
+    const double way = fmax(fabs(center1 - led.center1), fabs(center2 - led.center2)) +
+                       fabs(radius - led.radius);
+    const double speed = 6.283185307179586 * radius * fabs(1.0 / turn_time - 1.0 / led.turn_time);
+    led = (struct circle){center1, center2, radius, turn_time};
+    return way > APPROACH_SPEED * SAMPLE_PERIOD ||
+           speed > APPROACH_SPEED / approach_time * SAMPLE_PERIOD;
 }
 
 /* The drives come on: begin from where the arm stands. A new table, another circle, or from circle
  * to table and back: lead over to it from the present reference, without a step. */
 static void begin(void) {
-    const bool fresh = FIRST_SAMPLE || !DRIVE_ENABLED;
+    const bool fresh = FIRST_SAMPLE || !DRIVE_ENABLED, leaps = circle_leaps();
     if (FIRST_SAMPLE) {
         last_q[0] = q1;
         last_q[1] = q2;
@@ -135,14 +148,17 @@ static void begin(void) {
         rd1 = rd2 = 0.0;
         pace = hold ? 0.0 : 1.0;
     }
-    if (fresh || use_table != tabled || (use_table ? seen != ref.version : circle_changed())) {
-        start[0] = r1;
-        start[1] = r2;
+    if (fresh || use_table != tabled || (use_table ? seen != ref.version : leaps)) {
+        const double speed[N] = {rd1, rd2}, place[N] = {r1, r2};
+        for (int32_t j = 0; j < N; j++) {
+            start[j] = place[j] + speed[j] * SAMPLE_PERIOD;
+            coast[j] = pace > 0.1 ? speed[j] / pace : 0.0; /* of the reference's own time */
+        }
+        phi = 0.0;
         t0 = SAMPLE_TIME;
         seen = ref.version;
         tabled = use_table;
         approach = use_table ? time_to_table() : approach_time;
-        led = (struct circle){center1, center2, radius, turn_time};
     }
 }
 

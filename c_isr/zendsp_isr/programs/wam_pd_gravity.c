@@ -14,6 +14,7 @@ static double Kp[N] = {900.0, 1200.0, 300.0, 200.0, 25.0, 25.0, 6.0};  /* N m/ra
 static double Kd[N] = {40.0, 50.0, 8.0, 6.0, 0.3, 0.3, 0.02};          /* N m s/rad */
 static double limit[N] = {77.3, 160.6, 95.6, 29.4, 11.6, 11.6, 2.7};   /* N m, of the drives */
 static bool compensate;
+static double share; /* of the gravity torque that acts */
 static double g[N], tau[N];
 
 void UserInit(void) {
@@ -30,8 +31,9 @@ void UserInit(void) {
 void UserISR_INT2(void) {
     MotionStep();
     WamGravity(q, g);
+    share = MotionShare(share, compensate);
     for (int32_t j = 0; j < N; j++) {
-        const double wanted = Kp[j] * e[j] + Kd[j] * (rd[j] - qd[j]) + (compensate ? g[j] : 0.0);
+        const double wanted = Kp[j] * e[j] + Kd[j] * (rd[j] - qd[j]) + share * g[j];
         tau[j] = wanted > limit[j] ? limit[j] : wanted < -limit[j] ? -limit[j] : wanted;
         WRITE_TORQUE(j, tau[j]);
     }

@@ -117,6 +117,8 @@ typedef struct batch {
     uint64_t at_tick;  /* by the monitor: not before this sample */
     uint64_t applied;  /* by the loop: the sample at whose start it took effect */
     uint64_t shown;    /* by the loop: `newest`, once a snapshot has the new values */
+    uint64_t fade;     /* by the monitor: samples over which numbers go to their new values */
+    uint64_t old;      /* by the monitor: bytes from a value to room for what was before a fade */
 } batch;
 
 /* One value of an update; padded to 8 bytes. When applied, the loop leaves the old value in its
@@ -125,7 +127,7 @@ typedef struct batch_entry {
     int32_t variable;
     int32_t offset; /* bytes into the variable */
     int32_t size;   /* bytes that follow; a table: 8, bank and rows as two int32 */
-    int32_t reserved;
+    int32_t left;   /* by the loop: 1, a later update has it, this fade no more */
 } batch_entry;
 
 /* One channel of a stream. */
@@ -260,6 +262,8 @@ typedef struct control {
     uint32_t acknowledged;
     int32_t drive_mode; /* what the drives are told */
     int32_t homed;
+    uint32_t pressed; /* 1 while the machine's STOP input is active */
+    uint32_t homings; /* that came to their end */
     double gain; /* 0 … 1, soft start */
     uint64_t newest; /* snapshots written */
     trip_latch trip;
@@ -271,7 +275,7 @@ typedef struct control {
 _Static_assert(sizeof(variable_entry) == 400,
                "variable_entry: layout changed, raise LAYOUT_VERSION");
 _Static_assert(sizeof(stop_page) == 32 + LAYOUT_WHO, "known to every host, raise STOP_PAGE_VERSION");
-_Static_assert(sizeof(batch) == 40 && sizeof(batch_entry) == 16 && sizeof(snapshot) == 16,
+_Static_assert(sizeof(batch) == 56 && sizeof(batch_entry) == 16 && sizeof(snapshot) == 16,
                "layout changed, raise LAYOUT_VERSION");
 _Static_assert(offsetof(control, ring_head) % 8 == 0 && offsetof(control, tick) % 8 == 0,
                "64-bit words must be aligned");

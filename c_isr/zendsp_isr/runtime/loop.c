@@ -187,6 +187,7 @@ static void idle(runner *r) {
         stand_still(r);
     else
         rest(r);
+    safety_panel(r);
     r->buffers.now.drive = (double)c->drive_mode;
     if (r->state.unseen)
         publish(r, c->tick);
@@ -229,19 +230,24 @@ static uint64_t after_sample(runner *r, uint64_t deadline) {
     const uint64_t period = c->period_ns, next = deadline + period, now = now_ns();
     if (now <= next) {
         r->state.overruns_in_row = 0;
+        r->state.lag_ns = 0;
         return next;
     }
+    const uint64_t lag = now - next, before = r->state.lag_ns, behind = lag / period;
     c->timing.overruns++;
-    r->state.overruns_in_row++;
-    if (r->set.overrun_policy == OVERRUN_TRIP &&
-        r->state.overruns_in_row >= (uint32_t)r->set.overrun_limit)
-        safety_trip(r, TRIP_OVERRUN, 0, (double)r->state.overruns_in_row,
-                    (double)r->set.overrun_limit);
-    const uint64_t behind = (now - next) / period;
+    if (lag > before) { /* samples that catch up after a stall are late, and no slower than others */
+        /* the time of a simulated machine waits; hardware was without control meanwhile */
+        const uint64_t lost = c->info.simulated ? 0 : (lag - before) / period;
+        const uint64_t late = ++r->state.overruns_in_row + lost;
+        if (r->set.overrun_policy == OVERRUN_TRIP && late >= (uint64_t)r->set.overrun_limit)
+            safety_trip(r, TRIP_OVERRUN, 0, (double)late, (double)r->set.overrun_limit);
+    }
+    r->state.lag_ns = lag;
     const uint64_t most = c->info.simulated ? CATCH_UP : CATCH_UP_HARDWARE;
     if (behind == 0 || (r->set.overrun_policy != OVERRUN_SKIP && behind <= most))
         return next;
     leave_out(r, behind);
+    r->state.lag_ns = lag - behind * period;
     return next + behind * period;
 }
 
@@ -307,12 +313,15 @@ void loop(runner *r) {
         }
         store32(&c->running, run);
         if (deadline == 0) {
+            r->state.lag_ns = 0;
             realtime_stay_awake(true);
             began = now_ns();
             first_tick = c->tick;
             deadline = began + c->period_ns;
-            if (run == RUN_HOME)
+            if (run == RUN_HOME) {
                 safety_anew(r); /* nothing of the program's acts while homing, or of before it */
+                c->homed = !c->info.needs_homing; /* its zero moves */
+            }
         }
         if (c->clock == CLOCK_REAL) {
             run_real(r, &deadline, spin);

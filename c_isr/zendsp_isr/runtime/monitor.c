@@ -104,9 +104,10 @@ static unsigned char *put(unsigned char *to, int32_t type, double v) {
     return to + 1;
 }
 
-/* Lay numbers that fit out as the entries of a batch. */
-void monitor_pack(const update_part *part, uint32_t parts, const double *values,
-                  unsigned char *to) {
+/* Lay numbers that fit out as the entries of a batch; returns their bytes. */
+uint64_t monitor_pack(const update_part *part, uint32_t parts, const double *values,
+                      unsigned char *to) {
+    const unsigned char *begin = to;
     for (const update_part *p = part; p < part + parts; p++) {
         memcpy(to, &p->entry, sizeof p->entry);
         to += sizeof p->entry;
@@ -115,20 +116,23 @@ void monitor_pack(const update_part *part, uint32_t parts, const double *values,
             at = put(at, p->type, *values++);
         to += (p->entry.size + 7) & ~7;
     }
+    return (uint64_t)(to - begin);
 }
 
-/* Fill and commit an update: `values` hold the numbers of its parts, one after another. Returns 1;
- * 0 when the runner has ended; -1, nothing done, when one of them does not fit. */
+/* Fill and commit an update: `values` hold the numbers of its parts, one after another; `fade`, in
+ * samples, is for batches with room for as many old ones. Returns 1; 0 when the runner has ended;
+ * -1, nothing done, when one of them does not fit. */
 int monitor_write(control *c, int pidfd, const update_part *part, uint32_t parts,
                   const double *values, batch *b, uint32_t index, uint64_t sequence,
-                  uint64_t at_tick) {
+                  uint64_t at_tick, uint64_t fade) {
     uint32_t wrong;
     if (monitor_fit(part, parts, values, &wrong) != FIT)
         return -1;
-    monitor_pack(part, parts, values, (unsigned char *)(b + 1));
+    b->old = monitor_pack(part, parts, values, (unsigned char *)(b + 1));
     b->entries = parts;
     b->sequence = sequence;
     b->at_tick = at_tick;
+    b->fade = fade;
     return commit(c, b, index, pidfd);
 }
 
@@ -177,7 +181,7 @@ int monitor_write_again(const uint32_t *ended, control *c, int pidfd, const upda
     double value;
     memcpy(&value, &word, sizeof value);
     to_message(reply + sequence_at, sequence);
-    return monitor_write(c, pidfd, part, 1, &value, b, index, sequence, 0);
+    return monitor_write(c, pidfd, part, 1, &value, b, index, sequence, 0, 0);
 }
 
 uint32_t monitor_load32(const uint32_t *word) { return __atomic_load_n(word, __ATOMIC_ACQUIRE); }

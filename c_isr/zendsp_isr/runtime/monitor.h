@@ -30,10 +30,11 @@ int monitor_snapshot(const uint64_t *newest_word, const unsigned char *slots, ui
 int monitor_ended(int pidfd);
 uint32_t monitor_fit(const update_part *part, uint32_t parts, const double *values,
                      uint32_t *wrong);
-void monitor_pack(const update_part *part, uint32_t parts, const double *values, unsigned char *to);
+uint64_t monitor_pack(const update_part *part, uint32_t parts, const double *values,
+                      unsigned char *to);
 int monitor_write(control *c, int pidfd, const update_part *part, uint32_t parts,
                   const double *values, batch *b, uint32_t index, uint64_t sequence,
-                  uint64_t at_tick);
+                  uint64_t at_tick, uint64_t fade);
 int monitor_read_again(const uint32_t *ended, const control *c, const unsigned char *data,
                        uint64_t slots_at, uint64_t stride, uint64_t from, uint64_t bytes,
                        unsigned char *values, uint32_t count, const uint32_t *places,

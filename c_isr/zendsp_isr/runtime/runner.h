@@ -89,6 +89,7 @@ typedef struct runner_state {
     uint32_t speed_place;           /* row of counts_before that is written next */
     uint32_t speed_known;           /* rows of it that hold, at most speed_window */
     uint32_t overruns_in_row;
+    uint64_t lag_ns; /* by which the sample before ended too late */
     bool anew;       /* the program begins afresh at its next sample: FIRST_SAMPLE, and a run-in */
     uint32_t run_in; /* samples left of the run-in, in which outputs are not taken */
     uint32_t off_seen;
@@ -107,8 +108,9 @@ typedef struct runner_buffers {
     machine_actuators acting; /* what acts in this sample */
     builtins now;
     int32_t counts_before[SPEED_WINDOW][MACHINE_JOINTS]; /* a ring */
-    const batch *waiting[LAYOUT_BATCHES];                /* sorted by at_tick */
-    int waiting_used;
+    batch *waiting[LAYOUT_BATCHES];                      /* sorted by at_tick */
+    batch *fading[LAYOUT_BATCHES];                       /* begun, first come first */
+    int waiting_used, fading_used;
     stream *streams[LAYOUT_STREAMS];  /* by the service thread: what to work with next (atomic) */
     uint32_t offered[LAYOUT_STREAMS]; /* generation of streams[i] */
 } runner_buffers;
@@ -173,6 +175,7 @@ void safety_anew(runner *r);
 void safety_requests(runner *r, bool paused);
 void safety_output(runner *r);
 void safety_acted(runner *r);
+void safety_panel(runner *r);
 bool safety_inputs(runner *r);
 void safety_command(runner *r);
 void safety_home(runner *r, int answer);

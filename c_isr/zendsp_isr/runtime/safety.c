@@ -206,6 +206,14 @@ static void check_motion(runner *r) {
         s->speed_known++;
 }
 
+/* Whether the machine's STOP input is active in what was read last. */
+void safety_panel(runner *r) {
+    const int32_t input = r->set.stop_input;
+    const uint32_t din = r->buffers.sensors.din;
+    store32(&r->control->pressed, input >= 0 && input < 32 &&
+                                      (int32_t)(din >> input & 1u) == r->set.stop_level);
+}
+
 /* Check what was just read. Returns true when this very sample tripped: the outputs must be written
  * again, safe. */
 bool safety_inputs(runner *r) {
@@ -214,9 +222,8 @@ bool safety_inputs(runner *r) {
     r->state.din = r->buffers.sensors.din;
     if (c->info.simulated)
         r->buffers.sensors.din |= load32(&c->simulated_din);
-    const int32_t input = r->set.stop_input;
-    if (input >= 0 && input < 32 &&
-        (int32_t)(r->buffers.sensors.din >> input & 1u) == r->set.stop_level)
+    safety_panel(r);
+    if (c->pressed)
         safety_trip(r, TRIP_STOP_INPUT, 0, (double)r->set.stop_level, 0.0);
     check_motion(r);
     return latched(r) && !before;
@@ -286,8 +293,10 @@ void safety_home(runner *r, int answer) {
         safety_trip(r, TRIP_HOMING, 0, 0.0, 0.0);
     if (answer == MACHINE_HOME_BUSY && !latched(r))
         return; /* cut short by a pause or a STOP: idle() and the acknowledgement see to it */
-    if (answer == MACHINE_HOME_DONE && !latched(r))
+    if (answer == MACHINE_HOME_DONE && !latched(r)) {
         c->homed = 1;
+        store32(&c->homings, c->homings + 1);
+    }
     r->state.speed_known = 0;
     safety_anew(r);
     uint32_t home = RUN_HOME;

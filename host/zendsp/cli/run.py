@@ -49,12 +49,12 @@ def command(
         if values:
             t.write(**values)
         if seconds is None:
-            t.start()
+            t.programs.begin()
             status = t.watch_start()
         else:
             with progress("running", seconds, as_json) as set_fraction:
                 first = t.status()
-                t.start(max(1, round(seconds * first.rate_hz)))
+                t.programs.begin(max(1, round(seconds * first.rate_hz)))
                 try:
                     status = t.wait(
                         2.0 * seconds + 10.0,

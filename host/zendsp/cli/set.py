@@ -16,18 +16,27 @@ from zendsp.cli.common import emit, open_target, parse_assignments, target_optio
 @click.option(
     "--no-wait", is_flag=True, help="Do not wait for the sample at which they take effect."
 )
+@click.option(
+    "--fade", type=click.FloatRange(0.0, 2.0), default=0.0, show_default=True,
+    help="Seconds in which numbers go over to their new values while the program runs.",
+)
 @target_options
 def command(
-    assignments: tuple[str, ...], no_wait: bool, target: str, connect: str | None, as_json: bool
+    assignments: tuple[str, ...],
+    no_wait: bool,
+    fade: float,
+    target: str,
+    connect: str | None,
+    as_json: bool,
 ) -> None:
     """Change variables, all at the start of one sample or none of them.
 
-    Example:  zendsp set Kp1=450 Kd1=40
+    Example:  zendsp set Kp1=450 Kd1=40 --fade 0.5
     """
     values = parse_assignments(assignments)
     with open_target(target, connect) as t:
         if no_wait:
             emit({"sequence": t.write(**values)}, as_json)
             return
-        tick = t.update(None, **values)
+        tick = t.fade(fade, **values) if fade else t.update(None, **values)
         emit({"tick": tick, "values": values}, as_json, f"{', '.join(values)} set at sample {tick}")

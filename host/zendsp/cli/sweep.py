@@ -15,6 +15,10 @@ from zendsp.cli.common import emit, open_target, progress, table, target_options
 @click.option("-s", "--seconds", type=float, required=True, help="Length of each measurement.")
 @click.option("--settle", type=float, default=0.5, show_default=True, help="Seconds left out.")
 @click.option(
+    "--fade", type=click.FloatRange(0.0, 2.0), default=1.0, show_default=True,
+    help="Seconds in which each set goes over into the next; 0: at once.",
+)
+@click.option(
     "-m",
     "--measure",
     "measures",
@@ -32,6 +36,7 @@ def command(
     channels: tuple[str, ...],
     seconds: float,
     settle: float,
+    fade: float,
     measures: tuple[str, ...],
     together: bool,
     keep: Path | None,
@@ -42,23 +47,23 @@ def command(
 ) -> None:
     """Try VALUES of parameters on the running program and measure each combination.
 
-    VALUES are 100,200,400 or FIRST:LAST:COUNT: 100:500:5 is 100, 200, 300, 400, 500. Each set takes
-    effect in one sample; at the end the parameters are put back. The first set is measured again
-    after the last: a difference that the same values have among themselves is none. Exit status 1
-    where a limit tripped or the program crashed.
+    VALUES are 100,200,400 or FIRST:LAST:COUNT: 100:500:5 is 100, 200, 300, 400, 500. Each set is
+    faded in, so that no gain steps the torque; at the end the parameters go back in the same way.
+    The first set is measured again after the last: a difference that the same values have among
+    themselves is none. Exit status 1 where a limit tripped or the program crashed.
 
     Example:  zendsp sweep Kp1=500:2500:5 Kd1=60,120 -c e1 -s 2
     """
     from zendsp.experiment.sweep import announced, sweep, tried_of
 
     tried = tried_of(values)
-    said = announced(tried, seconds, settle, together)
+    said = announced(tried, seconds, settle, together, fade)
     if out is not None and out.suffix.lower() != ".csv":
         raise click.BadParameter(f"{out}: a sweep is written as .csv", param_hint="--out")
     with open_target(target, connect) as t, progress("sweep", 2.0, as_json) as tell:
         click.echo(said, err=True)
-        found = sweep(t, tried, channels, seconds=seconds, settle=settle, measures=measures,
-                      together=together, keep=keep, progress=tell)  # fmt: skip
+        found = sweep(t, tried, channels, seconds=seconds, settle=settle, fade=fade,
+                      measures=measures, together=together, keep=keep, progress=tell)  # fmt: skip
     header = [*found.parameters, *found.results, "ended"]
     shown = table(found.cells(), header)
     if as_json:

@@ -21,6 +21,7 @@ from zendsp.link.put_back import Loaded, kept
 from zendsp.recording import Recording
 from zendsp.recording.files import save_anyhow
 from zendsp.reference import Reference
+from zendsp_protocol.states import DriveState
 
 Say = Callable[[str], None]
 BRAKE_S = 1.0  # under the loop's eye, before the program is taken away
@@ -84,17 +85,25 @@ class Lab:
         Raises
         ------
         Refused
-            The target that was given is another machine.
+            The target that was given is another machine, or its drives are not enabled where
+            the explicit sequence is in use.
         """
         folder = self.folder / name
-        folder.mkdir(parents=True, exist_ok=True)
         if self.target is not None:
             if machine is not None and self.target.info.machine != machine:
                 raise Refused(
                     f"experiment {name} is for the machine {machine}; the target {self.target.name}"
                     f" is {self.target.info.machine}"
                 )
-            yield from self._guard(Bench(self.target, folder, self.say))
+            drives = self.target.drive_status()
+            if drives.explicit and drives.state not in (DriveState.ENABLED, DriveState.RUNNING):
+                raise Refused(
+                    f"experiment {name} moves the machine, and its drives are {drives.state}: power"
+                    " them on, home, enable (zendsp load pd.c && zendsp drive on && zendsp drive"
+                    " home && zendsp drive enable), then begin again"
+                )
+            folder.mkdir(parents=True, exist_ok=True)
+            yield from self._guard(Bench(self.target, folder, self.say, drives.explicit))
             return
         if machine is None:
             raise Refused(
@@ -103,6 +112,7 @@ class Lab:
             )
         from zendsp.link import local
 
+        folder.mkdir(parents=True, exist_ok=True)
         arguments = [
             part
             for key, value in {"seed": self.seed, **options}.items()
@@ -136,8 +146,9 @@ class Lab:
 class Bench:
     """One machine on one target, for the length of an experiment."""
 
-    def __init__(self, target: Target, folder: Path, say: Say) -> None:
+    def __init__(self, target: Target, folder: Path, say: Say, enabled: bool = False) -> None:
         self.target, self.folder, self.say = target, folder, say
+        self._enabled = enabled  # by somebody: again after each load, which switches them off
         self.recordings: list[str] = []
         self.loaded: object = None
 
@@ -203,6 +214,7 @@ class Bench:
             target.pause()
         target.download(program, flags)
         self._require_command(name, command)
+        self._make_ready(name)
         if reference is not None:
             values.setdefault("approach_time", before)
             values.setdefault("row_rate", round(1.0 / reference.sample_time))
@@ -229,6 +241,14 @@ class Bench:
             raise
         self._keep(recording, name)
         return recording
+
+    def _make_ready(self, name: str) -> None:
+        """Each load forgets the homing, and switches drives off that somebody has enabled."""
+        if not self.target.status().homed:
+            self.say(f"{name}: homing the machine")
+            self.target.home_if_needed()
+        if self._enabled:
+            self.target.enable()
 
     def _keep(self, recording: Recording, name: str) -> None:
         place, wrong = save_anyhow(recording, self.folder / f"{name}.npz")

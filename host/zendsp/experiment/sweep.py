@@ -31,6 +31,7 @@ MEASURES: dict[str, Callable[[Floats], float]] = {
     "p2p": lambda y: float(np.ptp(y)),
 }
 MOST = 10_000  # runs
+FADE_S = 1.0  # back from weak gains the planar arm asks for 123 N m at the most, in 2 s for 72
 AGAIN = 2  # measurements of the first values after the last ones: how well a result repeats
 WATCH_S = 0.2  # of the target's time: what is put back acts at once, and a speed builds up
 PATIENCE_S = 2.0  # for a slow target to come so far
@@ -192,6 +193,7 @@ def sweep(
     *,
     seconds: float,
     settle: float = 0.5,
+    fade: float = FADE_S,
     measures: Sequence[str] = ("rms", "max"),
     together: bool = False,
     keep: str | Path | None = None,
@@ -199,11 +201,12 @@ def sweep(
 ) -> Sweep:
     """Try sets of parameters on the running program, one after the other, and measure each.
 
-    Each set takes effect in one sample; what follows within ``settle`` seconds of the target's time
-    is not measured. At the end, and after Ctrl-C or an error, the parameters are put back as they
-    were, in one sample. That acts at once: after gains so weak that the machine lags far behind,
-    the old ones pull it back with a jerk, and a limit may trip. Where a limit trips or the program
-    crashes, the sweep ends; the row says why, and ``ended``, also of what came afterwards.
+    Each set is faded in: within ``fade`` seconds of the target's time every number goes from its
+    value before to the new one. After gains so weak that the machine lags far behind, strong ones
+    in one sample would pull it back with a jerk. What follows within ``settle`` seconds is not
+    measured. At the end, and after Ctrl-C or an error, the parameters go back as they were in the
+    same way; so they do when this host is lost. Where a limit trips or the program crashes, the
+    sweep ends; the row says why, and ``ended``, also of what came afterwards.
 
     Every window is another piece of the motion. After the last set the first one is measured twice
     more: by how much its results differ is told, and differences that are no larger are none. Of a
@@ -220,7 +223,9 @@ def sweep(
     seconds : float
         Length of each measurement, s.
     settle : float
-        s.
+        After each fade, s.
+    fade : float
+        s, at most 2; 0: each set takes effect in one sample.
     measures : sequence of str
         Of each channel: ``rms``, ``max`` (largest magnitude), ``mean``, ``std``, ``p2p``.
     together : bool
@@ -261,10 +266,10 @@ def sweep(
     again: list[Mapping[str, float]] = []
     why = ""
     todo = [*runs, *(runs[:1] * AGAIN if len(runs) > 1 else [])]
-    with kept(target, values):
+    with kept(target, values, fade=fade):
         for number, run in enumerate(todo, 1):
             tell = _part(progress, number - 1, len(todo))
-            recording, ended = _one(target, run, channels, settle + seconds, tell)
+            recording, ended = _one(target, run, channels, settle + seconds, fade, tell)
             results = _measured(recording, measures, settle, ended)
             if number > len(runs):
                 again += [results] if results else []
@@ -303,7 +308,11 @@ def _runs(
 
 
 def announced(
-    values: Mapping[str, Sequence[Assignable]], seconds: float, settle: float, together: bool
+    values: Mapping[str, Sequence[Assignable]],
+    seconds: float,
+    settle: float,
+    together: bool,
+    fade: float = FADE_S,
 ) -> str:
     """Say how many runs a sweep of these takes, and how long at the least.
 
@@ -313,7 +322,7 @@ def announced(
         Nothing to try, or too many runs.
     """
     runs = len(_runs(values, together))
-    least = (runs + (AGAIN if runs > 1 else 0)) * (settle + seconds)
+    least = (runs + (AGAIN if runs > 1 else 0)) * (fade + settle + seconds)
     tried = ", ".join(
         f"{name} = {_short(v[0])} … {_short(v[-1])}" if len(v) > 1 else f"{name} = {_short(v[0])}"
         for name, v in values.items()
@@ -327,11 +336,12 @@ def _one(
     run: Mapping[str, Any],
     channels: Sequence[str],
     seconds: float,
+    fade: float,
     tell: Callable[[float], None] | None,
 ) -> tuple[Recording | None, str]:
     """One run: its recording, and why it ended early."""
-    target.variables.update_alone(run)
     try:
+        target.fade(fade, **run)
         recording = target.acquire(channels, seconds, progress=tell)
     except ZendspError:  # not running any more, or not for long enough
         if ended := _trouble(target):

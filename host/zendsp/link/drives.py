@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from zendsp.errors import Refused, ZendspError
 from zendsp.link.requests import Part
@@ -119,21 +119,34 @@ class Drives(Part):
             A condition of homing fails, homing itself failed or was ended, or it takes longer than
             ``timeout``, which ends it.
         """
+        return self._home(lambda: self._drive("home"), timeout)
+
+    def home_if_needed(self, timeout: float = 60.0) -> bool:
+        """Home a machine whose position is unknown, as `home_and_wait` does, but without beginning
+        the explicit sequence; returns whether that was needed.
+        """
+        needed = not self.request("status").homed
+        if needed:
+            self._home(self.home, timeout)
+        return needed
+
+    def _home(self, begin: Callable[[], object], timeout: float) -> str:
+        before: m.Status = self.request("status")
         try:
-            self._drive("home")
-            return self._homed(time.monotonic() + timeout, timeout)
+            begin()
+            return self._homed(before.homings, time.monotonic() + timeout, timeout)
         except (KeyboardInterrupt, SystemExit):  # who asked for the motion no longer watches it
             with contextlib.suppress(ZendspError):
                 self.request("pause")
             raise
 
-    def _homed(self, deadline: float, timeout: float) -> str:
+    def _homed(self, before: int, deadline: float, timeout: float) -> str:
         while True:
             status: m.Status = self.request("status")
             if status.trip is not None:
                 raise Refused(f"homing ended: {status.trip.text or status.trip.reason}")
             if status.state != ProgramState.RUNNING:
-                if status.homed:
+                if status.homings > before:
                     return "homed"
                 trip = self.request("status").trip  # it may have come in between
                 why = trip.text if trip else "by a pause, or another load, before it was done"

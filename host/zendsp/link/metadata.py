@@ -209,7 +209,7 @@ def _extra(parameters: ParameterSets, overall: m.Status, patience: float) -> dic
 def _change(change: m.Change) -> ParameterChange:
     return ParameterChange(
         change.tick, change.host_time, change.name, plain(change.old), plain(change.new),
-        change.author,
+        change.author, change.fade,
     )
 
 

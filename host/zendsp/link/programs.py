@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from zendsp.errors import CompileFailed, LinkError, NotStopped, RunnerDied, ZendspError
+from zendsp.errors import CompileFailed, LinkError, NotStopped, RunnerDied, Tripped, ZendspError
 from zendsp.here.stop_page import StopPage, find
 from zendsp.here.stopped import TAKEN_S, at_rest, stopped_at
 from zendsp.link.requests import Part
@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 POLL_FIRST_S, POLL_LAST_S = 0.001, 0.05
 STOPPED_S = 1.0  # for the loop to say that it stopped
 LEAST_SAMPLES = 10  # to speak of most of them
+# of the target's time, to see a trip at once: speeds are looked at over 10 ms
+FIRST_S = 0.02
+FIRST = 3  # samples, where they are slow
 WATCHED_S = 0.25  # of the target's time: a program that runs for so long has begun well
 
 
@@ -90,8 +93,27 @@ class Programs(Part):
         return result
 
     def start(self, ticks: int | None = None) -> None:
-        """Start or continue the program; with ``ticks`` it pauses by itself after so many samples.
+        """Start or continue the program, and look at its first samples (20 ms); with ``ticks`` it
+        pauses by itself after so many.
+
+        Raises
+        ------
+        Refused
+            It cannot start; the message names each condition.
+        Tripped
+            A STOP, a limit or a fault ended it in its first samples.
+        RunnerDied
+            It crashed in them.
         """
+        self.begin(ticks)
+        status = self.watch_start(FIRST_S)
+        if status.state == ProgramState.CRASHED:
+            raise RunnerDied(f"started, and {trouble(status)}")
+        if status.trip is not None:
+            raise Tripped(f"started, and {trouble(status)}")
+
+    def begin(self, ticks: int | None = None) -> None:
+        """As `start`, for who looks at what becomes of it himself."""
         self.request("start", ticks=ticks)
 
     def pause(self) -> None:
@@ -213,7 +235,7 @@ class Programs(Part):
             The program crashed or hung meanwhile.
         """
         ticks = max(1, round(seconds * self.status().rate_hz))
-        self.start(ticks)
+        self.begin(ticks)
         return self.wait(timeout if timeout is not None else 2.0 * seconds + 10.0)
 
     def watch_start(self, seconds: float = WATCHED_S, timeout: float = 5.0) -> m.Status:
@@ -241,11 +263,11 @@ class Programs(Part):
             first = ran if first is None else first
             if (
                 status.state != ProgramState.RUNNING
-                or ran - first >= seconds
+                or ran - first >= max(seconds, FIRST / status.rate_hz)
                 or time.monotonic() > deadline
             ):
                 return status
-            time.sleep(0.01)
+            time.sleep(min(0.01, seconds / 4.0))
 
     def wait(
         self, timeout: float = 60.0, on_status: Callable[[m.Status], None] | None = None

@@ -28,11 +28,18 @@ class Before:
         What the run will set, elements ``"q[1]"`` too; names that the program lacks are left out.
     moves : bool
         The run moves the machine: if this host is lost, the host-lost policy acts.
+    fade : float
+        Time in which numbers go back while the program runs, s; at most 2.
     """
 
-    def __init__(self, target: Target, names: Iterable[str], moves: bool = False) -> None:
+    def __init__(
+        self, target: Target, names: Iterable[str], moves: bool = False, fade: float = 0.0
+    ) -> None:
         self._target = target
-        self._begun: m.RunBegun = target.request("run_begin", names=list(names), moves=moves)
+        asked = {"fade": fade} if fade else {}
+        self._begun: m.RunBegun = target.request(
+            "run_begin", names=list(names), moves=moves, **asked
+        )
 
     @property
     def follows(self) -> bool:
@@ -40,7 +47,7 @@ class Before:
         return self._begun.follows
 
     def put_back(self) -> str:
-        """Write everything back in one sample; returns why that failed, "" where it did not.
+        """Write everything back, in one sample or faded; returns why that failed, else "".
 
         Nothing is written into another program, into one that was loaded afresh, or that crashed.
         Of a program that runs and follows its tables, the rows that it had stay away: their
@@ -104,7 +111,9 @@ class Loaded:
 
 
 @contextmanager
-def kept(target: Target, names: Iterable[str], moves: bool = False) -> Iterator[Before]:
+def kept(
+    target: Target, names: Iterable[str], moves: bool = False, fade: float = 0.0
+) -> Iterator[Before]:
     """Put back, at the end of the block, what the block sets in the program.
 
     Parameters
@@ -113,6 +122,7 @@ def kept(target: Target, names: Iterable[str], moves: bool = False) -> Iterator[
     names : iterable of str
         Parameters and tables.
     moves : bool
+    fade : float
         As for `Before`.
 
     Warns
@@ -120,7 +130,7 @@ def kept(target: Target, names: Iterable[str], moves: bool = False) -> Iterator[
     UserWarning
         They could not be put back; the message says why.
     """
-    before = Before(target, names, moves)
+    before = Before(target, names, moves, fade)
     try:
         yield before
     finally:

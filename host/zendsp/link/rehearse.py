@@ -144,7 +144,7 @@ def rehearse(
         decimation = 1 + ticks // MOST_ROWS
         twin.acquire_configure(["cmd", "enc"], seconds, decimation)
         twin.acquire_start()
-        twin.start(ticks)
+        twin.programs.begin(ticks)
         try:
             ended = twin.wait(timeout, tell)
         except LinkError:

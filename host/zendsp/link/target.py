@@ -155,6 +155,7 @@ class Target:
     stage = _of("variables", Variables.stage)
     discard = _of("variables", Variables.discard)
     update = _of("variables", Variables.update)
+    fade = _of("variables", Variables.fade)
     builtins = _of("variables", Variables.builtins)
     log = _of("variables", Variables.log)
 
@@ -203,6 +204,7 @@ class Target:
     power_on = _of("drives", Drives.power_on)
     power_off = _of("drives", Drives.power_off)
     home_and_wait = _of("drives", Drives.home_and_wait)
+    home_if_needed = _of("drives", Drives.home_if_needed)
     enable = _of("drives", Drives.enable)
     disable = _of("drives", Drives.disable)
     drive_auto = _of("drives", Drives.drive_auto)

@@ -186,6 +186,33 @@ class Variables(Part):
         self._staged = {}
         return tick
 
+    def fade(self, seconds: float, /, **values: Assignable) -> int:
+        """Lead numbers over to their new values while the program runs, slowly at first, so that no
+        gain steps the torque; waits for the end.
+
+        Whole numbers, flags and tables switch at the end. Another update ends the fade of what it
+        writes. Of a program that does not run all values are set at once.
+
+        Parameters
+        ----------
+        seconds : float
+            At most 2.
+
+        Returns
+        -------
+        int
+            The sample at which the new values are there.
+
+        Raises
+        ------
+        VariableError
+            One line per variable that is wrong; nothing was applied.
+        """
+        applied: m.Applied = self.link.request(
+            "update", {"values": _wire(values), "fade": float(seconds)}
+        )
+        return applied.tick
+
     def update_alone(self, values: Mapping[str, Assignable]) -> int:
         """As `update`, of these values only: what is staged stays staged."""
         staged, self._staged = self._staged, {}

@@ -42,6 +42,7 @@ class ParameterChange:
     old: Any  # bool, int, float, or a list of these
     new: Any
     author: str
+    fade: int = 0  # samples over which it came; `tick` is then that of its end
 
 
 @dataclass(frozen=True, eq=False)

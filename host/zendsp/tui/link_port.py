@@ -25,6 +25,7 @@ from zendsp_protocol.values import Assignable, Value
 if TYPE_CHECKING:
     from zendsp.experiment import FrequencyResponse, Sweep
 
+FADE_S = 0.5  # of values that are taken over from a table
 LIVE_RATE = 5000.0  # rows a second of a live curve at the most
 LIVE_INTERVAL_S = 0.02  # between live messages: a screen needs no more
 LOST_EVERY = 5  # snapshots between looks at the recorder and the limits
@@ -200,6 +201,10 @@ class LinkPort:
     def update(self, values: Mapping[str, Assignable]) -> int:
         """Apply all in one sample."""
         return self.target.update(None, **values)
+
+    def fade(self, values: Mapping[str, Assignable]) -> int:
+        """Lead them over while the program runs."""
+        return self.target.fade(FADE_S, **values)
 
     def before(self, names: Iterable[str]) -> Before:
         """Variables as they are now, to be put back after a run."""

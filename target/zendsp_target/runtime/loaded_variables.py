@@ -55,7 +55,13 @@ class LoadedVariables:
         """Raise what :meth:`write` would raise for these values; nothing is written."""
         self._programs.loaded().updates.check(values)
 
-    def write(self, values: Mapping[str, Value], author: str, at_tick: int | None = None) -> int:
+    def write(
+        self,
+        values: Mapping[str, Value],
+        author: str,
+        at_tick: int | None = None,
+        fade: int = 0,
+    ) -> int:
         """Commit a synchronous update: all values at the start of one sample, or none.
 
         Parameters
@@ -65,6 +71,8 @@ class LoadedVariables:
         author : str
         at_tick : int, optional
             Not before this sample.
+        fade : int
+            Samples over which numbers go over to their new values; see `Updates.write`.
 
         Returns
         -------
@@ -80,7 +88,7 @@ class LoadedVariables:
         if session is None:
             session = self._programs.loaded()
         try:
-            return session.updates.write(values, author, at_tick)
+            return session.updates.write(values, author, at_tick, fade)
         except RunnerDied:
             session.require_alive()  # tells how it died
             raise

@@ -14,6 +14,7 @@ import msgspec
 from zendsp_isr.parts import is_model
 from zendsp_protocol.errors import Refused, RunnerDied
 from zendsp_protocol.messages import Limits, MachineInfo
+from zendsp_target.api import PRESSED
 from zendsp_target.runtime import safety
 from zendsp_target.runtime.memory.layout import layout
 from zendsp_target.runtime.process.runner import ffi_address
@@ -142,8 +143,13 @@ class Motion:
     def acknowledge(self) -> None:
         """End a STOP or a trip. The program is paused; nothing moves before the next start.
 
-        Where the cause still stands (the STOP input is pressed), the next sample trips again. A
-        joint beyond its position limit may be moved back inside, and no further out.
+        Where another cause still stands, the next sample trips again. A joint beyond its position
+        limit may be moved back inside, and no further out.
+
+        Raises
+        ------
+        Refused
+            The machine's STOP input is active.
         """
         _, lib = layout()
         with self._programs.lock:
@@ -154,6 +160,9 @@ class Motion:
             session = self._programs.living()
             session.request_run(lib.RUN_PAUSED)
             session.until(lambda: session.running == lib.RUN_PAUSED, "acknowledge")
+            session.settle("acknowledge")  # inputs are read while paused, too
+            if session.pressed:
+                raise Refused(f"acknowledging is refused: {PRESSED}")
             control = session.control
             wanted = (int(control.acknowledge) + 1) & 0xFFFFFFFF
             lib.monitor_store32(ffi_address(control, "acknowledge"), wanted)

@@ -123,7 +123,7 @@ def _cause(machine: MachineInfo, reason: str, joint: int, value: float, limit: f
         "position": f"{who}: position {value:.6g} {unit} is beyond the limit of {limit:.6g} {unit}",
         "command": f"{who}: command of {value:.5g} mV exceeds the limit of {limit:.5g} mV",
         "nan": f"{who}: the code computed {value} as its output",
-        "overrun": f"{value:.0f} samples in a row took longer than the period",
+        "overrun": f"{value:.0f} samples in a row came later and later",
         "sensor": f"{who}: the position sensor reports a fault",
         "homing": "homing failed",
     }

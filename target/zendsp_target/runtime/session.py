@@ -146,6 +146,12 @@ class Session:
         _, lib = layout()
         return int(lib.monitor_load32(ffi_address(self.control, "running")))
 
+    @property
+    def pressed(self) -> bool:
+        """Whether the machine's STOP input is active, as the loop saw it last."""
+        _, lib = layout()
+        return bool(lib.monitor_load32(ffi_address(self.control, "pressed"))) and self.alive()
+
     def request_run(self, run: int) -> None:
         """Ask the loop for RUN_PAUSED, RUN_ISR or RUN_HOME, without waiting."""
         _, lib = layout()
@@ -267,7 +273,7 @@ class Session:
 
     def set_settings(self, values: Mapping[str, object], author: str) -> int:
         """Write the runtime's own settings as one update."""
-        return self.updates.write(values, author, None, settings=True)
+        return self.updates.write(values, author, settings=True)
 
     @property
     def unsafe(self) -> str:

@@ -73,6 +73,8 @@ def status_of(session: Session, latched: Callable[[], Trip | None]) -> Status:
         drive_mode=mode,
         unsafe=session.unsafe,
         own=session.own_writes.told(),
+        pressed=session.pressed,
+        homings=int(control.homings),
     )
 
 

@@ -21,6 +21,7 @@ from __future__ import annotations
 import logging
 import math
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -30,7 +31,7 @@ from zendsp_protocol import verbs
 from zendsp_protocol.errors import Refused, ZendspError
 from zendsp_protocol.messages import Status
 from zendsp_protocol.states import DriveState, ProgramState, RecorderState
-from zendsp_target.api import RECORDER, RuntimeApi
+from zendsp_target.api import PRESSED, RECORDER, RuntimeApi
 
 log = logging.getLogger(__name__)
 
@@ -40,6 +41,7 @@ SOFT_S = 0.1
 # velocity, latched; the program's bool parameter `hold` is set, and without one as "stop"; it goes
 # on.
 POLICIES = ("stop", "hold", "finish")
+OFF_S = 0.5  # for a soft stop to end
 AFTER_TRIP_S = 1.0  # a recording shows how the machine comes to rest
 POLICY = "stop"  # unless somebody chooses another
 # What could move the machine or change what moves it; STOP is not among them.
@@ -143,6 +145,7 @@ class Drives:
                     "no position comes from the machine: check its sensors, load the program again"
                 ),
             ),
+            Condition("stop input", not status.pressed, PRESSED),
             Condition(
                 "no trip",
                 trip is None,
@@ -309,9 +312,9 @@ class Drives:
     def power_off(self) -> str:
         """Anything → off: soft stop, then no torque."""
         self._explicit = True
-        self._off()
+        said = self._off_and_look()
         self._powered = False
-        return "power off"
+        return f"power off{said}"
 
     def home(self) -> str:
         """ready → homed."""
@@ -319,7 +322,7 @@ class Drives:
         failing = [
             c
             for c in self.conditions(status)
-            if not c.met and c.name in ("power", "program", "no trip")
+            if not c.met and c.name in ("power", "program", "stop input", "no trip")
         ]
         if failing:
             raise Refused(_refusal("homing", failing))
@@ -344,14 +347,16 @@ class Drives:
             self._off()
         self._runtime.set_ramp(self._ramp_s)
         self._runtime.set_drive(mode)
+        trip = self._runtime.status().trip
+        if trip is not None:
+            raise Refused(f"not enabled: {trip.text or trip.reason}")
         self._enabled = True
         return f"enabled, {mode} mode"
 
     def disable(self) -> str:
         """enabled → homed: soft stop, then no torque."""
         self._explicit = True
-        self._off()
-        return "disabled"
+        return f"disabled{self._off_and_look()}"
 
     def acknowledge(self) -> str:
         """stopped | tripped → homed; nothing moves before somebody enables (or, automatically,
@@ -364,6 +369,9 @@ class Drives:
             self._off()
         self._enabled = False
         self._runtime.acknowledge()
+        trip = self._runtime.status().trip
+        if trip is not None:
+            raise Refused(f"acknowledged, and latched again since: {trip.text or trip.reason}")
         first = "enable the drives" if self._explicit else "start the program"
         if not _loaded(self._runtime.status()):
             first = "load a program"
@@ -392,6 +400,22 @@ class Drives:
     def _off(self) -> None:
         self._enabled = False
         self._runtime.set_drive("off")
+
+    def _off_and_look(self) -> str:
+        """Switch the drives off, and wait for a short soft stop; returns what there is to say where
+        they are not off.
+        """
+        self._off()
+        deadline = time.monotonic() + OFF_S
+        while (status := self._runtime.status()).drive_mode != "off":
+            if status.state in (ProgramState.EMPTY, ProgramState.CRASHED):
+                break
+            if status.trip is not None:
+                return "; until the trip is acknowledged, the drives hold at zero speed"
+            if time.monotonic() > deadline:
+                return f"; the soft stop of {self._ramp_s:g} s goes on"
+            time.sleep(0.005)
+        return f"; {status.unsafe}" if status.unsafe else ""
 
     # -- before and after the other verbs
 
@@ -439,8 +463,9 @@ class Drives:
             if self._enabled:
                 return
             status = self._runtime.status()
+            known = status.homed or not _loaded(status)
             # automatic drives: only where the position is unknown, since its limits would not hold
-            if not self._explicit and (status.homed or not _loaded(status)):
+            if not self._explicit and known and not status.pressed:
                 return
             failing = [c for c in self.conditions(status) if not c.met]
             failing = failing or [

@@ -16,7 +16,7 @@ from zendsp_protocol.states import ProgramState
 from zendsp_protocol.values import Value
 from zendsp_target.api import RuntimeApi
 from zendsp_target.serving.drives import Drives
-from zendsp_target.serving.variable_verbs import applied
+from zendsp_target.serving.variable_verbs import applied, fade_of
 
 log = logging.getLogger(__name__)
 
@@ -36,6 +36,7 @@ class Run:
     tables: frozenset[str]
     before: m.Status
     follows: bool  # the program followed its table
+    fade: float  # s, over which it is put back while the program runs
 
 
 class Runs:
@@ -60,7 +61,8 @@ class Runs:
         values = self._runtime.read(names)[1] if names else {}
         tables = frozenset(n for n in names if n in infos and infos[n].kind == "table")
         follows = FOLLOW not in infos or bool(self._runtime.read([FOLLOW])[1][FOLLOW])
-        run = Run(by, args.moves, values, tables, self._runtime.status(), follows)
+        fade_of(self._runtime, args.fade)  # refuses one that is too long
+        run = Run(by, args.moves, values, tables, self._runtime.status(), follows, args.fade)
         with self._lock:
             if len(self._open) >= MOST:
                 raise Refused(f"{MOST} runs are open: end one")
@@ -105,7 +107,8 @@ class Runs:
         return status.state == ProgramState.RUNNING and status.trip is None
 
     def _put_back(self, run: Run, by: str) -> int:
-        """Write everything back in one sample; returns its sequence number, 0 for nothing.
+        """Write everything back, in one sample or, where the run asked for it and the program
+        runs, faded over several; returns its sequence number, 0 for nothing.
 
         Nothing is written into another program, into one that was loaded afresh, or that crashed.
         Of a program that runs and follows its tables, the rows that it had stay away: their
@@ -120,4 +123,5 @@ class Runs:
             for name, value in run.values.items()
             if not (follows and name in run.tables and len(value))  # type: ignore[arg-type]
         }
-        return self._runtime.write(values, by) if values else 0
+        fade = fade_of(self._runtime, run.fade)
+        return self._runtime.write(values, by, None, fade) if values else 0

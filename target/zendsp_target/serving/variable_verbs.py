@@ -12,6 +12,7 @@ import numpy as np
 from zendsp_protocol import messages as m
 from zendsp_protocol import values, verbs
 from zendsp_protocol.errors import NotYet, Refused, RunnerDied, VariableError
+from zendsp_protocol.states import ProgramState
 from zendsp_protocol.values import Value
 from zendsp_target.api import RuntimeApi
 from zendsp_target.serving.deferred import Later
@@ -20,6 +21,7 @@ from zendsp_target.serving.uploads import Uploads
 PLAIN = frozenset((float, int, bool))
 APPLY_INLINE_S = 0.005  # an update that needs longer is finished by another thread
 APPLY_LIMIT_S = 5.0
+LONGEST_FADE_S = 2.0  # well within the time that a host waits
 SHOW_LIMIT_S = 2.0  # a reading waits no longer for what its host wrote before
 
 
@@ -69,7 +71,11 @@ class VariableVerbs:
         return m.Empty()
 
     def do_write(self, args: verbs.Write, by: str) -> m.Written:
-        return m.Written(sequence=self.runtime.write(self._given(args), by, args.at_tick))
+        given = self._given(args)
+        if not args.fade:
+            return m.Written(sequence=self.runtime.write(given, by, args.at_tick))
+        fade = fade_of(self.runtime, args.fade)
+        return m.Written(sequence=self.runtime.write(given, by, args.at_tick, fade))
 
     def _given(self, args: verbs.Write) -> Mapping[str, Value]:
         if PLAIN.issuperset(map(type, args.values.values())):
@@ -127,6 +133,20 @@ class VariableVerbs:
             raise VariableError(
                 f"{name}: {length} elements are no whole number of rows of {info.columns}"
             )
+
+
+def fade_of(runtime: RuntimeApi, seconds: float) -> int:
+    """Return the samples of a fade; 0 while nothing runs.
+
+    Raises
+    ------
+    Refused
+        Too long, or no time at all.
+    """
+    if not 0.0 <= seconds <= LONGEST_FADE_S:
+        raise Refused(f"a fade of {seconds:g} s: give 0 … {LONGEST_FADE_S:g} s")
+    status = runtime.status()
+    return round(seconds * status.rate_hz) if status.state == ProgramState.RUNNING else 0
 
 
 def applied(runtime: RuntimeApi, sequence: int) -> m.Applied:

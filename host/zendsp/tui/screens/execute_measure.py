@@ -32,8 +32,8 @@ BODE = (
     " twin, then takes (periods + 1.5) / from seconds."
 )
 SWEEP = (
-    "The program goes on as it does now, so let it move; every combination is measured, then the"
-    " parameters are put back. Values: Kp1=100,200 or FIRST:LAST:COUNT."
+    "The program goes on as it does now, so let it move; every combination is faded in over 1 s and"
+    " measured, then the parameters go back. Values: Kp1=100,200 or FIRST:LAST:COUNT."
 )
 
 
@@ -173,10 +173,10 @@ class MeasureActions(RunActions):
 
     @on(DataTable.RowSelected, "#sweep")
     def _use_row(self, event: DataTable.RowSelected) -> None:
-        """Write the values of a row, all in one sample."""
+        """Lead the program over to the values of a row."""
         values = self.query_one(SweepView).values(event.cursor_row)
         words = ", ".join(f"{name} = {value:.6g}" for name, value in values.items())
-        self.lab.session.do("sweep", lambda port: port.update(values)).add_done_callback(
+        self.lab.session.do("sweep", lambda port: port.fade(values)).add_done_callback(
             lambda done: None if done.exception() else self.lab.session.events.add(words, "good")
         )
         self.lab.toast(words)

@@ -30,6 +30,7 @@ class Flight(msgspec.Struct, frozen=True):
     entries: Callable[[], bytes]  # as they were written
     author: str
     host_time: float
+    fade: int = 0  # samples
 
 
 class ChangeLog:
@@ -84,7 +85,9 @@ def _changes(flight: Flight, tick: int, old: bytes) -> list[Change]:
         size = ENTRY.unpack_from(new, at)[2]
         at += ENTRY.size
         before, after = _shown(place, old, at), _shown(place, new, at)
-        found.append(Change(tick, flight.host_time, name, before, after, flight.author))
+        found.append(
+            Change(tick, flight.host_time, name, before, after, flight.author, flight.fade)
+        )
         at += size + -size % 8
     return found
 

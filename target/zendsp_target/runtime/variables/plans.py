@@ -23,7 +23,7 @@ from zendsp_target.runtime.memory.layout import layout
 from zendsp_target.runtime.variables.dictionary import SCALARS, Place, value_of
 
 IN_MESSAGE = struct.Struct(">d")
-ENTRY = struct.Struct("<iiii")  # batch_entry: variable, offset, size, reserved
+ENTRY = struct.Struct("<iiii")  # batch_entry: variable, offset, size, left
 _DOUBLE = SCALARS["double"].size
 _TICK = struct.Struct("<Q")
 _TYPES = {"double": 1, "float": 2, "int32": 3, "bool": 4}  # TYPE_… of layout.h
@@ -74,14 +74,14 @@ class WritePlan:
     fill : callable
         Takes the new numbers, one argument for each; one caller at a time.
     commit : callable
-        Takes batch, slot, sequence and sample, checks the numbers, fills the batch and commits it;
-        what it returns stands at ``monitor_write``.
+        Takes batch, slot, sequence, sample and samples of the fade, checks the numbers, fills the
+        batch and commits it; what it returns stands at ``monitor_write``.
     """
 
     # Both are made once and stay in C: a monitor that wakes up for a request pays for every Python
     # function on the way several times over.
     fill: Callable[..., None]
-    commit: Callable[[Any, int, int, int], int]
+    commit: Callable[[Any, int, int, int, int], int]
 
     def __init__(self, places: Iterable[tuple[str, Place]], control: Any, handle: int) -> None:
         self.places = tuple(places)

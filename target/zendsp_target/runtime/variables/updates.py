@@ -94,7 +94,13 @@ class Updates:
     # -- write
 
     def write(
-        self, values: Mapping[str, object], author: str, at_tick: int | None, settings: bool = False
+        self,
+        values: Mapping[str, object],
+        author: str,
+        at_tick: int | None = None,
+        fade: int = 0,
+        *,
+        settings: bool = False,
     ) -> int:
         """Check everything, then commit it as one batch.
 
@@ -104,6 +110,9 @@ class Updates:
         author : str
         at_tick : int or None
             First sample at which it may act; None: the next one.
+        fade : int
+            Samples over which numbers go from their old to their new values, slowly at first;
+            whole numbers, flags and tables switch at the end. What is written later ends it.
         settings : bool
             The names are the runtime's own settings rather than the program's variables.
 
@@ -126,6 +135,11 @@ class Updates:
         if not values:
             raise Refused("an update needs at least one variable")
         plan = self._plan(values, settings)
+        if fade and 2 * plan.size > self._room:
+            raise Refused(
+                f"fading {plan.size} bytes in needs twice as many, {self._room} fit: fade fewer"
+                " variables at once"
+            )
         given = tuple(values.values())
         # What has to be looked at one by one is so before others are kept waiting; single numbers
         # are judged as they are committed.
@@ -141,7 +155,8 @@ class Updates:
                     plan.fill(*given)
                 else:
                     plan.put(self._banked(plan, numbers) if plan.tables else numbers)
-                done = plan.commit(self._batches[slot], slot, self._sequence + 1, at_tick or 0)
+                number = self._sequence + 1
+                done = plan.commit(self._batches[slot], slot, number, at_tick or 0, fade)
                 if done < 0:
                     raise VariableError(
                         "; ".join(
@@ -153,7 +168,7 @@ class Updates:
                 if isinstance(error, VariableError | OverflowError):
                     self._numbers(values, settings)  # has the words
                 raise
-            flight = Flight(slot, plan.places, plan.size, plan.given(), author, time.time())
+            flight = Flight(slot, plan.places, plan.size, plan.given(), author, time.time(), fade)
             return self._committed(flight, done == 1)
 
     def _plan(self, values: Mapping[str, object], settings: bool) -> WritePlan:
