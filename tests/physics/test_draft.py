@@ -263,6 +263,24 @@ def test_of_its_own_machine_without_a_model_the_rest_is_asked(tmp_path: Path) ->
     assert any("2 joints (axis, pole), and only q looks like" in question for question in asked)
 
 
+def test_joints_that_slide_are_of_the_machine_not_of_the_program(tmp_path: Path) -> None:
+    rail = JointInfo("rail", counts_per_unit=1000.0, unit="m")
+    path = own_recording(tmp_path, MachineInfo("gantry", joints=(rail,)))  # joint_pd.c says rad
+    draft = draft_model(read_table(path), machine=machine_of(path, tmp_path))
+    model = model_of(draft.text)
+    assert (model.kind, tuple(model.mechanism)) == ("linear", ("mass",))
+    assert model.actuator.unit == "N" and "rad" not in draft.text.partition("[actuator]")[2]
+    columns = recording()
+    wrist = JointInfo("wrist", counts_per_unit=1000.0)
+    told = msgspec.json.decode(msgspec.json.encode(MachineInfo("scara", joints=(rail, wrist))))
+    both = {name: np.stack([columns[name]] * 2, axis=1) for name in ("q", "tau")}
+    units = {"q": "rad", "tau": "N m"}
+    made = Recording.from_columns(both, sample_time=STEP, units=units, extra={"machine": told})
+    path = made.save(tmp_path / "both.mat")
+    asked = draft_model(read_table(path), machine=machine_of(path, tmp_path)).questions
+    assert any("rail slides, wrist turns" in question for question in asked)
+
+
 def test_the_drives_limit_is_known_where_the_program_left_out_the_unit(tmp_path: Path) -> None:
     joint = JointInfo("axis", counts_per_unit=1000.0, torque_max=7.5)
     path = own_recording(tmp_path, MachineInfo("bench", joints=(joint,)), command="")

@@ -21,6 +21,7 @@ from zendsp.physics.files.draft_data import (
     groups_of,
     is_behind,
     like_degrees,
+    sliding,
 )
 from zendsp.physics.files.shipped import model_folder
 from zendsp.physics.kernel.signals import find_resolution
@@ -88,6 +89,10 @@ def draft_model(table: Table, machine: Machine | None = None) -> Draft:
             + "Name one q, position or theta, or give its unit: 'x1 [rad]'"
         )
     joints = position.values.shape[1]
+    known = machine if machine is not None and len(machine.joints) == joints else None
+    if known is not None and all(known.slides):
+        groups = sliding(groups)
+        position = best_group(groups, Role.POSITION) or position
     command = best_group(groups, Role.COMMAND, joints) or best_group(groups, Role.CURRENT, joints)
     page = _Page()
     page.line(
@@ -112,7 +117,6 @@ def draft_model(table: Table, machine: Machine | None = None) -> Draft:
     step = _sample_time(page, clock, table.path.name)
     page.line()
     linear = position.unit == "m"
-    known = machine if machine is not None and len(machine.joints) == joints else None
     if machine is not None and known is None:
         page.line(ask=_others(machine, position))
     if known is not None and known.model:
@@ -207,7 +211,16 @@ def _mechanism(
     page.line("[mechanism]")
     kinds = "rotary | linear | planar2r | urdf | mjcf | fmu | python"
     page.line(f'kind = "{"linear" if linear else "rotary"}"', kinds, _unit_asked(position))
-    if joints > 1:
+    if machine is not None and len(set(machine.slides)) > 1:
+        names = (
+            f"{joint['name']} {'slides' if slides else 'turns'}"
+            for joint, slides in zip(machine.joints, machine.slides, strict=True)
+        )
+        page.line(
+            ask=f"{', '.join(names)}: one kind of numbers has not both; a URDF has"
+            ' (kind = "urdf", file = "arm.urdf"), or a MuJoCo model (kind = "mjcf")'
+        )
+    elif joints > 1:
         page.line(
             comment="",
             ask=f"do the {joints} joints act on one another, as in an arm? Then a URDF says it"

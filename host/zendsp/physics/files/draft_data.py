@@ -6,7 +6,7 @@ import json
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -45,6 +45,18 @@ class Group:
         return json.dumps(
             self.names[0] if len(self.names) == 1 else list(self.names), ensure_ascii=False
         )
+
+
+# what a program that fits any machine calls rad is m where its joints slide
+SLIDES = {"rad": "m", "rad/s": "m/s", "N m": "N", "Nm": "N"}
+
+
+def sliding(groups: Mapping[Role, list[Group]]) -> dict[Role, list[Group]]:
+    """The same columns, of joints that slide."""
+    return {
+        role: [replace(group, unit=SLIDES.get(group.unit, group.unit)) for group in found]
+        for role, found in groups.items()
+    }
 
 
 def groups_of(table: Table) -> dict[Role, list[Group]]:
@@ -138,6 +150,11 @@ class Machine:
     joints: tuple[Mapping[str, Any], ...]
     period: float
     lag: float
+
+    @property
+    def slides(self) -> list[bool]:
+        """Whether each joint slides, or turns."""
+        return [joint["unit"] == "m" for joint in self.joints]
 
     @property
     def limits(self) -> list[float]:
