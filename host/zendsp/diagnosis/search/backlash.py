@@ -34,7 +34,8 @@ DAMPED = (0.05, 0.5)  # of critical damping: a contact outside begins again at L
 ROUNDS = 3
 PROGRESS = 50.0  # deviance below which a round has led nowhere
 GAPS = (0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15, 1.2)
-STIFFNESSES = (0.5, 0.7, 1.0, 1.4, 2.0)
+STIFFNESSES = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0)
+LOSSES = (0.15, 1.0)  # a contact of metal on metal loses a fiftieth of critical
 # slower observers one after the other that lead to nothing better: so did all after them, in the
 # cases looked at
 IDLE = 2
@@ -126,11 +127,11 @@ def around(scored: Scored, joint: int, jobs: int) -> list[Scored]:
             {
                 "gap": g * values["gap"],
                 "stiffness": k * values["stiffness"],
-                "damping": math.sqrt(k) * _moderate(values),
+                "damping": c * math.sqrt(k) * _moderate(values),
             },
         )
-        for g, k in itertools.product(GAPS, STIFFNESSES)
-        if (g, k) != (1.0, 1.0)
+        for g, k, c in itertools.product(GAPS, STIFFNESSES, LOSSES)
+        if (g, k, c) != (1.0, 1.0, 1.0)
     ]
     likely = deviances(scored.data, points, joint, jobs)
     order = sorted(range(len(points)), key=lambda i: likely[i])[:TRIED]

@@ -94,7 +94,7 @@ def run(
         sensor sees, or of the side beyond it.
     free_every : int
         Restart from the smoothed motion every so many samples and simulate freely between; 0:
-        observer.
+        observer. A load behind a spring, which nobody sees, restarts where an observer has it.
     extra : ndarray or None, shape (n,)
         Resisting torque added from outside, N m or N.
     """
@@ -112,6 +112,9 @@ def run(
     if free_every:
         value, half, w = record.position, np.zeros(n), np.ones(n)
         m.m, m.half, m.w, m.reset = p(value), p(half), p(w), free_every
+        ahead = _unseen(record, model, bandwidth, inner)
+        if ahead is not None:
+            m.rb, m.rbd = p(ahead[0]), p(ahead[1])
     if extra is not None:
         m.extra = p(extra)
     r = np.empty(n)
@@ -126,6 +129,21 @@ def run(
         while len(record.runs) > REMEMBERED:
             record.runs.pop(list(record.runs)[0], None)  # noqa: RUF015  in one step: threads
     return done
+
+
+def _unseen(
+    record: JointRecord, model: Model, bandwidth: float, inner: int
+) -> tuple[Array, Array] | None:
+    """By how much the side of a transmission that the sensor does not see is ahead, as an observer
+    has it: position and speed, (n,) each; None where motor and load are one.
+    """
+    if not any(get_effect(t.effect).family == "transmission" for t in model.at(record.joint)):
+        return None
+    seen = run(record, model, bandwidth, inner=inner, states="seen")
+    beyond = run(record, model, bandwidth, inner=inner, states="beyond")
+    if seen.q is None or seen.qd is None or beyond.q is None or beyond.qd is None:
+        return None
+    return beyond.q - seen.q, beyond.qd - seen.qd
 
 
 def run_many(

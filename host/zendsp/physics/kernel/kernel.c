@@ -57,6 +57,8 @@ typedef struct {
     /* free run: restart from (rq, rqd) every so many samples, no correction; 0 = observer */
     int reset;
     const double *rq, *rqd;   /* n: states to restart from */
+    /* n: by how much the side of a spring that nobody sees is ahead there; 0: as it was */
+    const double *rb, *rbd;
     double t0;                /* time of the first sample, s */
     /* closed loop: command = kp (ref - position) - kd velocity; 0 = recorded command */
     double kp, kd;

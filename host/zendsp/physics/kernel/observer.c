@@ -103,6 +103,10 @@ static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, 
                     }
                 }
                 EACH { double dv = rate[l] - (side ? qdl[l] : qd[l]); qd[l] += dv; qdl[l] += dv; }
+                if (two_mass && M->rb) EACH {
+                    if (side) { q[l] = ql[l] + M->rb[k]; qd[l] = qdl[l] + M->rbd[k]; }
+                    else { ql[l] = q[l] + M->rb[k]; qdl[l] = qd[l] + M->rbd[k]; }
+                }
             }
             EACH at[l] = filtered ? seen[l] : side ? ql[l] : q[l];
             OF(sense)(M, N, S, &at, &y);
