@@ -15,6 +15,7 @@ from zendsp.diagnosis.decide.claims import Claim, Decision, Piece
 from zendsp.diagnosis.decide.confidence import confidence, stated
 from zendsp.diagnosis.decide.pieces import (
     DRY,
+    kept_laws,
     kind_of,
     known_discrepancy,
     may_leave,
@@ -37,7 +38,7 @@ from zendsp.diagnosis.decide.thresholds import (
     PLAIN,
     SURE,
 )
-from zendsp.diagnosis.measure.discrepancy import Size, discrepancy
+from zendsp.diagnosis.measure.discrepancy import Size, at_reversals, discrepancy
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
 from zendsp.diagnosis.measure.neighbours import against_neighbours
 from zendsp.diagnosis.measure.significance import counterpart
@@ -72,6 +73,9 @@ def named(
     claims: list[Claim] = []
     refinements: list[Claim] = []
     for piece in claimed:
+        if _turns_a_known_one(parts, given, final, piece, before):
+            rest = [*rest, piece]
+            continue
         ranked = _ranked(parts.test, given, final, piece, search.base, jobs)
         ranked = _upon(ranked, after.value)
         first = ranked[0]
@@ -114,7 +118,7 @@ def named(
     claims.sort(key=lambda c: -c.evidence.gain)
     claims, more = _beside_unknown(claims)
     refinements += more
-    best = claims[0].size
+    best = claims[0].size if claims else 0.0
     # more is left that depends on the state than anything claimed explains
     if state.size > best and state.z > SURE:
         claims = []
@@ -133,6 +137,21 @@ def named(
         alone,
         rms_torque(parts.test, joint),
         known=known,
+    )
+
+
+def _turns_a_known_one(
+    parts: Parts, given: Model, final: Scored, piece: Piece, before: Size
+) -> bool:
+    """Whether a mechanism is how a dry friction that the model has turns round, and little of what
+    lacks: a second law of it.
+    """
+    joint = piece.terms[0].joint
+    return (
+        piece.mechanism == DRY
+        and piece.size**2 < OWN_SHARE * before.value**2
+        and bool(kept_laws(given, final.model, joint, DRY))
+        and at_reversals(parts.test, piece.without.model, final.model, joint) >= MOST
     )
 
 
