@@ -162,7 +162,7 @@ def test_what_a_mechanism_is_worth_is_asked_of_the_recordings_to_test_on(
     monkeypatch.setattr(decision, "held_apart", lambda *_: ([], []))
     nothing: Any = SimpleNamespace(kind="complete")
     monkeypatch.setattr(decision, "_nothing_named", lambda *_: nothing)
-    search: Any = SimpleNamespace(joint=1, base=FINAL)
+    search: Any = SimpleNamespace(joint=1, base=FINAL, steps=[])
     outcome: Any = decision.decide(PARTS, None, search, 1, lambda _: None)  # type: ignore[arg-type]
     assert outcome is nothing and asked == [PARTS.test]
 
@@ -195,7 +195,7 @@ def test_what_leaves_more_unexplained_than_there_was_or_is_at_all_is_no_finding(
         "_nothing_named": other,
     }.items():
         monkeypatch.setattr(decision, name, lambda *_, answer=answer: answer)
-    search: Any = SimpleNamespace(joint=1, base=one)
+    search: Any = SimpleNamespace(joint=1, base=one, steps=[])
     outcome = decision.decide(PARTS, None, search, 1, lambda _: None)  # type: ignore[arg-type]
     assert outcome.claims is (found if stands else other).claims
     if after > 1.0:

@@ -417,3 +417,8 @@ def test_a_search_that_runs_away_goes_on_with_its_next_first_step(
     assert decision.find_sounder(parts, other, final, ran, 1) is None, "nothing left gains"
     sound: Any = [SimpleNamespace(size=0.5)]
     assert decision.find_sounder(parts, search, final, sound, 1) is None, "nothing ran away"
+    first = Step(steps[1], (), base)
+    longer = JointSearch(1, base, [first, Step(steps[0], (), base)], tried=steps)
+    alone = decision.find_sounder(parts, longer, final, sound, 1)
+    assert alone is not None and alone.best is steps[1].scored, "its first step, alone"
+    assert decision.find_sounder(parts, alone, final, sound, 1) is None
