@@ -70,8 +70,9 @@ def rounds(place: Place, tally: Tally) -> Iterator[None]:
         target.download("pd.c")
         growth = Growth(target.info.pid)
         while True:
-            # a message may have taken the right, or switched the power off
+            # a message may have taken the right, switched the power off, or pressed STOP
             target.take_command(force=True)
+            target.set_inputs(0)
             target.drive_auto()
             target.release_command()
             if target.status().state != "running":
