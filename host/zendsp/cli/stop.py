@@ -71,11 +71,10 @@ def command(
             say(NotStopped(f"{head}{how}"))
             continue
         before, ended[name] = ended.get(name), how
-        told_already = stopped(before) if before else ""
-        text = head + stopped(how).removeprefix(told_already).lstrip()
-        if not as_json and text not in told:
-            told.add(text)
-            emit(how, False, text)
+        more = stopped(how).removeprefix(stopped(before) if before else "").lstrip()
+        if more and not as_json and head + more not in told:
+            told.add(head + more)
+            emit(how, False, head + more)
     if as_json and ended:
         emit(ended if len(ended) + failed > 1 else ended.popitem()[1], True)
     if failed:
