@@ -57,7 +57,8 @@ typedef struct machine_joint {
     double torque_max;          /* N m */
     double home;                /* position where homing ends, rad */
     double length;              /* link length, m; 0 where it has no meaning */
-    /* kg m^2 (or kg) that the joint turns, roughly: gains are begun from it; 0: unknown */
+    /* kg m^2 (or kg) that the joint turns while the others stand, roughly: gains are begun from
+     * it; 0: unknown */
     double inertia;
 } machine_joint;
 

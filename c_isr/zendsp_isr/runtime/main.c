@@ -67,7 +67,7 @@ static const char *unknown_setting(const char *config, const char *asked, char *
 
 static int open_machine(runner *r) {
     control *c = r->control;
-    char why[LAYOUT_TEXT] = "";
+    char why[LAYOUT_PATH] = "";
     void *library = dlopen(c->machine_path, RTLD_NOW | RTLD_LOCAL);
     if (!library)
         return fail(c, "machine", dlerror());

@@ -29,7 +29,7 @@
 #include <setjmp.h> /* MuJoCo's errors while it loads */
 #include <stdio.h>  /* snprintf */
 #include <stdlib.h> /* calloc, free */
-#include <string.h> /* strcmp */
+#include <string.h> /* strcmp, strstr */
 #include <time.h>   /* clock_gettime */
 
 #include <mujoco/mujoco.h>
@@ -90,8 +90,7 @@ static int check_time(robot *r, const char *config, double period, char *error, 
     machine_config_text(config, "clock", clock, sizeof clock);
     /* a coarser step that is stable too */
     if (takes > 0.5 * period && r->plant.substep < r->longest) {
-        r->plant.substep = fmin(r->longest, 0.5 * period);
-        r->model->opt.timestep = r->plant.substep;
+        step_by(r, fmin(r->longest, 0.5 * period));
         takes = time_sample(r, period);
     }
     snprintf(r->info.text, sizeof r->info.text,
@@ -126,6 +125,8 @@ static int load(robot *r, const char *config, double period, char *error, size_t
                 const char *file) {
     char why[512] = "";
     r->model = mj_loadXML(file, NULL, why, sizeof why);
+    if (!r->model && strstr(why, "'mujocoinclude'"))
+        return refuse(error, size, file, "a part that another file includes: give that file");
     if (!r->model)
         return refuse(error, size, file, why[0] ? why : "MuJoCo cannot read it");
     const char *array = no_number(r->model);

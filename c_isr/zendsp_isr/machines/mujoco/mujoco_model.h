@@ -41,9 +41,32 @@ static int actuator_of(const mjModel *m, int joint) {
     return -1;
 }
 
+static int drivable(const mjModel *m, int joint) {
+    return turns(m, joint) && (actuator_of(m, joint) >= 0 || m->nactuator == 0);
+}
+
+/* Names of the joints with a drive, the first of them by a comma, as many as there is room for;
+ * where nothing has a drive, those of all joints. Returns how many have one. */
+static int list_joints(const mjModel *m, char *text, size_t size) {
+    int driven = 0, named = 0;
+    size_t used = 0;
+    for (int k = 0; k < m->njnt; k++)
+        driven += drivable(m, k);
+    text[0] = 0;
+    for (int k = 0; k < m->njnt && named < PLANT_JOINTS; k++) {
+        const char *name = name_of(m, m->name_jntadr[k], "?");
+        if (driven && !drivable(m, k))
+            continue;
+        if (used + strlen(name) + 2 > size)
+            break;
+        used += (size_t)snprintf(text + used, size - used, "%s%s", named++ ? "," : "", name);
+    }
+    return driven;
+}
+
 static int add_joint(robot *r, int joint, char *error, size_t size, const char *file) {
     const mjModel *m = r->model;
-    char text[256];
+    char text[400], names[240];
     const char *name = name_of(m, m->name_jntadr[joint], "(without a name)");
     if (!turns(m, joint)) {
         snprintf(text, sizeof text,
@@ -56,30 +79,47 @@ static int add_joint(robot *r, int joint, char *error, size_t size, const char *
         if (r->joint[j] == joint)
             return 0;
     if (r->plant.joints == PLANT_JOINTS) {
-        int driven = 0;
-        for (int k = 0; k < m->njnt; k++)
-            driven += turns(m, k) && (actuator_of(m, k) >= 0 || m->nactuator == 0);
+        const int driven = list_joints(m, names, sizeof names);
         snprintf(text, sizeof text,
-                 "%d joints with a drive, a machine has %d at most: choose with --machine-option "
-                 "joints=NAME,NAME,…",
-                 driven, PLANT_JOINTS);
+                 "%d joints with a drive, a machine has %d at most: choose, such as "
+                 "--machine-option joints=%s",
+                 driven, PLANT_JOINTS, names);
         return refuse(error, size, file, text);
     }
     r->joint[r->plant.joints++] = joint;
     return 0;
 }
 
+/* Actuators, but none at a hinge or slide. */
+static int nothing_driven(const mjModel *m, char *error, size_t size, const char *file) {
+    char text[256];
+    const char *on = "what is no joint", *joint = "…";
+    for (int a = m->nactuator - 1; a >= 0; a--)
+        on = m->actuator_trntype[a] == mjTRN_TENDON ? "tendons"
+             : m->actuator_trntype[a] == mjTRN_SITE ? "sites"
+             : m->actuator_trntype[a] == mjTRN_BODY ? "bodies"
+                                                    : on;
+    for (int k = m->njnt - 1; k >= 0; k--)
+        joint = turns(m, k) ? name_of(m, m->name_jntadr[k], "…") : joint;
+    if (m->nactuator == 0)
+        snprintf(text, sizeof text, "no hinge or slide joint: a machine needs one at least");
+    else
+        snprintf(text, sizeof text,
+                 "no hinge or slide joint that an actuator drives, its actuators act on %s: where "
+                 "a motor moves a joint, give it <motor joint=\"%.32s\"/> in the file",
+                 on, joint);
+    return refuse(error, size, file, text);
+}
+
 static int choose_joints(robot *r, const char *config, char *error, size_t size, const char *file) {
     const mjModel *m = r->model;
-    char wanted[1024], text[256];
+    char wanted[1024], text[400], names[240];
     if (machine_config_text(config, "joints", wanted, sizeof wanted) == 0) {
         for (char *name = strtok(wanted, ", "); name; name = strtok(NULL, ", ")) {
             const int joint = mj_name2id(m, mjOBJ_JOINT, name);
             if (joint < 0) {
-                int n = snprintf(text, sizeof text, "no joint '%s'; there are", name);
-                for (int k = 0; k < m->njnt && n > 0 && (size_t)n < sizeof text; k++)
-                    n += snprintf(text + n, sizeof text - (size_t)n, "%s %s", k ? "," : "",
-                                  name_of(m, m->name_jntadr[k], "?"));
+                list_joints(m, names, sizeof names);
+                snprintf(text, sizeof text, "no joint '%.64s'; there are %s", name, names);
                 return refuse(error, size, file, text);
             }
             if (add_joint(r, joint, error, size, file) != 0)
@@ -87,14 +127,12 @@ static int choose_joints(robot *r, const char *config, char *error, size_t size,
         }
     } else {
         for (int k = 0; k < m->njnt; k++)
-            if (actuator_of(m, k) >= 0 || (m->nactuator == 0 && turns(m, k)))
+            if (actuator_of(m, k) >= 0 || drivable(m, k))
                 if (add_joint(r, k, error, size, file) != 0)
                     return -1;
     }
     if (r->plant.joints == 0)
-        return refuse(
-            error, size, file,
-            "no hinge or slide joint that an actuator drives: a machine needs one at least");
+        return nothing_driven(m, error, size, file);
     for (int j = 0; j < r->plant.joints; j++) {
         r->position[j] = m->jnt_qposadr[r->joint[j]];
         r->speed[j] = m->jnt_dofadr[r->joint[j]];
@@ -102,7 +140,20 @@ static int choose_joints(robot *r, const char *config, char *error, size_t size,
     return 0;
 }
 
-/* Start: the keyframe named, else "home", else the first one, else qpos0; then q1, q2, … */
+/* The range of a joint; NULL where it has none. */
+static const double *range_of(const mjModel *m, int joint) {
+    const double *range = &m->jnt_range[2 * joint];
+    return m->jnt_limited[joint] && range[1] > range[0] ? range : NULL;
+}
+
+/* Where a joint starts: at the end of its range or beyond it would trip, so in the middle then. */
+static double inside(const double *range, double q) {
+    const double edge = range ? 0.01 * (range[1] - range[0]) : 0.0;
+    return !range || (q > range[0] + edge && q < range[1] - edge) ? q : 0.5 * (range[0] + range[1]);
+}
+
+/* Start: the keyframe named, else "home", else the first one, else qpos0, inside the ranges; then
+ * q1, q2, … */
 static int place(robot *r, const char *config, char *error, size_t size, const char *file) {
     const mjModel *m = r->model;
     char name[64] = "home", key_name[16], text[160];
@@ -121,7 +172,7 @@ static int place(robot *r, const char *config, char *error, size_t size, const c
     for (int j = 0; j < r->plant.joints; j++) {
         snprintf(key_name, sizeof key_name, "q%d", j + 1);
         double *q = &r->data->qpos[r->position[j]];
-        *q = machine_config_double(config, key_name, *q);
+        *q = machine_config_double(config, key_name, inside(range_of(m, r->joint[j]), *q));
     }
     return 0;
 }
@@ -137,9 +188,8 @@ static void look_at_inertia(robot *r, double *least, double *here) {
     memcpy(least, here, sizeof(double) * PLANT_JOINTS);
     for (int i = 1; i <= POSES; i++) {
         for (int j = 0; j < r->plant.joints; j++) {
-            const double *range = &r->model->jnt_range[2 * r->joint[j]];
-            const int limited = r->model->jnt_limited[r->joint[j]] && range[1] > range[0];
-            const double low = limited ? range[0] : -3.0, high = limited ? range[1] : 3.0;
+            const double *range = range_of(r->model, r->joint[j]);
+            const double low = range ? range[0] : -3.0, high = range ? range[1] : 3.0;
             const double share = fmod(i * pow(1.2207440846, -(j + 1.0)), 1.0);
             d->qpos[r->position[j]] = low + share * (high - low);
         }
@@ -154,6 +204,37 @@ static void look_at_inertia(robot *r, double *least, double *here) {
     mju_zero(d->qfrc_applied, (int)r->model->nv);
     mju_zero(d->qacc_warmstart, (int)r->model->nv);
     r->known = 0;
+}
+
+/* Inertia to begin gains from: the diagonal of the mass matrix, what each joint turns while the
+ * others stand. (Where these give way, axes in one line of a straight arm turn next to nothing.)
+ * Less of it where joints together are so much lighter than alone that a filtered velocity would
+ * not damp them: the largest eigenvalue of M^-1 diag(inertia), found by power iteration. */
+static void begin_gains(robot *r) {
+    enum { ROUNDS = 60 };
+    const double most = 10.0;
+    const int joints = r->plant.joints, nv = (int)r->model->nv;
+    double *out = r->qpos, *in = r->qvel, x[PLANT_JOINTS], largest = 0.0;
+    for (int j = 0; j < joints; j++) {
+        mju_zero(in, nv);
+        in[r->speed[j]] = 1.0;
+        mj_mulM(r->model, r->data, out, in);
+        r->info.joint[j].inertia = out[r->speed[j]];
+        x[j] = 1.0 + 0.1 * j;
+    }
+    for (int i = 0; i < ROUNDS; i++) {
+        mju_zero(in, nv);
+        for (int j = 0; j < joints; j++)
+            in[r->speed[j]] = r->info.joint[j].inertia * x[j];
+        mj_solveM(r->model, r->data, out, in, 1);
+        largest = 0.0;
+        for (int j = 0; j < joints; j++)
+            largest = fmax(largest, fabs(out[r->speed[j]]));
+        for (int j = 0; j < joints; j++)
+            x[j] = out[r->speed[j]] / largest;
+    }
+    for (int j = 0; j < joints; j++)
+        r->info.joint[j].inertia *= fmin(1.0, most / largest);
 }
 
 /* Largest torque that an actuator gives, N m at the joint; 0 where the model does not say. */
@@ -191,8 +272,7 @@ static void describe_joint(robot *r, int j, const char *config, double inertia, 
     mjModel *m = r->model;
     const int joint = r->joint[j], actuator = actuator_of(m, joint),
               slide = m->jnt_type[joint] == mjJNT_SLIDE;
-    const double *range = &m->jnt_range[2 * joint];
-    const int limited = m->jnt_limited[joint] && range[1] > range[0];
+    const double *range = range_of(m, joint);
     machine_joint *info = &r->info.joint[j];
     char text[MACHINE_NAME];
     snprintf(text, sizeof text, "joint %d", j + 1);
@@ -205,9 +285,9 @@ static void describe_joint(robot *r, int j, const char *config, double inertia, 
         torque = 2.0 * fabs(gravity) + 50.0 * inertia;
     torque = machine_config_double(config, "torque_max", torque);
     const double speed = machine_config_double(config, "speed_max",
-                                               slide     ? 2.0
-                                               : limited ? two_pi
-                                                         : 50.0);
+                                               slide   ? 2.0
+                                               : range ? two_pi
+                                                       : 50.0);
     const double counts =
         machine_config_double(config, "counts", slide ? metre_counts : turn_counts);
     const int passive = actuator < 0 && m->nactuator > 0; /* an encoder without a motor */
@@ -216,11 +296,10 @@ static void describe_joint(robot *r, int j, const char *config, double inertia, 
     info->mv_per_torque = passive ? 0.0 : full_scale / torque;
     info->mv_per_speed = full_scale / speed;
     info->command_max = full_scale;
-    info->position_min = limited ? range[0] : -1000.0;
-    info->position_max = limited ? range[1] : 1000.0;
+    info->position_min = range ? range[0] : -1000.0;
+    info->position_max = range ? range[1] : 1000.0;
     info->speed_max = speed;
     info->torque_max = torque;
-    info->inertia = inertia;
     info->home = r->data->qpos[r->position[j]];
     /* the drive is ours from here on */
     for (int a = 0; a < m->nactuator; a++)
@@ -263,6 +342,20 @@ static double take_friction(robot *r, int j, double least) {
     return fmin(0.5 * least / brake, 0.5 / sqrt(bristle / least));
 }
 
+/* Integrates in steps of so long. Damping of what has no drive acts within a step, as MuJoCo's own
+ * integrator has it (M + h D for M): on a light finger it is faster than any step. */
+static void step_by(robot *r, double step) {
+    mjModel *m = r->model;
+    for (int i = 0; i < m->nv; i++) {
+        int driven = 0;
+        for (int j = 0; j < r->plant.joints; j++)
+            driven |= r->speed[j] == i;
+        if (!driven)
+            m->dof_armature[i] += (step - r->plant.substep) * m->dof_damping[i];
+    }
+    m->opt.timestep = r->plant.substep = step;
+}
+
 static void name_sensors(robot *r) {
     const mjModel *m = r->model;
     for (int s = 0; s < m->nsensor; s++)
@@ -300,13 +393,13 @@ static void describe(robot *r, const char *config) {
     double least[PLANT_JOINTS], here[PLANT_JOINTS];
     look_at_inertia(r, least, here);
     mj_forward(m, r->data);
+    begin_gains(r);
     r->longest = 5e-4;
     for (int j = 0; j < r->plant.joints; j++) {
         describe_joint(r, j, config, here[j], r->data->qfrc_bias[r->speed[j]]);
         r->longest = fmin(r->longest, take_friction(r, j, least[j]));
     }
-    r->plant.substep = machine_config_double(config, "substep", fmax(fmin(r->longest, 1e-4), 2e-6));
-    r->model->opt.timestep = r->plant.substep;
+    step_by(r, machine_config_double(config, "substep", fmax(fmin(r->longest, 1e-4), 2e-6)));
     name_sensors(r);
 }
 
