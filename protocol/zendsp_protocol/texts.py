@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import Any
 
 # Control characters but tab and newline, and those that turn the direction of reading.
@@ -10,6 +11,8 @@ _OBEYED = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 # Bytes without which no text has any of the dangerous ones in UTF-8. Numbers may hold them too:
 # they only say where to look.
 _SIGNS = (b"\x1b", b"\r", b"\b", b"\xc2", b"\xe2")
+# what a declared unit may say of a joint that slides, and of another
+_OF_JOINTS = {"{q}": ("m", "rad"), "{tau}": ("N", "N m"), "{J}": ("kg", "kg m^2")}
 EXACT = "sources"  # C code is kept as it was sent
 
 
@@ -57,6 +60,37 @@ def units_of(unit: str, length: int) -> tuple[str, ...]:
     """
     each = tuple(unit.split(", "))
     return each if len(each) == length else (unit,) * length
+
+
+def joint_units(unit: str, joints: Sequence[str], length: int) -> str:
+    """Return the unit of a variable of a program that fits any machine.
+
+    Parameters
+    ----------
+    unit : str
+        As it was declared: ``{q}`` is rad or m, ``{tau}`` N m or N, ``{J}`` kg m^2 or kg.
+    joints : sequence of str
+        Of each joint's position.
+    length : int
+        Elements: as many as there are joints, and each has the unit of its joint.
+
+    Examples
+    --------
+    >>> joint_units("{q}/s", ["m", "rad"], 2), joint_units("{tau}/{q}", ["m"], 1)
+    ('m/s, rad/s', 'N/m')
+    >>> joint_units("{q}", ["m", "rad"], 1)
+    'm or rad'
+    """
+    if "{" not in unit:
+        return unit
+    each = []
+    for joint in joints:
+        text = unit
+        for word, (slides, turns) in _OF_JOINTS.items():
+            text = text.replace(word, slides if joint == "m" else turns)
+        each.append(text)
+    different = dict.fromkeys(each)
+    return ", ".join(each) if len(different) > 1 and length == len(each) else " or ".join(different)
 
 
 def counted(number: int, noun: str) -> str:

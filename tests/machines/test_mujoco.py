@@ -213,17 +213,8 @@ def test_two_motors_of_a_joint_are_one_drive_as_strong_as_both(tmp_path: Path) -
         assert plant.info.joint[1].torque_max != 80.0, "one of the two has no limit"
 
 
-def test_a_slide_is_in_metres_and_joints_without_a_motor_have_an_encoder_when_named(
-    tmp_path: Path,
-) -> None:
-    cart = tmp_path / "cart.xml"
-    cart.write_text(
-        """<mujoco model="cart"><worldbody><body><joint name="slider" type="slide" axis="1 0 0" range="-1 1"/>
-        <geom type="box" size=".1 .1 .1" mass="1"/><body><joint name="pole" axis="0 1 0"/>
-        <geom type="capsule" fromto="0 0 0 0 0 .6" size=".02" mass=".2"/></body></body></worldbody>
-        <actuator><motor joint="slider" ctrlrange="-20 20"/></actuator></mujoco>"""  # noqa: E501
-    )
-    with robot(cart, "joints = slider,pole", "q2 = 0.1") as plant:
+def test_a_slide_is_in_metres_and_joints_without_a_motor_have_an_encoder_when_named() -> None:
+    with robot(MODELS / "cart.xml", "joints = slider,pole", "q2 = 0.1") as plant:
         assert [plant.ffi.string(plant.info.joint[j].unit) for j in range(2)] == [b"m", b"rad"]
         assert [plant.ffi.string(plant.info.joint[j].command) for j in range(2)] == [
             b"force", b"none",

@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -371,3 +372,14 @@ def test_gravity_of_the_program_is_pinocchios(wam_of_pinocchio: Any) -> None:
     for q, g in zip(out["q"][::40], out["g"][::40], strict=True):
         assert np.abs(np.array(pin.computeGeneralizedGravity(model, data, q)) - g).max() < 1e-9
     assert math.isfinite(out["g"].sum())
+
+
+def test_a_program_for_any_machine_says_metres_and_newtons_where_joints_slide() -> None:
+    pytest.importorskip("mujoco")
+    model = str(Path(__file__).parent / "models" / "cart.xml")
+    with running(model, "joint_pd.c", joints="slider,pole") as made:
+        unit = {v.name: v.unit for v in made.variables()}
+        status = made.acquire_configure(0, AcquireConfig(("q", "tau"), seconds=0.1))
+    assert status.units == ("m", "rad", "N", "N m")
+    assert (unit["rdd"], unit["ref"]) == ("m/s^2, rad/s^2", "m or rad")
+    assert (unit["J"], unit["amplitude"]) == ("kg, kg m^2", "m or rad")

@@ -30,7 +30,7 @@ void UserBackground(void); /* again and again beneath the loop, which interrupts
 
 /* ---- Declaring variables, in UserInit -----------------------------------------------------------
  * A variable is a static or global double, float, int32_t or bool, or a one-dimensional array of
- * them. */
+ * them. In a unit {q} is rad, or m where the joint slides; {tau} N m, or N; {J} kg m^2, or kg. */
 
 /* The host may write it, within min … max (NO_MIN, NO_MAX). Every element starts at `initial`. */
 #define PARAMETER(variable, initial, unit, min, max, text)                                         \

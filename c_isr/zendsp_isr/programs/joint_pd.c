@@ -29,11 +29,11 @@ void UserInit(void) {
     PARAMETER(bandwidth, 3.0, "Hz", 0.1, 20.0, "of the position loop");
     PARAMETER(damping, 1.0, "", 0.1, 3.0, "damping ratio");
     PARAMETER(reset, 0.3, "s", 0.05, 1000.0, "time constant of the integral");
-    PARAMETER(amplitude, 0.0, "rad", 0.0, 1.0, "sway of every joint about the reference; 0: none");
+    PARAMETER(amplitude, 0.0, "{q}", 0.0, 1.0, "sway of every joint about the reference; 0: none");
     PARAMETER(period, 4.0, "s", 0.5, 60.0,
               "of the sway of joint 1; each next joint sways a fifth faster");
-    PARAMETER_FIRST(J, N, "kg m^2", 1e-6, 1000.0, "inertia that each joint turns");
-    SIGNAL_FIRST(tau, N, "N m", "commands");
+    PARAMETER_FIRST(J, N, "{J}", 1e-6, 1000.0, "inertia that each joint turns");
+    SIGNAL_FIRST(tau, N, "{tau}", "commands");
 }
 
 /* Lead what acts over to what was set, in two lags of 0.15 s: neither it nor its speed jumps. */

@@ -87,15 +87,15 @@ static inline void MotionInit(void) {
     PARAMETER(play, 0, "", 0, 2147483647,
               "any change plays ref again from where the machine stands");
     PARAMETER(cutoff, MOTION_CUTOFF, "Hz", 1.0, 1000.0, "velocity filter");
-    TABLE(ref, MOTION_ROWS, N, "rad", "reference positions, one row a step");
-    TABLE(ref_tau, MOTION_ROWS, N, "N m", "torque that goes with them");
-    SIGNAL_FIRST(q, N, "rad", "positions");
-    SIGNAL_FIRST(qd, N, "rad/s", "velocities, filtered");
-    SIGNAL_FIRST(r, N, "rad", "reference");
-    SIGNAL_FIRST(rd, N, "rad/s", "its velocity");
-    SIGNAL_FIRST(rdd, N, "rad/s^2", "its acceleration");
-    SIGNAL_FIRST(e, N, "rad", "errors r - q");
-    SIGNAL_FIRST(tau_ff, N, "N m", "torque of the reference");
+    TABLE(ref, MOTION_ROWS, N, "{q}", "reference positions, one row a step");
+    TABLE(ref_tau, MOTION_ROWS, N, "{tau}", "torque that goes with them");
+    SIGNAL_FIRST(q, N, "{q}", "positions");
+    SIGNAL_FIRST(qd, N, "{q}/s", "velocities, filtered");
+    SIGNAL_FIRST(r, N, "{q}", "reference");
+    SIGNAL_FIRST(rd, N, "{q}/s", "its velocity");
+    SIGNAL_FIRST(rdd, N, "{q}/s^2", "its acceleration");
+    SIGNAL_FIRST(e, N, "{q}", "errors r - q");
+    SIGNAL_FIRST(tau_ff, N, "{tau}", "torque of the reference");
     SIGNAL(play_time, "s", "time in the reference");
     SIGNAL(playing, "", "true from the first row to the last");
 }

@@ -166,10 +166,6 @@ void dictionary_builtins(runner *r) {
     builtins *b = &r->buffers.now;
     settings *s = &r->set;
     const int32_t joints = c->info.joints, adcs = c->info.adcs;
-    const char *unit = c->info.joint[0].unit;
-    const char *torque = strcmp(unit, "m") == 0 ? "N" : "N m";
-    char speed[MACHINE_UNIT + 4];
-    snprintf(speed, sizeof speed, "%s/s", unit);
     char analog[MACHINE_ADCS * (MACHINE_UNIT + 2)] = "";
     analog_units(&c->info, analog, sizeof analog);
     const int D = TYPE_DOUBLE, I = TYPE_INT32, B = KIND_BUILTIN, S = KIND_SETTING;
@@ -187,10 +183,10 @@ void dictionary_builtins(runner *r) {
         own(c, B, "adc", analog, "analog inputs", b->adc, D, adcs);
     own(c, B, "din", "", "digital inputs, one bit each", &b->din, D, 1);
     own(c, B, "dout", "", "digital outputs, one bit each", &b->dout, D, 1);
-    own(c, S, "limit.position_min", unit, "trip below", s->position_min, D, joints);
-    own(c, S, "limit.position_max", unit, "trip above", s->position_max, D, joints);
-    own(c, S, "limit.speed_max", speed, "trip above", s->speed_max, D, joints);
-    own(c, S, "limit.torque_max", torque, "trip above, or clamp", s->torque_max, D, joints);
+    own(c, S, "limit.position_min", "{q}", "trip below", s->position_min, D, joints);
+    own(c, S, "limit.position_max", "{q}", "trip above", s->position_max, D, joints);
+    own(c, S, "limit.speed_max", "{q}/s", "trip above", s->speed_max, D, joints);
+    own(c, S, "limit.torque_max", "{tau}", "trip above, or clamp", s->torque_max, D, joints);
     own(c, S, "limit.command_max", "mV", "trip above, or clamp", s->command_max, D, joints);
     own(c, S, "limit.torque_clamp", "", "1: clamp commands at their limits instead of tripping",
         &s->torque_clamp, I, 1);

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from zendsp.errors import AcquisitionError, CompileFailed, VariableError
 from zendsp.physics.simulation.plant import Plant
-from zendsp_protocol.texts import counted
+from zendsp_protocol.texts import counted, joint_units, units_of
 from zendsp_protocol.values import Assignable
 
 Array = npt.NDArray[np.float64]
@@ -106,19 +106,21 @@ class LoadedProgram:
         problem = self.native.ffi.string(self.host.problem).decode(errors="replace")
         if problem:
             raise CompileFailed(f"{source}: {problem}")
-        self.unit = {
-            "q": "m" if model.joint_kind(1) == "linear" else "rad",
-            "tau": "N" if model.joint_kind(1) == "linear" else "N m",
-        }
+        self.joints = tuple(
+            "m" if model.joint_kind(j + 1) == "linear" else "rad" for j in range(n)
+        )
         text = self.native.ffi.string
         self.variables = {}
         self.entries = {}
         for k in range(self.host.variables):
             v = self.host.variable[k]
             name = text(v.name).decode()
-            self.variables[name] = Variable(
-                name, text(v.unit).decode(errors="replace"), v.kind, v.length, v.columns
+            unit = joint_units(
+                text(v.unit).decode(errors="replace"),
+                self.joints,
+                0 if v.kind == _TABLE else v.length,
             )
+            self.variables[name] = Variable(name, unit, v.kind, v.length, v.columns)
             self.entries[name] = v
 
     def run(self, job: Job, progress: mmap.mmap) -> Outcome:
@@ -265,7 +267,7 @@ class LoadedProgram:
         self, wanted: Sequence[str] | None
     ) -> tuple[dict[str, int], dict[str, str], list[tuple[Any, int]]]:
         ffi, host, n = self.native.ffi, self.host, self.plant.joints
-        q, tau = self.unit["q"], self.unit["tau"]
+        q, qd, tau = (joint_units(u, self.joints, n) for u in ("{q}", "{q}/s", "{tau}"))
         own: dict[str, tuple[Any, int, str]] = {
             "tick": (ffi.addressof(host, "tick"), 1, ""),
             "t": (ffi.addressof(host, "t"), 1, "s"),
@@ -273,7 +275,7 @@ class LoadedProgram:
             "aout": (host.io.aout, n, "mV"),
             "measured": (host.measured, n, q),
             "plant_q": (host.q, n, q),
-            "plant_qd": (host.qd, n, f"{q}/s"),
+            "plant_qd": (host.qd, n, qd),
             "plant_torque": (host.torque, n, tau),
         }
         names = (
@@ -305,7 +307,8 @@ class LoadedProgram:
                 raise AcquisitionError(f"no channel {name!r}: {base} has {length} elements")
             picked = range(length) if element is None else [element]
             places += [(ffi.cast("void *", start + size * k), kind) for k in picked]
-            columns[name], units[name] = len(picked), unit
+            columns[name] = len(picked)
+            units[name] = unit if element is None else units_of(unit, length)[element]
         return columns, units, places
 
     def _split(self, name: str) -> tuple[str, int | None]:

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from zendsp_protocol.errors import VariableError
 from zendsp_protocol.messages import VariableInfo
+from zendsp_protocol.texts import joint_units
 from zendsp_protocol.values import Value
 from zendsp_target.runtime.memory.layout import text_of
 
@@ -113,6 +114,8 @@ class Dictionary:
 
     def __init__(self, control: Any, initial: npt.NDArray[np.uint8]) -> None:
         self.entries: dict[str, Entry] = {}
+        info = control.info
+        self._joints = tuple(text_of(info.joint[j].unit) for j in range(info.joints))
         for index in range(control.variables):
             entry = self._entry(control.variable[index], index, initial)
             self.entries[entry.info.name] = entry
@@ -120,8 +123,7 @@ class Dictionary:
             name: Place(entry) for name, entry in self.entries.items()
         }
 
-    @staticmethod
-    def _entry(raw: Any, index: int, initial: npt.NDArray[np.uint8]) -> Entry:
+    def _entry(self, raw: Any, index: int, initial: npt.NDArray[np.uint8]) -> Entry:
         type_name, dtype = _TYPES[raw.type]
         kind = _KINDS[raw.kind]
         start: Value
@@ -137,7 +139,7 @@ class Dictionary:
             type=type_name,
             length=raw.length * (raw.columns if kind == "table" else 1),
             kind=kind,
-            unit=text_of(raw.unit),
+            unit=joint_units(text_of(raw.unit), self._joints, 0 if kind == "table" else raw.length),
             minimum=raw.minimum,
             maximum=raw.maximum,
             initial=start,
