@@ -20,6 +20,7 @@ import pytest
 import zendsp
 from zendsp.diagnosis import Diagnosis
 from zendsp.diagnosis.external.fmu import Fmu
+from zendsp.diagnosis.report.figures import charts
 from zendsp.diagnosis.report.files import write_report
 from zendsp.errors import ModelError
 from zendsp.physics.files.model_file import load_model
@@ -249,6 +250,7 @@ def test_coulomb_friction_that_an_fmu_lacks_is_named(shop: Path, tmp_path: Path)
     assert any("elasticity" in n and "cannot be tried" in n for n in d.notes), d.notes
     new = set(os.listdir(tempfile.gettempdir())) - left
     assert not [n for n in new if n.startswith("zendsp-fmu-")], "unpacked folders are removed"
+    assert charts(d), "figures need no simulator: its processes are gone"
     write_report(d, tmp_path / "out", pictures=False)
     back = load_model(tmp_path / "out" / "model.toml")
     assert [t.effect for t in back.terms] == ["coulomb"]

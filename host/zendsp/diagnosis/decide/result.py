@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
@@ -209,8 +209,8 @@ class Diagnosis:
     discrepancy: tuple[Left, ...] = ()
     detectable: tuple[Detectable, ...] = ()
     test: FitTable | None = None  # on recordings that neither the fit nor any choice has touched
-    # of a simulator that can only be called: its errors, computed when asked for
-    workings: Workings | Callable[[], SimulatorErrors] | None = None
+    # of a simulator that can only be called: its errors
+    workings: Workings | SimulatorErrors | None = None
     out: Path | None = None
 
     def report(self) -> Report:

@@ -210,7 +210,7 @@ def _diagnose(
         unexplained=REMAINS.format(100 * left) if open_ else "",
         missing=before,
         remaining=after,
-        workings=lambda: _errors_over_time(test[0], base.model, current.model),
+        workings=_errors_over_time(test[0], base.model, current.model),
     )
 
 

@@ -320,7 +320,7 @@ def charts(d: Diagnosis) -> list[Chart]:
     if w is None:
         return []
     if not isinstance(w, Workings):  # of a simulator that can only be called
-        return simulator_charts(d, w())
+        return simulator_charts(d, w)
     joints = sorted({f.joint for f in d.findings} | {r.joint for r in d.regions[:1]}) or [1]
     joints = joints[:MOST_JOINTS]
     out = [error_chart(d, w, j) for j in joints]
