@@ -234,6 +234,19 @@ command = "torque"
     return path
 
 
+def test_an_fmu_that_starts_nowhere_else_is_not_called_complete_where_it_errs(
+    shop: Path, tmp_path: Path
+) -> None:
+    """Over whole recordings few independent errors are left, and dry friction is not told."""
+    model = write_model(tmp_path, shop / "p2.fmu")
+    text = model.read_text().replace('start_position = "angle"\nstart_velocity = "speed"\n', "")
+    model.write_text(text)
+    for seed in (1, 2):
+        np.savez(tmp_path / f"little{seed}.npz", **pendulum(seed, 0.02, 4.0))
+    d = zendsp.diagnose(tmp_path / "little1.npz", model, tmp_path / "little2.npz", jobs=2)
+    assert d.verdict == "unexplained" and "times the sensor's noise" in d.unexplained, d
+
+
 def diagnosed(shop: Path, folder: Path, fmu: str, run: str, jobs: int = 1) -> Diagnosis:
     model = write_model(folder, shop / fmu)
     return zendsp.diagnose(shop / f"{run}1.npz", model, shop / f"{run}2.npz", jobs=jobs)

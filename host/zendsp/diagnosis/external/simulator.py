@@ -138,6 +138,11 @@ class Bench:
         """Number of samples."""
         return len(self.signals.time)
 
+    @property
+    def unit(self) -> str:
+        """Of the first joint's position."""
+        return "m" if self.given.joint_kind(1) == "linear" else "rad"
+
     def simulate(self, model: Model) -> Array:
         """Position that the simulator gives with a model's parameters and effects, (n, joints), rad
         or m.
