@@ -149,6 +149,15 @@ def test_enabling_wants_finite_limits(target: Target) -> None:
         target.set_limits(torque_max=[float("inf")] * 2)
 
 
+def test_of_an_emergency_stop_that_nobody_reads_yet_nothing_is_said() -> None:
+    """Its input is read by the loop: without a program it looked released, pressed or not."""
+    none = Limits((), (), (), (), (), torque_clamp=False)
+    runtime = SimpleNamespace(limits=lambda: none, status=lambda: _STATUS)
+    conditions = Drives(cast(RuntimeApi, runtime)).conditions(_STATUS)
+    (stop,) = (c for c in conditions if c.name == "stop input")
+    assert not stop.met and stop.advice == "known once a program is loaded"
+
+
 def test_stop_acts_from_any_host_and_nothing_moves_before_enable(target: Target) -> None:
     target.power_on()
     target.enable()

@@ -145,7 +145,7 @@ class Drives:
                     "no position comes from the machine: check its sensors, load the program again"
                 ),
             ),
-            Condition("stop input", not status.pressed, PRESSED),
+            Condition("stop input", loaded and not status.pressed, once_loaded(PRESSED)),
             Condition(
                 "no trip",
                 trip is None,
