@@ -77,6 +77,23 @@ def test_off_ready_homed_enabled_running_and_back(target: Target) -> None:
     assert states == ["off", "homed", "enabled", "running", "homed"]
 
 
+def test_enabling_moves_nothing_though_a_program_went_on_beside_drives_that_were_off(
+    target: Target,
+) -> None:
+    for off in (target.disable, target.power_off):
+        target.drive_auto()
+        target.start()
+        off()
+        target.power_on()
+        for on, word in ((target.enable, "enabling"), (target.drive_auto, "automatic")):
+            with pytest.raises(Refused, match=f"{word}.* is refused: the program runs .*pause it"):
+                on()
+        assert target.drive_status().mode == "off"
+        target.pause()
+    target.enable()
+    assert target.drive_status().state == "enabled"
+
+
 def test_the_drives_start_softly(target: Target) -> None:
     target.power_on()
     target.enable()
