@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import reality
 from reality import RATE
@@ -18,7 +19,9 @@ from reality import RATE
 from zendsp.cli import main
 from zendsp.diagnosis import diagnose
 from zendsp.diagnosis.decide.result import Detectable
-from zendsp.diagnosis.report.summary import _sized
+from zendsp.diagnosis.report.chart import Panel, Series
+from zendsp.diagnosis.report.figures import from_a_whole_second
+from zendsp.diagnosis.report.summary import _sized, percent
 from zendsp.physics.effects import library
 
 
@@ -124,6 +127,24 @@ def test_improved_model_given_again_is_complete(folder: Path) -> None:
 def test_the_unit_of_a_pure_number_is_not_read_out() -> None:
     assert _sized(Detectable(1, "actuator", "torque_gain", 0.0025, "1", 0.1)) == "0.0025"
     assert _sized(Detectable(1, "dry_friction", "coulomb", 0.25, "N m", 0.1)) == "0.25 N m"
+
+
+@pytest.mark.parametrize(
+    ("share", "text"), [(0.0351, "3.5 %"), (0.996, "100 %"), (1.0, "100 %"), (4.217, "422 %")]
+)
+def test_a_share_of_a_torque_is_never_a_power_of_ten(share: float, text: str) -> None:
+    assert percent(share) == text
+
+
+def test_time_stamps_of_a_calendar_are_drawn_from_a_whole_second_that_the_axis_names() -> None:
+    t = 1763890000.25 + np.arange(3.0)
+    lacking = (Series("line", "before", t, t),)
+    stamped = Panel("time [s]", "torque [N m]", lacking, spans=((t[1], t[2]),))
+    shown = from_a_whole_second(stamped)
+    assert shown.xlabel == "time [s] after 1763890000 s"
+    assert shown.series[0].x.tolist() == [0.25, 1.25, 2.25] and shown.spans == ((1.25, 2.25),)
+    own = Panel("time [s]", "torque [N m]", (Series("line", "before", t - t[0], t),))
+    assert from_a_whole_second(own) is own
 
 
 def test_page_is_self_contained(folder: Path) -> None:

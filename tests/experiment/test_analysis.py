@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from zendsp.cli.experiment import command
 from zendsp.errors import ModelError, RecordingError
-from zendsp.experiment import EXPERIMENTS, Estimate, Result, fit_model, put_into
+from zendsp.experiment import EXPERIMENTS, Estimate, Lab, Result, fit_model, put_into
 from zendsp.experiment.estimates import line_fit, mean_of
 from zendsp.experiment.imi_breakaway import breakaway_torque, bristle_stiffness, pushed_way
 from zendsp.experiment.imi_fit import fit_curve
@@ -349,3 +349,15 @@ def test_the_prose_of_the_report_is_wrapped_and_its_tables_are_not() -> None:
 def test_the_command_lists_every_experiment() -> None:
     shown = CliRunner().invoke(command, [])
     assert shown.exit_code == 0 and all(name in shown.output for name in EXPERIMENTS)
+
+
+def test_ctrl_c_names_a_folder_that_is_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(name: str, lab: Lab) -> None:
+        (lab.folder / "imi-static").mkdir(parents=True)  # another's, which this one begins with
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("zendsp.experiment.run_experiment", interrupted)
+    shown = CliRunner().invoke(command, ["imi-fit", "--out", str(tmp_path / "runs")])
+    assert f"what was recorded is in {tmp_path / 'runs'}\n" in shown.output

@@ -72,6 +72,14 @@ def test_ms_is_milliseconds_where_a_word_of_the_name_says_time(name: str, unit: 
     assert unit_in_name(name) == unit
 
 
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [("pos_rad", "rad"), ("torque_Nm", "N m"), ("qd_rad_s", ""), ("gap_nm", ""), ("rad", "")],
+)
+def test_radians_and_newton_metres_at_the_end_of_a_name_are_its_unit(name: str, unit: str) -> None:
+    assert unit_in_name(name) == unit
+
+
 def test_units_in_headers_rows_of_units_and_names(tmp_path: Path) -> None:
     (tmp_path / "header.csv").write_text("t [ms],q [deg],u [mN m]\n0,180,1000\n1,90,500\n")
     (tmp_path / "row.tsv").write_text(

@@ -321,3 +321,17 @@ def test_gravity_about_the_hanging_pose_is_told_from_a_negative_inertia() -> Non
     # as uncertain as the file says of a first idea
     assert model.mechanism["inertia"][0].value == pytest.approx(INERTIA, rel=0.15)
     assert model.mechanism["gravity"][0].value == pytest.approx(GRAVITY, rel=0.15)
+
+
+def test_a_column_whose_name_ends_in_newton_metres_is_the_command_and_nothing_is_asked_of_it(
+    tmp_path: Path,
+) -> None:
+    data = recording()
+    rows = np.column_stack([1e3 * data["t"], np.degrees(data["q"]), data["tau"]])
+    path = tmp_path / "bench.csv"
+    np.savetxt(path, rows, delimiter=",", header="t_ms,J1_deg,M1_Nm", comments="")
+    draft = draft_model(read_table(path))
+    assert model_of(draft.text).columns == {
+        "time": "t_ms", "position": "J1_deg", "command": "M1_Nm",
+    }
+    assert not any("M1_Nm" in question for question in draft.questions)

@@ -77,6 +77,23 @@ def test_off_ready_homed_enabled_running_and_back(target: Target) -> None:
     assert states == ["off", "homed", "enabled", "running", "homed"]
 
 
+def test_enabling_moves_nothing_though_a_program_went_on_beside_drives_that_were_off(
+    target: Target,
+) -> None:
+    for off in (target.disable, target.power_off):
+        target.drive_auto()
+        target.start()
+        off()
+        target.power_on()
+        for on, word in ((target.enable, "enabling"), (target.drive_auto, "automatic")):
+            with pytest.raises(Refused, match=f"{word}.* is refused: the program runs .*pause it"):
+                on()
+        assert target.drive_status().mode == "off"
+        target.pause()
+    target.enable()
+    assert target.drive_status().state == "enabled"
+
+
 def test_the_drives_start_softly(target: Target) -> None:
     target.power_on()
     target.enable()
@@ -147,6 +164,15 @@ def test_enabling_wants_finite_limits(target: Target) -> None:
         assert conditions["limits"] is met
     with pytest.raises(Refused, match="finite"):
         target.set_limits(torque_max=[float("inf")] * 2)
+
+
+def test_of_an_emergency_stop_that_nobody_reads_yet_nothing_is_said() -> None:
+    """Its input is read by the loop: without a program it looked released, pressed or not."""
+    none = Limits((), (), (), (), (), torque_clamp=False)
+    runtime = SimpleNamespace(limits=lambda: none, status=lambda: _STATUS)
+    conditions = Drives(cast(RuntimeApi, runtime)).conditions(_STATUS)
+    (stop,) = (c for c in conditions if c.name == "stop input")
+    assert not stop.met and stop.advice == "known once a program is loaded"
 
 
 def test_stop_acts_from_any_host_and_nothing_moves_before_enable(target: Target) -> None:

@@ -89,7 +89,7 @@ def command(
                     result = run_experiment(each, lab)
             except KeyboardInterrupt:
                 click.echo(
-                    f"{each}: the machine was stopped; what was recorded is in {out / each}",
+                    f"{each}: the machine was stopped; what was recorded is in {out}",
                     err=True,
                 )
                 raise

@@ -145,7 +145,7 @@ class Drives:
                     "no position comes from the machine: check its sensors, load the program again"
                 ),
             ),
-            Condition("stop input", not status.pressed, PRESSED),
+            Condition("stop input", loaded and not status.pressed, once_loaded(PRESSED)),
             Condition(
                 "no trip",
                 trip is None,
@@ -342,6 +342,7 @@ class Drives:
         failing = [c for c in self.conditions(self._runtime.status()) if not c.met]
         if failing:
             raise Refused(_refusal("enabling", failing))
+        self._refuse_to_move("enabling")
         if not self._explicit:
             self._explicit = self._powered = True
             self._off()
@@ -352,6 +353,12 @@ class Drives:
             raise Refused(f"not enabled: {trip.text or trip.reason}")
         self._enabled = True
         return f"enabled, {mode} mode"
+
+    def _refuse_to_move(self, what: str) -> None:
+        """A program that went on while the drives were off would move the machine at once."""
+        running = self._runtime.status().state == ProgramState.RUNNING
+        if self._explicit and not self._enabled and running:
+            raise Refused(f"{what} is refused: the program runs and would move at once; pause it")
 
     def disable(self) -> str:
         """enabled → homed: soft stop, then no torque."""
@@ -384,6 +391,7 @@ class Drives:
                 "this target was started with --managed: the sequence must be followed (power,"
                 " home, enable)"
             )
+        self._refuse_to_move("automatic drives")
         self._explicit = self._enabled = self._powered = False
         self._runtime.set_drive("auto")
         return "automatic: on at start, off at pause"

@@ -65,6 +65,8 @@ def read_signals(source: str | Path | Recording | Table, model: Model) -> Signal
     time, sample_time, notes, grid = clock(name, get, columns, model, len(position))
     extra, said = _further_columns(name, get, columns, position.shape)
     notes += said
+    if "command" not in columns:
+        notes.append(f"{name}: [columns] names no command: the motion is taken as driven by none")
     if repeated:
         notes.append(f"{name}: {repeated} rows repeat the row before, its time included; left out")
     resolution = np.array(

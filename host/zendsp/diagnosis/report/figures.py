@@ -20,6 +20,7 @@ Array = npt.NDArray[np.float64]
 MOST_JOINTS = 7  # that get figures of their own
 FINE = 40  # repetitions over the travel: a pattern with more is a smear, not a curve
 JOINED = "time [s], one recording after the other"
+STAMPS = 1e6  # s: a time beyond is a calendar's stamp
 
 
 def axis_of(effect: str) -> str:
@@ -314,8 +315,32 @@ def simulator_charts(d: Diagnosis, errors: SimulatorErrors) -> list[Chart]:
     ]
 
 
+def whole_second(time: float) -> float:
+    """Of a calendar's time stamp the whole second, which a label is read better without; else 0."""
+    return float(np.floor(time)) if time > STAMPS else 0.0
+
+
+def from_a_whole_second(panel: Panel) -> Panel:
+    """The same panel, where its axis is a calendar's time from the whole second of its begin."""
+    if not (panel.xlabel == "time [s]" and panel.series):
+        return panel
+    begin = whole_second(float(panel.series[0].x[0]))
+    if begin == 0.0:
+        return panel
+    return replace(
+        panel,
+        xlabel=f"time [s] after {begin:.0f} s",
+        series=tuple(replace(s, x=s.x - begin) for s in panel.series),
+        spans=tuple((a - begin, b - begin) for a, b in panel.spans),
+    )
+
+
 def charts(d: Diagnosis) -> list[Chart]:
     """Every figure of a report, in its order."""
+    return [replace(c, panels=tuple(map(from_a_whole_second, c.panels))) for c in _charts(d)]
+
+
+def _charts(d: Diagnosis) -> list[Chart]:
     w = d.workings
     if w is None:
         return []

@@ -8,6 +8,7 @@ from html import escape
 from pathlib import Path
 
 from zendsp.diagnosis.decide.result import Diagnosis, Finding, FitTable, number
+from zendsp.diagnosis.report.figures import whole_second
 from zendsp.diagnosis.report.summary import WORDS, headline, unnamed
 
 SMALLER = 1.05  # times: a smaller fall of the error is not told as one
@@ -164,7 +165,10 @@ def _where(d: Diagnosis) -> str:
             f" {escape(r.unit)}<td class=n>{100 * r.share:.0f} %"
             f"<td class=n>{100 * r.time_share:.0f} %"
         )
-    spans = ", ".join(f"{a:.2f}–{b:.2f} s" for a, b in d.times)
+    first = min((float(m.time[0]) for parts in d.missing.values() for m in parts), default=0.0)
+    begin = whole_second(first)
+    spans = ", ".join(f"{a - begin:.2f}–{b - begin:.2f} s" for a, b in d.times)
+    spans += f", after {begin:.0f} s" if spans and begin else ""
     return f"<table>{''.join(rows)}</table><p>In time: {spans or 'spread evenly'}.</p>"
 
 

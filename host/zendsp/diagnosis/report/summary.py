@@ -31,8 +31,8 @@ def headline(d: Diagnosis) -> str:
     text = verdict_sentence(d.verdict, found)
     table = d.test or d.heldout
     if d.verdict == "complete" and table.given > OFF * table.calibrated:
-        times = table.given / table.calibrated
-        text += f" The given numbers were off: calibrated, it errs {times:.2g} times less (notes)."
+        times = two_digits(table.given / table.calibrated)
+        text += f" The given numbers were off: calibrated, it errs {times} times less (notes)."
     return text
 
 
@@ -138,12 +138,19 @@ def unnamed(left: Left) -> str:
     return f"{percent(left.share)} of its torque{most}"
 
 
+def two_digits(value: float) -> str:
+    """Two digits, and all before the point: 1e+02 is nobody's hundred."""
+    return f"{value:.2g}" if value < 99.5 else f"{value:.0f}"
+
+
 def percent(share: float) -> str:
     """Return a share of a torque as people read it.
 
     Examples
     --------
-    >>> percent(0.0), percent(0.0351)
-    ('below 0.01 %', '3.5 %')
+    >>> percent(0.0), percent(0.0351), percent(0.996)
+    ('below 0.01 %', '3.5 %', '100 %')
     """
-    return f"{100 * min(share, MOST):.2g} %" if share >= LEAST else f"below {100 * LEAST:g} %"
+    if share < LEAST:
+        return f"below {100 * LEAST:g} %"
+    return f"{two_digits(100 * min(share, MOST))} %"
