@@ -52,6 +52,8 @@ AS_WRITTEN = ("%", "°C", "degC", "counts", "count", "ticks")  # numbers that ar
 # suffixes of names that say nothing else; `_ms` is milliseconds only where a word of the rest names
 # a time
 SUFFIXES = {
+    "Nm": "N m",  # in small letters it may be nanometres
+    "rad": "rad",
     "deg": "deg",
     "rpm": "rpm",
     "dps": "deg/s",
@@ -144,7 +146,7 @@ def unit_in_name(name: str) -> str:
         return ""
     if TIME_NAMES & set(_WORDS.findall(rest.lower())):
         return TIME_SUFFIXES.get(last.lower(), "")
-    return SUFFIXES.get(last.lower(), "")
+    return SUFFIXES.get(last) or SUFFIXES.get(last.lower(), "")
 
 
 def in_si(
