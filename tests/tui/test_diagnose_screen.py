@@ -269,7 +269,9 @@ async def test_an_earlier_diagnosis_is_opened_saved_and_compared(
         shown = str(app.screen.query_one(".words").render())
         row = next(line for line in shown.splitlines() if line.startswith("coulomb, joint 1"))
         assert row.index("level 6 N m") < row.index("level 8 N m"), shown
-        assert first.name in shown and second.name in shown
+        assert f"{first.name}  " in shown and second.name in shown
+        (made,) = (line.split(maxsplit=1)[1] for line in shown.splitlines() if "made" in line)
+        assert first.when in made and second.when in made, "of one recording, perhaps"
         await pilot.press("escape", "v")
         await until(pilot, lambda: isinstance(app.screen, Message), "no browser: where it is")
         assert str(second.page.name) in str(app.screen.query_one(".words").render())

@@ -232,7 +232,8 @@ async def test_the_clock_goes_on_under_a_dialog(served: Served) -> None:
 
 
 BROWSER = """
-const bar = {}, starting = {}, ears = {}, sent = [], ticks = [], keys = { focus: () => { document.activeElement = keys; } };
+const bar = {}, starting = {}, ears = {}, sent = [], ticks = [];
+const keys = { focus: () => { document.activeElement = keys; } };
 let now = 0;
 Date.now = () => now;
 globalThis.window = globalThis;
