@@ -219,6 +219,21 @@ async def test_the_last_run_is_marked_and_others_can_be_held_out(
         assert not screen.chosen("fit"), "what is not in focus is not changed"
 
 
+async def test_names_in_a_list_are_whole_however_soon_it_is_drawn(
+    tmp_path: Path, until: Until
+) -> None:
+    """The picture between the rows and Textual's next idle moment stayed: "benc" of bench.csv."""
+    app = _alone(tmp_path)
+    async with app.run_test(size=(100, 30)) as pilot:
+        screen = await opened(app, pilot, until, DiagnoseScreen)
+        table = screen.query_one("#recordings", DataTable)
+        screen.added = [str(tmp_path / "bench.csv")]
+        screen.fill()
+        assert "bench.csv" in table.render_line(1).text
+        await pilot.pause()
+        assert "bench.csv" in table.render_line(1).text
+
+
 async def test_two_runs_of_one_name_are_told_apart_by_their_seconds(
     tmp_path: Path, until: Until
 ) -> None:
