@@ -143,7 +143,9 @@ def percent(share: float) -> str:
 
     Examples
     --------
-    >>> percent(0.0), percent(0.0351)
-    ('below 0.01 %', '3.5 %')
+    >>> percent(0.0), percent(0.0351), percent(0.998)
+    ('below 0.01 %', '3.5 %', '100 %')
     """
-    return f"{100 * min(share, MOST):.2g} %" if share >= LEAST else f"below {100 * LEAST:g} %"
+    if share < LEAST:
+        return f"below {100 * LEAST:g} %"
+    return f"{float(f'{100 * min(share, MOST):.2g}'):g} %"

@@ -365,7 +365,7 @@ class LoopActions(LabScreen):
             if proposal:
                 self.say(f"no motion was planned; by hand: {proposal['sentence']}", "warning")
             else:
-                self.say("no motion is proposed: nothing is left open", "warning")
+                self.say("no motion is proposed: none is known to tell more", "warning")
             return
         folder = self.lab.workspace.references
         folder.mkdir(parents=True, exist_ok=True)
