@@ -300,6 +300,25 @@ def test_watch_ends_where_nothing_more_can_come(target: Target) -> None:
         assert process.returncode != 0 and "zendsp: " in wrong, wrong
 
 
+def test_watch_says_at_once_what_stopped_the_program(target: Target) -> None:
+    """It went on with zeros, or waited for ever, and said why when it was ended."""
+    target.download("pd.c")
+    command = [sys.executable, "-u", "-c", "from zendsp.cli import main; main()"]
+    words = [*command, "watch", "q", "-t", target.name]
+    with subprocess.Popen(words, stdout=-1, stderr=-1, text=True) as process:
+        assert process.stdout is not None and process.stderr is not None
+        assert "is the program running" in process.stderr.readline()
+        target.start()
+        assert "q[0]" in process.stdout.readline()
+        target.stop()
+        assert f"{target.name}: stopped: STOP was requested" in process.stderr.readline()
+        process.kill()
+    with subprocess.Popen(words, stdout=-1, stderr=-1, text=True) as process:
+        assert process.stderr is not None
+        assert "stopped: STOP was requested" in process.stderr.readline()
+        process.kill()
+
+
 def test_watch_in_a_narrow_terminal_changes_in_place(target: Target) -> None:
     target.download("pd.c")
     target.start()

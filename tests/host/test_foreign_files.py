@@ -66,6 +66,9 @@ def test_a_unit_that_is_not_known_is_not_guessed(unknown: str) -> None:
         ("v_ms", ""),
         ("times_ms", ""),
         ("drift_ms", ""),
+        ("torque_Nm", "N m"),
+        ("gap_nm", ""),
+        ("joint.q_rad", "rad"),
     ],
 )
 def test_ms_is_milliseconds_where_a_word_of_the_name_says_time(name: str, unit: str) -> None:
@@ -78,6 +81,40 @@ def test_ms_is_milliseconds_where_a_word_of_the_name_says_time(name: str, unit: 
 )
 def test_radians_and_newton_metres_at_the_end_of_a_name_are_its_unit(name: str, unit: str) -> None:
     assert unit_in_name(name) == unit
+
+
+def test_a_log_with_dates_and_words_is_read_without_the_words(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(
+        "timestamp,clock,q,mode,note\n"
+        "2026-11-23T23:59:59.999Z,10:00:00.000,1,AUTO,start\n"
+        "2026-11-24T00:00:00.001Z,10:00:00.002,2,AUTO,\n"
+    )
+    table = read_table(path)
+    assert list(table.columns) == ["timestamp", "clock", "q"] and table.units["timestamp"] == "s"
+    for name in ("timestamp", "clock"):
+        np.testing.assert_allclose(table[name], [0.0, 0.002], atol=1e-12)
+    assert table.notes == (
+        "timestamp: seconds since 2026-11-23T23:59:59.999Z",
+        "clock: seconds since 10:00:00.000",
+        "mode: left out, it holds text",
+        "note: left out, it holds text",
+    )
+    with pytest.raises(RecordingError, match="'mode' holds text"):
+        read_table(path, ["q", "mode"])
+    assert Recording.load(path).t[-1] == pytest.approx(0.002)
+
+
+def test_time_stamps_of_parquet_are_seconds(tmp_path: Path) -> None:
+    pyarrow = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    stamps = pyarrow.array([1_700_000_000_000_000_001, 1_700_000_000_002_000_001])
+    for kind in (pyarrow.timestamp("ns"), pyarrow.timestamp("ns", "UTC")):
+        columns = {"timestamp": stamps.cast(kind), "q": [1.0, 2.0]}
+        parquet.write_table(pyarrow.table(columns), tmp_path / "log.parquet")
+        table = read_table(tmp_path / "log.parquet")
+        np.testing.assert_allclose(table["timestamp"], [0.0, 0.002], rtol=1e-9)
+        assert table.notes == ("timestamp: seconds since 2023-11-14T22:13:20.000000001",)
 
 
 def test_units_in_headers_rows_of_units_and_names(tmp_path: Path) -> None:

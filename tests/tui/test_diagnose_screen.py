@@ -15,6 +15,7 @@ from textual.pilot import Pilot
 from textual.widgets import DataTable, Input, OptionList, Static
 
 from zendsp.diagnosis.report.chart import load_chart
+from zendsp.errors import ZendspError
 from zendsp.link import Target
 from zendsp.physics import load_model
 from zendsp.physics.codegen.terms import why_not
@@ -24,7 +25,7 @@ from zendsp.recording import Recording
 from zendsp.reference import make_reference
 from zendsp.tui import command
 from zendsp.tui.app import ZendspApp
-from zendsp.tui.compensating import compensation_of
+from zendsp.tui.compensating import compensation_of, written_out
 from zendsp.tui.diagnoses import list_diagnoses
 from zendsp.tui.dialogs import Choose, Message
 from zendsp.tui.link_port import open_port
@@ -33,6 +34,7 @@ from zendsp.tui.runs import DATA, list_runs, store_run
 from zendsp.tui.screens import diagnose_loop
 from zendsp.tui.screens.diagnose import DiagnoseScreen
 from zendsp.tui.screens.execute import ExecuteScreen
+from zendsp_protocol.messages import Program
 
 
 async def _answer(pilot: Pilot[None], text: str) -> None:
@@ -217,6 +219,21 @@ async def test_the_last_run_is_marked_and_others_can_be_held_out(
         assert not screen.chosen("fit"), "what is not in focus is not changed"
 
 
+async def test_names_in_a_list_are_whole_however_soon_it_is_drawn(
+    tmp_path: Path, until: Until
+) -> None:
+    """The picture between the rows and Textual's next idle moment stayed: "benc" of bench.csv."""
+    app = _alone(tmp_path)
+    async with app.run_test(size=(100, 30)) as pilot:
+        screen = await opened(app, pilot, until, DiagnoseScreen)
+        table = screen.query_one("#recordings", DataTable)
+        screen.added = [str(tmp_path / "bench.csv")]
+        screen.fill()
+        assert "bench.csv" in table.render_line(1).text
+        await pilot.pause()
+        assert "bench.csv" in table.render_line(1).text
+
+
 async def test_two_runs_of_one_name_are_told_apart_by_their_seconds(
     tmp_path: Path, until: Until
 ) -> None:
@@ -267,7 +284,9 @@ async def test_an_earlier_diagnosis_is_opened_saved_and_compared(
         shown = str(app.screen.query_one(".words").render())
         row = next(line for line in shown.splitlines() if line.startswith("coulomb, joint 1"))
         assert row.index("level 6 N m") < row.index("level 8 N m"), shown
-        assert first.name in shown and second.name in shown
+        assert f"{first.name}  " in shown and second.name in shown
+        (made,) = (line.split(maxsplit=1)[1] for line in shown.splitlines() if "made" in line)
+        assert first.when in made and second.when in made, "of one recording, perhaps"
         await pilot.press("escape", "v")
         await until(pilot, lambda: isinstance(app.screen, Message), "no browser: where it is")
         assert str(second.page.name) in str(app.screen.query_one(".words").render())
@@ -346,12 +365,6 @@ async def test_a_program_without_room_is_told_what_to_add(
         screen = await opened(lab, pilot, until, DiagnoseScreen)
         await pilot.press("o", "enter")
         await until(pilot, lambda: screen.shown is not None, "opened")
-        chosen, lab.source = lab.source, None
-        await pilot.press("c")
-        await until(pilot, lambda: isinstance(lab.screen, Message), "it says why not")
-        assert "Choose it on Console" in str(lab.screen.query_one(".words").render())
-        await pilot.press("escape")
-        lab.source = chosen
         await pilot.press("c")
         await until(pilot, lambda: isinstance(lab.screen, Message), "it says how")
         shown = str(lab.screen.query_one(".words").render())
@@ -359,6 +372,45 @@ async def test_a_program_without_room_is_told_what_to_add(
         await pilot.press("enter")
         await until(pilot, (folder / "compensation.c").is_file, "written")
         assert screen.compensation is not None and screen.compensation.left_out == ()
+
+
+async def test_a_program_that_runs_already_needs_no_source_to_be_chosen(
+    lab: ZendspApp, target: Target, until: Until, folder: Path
+) -> None:
+    """As after ``zendsp run pd.c`` in another terminal: the target knows what it compiled."""
+    cases.stored(folder / "diagnoses")
+    lab.source, pd = None, folder / "pd.c"
+    target.download(pd, ["-DHERE=1"])
+    pd.write_text("another program")
+    async with lab.run_test(size=(160, 48)) as pilot:
+        screen = await opened(lab, pilot, until, DiagnoseScreen)
+        await until(pilot, lambda: lab.session.snapshot.program, "connected")
+        await pilot.press("o", "enter")
+        await until(pilot, lambda: screen.shown is not None, "opened")
+        await pilot.press("c")
+        await until(pilot, lambda: isinstance(lab.screen, Message), "it says why not")
+        said = str(lab.screen.query_one(".words").render())
+        assert "is not the pd.c that runs" in said and "Choose its source on Console" in said
+        await pilot.press("escape")
+        pd.unlink()
+        await pilot.press("c")
+        await until(pilot, lambda: isinstance(lab.screen, Message), "it offers to build")
+        await pilot.press("enter")
+        await until(pilot, lambda: lab.session.snapshot.values.get("comp_share") == 0.0, "built")
+        assert "comp_coulomb1_level" in target.variables()
+        assert "-DHERE=1" in target.program().flags
+        assert lab.source == pd and "UserISR_INT2" in pd.read_text()
+
+
+def test_a_program_of_a_target_is_written_nowhere_else(tmp_path: Path) -> None:
+    for sources, said in (
+        ({}, "does not know the source"),
+        ({"pd.c": "", "../up.h": ""}, "up.h of the running program does not belong"),
+    ):
+        with pytest.raises(ZendspError, match=said):
+            written_out(Program(sources=sources), tmp_path)
+    place, texts = written_out(Program(sources={"a.c": "b", "compensation.c": "c"}), tmp_path)
+    assert place == tmp_path / "a.c" and texts == {"a.c": "b"}
 
 
 def test_what_a_torque_cannot_cancel_is_left_out_and_said(tmp_path: Path) -> None:

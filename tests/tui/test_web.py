@@ -232,18 +232,30 @@ async def test_the_clock_goes_on_under_a_dialog(served: Served) -> None:
 
 
 BROWSER = """
-const bar = {}, ears = {}, ticks = [], keys = { focus: () => { document.activeElement = keys; } };
+const bar = {}, starting = {}, ears = {}, sent = [], ticks = [];
+const keys = { focus: () => { document.activeElement = keys; } };
 let now = 0;
 Date.now = () => now;
 globalThis.window = globalThis;
-const elements = { ".silence": bar, ".xterm-helper-textarea": null };
+const elements = { ".silence": bar, ".starting": starting, ".xterm-helper-textarea": null };
 globalThis.document = { querySelector: (name) => elements[name], body: {}, activeElement: null };
 document.activeElement = document.body;
 globalThis.setInterval = (f) => { ticks.push(f); };
 const tick = () => { for (const f of ticks) f(); };
-globalThis.WebSocket = class { addEventListener(what, f) { ears[what] = f; } };
+globalThis.WebSocket = class {
+  static CONNECTING = 0;
+  readyState = 0;
+  addEventListener(what, f) { ears[what] = f; }
+  send(data) { if (this.readyState === 0) throw Error("connecting"); sent.push(data); }
+};
 SCRIPT
-new WebSocket("ws://");
+const socket = new WebSocket("ws://");
+socket.send("F9");
+console.log(sent.length === 0 && !starting.hidden);
+socket.readyState = 1; ears.open(); socket.send("p");
+console.log(sent);
+ears.message({ data: "pong" }); console.log(!starting.hidden);
+ears.message({ data: new Uint8Array(3) }); console.log(starting.hidden);
 tick(); // before the first picture
 elements[".xterm-helper-textarea"] = keys;
 tick();
@@ -252,7 +264,7 @@ document.activeElement = bar;
 tick();
 console.log(document.activeElement === bar ? "what was chosen stays" : "it was taken away");
 const look = (s) => { now = 1000 * s; tick(); console.log(bar.hidden ? "" : bar.textContent); };
-look(3); look(5); ears.message(); look(6); look(20); ears.close(); look(21);
+look(3); look(5); ears.message({ data: "" }); look(6); look(20); ears.close(); look(21);
 """
 
 
@@ -266,8 +278,10 @@ def test_a_page_that_hears_nothing_says_so() -> None:
         text=True,
         check=True,
     ).stdout.splitlines()
-    assert said[:2] == ["keys reach the terminal", "what was chosen stays"]
-    silent = [re.findall(r"No word from zendsp for (\d+) s", line) for line in said[2:]]
+    waits = ["true", "[ 'F9', 'p' ]", "true", "true"]
+    assert said[:4] == waits, "a key before the connection waits for it; starting until a picture"
+    assert said[4:6] == ["keys reach the terminal", "what was chosen stays"]
+    silent = [re.findall(r"No word from zendsp for (\d+) s", line) for line in said[6:]]
     assert silent == [[], ["5"], [], ["15"], []], "not after the end: that has words of its own"
 
 

@@ -6,13 +6,18 @@ import shutil
 import sys
 import time
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import click
 
 from zendsp.cli.common import emit, open_target, show, target_options
 from zendsp.cli.completing import variables
+from zendsp.cli.lines import fitted
 
-SILENT_S = 1.0  # without rows: then the target itself is asked
+if TYPE_CHECKING:
+    from zendsp.link import LiveView, Target
+
+ASK_S = 1.0  # between questions to the target: it may be stopped, or gone
 
 
 @click.command("watch")
@@ -35,8 +40,8 @@ def command(
     as_json: bool,
 ) -> None:
     """Follow channels until Ctrl-C: one line for each interval; on a terminal one that changes, or
-    as many as they need. Ends with a status other than 0 where the target is gone, or no longer
-    lets you in.
+    as many as they need. What stops the program is said at once. Ends with a status other than 0
+    where the target is gone, or no longer lets you in.
 
     Example:  zendsp watch q tau --interval 0.2
     """
@@ -45,19 +50,18 @@ def command(
         open_target(target, connect) as t,
         t.live(list(channels), interval=min(interval, 0.05), history=1.0) as view,
     ):
-        shown, back, received = 0, "", -1
-        due = heard = time.monotonic()
+        shown, back, told = 0, "", ""
+        due = asked = time.monotonic()
         while not count or shown < count:
             time.sleep(max(0.0, due - time.monotonic()))
             due += interval
-            if view.received != received:
-                received, heard = view.received, time.monotonic()
-            elif time.monotonic() > heard + SILENT_S:
-                t.status()  # paused, or an error says why nothing comes
-                heard = time.monotonic()
+            if time.monotonic() > asked + ASK_S:
+                before, told = told, _trouble(t, told, "\n" if back else "")
+                back = back if told in ("", before) else ""
+                asked = time.monotonic()
             newest = view.latest()
             if not newest:
-                newest = _first(view)
+                newest = _first(t, view)
                 due = time.monotonic() + interval  # from the first rows on
             parts = [
                 f"{name} {show(value):>10} {unit}".rstrip()
@@ -93,14 +97,22 @@ def in_rows(parts: Sequence[str], width: int) -> list[str]:
     return [row[: width - 1] for row in rows]
 
 
-def _first(view: object) -> dict[str, float]:
-    """Wait for the first rows; say so when the program does not run."""
-    from zendsp.link import LiveView
+def _trouble(target: Target, told: str, begin: str = "") -> str:
+    """Return what stopped the program, and say it once; an error says that the target is gone."""
+    from zendsp.link.programs import trouble
 
-    assert isinstance(view, LiveView)
-    told = False
-    while view.next_block(1.0) is None:
-        if not told:
+    said = trouble(target.status())
+    if said not in ("", told):
+        click.echo(begin + fitted(f"zendsp: {target.name}: {said}", sys.stderr), err=True)
+    return said
+
+
+def _first(target: Target, view: LiveView) -> dict[str, float]:
+    """Wait for the first rows; say why none come."""
+    told, waits = "", False
+    while view.next_block(ASK_S) is None:
+        told = _trouble(target, told)
+        if not (told or waits):
             click.echo("waiting for samples: is the program running?", err=True)
-            told = True
+            waits = True
     return view.latest()

@@ -7,10 +7,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from zendsp.errors import ZendspError
 from zendsp.physics import load_model
 from zendsp.physics.codegen.compensation import SETTINGS, compensation_values
 from zendsp.physics.codegen.terms import compensable, why_not
 from zendsp.tui.diagnoses import Diagnosed
+from zendsp_protocol.messages import Program
 from zendsp_protocol.values import Value
 
 FILE = "compensation.c"
@@ -62,3 +64,24 @@ def has_room(sources: Mapping[str, str]) -> bool:
     """Whether a program includes a compensation.c and calls it."""
     text = "\n".join(sources.values())
     return f'"{FILE}"' in text and "CompensationInit" in text
+
+
+def written_out(program: Program, root: Path) -> tuple[Path, dict[str, str]]:
+    """Return where the loaded program goes in a folder, and its texts without a compensation.
+
+    Raises
+    ------
+    ZendspError
+        It cannot go there: nothing is known of it, or another file is in its place.
+    """
+    texts = {name: text for name, text in program.sources.items() if name != FILE}
+    main = next((name for name in texts if name.endswith(".c")), None)
+    if main is None:
+        raise ZendspError("the target does not know the source of its program")
+    for name, text in texts.items():
+        place = root / name
+        if not place.resolve().is_relative_to(root.resolve()):
+            raise ZendspError(f"{name} of the running program does not belong into {root}")
+        if place.exists() and place.read_text(encoding="utf-8", errors="replace") != text:
+            raise ZendspError(f"{place} is not the {name} that runs")
+    return root / main, texts

@@ -48,6 +48,11 @@ class Diagnosed:
         return tuple(load_chart(p) for p in sorted(self.folder.glob(f"*{SUFFIX}")))
 
     @property
+    def when(self) -> str:
+        """Day and time, as a list shows them."""
+        return time.strftime("%m-%d %H:%M:%S", time.localtime(self.created))
+
+    @property
     def page(self) -> Path:
         """The report to be read in a browser."""
         return self.folder / "report.html"
@@ -103,6 +108,8 @@ def list_diagnoses(root: Path) -> list[Diagnosed]:
 def compare(one: Diagnosed, other: Diagnosed) -> str:
     """Return what sets two diagnoses apart, the first on the left."""
     rows: list[tuple[str, str, str]] = [
+        ("", one.name, other.name),
+        ("made", one.when, other.when),
         ("model", Path(one.model).name, Path(other.model).name),
         ("recordings", _names(one), _names(other)),
         ("verdict", one.report["verdict"], other.report["verdict"]),
@@ -117,8 +124,7 @@ def compare(one: Diagnosed, other: Diagnosed) -> str:
         rows.append((f"left, joint {joint}", _left(ours.get(joint)), _left(theirs.get(joint))))
     wide = max(len(r[0]) for r in rows)
     middle = max(len(r[1]) for r in rows)
-    head = f"{'':{wide}}  {one.name[:middle]:{middle}}  {other.name}"
-    return "\n".join([head, *(f"{a:{wide}}  {b:{middle}}  {c}" for a, b, c in rows)])
+    return "\n".join(f"{a:{wide}}  {b:{middle}}  {c}" for a, b, c in rows)
 
 
 def _names(d: Diagnosed) -> str:

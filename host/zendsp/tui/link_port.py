@@ -177,10 +177,14 @@ class LinkPort:
         """Pause the program."""
         self.target.pause()
 
-    def build(self, sources: Mapping[str, str]) -> Build:
+    def program(self) -> m.Program:
+        """The loaded program as it was sent."""
+        return self.target.program()
+
+    def build(self, sources: Mapping[str, str], flags: Sequence[str] = ()) -> Build:
         """Compile and, if that went well, download."""
         try:
-            result = self.target.compile(dict(sources))
+            result = self.target.compile(dict(sources), flags)
         except CompileFailed as error:
             failed = getattr(error, "result", None)
             if failed is None:

@@ -4,8 +4,9 @@ numbers.
 The first line of a recording is a comment for people. What belongs to the numbers, the
 metadata, is the last line, a comment too; readers that know ``#`` skip both. Separators ``,``
 ``;`` and tab are told from the header, where one may stand at the end of each line too; ``;`` with
-decimal commas is understood. Text is UTF-8, UTF-16 with its mark, or Windows-1252, as spreadsheets
-write them. Gzip by suffix ``.gz``.
+decimal commas is understood. A column of dates or times of the day (ISO 8601) becomes seconds since
+its first; one of nothing but words is left out. Text is UTF-8, UTF-16 with its mark, or
+Windows-1252, as spreadsheets write them. Gzip by suffix ``.gz``.
 """
 
 from __future__ import annotations
@@ -16,14 +17,16 @@ import csv
 import gzip
 import io
 import zlib
+from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from zendsp.errors import RecordingError
 from zendsp.recording.formats.raw import Raw
-from zendsp.recording.names import split_unit
+from zendsp.recording.names import FloatArray, split_unit
 from zendsp.recording.units import to_si
 from zendsp_protocol.texts import counted
 
@@ -32,6 +35,7 @@ if TYPE_CHECKING:
 
 MARK = "# zendsp "
 TITLE = "# A recording of zendsp"
+NOTHING = ("", "NA", "null")  # cells that stand for a number that is not there
 UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
@@ -86,8 +90,7 @@ def read(path: Path) -> Raw:
     if said := _unit_row(rows.partition("\n")[0], delimiter, len(names)):
         units = {name: units[name] or unit for name, unit in zip(names, said, strict=True)}
         rows, first_line = rows.partition("\n")[2], first_line + 1
-    columns = _numbers(path, rows, names, delimiter, first_line + 1)
-    return Raw(columns, units, {}, metadata)
+    return _numbers(path, rows, Raw({}, units, {}, metadata), delimiter, first_line + 1)
 
 
 def _apart(text: str) -> tuple[str, str]:
@@ -156,9 +159,9 @@ def _unit_row(line: str, delimiter: str, width: int) -> list[str]:
     return ["" if cell in ("-", "1") else cell for cell in cells]
 
 
-def _numbers(
-    path: Path, rows: str, names: list[str], delimiter: str, first_line: int
-) -> dict[str, Any]:
+def _numbers(path: Path, rows: str, raw: Raw, delimiter: str, first_line: int) -> Raw:
+    """Return the columns of the file whose names are the keys of ``raw.units``."""
+    names = list(raw.units)
     decimal = "," if delimiter == ";" and "," in rows[:4096] and "." not in rows[:4096] else "."
     if not rows.strip():
         raise RecordingError(f"{path}: has column names but no rows")
@@ -171,24 +174,49 @@ def _numbers(
             raise ValueError(
                 f"{counted(table.shape[1], 'column')} where the header names {len(names)}"
             )
-    except ValueError as error:  # empty cells and words for NaN are read one by one
+    except ValueError as error:  # empty cells, words for NaN, dates and text are read one by one
         try:
-            table = _with_gaps(text, len(names), delimiter)
+            return _with_words(text, raw, delimiter)
         except ValueError:
             raise _first_fault(path, rows, names, delimiter, decimal, first_line, error) from error
-    return {name: np.ascontiguousarray(table[:, k]) for k, name in enumerate(names)}
+    columns = {name: np.ascontiguousarray(table[:, k]) for k, name in enumerate(names)}
+    return replace(raw, columns=columns)
 
 
-def _with_gaps(text: str, width: int, delimiter: str) -> Any:
-    """All cells, with NaN for what is empty, ``NA`` or ``null``."""
-    table = []
-    for cells in csv.reader(io.StringIO(text), delimiter=delimiter):
-        if cells and len(cells) != width:
-            raise ValueError(f"{len(cells)} cells")
-        if cells:
-            words = (cell.strip() for cell in cells)
-            table.append([np.nan if word in ("", "NA", "null") else float(word) for word in words])
-    return np.array(table)
+def _with_words(text: str, raw: Raw, delimiter: str) -> Raw:
+    """All columns: NaN for what is empty, ``NA`` or ``null``; dates as seconds; those that hold
+    nothing but words are refused. A word among numbers raises ValueError.
+    """
+    names = list(raw.units)
+    table = [cells for cells in csv.reader(io.StringIO(text), delimiter=delimiter) if cells]
+    if any(len(cells) != len(names) for cells in table):
+        raise ValueError("lines of different length")
+    columns, units, refused, notes = {}, dict(raw.units), {}, []
+    for name, column in zip(names, zip(*table, strict=True), strict=True):
+        cells = ["nan" if c.strip() in NOTHING else c.strip() for c in column]
+        if all(c == "nan" or not _is_number(c) for c in cells) and set(cells) != {"nan"}:
+            seconds = _seconds(cells)
+            if seconds is None:
+                refused[name] = "holds text or other things than numbers"
+                notes.append(f"{name}: left out, it holds text")
+                continue
+            notes.append(f"{name}: seconds since {cells[0]}")
+            columns[name], units[name] = seconds, "s"
+        else:
+            columns[name] = np.array([float(c) for c in cells])
+    if not columns:
+        raise ValueError("nothing but text")
+    return replace(raw, columns=columns, units=units, refused=refused, notes=tuple(notes))
+
+
+def _seconds(cells: list[str]) -> FloatArray | None:
+    """Seconds since the first, of dates with a time, or times of the day; None of anything else."""
+    day = "" if "-" in cells[0] else "1970-01-01 "
+    try:
+        times = [datetime.fromisoformat(day + cell) for cell in cells]
+        return np.array([(time - times[0]).total_seconds() for time in times])
+    except (ValueError, TypeError):
+        return None
 
 
 def _first_fault(
@@ -215,7 +243,7 @@ def _first_fault(
             )
         for name, cell in zip(names, cells, strict=False):
             text = cell.strip().replace(",", ".") if decimal == "," else cell.strip()
-            if text and text not in ("NA", "null") and not _is_number(text):
+            if text not in NOTHING and not _is_number(text):
                 return RecordingError(
                     f"{path}: column {name!r}, line {number}: {cell.strip()!r} is not a"
                     f" number{above}"

@@ -34,7 +34,9 @@ def write(recording: Recording, metadata: str, path: Path) -> None:
 
 
 def read(path: Path) -> Raw:
-    """Read any Parquet file; null becomes NaN; columns of lists of equal length become vectors."""
+    """Read any Parquet file; null becomes NaN, lists of equal length become vectors, time
+    stamps become seconds since the first.
+    """
     pyarrow = _pyarrow()
 
     try:
@@ -45,18 +47,23 @@ def read(path: Path) -> Raw:
         raise RecordingError(
             f"{path}: is not a readable Parquet file, or it is cut short ({error})"
         ) from error
-    columns, refused = {}, {}
+    columns, refused, notes = {}, {}, []
     for name, column in zip(table.column_names, table.columns, strict=True):
         try:
             if pyarrow.types.is_list(column.type) or pyarrow.types.is_fixed_size_list(column.type):
                 columns[name] = np.array(column.to_pylist(), dtype=np.float64)
             elif pyarrow.types.is_boolean(column.type) or _is_number(column.type):
                 columns[name] = _numbers(column.cast(pyarrow.float64()))
+            elif pyarrow.types.is_timestamp(column.type) and len(column):
+                stamps = column.cast(pyarrow.timestamp("ns", column.type.tz)).cast(pyarrow.int64())
+                ns = np.array(stamps.to_pylist())
+                columns[name], units[name] = (ns - ns[0]) * 1e-9, "s"
+                notes.append(f"{name}: seconds since {np.datetime64(int(ns[0]), 'ns')}")
             else:
                 refused[name] = f"holds {column.type}, not numbers"
         except (pyarrow.ArrowException, ValueError, TypeError) as error:
             refused[name] = f"cannot be read as numbers ({error})"
-    return Raw(columns, units, {}, metadata.get(KEY, b"").decode(), refused)
+    return Raw(columns, units, {}, metadata.get(KEY, b"").decode(), refused, tuple(notes))
 
 
 def _numbers(column: Any) -> np.ndarray[Any, np.dtype[np.float64]]:

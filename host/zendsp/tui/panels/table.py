@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from rich.segment import Segment
 from rich.style import Style
@@ -20,6 +20,7 @@ from textual.message import Message
 from textual.scroll_view import ScrollView
 from textual.strip import Strip
 from textual.widgets import DataTable
+from textual.widgets.data_table import RowKey
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,14 @@ def mark_cuts(strip: Strip, left: bool, right: bool) -> Strip:
 
 class ListTable(DataTable[Text]):
     """A DataTable that shows what its edges cut: "0.00" of "0.00407" would be another number."""
+
+    def add_row(self, *cells: Text, **options: Any) -> RowKey:
+        """Add a row, and give its cells their room at once: a picture before the next idle moment
+        would stay as it is.
+        """
+        for column, cell in zip(self.ordered_columns, cells, strict=False):
+            column.content_width = max(column.content_width, cell.cell_len)
+        return super().add_row(*cells, **options)
 
     def render_line(self, y: int) -> Strip:
         strip, end = super().render_line(y), 0

@@ -401,7 +401,7 @@ class DiagnoseScreen(LoopActions):
         if not known:
             self.say("there is no other diagnosis yet", "warning")
             return
-        options = [Line(str(d.folder), f"{d.name}  {_when(d)}", headline(d.report)) for d in known]
+        options = [Line(str(d.folder), f"{d.name}  {d.when}", headline(d.report)) for d in known]
 
         def take(keys: list[str] | None) -> None:
             if keys:
@@ -443,7 +443,3 @@ class DiagnoseScreen(LoopActions):
             names = ", ".join(recording_name(r) for r in self.shown.recordings)
             stage.append(f"{self.shown.report['seconds']:.1f} s  {names}", "dim")
         self.query_one("#stage", Static).update(stage)
-
-
-def _when(d: Diagnosed) -> str:
-    return time.strftime("%m-%d %H:%M", time.localtime(d.created))

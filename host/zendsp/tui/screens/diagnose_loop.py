@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import shutil
 import webbrowser
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,7 +16,15 @@ from rich.text import Text
 from textual.widgets import OptionList, Static
 
 from zendsp.errors import ZendspError
-from zendsp.tui.compensating import FILE, LINES, SHARE, Compensation, compensation_of, has_room
+from zendsp.tui.compensating import (
+    FILE,
+    LINES,
+    SHARE,
+    Compensation,
+    compensation_of,
+    has_room,
+    written_out,
+)
 from zendsp.tui.diagnoses import Diagnosed, compare
 from zendsp.tui.dialogs import Field, Form, Message, not_empty
 from zendsp.tui.panels.findings import LOOP, Entry
@@ -26,6 +34,7 @@ from zendsp.tui.scope import Channel, History, Scope
 from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.snapshot import Snapshot
 from zendsp_isr.sources import gather
+from zendsp_protocol.messages import Program
 
 if TYPE_CHECKING:
     from zendsp.tui.runs import Run
@@ -201,30 +210,41 @@ class LoopActions(LabScreen):
         self.ask("compensation", lambda port: port.update(values), said)
 
     def _offer_room(self, c: Compensation) -> None:
+        """Offer it to the chosen source, else to the loaded program as the target knows it."""
         source = self.lab.source
         if source is None:
-            text = (
-                f"{FILE} goes beside the source of the program, and none is chosen here.\n"
-                "Choose it on Console (F2, O), then press c here again."
-            )
-            self.app.push_screen(Message("Compensation", Text(text)))
+            self.ask("program", lambda port: port.program(), lambda p: self._offer_loaded(c, p))
             return
         try:
             texts = gather(source)
         except ZendspError as error:
             self.say(str(error), "error")
             return
-        place = self._place(source, texts)
+        self._offer(c, self._place(source, texts), texts)
+
+    def _offer_loaded(self, c: Compensation, program: Program) -> None:
+        try:
+            place, texts = written_out(program, self.lab.workspace.root)
+        except (ZendspError, OSError) as error:
+            text = f"{error}.\n\nChoose its source on Console (F2, O), then press c here again."
+            self.app.push_screen(Message("Compensation", Text(text)))
+            return
+        definitions = [flag for flag in program.flags if flag.startswith("-D")]
+        self._offer(c, place, texts, definitions)
+
+    def _offer(
+        self, c: Compensation, place: Path, texts: Mapping[str, str], flags: Sequence[str] = ()
+    ) -> None:
         if not has_room(texts):
             text = (
-                f"{source.name} has no room for a compensation yet. {FILE} is written to\n"
+                f"{place.name} has no room for a compensation yet. {FILE} is written to\n"
                 f"{place.parent}; the program takes it with three lines:\n\n"
                 f"{LINES}\n\n"
                 "Then build it (b on Console)."
             )
             self.app.push_screen(
                 Message("Compensation", Text(text), agree=f"Write {FILE}"),
-                lambda yes: self._keep_source(c, place, texts) if yes else None,
+                lambda yes: self._keep(c, place, texts) if yes else None,
             )
             return
         text = (
@@ -237,7 +257,7 @@ class LoopActions(LabScreen):
             return
         self.app.push_screen(
             Message("Compensation", Text(text), agree="Write and build"),
-            lambda yes: self._build(c, place, texts) if yes else None,
+            lambda yes: self._build(c, place, texts, flags) if yes else None,
         )
 
     def _place(self, source: Path, texts: Mapping[str, str]) -> Path:
@@ -246,7 +266,7 @@ class LoopActions(LabScreen):
         shipped = source.parent in {p.parent for p in self.lab.examples()}
         return self.lab.workspace.root / source.name if shipped else source
 
-    def _keep_source(self, c: Compensation, place: Path, texts: Mapping[str, str]) -> None:
+    def _keep(self, c: Compensation, place: Path, texts: Mapping[str, str]) -> None:
         self._write(c, place, texts)
 
     def _write(self, c: Compensation, place: Path, texts: Mapping[str, str]) -> bool:
@@ -263,12 +283,14 @@ class LoopActions(LabScreen):
         self.say(f"wrote {place.parent / FILE}", "good")
         return True
 
-    def _build(self, c: Compensation, place: Path, texts: Mapping[str, str]) -> None:
+    def _build(
+        self, c: Compensation, place: Path, texts: Mapping[str, str], flags: Sequence[str]
+    ) -> None:
         if not self._write(c, place, texts):
             return
 
         def job(port: Port) -> Build:
-            build = port.build(gather(place))
+            build = port.build({**texts, **gather(place)}, flags)
             if build.ok:
                 port.update({SHARE: 0.0})
             return build
@@ -343,7 +365,7 @@ class LoopActions(LabScreen):
             if proposal:
                 self.say(f"no motion was planned; by hand: {proposal['sentence']}", "warning")
             else:
-                self.say("no motion is proposed: nothing is left open", "warning")
+                self.say("no motion is proposed: none is known to tell more", "warning")
             return
         folder = self.lab.workspace.references
         folder.mkdir(parents=True, exist_ok=True)
