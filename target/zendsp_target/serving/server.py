@@ -17,6 +17,7 @@ import zenoh
 
 from zendsp_protocol import codec, keys, verbs
 from zendsp_protocol.errors import LinkError, ZendspError
+from zendsp_protocol.once import ONCE
 from zendsp_protocol.version import PROTOCOL
 from zendsp_target.access.admission import Doors, check_role, may
 from zendsp_target.access.hosts import Hosts
@@ -166,6 +167,9 @@ class Server:
                 reply = short
             else:
                 verb, args, said = codec.decode_request(request, lane)
+                if ticket is not None and verb.name not in ONCE:
+                    self.service.once.drop(ticket)
+                    ticket = None
                 by = said
                 if user:  # known by name: its role decides, and its name is what the log says
                     check_role(user, self._doors.role_of(user), verb)
