@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import signal
 import socket
 import subprocess
 import sys
@@ -186,3 +187,40 @@ def test_nobody_fills_the_status_of_all_with_names(endpoint: str) -> None:
         assert len(target.status().hosts) <= MOST_HOSTS + 2
         assert max(map(len, target.status().hosts)) <= 200
         del kept
+
+
+FROZEN = """
+import sys, zendsp
+from zendsp.link.settings import Credentials
+with zendsp.connect("imi", sys.argv[1], Credentials(user="mallory", password="m")) as target:
+    names = [name for name, v in target.variables().items() if v.kind == "signal"]
+    views = [target.live(names) for _ in range(7)]
+    print("ready", flush=True)
+    while True:
+        target.read(["q"])
+"""
+
+
+def test_hosts_that_freeze_hold_up_nobody(
+    endpoint: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As laptops do whose lids are shut. For 10 s nobody else was answered, STOP neither."""
+    monkeypatch.setattr(Target, "stop_page", lambda self: None)
+    with zendsp.connect("imi", endpoint, Credentials(user="anna", password="a")) as target:
+        target.download("pd.c")
+        target.start()
+        frozen = [python(FROZEN, endpoint) for _ in range(4)]
+        try:
+            for host in frozen:
+                assert host.stdout is not None and host.stdout.readline() == "ready\n"
+            time.sleep(1.0)  # rows are on their way
+            for host in frozen:
+                host.send_signal(signal.SIGSTOP)
+            end = time.monotonic() + 3.0  # the lease is over after one
+            while time.monotonic() < end:
+                target.update(Kp1=410.0)
+            target.stop()
+            until(lambda: len(target.status().hosts) == 1, "they are known to be gone")
+        finally:
+            for host in frozen:
+                kill(host)

@@ -21,6 +21,7 @@ from zendsp_protocol.once import ONCE
 from zendsp_protocol.version import PROTOCOL
 from zendsp_target.access.admission import Doors, check_role, may
 from zendsp_target.access.hosts import Hosts
+from zendsp_target.access.lingering import close_at_once
 from zendsp_target.api import RECORDER, RuntimeApi
 from zendsp_target.serving.bulk_transfer import send_rows
 from zendsp_target.serving.deferred import Later
@@ -313,7 +314,11 @@ class Server:
         """
         publisher = self._session.declare_publisher(keys.event(self.name))
         last, due = None, 0.0
+        links = 0.0
         while not self._end.wait(PULSE_POLL_S):
+            if time.monotonic() >= links:
+                links = time.monotonic() + PULSE_S
+                close_at_once()
             self.live.keep(self._may_look)
             self._end_commands()
             try:
