@@ -8,7 +8,7 @@ import signal
 from collections.abc import Iterator
 
 import zendsp
-from hardships.place import Place, Tally, alive, children, until
+from hardships.place import Place, Tally, alive, children, runner_of, until
 from zendsp.errors import ZendspError
 from zendsp.link import Target
 
@@ -81,8 +81,7 @@ def _kill_runner(target: Target, tally: Tally) -> None:
     target.acquire_start()
     target.start()
     tally.expect(until(lambda: target.acquire_status().count > 100), "no rows are recorded")
-    (runner,) = children(target.info.pid)
-    os.kill(runner, signal.SIGKILL)
+    os.kill(runner_of(target.info.pid), signal.SIGKILL)
     tally.count("runners killed")
     if not tally.expect(
         until(lambda: target.status().state == "crashed"),

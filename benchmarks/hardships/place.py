@@ -149,6 +149,16 @@ def children(pid: int) -> list[int]:
     return found
 
 
+def runner_of(target: int) -> int:
+    """The process of a target in which its loop runs; beside it one waits to make hardware safe."""
+    (found,) = (
+        pid
+        for pid in children(target)
+        if b"--safe" not in Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
+    )
+    return found
+
+
 class Growth:
     """What a process holds more than when it had warmed up: memory, open files, threads.
 

@@ -12,7 +12,7 @@ import subprocess
 import time
 from collections.abc import Iterator
 
-from hardships.place import Place, Tally, alive, children, until
+from hardships.place import Place, Tally, alive, runner_of, until
 from zendsp.errors import ZendspError
 from zendsp.link import Target
 
@@ -67,7 +67,7 @@ def _hit(
     place: Place, target: Target, host: subprocess.Popen[str], whom: str, how: str, tally: Tally
 ) -> Target:
     pid = target.info.pid
-    (runner,) = children(pid)
+    runner = runner_of(pid)
     hit = {"host": host.pid, "monitor": pid, "runner": runner}[whom]
     begin = time.monotonic()
     os.kill(hit, getattr(signal, f"SIG{how}"))

@@ -275,6 +275,9 @@ def _compile(
         outcome = run_compiler(
             compiler, [*arguments, *units, "-o", str(output), *libraries], work, timeout_s, include
         )
+        if outcome.ok and not output.is_file():
+            text = "the compiler made no program: does a flag keep it from that?"
+            return False, (*outcome.messages, Message("error", "", 0, 0, text))
         if outcome.ok:
             # notes first: a target without notes would be compiled again, notes without a target do
             # no harm

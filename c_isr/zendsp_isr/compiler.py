@@ -184,12 +184,8 @@ def run_compiler(
     # no file of the user's is found through the environment
     inherited = {key: os.environ[key] for key in ("PATH", "LD_LIBRARY_PATH") if key in os.environ}
     environment = {**inherited, "LC_ALL": "C", "TMPDIR": str(cwd), "HOME": str(cwd), **zig}
-    ended = _run(
-        [*launch, *compiler.command, *style, "-fmax-errors=50", *arguments],
-        cwd,
-        environment,
-        timeout_s,
-    )
+    command = [*launch, *compiler.command, *style, *arguments]
+    ended = _run(command, cwd, environment, timeout_s)
     if ended.why:
         return Outcome(False, (Message("error", "", 0, 0, ended.why),))
     said = parse_messages(ended.text)

@@ -50,7 +50,7 @@ def parse_messages(text: str) -> tuple[Message, ...]:
     (Message(severity='error', file='pd.c', line=3, column=5, message="expected ';'"),)
     """
     found: list[Message] = []
-    decoder = json.JSONDecoder()
+    decoder = json.JSONDecoder(strict=False)  # gcc quotes what it was given as it is
     for line in text.splitlines():
         if line.startswith("["):
             try:

@@ -15,11 +15,14 @@ import msgspec
 from zendsp_protocol import errors
 from zendsp_protocol.errors import LinkError, Refused, VersionMismatch, ZendspError
 from zendsp_protocol.messages import ErrorBody
+from zendsp_protocol.pieces import check_pieces
 from zendsp_protocol.texts import shown, shown_all, suspicious
 from zendsp_protocol.values import enc_hook
 from zendsp_protocol.verbs import VERBS, Arguments, Verb
 from zendsp_protocol.version import PROTOCOL, mismatch
 
+MOST_NAME = 200  # characters of who asks: it is kept in the log and told to all
+MOST_TEXT = 20_000  # characters of an error, which may quote what was asked
 ROOM = 1024  # bytes at first: a packer that makes room for 256 kB each time asks the kernel for it
 _MALFORMED = (msgspec.MsgspecError, ValueError, TypeError, OverflowError, RecursionError)
 
@@ -100,6 +103,7 @@ def decode_request(data: bytes, lane: str) -> tuple[Verb, Arguments, str]:
     LinkError
         Malformed, unknown, or sent to the wrong lane; the message says which.
     """
+    check_pieces(data, texts=lane == "slow")
     message = _unpack(data, "request")
     _check_version(message, "target")
     if type(message) is not dict:
@@ -109,13 +113,13 @@ def decode_request(data: bytes, lane: str) -> tuple[Verb, Arguments, str]:
         raise LinkError("malformed request: `verb` and `by` have to be texts")
     verb = VERBS.get(name)
     if verb is None:
-        raise LinkError(f"unknown verb {name!r}; known: {', '.join(VERBS)}")
+        raise LinkError(f"unknown verb {name[:MOST_NAME]!r}; known: {', '.join(VERBS)}")
     if verb.lane != lane:
         raise LinkError(f"verb {name!r} belongs to the lane {verb.lane!r}, not {lane!r}")
     return (
         verb,
         _convert(message.get("args"), verb.arguments, f"arguments of {name!r}"),
-        shown(by, lines=False),
+        shown(by[:MOST_NAME], lines=False),
     )
 
 
@@ -139,6 +143,8 @@ def encode_error(error: BaseException, details: dict[str, Any] | None = None) ->
         if kind != "Internal"
         else f"the target failed inside ({type(error).__name__}: {error}); this is a bug"
     )
+    if len(text) > MOST_TEXT:
+        text = f"{text[:MOST_TEXT]} …"
     return encode(
         {
             "v": PROTOCOL,

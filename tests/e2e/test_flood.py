@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import signal
 import socket
 import subprocess
 import sys
@@ -15,13 +16,15 @@ from pathlib import Path
 
 import pytest
 from helpers import kill, python
-from waiting import PATIENCE_S
+from waiting import PATIENCE_S, until
 
 import zendsp
 from zendsp.link import Target
 from zendsp.link.settings import Credentials
-from zendsp_protocol import keys
+from zendsp_protocol import codec, keys
+from zendsp_protocol.once import FIRST, stamp
 from zendsp_target.access.endpoints import MOST_REQUEST
+from zendsp_target.access.hosts import MOST_HOSTS
 
 SECONDS = 4.0
 # As fast as the link takes them, on every lane, STOP's too, by a client that does not wait for
@@ -78,21 +81,16 @@ def test_strangers_who_say_nothing_keep_no_host_out(endpoint: str) -> None:
 
 def test_a_huge_request_is_not_even_taken_in(endpoint: str, tmp_path: Path) -> None:
     """Whoever was let in, for whatever, could otherwise fill the memory of the target."""
-
-    def most_mb(pid: int) -> int:
-        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
-        return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) // 1024
-
     huge = 300_000_000
     mallory = Credentials(user="mallory", password="m")
     with zendsp.connect("imi", endpoint, mallory) as target:
-        before = most_mb(target.info.pid)
+        before = memory_mb(target.info.pid, "VmHWM")
         key = keys.rpc("imi", "bulk", "mallory")
         replies = list(target.link.session.get(key, payload=bytes(huge), timeout=5.0))
         assert all(reply.ok is None for reply in replies), "only that time has run out"
         assert target.status().state == "empty"
         # what is put together, and a copy of it at most; it was 570 MB
-        assert most_mb(target.info.pid) - before < 2 * MOST_REQUEST / 1e6
+        assert memory_mb(target.info.pid, "VmHWM") - before < 2 * MOST_REQUEST / 1e6
 
 
 def test_a_flood_of_requests_keeps_nobody_else_from_stopping_the_machine(
@@ -131,3 +129,98 @@ def stop(target: Target) -> float:
     begin = time.monotonic()
     target.stop()
     return time.monotonic() - begin
+
+
+def memory_mb(pid: int, what: str) -> float:
+    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith(what)) / 1024
+
+
+def test_a_request_of_many_pieces_is_not_decoded(endpoint: str) -> None:
+    """It took a gigabyte, and STOP waited for four seconds."""
+    mallory = Credentials(user="mallory", password="m")
+    with zendsp.connect("imi", endpoint, mallory) as target:
+        before = memory_mb(target.info.pid, "VmHWM")
+        head = codec.encode_request("status", {}, "mallory")[:-1]  # but for the empty arguments
+        payload = head + b"\x81\xa1x\xdd" + (10_000_000).to_bytes(4, "big") + b"\x80" * 10_000_000
+        key = keys.rpc("imi", "quick", "mallory")
+        (reply,) = target.link.session.get(key, payload=payload, timeout=PATIENCE_S)
+        assert reply.ok is not None and b"send arrays packed" in reply.ok.payload.to_bytes()
+        assert memory_mb(target.info.pid, "VmHWM") - before < 150.0  # it was 700 MB
+
+
+def test_nobody_fills_the_memory_by_what_is_remembered_for_those_who_ask_again(
+    endpoint: str,
+) -> None:
+    mallory = Credentials(user="mallory", password="m")
+    with zendsp.connect("imi", endpoint, mallory) as target:
+        key, ask = keys.rpc("imi", "quick", "mallory"), target.link.session.get
+
+        def reply(request: bytes, number: int) -> bytes:
+            mark = stamp(b"mallory!", number, bytes(8), FIRST)
+            (found,) = ask(key, payload=request, attachment=mark, timeout=PATIENCE_S)
+            return bytes(found.ok.payload.to_bytes())
+
+        unknown = codec.encode_request("x" * 60_000, {}, "mallory")
+        assert len(reply(unknown, 1)) < 20_000, "an error does not repeat all that was asked"
+        status = codec.encode_request("status", {}, "mallory")
+        before = reply(status, 2)
+        with zendsp.connect("imi", endpoint, Credentials(user="anna", password="a")):
+            assert reply(status, 2) != before, "what only reads is not remembered"
+
+
+def test_nobody_fills_the_status_of_all_with_names(endpoint: str) -> None:
+    anna, mallory = (Credentials(user=name, password=name[0]) for name in ("anna", "mallory"))
+    with (
+        zendsp.connect("imi", endpoint, anna) as target,
+        zendsp.connect("imi", endpoint, mallory) as rogue,
+    ):
+        declare = rogue.link.session.liveliness().declare_token
+        kept = [declare(keys.host("imi", f"mallory@{'z' * 50_000}"))]
+        kept += [declare(keys.host("imi", f"mallory@{k}")) for k in range(MOST_HOSTS + 50)]
+        until(lambda: len(target.status().hosts) >= MOST_HOSTS, "they are known")
+        with zendsp.connect("imi", endpoint, anna):
+            until(
+                lambda: sum(host.startswith("anna@") for host in target.status().hosts) == 2,
+                "the hosts of others are known all the same",
+            )
+        assert len(target.status().hosts) <= MOST_HOSTS + 2
+        assert max(map(len, target.status().hosts)) <= 200
+        del kept
+
+
+FROZEN = """
+import sys, zendsp
+from zendsp.link.settings import Credentials
+with zendsp.connect("imi", sys.argv[1], Credentials(user="mallory", password="m")) as target:
+    names = [name for name, v in target.variables().items() if v.kind == "signal"]
+    views = [target.live(names) for _ in range(7)]
+    print("ready", flush=True)
+    while True:
+        target.read(["q"])
+"""
+
+
+def test_hosts_that_freeze_hold_up_nobody(
+    endpoint: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As laptops do whose lids are shut. For 10 s nobody else was answered, STOP neither."""
+    monkeypatch.setattr(Target, "stop_page", lambda self: None)
+    with zendsp.connect("imi", endpoint, Credentials(user="anna", password="a")) as target:
+        target.download("pd.c")
+        target.start()
+        frozen = [python(FROZEN, endpoint) for _ in range(4)]
+        try:
+            for host in frozen:
+                assert host.stdout is not None and host.stdout.readline() == "ready\n"
+            time.sleep(1.0)  # rows are on their way
+            for host in frozen:
+                host.send_signal(signal.SIGSTOP)
+            end = time.monotonic() + 3.0  # the lease is over after one
+            while time.monotonic() < end:
+                target.update(Kp1=410.0)
+            target.stop()
+            until(lambda: len(target.status().hosts) == 1, "they are known to be gone")
+        finally:
+            for host in frozen:
+                kill(host)

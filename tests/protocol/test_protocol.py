@@ -10,6 +10,7 @@ import itertools
 import re
 from pathlib import Path
 
+import msgpack
 import msgspec
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from hypothesis import strategies as st
 from zendsp_protocol import chunks, codec, errors, keys, registry, values, version
 from zendsp_protocol import messages as m
 from zendsp_protocol.errors import LinkError, VariableError, VersionMismatch, ZendspError
+from zendsp_protocol.pieces import check_pieces
 from zendsp_protocol.states import DriveState, ProgramState
 from zendsp_protocol.verbs import ROLES, VERBS
 
@@ -292,3 +294,37 @@ def test_what_is_no_message_is_refused_in_words(data: bytes) -> None:
     for decode in decoders:
         with pytest.raises(LinkError, match=r"malformed (request|reply): \w+"):
             decode(data)
+
+
+@pytest.mark.parametrize(
+    ("value", "pieces"),
+    [
+        (None, 1), (-33, 1), (2**40, 1), (0.5, 1), ("é" * 200, 1), (b"z" * 300, 1),
+        (msgpack.ExtType(3, b"z" * 17), 1), ([1, [2.0, "x"]], 5), ({"a": {"b": [None] * 20}}, 25),
+    ],
+)  # fmt: skip
+def test_the_pieces_of_a_message_are_counted(
+    monkeypatch: pytest.MonkeyPatch, value: object, pieces: int
+) -> None:
+    monkeypatch.setattr("zendsp_protocol.pieces.SMALL", 0)
+    monkeypatch.setattr("zendsp_protocol.pieces.MOST", pieces)
+    check_pieces(msgpack.packb(value), texts=True)
+    monkeypatch.setattr("zendsp_protocol.pieces.MOST", pieces - 1)
+    with pytest.raises(LinkError, match="packed"):
+        check_pieces(msgpack.packb(value), texts=True)
+
+
+def test_a_request_that_would_take_long_to_decode_is_refused() -> None:
+    """20 MB of empty maps held up every thread of a target for four seconds."""
+    args = {"x": [{}] * 100_001}
+    many = msgpack.packb({"v": version.PROTOCOL, "verb": "status", "by": "x", "args": args})
+    with pytest.raises(LinkError, match="more than 100000"):
+        codec.decode_request(many, "quick")
+    long = codec.encode_request("read", {"names": ["x" * 70_000]}, "x")
+    with pytest.raises(LinkError, match="a text of 70000 bytes"):
+        codec.decode_request(long, "quick")
+
+
+def test_who_asks_has_a_name_of_200_characters_at_most() -> None:
+    request = codec.encode_request("status", {}, "anna@" + "y" * 60_000)
+    assert len(codec.decode_request(request, "quick")[2]) == 200

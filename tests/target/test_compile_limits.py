@@ -105,6 +105,23 @@ def test_of_many_messages_the_first_are_told() -> None:
     ]
 
 
+def test_of_many_errors_the_first_are_told() -> None:
+    """gcc that stops at so many errors says none of them."""
+    result = compile_program({"x.c": HEAD + "".join(f"int a{i} = b{i};\n" for i in range(300))})
+    assert not result.ok and len(result.diagnostics) == 200
+    assert "'b0' undeclared" in result.diagnostics[0].message
+
+
+def test_a_flag_that_keeps_the_compiler_from_making_a_program_is_an_error() -> None:
+    result = compile_program({"x.c": HEAD}, flags=["-fsyntax-only"])
+    assert ["made no program" in d.message for d in result.diagnostics] == [True]
+
+
+def test_an_error_is_told_whatever_characters_it_quotes() -> None:
+    result = compile_program({"x.c": HEAD + "#error a\x1b[2Jb\n"})
+    assert ["#error a" in d.message for d in result.diagnostics] == [True]
+
+
 def test_a_huge_result_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compiler, "_MAX_FILE", 1 << 20)  # far below every other limit
     result = compile_program({"huge.c": HEAD + "char y[8 << 20] = {1};\n"}, timeout_s=10.0)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import pty
 import resource
 import signal
 import subprocess
@@ -213,6 +214,10 @@ REACHES = {
     # of a user without processes: where nothing holds this program, it lowers every one of a user
     "priority_of_a_user": "return setpriority(PRIO_USER, 54321, 19);",
     "disk": "return syscall(SYS_ioprio_set, 1, {other}, 3 << 13);",
+    # whose shell would carry out what is typed there
+    "terminal": (
+        'const int t = open("{terminal}", O_RDWR | O_NOCTTY); return ioctl(t, TIOCSTI, "x");'
+    ),
     "ring": "char none[120] = {{0}}; return syscall(SYS_io_uring_setup, 1, none);",
 }
 
@@ -229,16 +234,20 @@ def _treated(pid: int) -> tuple[object, ...]:
 
 @pytest.mark.parametrize("way", list(REACHES))
 def test_user_code_reaches_no_other_process(make_runtime: Make, way: str, mark: str) -> None:
-    other = subprocess.Popen(["sleep", "300"])
+    master, terminal = pty.openpty()
+    other = subprocess.Popen(["sleep", "300"], stdin=terminal)
     try:
         before = _treated(other.pid)
-        runtime = make_runtime(_program(REACHES[way].format(other=other.pid), mark, "init"))
+        how = REACHES[way].format(other=other.pid, terminal=os.ttyname(terminal))
+        runtime = make_runtime(_program(how, mark, "init"))
         assert runtime.read(["answer", "refused"])[1] == {"answer": -1.0, "refused": 1.0}
         assert other.poll() is None
         assert _treated(other.pid) == before
     finally:
         other.kill()
         other.wait()
+        os.close(master)
+        os.close(terminal)
 
 
 STRAYS = {

@@ -122,3 +122,56 @@ def test_a_stopped_runner_goes_on_to_make_the_machine_safe(tmp_path: Path) -> No
         monitor.communicate()
     until(lambda: not _of(monitor.pid), "it ends", lambda: _of(monitor.pid))
     assert (tmp_path / "is-safe").exists()
+
+
+STAYS = """
+#include <signal.h>
+#include <unistd.h>
+#include "isr.h"
+static pid_t target;
+void UserInit(void) { target = getppid(); }
+void UserISR_INT2(void) { if (getppid() != target) kill(getpid(), SIGSTOP); }
+"""
+
+
+@pytest.mark.parametrize("machine", ["hardware", "imi_planar"])
+def test_a_program_that_stops_its_own_runner_does_not_outlive_its_target(
+    tmp_path: Path, machine: str
+) -> None:
+    """It stops as soon as it is an orphan, whatever the runner heard then."""
+    (tmp_path / "fake.c").write_text(HARDWARE)
+    code = MONITOR
+    if machine != "hardware":
+        code = MONITOR.replace('str(folder / "fake.c")', repr(machine))
+        code = code.replace('machine_config={"folder": str(folder)},', "")
+    words = [sys.executable, "-c", code, str(tmp_path), STAYS]
+    monitor = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+    try:
+        assert monitor.stdout is not None and monitor.stdout.readline()
+    finally:
+        monitor.send_signal(signal.SIGKILL)
+        monitor.communicate()
+    try:
+        until(lambda: not _of(monitor.pid), "it ends", lambda: _of(monitor.pid))
+    finally:
+        for left in _of(monitor.pid):
+            os.kill(int(left.split(":")[0]), signal.SIGKILL)
+    assert (tmp_path / "is-safe").exists() is (machine == "hardware")
+
+
+def test_a_target_and_a_runner_that_are_killed_at_once_leave_a_machine_that_is_safe(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "fake.c").write_text(HARDWARE)
+    words = [sys.executable, "-c", MONITOR, str(tmp_path), PROGRAM % ""]
+    monitor = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+    try:
+        assert monitor.stdout is not None
+        runner = int(monitor.stdout.readline())
+        monitor.send_signal(signal.SIGSTOP)
+        os.kill(runner, signal.SIGKILL)
+    finally:
+        monitor.send_signal(signal.SIGKILL)
+        monitor.communicate()
+    until((tmp_path / "is-safe").exists, "the machine is safe")
+    until(lambda: not _of(monitor.pid), "it ends", lambda: _of(monitor.pid))

@@ -15,11 +15,13 @@
 #include <linux/audit.h>  /* AUDIT_ARCH_… */
 #include <linux/filter.h> /* sock_filter */
 #include <linux/seccomp.h>
+#include <poll.h>         /* poll */
 #include <pthread.h>      /* pthread_atfork */
 #include <signal.h>       /* kill */
 #include <stddef.h>       /* offsetof */
 #include <stdio.h>        /* snprintf */
 #include <string.h>       /* strlen, strerror */
+#include <sys/ioctl.h>    /* TIOCSTI */
 #include <sys/mman.h>     /* madvise */
 #include <sys/prctl.h>    /* PR_SET_NO_NEW_PRIVS */
 #include <sys/resource.h> /* setrlimit */
@@ -126,6 +128,8 @@ static int filter_calls(void) {
         DENY_COMMAND(CALL_FCNTL, F_SETOWN_EX),
         DENY_COMMAND(__NR_ioctl, FIOSETOWN),
         DENY_COMMAND(__NR_ioctl, SIOCSPGRP),
+        DENY_COMMAND(__NR_ioctl, TIOCSTI), /* typed into a shell it starts any program */
+        DENY_COMMAND(__NR_ioctl, TIOCLINUX),
         OWN_ONLY(__NR_prlimit64, own), /* a process beyond its limit of CPU time is killed */
         /* a loop without its priority is late, and a target without time hears no STOP */
         OWN_ONLY(__NR_sched_setscheduler, own),
@@ -292,6 +296,20 @@ void contain_hear_of_end(const control *c, int signal) {
     prctl(PR_SET_PDEATHSIG, signal, 0, 0, 0);
     if (getppid() != c->monitor && signal == SIGKILL)
         _exit(1); /* it ended before the kernel was told */
+}
+
+/* A handle on another process, -1 where the kernel has none; the numbers of these two calls are the
+ * same on every architecture. */
+int contain_hold(int process) { return (int)syscall(434, process, 0); }
+
+/* The monitor of a runner is gone: it makes its machine safe and ends. One that is stopped, or that
+ * stops itself, goes on, and is ended when its time is over. */
+void contain_end_runner(int handle, int seconds) {
+    struct pollfd end = {.fd = handle, .events = POLLIN};
+    const int each_ms = 100;
+    for (int left = seconds * 1000; left > -seconds * 1000 && poll(&end, 1, each_ms) == 0;
+         left -= each_ms)
+        syscall(424, handle, left > 0 ? SIGCONT : SIGKILL, NULL, 0);
 }
 
 /* The watcher is gone: whatever is left of our process group goes with us. */

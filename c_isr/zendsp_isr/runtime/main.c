@@ -215,16 +215,24 @@ static void catch_signals(void) {
     sigaction(SIGTERM, &end, NULL);
 }
 
-/* In a process of its own, since the memory of one that crashed is not to be trusted; it begins
- * with the runner, and waits for a byte: without one, it is not wanted. */
+/* In a process of its own, since the memory of one that crashed is not to be trusted. It begins
+ * with the runner, is told its number, and then whether it is wanted. Where the monitor ends without
+ * a word, the runner is to end first: it may have been killed as well, or stopped. */
 static int make_safe(const char *path) {
     const control *given = map_control(path);
     static control copy;
-    char wanted;
+    int32_t number, wanted;
     if (!given)
         return 1;
     copy = *given;
-    if (read(STDIN_FILENO, &wanted, 1) != 1)
+    if (read(STDIN_FILENO, &number, sizeof number) != sizeof number)
+        return 0;
+    const int handle = contain_hold(number);
+    if (read(STDIN_FILENO, &wanted, sizeof wanted) != sizeof wanted) {
+        if (handle < 0)
+            return 0;
+        contain_end_runner(handle, ORPHAN_S);
+    } else if (!wanted)
         return 0;
     contain_end_within(ORPHAN_S); /* who asked for it may be gone by then */
     the_runner.control = &copy;

@@ -154,6 +154,8 @@ void contain_say(control *c);
 void contain_hear_of_end(const control *c, int signal);
 void contain_end_within(int seconds);
 void contain_end_group(void);
+int contain_hold(int process);
+void contain_end_runner(int handle, int seconds);
 void contain_end_children(void);
 
 /* loop.c */

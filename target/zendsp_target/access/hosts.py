@@ -8,6 +8,9 @@ from collections.abc import Callable
 import zenoh
 
 from zendsp_protocol import keys
+from zendsp_protocol.codec import MOST_NAME
+
+MOST_HOSTS = 256  # of one user that are told of: the status names them all, to everybody
 
 
 class Hosts:
@@ -30,11 +33,19 @@ class Hosts:
         with self._lock:
             return tuple(sorted(self._present))
 
+    def _count(self, user: str) -> int:
+        return sum(host.partition("@")[0] == user for host in self._present)
+
     def _changed(self, sample: zenoh.Sample) -> None:
         host = keys.host_of(str(sample.key_expr))
         gone = sample.kind == zenoh.SampleKind.DELETE
+        user = host.partition("@")[0]
         with self._lock:
-            self._present.discard(host) if gone else self._present.add(host)
-        if gone:
+            known = host in self._present
+            if gone:
+                self._present.discard(host)
+            elif len(host) <= MOST_NAME and self._count(user) < MOST_HOSTS:
+                self._present.add(host)
+        if gone and known:
             # Not in this thread: it belongs to Zenoh and must not wait for the runtime.
             threading.Thread(target=self._on_gone, args=(host,), daemon=True).start()

@@ -19,6 +19,7 @@ from zendsp_target.api import Blank, RuntimeApi
 from zendsp_target.bounded import keep
 from zendsp_target.serving.drives import Drives
 
+LONGEST = 65536  # bytes of a request that is kept
 _FLOAT = struct.Struct(">d")  # what MessagePack puts behind the byte that announces a double
 _COUNT = struct.Struct(">Q")  # likewise
 # a count that takes all of its eight bytes, which are no text: it stands nowhere else in a reply
@@ -55,6 +56,8 @@ class Repeats:
         """Make ready for a request that went the whole way, and well: from whom, as it says, and as
         the target knows.
         """
+        if len(request) > LONGEST:
+            return
         if verb.name == "read":
             self._learn_read(request, args)
         elif verb.name == "write":

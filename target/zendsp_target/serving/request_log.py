@@ -166,6 +166,14 @@ class Once:
         with self._lock:
             return tuple(self._users[user].memories) if user in self._users else ()
 
+    def drop(self, ticket: Ticket) -> None:
+        """Do not remember a request: however often it comes, nothing changes."""
+        user, link, number = ticket
+        with self._lock:
+            memory = self._users[user].memories[link]
+            memory.begun -= 1
+            del memory.results[number]
+
     def finish(self, ticket: Ticket, reply: bytes | bytearray) -> list[Any]:
         """Remember the reply of a request that was carried out; returns who asked for it meanwhile.
         """

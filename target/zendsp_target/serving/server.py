@@ -17,9 +17,11 @@ import zenoh
 
 from zendsp_protocol import codec, keys, verbs
 from zendsp_protocol.errors import LinkError, ZendspError
+from zendsp_protocol.once import ONCE
 from zendsp_protocol.version import PROTOCOL
 from zendsp_target.access.admission import Doors, check_role, may
 from zendsp_target.access.hosts import Hosts
+from zendsp_target.access.lingering import close_at_once
 from zendsp_target.api import RECORDER, RuntimeApi
 from zendsp_target.serving.bulk_transfer import send_rows
 from zendsp_target.serving.deferred import Later
@@ -166,6 +168,9 @@ class Server:
                 reply = short
             else:
                 verb, args, said = codec.decode_request(request, lane)
+                if ticket is not None and verb.name not in ONCE:
+                    self.service.once.drop(ticket)
+                    ticket = None
                 by = said
                 if user:  # known by name: its role decides, and its name is what the log says
                     check_role(user, self._doors.role_of(user), verb)
@@ -309,7 +314,11 @@ class Server:
         """
         publisher = self._session.declare_publisher(keys.event(self.name))
         last, due = None, 0.0
+        links = 0.0
         while not self._end.wait(PULSE_POLL_S):
+            if time.monotonic() >= links:
+                links = time.monotonic() + PULSE_S
+                close_at_once()
             self.live.keep(self._may_look)
             self._end_commands()
             try:

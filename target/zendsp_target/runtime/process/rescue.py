@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import subprocess
+import sys
 
 from zendsp_isr.parts import build_runner
 from zendsp_target.runtime.memory.shm import SharedFile
@@ -20,7 +21,8 @@ NOT_SAFE = "the machine is NOT SAFE: use the machine's emergency stop"
 
 
 class Rescue:
-    """Waits until it is wanted, or dismissed; it ends with this process.
+    """Waits until it is wanted, or dismissed. Where this process is killed, it sees to it that the
+    runner ends, and makes the machine safe.
 
     Parameters
     ----------
@@ -46,13 +48,22 @@ class Rescue:
             bufsize=0,
         )
 
+    def guard(self, runner: int) -> None:
+        """Be told of the runner, by its process id."""
+        with contextlib.suppress(OSError):  # it was ended: there is another when it is wanted
+            self._tell(runner)
+
+    def _tell(self, number: int) -> None:
+        assert self._process.stdin is not None
+        self._process.stdin.write(number.to_bytes(4, sys.byteorder))
+
     def act(self) -> str:
         """Make the machine safe, now; returns what to tell where that failed, else nothing."""
         try:
             if self._process.poll() is not None:  # it has been wanted before, or was ended
                 self._process = self._begin()
-            assert self._process.stdin is not None
-            self._process.stdin.write(b"\n")
+                self.guard(0)  # it has ended
+            self._tell(1)
             status = self._process.wait(LIMIT_S)
             why = f"its process ended with status {status}" if status else ""
         except subprocess.TimeoutExpired:
@@ -68,6 +79,7 @@ class Rescue:
         """End it: it is not wanted any more."""
         assert self._process.stdin is not None
         with contextlib.suppress(OSError):
+            self._tell(0)
             self._process.stdin.close()
         try:
             self._process.wait(LIMIT_S)

@@ -178,6 +178,7 @@ class RunnerProcess:
             self._rescue.dismiss()
             self.control_file.unlink()
             raise
+        self._rescue.guard(self.pid)
         self._strays = Strays(self.pid, mark)
         self.handle = os.pidfd_open(self.pid) if hasattr(os, "pidfd_open") else -1
         if self.handle >= 0:
@@ -191,8 +192,6 @@ class RunnerProcess:
             self._contained = bool(self.control.contained)
             self.look()
             self.simulated = bool(self.control.info.simulated)
-            if self.simulated:
-                self._rescue.dismiss()
         except BaseException as error:
             self.kill()
             unsafe = self.make_safe()
@@ -373,8 +372,7 @@ class RunnerProcess:
         """Remove the names of the files, and who waits to make the machine safe; what was mapped
         stays readable.
         """
-        if not self.simulated:
-            self._rescue.dismiss()
+        self._rescue.dismiss()
         self.control_file.unlink()
         if hasattr(self, "data_file"):
             self.data_file.unlink()
