@@ -291,8 +291,10 @@ def test_diagnosis_claims_the_payload_once_for_the_whole_arm(record,
 
 
 def test_what_no_joint_feels_of_a_centre_is_no_number_to_look_for() -> None:
-    """Two parallel axes: a place along them gave a centre of 30 km, and springs that balance it."""
-    from zendsp.diagnosis.search.body_hypotheses import felt
+    """Two parallel axes: a place along them gave a centre of 30 km, and springs that balance it; a
+    tilt along which no gravity acts one of three million radians.
+    """
+    from zendsp.diagnosis.search.body_hypotheses import felt, turned
     from zendsp.physics.robots.bodies import Links
     from zendsp.tree import Body
 
@@ -308,6 +310,7 @@ def test_what_no_joint_feels_of_a_centre_is_no_number_to_look_for() -> None:
     # about the vertical nothing tells how high it is; behind the second joint all is felt
     assert felt(upright, 0) == ("com_x", "com_y")
     assert felt(upright, 1) == ("com_x", "com_y", "com_z")
+    assert (turned(flat), turned(upright)) == (("angle_y",), ("angle_x", "angle_y"))
 
 
 def test_the_inertia_of_joints_that_accelerate_together_stays_in_its_range(tmp_path: Path) -> None:

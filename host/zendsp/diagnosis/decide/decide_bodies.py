@@ -262,10 +262,14 @@ def _sentence(found: FoundBody, values: dict[str, Estimate]) -> str:
             f" {where} in the link's frame."
         )
     if effect == "base_tilt":
-        about_x, about_y = (number(values[key]) for key in ("angle_x", "angle_y"))
+        turns = " and ".join(
+            f"by {number(values[key])} about the base's {key[-1]} axis"
+            for key in ("angle_x", "angle_y")
+            if key in values
+        )
         return (
-            f"Gravity does not point where the model says: it is turned by {about_x} about the"
-            f" base's x axis and by {about_y} about its y axis, as on a tilted base."
+            f"Gravity does not point where the model says: it is turned {turns}, as on a tilted"
+            " base."
         )
     if "mass" in values:
         return (
