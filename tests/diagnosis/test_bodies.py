@@ -222,7 +222,7 @@ def test_a_wrong_link_is_found_beside_a_command_column_that_is_late(record,
     (body,) = [f for f in d.findings if f.effect in ("body", "payload")]
     mass = body.parameters["mass"]
     assert mass.value == pytest.approx(0.5, abs=3.0 * mass.std) and mass.std < 0.1
-    # joint 2 leaves 0.6 % of its torque else, which no law describes
+    # joint 2's part of the inertia that the file gives the link with its mass is the body's own
     named = {(f.effect, f.joint) for f in d.findings if f is not body}
     assert named - {("inertia", 1)} == {("column_shift", joint) for joint in (1, 2, 3)}
 
