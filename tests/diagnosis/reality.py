@@ -24,6 +24,7 @@ class Machine:
     inertia: float = 0.010
     viscous: float = 0.004
     coulomb: float = 0.03
+    creep: float = 1e-3  # rad/s, about which dry friction changes its sign
     drag: float = 0.0  # drag * |q̇|^power
     power: float = 2.0
     gravity: float = 0.0
@@ -163,8 +164,8 @@ def simulate(
             f += m.sticky * math.tanh(2 * math.sin(3 * q)) * math.tanh(v / 0.1)
             f += m.swirl * math.sin(2 * v) + m.blend * q * v
             # dry friction implicitly in its slope: stable at any step
-            s = math.tanh(v / 1e-3)
-            steep = level / 1e-3 * (1 - s * s)
+            s = math.tanh(v / m.creep)
+            steep = level / m.creep * (1 - s * s)
             push = 0.0
             if m.soft:
                 apart = q - there

@@ -222,7 +222,7 @@ def test_a_wrong_link_is_found_beside_a_command_column_that_is_late(record,
     (body,) = [f for f in d.findings if f.effect in ("body", "payload")]
     mass = body.parameters["mass"]
     assert mass.value == pytest.approx(0.5, abs=3.0 * mass.std) and mass.std < 0.1
-    # joint 2 leaves 0.6 % of its torque else, which no law describes
+    # joint 2's part of the inertia that the file gives the link with its mass is the body's own
     named = {(f.effect, f.joint) for f in d.findings if f is not body}
     assert named - {("inertia", 1)} == {("column_shift", joint) for joint in (1, 2, 3)}
 
@@ -291,8 +291,10 @@ def test_diagnosis_claims_the_payload_once_for_the_whole_arm(record,
 
 
 def test_what_no_joint_feels_of_a_centre_is_no_number_to_look_for() -> None:
-    """Two parallel axes: a place along them gave a centre of 30 km, and springs that balance it."""
-    from zendsp.diagnosis.search.body_hypotheses import felt
+    """Two parallel axes: a place along them gave a centre of 30 km, and springs that balance it; a
+    tilt along which no gravity acts one of three million radians.
+    """
+    from zendsp.diagnosis.search.body_hypotheses import felt, turned
     from zendsp.physics.robots.bodies import Links
     from zendsp.tree import Body
 
@@ -308,6 +310,7 @@ def test_what_no_joint_feels_of_a_centre_is_no_number_to_look_for() -> None:
     # about the vertical nothing tells how high it is; behind the second joint all is felt
     assert felt(upright, 0) == ("com_x", "com_y")
     assert felt(upright, 1) == ("com_x", "com_y", "com_z")
+    assert (turned(flat), turned(upright)) == (("angle_y",), ("angle_x", "angle_y"))
 
 
 def test_the_inertia_of_joints_that_accelerate_together_stays_in_its_range(tmp_path: Path) -> None:

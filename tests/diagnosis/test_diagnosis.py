@@ -8,7 +8,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -151,6 +151,17 @@ def test_complete_model_raises_no_alarm(
     )
     d = run(case, tmp_path, resolution)
     assert d.verdict == "complete" and d.findings == () and d.regions == ()
+
+
+def test_a_known_friction_that_creeps_is_no_missing_physics_and_hides_none(tmp_path: Path) -> None:
+    soft = Case(reality.Machine(creep=0.03), [VISCOUS, COULOMB], {})
+    complete = run(soft, tmp_path)
+    assert complete.verdict == "complete" and any("creeps" in note for note in complete.notes)
+    (tmp_path / "ripple").mkdir()
+    ripple = replace(soft, machine=reality.Machine(creep=0.03, ripple=0.006))
+    (found,) = run(ripple, tmp_path / "ripple").findings
+    assert found.effect == "ripple"
+    assert found.parameters["amplitude"].value == pytest.approx(0.006, rel=0.05)
 
 
 def test_a_fast_ripple_is_found_though_the_held_out_recording_has_another_zero(

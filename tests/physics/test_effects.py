@@ -77,7 +77,7 @@ MECHANISM = {
     "disturbance": "disturbance",
 }
 # laws of dry friction that the simulator knows and no diagnosis names
-BESIDE = {"coulomb_tanh", "friction_block"}
+BESIDE = {"coulomb_tanh", "creep", "friction_block"}
 
 
 @pytest.mark.parametrize("name", CONTRACT)

@@ -183,6 +183,7 @@ EFFECTS = {
     "cubic_stiffness": {"coefficient": 0.2, "neutral": 0.1},
     "encoder_eccentricity": {"amplitude": 0.01, "phase": 0.2},
     "coulomb_tanh": {"level": 0.05, "speed": 0.1},
+    "creep": {"speed": 0.1},
     "gain_drift": {"ratio": -0.3, "time_constant": 2.0},
     "sensor_harmonic": {"order": 2.0, "amplitude": 0.01, "phase": 0.2},
     "column_shift": {"time": 0.002},
@@ -433,3 +434,16 @@ def test_smoothed_coulomb_friction_is_stable_however_steep_and_creeps_where_dry_
         simulate_loop(rotary(effect("coulomb", level=0.1)), command=np.full(1000, 0.05))["plant_qd"]
         == 0.0
     )
+
+
+def test_dry_friction_that_creeps_is_coulomb_friction_smoothed_by_tanh() -> None:
+    r = 0.8 * np.sin(2.0 * T * np.arange(2000))
+    loop = {"controller": {"kind": "pd", "kp": 2.0, "kd": 0.1}}
+    creeping, smooth = (
+        simulate_loop(rotary(*terms, gravity=0.3, **loop), r, inner=64)["plant_q"]
+        for terms in (
+            (effect("coulomb", level=0.05), effect("creep", speed=0.02)),
+            (effect("coulomb_tanh", level=0.05, speed=0.02),),
+        )
+    )
+    assert np.abs(creeping - smooth).max() < 1e-6, "rad, where dry friction that holds is 3e-4 off"

@@ -35,6 +35,7 @@ from zendsp.diagnosis.decide.detectable import detectable
 from zendsp.diagnosis.decide.fast_ripple import FineRipple, fine_ripples, fixed
 from zendsp.diagnosis.decide.naming import (
     bent,
+    creeping,
     left_over,
     loosely_fitted,
     name_findings,
@@ -161,8 +162,9 @@ def _diagnose(
     alone = by_one_sensor(parts, found.bodies.model, decisions)
     seen += (*(d for m in found.measured for d in m.detectable), *alone)
     test = _table(parts.test, given, whole.calibrated, improved)
-    notes += [*said(alone), *loosely_fitted(decisions), *other_loads(decisions)]
-    notes += moved(given, found.whole.calibrated)
+    notes += [*said(alone), *loosely_fitted(decisions), *creeping(decisions, given)]
+    notes += other_loads(decisions)
+    notes += moved(given, found.whole.improved if findings else found.whole.calibrated)
     if not findings:
         notes += bent(test, noise_floor(parts.test))
     return Diagnosis(

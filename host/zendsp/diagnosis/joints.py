@@ -21,7 +21,7 @@ from zendsp.diagnosis.decide.decide import decide, unpushed
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import Scored, calibrate_joint
 from zendsp.diagnosis.measure.windows import model_error, noise_floor, rms, window_error
-from zendsp.diagnosis.search.forward import Searcher
+from zendsp.diagnosis.search.forward import Searcher, is_white
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
 from zendsp.diagnosis.search.rounds import WAIT
 from zendsp.diagnosis.search.simplify import upon
@@ -203,7 +203,17 @@ def _search_joint(
 ) -> tuple[JointSearch, Decision]:
     tell(f"joint {joint}: calibrating the given model")
     base = calibrate_joint(parts.fit, given, joint, jobs)
-    search = Searcher(parts.fit, joint, Acceptance(parts.choose), jobs, tell, given).search(base)
+    accept = Acceptance(parts.choose)
+    searcher = Searcher(parts.fit, joint, accept, jobs, tell, given)
+    search = searcher.search(base)
+    # how a friction that the model has turns round is no missing physics, and hides what is
+    soft = None if is_white(search.final, joint) else searcher.softened(base)
+    if soft is not None:
+        tell(f"joint {joint}: again, with a dry friction that creeps")
+        creeping = given.with_terms((*given.terms, soft.model.terms[-1]))
+        other = Searcher(parts.fit, joint, accept, jobs, tell, creeping).search(soft)
+        if other.final.deviance < search.final.deviance - WAIT:
+            search, given = other, creeping
     return search, decide(parts, given, search, jobs, tell)
 
 
@@ -212,6 +222,11 @@ def decided_again(
 ) -> tuple[JointSearch, Decision]:
     """What a search found, fitted upon a model that knows more by now, and decided again."""
     tell(f"joint {first.joint}: what was found, upon what passes fast")
+    known = first.base.model.terms
+    creep = next((k for k, t in enumerate(known) if t.effect == "creep"), None)
+    if creep is not None:
+        terms = beneath.terms
+        beneath = beneath.with_terms((*terms[:creep], known[creep], *terms[creep:]))
     base = calibrate_joint(parts.fit, beneath, first.joint, jobs)
     search = upon(first, base, jobs)
     return search, decide(parts, beneath, search, jobs, tell)

@@ -65,8 +65,9 @@ def inertia_ranges(
         ]
         if around[0]:
             lows, highs = zip(*filter(None, around), strict=True)
-            # what is missing may bend it away from what is given
-            low, high = min(*lows, given or lows[0]), max(*highs, given)
+            # what is missing may bend it away from what is given, which errs too
+            low = min(*lows, given / AROUND or lows[0])
+            high = max(*highs, given * AROUND)
             others = ranges.get(place, (low, high))
             ranges[place] = min(low, others[0]), max(high, others[1])
         elif not own_mechanism and given > 0:

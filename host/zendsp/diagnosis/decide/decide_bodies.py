@@ -21,7 +21,7 @@ from zendsp.diagnosis.decide.confidence import MOST as SUREST
 from zendsp.diagnosis.decide.findings import NUMERIC
 from zendsp.diagnosis.decide.pieces import dependence
 from zendsp.diagnosis.decide.result import Estimate, Finding, Rejected, number
-from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES, LAW_ERROR, PLAIN, SURE
+from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES, LAW_ERROR, OWN_SHARE, PLAIN, SURE
 from zendsp.diagnosis.measure.discrepancy import difference
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import fit_scored
@@ -143,19 +143,22 @@ def _decided(
 
 def beside_bodies(claims: Sequence[BodyClaim], decisions: Sequence[Decision]) -> list[Decision]:
     """Decisions in which a constant or a function of the position that is no larger than what a
-    body's weight may be wrong by refines the fit.
+    body's weight may be wrong by refines the fit, and so does little inertia: the body's own.
     """
     out = []
     for decision in decisions:
-        least = LAW_ERROR * max((c.sizes.get(decision.joint, 0.0) for c in claims), default=0.0)
+        largest = max((c.sizes.get(decision.joint, 0.0) for c in claims), default=0.0)
         weight = [
             c
             for c in decision.claims
-            if c.size < least
-            and (
-                c.mechanism == "position_torque"
-                or (c.effect != "unknown" and get_effect(c.effect).constant)
+            if (
+                c.size < LAW_ERROR * largest
+                and (
+                    c.mechanism == "position_torque"
+                    or (c.effect != "unknown" and get_effect(c.effect).constant)
+                )
             )
+            or (c.effect == "inertia" and c.size**2 < OWN_SHARE * largest**2)
         ]
         keep = tuple(c for c in decision.claims if not any(c is w for w in weight))
         if weight:
@@ -262,10 +265,14 @@ def _sentence(found: FoundBody, values: dict[str, Estimate]) -> str:
             f" {where} in the link's frame."
         )
     if effect == "base_tilt":
-        about_x, about_y = (number(values[key]) for key in ("angle_x", "angle_y"))
+        turns = " and ".join(
+            f"by {number(values[key])} about the base's {key[-1]} axis"
+            for key in ("angle_x", "angle_y")
+            if key in values
+        )
         return (
-            f"Gravity does not point where the model says: it is turned by {about_x} about the"
-            f" base's x axis and by {about_y} about its y axis, as on a tilted base."
+            f"Gravity does not point where the model says: it is turned {turns}, as on a tilted"
+            " base."
         )
     if "mass" in values:
         return (

@@ -353,6 +353,19 @@ def loosely_fitted(decisions: Sequence[Decision]) -> list[str]:
     ]
 
 
+def creeping(decisions: Sequence[Decision], given: Model) -> list[str]:
+    """Where a dry friction that the model has turns round softly."""
+    return [
+        f"joint {d.joint}: its dry friction does not hold at standstill, it creeps: it changes its"
+        f" sign within {t.value('speed'):.2g} {unit}. The improved model does too; that is no"
+        " missing physics"
+        for d in decisions
+        for unit in [units(given, d.joint)["velocity"]]
+        for t in d.final.model.at(d.joint)
+        if t.effect == "creep" and not any(g.effect == "creep" for g in given.at(d.joint))
+    ]
+
+
 def bent(test: FitTable, floor: float) -> list[str]:
     """Where calibration makes it worse, in rad or m: what the model has not bends its numbers."""
     if test.calibrated < BENT * test.given or test.calibrated < BENT * floor:

@@ -173,7 +173,7 @@ class Layout:
             at = NUISANCE + 10 * k
             x[:, at : at + 10] = change_of(self.term(h, values), self.links.bodies[k])
         elif h.effect == "base_tilt":
-            x[:, self.tilt : self.tilt + 2] = values
+            x[:, [self.tilt + ("angle_x", "angle_y").index(key) for key in h.free]] = values
         elif h.effect == "gravity_scale":
             x[:, self.scale] = values[0]
         elif h.effect == "calibration":

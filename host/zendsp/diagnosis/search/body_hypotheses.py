@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from zendsp.physics.model import Model
+from zendsp.physics.model import Model, Quantity, Term
 from zendsp.physics.robots.bodies import Links
 
 
@@ -140,6 +140,20 @@ def felt(links: Links, link: int) -> tuple[str, ...]:
     return tuple(key for key, at in _HOLDS.items() if seen[list(at)].any())
 
 
+TILT = 1e-3  # rad: about an axis along which gravity acts on nobody, what is felt is its square
+UNTURNED = 0.01  # of what the other axis does: a machine in a plane that stands upright
+
+
+def turned(links: Links) -> tuple[str, ...]:
+    """Axes of the base about which a tilt is felt by any joint."""
+    sizes = {}
+    for key in ("angle_x", "angle_y"):
+        tilt = [Term("base_tilt", 1, {key: Quantity(TILT)})]
+        felt = [links.change(tilt, joint).bias for joint in range(len(links.bodies))]
+        sizes[key] = max(float(np.abs(bias).max()) for bias in felt)
+    return tuple(key for key, size in sizes.items() if size > UNTURNED * max(sizes.values()))
+
+
 def hypotheses(model: Model, links: Links) -> list[Hypothesis]:
     """All that is tried."""
     out: list[Hypothesis] = []
@@ -158,7 +172,9 @@ def hypotheses(model: Model, links: Links) -> list[Hypothesis]:
                 out.append(Hypothesis("body", k + 1, b.name, com, COST["body"] + len(com)))
                 out.append(Hypothesis("body", k + 1, b.name, free, COST["body"] + 1 + len(com)))
     if any(b.mass > 0 for b in links.bodies) and np.any(links.gravity):
-        out.append(Hypothesis("base_tilt", free=("angle_x", "angle_y"), cost=COST["base_tilt"] + 2))
+        axes = turned(links)
+        cost = COST["base_tilt"] + len(axes)
+        out += [Hypothesis("base_tilt", free=axes, cost=cost)] if axes else []
         out.append(Hypothesis("gravity_scale", free=("ratio",), cost=RARE))
     if keys := calibrated(model):
         out.append(Hypothesis("calibration", free=keys, cost=RARE))

@@ -14,23 +14,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from zendsp.diagnosis.measure.likelihood import (
-    Scored,
-)
+from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
 from zendsp.diagnosis.search.backlash import refine
 from zendsp.diagnosis.search.hypothesis import (
     SUFFICIENT,
     JointSearch,
     Rival,
     Step,
+    price,
 )
 from zendsp.diagnosis.search.rounds import GLANCE, SETTLED, WAIT, WORTH, Progress, Rounds
 from zendsp.diagnosis.search.simplify import simplify, split_asymmetry
-from zendsp.physics.calibration.fit import Data
+from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.calibration.predict import run
 from zendsp.physics.effects import get_effect
-from zendsp.physics.model import Model
+from zendsp.physics.model import Model, Quantity, Term
 
+CREEP = (0.01, 0.1)  # of the fast speed: where the search for a friction that creeps begins
 RUNNERS = 4  # hypotheses that are held against the held-out recordings in each round
 WHITE = 1.2  # slow variation of the innovations, over that of white noise
 # gain a sample, a tenth of the innovations' energy, below which no second effect is looked for
@@ -85,6 +85,26 @@ class Searcher:
         ):
             return found
         return self._chain(base, alone)
+
+    def softened(self, base: Scored) -> Scored | None:
+        """The calibrated model with a dry friction that creeps in place of holding; None where it
+        has none, or that does not pay.
+        """
+        had = base.model.at(self.joint)
+        holds = any(get_effect(t.effect).site == "dry" for t in had)
+        if not holds or any(t.effect == "creep" for t in had):
+            return None
+        fast = max(rec[self.joint - 1].scale.speed for rec in self.rounds.data.records)
+        tried = []
+        for share in CREEP:
+            term = Term("creep", self.joint, {"speed": Quantity(share * fast)})
+            model = base.model.with_terms((*base.model.terms, term))
+            handles = joint_handles(base.data, model, self.joint)
+            tried.append(fit_scored(base.data, model, handles, (self.joint,), jobs=self.jobs))
+        best = min(tried, key=lambda scored: scored.deviance)
+        terms = best.model.terms[-1:]
+        creep = Rival("creep", self.joint, best, price(terms, self.rounds.n), terms, ())
+        return best if self.accept(base, creep) else None
 
     def _chain(self, base: Scored, begin: Rival | None = None, most: int = 6) -> JointSearch:
         """Add effects to a calibrated model until nothing passes, the first of them ``begin`` where

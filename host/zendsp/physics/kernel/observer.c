@@ -272,6 +272,19 @@ static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, 
                 level[l] = level[l] > 0 ? level[l] : 0.0;
                 vn[l] = soft(vfree[l], h * level[l] * per_jm[l]);
             }
+            if (hidden && N->creeps) /* v + most tanh(v / slow) = vfree: Newton, from below */
+                EACH {
+                    double most = h * level[l] * per_jm[l], slow = N->creep[l];
+                    int on = (slow > 0) & (most > 0);
+                    slow = on ? slow : 1.0;
+                    double v = fabs(vfree[l]) < most + slow ? vfree[l] * slow / (most + slow)
+                                                            : vn[l];
+                    for (int turn = 0; turn < CREEP_STEPS; turn++) {
+                        double sign = tanh(v / slow);
+                        v -= (v + most * sign - vfree[l]) / (1 + most / slow * (1 - sign * sign));
+                    }
+                    vn[l] = on ? v : vn[l];
+                }
             if (hidden &&
                 N->bristled) /* bristle: z' = qd - s0 |qd| z / level, implicit in z and qd */
                 EACH {

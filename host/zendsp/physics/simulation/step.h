@@ -140,6 +140,9 @@ static void stage(sim *S, double H, double t, const double *M, const tree_pose *
             E[i] = exp(-x);
             push -= j->s0 * j->z * phi[i] + j->s1 * j->z * (E[i] - 1) / H;
             damp += j->s0 * H * psi + j->s1 * phi[i];
+        } else if (j->creep > 0) {
+            damp += ve[m] != 0 ? level * tanh(ve[m] / j->creep) / ve[m] : level / j->creep;
+            E[i] = phi[i] = 0;
         } else {
             up[m] = H * f.dry_pos;
             down[m] = H * f.dry_neg;
