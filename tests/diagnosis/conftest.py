@@ -35,9 +35,7 @@ def model(tmp_path: Path) -> Path:
 def decided(tmp_path: Path) -> Callable[..., Diagnosis]:
     """Diagnose run1.csv of a machine, with run2.csv of another or the same one held out."""
 
-    def run(
-        fit: reality.Machine, held: reality.Machine | None = None, *effects: str
-    ) -> Diagnosis:
+    def run(fit: reality.Machine, held: reality.Machine | None = None, *effects: str) -> Diagnosis:
         machines = ((fit, 9.0, 1), (held or fit, 12.0, 2))
         files = [
             reality.save(

@@ -140,8 +140,5 @@ def test_a_number_within_two_deviations_of_nothing_is_no_claim(std: float, nothi
 
 @pytest.mark.parametrize(("down", "nothing"), [(0.329, True), (0.2, False)])
 def test_friction_that_is_alike_both_ways_is_no_asymmetry(down: float, nothing: bool) -> None:
-    values = {
-        "level_pos": Estimate(0.333, 0.030, "N m"),
-        "level_neg": Estimate(down, 0.030, "N m"),
-    }
+    values = {"level_pos": Estimate(0.333, 0.030, "N m"), "level_neg": Estimate(down, 0.030, "N m")}
     assert may_be_nothing("coulomb_asymmetry", values) is nothing

@@ -122,9 +122,7 @@ def test_what_comes_often_or_explains_little_or_is_another_load_is_no_push(
     pushed: bool,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    found: Any = SimpleNamespace(
-        intervals=(), recordings=(), spread=spread, share=share
-    )
+    found: Any = SimpleNamespace(intervals=(), recordings=(), spread=spread, share=share)
     monkeypatch.setattr(decision, "_by_own_numbers", lambda *_: loads)
     data: Any = SimpleNamespace(records=(1,))
     parts: Any = SimpleNamespace(

@@ -50,9 +50,7 @@ UNUSUAL = {
 def test_unusual_but_right_recordings_are_accepted(name: str, tmp_path: Path) -> None:
     machine, reference = UNUSUAL[name]
     columns = reality.simulate(machine, reality.multisine(10.0, RATE, 3, **reference), RATE)
-    model = reality.model_file(
-        tmp_path / "model.toml", RATE, *KNOWN, resolution=machine.resolution
-    )
+    model = reality.model_file(tmp_path / "model.toml", RATE, *KNOWN, resolution=machine.resolution)
     if machine.limit < 3.0:
         model.write_text(model.read_text().replace("limit = 3.0", f"limit = {machine.limit}"))
     _accepted(reality.save(tmp_path / "run.csv", columns), model)

@@ -279,9 +279,7 @@ def test_the_end_of_a_host_is_no_trouble_of_the_target(installed: Installed) -> 
         "t.download('pd.c'); t.power_on(); t.home_and_wait(); t.enable(); t.start()\n"
     )
     assert script.returncode == 0, script.stderr
-    until(
-        lambda: "is gone" in installed.run("info").stderr, "the policy acts", alive=target
-    )
+    until(lambda: "is gone" in installed.run("info").stderr, "the policy acts", alive=target)
     time.sleep(AFTER_TRIP_S + 0.5)  # when the recorder would be ended; nothing tells that it was
     os.killpg(target.pid, signal.SIGTERM)
     said, _ = target.communicate(timeout=PATIENCE_S)

@@ -412,9 +412,7 @@ def faded(part: np.ndarray | float) -> np.ndarray:
     return x**3 * (4.0 - 3.0 * x)
 
 
-def test_a_faded_update_begins_slowly_and_is_logged_when_it_is_there(
-    make_runtime: Make,
-) -> None:
+def test_a_faded_update_begins_slowly_and_is_logged_when_it_is_there(make_runtime: Make) -> None:
     runtime = make_runtime(FADES)
     goal = np.array([8.0, -8.0, 16.0])
     sequence = runtime.write({"a": 80.0, "list": goal, "f": 4.0, "n": 7}, "anna", 10, 40)

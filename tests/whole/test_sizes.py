@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,6 +19,11 @@ LONG = {
     "host/zendsp/proof/rivals.py:rivals": "a table of rivals and what each is given",
     "host/zendsp/reference/kinds/swing.py:_collocate": "one optimal control problem, stated whole",
     "host/zendsp/diagnosis/decide/laws.py:named": "the decision, case by case",
+    "c_isr/zendsp_isr/runtime/contain.c:filter_calls": "the table of what is refused",
+    "host/zendsp/physics/kernel/filter.c:zf_smooth": "a pass forward and one back, on one memory",
+    "host/zendsp/physics/simulation/solve.h:solve": "one search for who slides, who sticks",
+    "host/zendsp/physics/simulation/step.h:stage": "one stage of the integrator, term by term",
+    "host/zendsp/physics/simulation/tree.h:tree_mass": "one recursion, its matrices unrolled",
 }
 PUBLIC = "a user's function: keywords with defaults, each explained"
 PLANNED = "the fields of its form, one keyword each"
@@ -59,6 +65,18 @@ def lines(node: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
     return (node.end_lineno or 0) - node.body[int(told)].lineno + 1
 
 
+def c_functions() -> Iterator[tuple[str, int]]:
+    """Every C function, ``file:name``, with the lines of its body."""
+    head = r"^(?!typedef|enum|struct)[A-Za-z][^;={]*?(?:OF\((\w+)\)|\b(\w+))\([^;{]*\)"
+    for source in SOURCES:
+        for path in sorted((ROOT / source).rglob("*.[ch]")):
+            for found in re.finditer(
+                head + r"\s*\{\n(.*?)^\}", path.read_text(), re.MULTILINE | re.DOTALL
+            ):
+                name = found[1] or found[2]
+                yield f"{path.relative_to(ROOT)}:{name}", found[3].count("\n")
+
+
 def parameters(node: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
     """Parameters, without ``self``; the options of a command are not counted."""
     if any("click." in ast.unparse(decorator) for decorator in node.decorator_list):
@@ -78,6 +96,7 @@ def unexcused(found: set[str], excuses: dict[str, str]) -> tuple[set[str], set[s
 
 def test_a_function_fits_on_a_screen_or_says_why_not() -> None:
     found = {f"{file}:{node.name}" for file, node in functions() if lines(node) > SCREEN}
+    found |= {name for name, size in c_functions() if size > SCREEN}
     assert unexcused(found, LONG) == (set(), set())
 
 

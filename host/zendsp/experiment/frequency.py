@@ -422,6 +422,4 @@ def _unit(infos: Mapping[str, Any], name: str) -> str:
 def shown_lines(rows: Sequence[Mapping[str, float]]) -> list[list[str]]:
     """Return the rows as text for a table."""
     digits = ("{:.3g}", "{:.2f}", "{:.1f}", "{:.2g}", "{:.2g}", "{:.3f}")
-    return [
-        [form.format(v) for form, v in zip(digits, row.values(), strict=True)] for row in rows
-    ]
+    return [[form.format(v) for form, v in zip(digits, row.values(), strict=True)] for row in rows]

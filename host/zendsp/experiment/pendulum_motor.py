@@ -219,14 +219,7 @@ def _mechanical_figure(train: Recording, test: Recording, paper: Array, extended
             linewidth=1.0,
             label="three parameters, as the paper",
         )
-        top.plot(
-            t,
-            four,
-            "--",
-            color=GREEN,
-            linewidth=1.0,
-            label="and viscous friction",
-        )
+        top.plot(t, four, "--", color=GREEN, linewidth=1.0, label="and viscous friction")
         bottom.plot(rec.t, rec["q"] - three, color=RED, linewidth=1.0)
         bottom.plot(t, turning["q"] - four, color=GREEN, linewidth=1.0)
         bottom.set_ylim(-1.5, 1.5)
@@ -304,9 +297,7 @@ def begun(theta: Array, rec: Recording, speed: float) -> float:
     return float(found.x[0])
 
 
-def fit_parameters(
-    rec: Recording, start: Array, speed: float = 0.0
-) -> tuple[Array, Array, float]:
+def fit_parameters(rec: Recording, start: Array, speed: float = 0.0) -> tuple[Array, Array, float]:
     """Parameters, standard deviations and rms error, by least squares on the position; a ``speed``
     at the first row is fitted too.
 

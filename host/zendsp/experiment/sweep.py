@@ -138,9 +138,7 @@ class Sweep:
         RecordingError
             The name ends otherwise, or the file cannot be written.
         """
-        return write_rows(
-            path, "a sweep", [*self.parameters, *self.results, "ended"], self.rows
-        )
+        return write_rows(path, "a sweep", [*self.parameters, *self.results, "ended"], self.rows)
 
     def cells(self) -> list[list[str]]:
         """Return the rows as text."""

@@ -11,7 +11,7 @@ PATIENCE_S = 30.0  # for a broken link to come back
 
 
 class Requests:
-    """The link of today, which a reconnection exchanges, and what is asked through it."""
+    """The present link, which a reconnection exchanges, and what is asked through it."""
 
     def __init__(self, link: Link) -> None:
         self.link = link

@@ -65,10 +65,7 @@ class Session:
 
     def start(self) -> None:
         """Start the threads."""
-        self._threads = [
-            background("tui-poller", self._poll),
-            background("tui-worker", self._work),
-        ]
+        self._threads = [background("tui-poller", self._poll), background("tui-worker", self._work)]
 
     def close(self) -> None:
         """Leave the target as it is and end the threads."""

@@ -99,9 +99,7 @@ class StopLane:
         if verdict is None or verdict.state == StopState.ASKED or begin < verdict.time:
             return
         if verdict.state == StopState.NOT_STOPPED and new.trip is not None and not new.unsafe:
-            self.verdict = Verdict(
-                StopState.STOPPED, f"stopped, at sample {new.trip.tick}", begin
-            )
+            self.verdict = Verdict(StopState.STOPPED, f"stopped, at sample {new.trip.tick}", begin)
         elif (
             verdict.state == StopState.STOPPED
             and new.trip is None

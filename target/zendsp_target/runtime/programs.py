@@ -46,7 +46,7 @@ class Programs:
     Attributes
     ----------
     session : Session or None
-        The load of today.
+        The present load.
     lock : RLock
         Held by whoever loads, starts or pauses; never by STOP.
     folder : SharedFolder

@@ -58,9 +58,7 @@ def by_one_sensor(
     return tuple(out)
 
 
-def shown(
-    parts: Parts, model: Model, decisions: Sequence[Decision]
-) -> list[Decision]:
+def shown(parts: Parts, model: Model, decisions: Sequence[Decision]) -> list[Decision]:
     """Decisions without the springs that are stiffer than these recordings can show: what swings
     there is something else.
     """

@@ -88,9 +88,7 @@ def choose(slow: Sets, inertia: float, known: Motor | None) -> tuple[Chosen, Set
     for off in (False, True) if may_be_off(slow) else (False,):
         here, motor = slow, known or Motor()
         if known is None:
-            fit, others, motor = with_motor_torque(
-                slow.fit, (slow.choose, slow.test), inertia, off
-            )
+            fit, others, motor = with_motor_torque(slow.fit, (slow.choose, slow.test), inertia, off)
             here = Sets(fit, others[0], others[1])
         here = here.each(_loaded)
         scale = torque_scale(here.fit)

@@ -270,9 +270,7 @@ class _Problem:
         )
         return base, np.asarray((columns[:, : len(at)] - behind) / widths)
 
-    def ways(
-        self, x: Array, r: Array, jac: Array
-    ) -> Callable[[Sequence[float]], list[Array]]:
+    def ways(self, x: Array, r: Array, jac: Array) -> Callable[[Sequence[float]], list[Array]]:
         """Where Levenberg-Marquardt goes from a point, by its damping."""
         # of each number: a gap in mm and a stiffness in MN/m meet in one matrix
         unit = np.maximum(np.abs(x), self.size)

@@ -95,10 +95,9 @@ static void OF(set_up)(const zk_model *M, OF(numbers) *N)
 /* torque without dry friction, and what dry friction is multiplied by; lane l looks at sample k +
  * stride l of what is recorded. What the drive cannot give at the speed is a torque that resists,
  * and S->tau then is what it gives. */
-static inline __attribute__((always_inline)) void OF(gather)(const zk_model *M,
-                                                             const OF(numbers) * N, OF(state) * S,
-                                                             int k, int stride, OF(lane) *torque,
-                                                             OF(lane) *scale) {
+INLINE void OF(gather)(const zk_model *M, const OF(numbers) *N, OF(state) *S, int k, int stride,
+                       OF(lane) *torque, OF(lane) *scale)
+{
     OF(lane) visc, thick;
     EACH { (*torque)[l] = 0; (*scale)[l] = thick[l] = 1; visc[l] = 0; }
     for (int i = 0; i < M->nfx; i++) {
@@ -113,9 +112,9 @@ static inline __attribute__((always_inline)) void OF(gather)(const zk_model *M,
 }
 
 /* dry friction for motion in the direction of v */
-static inline __attribute__((always_inline)) void OF(dry)(const zk_model *M, const OF(numbers) * N,
-                                                          const OF(state) * S, const OF(lane) *v,
-                                                          const OF(lane) *scale, OF(lane) *level) {
+INLINE void OF(dry)(const zk_model *M, const OF(numbers) *N, const OF(state) *S,
+                    const OF(lane) *v, const OF(lane) *scale, OF(lane) *level)
+{
     EACH (*level)[l] = 0;
     for (int i = 0; i < M->nfx; i++) {
         const double *p = N->p[i];
@@ -128,9 +127,9 @@ static inline __attribute__((always_inline)) void OF(dry)(const zk_model *M, con
     (void)v; (void)S;
 }
 
-static inline __attribute__((always_inline)) void OF(act)(const zk_model *M, const OF(numbers) * N,
-                                                          const OF(state) * S,
-                                                          const OF(lane) *command, OF(lane) *tau) {
+INLINE void OF(act)(const zk_model *M, const OF(numbers) *N, const OF(state) *S,
+                    const OF(lane) *command, OF(lane) *tau)
+{
     OF(lane) u;
     EACH u[l] = clip((*command)[l], N->limit[l]);
     for (int i = 0; i < M->nfx; i++) {
@@ -144,9 +143,9 @@ static inline __attribute__((always_inline)) void OF(act)(const zk_model *M, con
     (void)S;
 }
 
-static inline __attribute__((always_inline)) void
-OF(sense)(const zk_model *M, const OF(numbers) * N, OF(state) * S, const OF(lane) *q,
-          OF(lane) *out) {
+INLINE void OF(sense)(const zk_model *M, const OF(numbers) *N, OF(state) *S, const OF(lane) *q,
+                      OF(lane) *out)
+{
     EACH { S->q[l] = (*q)[l]; (*out)[l] = (*q)[l]; }
     for (int i = 0; i < M->nfx; i++) {
         const double *p = N->p[i];

@@ -68,6 +68,8 @@ typedef struct {
     double *uloop;
 } zk_model;
 
+#define INLINE static inline __attribute__((always_inline))
+
 /* not cos: beside a sin of the same angle GCC makes both one call, which has no lanes */
 static inline double cosine(double x) { return sin(x + 1.5707963267948966); }
 static inline double sgn(double x) { return (x > 0) - (x < 0); }

@@ -222,9 +222,7 @@ class Plant:
             raise ModelError(f"{model.name}: no memory for {samples} samples")
         self.pointer = self.native.ffi.gc(pointer, self.native.lib.sim_free)
 
-    def _fill(
-        self, c: Any, position: npt.ArrayLike | None, velocity: npt.ArrayLike | None
-    ) -> None:
+    def _fill(self, c: Any, position: npt.ArrayLike | None, velocity: npt.ArrayLike | None) -> None:
         model, n = self.model, self.joints
         c.joints, c.kind, c.inner, c.period = n, KINDS[model.kind], self.inner, self.period
         c.load_sensor = int(model.sensor.side == "load")

@@ -290,9 +290,7 @@ def stretch(rows: Array, count: int, *, hold: bool) -> Array:
     return out
 
 
-def recording(
-    model: Model, out: dict[str, Array], r: Array | None, extra: Extra
-) -> Recording:
+def recording(model: Model, out: dict[str, Array], r: Array | None, extra: Extra) -> Recording:
     linear = model.joint_kind(1) == "linear"
     unit, torque = ("m", "N") if linear else ("rad", "N m")
     columns: dict[str, Array] = {}
