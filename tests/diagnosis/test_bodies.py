@@ -358,6 +358,26 @@ def test_a_rotor_that_calibration_moves_by_what_a_link_may_weigh_is_noted(
     assert bool(notes) == noted and all("0.1 to 0.115" in n and "payload" in n for n in notes)
 
 
+def test_what_calibration_moved_is_told_by_name_in_the_numbers_of_a_model_file() -> None:
+    """Laws that were replaced made the others answer for each other's numbers, and a breakaway
+    torque was told without Coulomb's level, which the file has in it.
+    """
+    laws = (
+        {"kind": "coulomb", "joint": 1, "level": {"value": 0.1}},
+        {"kind": "viscous", "joint": 1, "coefficient": {"value": 0.2}},
+        {"kind": "stribeck", "joint": 1, "breakaway": {"value": 0.15}, "velocity": {"value": 0.1}},
+    )
+    rotary = {"kind": "rotary", "parameters": {"inertia": {"value": 0.01}}}
+    bench = {"name": "b", "sample_time": 0.001, "mechanism": rotary, "effect": list(laws)}
+    given = kernel_model(parse_model({**bench, "columns": {"position": "q", "command": "u"}}))
+    moved_on = set_values(given, [Handle("term", 1, "coefficient")], np.array([0.3]))
+    (note,) = moved(given, moved_on.with_terms(moved_on.terms[1:2]))
+    assert note == "joint 1: calibration moves viscous coefficient 0.2 to 0.3 (+50 %)"
+    stuck = set_values(given, [Handle("term", 2, "breakaway")], np.array([0.09]))
+    (note,) = moved(given, stuck)
+    assert "stribeck breakaway 0.15 to 0.19 (+27 %)" in note
+
+
 def test_a_mechanism_without_a_law_stands_beside_a_body() -> None:
     claim = SimpleNamespace(effect="unknown", mechanism="actuator", size=0.001)
     decision: Any = SimpleNamespace(joint=1, claims=(claim,), refinements=(), kind="missing")

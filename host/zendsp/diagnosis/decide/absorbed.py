@@ -22,6 +22,7 @@ from zendsp.diagnosis.measure.likelihood import fit_scored
 from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.effects import get_effect, library, mechanism_of
 from zendsp.physics.model import TREES, Model, Quantity
+from zendsp.physics.term_numbers import file_model
 
 # relative standard deviation of a given inertia, mass or gravity figure; more where its std says so
 TOLERANCE = 0.045
@@ -99,6 +100,7 @@ def moved(given: Model, calibrated: Model) -> list[str]:
     tolerance of a figure: it is no finding, and may be what a user looks for.
     """
     out = []
+    given, calibrated = file_model(given), file_model(calibrated)
     for joint in range(1, given.joints + 1):
         both = [(what, q, new) for what, q, new in _numbers(given, calibrated, joint) if q.free]
         ratios = [new.value / q.value for _, q, new in both if q.value]
@@ -128,7 +130,12 @@ def _numbers(
         index = joint - 1 if len(items) > 1 else 0
         if joint == 1 or len(items) > 1:
             yield key, items[index], calibrated.mechanism[key][index]
-    for old, new in zip(given.at(joint), calibrated.at(joint), strict=False):
+    left = list(calibrated.at(joint))
+    for old in given.at(joint):
+        new = next((t for t in left if t.effect == old.effect), None)
+        if new is None:
+            continue  # something else stands in its place
+        left.remove(new)
         for key, q in old.parameters.items():
             yield f"{old.effect.replace('_', ' ')} {key}", q, new.parameters.get(key, q)
 
