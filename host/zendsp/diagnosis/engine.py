@@ -187,7 +187,7 @@ def _diagnose(
         given=given_file,
         calibrated=file_model(whole.calibrated),
         improved=file_model(improved),
-        unexplained=left_over(decisions, given),
+        unexplained=left_over(decisions, given, parts.fit),
         missing=lacking,
         remaining={j: mismatch(parts.fit, improved, j) for j in joints},
         workings=Workings(found.searches, decisions, whole, parts.fit, parts.test),

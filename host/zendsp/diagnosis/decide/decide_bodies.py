@@ -240,7 +240,7 @@ def body_finding(claim: BodyClaim, everything: float) -> Finding:
         values,
         claim.confidence,
         share,
-        _effects(found.indistinguishable),
+        _effects(found.indistinguishable, term.effect),
         (),
         text,
         numbers,
@@ -312,8 +312,8 @@ def rejected_bodies(search: BodySearch, claims: Sequence[BodyClaim]) -> list[Rej
     return out
 
 
-def _effects(words: Sequence[str]) -> tuple[str, ...]:
-    """Effects of hypotheses in words ("payload of link3"), each once: reports name effects, the
-    sentence says of which body.
+def _effects(words: Sequence[str], own: str) -> tuple[str, ...]:
+    """Effects of hypotheses in words ("payload of link3") but ``own``, each once: reports name
+    effects, the sentence says of which body.
     """
-    return tuple(dict.fromkeys(w.split(" of ")[0] for w in words))
+    return tuple(dict.fromkeys(e for w in words if (e := w.split(" of ")[0]) != own))

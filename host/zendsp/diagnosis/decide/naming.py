@@ -8,6 +8,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from zendsp.diagnosis.decide.absorbed import shifted
 from zendsp.diagnosis.decide.assemble import Assembled
 from zendsp.diagnosis.decide.claims import Claim, Decision
@@ -33,6 +35,9 @@ IN_TIME = 0.85
 # ratio of the errors, calibrated over given, from which on calibration made it worse: reached by 3
 # of 240 cases (seed 109), each with something missing, and by none of 99 complete models
 BENT = 1.5
+# of a travel: a joint that goes less of it back goes one way; and s of motion below which a
+# recording is short (what no law follows is told, so that a user knows what else to do)
+ONE_WAY, SHORT = 0.05, 5.0
 
 
 def name_findings(
@@ -378,7 +383,25 @@ def bent(test: FitTable, floor: float) -> list[str]:
     ]
 
 
-def left_over(decisions: Sequence[Decision], given: Model) -> str:
+def _hardly_moves(fit: Data, joint: int) -> str:
+    """What is said where recordings that the model does not follow hardly determine its numbers:
+    they are short, or go one way.
+    """
+    records = [rec[joint - 1] for rec in fit.records]
+    steps = np.concatenate([np.diff(r.others[joint - 1, 0]) for r in records])
+    ways = np.maximum(steps, 0.0).sum(), np.maximum(-steps, 0.0).sum()
+    seconds = sum(r.n * r.sample_time for r in records)
+    one_way = min(ways) < ONE_WAY * max(ways)
+    if not one_way and seconds > SHORT:
+        return ""
+    way = ", and go one way" if one_way else ""
+    return (
+        f". The recordings of the fit last {seconds:.2g} s{way}: too little to tell friction from"
+        " inertia and gravity. Record 10 s and more, there and back"
+    )
+
+
+def left_over(decisions: Sequence[Decision], given: Model, fit: Data) -> str:
     """What nothing named explains, joint by joint, in words; empty where it is too little to
     matter.
     """
@@ -390,6 +413,7 @@ def left_over(decisions: Sequence[Decision], given: Model) -> str:
                 f"Joint {d.joint}: the model does not follow the recording: more than all of the"
                 " joint's torque stays unexplained. Check that the model is of this machine, and"
                 " its units, [actuator] gain and limit those of the command column"
+                + _hardly_moves(fit, d.joint)
             )
         elif d.kind == "unexplained" and d.state.size > OF_STATE:
             words.append(
