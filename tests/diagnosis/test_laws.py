@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from zendsp.diagnosis import joints
 from zendsp.diagnosis.decide import laws
 from zendsp.diagnosis.decide.claims import Claim, Decision, unclaimed
 from zendsp.diagnosis.decide.confidence import least_stated, stated
@@ -205,3 +206,34 @@ def test_claims_that_are_dropped_leave_no_law_that_the_model_lacks() -> None:
     assert (dropped.claims, dropped.refinements, dropped.final) == ((), (), base)
     ((effect, why, gained),) = dropped.lost
     assert (effect, gained) == ("backlash", 50.0) and "untouched recordings worse" in why
+
+
+@pytest.mark.parametrize(
+    ("effect", "errors", "stands"),
+    [
+        ("backlash", {"given": 9.0, "calibrated": 3.0, "improved": 2.0}, True),
+        ("backlash", {"given": 9.0, "calibrated": 3.0, "improved": 4.0}, False),
+        # something in the recordings of the fit, a stall perhaps, bends the numbers
+        ("backlash", {"given": 1.0, "calibrated": 3.0, "improved": 2.0}, False),
+        ("unknown", {"given": 1.0, "calibrated": 3.0, "improved": 3.0}, False),
+        ("unknown", {"given": 9.0, "calibrated": 3.0, "improved": 3.0}, True),
+    ],
+)
+def test_no_claim_stands_with_which_untouched_recordings_are_predicted_worse(
+    effect: str, errors: dict[str, float], stands: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    models = {name: SimpleNamespace(name=name) for name in errors}
+    whole = SimpleNamespace(calibrated=models["calibrated"], improved=models["improved"])
+    monkeypatch.setattr(joints, "assemble", lambda *_: whole)
+    monkeypatch.setattr(joints, "window_error", lambda _, model, __: np.full(3, errors[model.name]))
+    scored: Any = SimpleNamespace(deviance=0.0)
+    size: Any = SimpleNamespace(value=0.1)
+    law: Any = SimpleNamespace(effect=effect)
+    state = Structure(0.0, 0.0, 0.0)
+    claimed = Decision(
+        1, "missing", (law,), (), scored, scored, size, size, state, size, scored, 1.0
+    )
+    parts: Any = SimpleNamespace(test=None)
+    given: Any = models["given"]
+    (decision,), _ = joints._no_worse(parts, given, [claimed], 1)
+    assert bool(decision.claims) == stands

@@ -137,18 +137,20 @@ def _no_worse(
     parts: Parts, given: Model, decisions: list[Decision], jobs: int
 ) -> tuple[list[Decision], Assembled]:
     """The machine put together, without the claims of joints whose untouched data it would predict
-    worse with them.
+    worse with them: than calibrated, or than as given, where something in the recordings of the fit
+    bends the numbers.
     """
     while True:
         whole = assemble(parts, given, decisions, jobs)
         worse = {}
         for d in decisions:
-            if any(c.effect != "unknown" for c in d.claims):
-                before, after = (
-                    rms(window_error(parts.test, m, d.joint))
-                    for m in (whole.calibrated, whole.improved)
+            if d.claims:
+                named = any(c.effect != "unknown" for c in d.claims)
+                before = (given, whole.calibrated) if named else (given,)
+                *errors, after = (
+                    rms(window_error(parts.test, m, d.joint)) for m in (*before, whole.improved)
                 )
-                worse[d.joint] = after / before
+                worse[d.joint] = after / min(errors)
         joint = max(worse, key=lambda j: worse[j], default=0)
         if not joint or worse[joint] <= 1.0:
             return decisions, whole
