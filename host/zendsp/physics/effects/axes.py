@@ -85,8 +85,10 @@ def near(power: int) -> Callable[[Facts, Numbers], Numbers]:
 
 
 def slow_limits(facts: Facts) -> tuple[float, float]:
-    """Time constants that a recording of this length can tell."""
-    return 0.01 * facts.scale.seconds, 5.0 * facts.scale.seconds
+    """Time constants that a recording of this length can tell; in less than a twentieth of it, it
+    is how a recording begins.
+    """
+    return 0.05 * facts.scale.seconds, 5.0 * facts.scale.seconds
 
 
 def resonance(facts: Facts, hertz: float, share: float) -> float:
