@@ -86,10 +86,13 @@ def test_power_off_and_disable(desk: Desk) -> None:
     if runtime.status().state == "loaded":
         return
     runtime.set_ramp(0.0)
+    runs = runtime.status().state == "running"
+    desk.ask("pause")  # what ran while the drives were off is not enabled
     desk.ask("drive", action="power_on")
     desk.service.drives._ramp_s = 0.0
+    desk.ask("drive", action="enable", mode="torque")
+    desk.ask("start") if runs else None
     for action in ("disable", "power_off"):
-        desk.ask("drive", action="enable", mode="torque") if action == "disable" else None
         desk.ask("drive", action=action)
         assert desk.ask("status").drive_mode == "off"
         assert desk.ask("drive_status").mode == "off"
