@@ -6,9 +6,11 @@ import io
 import os
 import socket
 import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import msgspec
 import pytest
@@ -27,6 +29,16 @@ from zendsp_protocol.registry import Entry, born
 from zendsp_protocol.verbs import VERBS
 from zendsp_target.monitor import Monitor
 from zendsp_target.runtime import Runtime
+
+
+def test_a_message_names_eight_targets_and_how_many_more_there_are(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    entries = [SimpleNamespace(name=f"t{k:02d}") for k in range(50)]
+    monkeypatch.setattr(sys.modules[connect.__module__], "local_entries", lambda: entries)
+    for name in ("other", ""):
+        with pytest.raises(LinkError, match=r"t07 and 42 more, see 'zendsp ls'"):
+            connect(name)
 
 
 def test_a_target_is_found_by_name_alone(target: Target) -> None:

@@ -26,6 +26,7 @@ else:  # only local() starts anything
     select, subprocess, tempfile = map(Lazily, ("select", "subprocess", "tempfile"))
 
 WHERE = f"{CONNECT}=tls/robot.lab:7447, for example"
+LISTED = 8  # targets that a message names
 # for a target to come up, on a machine that is busy with everything else and has to compile it
 # first; one that ends is told at once
 START_S = 150.0
@@ -99,7 +100,9 @@ def locate(
                 f"name the target: at {', '.join(endpoints)} there are {', '.join(names)}"
             )
         return names[0], endpoints, None
-    running = ", ".join(entries) or "none"
+    more = len(entries) - LISTED
+    running = ", ".join(list(entries)[:LISTED]) or "none"
+    running += f" and {more} more, see 'zendsp ls'" if more > 0 else ""
     if not name:
         if not entries:
             raise LinkError(
