@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-import signal
+import time
 from pathlib import Path
 
 import click
 
 from zendsp.cli.common import emit, open_target, target_options
 from zendsp.cli.completing import variables
+
+
+def until_ctrl_c() -> None:
+    """Wait. Not by ``signal.pause``: a Ctrl-C just before it is heard only with the next one."""
+    while True:
+        time.sleep(0.2)
 
 
 @click.group("bridge")
@@ -53,7 +59,7 @@ def foxglove(
     ):
         words = f"{t.name} at {bridge.url} (Foxglove: Open connection, Foxglove WebSocket)"
         emit({"url": bridge.url, "target": t.name}, as_json, words)
-        signal.pause()  # until Ctrl-C
+        until_ctrl_c()
 
 
 @command.command("rerun")
@@ -85,4 +91,4 @@ def rerun(
     with open_target(target, connect) as t, show(t, channels, rate=rate, save=save):
         where = save if save is not None else "the Rerun viewer"
         emit({"target": t.name, "to": str(where)}, as_json, f"{t.name} to {where}; Ctrl-C ends it")
-        signal.pause()  # until Ctrl-C
+        until_ctrl_c()
