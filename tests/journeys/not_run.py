@@ -87,7 +87,7 @@ NOT_RUN: dict[tuple[str, str], str] = {
     ("docs/models.md", "[mechanism]"): SYNTAX,
     ("docs/models.md", "zendsp target --machine arm.xml"): "tests/journeys/test_any_robot.py",
     ("docs/machines_mujoco.md", "pip install 'zendsp[mujoco]'"): NETWORK,
-    ("docs/proof.md", "emps: missing in 62.5 s"): "is an output",
+    ("docs/proof.md", "emps: missing in 24.3 s"): "is an output",
     ("docs/proof.md", "yes  stiffness x1: said stiffness, coefficient off by 4.2%"): "is an output",
     ("docs/prove.md", "pip install 'zendsp[mujoco]'"): NETWORK,
     (
