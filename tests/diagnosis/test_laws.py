@@ -23,7 +23,7 @@ from zendsp.diagnosis.measure.structure import Structure
 from zendsp.physics.calibration.terms import make_term
 from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.files.model_file import parse_model
-from zendsp.physics.model import Term
+from zendsp.physics.model import Quantity, Term
 
 
 def claim_of(term: Term, size: float, evidence: Evidence | None = None) -> Claim:
@@ -237,3 +237,25 @@ def test_no_claim_stands_with_which_untouched_recordings_are_predicted_worse(
     given: Any = models["given"]
     (decision,), _ = joints._no_worse(parts, given, [claimed], 1)
     assert bool(decision.claims) == stands
+
+
+@pytest.mark.parametrize("stated", [False, True])
+def test_a_friction_that_creeps_stands_once_where_a_joint_is_decided_again(
+    stated: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    coulomb, creep = (
+        Term(name, 1, {key: Quantity(0.1)})
+        for name, key in (("coulomb", "level"), ("creep", "speed"))
+    )
+
+    def model(terms: tuple[Term, ...]) -> Any:
+        return SimpleNamespace(terms=terms, with_terms=model)
+
+    first: Any = SimpleNamespace(joint=1, base=SimpleNamespace(model=model((coulomb, creep))))
+    seen: list[Any] = []
+    monkeypatch.setattr(joints, "calibrate_joint", lambda _, given, *__: seen.append(given))
+    monkeypatch.setattr(joints, "upon", lambda *_: None)
+    monkeypatch.setattr(joints, "decide", lambda *_: None)
+    beneath = model((coulomb, creep) if stated else (coulomb,))
+    joints.decided_again(SimpleNamespace(fit=None), beneath, first, 1, lambda _: None)  # type: ignore[arg-type]
+    assert seen[0].terms == (coulomb, creep)

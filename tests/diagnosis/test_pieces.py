@@ -202,6 +202,7 @@ def test_what_leaves_more_unexplained_than_there_was_or_is_at_all_is_no_finding(
         there = np.linspace(0.0, 1.0, 8000)
         for q, said in ((there, True), (np.sin(9.0 * there), False)):
             record = SimpleNamespace(others=q[None, None], n=len(q), sample_time=0.001)
-            words = left_over([found], model, SimpleNamespace(records=[[record]]))  # type: ignore[arg-type]
+            fit: Any = SimpleNamespace(records=[[record]])
+            words = left_over([found], model, fit)
             assert "does not follow" in words and "%" not in words
             assert ("8 s, and go one way" in words) == said

@@ -225,7 +225,9 @@ def decided_again(
     """What a search found, fitted upon a model that knows more by now, and decided again."""
     tell(f"joint {first.joint}: what was found, upon what passes fast")
     known = first.base.model.terms
-    creep = next((k for k, t in enumerate(known) if t.effect == "creep"), None)
+    had = {t.joint for t in beneath.terms if t.effect == "creep"}
+    found = (k for k, t in enumerate(known) if t.effect == "creep" and t.joint not in had)
+    creep = next(found, None)
     if creep is not None:
         terms = beneath.terms
         beneath = beneath.with_terms((*terms[:creep], known[creep], *terms[creep:]))

@@ -46,8 +46,8 @@ def inertia_ranges(
     records: Sequence[Sequence[JointRecord]], model: Model
 ) -> dict[tuple[str, int], tuple[float, float]]:
     """Range of each joint's own inertia, kg m² or kg, by ``own_key`` and the 0-based place of its
-    number: where the recordings determine it, out to what is given; and of a given rotor about what
-    is given. A number that joints share has the range that holds those of all.
+    number: where the recordings determine it, out to ``AROUND`` what is given; and of a given rotor
+    about what is given. A number that joints share has the range that holds those of all.
     """
     ranges: dict[tuple[str, int], tuple[float, float]] = {}
     for joint in range(1, model.joints + 1):

@@ -140,8 +140,10 @@ def felt(links: Links, link: int) -> tuple[str, ...]:
     return tuple(key for key, at in _HOLDS.items() if seen[list(at)].any())
 
 
-TILT = 1e-3  # rad: about an axis along which gravity acts on nobody, what is felt is its square
-UNTURNED = 0.01  # of what the other axis does: a machine in a plane that stands upright
+# rad: so small that a tilt out of the plane of an upright arm, which changes its torques by the
+# square of the angle only, changes them by less than UNTURNED of what a tilt in the plane does
+TILT = 1e-3
+UNTURNED = 0.01
 
 
 def turned(links: Links) -> tuple[str, ...]:

@@ -85,8 +85,10 @@ def near(power: int) -> Callable[[Facts, Numbers], Numbers]:
 
 
 def slow_limits(facts: Facts) -> tuple[float, float]:
-    """Time constants that a recording of this length can tell; in less than a twentieth of it, it
-    is how a recording begins.
+    """Time constants that a recording of this length can tell, s.
+
+    What takes less than a twentieth of it acts in a seventh of it at most: that is how a recording
+    begins (a robot's brakes: 0.34 s of 10 s in those of a KUKA), no drift.
     """
     return 0.05 * facts.scale.seconds, 5.0 * facts.scale.seconds
 

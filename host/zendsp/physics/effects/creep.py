@@ -2,7 +2,7 @@
 simulators smooth its sign, and as greased joints do.
 
 A search does not propose it (``needs`` names what no model has): how a known dry friction turns
-round is no missing physics. A decision asks for it before it says that something else is missing.
+round is no missing physics. Where a search leaves something, it is made once more with it.
 """
 
 from zendsp.physics.effects.base import Effect, Parameter
@@ -12,6 +12,7 @@ EFFECT = Effect(
     site="setup",
     mechanism="dry_friction",
     parameters=(
+        # of the fastest 1 % of the motion: below, it holds for any sensor; above, it is viscous
         Parameter(
             "speed", "speed", lower=0, limits=lambda f: (1e-5 * f.fastest, 0.3 * f.fastest)
         ),
