@@ -122,6 +122,28 @@ def springy_even(x: np.ndarray, u: float, k: float, c: float, load: float) -> np
     return np.array([x[1], (u - pull) / (J - load), x[3], (pull - WEIGHT * math.sin(x[2])) / load])
 
 
+def test_weights_and_springs_to_the_frame_pull_at_the_load_beyond_a_spring() -> None:
+    k, c, load, hold, pull = 12.0, 0.01, 0.004, 0.6, 0.3
+
+    def derivative(beyond: bool) -> Callable[[np.ndarray, float, float], np.ndarray]:
+        def rate(x: np.ndarray, _t: float, u: float) -> np.ndarray:
+            spring = k * (x[0] - x[2]) + c * (x[1] - x[3])
+            at = x[2] if beyond else x[0]
+            held = hold * at + pull * math.sin(at)
+            motor, moved = (0.0, held) if beyond else (held, 0.0)
+            return np.array([x[1], (u - spring - motor) / (J - load), x[3], (spring - moved) / load])
+
+        return rate
+
+    true, before = (integrate(derivative(beyond), 4)[:, 0] for beyond in (True, False))
+    terms = [
+        {"kind": "elasticity", "joint": 1, "stiffness": k, "damping": c, "load_inertia": load},
+        {"kind": "stiffness", "joint": 1, "coefficient": hold, "neutral": 0.0},
+        {"kind": "gravity", "joint": 1, "torque": pull, "angle": 0.0},
+    ]
+    assert np.max(np.abs(kernel(true, terms, 8) - true)) < 0.05 * np.max(np.abs(true - before))
+
+
 def test_gap_lets_the_motor_move_alone() -> None:
     k, load, gap = 40.0, 0.004, 0.05
     c = 0.1 * math.sqrt(k * load)

@@ -336,6 +336,15 @@ def test_an_elastic_joint_rings_at_its_resonance() -> None:
     assert frequency == pytest.approx(math.sqrt(k * (1 / jm + 1 / jl)) / (2 * math.pi), rel=1e-3)
 
 
+def test_a_spring_to_the_frame_bends_the_transmission() -> None:
+    k, hold, push = 30.0, 5.0, 0.2
+    load = effect("elasticity", stiffness=k, damping=0.5, load_inertia=0.006)
+    held = effect("stiffness", coefficient=hold, neutral=0.0)
+    model = rotary(load, held, effect("viscous", coefficient=0.2), inertia=0.01)
+    rec = simulate_loop(model, command=np.full(4000, push))
+    assert rec["plant_q"][-1] == pytest.approx(push * (1 / k + 1 / hold), rel=1e-3)
+
+
 def test_backlash_leaves_the_motor_alone_within_its_gap() -> None:
     jm, jl, gap = 0.004, 0.006, 0.2
     model = rotary(effect("backlash", gap=gap, stiffness=500.0, load_inertia=jl), inertia=jm + jl)

@@ -28,7 +28,7 @@ Array = npt.NDArray[np.float64]
 
 TOGETHER = 8  # grid points whose columns are computed at once
 # where an effect acts whose torque is the same beside others
-ADDED = ("torque", "viscous", "dry", "sensor")
+ADDED = ("torque", "load", "viscous", "dry", "sensor")
 SCALES = ("scale", "dry_scale")
 # of a column's energy: less is left where the calibrated parameters imitate it but for rounding
 IMITATED = 1e-8

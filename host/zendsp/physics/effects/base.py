@@ -240,7 +240,8 @@ class Effect:
     name : str
         Name in model files and reports.
     site : str
-        Where it acts. ``torque``: a resisting torque. ``viscous``: the same, also scaled by a
+        Where it acts. ``torque``: a resisting torque. ``load``: the same, on what the joint moves,
+        beyond a spring in its transmission. ``viscous``: the same, also scaled by a
         friction drift. ``dry``: a friction level, per direction. ``scale``: a factor on all
         friction; ``dry_scale``: on dry friction. ``actuator``: a map of the command. ``drive``: a
         map of the actuator's torque that knows the speed. ``sensor``: added to the measured

@@ -6,7 +6,7 @@ from zendsp.physics.effects.base import Effect, Parameter
 
 EFFECT = Effect(
     name="gravity",
-    site="torque",
+    site="load",
     mechanism="position_torque",
     parameters=(
         Parameter("torque", "torque", lower=0),

@@ -7,7 +7,7 @@ from zendsp.physics.effects.base import Effect, Parameter
 
 EFFECT = Effect(
     name="stiffness",
-    site="torque",
+    site="load",
     mechanism="position_torque",
     parameters=(
         Parameter("coefficient", "torque/position", lower=0),

@@ -13,7 +13,7 @@ typedef struct {
     double s0[LANES], s1[LANES], bw_force[LANES], bw_a[LANES], bw_n[LANES], j_extra[LANES];
     double k_cubic[LANES], w_amp[LANES], w_order[LANES], w_phase[LANES], filter[LANES];
     double creep[LANES];
-    int two_mass, lag_on, gapped, bristled, bent, creeps, pulled, late, drives, senses, wavy,
+    int two_mass, lag_on, gapped, bristled, bent, creeps, pulled, hung, late, drives, senses, wavy,
         filtered, hidden; /* whether any lane has it */
 } OF(numbers);
 
@@ -40,7 +40,7 @@ static void OF(set_up)(const zk_model *M, OF(numbers) *N)
         double s0 = 0, s1 = 0, bw_force = 0, bw_a = 0, bw_n = 1, j_extra = 0;
         double k_cubic = 0, w_amp = 0, w_order = 0, w_phase = 0, filter = 0, column_late = 0;
         double creep = 0;
-        int two_mass = 0, lag_on = 0, drives = 0, senses = 0;
+        int two_mass = 0, lag_on = 0, drives = 0, senses = 0, hung = 0;
         for (int i = 0; i < M->nfx; i++) {
             const double *p = M[l].p + i * MAXP;
             for (int j = 0; j < MAXP; j++) N->p[i][j * LANES + l] = p[j];
@@ -82,6 +82,7 @@ static void OF(set_up)(const zk_model *M, OF(numbers) *N)
         N->filtered |= filter > 0;
         N->drives |= drives;
         N->senses |= senses;
+        N->hung |= hung;
         N->two_mass |= two_mass;
         N->lag_on |= lag_on;
         N->gapped |= gap > 0;
@@ -109,6 +110,19 @@ INLINE void OF(gather)(const zk_model *M, const OF(numbers) *N, OF(state) *S, in
     }
     EACH (*torque)[l] += visc[l] * thick[l];
     (void)k; (void)stride;
+}
+
+/* what pulls at a load that turns apart from its motor, at S->q */
+INLINE void OF(hang)(const zk_model *M, const OF(numbers) *N, const OF(state) *S, OF(lane) *fall)
+{
+    for (int i = 0; i < M->nfx; i++) {
+        const double *p = N->p[i];
+        switch (M->kind[i]) {
+/* EFFECT_CASES_LOAD */
+        default: break;
+        }
+    }
+    (void)fall; (void)S;
 }
 
 /* dry friction for motion in the direction of v */

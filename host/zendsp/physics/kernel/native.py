@@ -52,6 +52,10 @@ LANES = 8  # parameter sets that ``zk_run_lanes`` takes at once
 
 _PLACES = {  # of an effect: the mark in effects.c, and what is done there for each lane
     "torque": ("FORCE", "EACH (*torque)[l] += OF(fx_{name})(p, S, l);"),
+    "load": (
+        "FORCE",
+        "if (!N->two_mass || stride) EACH (*torque)[l] += OF(fx_{name})(p, S, l);",
+    ),
     "viscous": ("FORCE", "EACH visc[l] += OF(fx_{name})(p, S, l);"),
     "scale": (
         "FORCE",
@@ -72,7 +76,7 @@ _PLACES = {  # of an effect: the mark in effects.c, and what is done there for e
 }
 # what is fetched where an effect's C names it
 _LOOKS = {r"\boqd*\b": "LOOK_AT((int)p[0]) ", r"\btemp\b": "FEEL "}
-_MARKS = {"drive": "drives", "sensor": "senses"}  # what else is done where a model has one
+_MARKS = {"drive": "drives", "sensor": "senses", "load": "hung"}  # what else is done where a model has one
 _MORE = {"dry": ", int dir", "actuator": ", double u", "drive": ", double tau"}
 
 
@@ -81,7 +85,7 @@ def source_text(effects: dict[str, Effect]) -> str:
     mapping.
     """
     functions: list[str] = []
-    cases: dict[str, list[str]] = {mark: [] for mark, _ in _PLACES.values()}
+    cases: dict[str, list[str]] = {mark: [] for mark in ("LOAD", *(mark for mark, _ in _PLACES.values()))}
     for i, effect in enumerate(effects.values()):
         if effect.site == "body":
             continue
@@ -90,6 +94,8 @@ def source_text(effects: dict[str, Effect]) -> str:
         mark, done = _PLACES[effect.site]
         looks = "".join(look for name, look in _LOOKS.items() if re.search(name, effect.c))
         cases[mark].append(f"case {i}: {looks}{done.format(name=effect.name, c=effect.c)} break;")
+        if effect.site == "load":
+            cases["LOAD"].append(f"case {i}: EACH (*fall)[l] += OF(fx_{effect.name})(p, S, l); break;")
         if effect.site in _MARKS:
             cases["SETUP"].append(f"case {i}: {_MARKS[effect.site]} = 1; break;")
         if effect.site == "setup":

@@ -46,13 +46,13 @@ static __attribute__((noinline)) double OF(begin_wavy)(const OF(numbers) *N, int
 }
 
 /* A spring is bent by what the load needs. */
-INLINE void OF(begin_bent)(const OF(task) *O, OF(motion) *X, int l)
+INLINE void OF(begin_bent)(const OF(task) *O, OF(motion) *X, int l, double hangs)
 {
     const zk_model *M = &O->M[l];
     const double k = O->N->k_spring[l], k3 = O->N->k_cubic[l], extra = O->N->j_extra[l];
     double jm, jl;
     share_inertia(M, M->inertia[0] + extra, extra, O->N->j_load[l], &jm, &jl);
-    const double push = jl * M->a0 + M->bias[0] + O->N->gravity[l] * sin(M->q0);
+    const double push = jl * M->a0 + M->bias[0] + O->N->gravity[l] * sin(M->q0) + hangs;
     double bent = k > 0 ? push / k : 0.0;
     /* k x + k3 x^3 = push by Newton's method, which converges from above */
     for (int i = 0; i < 20 && k3 > 0; i++)
@@ -63,6 +63,11 @@ INLINE void OF(begin_bent)(const OF(task) *O, OF(motion) *X, int l)
 
 INLINE void OF(begin)(const OF(task) *O, OF(motion) *X)
 {
+    OF(lane) hangs = {0};
+    if (O->two_mass && O->N->hung) {
+        EACH O->S->q[l] = O->M[l].q0;
+        OF(hang)(O->M, O->N, O->S, &hangs);
+    }
     for (int l = 0; l < LANES; l++) {
         const double late = O->N->filter[l], lag = O->N->lag[l];
         X->q[l] = X->ql[l] = O->M[l].q0; X->qd[l] = X->qdl[l] = O->M[l].qd0;
@@ -82,7 +87,7 @@ INLINE void OF(begin)(const OF(task) *O, OF(motion) *X)
         }
         X->ex[l] = exp(-O->h / lag); X->mean[l] = lag / O->h * (1 - X->ex[l]);
         /* in a gap it may be anywhere */
-        if (O->two_mass && !O->N->gapped) OF(begin_bent)(O, X, l);
+        if (O->two_mass && !O->N->gapped) OF(begin_bent)(O, X, l, hangs[l]);
     }
 }
 
@@ -279,9 +284,14 @@ INLINE void OF(stretch)(const OF(task) *O, OF(motion) *X)
 {
     const OF(numbers) *N = O->N;
     const double h = O->h;
-    OF(lane) fall;
-    EACH fall[l] = X->bias[l];
-    if (N->pulled) EACH fall[l] += N->gravity[l] * sin(X->ql[l] + 0.5 * h * X->qdl[l]);
+    OF(lane) fall, at, motor;
+    EACH { fall[l] = X->bias[l]; at[l] = X->ql[l] + 0.5 * h * X->qdl[l]; }
+    if (N->pulled) EACH fall[l] += N->gravity[l] * sin(at[l]);
+    if (N->hung) {
+        EACH { motor[l] = O->S->q[l]; O->S->q[l] = at[l]; }
+        OF(hang)(O->M, N, O->S, &fall);
+        EACH O->S->q[l] = motor[l];
+    }
     EACH {
         double dv = (O->wavy ? X->slope[l] * X->qd[l] : X->qd[l]) - X->qdl[l],
                d = X->q[l] - X->ql[l] + (O->wavy ? X->wave[l] : 0.0), gap = N->gap[l],

@@ -8,8 +8,8 @@
 
 enum { ROOM = 20 }; /* degrees C, where nobody says */
 
-/* tau: what the drive gives at this speed */
-typedef struct { double smooth, dry_pos, dry_neg, visc, tau; } sim_force;
+/* load: on what the joint moves; tau: what the drive gives at this speed */
+typedef struct { double smooth, load, dry_pos, dry_neg, visc, tau; } sim_force;
 
 /* Torque of all effects of one joint that opposes the drive, at the state in s. visc: N m s/rad. */
 static void gather(const sim *S, int joint, const double *x, const double *v, zs s, sim_force *f) {

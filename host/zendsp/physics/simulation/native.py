@@ -17,6 +17,7 @@ MAX_JOINTS, MAX_PARAMETERS, TREE_ROW = 8, 6, 28
 
 _CASES = {
     "torque": "case {i}: {{ zs o = s; {look} f->smooth += fx_{name}(p, &o); break; }}",
+    "load": "case {i}: {{ zs o = s; o.q = x[joint]; f->load += fx_{name}(p, &o); break; }}",
     "viscous": "case {i}: visc += fx_{name}(p, &w); break;",
     "dry": (
         "case {i}: f->dry_pos += fx_{name}(p, &s, 1); f->dry_neg += fx_{name}(p, &s, -1); break;"

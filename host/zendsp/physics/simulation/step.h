@@ -150,6 +150,7 @@ static void stage(sim *S, double H, double t, const double *M, const tree_pose *
         }
         A[m * N + m] += 0.5 * H * damp;
         b[m] += H * (push - 0.5 * damp * v[m]);
+        b[i] -= H * f.load;
         if (m != i) { /* spring between motor and load, contact judged halfway */
             double turn, unused;
             const double twist = through(j, S->x[m], &turn, &unused) - S->x[i];
