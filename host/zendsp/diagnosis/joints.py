@@ -65,15 +65,16 @@ def with_their_links(
     jobs: int,
     tell: Progress,
 ) -> tuple[Parts, Explained]:
-    """Explained again where a joint turned out to have a transmission: the others feel its link,
-    whose swinging they else have to explain as something of their own.
+    """Explained again where a joint turned out to have a transmission, or a sensor that does
+    something of its own: the others feel its link, and else have to explain what it really does as
+    something of their own.
 
     One joint after the other, at each step the one with which the machine is explained best; and
     only as long as that claims no more and predicts no worse.
     """
     felt, now, explained = divided(given), parts, first
-    while found := _transmissions(explained) - felt:
-        tell("the links behind transmissions: what the other joints feel")
+    while found := _unseen(explained) - felt:
+        tell("the links that nobody sees: what the other joints feel")
         tried = []
         for joint in found:
             with_it = with_links(measured_motion, explained[2].improved, felt | {joint})
@@ -85,7 +86,7 @@ def with_their_links(
         if best[0][0] > before[0] or best[0][1] > before[1]:
             break
         felt, now, explained = felt | {best[1]}, best[2], best[3]
-    swinging = _transmissions(explained)
+    swinging = _unseen(explained)
     calm = [
         unpushed(d) if swinging - {d.joint} and d.kind == "disturbance" else d
         for d in explained[1]
@@ -93,11 +94,10 @@ def with_their_links(
     return now, (explained[0], calm, explained[2])
 
 
-def _transmissions(explained: Explained) -> frozenset[int]:
-    """Joints that are claimed to have a transmission whose link nobody sees."""
-    claimed = {
-        d.joint for d in explained[1] if any(c.mechanism == "transmission" for c in d.claims)
-    }
+def _unseen(explained: Explained) -> frozenset[int]:
+    """Joints that are claimed to have a transmission whose link nobody sees, or such a sensor."""
+    hiding = ("transmission", "measurement")
+    claimed = {d.joint for d in explained[1] if any(c.mechanism in hiding for c in d.claims)}
     return divided(explained[2].improved) & claimed
 
 

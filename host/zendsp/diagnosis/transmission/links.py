@@ -1,5 +1,5 @@
-"""Where a transmission stands between a motor, whose position is recorded, and its link: the other
-joints feel the link.
+"""Where a transmission, or what a sensor does, stands between a link and its recorded position: the
+other joints feel the link.
 """
 
 from __future__ import annotations
@@ -22,16 +22,23 @@ Records = tuple[JointRecord, ...]
 
 
 def divided(model: Model) -> frozenset[int]:
-    """Joints (1-based) of a model whose links the recorded positions do not show."""
-    if model.joints == 1 or model.sensor.side == "load":
+    """Joints (1-based) of a model whose links the recorded positions do not show: behind a
+    transmission, or behind what their sensor makes of them.
+    """
+    if model.joints == 1:
         return frozenset()
-    return frozenset(t.joint for t in model.terms if get_effect(t.effect).family == "transmission")
+    effects = [(t.joint, get_effect(t.effect)) for t in model.terms]
+    unseen = model.sensor.side != "load"
+    return frozenset(
+        j for j, e in effects if e.at_sensor or (unseen and e.family == "transmission")
+    )
 
 
 def with_links(parts: Parts, model: Model, joints: Collection[int]) -> Parts:
-    """The same recordings, in which every joint feels the links of some others, not their motors.
+    """The same recordings, in which every joint feels the links of some others, not what their
+    sensors say.
 
-    A link moves as the observer of its joint says, by the transmission that ``model`` has there.
+    A link moves as the observer of its joint says, by what ``model`` has there.
 
     Parameters
     ----------
