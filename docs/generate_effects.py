@@ -22,6 +22,7 @@ those of a rotary joint; on a linear axis read m for rad, N for N m and kg for k
 
 SITE = {
     "torque": "a torque that resists",
+    "load": "a torque on what the joint moves, beyond a spring",
     "viscous": "friction without a step",
     "dry": "dry friction, with sticking",
     "scale": "a factor on all friction of the joint",
@@ -61,7 +62,7 @@ FILM = Effect(
 
 | field | meaning |
 |---|---|
-| `site` | where it acts: `torque`, `viscous` (also scaled by a friction drift), `dry` (returns a level; `dir` is the direction, the kernel does the sticking), `scale` (a factor on friction), `dry_scale` (on dry friction), `actuator` (maps the command `u`), `drive` (maps the actuator's torque `tau`, knows the speed), `sensor` (added to the measured position) |
+| `site` | where it acts: `torque`, `load` (the same, beyond a spring in the transmission), `viscous` (also scaled by a friction drift), `dry` (returns a level; `dir` is the direction, the kernel does the sticking), `scale` (a factor on friction), `dry_scale` (on dry friction), `actuator` (maps the command `u`), `drive` (maps the actuator's torque `tau`, knows the speed), `sensor` (added to the measured position) |
 | `mechanism` | what of the machine it is a law of: {mechanisms}. Left out, it is a mechanism by itself |
 | `parameters` | name, what it measures (from which unit, scale and step follow: `torque`, `torque/speed`, `torque/speed2`, `torque/position`, `torque/position3`, `speed`, `position`, `time`, `ratio`, `angle`, `order`, `inertia`, `command`, `temperature`, `1/temperature`, `number`), bounds in SI units, default; `limits`: bounds in a given recording, a function of its `Facts` |
 | `c` | body of a C function: `p[0]`, `p[1]`, … are the parameters in order; `s->q`, `s->qd`, `s->t` [rad, rad/s, s], `s->u` the command, `s->tau` the actuator's torque, `s->temp` the recorded temperature [°C]. No state, no allocation, no branch on time |

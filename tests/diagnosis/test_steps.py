@@ -301,6 +301,40 @@ def test_the_other_joint_feels_the_link_behind_a_spring() -> None:
     assert np.allclose(residual(links, model, [1]), residual(data, model, [1]))
 
 
+def test_the_other_joint_feels_the_link_and_not_its_filtered_position() -> None:
+    p1, p2, p3, late, steps = 0.42, 0.1, 0.1, 0.01, 20
+    h = 1.0 / RATE / steps
+    t = np.arange(2000) / RATE
+    command = np.stack([2.0 * np.sin(7 * t) + np.sin(23 * t), 0.8 * np.sin(9 * t + 1)], 1)
+    command *= np.minimum(1.0, t / 0.5)[:, None]
+    x, v, seen, rows = np.zeros(2), np.zeros(2), 0.0, []
+    for u in command:
+        rows.append((seen, x[1]))
+        for _ in range(steps):
+            c, s = p3 * np.cos(x[1]), p3 * np.sin(x[1])
+            bias = np.array([-s * v[1] * (2 * v[0] + v[1]), s * v[0] ** 2]) + [0.2, 0.1] * v
+            inertia = np.array([[p1 + 2 * c, p2 + c], [p2 + c, p2]])
+            v = v + h * np.linalg.solve(inertia, u - bias)
+            x = x + h * v
+            seen += h * (x[0] - seen) / late
+    model = parse_model(
+        {
+            "sample_time": 1.0 / RATE,
+            "mechanism": {"kind": "planar2r", "parameters": {"p1": p1, "p2": p2, "p3": p3}},
+            "effect": [
+                {"kind": "viscous", "joint": 1, "coefficient": 0.2},
+                {"kind": "viscous", "joint": 2, "coefficient": 0.1},
+                {"kind": "position_filter", "joint": 1, "time_constant": late},
+            ],
+        }
+    )
+    read = Signals("run", t, 1.0 / RATE, np.array(rows), command, None, np.full(2, 1e-6))
+    data = prepare([read], model, 64.0)
+    links = with_links(Parts(data, data, data), model, divided(model)).fit
+    off = [np.sqrt(np.mean(residual(d, model, [2]) ** 2)) for d in (data, links)]
+    assert off[1] < 0.25 * off[0]
+
+
 @pytest.mark.parametrize("rows", [60, 120])
 def test_of_a_recording_shorter_than_an_observer_remembers_little_is_said(rows: int) -> None:
     columns = reality.simulate(reality.Machine(), reality.multisine(1.0, RATE, 3), RATE)

@@ -131,7 +131,9 @@ def test_weights_and_springs_to_the_frame_pull_at_the_load_beyond_a_spring() -> 
             at = x[2] if beyond else x[0]
             held = hold * at + pull * math.sin(at)
             motor, moved = (0.0, held) if beyond else (held, 0.0)
-            return np.array([x[1], (u - spring - motor) / (J - load), x[3], (spring - moved) / load])
+            return np.array(
+                [x[1], (u - spring - motor) / (J - load), x[3], (spring - moved) / load]
+            )
 
         return rate
 

@@ -76,7 +76,11 @@ _PLACES = {  # of an effect: the mark in effects.c, and what is done there for e
 }
 # what is fetched where an effect's C names it
 _LOOKS = {r"\boqd*\b": "LOOK_AT((int)p[0]) ", r"\btemp\b": "FEEL "}
-_MARKS = {"drive": "drives", "sensor": "senses", "load": "hung"}  # what else is done where a model has one
+_ALSO = {  # what else is done where a model has one
+    "drive": [("SETUP", "drives = 1;")],
+    "sensor": [("SETUP", "senses = 1;")],
+    "load": [("SETUP", "hung = 1;"), ("LOAD", "EACH (*fall)[l] += OF(fx_{name})(p, S, l);")],
+}
 _MORE = {"dry": ", int dir", "actuator": ", double u", "drive": ", double tau"}
 
 
@@ -85,19 +89,17 @@ def source_text(effects: dict[str, Effect]) -> str:
     mapping.
     """
     functions: list[str] = []
-    cases: dict[str, list[str]] = {mark: [] for mark in ("LOAD", *(mark for mark, _ in _PLACES.values()))}
+    cases: dict[str, list[str]] = {mark: [] for mark in ("LOAD", *dict(_PLACES.values()))}
     for i, effect in enumerate(effects.values()):
         if effect.site == "body":
             continue
         if effect.site not in _PLACES:
             raise ZendspError(f"effect {effect.name!r}: unknown site {effect.site!r}")
-        mark, done = _PLACES[effect.site]
         looks = "".join(look for name, look in _LOOKS.items() if re.search(name, effect.c))
-        cases[mark].append(f"case {i}: {looks}{done.format(name=effect.name, c=effect.c)} break;")
-        if effect.site == "load":
-            cases["LOAD"].append(f"case {i}: EACH (*fall)[l] += OF(fx_{effect.name})(p, S, l); break;")
-        if effect.site in _MARKS:
-            cases["SETUP"].append(f"case {i}: {_MARKS[effect.site]} = 1; break;")
+        for mark, done in (_PLACES[effect.site], *_ALSO.get(effect.site, ())):
+            looked = looks if mark != "SETUP" else ""
+            text = done.format(name=effect.name, c=effect.c)
+            cases[mark].append(f"case {i}: {looked}{text} break;")
         if effect.site == "setup":
             continue
         head = f"(const double *p, const OF(state) *s, int l{_MORE.get(effect.site, '')})"
