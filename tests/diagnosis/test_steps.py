@@ -17,6 +17,7 @@ from zendsp.diagnosis.data.prepare import one_sensor, prepare
 from zendsp.diagnosis.data.signals import Parts, Signals
 from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide.assemble import with_disagreement
+from zendsp.diagnosis.decide.clocks import apart_in_time
 from zendsp.diagnosis.decide.thresholds import BY_CHANCE, LAWFUL, OF_STATE, SURE
 from zendsp.diagnosis.measure.bursts import bursts, periodic
 from zendsp.diagnosis.measure.discrepancy import at_reversals, deviation, discrepancy
@@ -333,6 +334,23 @@ def test_the_other_joint_feels_the_link_and_not_its_filtered_position() -> None:
     links = with_links(Parts(data, data, data), model, divided(model)).fit
     off = [np.sqrt(np.mean(residual(d, model, [2]) ** 2)) for d in (data, links)]
     assert off[1] < 0.25 * off[0]
+
+
+def test_a_recording_whose_rows_are_shifted_is_told_from_the_others() -> None:
+    reference = reality.multisine(8.0, RATE, 3)
+    model = model_of(VISCOUS, COULOMB)
+
+    def read(name: str, late: int, viscous: float = 0.004) -> Data:
+        machine = reality.Machine(late=late, viscous=viscous)
+        data = data_of(reality.simulate(machine, reference, RATE), model)
+        record = replace(data.records[0][0], recording=name)
+        return replace(data, records=((record,),))
+
+    same, other = read("a.csv", 0), read("c.csv", 0, viscous=0.005)
+    assert apart_in_time(Parts(same, read("b.csv", 0, viscous=0.003), other), model) == []
+    (said,) = apart_in_time(Parts(same, read("b.csv", 2), other), model)
+    assert said.startswith("joint 1: in b.csv the command column stands")
+    assert "ms later against the position than in a.csv, c.csv" in said
 
 
 @pytest.mark.parametrize("rows", [60, 120])

@@ -23,6 +23,7 @@ from zendsp.diagnosis.decide.absorbed import moved
 from zendsp.diagnosis.decide.across import across_joints, timing
 from zendsp.diagnosis.decide.assemble import Assembled, calibrated_machine
 from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.clocks import apart_in_time
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.decide_bodies import (
     BodyClaim,
@@ -164,6 +165,7 @@ def _diagnose(
     test = _table(parts.test, given, whole.calibrated, improved)
     notes += [*said(alone), *loosely_fitted(decisions), *creeping(decisions, given)]
     notes += other_loads(decisions)
+    notes += apart_in_time(parts, improved)
     notes += moved(given, found.whole.improved if findings else found.whole.calibrated)
     if not findings:
         notes += bent(test, noise_floor(parts.test))
