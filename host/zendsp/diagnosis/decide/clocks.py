@@ -51,13 +51,13 @@ def _said(joint: int, found: dict[str, tuple[float, float]], least: float) -> li
         return []
 
     def away(one: tuple[float, float]) -> float:
-        return sum(abs(one[0] - at) / (var + 1e-30) ** 0.5 for at, var in found.values())
+        return sum(abs(one[0] - at) / math.sqrt(var + 1e-30) for at, var in found.values())
 
     usual = min(found.values(), key=away)
     late = {
         name: at - usual[0]
         for name, (at, var) in found.items()
-        if abs(at - usual[0]) > max(least, SURE * (var + usual[1]) ** 0.5)
+        if abs(at - usual[0]) > max(least, SURE * math.sqrt(var + usual[1]))
     }
     others = ", ".join(name for name in found if name not in late)
     return [
