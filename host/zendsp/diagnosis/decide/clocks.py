@@ -6,6 +6,8 @@ cannot have them all.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from zendsp.diagnosis.data.signals import Parts
@@ -51,7 +53,7 @@ def _said(joint: int, found: dict[str, tuple[float, float]], least: float) -> li
         return []
 
     def away(one: tuple[float, float]) -> float:
-        return sum(abs(one[0] - at) / math.sqrt(var + 1e-30) for at, var in found.values())
+        return sum((abs(one[0] - at) / math.sqrt(var + 1e-30) for at, var in found.values()), 0.0)
 
     usual = min(found.values(), key=away)
     late = {
