@@ -69,10 +69,10 @@ def verb_table() -> str:
         arguments = ", ".join(f"`{f.name}`: {kind(f.type)}{default(f)}" for f in fields).replace(
             "|", "\\|"
         )
-        once, result = "✓" * verb.once, kind(verb.result)
+        once, result = "✓" * verb.once, f"{kind(verb.result)} | {verb.timeout:g}"
         lines.append(
-            f"| `{verb.name}` | {verb.role} | {verb.lane} | {once} | {arguments or '–'} | {result} |"
-            f" {verb.timeout:g} |"
+            f"| `{verb.name}` | {verb.role} | {verb.lane} | {once} |"
+            f" {arguments or '–'} | {result} |"
         )
     return "\n".join(lines)
 
