@@ -68,7 +68,6 @@ class LoadedVariables:
         ----------
         values : mapping
             A table takes an array of shape (rows, columns).
-        author : str
         at_tick : int, optional
             Not before this sample.
         fade : int
@@ -101,7 +100,6 @@ class LoadedVariables:
         ----------
         names : sequence of str
             As they were read before.
-        reply : Blank
 
         Returns
         -------
@@ -121,10 +119,8 @@ class LoadedVariables:
         ----------
         name : str
             As it was written before.
-        author : str
         value_at : int
             Where the value stands in the request, bytes.
-        reply : Blank
 
         Returns
         -------

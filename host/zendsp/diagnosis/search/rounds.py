@@ -62,7 +62,6 @@ class Rounds:
 
     Parameters
     ----------
-    data : Data
     joint : int
         1-based.
     jobs : int
