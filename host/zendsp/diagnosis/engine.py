@@ -33,14 +33,8 @@ from zendsp.diagnosis.decide.decide_bodies import (
 )
 from zendsp.diagnosis.decide.detectable import detectable
 from zendsp.diagnosis.decide.fast_ripple import FineRipple, fine_ripples, fixed
-from zendsp.diagnosis.decide.naming import (
-    bent,
-    creeping,
-    left_over,
-    loosely_fitted,
-    name_findings,
-    other_loads,
-)
+from zendsp.diagnosis.decide.naming import name_findings
+from zendsp.diagnosis.decide.notes import bent, left_over, notes_of
 from zendsp.diagnosis.decide.propose import propose
 from zendsp.diagnosis.decide.remember import remembered
 from zendsp.diagnosis.decide.result import Diagnosis, Finding, FitTable, Left, Rejected, Workings
@@ -162,8 +156,7 @@ def _diagnose(
     alone = by_one_sensor(parts, found.bodies.model, decisions)
     seen += (*(d for m in found.measured for d in m.detectable), *alone)
     test = _table(parts.test, given, whole.calibrated, improved)
-    notes += [*said(alone), *loosely_fitted(decisions), *creeping(decisions, given)]
-    notes += other_loads(decisions)
+    notes += [*said(alone), *notes_of(decisions, given)]
     notes += moved(given, found.whole.improved if findings else found.whole.calibrated)
     if not findings:
         notes += bent(test, noise_floor(parts.test))
