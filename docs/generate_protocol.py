@@ -57,23 +57,22 @@ def comments(struct: type) -> dict[str, str]:
 def default(field: msgspec.structs.FieldInfo) -> str:
     """Write the default of a field, empty where it is required."""
     if field.default is not msgspec.NODEFAULT:
-        return (
-            f" = {field.default!r}".replace("'", '"').replace("None", "nil").replace("inf", "inf")
-        )
+        return f" = {field.default!r}".replace("'", '"').replace("None", "nil")
     return "" if field.default_factory is msgspec.NODEFAULT else " = empty"
 
 
 def verb_table() -> str:
     """One row for each verb."""
-    lines = ["| verb | role | lane | arguments | result | limit, s |", "|---|---|---|---|---|---|"]
+    lines = ["| verb | role | lane | once | arguments | result | limit, s |", "|---" * 7 + "|"]
     for verb in verbs.VERBS.values():
         fields = msgspec.structs.fields(verb.arguments)
         arguments = ", ".join(f"`{f.name}`: {kind(f.type)}{default(f)}" for f in fields).replace(
             "|", "\\|"
         )
+        once, result = "✓" * verb.once, f"{kind(verb.result)} | {verb.timeout:g}"
         lines.append(
-            f"| `{verb.name}` | {verb.role} | {verb.lane} | {arguments or '–'} |"
-            f" {kind(verb.result)} | {verb.timeout:g} |"
+            f"| `{verb.name}` | {verb.role} | {verb.lane} | {once} |"
+            f" {arguments or '–'} | {result} |"
         )
     return "\n".join(lines)
 

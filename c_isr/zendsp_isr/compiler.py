@@ -152,8 +152,6 @@ def run_compiler(
 
     Parameters
     ----------
-    compiler : Compiler
-    arguments : sequence of str
     cwd : Path
         Where it runs, and the only folder that it writes to; file names in its messages are
         relative to it.

@@ -141,11 +141,9 @@ class Lab:
 
         Parameters
         ----------
-        name : str
         hosts : sequence of str
             For example ``["robot.lab", "192.168.1.5"]``; ``localhost`` and ``127.0.0.1`` are always
             among them.
-        days : int
 
         Raises
         ------
@@ -166,11 +164,9 @@ class Lab:
 
         Parameters
         ----------
-        name : str
         role : str
             ``"observe"``, ``"tune"``, ``"command"`` or ``"download"``; each includes those before
             it.
-        days : int
         renew : bool
             A new key and certificate also where there is one.
 

@@ -243,23 +243,23 @@ class Limits(Message, frozen=True):
 class Condition(Message, frozen=True, kw_only=True):
     """One thing that enabling the drives needs."""
 
-    name: str
-    met: bool
+    name: str  # of the condition
+    met: bool  # now
     advice: str = ""  # what to do where it is not met
 
 
 class DriveStatus(Message, frozen=True, kw_only=True):
     """Where the drives are in the safe sequence."""
 
-    state: DriveState  # off | ready | homed | enabled | running | stopped | tripped
-    mode: str = "off"  # what the drives are told: off | torque | velocity
+    state: DriveState  # off, ready, homed, enabled, running, stopped or tripped
+    mode: str = "off"  # what the drives are told: off, torque or velocity
     managed: bool = False  # the sequence cannot be left (--managed)
     # the sequence is in use; else the drives go on at start and off at pause
     explicit: bool = False
-    homed: bool = True
+    homed: bool = True  # whether positions mean anything
     commander: str = ""  # who has the exclusive right to command
     moved_by: str = ""  # whose run moves the machine now
-    host_lost: str = "stop"  # what happens when the commander disappears: stop | hold | finish
+    host_lost: str = "stop"  # when the commander disappears: stop, hold or finish
     conditions: tuple[Condition, ...] = ()  # of enabling
 
     def __repr__(self) -> str:
@@ -274,7 +274,7 @@ class DriveStatus(Message, frozen=True, kw_only=True):
 class RunBegun(Message, frozen=True, kw_only=True):
     """A run began: what it sets is put back when it ends, or when its host is lost."""
 
-    run: int
+    run: int  # number, for run_end
     names: tuple[str, ...]  # that are put back
     follows: bool = True  # the program follows its table
 
@@ -282,7 +282,7 @@ class RunBegun(Message, frozen=True, kw_only=True):
 class Said(Message, frozen=True, kw_only=True):
     """It was done; a sentence for people."""
 
-    text: str = ""
+    text: str = ""  # what was done
 
 
 class Change(Message, frozen=True):
@@ -434,7 +434,7 @@ class Revealed(Message, frozen=True, kw_only=True):
     # JSON: machine, source, friction, nonce, effects [{effect, joint, parameters {name: {value,
     # unit}}}]
     record: str
-    sha256: str
+    sha256: str  # of its UTF-8 bytes, as in Seal
     tick: int  # at which it was told
 
 

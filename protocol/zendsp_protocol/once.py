@@ -10,16 +10,6 @@ from __future__ import annotations
 
 import struct
 
-# Of every other verb it does not matter how often it is carried out: it reads, or it is STOP, or it
-# names its own place in the data.
-ONCE = frozenset(
-    (
-        "load", "unload", "start", "pause", "write", "update", "set_limits", "set_drive",
-        "set_ramp", "set_overrun", "set_inputs", "home", "acknowledge", "drive",
-        "acquire_configure", "acquire_start", "acquire_stop", "table_begin", "table_commit",
-        "live_open", "live_close", "run_begin",
-    )
-)
 FIRST, AGAIN, SETTLE = 0, 1, 2
 _FORM = struct.Struct(">8sQ8sB")
 

@@ -25,7 +25,6 @@ def check_pieces(data: bytes, texts: bool) -> None:
 
     Parameters
     ----------
-    data : bytes
     texts : bool
         Whether it may hold texts of more than `SMALL` bytes, as programs are.
 

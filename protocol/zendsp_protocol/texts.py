@@ -21,7 +21,6 @@ def shown(text: str, lines: bool = True) -> str:
 
     Parameters
     ----------
-    text : str
     lines : bool
         Whether tabs and newlines may stay: a name has none.
 

@@ -144,8 +144,8 @@ class TableCommit(Arguments, frozen=True, kw_only=True):
 class TableState(m.Message, frozen=True, kw_only=True):
     """An upload: bytes received so far without a gap."""
 
-    upload: int
-    received: int
+    upload: int  # number, for table_chunk and table_commit
+    received: int  # bytes
 
 
 class LiveOpen(Arguments, frozen=True, kw_only=True):
@@ -168,9 +168,10 @@ class Verb:
     result: Any
     lane: str
     timeout: float = 5.0  # s, after which a host gives up
-    # asking twice does no harm, so a host may ask again after a broken link
-    repeatable: bool = True
     role: str = ""  # that a host needs at least, see ROLES
+    # carried out once, however often it is sent (once.py). Of other verbs it does not matter: they
+    # read, stop, or name their own place in the data
+    once: bool = False
 
 
 # What a host may do; each includes those before it. STOP is open to every host that was let in.
@@ -183,49 +184,46 @@ _ROWS = (
     # as `status`, past whatever holds up the other lanes
     Verb("stopped", Nothing, m.Status, "stop", role="observe"),
     Verb("compile", Compile, m.CompileResult, "slow", 120.0, role="download"),
-    Verb("load", Load, m.Empty, "slow", 30.0, repeatable=False, role="download"),
-    Verb("unload", Nothing, m.Empty, "slow", 30.0, role="download"),
-    Verb("start", Start, m.Empty, "quick", repeatable=False, role="command"),
-    Verb("pause", Nothing, m.Empty, "quick", role="command"),
+    Verb("load", Load, m.Empty, "slow", 30.0, role="download", once=True),
+    Verb("unload", Nothing, m.Empty, "slow", 30.0, role="download", once=True),
+    Verb("start", Start, m.Empty, "quick", role="command", once=True),
+    Verb("pause", Nothing, m.Empty, "quick", role="command", once=True),
     Verb("program", Nothing, m.Program, "quick", role="observe"),
     Verb("variables", Nothing, tuple[m.VariableInfo, ...], "quick", role="observe"),
     Verb("read", Read, m.Reading, "quick", role="observe"),
     Verb("check", Write, m.Empty, "quick", role="observe"),
-    Verb("write", Write, m.Written, "quick", repeatable=False, role="tune"),
-    Verb("update", Write, m.Applied, "sync", repeatable=False, role="tune"),
+    Verb("write", Write, m.Written, "quick", role="tune", once=True),
+    Verb("update", Write, m.Applied, "sync", role="tune", once=True),
     Verb("wait_applied", Wait, m.Applied, "slow", 60.0, role="observe"),
     Verb("builtins", Nothing, tuple[m.VariableInfo, ...], "quick", role="observe"),
     Verb("machine", Nothing, m.MachineInfo, "quick", role="observe"),
     Verb("limits", Nothing, m.Limits, "quick", role="observe"),
-    Verb("set_limits", SetLimits, m.Applied, "quick", repeatable=False, role="command"),
-    Verb("set_drive", SetDrive, m.Empty, "quick", role="command"),
-    Verb("set_ramp", SetRamp, m.Empty, "quick", role="command"),
-    Verb("set_overrun", SetOverrun, m.Empty, "quick", role="command"),
-    Verb("set_inputs", SetInputs, m.Empty, "quick", role="command"),
-    Verb("home", Nothing, m.Empty, "quick", role="command"),
-    Verb("acknowledge", Nothing, m.Said, "quick", role="command"),
-    Verb("drive", Drive, m.Said, "quick", repeatable=False, role="command"),
+    Verb("set_limits", SetLimits, m.Applied, "quick", role="command", once=True),
+    Verb("set_drive", SetDrive, m.Empty, "quick", role="command", once=True),
+    Verb("set_ramp", SetRamp, m.Empty, "quick", role="command", once=True),
+    Verb("set_overrun", SetOverrun, m.Empty, "quick", role="command", once=True),
+    Verb("set_inputs", SetInputs, m.Empty, "quick", role="command", once=True),
+    Verb("home", Nothing, m.Empty, "quick", role="command", once=True),
+    Verb("acknowledge", Nothing, m.Said, "quick", role="command", once=True),
+    Verb("drive", Drive, m.Said, "quick", role="command", once=True),
     Verb("drive_status", Nothing, m.DriveStatus, "quick", role="observe"),
     Verb("seal", Nothing, m.Seal, "quick", role="observe"),
     Verb("reveal", Nothing, m.Revealed, "quick", role="tune"),
-    Verb("run_begin", RunBegin, m.RunBegun, "quick", repeatable=False, role="tune"),
+    Verb("run_begin", RunBegin, m.RunBegun, "quick", role="tune", once=True),
     Verb("run_end", RunEnd, m.Applied, "sync", role="tune"),
     Verb("log", Log, tuple[m.Change, ...], "quick", role="observe"),
-    Verb(
-        "acquire_configure", AcquireConfigure, m.AcquireStatus, "quick", repeatable=False,
-        role="tune",
-    ),
-    Verb("acquire_start", AcquireStart, m.Empty, "quick", repeatable=False, role="tune"),
-    Verb("acquire_stop", Nothing, m.Empty, "quick", role="tune"),
+    Verb("acquire_configure", AcquireConfigure, m.AcquireStatus, "quick", role="tune", once=True),
+    Verb("acquire_start", AcquireStart, m.Empty, "quick", role="tune", once=True),
+    Verb("acquire_stop", Nothing, m.Empty, "quick", role="tune", once=True),
     Verb("acquire_status", Nothing, m.AcquireStatus, "quick", role="observe"),
     Verb("acquire_held", Nothing, m.Held, "quick", role="observe"),
     Verb("acquire_program", Nothing, m.Replaced, "quick", role="observe"),
     Verb("acquire_read", AcquireRead, m.Empty, "bulk", 60.0, role="observe"),
-    Verb("table_begin", TableBegin, TableState, "bulk", repeatable=False, role="tune"),
+    Verb("table_begin", TableBegin, TableState, "bulk", role="tune", once=True),
     Verb("table_chunk", TableChunk, TableState, "bulk", 20.0, role="tune"),
-    Verb("table_commit", TableCommit, m.Applied, "bulk", 20.0, repeatable=False, role="tune"),
-    Verb("live_open", LiveOpen, m.LiveOpened, "quick", repeatable=False, role="observe"),
-    Verb("live_close", LiveClose, m.Empty, "quick", role="observe"),
+    Verb("table_commit", TableCommit, m.Applied, "bulk", 20.0, role="tune", once=True),
+    Verb("live_open", LiveOpen, m.LiveOpened, "quick", role="observe", once=True),
+    Verb("live_close", LiveClose, m.Empty, "quick", role="observe", once=True),
 )
 VERBS: dict[str, Verb] = {row.name: row for row in _ROWS}
 

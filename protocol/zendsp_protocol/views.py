@@ -54,7 +54,6 @@ def curves(
         Increasing.
     columns : sequence of (name, values)
         Each as long as ``x``; what is not finite is a gap. A name may end in its unit, ``q [rad]``.
-    xlabel : str
     log : bool
         Whether ``x``, positive, is drawn by its logarithm.
 

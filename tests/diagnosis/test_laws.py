@@ -13,7 +13,7 @@ from zendsp.diagnosis import joints
 from zendsp.diagnosis.decide import laws
 from zendsp.diagnosis.decide.claims import Claim, Decision, unclaimed
 from zendsp.diagnosis.decide.confidence import least_stated, stated
-from zendsp.diagnosis.decide.naming import bent
+from zendsp.diagnosis.decide.notes import bent
 from zendsp.diagnosis.decide.pieces import may_leave
 from zendsp.diagnosis.decide.remember import remembered
 from zendsp.diagnosis.decide.result import FitTable

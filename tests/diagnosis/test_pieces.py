@@ -13,7 +13,7 @@ import pytest
 from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide import laws, pieces
 from zendsp.diagnosis.decide.claims import Claim, Decision, Known, Piece
-from zendsp.diagnosis.decide.naming import left_over
+from zendsp.diagnosis.decide.notes import left_over
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.structure import Structure

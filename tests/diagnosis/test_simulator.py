@@ -18,7 +18,7 @@ from zendsp.diagnosis.external.nearby import Near
 from zendsp.diagnosis.external.output_error import errors, fit_output, with_term
 from zendsp.diagnosis.external.simulator import Entry, bench
 from zendsp.diagnosis.report.files import write_report
-from zendsp.errors import ModelError
+from zendsp.errors import ModelError, RecordingError
 from zendsp.physics import load_model
 from zendsp.physics.calibration.handles import Handle, free_handles, set_values
 from zendsp.physics.calibration.terms import make_term
@@ -243,3 +243,9 @@ def test_failing_simulators_are_refused_with_their_own_words(
     assert status == 2 and words in err and len(err.strip().splitlines()) == 1
     with pytest.raises(ModelError):
         diagnose(train, model)
+
+
+def test_a_recording_that_a_simulator_is_fitted_to_is_not_held_out_as_well(tmp_path: Path) -> None:
+    train, _, model = files(tmp_path, reality.Machine(gravity=0.2))
+    with pytest.raises(RecordingError, match="held out, and the same as"):
+        diagnose(train, model, train)

@@ -10,11 +10,6 @@ import zendsp
 from zendsp.link import Target
 
 
-@pytest.fixture(autouse=True)
-def _alone(own_registry: None) -> None:
-    """Tests neither see nor disturb targets that really run here."""
-
-
 @pytest.fixture
 def start() -> Iterator[Callable[..., Target]]:
     """Start a target; keyword arguments are those of :func:`zendsp.local`."""

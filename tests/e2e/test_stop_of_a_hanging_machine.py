@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import mmap
-import struct
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
+from card import Card
 from waiting import PATIENCE_S, until
 
 from zendsp.errors import NotStopped
@@ -17,24 +16,10 @@ from zendsp.link import Target, connect
 from zendsp_target.monitor import Monitor, Options
 from zendsp_target.runtime import Runtime
 
-# Hardware, as a driver that may not return: its words stand in a file that the test shares.
+# Hardware, as a driver that may not return. Words of the card: writes, reads, mode; hang in write,
+# read, safe; in stop: write, read.
 CARD = """
-#include <fcntl.h>
-#include <sys/mman.h>
-#include <unistd.h>
-#define zendsp_machine pendulum_machine
-#include "pendulum.c"
-#undef zendsp_machine
-static volatile long *card; /* writes, reads, mode, hang: write, read, safe, in stop: write, read */
 static void hang(int word) { while (card[word]) usleep(1000); }
-static int card_open(void **h, const char *c, double p, machine_info *i, char *e, size_t n) {
-    const int f = open("%s", O_RDWR);
-    card = mmap(0, 4096, PROT_READ | PROT_WRITE, MAP_SHARED, f, 0);
-    close(f);
-    const int failed = pendulum_machine.open(h, c, p, i, e, n);
-    i->simulated = 0;
-    return failed;
-}
 static void card_read(void *h, machine_sensors *s) {
     hang(4);
     if (card[2] == MACHINE_VELOCITY) hang(7);
@@ -68,27 +53,9 @@ WRITES, READS, MODE, WRITE, READ, SAFE, WRITE_OF_STOP, READ_OF_STOP = range(8)
 VELOCITY = 2
 
 
-class Card:
-    """What the hardware sees."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        path.write_bytes(bytes(4096))
-        with path.open("r+b") as file:
-            self._map = mmap.mmap(file.fileno(), 4096)
-
-    def __getitem__(self, word: int) -> int:
-        return int(struct.unpack_from("q", self._map, 8 * word)[0])
-
-    def __setitem__(self, word: int, value: int) -> None:
-        struct.pack_into("q", self._map, 8 * word, value)
-
-
 @pytest.fixture
 def card(tmp_path: Path) -> Card:
-    made = Card(tmp_path / "card")
-    (tmp_path / "guarded.c").write_text(CARD % made.path)
-    return made
+    return Card(tmp_path, CARD, hardware=True)
 
 
 @pytest.fixture
@@ -98,7 +65,7 @@ def begin(
     """A target whose program commands the card: ``begin(hang_s)``."""
     monkeypatch.setenv("ZENDSP_RUNTIME_DIR", str(tmp_path / "run"))
     monkeypatch.delenv("ZENDSP_CONNECT", raising=False)
-    machine = str(card.path.with_name("guarded.c"))
+    machine = str(card.machine)
     with ExitStack() as all_of_it:
 
         def begin(hang_s: float = 60.0) -> Target:

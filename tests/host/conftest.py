@@ -26,11 +26,6 @@ void UserBackground(void) {}
 """  # noqa: E501
 
 
-@pytest.fixture(autouse=True)
-def _alone(own_registry: None) -> None:
-    """Tests neither see nor disturb targets that really run here."""
-
-
 @pytest.fixture
 def runtime() -> Iterator[Runtime]:
     with Runtime("imi_planar", realtime=False) as made:

@@ -227,16 +227,3 @@ def test_the_command_stops_or_says_loudly_that_it_could_not(installed: Installed
     until(lambda: "imi" not in installed.run("ls").stdout, "gone")
     done = installed.run("stop")
     assert done.returncode != 0 and "NOT STOPPED: use the machine's emergency stop" in done.stderr
-
-
-def test_stop_without_a_name_stops_every_target_of_this_machine(installed: Installed) -> None:
-    for name in ("left", "right"):
-        installed.target(name)
-        assert installed.run("run", "pd.c", "-t", name).returncode == 0
-    done = installed.run("stop")
-    assert done.returncode == 0, done.stderr
-    said = dict(line.split(": ", 1) for line in done.stdout.splitlines())
-    assert set(said) == {"left", "right"}
-    assert all(text.startswith("stopped, at sample") for text in said.values()), said
-    for name in said:
-        assert "stopped" in installed.run("drive", "-t", name).stdout

@@ -236,13 +236,14 @@ def test_pendulum_current_loop_reaches_its_torque_in_two_samples_and_stops_at_th
         assert plant.sensors.adc[1] == 24.0  # 0.8 N m would need 25.2 V
 
 
-def test_pendulum_current_sensor_has_10_bits_over_plus_minus_5_a() -> None:
+@pytest.mark.parametrize(("channel", "span"), [(0, 10.0), (1, 48.0)], ids=["A", "V of the bridge"])
+def test_the_pendulums_current_and_voltage_have_10_bits(channel: int, span: float) -> None:
     with Plant("pendulum") as plant:
         seen = set()
         for k in range(500):
             plant.torque([0.3 * math.sin(0.05 * k)])
-            seen.add(plant.sensors.adc[0])
-    steps = np.array(sorted(seen)) / (10.0 / 1024)
+            seen.add(plant.sensors.adc[channel])
+    steps = np.array(sorted(seen)) / (span / 1024)
     assert np.abs(steps - np.round(steps)).max() < 1e-9 and len(seen) > 50
 
 

@@ -161,20 +161,28 @@ def test_lag_is_a_first_order_actuator() -> None:
     assert np.max(np.abs(got - true)) < 0.01 * np.max(np.abs(true - without))
 
 
-def test_delay_of_a_fraction_of_a_sample_is_exact() -> None:
-    u, q, v, true, h, late = command(), 0.0, 0.0, [], T / 40, 0.0033
+def moved_by(at: Callable[[float], float]) -> np.ndarray:
+    """The rigid joint under the command that ``at`` gives for a time in rows."""
+    q, v, true, h = 0.0, 0.0, [], T / 40
     for k in range(N):
         true.append(q)
         for i in range(40):
-            at = math.floor((k * T + (i + 0.5) * h - late) / T)
-            a = (u[at] if at >= 0 else u[0]) / J
+            a = at(k + (i + 0.5) / 40) / J
             q += h * v + 0.5 * h * h * a
             v += h * a
-    reference = np.array(true)
-    got = kernel(reference, [{"kind": "delay", "joint": 1, "time": late}], 4)
-    assert np.max(np.abs(got - reference)) < 0.01 * np.max(
-        np.abs(reference - rigid(lambda *_: 0.0))
-    )
+    return np.array(true)
+
+
+def acts_as(effect: dict[str, object], reference: np.ndarray) -> None:
+    got = kernel(reference, [effect], 4)
+    away = np.max(np.abs(reference - rigid(lambda *_: 0.0)))
+    assert np.max(np.abs(got - reference)) < 0.01 * away
+
+
+def test_delay_of_a_fraction_of_a_sample_is_exact() -> None:
+    u, late = command(), 0.0033
+    reference = moved_by(lambda row: u[max(math.floor(row - late / T), 0)])
+    acts_as({"kind": "delay", "joint": 1, "time": late}, reference)
 
 
 def test_bristles_bend_as_lugre_says() -> None:
@@ -260,19 +268,9 @@ def test_a_free_run_that_begins_in_the_middle_knows_what_the_sensor_makes_of_the
 
 @pytest.mark.parametrize("late", [0.0033, -0.0033])
 def test_a_shifted_command_column_acts_at_another_time_either_way(late: float) -> None:
-    u, q, v, true, h = command(), 0.0, 0.0, [], T / 40
-    for k in range(N):
-        true.append(q)
-        for i in range(40):  # the column is late: what acts now stands in a later row
-            at = math.floor((k * T + (i + 0.5) * h + late) / T)
-            a = u[min(max(at, 0), N - 1)] / J
-            q += h * v + 0.5 * h * h * a
-            v += h * a
-    reference = np.array(true)
-    got = kernel(reference, [{"kind": "column_shift", "joint": 1, "time": late}], 4)
-    assert np.max(np.abs(got - reference)) < 0.01 * np.max(
-        np.abs(reference - rigid(lambda *_: 0.0))
-    )
+    u = command()  # the column is late: what acts now stands in a later row
+    reference = moved_by(lambda row: u[min(max(math.floor(row + late / T), 0), N - 1)])
+    acts_as({"kind": "column_shift", "joint": 1, "time": late}, reference)
 
 
 def test_what_another_joint_pushes_adds_up_to_what_its_velocity_says() -> None:

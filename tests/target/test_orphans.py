@@ -8,6 +8,8 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -65,6 +67,9 @@ time.sleep(3600)
 """
 
 
+Monitor = subprocess.Popen[str]
+
+
 def _of(monitor: int) -> set[str]:
     """What a target started, by the folder in shared memory that its name stands in."""
     found = set()
@@ -79,6 +84,30 @@ def _of(monitor: int) -> set[str]:
     return found
 
 
+@contextmanager
+def killed(folder: Path, program: str, *hangs: str, code: str = MONITOR) -> Iterator[Monitor]:
+    """A target in a process of its own, killed at the end of the block; then all of it ends."""
+    (folder / "fake.c").write_text(HARDWARE)
+    words = [sys.executable, "-c", code, str(folder), program, *hangs]
+    monitor = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+    try:
+        yield monitor
+    finally:
+        monitor.send_signal(signal.SIGKILL)
+        monitor.communicate()
+    try:
+        until(lambda: not _of(monitor.pid), "all of it ends", lambda: _of(monitor.pid))
+    finally:
+        for left in _of(monitor.pid):
+            os.kill(int(left.split(":")[0]), signal.SIGKILL)
+
+
+def _started(monitor: Monitor) -> int:
+    """Wait until the program of a target runs; returns the runner."""
+    assert monitor.stdout is not None
+    return int(monitor.stdout.readline())
+
+
 @pytest.mark.parametrize(
     ("hangs", "does"),
     [
@@ -91,36 +120,21 @@ def _of(monitor: int) -> set[str]:
     ids=["nowhere", "being looked at", "opening", "being made safe", "being made safe by another"],
 )
 def test_nothing_outlives_a_killed_target(tmp_path: Path, hangs: list[str], does: str) -> None:
-    (tmp_path / "fake.c").write_text(HARDWARE)
-    words = [sys.executable, "-c", MONITOR, str(tmp_path), PROGRAM % does.format(tmp_path), *hangs]
-    monitor = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
-    try:
-        hung = tmp_path / "hangs"
+    hung = tmp_path / "hangs"
+    with killed(tmp_path, PROGRAM % does.format(tmp_path), *hangs) as monitor:
         if {"look", "open"} & set(hangs) or does:
             until(hung.exists, "the machine hangs", alive=monitor)
         else:
-            assert monitor.stdout is not None and monitor.stdout.readline()
+            _started(monitor)
         assert _of(monitor.pid)
-    finally:
-        monitor.send_signal(signal.SIGKILL)
-        monitor.communicate()
-    until(lambda: not _of(monitor.pid), "all of it ends", lambda: _of(monitor.pid))
     assert hung.exists() is bool(hangs), "it hung where it was to hang"
 
 
 def test_a_stopped_runner_goes_on_to_make_the_machine_safe(tmp_path: Path) -> None:
-    (tmp_path / "fake.c").write_text(HARDWARE)
-    words = [sys.executable, "-c", MONITOR, str(tmp_path), PROGRAM % ""]
-    monitor = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
-    try:
-        assert monitor.stdout is not None
-        runner = int(monitor.stdout.readline())
+    with killed(tmp_path, PROGRAM % "") as monitor:
+        runner = _started(monitor)
         monitor.send_signal(signal.SIGSTOP)  # before the runner: its watchdog would end it
         os.kill(runner, signal.SIGSTOP)
-    finally:
-        monitor.send_signal(signal.SIGKILL)
-        monitor.communicate()
-    until(lambda: not _of(monitor.pid), "it ends", lambda: _of(monitor.pid))
     assert (tmp_path / "is-safe").exists()
 
 
@@ -139,39 +153,20 @@ def test_a_program_that_stops_its_own_runner_does_not_outlive_its_target(
     tmp_path: Path, machine: str
 ) -> None:
     """It stops as soon as it is an orphan, whatever the runner heard then."""
-    (tmp_path / "fake.c").write_text(HARDWARE)
     code = MONITOR
     if machine != "hardware":
         code = MONITOR.replace('str(folder / "fake.c")', repr(machine))
         code = code.replace('machine_config={"folder": str(folder)},', "")
-    words = [sys.executable, "-c", code, str(tmp_path), STAYS]
-    monitor = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
-    try:
-        assert monitor.stdout is not None and monitor.stdout.readline()
-    finally:
-        monitor.send_signal(signal.SIGKILL)
-        monitor.communicate()
-    try:
-        until(lambda: not _of(monitor.pid), "it ends", lambda: _of(monitor.pid))
-    finally:
-        for left in _of(monitor.pid):
-            os.kill(int(left.split(":")[0]), signal.SIGKILL)
+    with killed(tmp_path, STAYS, code=code) as monitor:
+        _started(monitor)
     assert (tmp_path / "is-safe").exists() is (machine == "hardware")
 
 
 def test_a_target_and_a_runner_that_are_killed_at_once_leave_a_machine_that_is_safe(
     tmp_path: Path,
 ) -> None:
-    (tmp_path / "fake.c").write_text(HARDWARE)
-    words = [sys.executable, "-c", MONITOR, str(tmp_path), PROGRAM % ""]
-    monitor = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
-    try:
-        assert monitor.stdout is not None
-        runner = int(monitor.stdout.readline())
+    with killed(tmp_path, PROGRAM % "") as monitor:
+        runner = _started(monitor)
         monitor.send_signal(signal.SIGSTOP)
         os.kill(runner, signal.SIGKILL)
-    finally:
-        monitor.send_signal(signal.SIGKILL)
-        monitor.communicate()
     until((tmp_path / "is-safe").exists, "the machine is safe")
-    until(lambda: not _of(monitor.pid), "it ends", lambda: _of(monitor.pid))

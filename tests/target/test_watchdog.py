@@ -3,45 +3,34 @@
 
 from __future__ import annotations
 
-import mmap
 import os
 import signal
-import struct
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from card import Card
 
 from zendsp_target.runtime import Runtime
 
 Make = Callable[..., Runtime]
 Wait = Callable[..., None]
 
-# The shipped pendulum, with a card that counts; the count stands in a file that the test sees as
-# hardware would.
+# words of the card: how often it was kept alive, how often outputs were written
 CARD = """
-#include <fcntl.h>
-#include <sys/mman.h>
-#include <unistd.h>
-#define zendsp_machine pendulum_machine
-#include "pendulum.c"
-#undef zendsp_machine
-static volatile unsigned long *card;
-static int card_open(void **h, const char *c, double p, machine_info *i, char *e, size_t n) {
-    const int f = open("%s", O_RDWR);
-    card = mmap(0, 4096, PROT_READ | PROT_WRITE, MAP_SHARED, f, 0);
-    close(f);
-    return pendulum_machine.open(h, c, p, i, e, n);
-}
 static void card_read(void *h, machine_sensors *s) { pendulum_machine.read(h, s); }
-static void card_write(void *h, const machine_actuators *u) { pendulum_machine.write(h, u); card[1]++; }
+static void card_write(void *h, const machine_actuators *u) {
+    pendulum_machine.write(h, u);
+    card[1]++;
+}
 static void card_step(void *h, double dt) { pendulum_machine.step(h, dt); }
 static void card_safe(void *h) { pendulum_machine.safe(h); }
 static void card_alive(void *h) { (void)h; card[0]++; }
-const machine_ops zendsp_machine = {.abi = MACHINE_ABI, .open = card_open, .read = card_read, .write = card_write,
-    .step = card_step, .safe = card_safe, .keep_alive = card_alive};
-"""  # noqa: E501
+const machine_ops zendsp_machine = {.abi = MACHINE_ABI, .open = card_open, .read = card_read,
+    .write = card_write, .step = card_step, .safe = card_safe, .keep_alive = card_alive};
+"""
+ALIVE, WRITTEN = range(2)
 PROGRAM = """
 #include "isr.h"
 #include <time.h>
@@ -60,40 +49,21 @@ void UserISR_INT2(void) {
 TRIPS_S = 0.15  # of the simulated hardware: a hundred times the period
 
 
-class Card:
-    """What the hardware sees."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        path.write_bytes(bytes(4096))
-        with path.open("r+b") as file:
-            self.map = mmap.mmap(file.fileno(), 4096)
-
-    def count(self) -> int:
-        """How often it was kept alive."""
-        return int(struct.unpack_from("Q", self.map, 0)[0])
-
-    def written(self) -> int:
-        """How often outputs were written."""
-        return int(struct.unpack_from("Q", self.map, 8)[0])
-
-    def fires(self) -> bool:
-        """Whether nothing came within its time, as such a card decides."""
-        before = self.count()
-        time.sleep(TRIPS_S)
-        return self.count() == before
-
-
 @pytest.fixture
 def card(tmp_path: Path) -> Card:
     """A card, and the machine that has it."""
-    made = Card(tmp_path / "card")
-    (tmp_path / "guarded.c").write_text(CARD % made.path)
-    return made
+    return Card(tmp_path, CARD, hardware=False)
+
+
+def fires(card: Card) -> bool:
+    """Whether nothing came within its time, as such a card decides."""
+    before = card[ALIVE]
+    time.sleep(TRIPS_S)
+    return card[ALIVE] == before
 
 
 def _running(make_runtime: Make, wait_for: Wait, card: Card, **options: float) -> Runtime:
-    machine = str(card.path.with_name("guarded.c"))
+    machine = str(card.machine)
     runtime = make_runtime(
         PROGRAM, machine=machine, clock="real", rate_hz=100.0, realtime=False, **options
     )
@@ -113,8 +83,8 @@ def test_every_sample_keeps_it_alive_after_its_outputs(
     runtime = _running(make_runtime, wait_for, card)
     for what in (lambda: None, runtime.pause):  # a pause is healthy
         what()
-        before = card.count()
-        wait_for(lambda before=before: card.count() > before + 20)  # type: ignore[misc]
+        before = card[ALIVE]
+        wait_for(lambda before=before: card[ALIVE] > before + 20)  # type: ignore[misc]
 
 
 def test_it_fires_when_a_sample_does_not_return(
@@ -122,7 +92,7 @@ def test_it_fires_when_a_sample_does_not_return(
 ) -> None:
     runtime = _running(make_runtime, wait_for, card, hang_s=20.0)
     runtime.write({"hang": 1}, "me")
-    wait_for(lambda: card.fires())
+    wait_for(lambda: fires(card))
     assert runtime.status().crash == "", "before our own watchdog noticed"
 
 
@@ -131,10 +101,10 @@ def test_it_fires_when_samples_are_too_late_again_and_again(
 ) -> None:
     runtime = _running(make_runtime, wait_for, card)
     runtime.write({"late": 1}, "me")
-    wait_for(lambda: card.fires())
-    before = card.written()
-    wait_for(lambda: card.written() > before)  # the loop lives, only too late
-    assert card.fires()
+    wait_for(lambda: fires(card))
+    before = card[WRITTEN]
+    wait_for(lambda: card[WRITTEN] > before)  # the loop lives, only too late
+    assert fires(card)
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
@@ -143,4 +113,4 @@ def test_it_fires_when_the_runner_is_gone_or_stopped(
 ) -> None:
     runtime = _running(make_runtime, wait_for, card, hang_s=20.0)
     os.kill(_pid(runtime), number)
-    wait_for(lambda: card.fires())
+    wait_for(lambda: fires(card))

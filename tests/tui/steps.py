@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -10,10 +11,12 @@ from textual.pilot import Pilot
 
 from zendsp.errors import LinkError
 from zendsp.recording import Recording
+from zendsp.reference import make_reference, save_reference
 from zendsp.tui.actions import SCREENS
 from zendsp.tui.app import ZendspApp
 from zendsp.tui.port import Port
 from zendsp.tui.screens.base import LabScreen
+from zendsp.tui.screens.execute import ExecuteScreen
 
 Until = Callable[[Pilot[None], Callable[[], object], str], Awaitable[None]]
 Step = Callable[[ZendspApp, Pilot[None]], Awaitable[None]]
@@ -35,6 +38,24 @@ async def opened(
     )
     screen = app.screen
     assert isinstance(screen, kind)
+    return screen
+
+
+async def slow_circle(
+    app: ZendspApp, pilot: Pilot[None], until: Until, folder: Path
+) -> ExecuteScreen:
+    """Play a circle of 40 s: two of the clock, long enough to be caught in the act."""
+    slow = folder / "references" / "slow.mat"
+    save_reference(make_reference("circle", "imi_planar", duration=40.0), slow)
+    screen = await opened(app, pilot, until, ExecuteScreen)
+    app.chosen = (slow,)
+    await until(
+        pilot,
+        lambda: screen.references and screen.conditions and all(c.met for c in screen.conditions),
+        "ready",
+    )
+    await pilot.press("s")
+    await until(pilot, lambda: screen.job and screen.job.progress.phase == "play", "it plays")
     return screen
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -68,17 +70,35 @@ def _model_line(screen: DiagnoseScreen) -> str:
     return screen.query_one("#given-model").render_line(0).text
 
 
-def _alone(folder: Path) -> ZendspApp:
-    """The application without a target."""
-    return ZendspApp(open_port, folder=folder, first="diagnose", frames=4.0)
+@asynccontextmanager
+async def _alone(
+    folder: Path, until: Until, size: tuple[int, int] = (100, 30)
+) -> AsyncIterator[tuple[Pilot[None], DiagnoseScreen]]:
+    """The application without a target, on Diagnose."""
+    app = ZendspApp(open_port, folder=folder, first="diagnose", frames=4.0)
+    async with app.run_test(size=size) as pilot:
+        yield pilot, await opened(app, pilot, until, DiagnoseScreen)
+
+
+async def _stored_shown(pilot: Pilot[None], until: Until) -> DiagnoseScreen:
+    """Open Diagnose, and on it the newest diagnosis that is stored."""
+    assert isinstance(pilot.app, ZendspApp)
+    screen = await opened(pilot.app, pilot, until, DiagnoseScreen)
+    await pilot.press("o", "enter")
+    await until(pilot, lambda: screen.shown is not None, "the newest is opened")
+    return screen
+
+
+def _words(pilot: Pilot[None]) -> str:
+    """What the dialog in sight says."""
+    assert isinstance(pilot.app.screen, Message)
+    return str(pilot.app.screen.query_one(".words").render())
 
 
 @pytest.mark.covers("diagnose.start", "diagnose.add", "diagnose.model")
 async def test_a_file_is_diagnosed_and_the_finding_is_drawn(tmp_path: Path, until: Until) -> None:
     run, model = cases.bench(tmp_path)
-    app = _alone(tmp_path)
-    async with app.run_test(size=(80, 24)) as pilot:
-        screen = await opened(app, pilot, until, DiagnoseScreen)
+    async with _alone(tmp_path, until, (80, 24)) as (pilot, screen):
         await pilot.press("s")
         assert not screen.busy, "nothing to diagnose yet, and it says so"
         await pilot.press("a")
@@ -86,7 +106,7 @@ async def test_a_file_is_diagnosed_and_the_finding_is_drawn(tmp_path: Path, unti
         assert screen.chosen("fit") == [str(run)]
         await pilot.press("m")
         await pilot.pause()
-        assert isinstance(app.screen, Choose)
+        assert isinstance(pilot.app.screen, Choose)
         await pilot.press("enter")  # the model that lies here
         await pilot.pause()
         assert screen.model == str(model)
@@ -125,9 +145,7 @@ async def test_a_diagnosis_is_cancelled_and_leaves_nothing(
     run, model = cases.bench(tmp_path, seconds=1.0)
     waits = "import time; print('pid', os.getpid(), flush=True); time.sleep(600)"
     monkeypatch.setattr(command, "call", lambda parent: waits)
-    app = _alone(tmp_path)
-    async with app.run_test(size=(100, 30)) as pilot:
-        screen = await opened(app, pilot, until, DiagnoseScreen)
+    async with _alone(tmp_path, until) as (pilot, screen):
         screen.added, screen.roles, screen.model = [str(run)], {str(run): "fit"}, str(model)
         for key in ("ctrl+c", "escape"):
             await pilot.press("s")
@@ -144,9 +162,7 @@ async def test_a_diagnosis_is_cancelled_and_leaves_nothing(
 async def test_what_fails_is_said(tmp_path: Path, until: Until) -> None:
     run, _ = cases.bench(tmp_path, seconds=1.0)
     (tmp_path / "bad.toml").write_text('name = "bad"\n')
-    app = _alone(tmp_path)
-    async with app.run_test(size=(100, 30)) as pilot:
-        screen = await opened(app, pilot, until, DiagnoseScreen)
+    async with _alone(tmp_path, until) as (pilot, screen):
         screen.added, screen.roles = [str(run)], {str(run): "fit"}
         screen.model = str(tmp_path / "bad.toml")
         await pilot.press("s")
@@ -160,9 +176,7 @@ async def test_a_model_is_begun_from_the_recording_where_there_is_none(
 ) -> None:
     run, model = cases.bench(tmp_path, seconds=2.0)
     model.unlink()
-    app = _alone(tmp_path)
-    async with app.run_test(size=(100, 30)) as pilot:
-        screen = await opened(app, pilot, until, DiagnoseScreen)
+    async with _alone(tmp_path, until) as (pilot, screen):
         screen.added, screen.roles = [str(run)], {str(run): "fit"}
         await pilot.press("s")
         await until(pilot, lambda: screen.said and not screen.busy, "it is begun")
@@ -172,7 +186,7 @@ async def test_a_model_is_begun_from_the_recording_where_there_is_none(
         assert "Answer them in bench.toml" in _text(screen, "#words")
         await pilot.press("m")
         await pilot.pause()
-        assert isinstance(app.screen, Choose)
+        assert isinstance(pilot.app.screen, Choose)
         await pilot.press("up", "enter")  # the last line: another one is begun
         await until(pilot, lambda: screen.model != str(model), "beside the first")
         assert Path(screen.model).name == "bench-2.toml"
@@ -182,13 +196,11 @@ async def test_the_model_of_another_machine_is_not_taken(tmp_path: Path, until: 
     (tmp_path / "mine.toml").write_text(cases.bench(tmp_path)[1].read_text())  # names itself bench
     recording = Recording.from_columns({"q": np.zeros(100)}, 1e-3, units={"q": "rad"})
     store_run(tmp_path / "runs", "other", replace(recording, machine="arm"))
-    app = _alone(tmp_path)
-    async with app.run_test(size=(100, 30)) as pilot:
-        screen = await opened(app, pilot, until, DiagnoseScreen)
+    async with _alone(tmp_path, until) as (pilot, screen):
         assert screen.model == ""
         await pilot.press("s")
         await pilot.pause()
-        assert isinstance(app.screen, Choose), "one of another name may be meant: it is asked"
+        assert isinstance(pilot.app.screen, Choose), "one of another name may be meant: it is asked"
         await pilot.press("escape")
         store_run(tmp_path / "runs", "own", replace(recording, machine="bench"))
         screen.fill()
@@ -202,9 +214,7 @@ async def test_the_last_run_is_marked_and_others_can_be_held_out(
     recording = Recording.from_columns({"q": np.zeros(100)}, 1e-3, units={"q": "rad"})
     old = store_run(tmp_path / "runs", "old", recording)
     new = store_run(tmp_path / "runs", "new", replace(recording, note="2"))
-    app = _alone(tmp_path)
-    async with app.run_test(size=(100, 30)) as pilot:
-        screen = await opened(app, pilot, until, DiagnoseScreen)
+    async with _alone(tmp_path, until) as (pilot, screen):
         assert screen.chosen("fit") == [str(new.folder / DATA)]
         new = store_run(tmp_path / "runs", "newer", replace(recording, note="3"))
         screen.fill()
@@ -223,9 +233,7 @@ async def test_names_in_a_list_are_whole_however_soon_it_is_drawn(
     tmp_path: Path, until: Until
 ) -> None:
     """The picture between the rows and Textual's next idle moment stayed: "benc" of bench.csv."""
-    app = _alone(tmp_path)
-    async with app.run_test(size=(100, 30)) as pilot:
-        screen = await opened(app, pilot, until, DiagnoseScreen)
+    async with _alone(tmp_path, until) as (pilot, screen):
         table = screen.query_one("#recordings", DataTable)
         screen.added = [str(tmp_path / "bench.csv")]
         screen.fill()
@@ -242,9 +250,7 @@ async def test_two_runs_of_one_name_are_told_apart_by_their_seconds(
         run = store_run(tmp_path / "runs", "pd", recording)
         card = run.folder / "run.json"
         card.write_text(json.dumps(json.loads(card.read_text()) | {"created": second}))
-    app = _alone(tmp_path)
-    async with app.run_test(size=(100, 30)) as pilot:
-        screen = await opened(app, pilot, until, DiagnoseScreen)
+    async with _alone(tmp_path, until) as (_, screen):
         table = screen.query_one("#recordings", DataTable)
         times = {str(table.get_row_at(k)[2]) for k in range(2)}
         assert len(times) == 2, times
@@ -259,11 +265,8 @@ async def test_an_earlier_diagnosis_is_opened_saved_and_compared(
     pages: list[str] = []
     monkeypatch.setattr(diagnose_loop, "graphical", lambda: bool(pages))
     monkeypatch.setattr("webbrowser.open", lambda url: not pages.append(url))
-    app = _alone(tmp_path)
-    async with app.run_test(size=(200, 60)) as pilot:
-        screen = await opened(app, pilot, until, DiagnoseScreen)
-        await pilot.press("o", "enter")
-        await until(pilot, lambda: screen.shown is not None, "the newest is opened")
+    async with _alone(tmp_path, until, (200, 60)) as (pilot, screen):
+        await _stored_shown(pilot, until)
         await until(pilot, lambda: screen.query_one(FigureView).display, "its first figure")
         await pilot.pause()
         _drawn(screen)
@@ -280,16 +283,15 @@ async def test_an_earlier_diagnosis_is_opened_saved_and_compared(
         assert levels == [8.0, 2.0]
         await pilot.press("d", "enter")
         await pilot.pause()
-        assert isinstance(app.screen, Message)
-        shown = str(app.screen.query_one(".words").render())
+        shown = _words(pilot)
         row = next(line for line in shown.splitlines() if line.startswith("coulomb, joint 1"))
         assert row.index("level 6 N m") < row.index("level 8 N m"), shown
         assert f"{first.name}  " in shown and second.name in shown
         (made,) = (line.split(maxsplit=1)[1] for line in shown.splitlines() if "made" in line)
         assert first.when in made and second.when in made, "of one recording, perhaps"
         await pilot.press("escape", "v")
-        await until(pilot, lambda: isinstance(app.screen, Message), "no browser: where it is")
-        assert str(second.page.name) in str(app.screen.query_one(".words").render())
+        await until(pilot, lambda: isinstance(pilot.app.screen, Message), "no browser: where it is")
+        assert str(second.page.name) in _words(pilot)
         pages.append("from now on there is one")
         await pilot.press("escape", "v")
         await until(pilot, lambda: second.page.as_uri() in pages, "opened")
@@ -306,9 +308,7 @@ async def test_compensation_fades_in_and_out_of_the_running_program(
 
     async with lab.run_test(size=(160, 48)) as pilot:
         await enabled(lab, pilot)
-        screen = await opened(lab, pilot, until, DiagnoseScreen)
-        await pilot.press("o", "enter")
-        await until(pilot, lambda: screen.shown is not None, "opened")
+        screen = await _stored_shown(pilot, until)
         await pilot.press("c")
         await until(pilot, lambda: isinstance(lab.screen, Message), "it offers to build")
         await pilot.press("enter")
@@ -362,12 +362,10 @@ async def test_a_program_without_room_is_told_what_to_add(
     )
     async with lab.run_test(size=(160, 48)) as pilot:
         await enabled(lab, pilot)
-        screen = await opened(lab, pilot, until, DiagnoseScreen)
-        await pilot.press("o", "enter")
-        await until(pilot, lambda: screen.shown is not None, "opened")
+        screen = await _stored_shown(pilot, until)
         await pilot.press("c")
         await until(pilot, lambda: isinstance(lab.screen, Message), "it says how")
-        shown = str(lab.screen.query_one(".words").render())
+        shown = _words(pilot)
         assert "CompensationInit();" in shown and "tau[j] += Compensation(" in shown
         await pilot.press("enter")
         await until(pilot, (folder / "compensation.c").is_file, "written")
@@ -383,13 +381,11 @@ async def test_a_program_that_runs_already_needs_no_source_to_be_chosen(
     target.download(pd, ["-DHERE=1"])
     pd.write_text("another program")
     async with lab.run_test(size=(160, 48)) as pilot:
-        screen = await opened(lab, pilot, until, DiagnoseScreen)
+        await _stored_shown(pilot, until)
         await until(pilot, lambda: lab.session.snapshot.program, "connected")
-        await pilot.press("o", "enter")
-        await until(pilot, lambda: screen.shown is not None, "opened")
         await pilot.press("c")
         await until(pilot, lambda: isinstance(lab.screen, Message), "it says why not")
-        said = str(lab.screen.query_one(".words").render())
+        said = _words(pilot)
         assert "is not the pd.c that runs" in said and "Choose its source on Console" in said
         await pilot.press("escape")
         pd.unlink()
@@ -433,11 +429,9 @@ async def test_the_proposed_motion_is_played_and_diagnosed_with_the_rest(
     Path(d.recordings[0]).write_text("t\n0\n")
     async with lab.run_test(size=(160, 48)) as pilot:
         await enabled(lab, pilot)
-        screen = await opened(lab, pilot, until, DiagnoseScreen)
+        screen = await _stored_shown(pilot, until)
         asked: list[list[str]] = []
         screen.action_start = lambda: asked.append(screen.chosen("fit"))  # type: ignore[method-assign]
-        await pilot.press("o", "enter")
-        await until(pilot, lambda: screen.shown is not None, "opened")
         await pilot.press("n")
         await until(pilot, lambda: isinstance(lab.screen, ExecuteScreen), "Execute is shown")
         execute = lab.screen

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from steps import Step, Until, opened, short_run
+from steps import Step, Until, opened, short_run, slow_circle
 from textual.widgets import Button, Input
 from waiting import PATIENCE_S
 from waiting import until as wait_for
@@ -221,22 +221,13 @@ async def test_a_run_of_seven_joints_begins_where_the_arm_stands(
 async def test_abort_keeps_what_was_acquired(
     lab: ZendspApp, target: Target, enabled: Step, until: Until, folder: Path
 ) -> None:
-    slow = make_reference("circle", "imi_planar", duration=40.0)
-    save_reference(slow, folder / "references" / "slow.mat")
     async with lab.run_test(size=(100, 30)) as pilot:
         await enabled(lab, pilot)
-        screen = await opened(lab, pilot, until, ExecuteScreen)
-        lab.chosen = (folder / "references" / "slow.mat",)
-        await until(pilot, lambda: screen.references and not _unmet(screen), "ready")
-        await pilot.press("s")
-        await until(
-            pilot, lambda: screen.job is not None and screen.job.progress.phase == "play",
-            "it plays",
-        )
+        screen = await slow_circle(lab, pilot, until, folder)
         await pilot.press("b")
         await until(pilot, lambda: screen.job is None and screen.runs, "it ends and is stored")
         run = screen.runs[0]
-        assert run.outcome == "aborted" and 0 < run.rows < slow.samples
+        assert run.outcome == "aborted" and 0 < run.rows < 40_000
         assert target.status().trip is None, "an abort is no STOP"
 
 

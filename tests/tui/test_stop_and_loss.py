@@ -14,18 +14,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from steps import Step, Until
+from steps import Step, Until, slow_circle
 from textual.widgets import Input
 from waiting import until as come
 
 from zendsp.link import Target
 from zendsp.recording import Recording
-from zendsp.reference import make_reference, save_reference
 from zendsp.tui.actions import SCREENS
 from zendsp.tui.app import ZendspApp
 from zendsp.tui.dialogs import Field, Form
 from zendsp.tui.link_port import open_port
-from zendsp.tui.screens.execute import ExecuteScreen
 from zendsp.tui.screens.reference import ReferenceScreen
 
 VELOCITY = 2.0  # the built-in signal `drive`
@@ -141,26 +139,7 @@ async def test_stop_during_a_run_ends_it_and_keeps_the_data(
 ) -> None:
     async with lab.run_test(size=(100, 30)) as pilot:
         await enabled(lab, pilot)
-        await pilot.press("f3")
-        await until(pilot, lambda: isinstance(lab.screen, ExecuteScreen), "Execute")
-        screen = lab.screen
-        assert isinstance(screen, ExecuteScreen)
-        # 40 s are two of this clock: long enough to be caught in the act on a busy computer
-        slow = folder / "references" / "slow.mat"
-        save_reference(make_reference("circle", "imi_planar", duration=40.0), slow)
-        lab.chosen = (slow,)
-        await until(
-            pilot,
-            lambda: (
-                screen.references and screen.conditions and all(c.met for c in screen.conditions)
-            ),
-            "ready",
-        )
-        await pilot.press("s")
-        await until(
-            pilot, lambda: screen.job is not None and screen.job.progress.phase == "play",
-            "it plays",
-        )
+        screen = await slow_circle(lab, pilot, until, folder)
         await pilot.press("f9")
         await until(pilot, lambda: screen.runs, "the run is kept")
         assert screen.runs[0].outcome.startswith(("tripped", "stopped")) and screen.runs[0].rows > 0

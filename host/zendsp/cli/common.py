@@ -28,6 +28,11 @@ ENDING = (signal.SIGTERM, signal.SIGHUP)
 F = TypeVar("F", bound=Callable[..., Any])
 
 
+flag_option = click.option(
+    "--flag", "flags", multiple=True, help="Further flag for the compiler; may be repeated."
+)
+
+
 def target_options(function: F) -> F:
     """Add ``--target``, ``--connect`` and ``--json``."""
     decorators = (

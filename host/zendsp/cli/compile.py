@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from zendsp.cli.common import emit, open_target, target_options
+from zendsp.cli.common import emit, flag_option, open_target, target_options
 from zendsp.cli.completing import programs
 
 if TYPE_CHECKING:
@@ -16,9 +16,7 @@ if TYPE_CHECKING:
 
 @click.command("compile")
 @click.argument("file", shell_complete=programs)
-@click.option(
-    "--flag", "flags", multiple=True, help="Further flag for the compiler; may be repeated."
-)
+@flag_option
 @target_options
 def command(
     file: str, flags: tuple[str, ...], target: str, connect: str | None, as_json: bool

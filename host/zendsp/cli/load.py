@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from zendsp.cli.common import emit, open_target, target_options
+from zendsp.cli.common import emit, flag_option, open_target, target_options
 from zendsp.cli.compile import compiled
 from zendsp.cli.completing import programs
 from zendsp_protocol.texts import counted
@@ -12,9 +12,7 @@ from zendsp_protocol.texts import counted
 
 @click.command("load")
 @click.argument("file", shell_complete=programs)
-@click.option(
-    "--flag", "flags", multiple=True, help="Further flag for the compiler; may be repeated."
-)
+@flag_option
 @target_options
 def command(
     file: str, flags: tuple[str, ...], target: str, connect: str | None, as_json: bool

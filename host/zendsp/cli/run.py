@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import click
 
-from zendsp.cli.common import emit, open_target, parse_assignments, progress, target_options
+from zendsp.cli.common import (
+    emit,
+    flag_option,
+    open_target,
+    parse_assignments,
+    progress,
+    target_options,
+)
 from zendsp.cli.compile import compiled
 from zendsp.cli.completing import programs
 
@@ -19,7 +26,7 @@ from zendsp.cli.completing import programs
     "--seconds", type=float,
     help="Pause after this time of the target, and wait for it; Ctrl-C pauses at once.",
 )
-@click.option("--flag", "flags", multiple=True, help="Further flag for the compiler.")
+@flag_option
 @target_options
 def command(
     file: str | None,

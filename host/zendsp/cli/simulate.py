@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from zendsp.cli.common import parse_assignments, parse_names
+from zendsp.cli.common import flag_option, parse_assignments, parse_names
 
 if TYPE_CHECKING:
     from zendsp.recording import Recording
@@ -55,7 +55,7 @@ if TYPE_CHECKING:
         " settles."
     ),
 )
-@click.option("--flag", "flags", multiple=True, help="Further flag for the compiler.")
+@flag_option
 @click.option(
     "--out",
     type=click.Path(path_type=Path),

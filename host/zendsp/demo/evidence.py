@@ -195,7 +195,6 @@ def judge(diagnosis: Diagnosis, effects: Sequence[TrueEffect]) -> Judged:
 
     Parameters
     ----------
-    diagnosis : Diagnosis
     effects : sequence of mapping
         Of :class:`zendsp.link.concealed.Truth`.
     """

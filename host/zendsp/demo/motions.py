@@ -20,7 +20,6 @@ def join(machine: Machine, parts: Sequence[Reference]) -> Reference:
 
     Parameters
     ----------
-    machine : Machine
     parts : sequence of Reference
         All of one sample time.
 

@@ -39,7 +39,6 @@ class Machine:
 
         Parameters
         ----------
-        motion : Reference
         note : str
             Kept in the recording.
         update : (float, mapping), optional

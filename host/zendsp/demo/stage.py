@@ -71,7 +71,6 @@ def nominal_model(
 
     Parameters
     ----------
-    stage : Stage
     counts_per_unit : tuple of float
         Of the encoders, as the target states them, 1/rad.
     sample_time : float

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from zendsp.diagnosis.data.checks import check_excitation, check_motion, check_signals
+from zendsp.diagnosis.data.checks import check_excitation, check_motion
 from zendsp.diagnosis.data.prepare import one_sensor, prepare
-from zendsp.diagnosis.data.reading import read_signals
-from zendsp.diagnosis.data.signals import Parts, Signals, with_same_columns
-from zendsp.diagnosis.data.split import cut_out, halves, split
+from zendsp.diagnosis.data.reading import Source
+from zendsp.diagnosis.data.signals import Parts, Signals
+from zendsp.diagnosis.data.split import cut_out, halves, read_parts
 from zendsp.diagnosis.decide.absorbed import moved
 from zendsp.diagnosis.decide.across import across_joints, timing
 from zendsp.diagnosis.decide.assemble import Assembled, calibrated_machine
@@ -34,14 +34,8 @@ from zendsp.diagnosis.decide.decide_bodies import (
 )
 from zendsp.diagnosis.decide.detectable import detectable
 from zendsp.diagnosis.decide.fast_ripple import FineRipple, fine_ripples, fixed
-from zendsp.diagnosis.decide.naming import (
-    bent,
-    creeping,
-    left_over,
-    loosely_fitted,
-    name_findings,
-    other_loads,
-)
+from zendsp.diagnosis.decide.naming import name_findings
+from zendsp.diagnosis.decide.notes import bent, left_over, notes_of
 from zendsp.diagnosis.decide.propose import propose
 from zendsp.diagnosis.decide.remember import remembered
 from zendsp.diagnosis.decide.result import Diagnosis, Finding, FitTable, Left, Rejected, Workings
@@ -64,15 +58,12 @@ from zendsp.diagnosis.transmission.links import divided, with_links
 from zendsp.diagnosis.transmission.measured import Measured, measured_transmissions
 from zendsp.diagnosis.transmission.one_sensor import by_one_sensor, said, shown
 from zendsp.diagnosis.transmission.torque_sensor import sided
-from zendsp.errors import RecordingError
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.files.model_file import load_model, parse_model
 from zendsp.physics.model import CALLED, Model
 from zendsp.physics.term_numbers import file_model, kernel_model
 from zendsp.prompt import shows_progress
 from zendsp.recording import Recording, Table
-
-Source = str | Path | Recording | Table
 
 
 @shows_progress
@@ -163,8 +154,7 @@ def _diagnose(
     alone = by_one_sensor(parts, found.bodies.model, decisions)
     seen += (*(d for m in found.measured for d in m.detectable), *alone)
     test = _table(parts.test, given, whole.calibrated, improved)
-    notes += [*said(alone), *loosely_fitted(decisions), *creeping(decisions, given)]
-    notes += other_loads(decisions)
+    notes += [*said(alone), *notes_of(decisions, given)]
     notes += apart_in_time(parts, improved)
     notes += moved(given, found.whole.improved if findings else found.whole.calibrated)
     if not findings:
@@ -412,34 +402,9 @@ def _read(
     recordings: Source | Sequence[Source], heldout: Source | Sequence[Source] | None, model: Model
 ) -> tuple[list[Signals], list[Signals], list[Signals], list[str]]:
     """Recordings to fit to, to choose by and to test on, and what was done to them."""
-    signals = [read_signals(source, model) for source in _sources(recordings)]
-    if not signals:
-        raise RecordingError("no recording given")
-    held = [read_signals(source, model) for source in _sources(heldout)]
-    _refuse_twice(signals, held)
-    begin = min(float(s.time[0]) for s in (*signals, *held))
-    signals, held = ([replace(s, origin=begin) for s in each] for each in (signals, held))
-    notes = check_signals([*signals, *held], model)
-    signals, held = with_same_columns(signals, held)
-    if not held:
-        signals, held, how = split(signals)
-        notes += how
+    signals, held, notes = read_parts(_sources(recordings), _sources(heldout), model)
     choose, test, how = halves(held)
     return signals, choose, test, [*notes, *how]
-
-
-def _refuse_twice(fitted: Sequence[Signals], held: Sequence[Signals]) -> None:
-    """What models are fitted to is untouched no more."""
-    for h in held:
-        for s in fitted:
-            if len(s.time) == len(h.time) and all(
-                np.array_equal(a, b)
-                for a, b in ((s.position, h.position), (s.command, h.command))
-            ):
-                raise RecordingError(
-                    f"{h.name}: held out, and the same as {s.name}, which the model is fitted to:"
-                    " hold out another recording, or none (a third of each is held out then)"
-                )
 
 
 def _lacking(found: _Found, findings: Sequence[Finding], joints: Sequence[int]) -> set[int]:

@@ -52,8 +52,6 @@ def diagnose_each(
 
     Parameters
     ----------
-    recordings : sequence of path
-    model : path
     heldout : sequence of path
         Judged on by all of them; where none is given the last third of each is held out (of its
         motion, where it comes to rest).
@@ -61,7 +59,6 @@ def diagnose_each(
         Folder; each recording's report goes into a folder of its name below it.
     pictures : bool
         Also report.html and its figures.
-    seed : int
     jobs : int
         Processes on this machine; a cluster decides for itself.
     effects : sequence of path
@@ -156,7 +153,6 @@ def table(items: Sequence[Item], common: bool = True) -> str:
 
     Parameters
     ----------
-    items : sequence of Item
     common : bool
         Append what the recordings agree on.
     """

@@ -44,7 +44,6 @@ def mean_of(
     ----------
     values : sequence of float
         At least two.
-    unit : str
     systematic : float
         Standard deviation of what all of them share and their spread does not show.
     beside : sequence of float

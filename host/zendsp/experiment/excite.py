@@ -36,7 +36,6 @@ def play(
 
     Parameters
     ----------
-    target : Target
     make : callable
         Values of a period at times, s; periodic.
     joint : int
@@ -46,10 +45,8 @@ def play(
         Length of the period, a multiple of the sample time.
     times : int
         How often.
-    channels : list of str
     rehearsed : bool
         Try it on a simulated twin first, where the clock is real.
-    progress : callable, optional
 
     Returns
     -------

@@ -351,12 +351,10 @@ def make_period(
     ----------
     harmonics : ndarray of int
         Multiples of ``f_min``.
-    amplitude : float
     power : int
         Line k has amplitude ~ k^-power.
     f_min : float
         Hz.
-    t : ndarray
     """
     a = harmonics.astype(np.float64) ** -float(power)
     phases = low_crest_phases(harmonics, a)
@@ -375,7 +373,6 @@ def estimate(
     ----------
     u, y : ndarray, shape (periods * samples,)
         Whole periods of input and output.
-    periods : int
     harmonics : ndarray of int, shape (n,)
 
     Returns

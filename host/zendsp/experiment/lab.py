@@ -186,14 +186,12 @@ class Bench:
             Of the recording.
         program : str or mapping
             As for ``Target.compile``.
-        channels : sequence of str
         seconds : float, optional
             Default: approach, reference, and ``after``.
         reference : Reference, optional
             Goes into the tables ref and ref_tau.
         before, after : float
             Time to the first row of the reference, and after its last, s.
-        decimation : int
         flags : sequence of str
             For the compiler.
         command : {"torque", "voltage"}

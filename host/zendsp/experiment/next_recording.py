@@ -41,7 +41,6 @@ def run_next(
         Name of a target (``$ZENDSP_CONNECT`` says where, as for every command).
     folder : Path
         Receives next_reference.mat and next_recording.mat.
-    heldout : sequence of path, optional
     progress : callable, optional
         Receives a sentence at each stage.
     **options

@@ -34,13 +34,11 @@ class Player:
 
     Parameters
     ----------
-    target : Target
     tables : mapping of str to ndarray
         Rows, in the order in which they are sent; the first column belongs to joint 1. Names that
         the program lacks are left out, here and of the values.
     values : mapping of str to value
         Parameters of the program.
-    channels : sequence of str
     seconds : float
         From the switch-over to the last row that is needed.
     note : str

@@ -31,7 +31,6 @@ def run_reference(
 
     Parameters
     ----------
-    target : Target
     reference : Reference
         Position, one row a sample.
     model : Model

@@ -19,10 +19,6 @@ POLL_S = 0.0005
 class StopPage:
     """The stop page of one target, mapped.
 
-    Parameters
-    ----------
-    path : str
-
     Raises
     ------
     OSError
@@ -86,7 +82,6 @@ def find(name: str, instance: bytes | None = None) -> StopPage | None:
 
     Parameters
     ----------
-    name : str
     instance : bytes, optional
         Of its run; default: the one that runs now.
     """

@@ -18,7 +18,7 @@ from zendsp.link.background import END_S, Listener, background, open_links
 from zendsp.link.session import new_author, not_there, open_session
 from zendsp.link.settings import Credentials
 from zendsp_protocol import codec, kept, keys
-from zendsp_protocol.once import AGAIN, FIRST, ONCE, SETTLE, stamp
+from zendsp_protocol.once import AGAIN, FIRST, SETTLE, stamp
 from zendsp_protocol.verbs import VERBS, Verb
 
 _Ready = tuple[Verb, zenoh.Querier | None]
@@ -150,7 +150,7 @@ class Link:
         """
         row, querier = self._ready.get(verb) or self._make_ready(verb)
         payload = codec.encode_request(verb, arguments, self.author)
-        if verb in ONCE:
+        if row.once:
             reply = self._once(row, querier, payload, timeout)
         else:
             if querier is not None and timeout is None:

@@ -44,7 +44,6 @@ def describe(
     first : int
         Number of the first row of ``data``.
     data : ndarray, shape (rows, columns)
-    note : str
     patience : float, s
         For a broken link to come back.
     """
@@ -137,7 +136,6 @@ def parameters_at(tick: int, read: Reading, changes: Sequence[m.Change]) -> dict
 
     Parameters
     ----------
-    tick : int
     read : Reading
         Of all parameters, at that sample or later.
     changes : sequence of Change

@@ -23,7 +23,6 @@ class Before:
 
     Parameters
     ----------
-    target : Target
     names : iterable of str
         What the run will set, elements ``"q[1]"`` too; names that the program lacks are left out.
     moves : bool
@@ -62,10 +61,6 @@ class Before:
 
 class Loaded:
     """The loaded program as it is now, with parameters and tables, to be put back after others.
-
-    Parameters
-    ----------
-    target : Target
 
     Raises
     ------
@@ -118,10 +113,8 @@ def kept(
 
     Parameters
     ----------
-    target : Target
     names : iterable of str
         Parameters and tables.
-    moves : bool
     fade : float
         As for `Before`.
 

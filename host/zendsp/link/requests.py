@@ -51,10 +51,6 @@ class Requests:
 
 class Part:
     """Base of the parts of a target: each asks through the same `Requests`.
-
-    Parameters
-    ----------
-    requests : Requests
     """
 
     def __init__(self, requests: Requests) -> None:

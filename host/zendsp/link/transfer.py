@@ -70,10 +70,6 @@ class Rows:
 
 def open_held(held: m.Held) -> int:
     """Open the file that holds the rows; -1 where it is not to be had from here.
-
-    Parameters
-    ----------
-    held : Held
     """
     try:
         if not held.path or Path(KERNEL).read_text().strip() != held.kernel:
@@ -93,8 +89,6 @@ def read_held(file: int, held: m.Held, first: int, rows: FloatArray) -> None:
 
     Parameters
     ----------
-    file : int
-    held : Held
     first : int
         Index of the first row.
     rows : ndarray, shape (count, columns)

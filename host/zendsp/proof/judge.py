@@ -254,7 +254,6 @@ def judge(truth: Truth, answer: Answer) -> Judgement:
     ----------
     truth : Truth
         As sealed by ``zendsp.proof.cases``.
-    answer : Answer
     """
     effects = truth["effects"]
     first = answer.findings[0] if answer.findings else None

@@ -46,7 +46,6 @@ def open_truth(folder: Path, expected: str | None = None) -> dict[str, Truth]:
 
     Parameters
     ----------
-    folder : Path
     expected : str, optional
         What :func:`seal` returned; with it, rewriting both a truth and the list of seals is noticed
         too.

@@ -54,7 +54,6 @@ def save_anyhow(recording: Samples, path: Path) -> tuple[Path, str]:
 
     Parameters
     ----------
-    recording : Samples
     path : path
         Where it is meant to be.
 

@@ -4,21 +4,19 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Sequence
-from concurrent.futures import Future
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from zendsp.errors import Refused, ZendspError
-from zendsp.link.background import background
 from zendsp.link.put_back import Before
 from zendsp.recording import Recording
 from zendsp.reference import Machine, Reference
+from zendsp.tui.job import Job, Progress
 from zendsp.tui.playing import Player, Setup, present_position
 from zendsp.tui.port import Port, Shot
 from zendsp.tui.runs import Outcome, Run, store_run
@@ -29,16 +27,6 @@ LOOK_S = 0.05
 REST_S = 1.0  # for an arm to come to rest under its control law
 SAFE = ("off", "ready", "homed", "stopped", "tripped")  # of the drives: no command moves the arm
 USUAL = ("r", "q", "qd", "e", "tau")  # recorded where the user chose no channels
-
-
-@dataclass(frozen=True)
-class Progress:
-    """Where a run is."""
-
-    phase: str
-    share: float  # 0 … 1
-    t: float = 0.0  # s since the first row
-    duration: float = 0.0  # s
 
 
 def usual_channels(snapshot: Snapshot) -> tuple[str, ...]:
@@ -53,7 +41,7 @@ def usual_channels(snapshot: Snapshot) -> tuple[str, ...]:
     return tuple(chosen) or tuple(names[:8])
 
 
-class PlayJob:
+class PlayJob(Job[Run | None]):
     """Pre-position, play, acquire, return, store."""
 
     def __init__(
@@ -67,41 +55,12 @@ class PlayJob:
         sources: dict[str, str],
         trial: Trial,
     ) -> None:
-        self.progress = Progress("starting", 0.0)
-        self.result: Future[Run | None] = Future()
-        self._session, self._references, self._files = session, tuple(references), tuple(files)
+        super().__init__(session, "run")
+        self._references, self._files = tuple(references), tuple(files)
         self._machine, self._setup, self._runs, self._sources = machine, setup, runs, sources
         self._trial = trial
-        self._abort = threading.Event()
 
-    def start(self) -> None:
-        """Begin."""
-        background("tui-play", self._run)
-
-    def abort(self) -> None:
-        """End softly: what was acquired so far is kept."""
-        self._abort.set()
-
-    @property
-    def busy(self) -> bool:
-        """Whether it still goes on."""
-        return not self.result.done()
-
-    # -- on the thread
-
-    def _run(self) -> None:
-        try:
-            run = self._play(self._session.require())
-        except Exception as error:
-            word = (
-                str(error) if isinstance(error, ZendspError) else f"{type(error).__name__}: {error}"
-            )
-            self._session.events.add(f"run: {word}", "error")
-            self.result.set_exception(error)
-            return
-        self.result.set_result(run)
-
-    def _play(self, port: Port) -> Run | None:
+    def _do(self, port: Port) -> Run | None:
         snapshot = port.snapshot()
         if snapshot.state == "running":  # what is tried begins where the arm then is
             port.pause()

@@ -146,7 +146,6 @@ def make_playlist(
         Gives home and the limits of the moves between.
     start : ndarray, shape (joints,)
         Where the arm stands, rad.
-    setup : Setup
     player : Player
         Where the rows do not fit into its table, every second, third … row is left out, since
         programs interpolate.

@@ -37,7 +37,6 @@ class StopLane:
 
     Parameters
     ----------
-    events : EventLog
     port : callable
         The open port, None where there is none.
     wake : callable

@@ -148,7 +148,6 @@ def settle(name: str, listen: Sequence[str], connect: Sequence[str], security: S
         Of the target.
     listen, connect : sequence of str
         Endpoints; ``here``, and an empty ``listen``: the socket that only this user can open.
-    security : Security
 
     Raises
     ------
@@ -286,7 +285,6 @@ def access_control(name: str, doors: Doors, connect: Sequence[str] = ()) -> dict
     ----------
     name : str
         Of the target.
-    doors : Doors
     connect : sequence of str
         Routers to which it connects: whom they let in is theirs to decide.
 

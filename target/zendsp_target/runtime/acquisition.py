@@ -141,10 +141,6 @@ def create(
 
     Parameters
     ----------
-    path : Path
-    dictionary : Dictionary
-    config : AcquireConfig
-    rate_hz : float
     free_bytes : int
         Of the shared memory and of the computer's.
 
@@ -267,7 +263,6 @@ def status(stream: Stream, alive: bool) -> AcquireStatus:
 
     Parameters
     ----------
-    stream : Stream
     alive : bool
         Whether the loop that fills it still runs; a stream without its loop is done.
     """
@@ -304,7 +299,6 @@ def held(stream: Stream, alive: bool) -> Held:
 
     Parameters
     ----------
-    stream : Stream
     alive : bool
         Whether the loop that fills it still runs.
     """
@@ -327,7 +321,6 @@ def read(
 
     Parameters
     ----------
-    stream : Stream
     first : int
         Index of the first row.
     count : int

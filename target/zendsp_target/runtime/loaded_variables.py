@@ -62,28 +62,7 @@ class LoadedVariables:
         at_tick: int | None = None,
         fade: int = 0,
     ) -> int:
-        """Commit a synchronous update: all values at the start of one sample, or none.
-
-        Parameters
-        ----------
-        values : mapping
-            A table takes an array of shape (rows, columns).
-        author : str
-        at_tick : int, optional
-            Not before this sample.
-        fade : int
-            Samples over which numbers go over to their new values; see `Updates.write`.
-
-        Returns
-        -------
-        int
-            Sequence number for `wait_applied`.
-
-        Raises
-        ------
-        VariableError
-            One line for each variable that is wrong; nothing was applied.
-        """
+        """Commit a synchronous update, see `Updates.write`; returns its sequence number."""
         session = self._programs.session
         if session is None:
             session = self._programs.loaded()
@@ -94,44 +73,14 @@ class LoadedVariables:
             raise
 
     def repeat_read(self, names: Sequence[str], reply: Blank) -> Callable[[], int] | None:
-        """What reads the same doubles again, straight into a reply; None where there is no such
-        way.
-
-        Parameters
-        ----------
-        names : sequence of str
-            As they were read before.
-        reply : Blank
-
-        Returns
-        -------
-        callable or None
-            Returns 0 where nothing was read; `read` says why.
-        """
+        """What reads the same doubles again, see `RuntimeApi.repeat_read`; None: nothing does."""
         session = self._programs.session
         return None if session is None else session.repeat_read(names, reply)
 
     def repeat_write(
         self, name: str, author: str, value_at: int, reply: Blank
     ) -> Callable[[bytes], int] | None:
-        """What writes the same double again, straight out of a request; None where there is no such
-        way.
-
-        Parameters
-        ----------
-        name : str
-            As it was written before.
-        author : str
-        value_at : int
-            Where the value stands in the request, bytes.
-        reply : Blank
-
-        Returns
-        -------
-        callable or None
-            Takes the request; returns the sequence number. 0: nothing was written, `write` says
-            why.
-        """
+        """What writes the same double again, see `RuntimeApi.repeat_write`; None: nothing does."""
         session = self._programs.session
         return None if session is None else session.repeat_write(name, author, value_at, reply)
 

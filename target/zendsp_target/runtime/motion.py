@@ -224,7 +224,6 @@ class Motion:
 
         Parameters
         ----------
-        author : str
         **changes
             Fields of Limits; one number per joint, or one for all.
 

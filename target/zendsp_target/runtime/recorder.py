@@ -27,7 +27,6 @@ class Recorder:
 
     Parameters
     ----------
-    folder : SharedFolder
     current : callable
         The session that runs now, None where there is none.
     """

@@ -43,7 +43,6 @@ def trip_of(control: Any, machine: MachineInfo) -> Trip | None:
 
     Parameters
     ----------
-    control : cffi struct control
     machine : MachineInfo
         For the names and units in its sentence.
     """
@@ -129,10 +128,6 @@ def _cause(machine: MachineInfo, reason: str, joint: int, value: float, limit: f
 
 def machine_of(control: Any) -> MachineInfo:
     """What the machine said of itself.
-
-    Parameters
-    ----------
-    control : cffi struct control
     """
     info = control.info
     joints = tuple(
@@ -188,7 +183,6 @@ def check_limits(machine: MachineInfo, changes: Mapping[str, Value]) -> dict[str
 
     Parameters
     ----------
-    machine : MachineInfo
     changes : dict
         Fields of Limits; arrays have one entry per joint, or one number for all.
 
@@ -245,10 +239,6 @@ def histogram_edges(bins: int) -> npt.NDArray[np.float64]:
 
 def timing_of(control: Any) -> Timing:
     """Timing counts.
-
-    Parameters
-    ----------
-    control : cffi struct control
     """
     ffi, lib = layout()
     raw = control.timing

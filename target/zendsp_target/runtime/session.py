@@ -38,12 +38,8 @@ class Session:
     ----------
     key : str
         Of the program.
-    settings : Settings
-    program : Path
     folder : Path
         In shared memory.
-    number : int
-    log : ChangeLog
     sequence : int
         The last number of an update of the loads before.
 

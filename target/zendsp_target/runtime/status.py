@@ -43,7 +43,6 @@ def status_of(session: Session, latched: Callable[[], Trip | None]) -> Status:
 
     Parameters
     ----------
-    session : Session
     latched : callable
         Tells what is not acknowledged, carried out or not.
     """

@@ -70,7 +70,6 @@ class Drives:
 
     Parameters
     ----------
-    runtime : RuntimeApi
     managed : bool
         True: always explicit; ``auto`` is refused.
     """

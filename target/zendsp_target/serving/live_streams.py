@@ -95,7 +95,6 @@ class LiveStreams:
 
         Parameters
         ----------
-        channels : list of str
         decimation : int
             Samples per row.
         interval : float

@@ -44,7 +44,6 @@ class Runs:
 
     Parameters
     ----------
-    runtime : RuntimeApi
     drives : Drives
         Whose host-lost policy decides where a run moves the machine.
     """

@@ -17,7 +17,6 @@ import zenoh
 
 from zendsp_protocol import codec, keys, verbs
 from zendsp_protocol.errors import LinkError, ZendspError
-from zendsp_protocol.once import ONCE
 from zendsp_protocol.version import PROTOCOL
 from zendsp_target.access.admission import Doors, check_role, may
 from zendsp_target.access.hosts import Hosts
@@ -168,7 +167,7 @@ class Server:
                 reply = short
             else:
                 verb, args, said = codec.decode_request(request, lane)
-                if ticket is not None and verb.name not in ONCE:
+                if ticket is not None and not verb.once:
                     self.service.once.drop(ticket)
                     ticket = None
                 by = said

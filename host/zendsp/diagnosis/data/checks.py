@@ -220,7 +220,6 @@ def check_motion(data: Data, model: Model, names: Sequence[str]) -> list[str]:
     ----------
     data : Data
         All recordings.
-    model : Model
     names : sequence of str
         Of the recordings.
 

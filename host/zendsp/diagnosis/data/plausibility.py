@@ -237,7 +237,6 @@ def check_driven(
         Name of each joint for messages.
     records : sequence of JointRecord
         All joints of one recording.
-    model : Model
     signs : bool
         Whether a sign may be accused.
 

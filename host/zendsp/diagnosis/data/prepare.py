@@ -36,7 +36,6 @@ def prepare(signals: Sequence[Signals], model: Model, bandwidth: float = 32.0) -
 
     Parameters
     ----------
-    signals : sequence of Signals
     model : Model
         The given model (its values only scale the smoothing).
     bandwidth : float

@@ -41,9 +41,10 @@ from zendsp.physics.robots.robot import robot_path
 from zendsp.recording import Recording, Table
 
 Array = npt.NDArray[np.float64]
+Source = str | Path | Recording | Table
 
 
-def read_signals(source: str | Path | Recording | Table, model: Model) -> Signals:
+def read_signals(source: Source, model: Model) -> Signals:
     """Read a recording by the column names of a model.
 
     Raises

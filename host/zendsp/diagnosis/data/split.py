@@ -1,19 +1,63 @@
-"""Where a recording is cut: to fit to, to choose by, to test on."""
+"""Recordings, and where they are cut: to fit to, to choose by, to test on."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.data.signals import MIN_SAMPLES, Signals
+from zendsp.diagnosis.data.checks import check_signals
+from zendsp.diagnosis.data.reading import Source, read_signals
+from zendsp.diagnosis.data.signals import MIN_SAMPLES, Signals, with_same_columns
+from zendsp.errors import RecordingError
 from zendsp.physics.kernel.smooth import moving_mean
+from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
 
 AROUND = 0.25  # s before and after what is cut out: an observer comes late, and a joint swings on
 LEFT = 0.5  # of the rows that cutting leaves at least
+
+
+def read_parts(
+    recordings: Sequence[Source], heldout: Sequence[Source], model: Model
+) -> tuple[list[Signals], list[Signals], list[str]]:
+    """Read and check recordings; returns those to fit to, those held out, and notes.
+
+    Raises
+    ------
+    RecordingError
+        None is given, one cannot be diagnosed, or one is to be fitted to and held out.
+    """
+    signals = [read_signals(source, model) for source in recordings]
+    if not signals:
+        raise RecordingError("no recording given")
+    held = [read_signals(source, model) for source in heldout]
+    _refuse_twice(signals, held)
+    begin = min(float(s.time[0]) for s in (*signals, *held))
+    signals, held = ([replace(s, origin=begin) for s in each] for each in (signals, held))
+    notes = check_signals([*signals, *held], model)
+    signals, held = with_same_columns(signals, held)
+    if held:
+        return signals, held, notes
+    signals, held, how = split(signals)
+    return signals, held, [*notes, *how]
+
+
+def _refuse_twice(fitted: Sequence[Signals], held: Sequence[Signals]) -> None:
+    """What models are fitted to is untouched no more."""
+    for h in held:
+        for s in fitted:
+            if len(s.time) == len(h.time) and all(
+                np.array_equal(a, b)
+                for a, b in ((s.position, h.position), (s.command, h.command))
+            ):
+                raise RecordingError(
+                    f"{h.name}: held out, and the same as {s.name}, which the model is fitted to:"
+                    " hold out another recording, or none (a third of each is held out then)"
+                )
 
 
 def split(signals: Sequence[Signals]) -> tuple[list[Signals], list[Signals], list[str]]:

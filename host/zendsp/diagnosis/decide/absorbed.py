@@ -39,9 +39,6 @@ def shifted(
 
     Parameters
     ----------
-    given : Model
-    search : JointSearch
-    whole : Assembled
     test : Data
         Held-out recordings: the shift has to pay there too.
     found : collection of str

@@ -72,15 +72,10 @@ def same_timing(parts: Parts, decisions: Sequence[Decision], jobs: int) -> list[
 
     Parameters
     ----------
-    parts : Parts
     decisions : sequence of Decision
         One a joint.
     jobs : int
         Threads.
-
-    Returns
-    -------
-    list of Decision
     """
     late = {d.joint: c for d in decisions for c in d.claims if _is_late(c)}
     times = [_time(c) for c in late.values()]

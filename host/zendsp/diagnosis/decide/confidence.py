@@ -67,7 +67,6 @@ def features(claim: Claim, decision: Decision) -> tuple[float, ...]:
 
     Parameters
     ----------
-    claim : Claim
     decision : Decision
         What its joint came to.
     """
@@ -92,7 +91,6 @@ def confidence(claim: Claim, decision: Decision) -> float:
 
     Parameters
     ----------
-    claim : Claim
     decision : Decision
         What its joint came to.
 

@@ -67,17 +67,12 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
     ----------
     parts : Parts
         Recordings to fit to, to choose by, and to test on.
-    given : Model
     search : JointSearch
         What the search proposes.
     jobs : int
         Threads.
     tell : callable
         Receives a sentence at each stage.
-
-    Returns
-    -------
-    Decision
     """
     joint, base = search.joint, search.base
     tell(f"joint {joint}: what each mechanism is worth")

@@ -59,13 +59,6 @@ def detectable(
 ) -> tuple[Detectable, ...]:
     """The smallest effects that would have been found.
 
-    Parameters
-    ----------
-    parts : Parts
-    given : Model
-    decisions : sequence of Decision
-    jobs : int
-
     Returns
     -------
     tuple of Detectable

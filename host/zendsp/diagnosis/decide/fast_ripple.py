@@ -49,7 +49,6 @@ def fine_ripples(
 
     Parameters
     ----------
-    train, test : Data
     search : JointSearch
         Finished.
     kind : str

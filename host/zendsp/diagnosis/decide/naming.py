@@ -8,8 +8,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from zendsp.diagnosis.decide.absorbed import shifted
 from zendsp.diagnosis.decide.assemble import Assembled
 from zendsp.diagnosis.decide.claims import Claim, Decision
@@ -17,10 +15,10 @@ from zendsp.diagnosis.decide.confidence import confidence
 from zendsp.diagnosis.decide.decide_bodies import BodyClaim, body_finding
 from zendsp.diagnosis.decide.findings import estimates, new_terms, percent, sentence
 from zendsp.diagnosis.decide.laws import draws_a_curve
+from zendsp.diagnosis.decide.notes import spans
 from zendsp.diagnosis.decide.pieces import weight_of_payload
-from zendsp.diagnosis.decide.result import Estimate, Finding, FitTable, Rejected, number
-from zendsp.diagnosis.decide.thresholds import ALONE, CLAIMED, OF_STATE, PLAIN
-from zendsp.diagnosis.measure.bursts import Bursts
+from zendsp.diagnosis.decide.result import Estimate, Finding, Rejected, number
+from zendsp.diagnosis.decide.thresholds import ALONE, CLAIMED, PLAIN
 from zendsp.diagnosis.measure.curve import curve_of
 from zendsp.diagnosis.measure.likelihood import fit_scored
 from zendsp.diagnosis.measure.significance import counterpart, essence_of, essential_deviation
@@ -32,12 +30,6 @@ from zendsp.physics.term_numbers import chosen
 
 # stated of a disturbance; not learned: the cases have too few of them
 IN_TIME = 0.85
-# ratio of the errors, calibrated over given, from which on calibration made it worse: reached by 3
-# of 240 cases (seed 109), each with something missing, and by none of 99 complete models
-BENT = 1.5
-# of a travel: a joint that goes less of it back goes one way; and s of motion below which a
-# recording is short (what no law follows is told, so that a user knows what else to do)
-ONE_WAY, SHORT = 0.05, 5.0
 
 
 def name_findings(
@@ -292,7 +284,7 @@ def _disturbance(decision: Decision, given: Model) -> Finding:
     assert found is not None
     unit = given.torque_unit(joint)
     text = (
-        f"A torque over time that no state explains acts on joint {joint} at {_spans(found)}, up to"
+        f"A torque over time that no state explains acts on joint {joint} at {spans(found)}, up to"
         f" {found.peak:.3g} {unit}."
     )
     values = {
@@ -318,124 +310,3 @@ def _disturbance(decision: Decision, given: Model) -> Finding:
         "disturbance",
         {"disturbance": 1.0},
     )
-
-
-def _spans(found: Bursts) -> str:
-    """When it acts, and in which recordings."""
-    names = dict.fromkeys(found.recordings[:4])
-    return " and ".join(
-        ", ".join(
-            f"{a:.2f}–{b:.2f} s"
-            for (a, b), n in zip(found.intervals[:4], found.recordings, strict=False)
-            if n == name
-        )
-        + (f" of {name}" if name else "")
-        for name in names
-    )
-
-
-def other_loads(decisions: Sequence[Decision]) -> list[str]:
-    """Which recordings are of a machine with another load."""
-    return [
-        f"joint {d.joint}: numbers of its own explain {' and '.join(d.loads)}: another load, or"
-        " another machine; diagnose each recording by itself (zendsp diagnose --each)"
-        for d in decisions
-        if d.loads
-    ]
-
-
-def loosely_fitted(decisions: Sequence[Decision]) -> list[str]:
-    """Where nothing is missing, and yet numbers fitted to the first recordings do not predict the
-    untouched ones.
-    """
-    return [
-        f"joint {d.joint}: with numbers fitted to the first recordings, {percent(d.before.value)} %"
-        " of the torque of the untouched ones stays unexplained; with numbers fitted to all,"
-        f" {percent(d.after.value)} %. So no physics is missing, but the first recordings hardly"
-        " determine the numbers for such motion: fit one that has it too"
-        for d in decisions
-        if d.kind == "complete" and d.final is not d.base
-    ]
-
-
-def creeping(decisions: Sequence[Decision], given: Model) -> list[str]:
-    """Where a dry friction that the model has turns round softly."""
-    return [
-        f"joint {d.joint}: its dry friction does not hold at standstill, it creeps: it changes its"
-        f" sign within {t.value('speed'):.2g} {unit}. The improved model does too; that is no"
-        " missing physics"
-        for d in decisions
-        for unit in [units(given, d.joint)["velocity"]]
-        for t in d.final.model.at(d.joint)
-        if t.effect == "creep" and not any(g.effect == "creep" for g in given.at(d.joint))
-    ]
-
-
-def bent(test: FitTable, floor: float) -> list[str]:
-    """Where calibration makes it worse, in rad or m: what the model has not bends its numbers."""
-    if test.calibrated < BENT * test.given or test.calibrated < BENT * floor:
-        return []
-    return [
-        "calibrated, the model predicts the untouched recordings worse than as given"
-        f" ({test.calibrated:.3g} against {test.given:.3g}): something that it lacks in the"
-        " recordings of the fit, a push perhaps, bends its numbers. Keep the given ones, or fit"
-        " other recordings"
-    ]
-
-
-def _hardly_moves(fit: Data, joint: int) -> str:
-    """What is said where recordings that the model does not follow hardly determine its numbers:
-    they are short, or go one way.
-    """
-    records = [rec[joint - 1] for rec in fit.records]
-    steps = np.concatenate([np.diff(r.others[joint - 1, 0]) for r in records])
-    ways = np.maximum(steps, 0.0).sum(), np.maximum(-steps, 0.0).sum()
-    seconds = sum(r.n * r.sample_time for r in records)
-    one_way = min(ways) < ONE_WAY * max(ways)
-    if not one_way and seconds > SHORT:
-        return ""
-    way = ", and go one way" if one_way else ""
-    return (
-        f". The recordings of the fit last {seconds:.2g} s{way}: too little to tell friction from"
-        " inertia and gravity. Record 10 s and more, there and back"
-    )
-
-
-def left_over(decisions: Sequence[Decision], given: Model, fit: Data) -> str:
-    """What nothing named explains, joint by joint, in words; empty where it is too little to
-    matter.
-    """
-    words = []
-    for d in decisions:
-        unit = given.torque_unit(d.joint)
-        if d.after.value > 1.0:
-            words.append(
-                f"Joint {d.joint}: the model does not follow the recording: more than all of the"
-                " joint's torque stays unexplained. Check that the model is of this machine, and"
-                " its units, [actuator] gain and limit those of the command column"
-                + _hardly_moves(fit, d.joint)
-            )
-        elif d.kind == "unexplained" and d.state.size > OF_STATE:
-            words.append(
-                f"Joint {d.joint}: a torque of {d.state.size * d.scale:.2g} {unit} RMS"
-                f" ({percent(d.state.size)} % of the torque) depends on the state of the joint and"
-                " is none of the known effects"
-            )
-        elif d.kind == "unexplained":
-            words.append(
-                f"Joint {d.joint}: a torque of {d.after.value * d.scale:.2g} {unit} RMS"
-                f" ({percent(d.after.value)} % of the torque) is missing that neither a known"
-                " effect nor any function of the joint's state predicts"
-            )
-        elif d.kind == "missing" and d.after.low > OF_STATE:
-            words.append(
-                f"Joint {d.joint}: beside what was found, {d.after.value * d.scale:.2g} {unit} RMS "
-                f"({percent(d.after.value)} % of the torque) stays unexplained"
-            )
-        if d.beside is not None:
-            words.append(
-                f"Joint {d.joint}: in the recordings of the fit a torque of up to"
-                f" {d.beside.peak:.2g} {unit} acts at {_spans(d.beside)} that no state explains:"
-                " a push bends the numbers of what was found"
-            )
-    return ". ".join(words)

@@ -92,17 +92,8 @@ def propose(
 
     Parameters
     ----------
-    train : sequence of Signals
-    given : Model
-    searches : sequence of JointSearch
-    findings : sequence of Finding
-    decisions : sequence of Decision
     seed : int
         Of the random phases.
-
-    Returns
-    -------
-    Next or None
     """
     open_ones = [f for f in findings if f.indistinguishable]
     if not open_ones:

@@ -23,7 +23,6 @@ def remembered(model: Model, given: Model, decisions: Sequence[Decision]) -> Mod
     ----------
     model : Model
         Improved, or calibrated where nothing is missing.
-    given : Model
     decisions : sequence of Decision
         One a joint, in their order.
     """

@@ -23,10 +23,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.data.checks import check_signals
-from zendsp.diagnosis.data.reading import read_signals
-from zendsp.diagnosis.data.signals import Signals, with_same_columns
-from zendsp.diagnosis.data.split import split
+from zendsp.diagnosis.data.split import read_parts
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.result import Diagnosis, FitTable, Rejected, SimulatorErrors
 from zendsp.diagnosis.external.hunt import (
@@ -47,7 +44,6 @@ from zendsp.diagnosis.external.output_error import (
 )
 from zendsp.diagnosis.external.simulator import Bench, Simulator, bench, on_input, simulator_of
 from zendsp.diagnosis.measure.where import Missing, Region, intervals, regions, units
-from zendsp.errors import RecordingError
 from zendsp.physics.calibration.fit import Fit
 from zendsp.physics.calibration.handles import free_handles
 from zendsp.physics.effects import library
@@ -288,15 +284,7 @@ def _untried(train: Sequence[Bench], test: Sequence[Bench]) -> str:
 def _recordings(
     sources: Sequence[Any], heldout: Sequence[Any], model: Model, simulator: Simulator
 ) -> tuple[list[Bench], list[Bench], list[str]]:
-    signals = [read_signals(source, model) for source in sources]
-    if not signals:
-        raise RecordingError("no recording given")
-    held: list[Signals] = [read_signals(source, model) for source in heldout]
-    notes = check_signals([*signals, *held], model)
-    signals, held = with_same_columns(signals, held)
-    if not held:
-        signals, held, how = split(signals)
-        notes += how
+    signals, held, notes = read_parts(sources, heldout, model)
     train = [bench(s, model, simulator) for s in signals]
     test = [bench(s, model, simulator) for s in held]
     if _restarts(train[0], model):

@@ -114,7 +114,6 @@ class Near:
 
     Parameters
     ----------
-    benches : sequence of Bench
     current : Output
         The fit to stand on.
     """

@@ -129,8 +129,6 @@ def bursts(
 
     Parameters
     ----------
-    data : Data
-    model : Model
     joint : int
         1-based.
     beside : Data
@@ -143,10 +141,6 @@ def bursts(
         again, and is no larger than ``STICKS`` times that, may be friction; 0: none.
     often : float
         At how many of these places it is "again and again".
-
-    Returns
-    -------
-    Bursts or None
     """
     here, there = _lacking(data, model, joint), _lacking(beside, model, joint)
     quiet = _quiet((here, there))

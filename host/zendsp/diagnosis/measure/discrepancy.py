@@ -149,7 +149,6 @@ def discrepancy(data: Data, model: Model, joint: int) -> Size:
     ----------
     data : Data
         Recordings; only those that neither the fit nor a choice has touched give an honest figure.
-    model : Model
     joint : int
         1-based.
 

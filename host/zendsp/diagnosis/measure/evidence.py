@@ -46,7 +46,6 @@ def compare(before: Scored, after: Scored, test: Data, joint: int) -> Evidence:
     ----------
     before, after : Scored
         Each predicts with its own observer, as found in its own fit, or with a faster one.
-    test : Data
     joint : int
         1-based.
 

@@ -162,10 +162,6 @@ def fit_scored(
         Threads.
     rounds : int
         At most so many changes of bandwidth.
-
-    Returns
-    -------
-    Scored
     """
     best: Scored | None = None
     for _ in range(rounds):

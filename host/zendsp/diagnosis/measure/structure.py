@@ -177,17 +177,12 @@ def structure(
     ----------
     parts : sequence of Data
         Each part is predicted by a function that was fitted to all the others (cross-fitting).
-    model : Model
     joint : int
         1-based.
     mechanisms : sequence of str
         Of ``STRUCTURED``.
     turning : bool
         Whether what acts where the joint turns round counts.
-
-    Returns
-    -------
-    Structure
     """
     best = Structure(0.0, 0.0, 0.0)
     whole = replace(parts[0], records=tuple(r for part in parts for r in part.records))

@@ -20,7 +20,6 @@ def write_report(d: Diagnosis, out: str | Path, *, pictures: bool = True) -> Pat
 
     Parameters
     ----------
-    d : Diagnosis
     out : path
         Folder, made where it does not exist.
     pictures : bool

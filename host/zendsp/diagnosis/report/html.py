@@ -28,7 +28,6 @@ def page(d: Diagnosis, figures: list[tuple[str, str, Path]]) -> str:
 
     Parameters
     ----------
-    d : Diagnosis
     figures : list of (section, caption, path)
     """
     first = next((f for f in figures if f[0] == "law"), None) or next(

@@ -41,7 +41,6 @@ def verdict_sentence(verdict: Verdict, found: Sequence[tuple[str, Sequence[str],
 
     Parameters
     ----------
-    verdict : str
     found : sequence of (mechanism, effects, joint)
         The effect that is named, and those that cannot be told from it.
 

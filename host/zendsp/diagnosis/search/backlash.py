@@ -57,10 +57,6 @@ def refine(scored: Scored, joint: int, before: float, worth: float, jobs: int) -
         Gain over that below which one round is enough.
     jobs : int
         Threads.
-
-    Returns
-    -------
-    Scored
     """
     best = min(scored, descend(lossy(scored, joint, jobs), joint, jobs), key=lambda s: s.deviance)
     for _ in range(ROUNDS):

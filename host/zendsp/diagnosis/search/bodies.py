@@ -93,7 +93,6 @@ def find_bodies(
         Threads.
     tell : callable
         Receives a sentence at each stage.
-    limits : BodyLimits
     beside : sequence of Term
         What the joints have of their own, while bodies are looked for.
 

@@ -66,10 +66,6 @@ class Searcher:
         ----------
         base : Scored
             The calibrated model.
-
-        Returns
-        -------
-        JointSearch
         """
         found = self._chain(base)
         if len(found.steps) < 2:

@@ -7,7 +7,7 @@ free, and the best of these to the end.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -30,7 +30,8 @@ from zendsp.diagnosis.search.candidates import (
 )
 from zendsp.diagnosis.search.hypothesis import UNSETTLED, Rival, price, with_numbers
 from zendsp.diagnosis.search.screen import Candidate, with_candidate
-from zendsp.physics.calibration.fit import Data, fit, joint_handles
+from zendsp.physics.calibration.fit import Data, Fit, fit, joint_handles
+from zendsp.physics.calibration.handles import Handle
 from zendsp.physics.calibration.joint import facts, own_terms
 from zendsp.physics.effects import get_effect
 from zendsp.physics.kernel.threads import threads
@@ -62,7 +63,6 @@ class Rounds:
 
     Parameters
     ----------
-    data : Data
     joint : int
         1-based.
     jobs : int
@@ -207,16 +207,7 @@ class Rounds:
         """
         look = first_look(current.data, current.model, self.joint)
         joints = (self.joint,)
-        base = fit(
-            look,
-            current.model,
-            current.fit.handles,
-            joints=joints,
-            iterations=6,
-            tolerance=QUICK,
-            jobs=self.jobs,
-            brief=True,
-        )
+        base = self._short(look, current.model, current.fit.handles, 6, self.jobs)
         level = deviance(look, base.model, joints)
         gains = [level - deviance(look, r.scored.model, joints) - r.price for r in rivals]
         best = sorted(zip(gains, range(len(rivals)), strict=True), reverse=True)[:PROMISED]
@@ -248,6 +239,14 @@ class Rounds:
                 return False
         return True
 
+    def _short(
+        self, data: Data, model: Model, handles: Sequence[Handle], rounds: int, jobs: int = 1
+    ) -> Fit:
+        return fit(
+            data, model, handles, joints=(self.joint,), iterations=rounds, tolerance=QUICK,
+            jobs=jobs, brief=True,
+        )  # fmt: skip
+
     def _quick(self, current: Scored, group: list[Candidate]) -> Rival | None:
         """A short fit from each start; the best is followed to slower observers."""
         best: Rival | None = None
@@ -258,17 +257,8 @@ class Rounds:
         for candidate in group:
             model = with_candidate(current.model, candidate)
             handles = joint_handles(data, model, self.joint)
-            rounds = 3 if len(group) > 1 else 6
-            result = fit(
-                first_look(data, model, self.joint),
-                model,
-                handles,
-                joints=(self.joint,),
-                iterations=rounds,
-                tolerance=QUICK,
-                jobs=1,
-                brief=True,
-            )
+            look = first_look(data, model, self.joint)
+            result = self._short(look, model, handles, 3 if len(group) > 1 else 6)
             value = deviance(current.data, result.model, (self.joint,))
             rival = self._rival(candidate, Scored(result, current.data, value, (self.joint,)))
             if best is None or rival.value < best.value:
@@ -277,18 +267,9 @@ class Rounds:
             return None
         rough = get_effect(best.effect).rough
         if len(group) > 1 and (best.value < current.deviance or rough):
-            handles = best.scored.fit.handles
-            more = 10 if rough else 5
-            result = fit(
-                first_look(current.data, best.scored.model, self.joint),
-                best.scored.model,
-                handles,
-                joints=(self.joint,),
-                iterations=more,
-                tolerance=QUICK,
-                jobs=1,
-                brief=True,
-            )
+            found = best.scored
+            look = first_look(current.data, found.model, self.joint)
+            result = self._short(look, found.model, found.fit.handles, 10 if rough else 5)
         else:
             result, known = best.scored.fit, best.scored.deviance
         data, value = tune_bandwidth(

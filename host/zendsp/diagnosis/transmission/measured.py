@@ -60,7 +60,6 @@ def measured_transmissions(parts: Parts, model: Model, jobs: int) -> list[Measur
 
     Parameters
     ----------
-    parts : Parts
     model : Model
         What is behind the transmissions, found bodies included.
     jobs : int

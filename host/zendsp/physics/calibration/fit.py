@@ -352,7 +352,6 @@ def fit(
 
     Parameters
     ----------
-    data : Data
     model : Model
         Start values; terms in kernel form.
     handles : sequence of Handle
@@ -372,10 +371,6 @@ def fit(
         rough cost.
     brief : bool
         A step on the way: the Jacobian, and with it the covariance, may be that of the step before.
-
-    Returns
-    -------
-    Fit
     """
     handles = tuple(handles)
     wanted = tuple(joints or range(1, data.joints + 1))

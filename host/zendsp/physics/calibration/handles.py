@@ -35,7 +35,6 @@ def free_handles(
 
     Parameters
     ----------
-    model : Model
     joints : sequence of int
         Only terms of these joints (1-based); all where empty.
     offsets : bool

@@ -219,7 +219,6 @@ def facts(
 
     Parameters
     ----------
-    record : JointRecord
     model : Model, optional
         Gives inertia and friction level.
     replaced : mapping, optional

@@ -26,7 +26,6 @@ class Points:
 
     Parameters
     ----------
-    record : JointRecord
     model : Model
         In kernel form.
     handles : sequence of Handle

@@ -82,7 +82,6 @@ def run(
 
     Parameters
     ----------
-    record : JointRecord
     model : Model
         With the terms in kernel form (see ``pack``).
     bandwidth : float
@@ -154,7 +153,6 @@ def run_many(
 
     Parameters
     ----------
-    record : JointRecord
     models : sequence of Model
         Of the same terms in the same order, in kernel form; a coupling's joint and law are the same
         too. Those that are the same for this joint are run once.

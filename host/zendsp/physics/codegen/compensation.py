@@ -101,7 +101,6 @@ def compensation_values(terms: Sequence[Term], model: Model) -> dict[str, float]
 
     Parameters
     ----------
-    terms : sequence of Term
     model : Model
         The whole model that the terms are part of.
 

@@ -162,10 +162,6 @@ def _bound(value: float, none: str) -> str:
 
 def declare(variables: Sequence[Variable]) -> tuple[str, str]:
     """Definitions of the variables, and their PARAMETER lines for UserInit.
-
-    Returns
-    -------
-    definitions, declarations : str
     """
     defined = "\n".join(f"static double {v.name};" for v in variables)
     declared = "\n".join(

@@ -172,10 +172,8 @@ def thin_measurement(measurement: Measurement, q: Array, every: int) -> Measurem
 
     Parameters
     ----------
-    measurement : Measurement
     q : ndarray, shape (n,)
         The smoothed motion, along which each is brought to the time of the first.
-    every : int
 
     Returns
     -------
@@ -210,7 +208,6 @@ def smooth(measurement: Measurement, sample_time: float, known_acceleration: Arr
 
     Parameters
     ----------
-    measurement : Measurement
     sample_time : float
         s.
     known_acceleration : ndarray, shape (n,)

@@ -169,7 +169,8 @@ def _chosen(model: Any, path: str, names: tuple[str, ...]) -> tuple[int, ...]:
     return chosen
 
 
-def _matrix(quaternion: Array) -> Array:
+def turned(quaternion: Array) -> Array:
+    """The rotation matrix of a quaternion, (3, 3)."""
     out = np.empty(9)
     library().mju_quat2Mat(out, np.asarray(quaternion, dtype=np.float64))
     return out.reshape(3, 3)
@@ -187,7 +188,7 @@ def _tree(
     for b in range(1, m.nbody):
         link, turn, place = at[int(m.body_parentid[b])]
         place = place + turn @ m.body_pos[b]
-        turn = turn @ _matrix(m.body_quat[b])
+        turn = turn @ turned(m.body_quat[b])
         for k in range(int(m.body_jntadr[b]), int(m.body_jntadr[b]) + int(m.body_jntnum[b])):
             if k not in chosen:  # held at its reference position
                 continue
@@ -204,7 +205,7 @@ def _tree(
             link, turn, place = len(links) - 1, np.eye(3), -anchor
         at[b] = (link, turn, place)
         if link >= 0:
-            own = turn @ _matrix(m.body_iquat[b])
+            own = turn @ turned(m.body_iquat[b])
             com = place + turn @ m.body_ipos[b]
             mass, lifted = float(m.body_mass[b]), float(m.body_gravcomp[b])
             link_body = links[link]

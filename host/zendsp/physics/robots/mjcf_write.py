@@ -16,7 +16,7 @@ from zendsp.errors import ModelError
 from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model, Term
 from zendsp.physics.robots.bodies import changed, numbers_of, turned_gravity
-from zendsp.physics.robots.mjcf import Mjcf, actuators_of, armature_of, library
+from zendsp.physics.robots.mjcf import Mjcf, actuators_of, armature_of, library, turned
 from zendsp.physics.robots.robot import mjcf_of, robot_path, robot_tree, stated
 from zendsp.tree import Body
 
@@ -250,7 +250,7 @@ def _inertial(taken: Mjcf, body: int, link: int, before: Body, after: Body) -> A
     owner, turn, place = taken.frames[body]
     if owner != link:  # the body goes on by another joint
         return None
-    inward = turn @ _matrix(m.body_iquat[body])
+    inward = turn @ turned(m.body_iquat[body])
     com = place + turn @ m.body_ipos[body]
     own = numbers_of(
         float(m.body_mass[body]), com, inward @ np.diag(m.body_inertia[body]) @ inward.T
@@ -271,12 +271,6 @@ def _inertial(taken: Mjcf, body: int, link: int, before: Body, after: Body) -> A
     at = turn.T @ (com - place)
     six = [inertia[i] for i in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
     return {"pos": _words(at), "mass": _words(mass), "fullinertia": _words(six)}
-
-
-def _matrix(quaternion: Array) -> Array:
-    out = np.empty(9)
-    library().mju_quat2Mat(out, np.asarray(quaternion, dtype=np.float64))
-    return out.reshape(3, 3)
 
 
 def _words(values: npt.ArrayLike) -> str:

@@ -43,7 +43,6 @@ def bases(model: Model, motion: list[Array]) -> list[dict[str, Basis]]:
 
     Parameters
     ----------
-    model : Model
     motion : list of ndarray, shape (3, n)
         Smoothed q, qd, qdd of each joint.
 

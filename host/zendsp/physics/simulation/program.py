@@ -66,10 +66,8 @@ def run_program(build: Build, plant: Plant, job: Job, timeout_s: float) -> Outco
 
     Parameters
     ----------
-    build : Build
     plant : Plant
         Fresh: its samples bound the length.
-    job : Job
     timeout_s : float
         Of real time, s.
 

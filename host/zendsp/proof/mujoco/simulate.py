@@ -175,10 +175,8 @@ def simulate(bench: Bench, shape: str, rng: Rng, size: list[float] | None = None
 
     Parameters
     ----------
-    bench : Bench
     shape : str
         Of the reference.
-    rng : Generator
     size : list of float, optional
         RMS torque of each joint, by which the nuisance is measured; none: without nuisance.
 

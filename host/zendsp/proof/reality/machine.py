@@ -152,7 +152,6 @@ def run(
 
     Parameters
     ----------
-    truth : MachineTruth
     reference : array, (rows, n), rad or m
     feedforward : array, (rows, n), command units, optional
         Added to the controller's command; with zero gains it is an open-loop command.

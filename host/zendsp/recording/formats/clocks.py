@@ -46,7 +46,6 @@ def on_one_clock(
     ----------
     path : Path
         Named in errors.
-    found : list of Series
     refused : dict
         What is in the file but is no number, and why.
     prefix : bool

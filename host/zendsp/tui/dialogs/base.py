@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import TypeVar
 
-from textual import events
+from textual import events, on
 from textual.await_complete import AwaitComplete
 from textual.binding import Binding
 from textual.screen import ModalScreen
+from textual.widgets import Button
 
 from zendsp.tui.statusbar import StopButton
 
@@ -64,6 +65,8 @@ class Dialog(ModalScreen[Result | None]):
         self.closed = True
         return super().dismiss(result)
 
+    @on(Button.Pressed, "#cancel")
+    @on(Button.Pressed, "#close")
     def action_cancel(self) -> None:
         """Close and do nothing."""
         self.dismiss(None)

@@ -132,7 +132,3 @@ class Form(Dialog[Mapping[str, Any]]):
         values = self._check()
         if values is not None:
             self.dismiss(values)
-
-    @on(Button.Pressed, "#cancel")
-    def _cancelled(self) -> None:
-        self.dismiss(None)

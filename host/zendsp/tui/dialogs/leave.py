@@ -22,7 +22,6 @@ class Leave(Choose):
 
     Parameters
     ----------
-    s : Snapshot
     here : bool
         The machine is simulated by this terminal, and ends with it.
     busy : bool

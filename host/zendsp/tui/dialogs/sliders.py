@@ -178,7 +178,6 @@ class Sliders(Dialog[None]):
 
     Parameters
     ----------
-    variables : sequence of Variable
     values : callable
         Returns the newest values of the target by name.
     write : callable

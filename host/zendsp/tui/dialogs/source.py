@@ -122,7 +122,3 @@ class SourceView(Dialog[bool]):
         """Write the file and build it."""
         if self.action_save():
             self.dismiss(True)
-
-    @on(Button.Pressed, "#close")
-    def _close(self) -> None:
-        self.dismiss(None)

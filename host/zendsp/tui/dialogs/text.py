@@ -51,6 +51,7 @@ class Message(Dialog[bool]):
     def on_mount(self) -> None:
         self.query_one("#ok" if self._agree else "#close", Button).focus()
 
+    @on(Button.Pressed, "#ok")
     def action_agree(self) -> None:
         """Close with True."""
         self.dismiss(True)
@@ -60,11 +61,3 @@ class Message(Dialog[bool]):
         text = self.query_one(VerticalScroll)
         pages, rows = WAYS[key]
         text.scroll_relative(y=pages * text.size.height + rows, animate=False, immediate=True)
-
-    @on(Button.Pressed, "#ok")
-    def _agreed(self) -> None:
-        self.dismiss(True)
-
-    @on(Button.Pressed, "#close")
-    def _close(self) -> None:
-        self.dismiss(None)

@@ -40,7 +40,6 @@ def entries(d: Diagnosed, theme: Mapping[str, str]) -> list[Entry]:
 
     Parameters
     ----------
-    d : Diagnosed
     theme : mapping of str to str
         Colours by name.
     """

@@ -47,7 +47,6 @@ def export(seen: Seen, path: Path) -> Path:
 
     Parameters
     ----------
-    seen : Seen
     path : Path
         Its suffix chooses.
 

@@ -62,7 +62,6 @@ class Formula:
 
         Parameters
         ----------
-        text : str
         units : mapping of str to str, optional
             Units of the signals that there are; others are refused. A sum or difference of one
             unit keeps it, a derivative is per second.

@@ -87,9 +87,6 @@ def cursor_lines(
 
     Parameters
     ----------
-    picture : Picture
-    settings : ScopeSettings
-    channel : Channel
     t : ndarray, shape (n,)
         Of the rows of the picture, s.
     y : ndarray, shape (n, channels)

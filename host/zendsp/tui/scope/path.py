@@ -97,11 +97,8 @@ def plot_lines(
 
     Parameters
     ----------
-    curves : sequence of Curve
-    axes : Axes
     size : (width, height)
         Of everything, in characters.
-    pens : TraceColours
     back : Style
         Of the background.
 

@@ -136,8 +136,6 @@ def compose(
     bands : tuple of two ndarrays, shape (columns, channels)
         The lowest and the highest value of each curve in each dot column, as :func:`envelope` makes
         them.
-    channels : sequence of Channel
-    settings : ScopeSettings
     view : (start, end, zero)
         Borders of the picture and the time that labels count from, s.
     ranges : mapping of lane to (bottom, top)

@@ -37,7 +37,6 @@ class Rolling:
 
         Parameters
         ----------
-        history : History
         step : float
             Width of a column, s.
         columns : int

@@ -274,7 +274,7 @@ class ExecuteScreen(MeasureActions):
         else:
             self.say("no run is in progress")
 
-    def _follow(self, job: PlayJob | MeasureJob[Any], busy: bool) -> None:
+    def _follow(self, job: PlayJob | MeasureJob, busy: bool) -> None:
         p, shown = job.progress, self.query_one("#progress", Static)
         shown.display = True
         width = max(shown.size.width - 32, 4)
@@ -288,7 +288,7 @@ class ExecuteScreen(MeasureActions):
         if not busy:
             self._finished(job)
 
-    def _finished(self, job: PlayJob | MeasureJob[Any]) -> None:
+    def _finished(self, job: PlayJob | MeasureJob) -> None:
         self.job = None
         if isinstance(job, MeasureJob):
             self.measured(job)

@@ -42,7 +42,7 @@ class MeasureActions(RunActions):
 
     def __init__(self) -> None:
         super().__init__()
-        self.job: PlayJob | MeasureJob[Any] | None = None
+        self.job: PlayJob | MeasureJob | None = None
         self._asked: dict[str, Mapping[str, Any]] = {}  # last answers of the two forms
 
     # -- frequency response
@@ -196,12 +196,12 @@ class MeasureActions(RunActions):
             return snapshot
         return None
 
-    def _measure(self, job: MeasureJob[Any]) -> None:
+    def _measure(self, job: MeasureJob) -> None:
         self.follow_live(self.lab.session.snapshot)
         self.job = job
         job.start()
 
-    def measured(self, job: MeasureJob[Any]) -> None:
+    def measured(self, job: MeasureJob) -> None:
         """Show what a measurement found."""
         error, found = job.result.exception(), None
         if error is None:

@@ -45,10 +45,6 @@ def layout() -> tuple[Any, Any]:
 
 def text_of(field: Any) -> str:
     """A fixed-size C string as text.
-
-    Parameters
-    ----------
-    field : cffi char array
     """
     ffi, _ = layout()
     return bytes(ffi.string(field)).decode(errors="replace")
@@ -56,11 +52,6 @@ def text_of(field: Any) -> str:
 
 def set_text(field: Any, text: str) -> None:
     """Write text into a fixed-size C string.
-
-    Parameters
-    ----------
-    field : cffi char array
-    text : str
 
     Raises
     ------

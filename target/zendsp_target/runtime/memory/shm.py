@@ -90,7 +90,6 @@ class SharedFile:
 
     Parameters
     ----------
-    path : Path
     size : int or None
         Create the file with so many bytes, allocated now (a full /dev/shm is an error here, not a
         crash later); None: map it as it is.

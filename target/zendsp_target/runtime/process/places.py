@@ -55,7 +55,6 @@ def placed(settings: Settings, place: Place) -> Settings:
 
     Parameters
     ----------
-    settings : Settings
     place : Place
         Of this loop.
     """

@@ -88,7 +88,6 @@ def look_at(settings: Settings, folder: Path) -> str:
 
     Parameters
     ----------
-    settings : Settings
     folder : Path
         In shared memory.
 
@@ -128,7 +127,6 @@ class RunnerProcess:
 
     Parameters
     ----------
-    settings : Settings
     program : Path
         Shared object of the user's program.
     folder : Path
@@ -380,10 +378,6 @@ class RunnerProcess:
 
 def ffi_pointer(struct: Any) -> Any:
     """Pointer to a cffi struct.
-
-    Parameters
-    ----------
-    struct : cffi struct
     """
     ffi, _ = layout()
     return ffi.addressof(struct)
@@ -391,11 +385,6 @@ def ffi_pointer(struct: Any) -> Any:
 
 def ffi_address(struct: Any, field: str) -> Any:
     """Pointer to a field of a cffi struct.
-
-    Parameters
-    ----------
-    struct : cffi struct
-    field : str
     """
     ffi, _ = layout()
     return ffi.addressof(struct, field)

@@ -35,7 +35,6 @@ class Supervisor:
 
     Parameters
     ----------
-    process : RunnerProcess
     each_round : callable
         Called about twenty times a second while the runner lives, and once after.
     on_death : callable

@@ -87,7 +87,6 @@ def value_of(entry: Entry, scalar: bool, raw: memoryview | bytes | bytearray, of
 
     Parameters
     ----------
-    entry : Entry
     scalar : bool
         One element rather than the whole array.
     raw : bytes-like
@@ -107,7 +106,6 @@ class Dictionary:
 
     Parameters
     ----------
-    control : cffi struct control
     initial : ndarray of uint8
         Values as UserInit left them, laid out as a snapshot.
     """

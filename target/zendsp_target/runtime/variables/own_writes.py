@@ -20,7 +20,6 @@ class OwnWrites:
 
     Parameters
     ----------
-    dictionary : Dictionary
     values : ndarray of uint8
         As UserInit left them, laid out as a snapshot.
     """

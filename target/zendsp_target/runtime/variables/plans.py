@@ -35,8 +35,6 @@ def set_part(part: Any, place: Place, rows: int | None = None) -> None:
 
     Parameters
     ----------
-    part : cffi struct update_part
-    place : Place
     rows : int, optional
         Of a table: numbers of its rows, to be checked. Default: its bank and number of rows, as two
         int32.
@@ -183,7 +181,6 @@ class ReadPlan:
             They hold the memory, also of a program that is gone.
         slots_at, stride : int
             Of the snapshots within data, bytes.
-        reply : Blank
 
         Returns
         -------
@@ -221,7 +218,6 @@ class ReadPlan:
 
         Parameters
         ----------
-        newest, slots : cffi pointers
         stride : int
             Bytes from one snapshot to the next.
         """

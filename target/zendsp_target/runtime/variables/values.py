@@ -28,7 +28,6 @@ def numbers_of(name: str, place: Place, value: object) -> FloatArray:
     ----------
     name : str
         As the host gave it, for the message.
-    place : Place
     value : bool, int, float, sequence or ndarray
         Of a table: shape (rows, columns), or flat row after row.
 

@@ -1,0 +1,65 @@
+"""Work that a screen has begun, on a thread of its own; the screen looks at ``progress``."""
+
+from __future__ import annotations
+
+import threading
+from concurrent.futures import Future
+from dataclasses import dataclass, replace
+from typing import Any, Generic, TypeVar
+
+from zendsp.errors import ZendspError
+from zendsp.link.background import background
+from zendsp.tui.port import Port
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a job is."""
+
+    phase: str
+    share: float  # 0 … 1
+    t: float = 0.0  # s since the first row
+    duration: float = 0.0  # s
+
+
+class Job(Generic[T]):
+    """Does ``_do(port)`` on a thread; ``result`` is what that returns, or its error."""
+
+    def __init__(self, session: Any, label: str) -> None:
+        self.label = label
+        self.progress = Progress("starting", 0.0)
+        self.result: Future[T] = Future()
+        self._session = session
+        self._abort = threading.Event()
+
+    def start(self) -> None:
+        """Begin."""
+        background(f"tui-{self.label}", self._run)
+
+    def abort(self) -> None:
+        """End it softly, at the next sign of progress."""
+        self._abort.set()
+
+    @property
+    def busy(self) -> bool:
+        """Whether it still goes on."""
+        return not self.result.done()
+
+    # -- on the thread
+
+    def _do(self, port: Port) -> T:
+        raise NotImplementedError
+
+    def _run(self) -> None:
+        try:
+            made = self._do(self._session.require())
+        except Exception as error:
+            expected = isinstance(error, ZendspError)
+            word = str(error) if expected else f"{type(error).__name__}: {error}"
+            self._session.events.add(f"{self.label}: {word}", "error")
+            self.progress = replace(self.progress, phase="failed")
+            self.result.set_exception(error)
+        else:
+            self.result.set_result(made)
