@@ -177,7 +177,7 @@ def test_a_joint_that_would_start_at_the_end_of_its_range_starts_inside_it(tmp_p
 
 
 def test_a_linkage_follows_a_joint_that_starts_inside_its_range(tmp_path: Path) -> None:
-    """As a gripper's, whose driven joint begins shut: its rod would be flung to where it belongs."""
+    """As a gripper's, whose driven joint begins shut: its rod was flung to where it belongs."""
     model = tmp_path / "linkage.xml"
     model.write_text(
         """<mujoco><option gravity="0 0 0"/><default><joint axis="0 1 0"/><geom contype="0"
