@@ -17,6 +17,7 @@ import zendsp
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.decide.absorbed import moved
+from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.decide_bodies import beside_bodies
 from zendsp.diagnosis.measure.windows import rms, window_error
 from zendsp.diagnosis.search.bodies import BodySearch, find_bodies
@@ -378,11 +379,19 @@ def test_what_calibration_moved_is_told_by_name_in_the_numbers_of_a_model_file()
     assert "stribeck breakaway 0.15 to 0.19 (+27 %)" in note
 
 
-def test_a_mechanism_without_a_law_stands_beside_a_body() -> None:
-    claim = SimpleNamespace(effect="unknown", mechanism="actuator", size=0.001)
-    decision: Any = SimpleNamespace(joint=1, claims=(claim,), refinements=(), kind="missing")
+@pytest.mark.parametrize(("law", "stands"), [("lag", True), ("torque_offset", False)])
+def test_beside_a_body_a_mechanism_without_a_law_stands_but_for_a_constant(
+    law: str, stands: bool
+) -> None:
+    """A constant is what a body's weight may be wrong by, whatever it is called."""
+    term = SimpleNamespace(effect=law)
+    claim: Any = SimpleNamespace(effect="unknown", mechanism="actuator", size=0.001, term=term)
+    nothing: Any = None
+    decision = Decision(1, "missing", (claim,), (), *[nothing] * 8)
     body: Any = SimpleNamespace(sizes={1: 0.9})
-    assert beside_bodies([body], [decision]) == [decision]
+    (beside,) = beside_bodies([body], [decision])
+    assert (beside.claims == (claim,)) == stands
+    assert beside.kind == ("missing" if stands else "complete")
 
 
 @pytest.mark.parametrize("std, price", [(0.0, True), (0.036, False)])

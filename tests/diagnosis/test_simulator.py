@@ -18,6 +18,7 @@ from zendsp.diagnosis.external.nearby import Near
 from zendsp.diagnosis.external.output_error import errors, fit_output, with_term
 from zendsp.diagnosis.external.simulator import Entry, bench
 from zendsp.diagnosis.report.files import write_report
+from zendsp.diagnosis.report.summary import headline
 from zendsp.errors import ModelError, RecordingError
 from zendsp.physics import load_model
 from zendsp.physics.calibration.handles import Handle, free_handles, set_values
@@ -212,6 +213,18 @@ def test_complete_simulator_raises_no_alarm(tmp_path: Path) -> None:
     train, test, model = files(tmp_path, reality.Machine(gravity=0.2, coulomb=0.0))
     d = diagnose(train, model, test)
     assert d.verdict == "complete" and d.findings == ()
+    assert not [note for note in d.notes if "calibration moves" in note]
+
+
+def test_what_calibration_made_of_a_simulators_numbers_is_noted(tmp_path: Path) -> None:
+    """The headline says so, and sends the reader to the notes."""
+    machine = reality.Machine(gravity=0.2, coulomb=0.0)
+    off = OWN.replace("gravity = { value = 0.206 }", "gravity = { value = 0.15 }")
+    train, test, model = files(tmp_path, machine, parameters=off)
+    d = diagnose(train, model, test)
+    assert d.verdict == "complete" and "(notes)" in headline(d)
+    (note,) = [note for note in d.notes if "calibration moves" in note]
+    assert note.startswith("calibration moves ") and "gravity 0.15 to " in note
 
 
 def test_simulator_that_starts_elsewhere_is_compared_as_a_whole_and_the_report_says_so(

@@ -176,6 +176,30 @@ def test_a_joint_that_would_start_at_the_end_of_its_range_starts_inside_it(tmp_p
         assert plant.q[0] == 0.0, "what somebody asked for stays"
 
 
+def test_a_linkage_follows_a_joint_that_starts_inside_its_range(tmp_path: Path) -> None:
+    """As a gripper's, whose driven joint begins shut: its rod was flung to where it belongs."""
+    model = tmp_path / "linkage.xml"
+    model.write_text(
+        """<mujoco><option gravity="0 0 0"/><default><joint axis="0 1 0"/><geom contype="0"
+        conaffinity="0"/></default><worldbody>
+        <body name="crank"><joint name="crank" range="0 85" limited="true"/>
+        <geom type="capsule" fromto="0 0 0 0.04 0 0" size="0.005" mass="0.1"/></body>
+        <body pos="0 0 0.02"><joint name="knuckle"/>
+        <geom type="capsule" fromto="0 0 0 0.04 0 0" size="0.005" mass="0.1"/>
+        <body name="rod" pos="0.04 0 0"><joint name="rod"/>
+        <geom type="capsule" fromto="0 0 0 0 0 -0.02" size="0.005" mass="0.1"/></body></body>
+        </worldbody><equality><connect body1="rod" body2="crank" anchor="0 0 -0.02"/></equality>
+        <actuator><motor joint="crank" ctrlrange="-1 1"/></actuator>
+        <sensor><jointpos joint="knuckle"/></sensor></mujoco>"""
+    )
+    with robot(model) as plant:
+        for _ in range(20):
+            plant.sample([0.0], VELOCITY)
+            assert abs(plant.qd[0]) < 0.01
+        assert plant.q[0] == pytest.approx(np.radians(42.5), abs=1e-3)
+        assert plant.sensors.adc[0] == pytest.approx(plant.q[0], abs=1e-3), "a parallelogram"
+
+
 def test_gains_from_the_inertia_that_the_machine_says_are_stable_where_an_arm_stands_straight(
     tmp_path: Path,
 ) -> None:

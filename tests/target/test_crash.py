@@ -282,8 +282,9 @@ def test_the_fast_clock_refuses_hardware(tmp_path: Path) -> None:
         str(source), clock="fast", machine_config={"path": str(tmp_path / "said")}
     ) as runtime:
         result = runtime.compile({"user.c": GOOD})
-        with pytest.raises(Refused, match="fast clock needs a simulated machine"):
+        with pytest.raises(Refused, match="fast clock needs a simulated machine") as said:
             runtime.load(result.key)
+    assert "NOT SAFE" not in str(said.value), "it is made safe all the same"
 
 
 ORPHAN = """

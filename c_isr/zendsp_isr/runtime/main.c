@@ -88,13 +88,13 @@ static int open_machine(runner *r) {
         return fail(c, "machine",
                     "a simulated machine has step(), hardware has none; machine_info.simulated"
                     " disagrees");
-    if (c->clock == CLOCK_FAST && !c->info.simulated)
-        return fail(c, "machine", "the fast clock needs a simulated machine");
     return 0;
 }
 
 static int check_settings(runner *r) {
     control *c = r->control;
+    if (c->clock == CLOCK_FAST && !c->info.simulated)
+        return fail(c, "machine", "the fast clock needs a simulated machine");
     char key[LAYOUT_NAME], why[LAYOUT_TEXT];
     void *library = dlopen(c->machine_path, RTLD_NOW | RTLD_NOLOAD);
     const char *asked = library ? dlsym(library, "machine_config_asked") : NULL;

@@ -152,6 +152,47 @@ static double inside(const double *range, double q) {
     return !range || (q > range[0] + edge && q < range[1] - edge) ? q : 0.5 * (range[0] + range[1]);
 }
 
+/* What equality constraints tie to the joints of the machine goes where those have been put: the
+ * rest of a gripper's linkage, say, which would be flung there. Gauss-Newton on their errors, each
+ * step by conjugate gradients; what they do not tie stays. */
+static void assemble(robot *r) {
+    enum { ROUNDS = 20, STEPS = 60 };
+    const mjModel *m = r->model;
+    mjData *d = r->data;
+    const int nv = (int)m->nv;
+    double *x = calloc(3 * (size_t)nv, sizeof(double)), *way = x + nv, *slope = x + 2 * nv;
+    for (int round = 0; x && round < ROUNDS; round++) {
+        mj_fwdPosition(m, d);
+        const int rows = (int)d->nefc, ties = (int)d->ne;
+        double *error = calloc(2 * (size_t)rows + 1, sizeof(double)), *moved = error + rows;
+        if (!error)
+            break;
+        mju_scl(error, d->efc_pos, -1.0, ties); /* limits and contacts are no errors */
+        const double most = mju_norm(error, ties);
+        double before = 0.0;
+        mju_zero(x, nv);
+        for (int k = 0; most > 1e-9 && k < STEPS; k++) {
+            mj_mulJacTVec(m, d, slope, error);
+            for (int j = 0; j < r->plant.joints; j++)
+                slope[r->speed[j]] = 0.0; /* the machine's own joints stay */
+            const double steep = mju_dot(slope, slope, nv);
+            if (steep < 1e-20)
+                break;
+            mju_addScl(way, slope, way, k ? steep / before : 0.0, nv);
+            mj_mulJacVec(m, d, moved, way);
+            const double far = steep / fmax(mju_dot(moved, moved, ties), 1e-30);
+            mju_addToScl(x, way, far, nv);
+            mju_addToScl(error, moved, -far, ties);
+            before = steep;
+        }
+        free(error);
+        if (most <= 1e-9)
+            break;
+        mj_integratePos(m, d->qpos, x, 1.0);
+    }
+    free(x);
+}
+
 /* Start: the keyframe named, else "home", else the first one, else qpos0, inside the ranges; then
  * q1, q2, … */
 static int place(robot *r, const char *config, char *error, size_t size, const char *file) {
@@ -169,11 +210,17 @@ static int place(robot *r, const char *config, char *error, size_t size, const c
         mj_resetDataKeyframe(m, r->data, key);
     else
         mj_resetData(m, r->data);
+    int elsewhere = 0;
     for (int j = 0; j < r->plant.joints; j++) {
         snprintf(key_name, sizeof key_name, "q%d", j + 1);
         double *q = &r->data->qpos[r->position[j]];
-        *q = machine_config_double(config, key_name, inside(range_of(m, r->joint[j]), *q));
+        const double start =
+            machine_config_double(config, key_name, inside(range_of(m, r->joint[j]), *q));
+        elsewhere = elsewhere || start != *q;
+        *q = start;
     }
+    if (elsewhere)
+        assemble(r);
     return 0;
 }
 

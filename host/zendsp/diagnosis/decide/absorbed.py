@@ -21,7 +21,7 @@ from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import fit_scored
 from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.effects import get_effect, library, mechanism_of
-from zendsp.physics.model import TREES, Model, Quantity
+from zendsp.physics.model import CALLED, TREES, Model, Quantity
 from zendsp.physics.term_numbers import file_model
 
 # relative standard deviation of a given inertia, mass or gravity figure; more where its std says so
@@ -102,15 +102,19 @@ def moved(given: Model, calibrated: Model) -> list[str]:
         both = [(what, q, new) for what, q, new in _numbers(given, calibrated, joint) if q.free]
         ratios = [new.value / q.value for _, q, new in both if q.value]
         far = [
-            f"{what} {q.value:.4g} to {new.value:.4g} ({100 * (new.value / q.value - 1.0):+.0f} %)"
+            (what, f"{q.value:.4g} to {new.value:.4g} ({100 * (new.value / q.value - 1.0):+.0f} %)")
             for what, q, new in both
             if q.value and abs(new.value - q.value) > math.hypot(TOLERANCE * q.value, FAR * new.std)
         ]
         if far:
-            text = f"joint {joint}: calibration moves {', '.join(far)}"
+            text = f"calibration moves {', '.join(f'{what} {how}' for what, how in far)}"
+            # a single number of a simulator is of no joint
+            own = all(len(given.mechanism.get(what, ())) == 1 for what, _ in far)
+            if given.kind not in CALLED or not own:
+                text = f"joint {joint}: {text}"
             if len(far) == len(ratios) > 2 and np.ptp(ratios) < TOLERANCE:
                 text += f": all alike, as a torque gain of {1.0 / ratios[0]:.3g} would"
-            if given.kind in TREES and any(what.startswith(ROTOR) for what in far):
+            if given.kind in TREES and any(what.startswith(ROTOR) for what, _ in far):
                 text += (
                     "; where only its own acceleration shows it, a link or a payload of another"
                     " mass is the same"

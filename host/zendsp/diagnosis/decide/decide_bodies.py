@@ -142,8 +142,9 @@ def _decided(
 
 
 def beside_bodies(claims: Sequence[BodyClaim], decisions: Sequence[Decision]) -> list[Decision]:
-    """Decisions in which a constant or a function of the position that is no larger than what a
-    body's weight may be wrong by refines the fit, and so does little inertia: the body's own.
+    """Decisions in which a constant, by a law or without one, or a function of the position that is
+    no larger than what a body's weight may be wrong by refines the fit, and so does little inertia:
+    the body's own.
     """
     out = []
     for decision in decisions:
@@ -155,7 +156,7 @@ def beside_bodies(claims: Sequence[BodyClaim], decisions: Sequence[Decision]) ->
                 c.size < LAW_ERROR * largest
                 and (
                     c.mechanism == "position_torque"
-                    or (c.effect != "unknown" and get_effect(c.effect).constant)
+                    or get_effect(c.term.effect).constant
                 )
             )
             or (c.effect == "inertia" and c.size**2 < OWN_SHARE * largest**2)

@@ -24,6 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.data.split import read_parts
+from zendsp.diagnosis.decide.absorbed import moved
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.result import Diagnosis, FitTable, Rejected, SimulatorErrors
 from zendsp.diagnosis.external.hunt import (
@@ -185,6 +186,7 @@ def _diagnose(
     unexplained = "" if rest <= OVER_NOISE * floor else _unexplained(left, rest, floor, train[0])
     verdict: Verdict = "missing" if findings else "unexplained" if unexplained else "complete"
     places, spans = _where(before)
+    calibrated, improved = _noted(base.fit), _noted(current.fit)
     rejected = tuple(
         Rejected(e, j, why, score - (steps[0][0].gain if steps else 0.0))
         for (e, j), (score, _z, why) in hunt.tried.items()
@@ -204,10 +206,10 @@ def _diagnose(
         rejected=tuple(sorted(rejected, key=lambda r: -r.score)[:12]),
         next_recording=next_of(findings),
         seconds=time.perf_counter() - begin,
-        notes=(*notes, _untried(train, test)),
+        notes=(*notes, _untried(train, test), *moved(model, improved)),
         given=file_model(model),
-        calibrated=file_model(_noted(base.fit)),
-        improved=file_model(_noted(current.fit)),
+        calibrated=file_model(calibrated),
+        improved=file_model(improved),
         unexplained=unexplained,
         missing=before,
         remaining=after,
