@@ -194,6 +194,21 @@ def test_a_recording_that_another_host_cuts_short_says_so_and_keeps_what_there_i
     assert np.array_equal(rows["q[0]"], rows.start_tick + np.arange(len(rows)))
 
 
+def test_a_recording_whose_host_was_lost_is_not_complete_for_those_who_wait_for_it(
+    running: Target,
+) -> None:
+    with connect("fake") as other:
+        other.take_command()
+        other.acquire_configure(["q"], 60.0)
+        other.acquire_start()
+        until(lambda: other.acquire_status().count > 0, "rows")
+        other.link.session.close()  # type: ignore[no-untyped-call]  # without a word
+        until(lambda: running.acquire_status().state == "done", "the target ends it")
+    with pytest.raises(Incomplete, match=r"the program was stopped before .* of 60000 rows"):
+        running.acquire_finish()
+    assert len(running.acquire_load()) > 0
+
+
 def test_a_recording_that_is_not_complete_in_time_says_how_far_it_came(running: Target) -> None:
     running.acquire_configure(["q"], 60.0)
     running.acquire_start()
