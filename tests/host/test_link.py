@@ -212,7 +212,8 @@ def test_a_recording_whose_host_was_lost_is_not_complete_for_those_who_wait_for_
 def test_a_recording_that_is_not_complete_in_time_says_how_far_it_came(running: Target) -> None:
     running.acquire_configure(["q"], 60.0)
     running.acquire_start()
-    with pytest.raises(Incomplete, match=r"not complete after 0.1 s \(\d+ of 60000 rows, running\)"):
+    says = r"not complete after 0.1 s \(\d+ of 60000 rows, running\)"
+    with pytest.raises(Incomplete, match=says):
         running.acquire_finish(0.1)
 
 
