@@ -65,7 +65,7 @@ class Registration:
     Raises
     ------
     Refused
-        A target of that name runs already, or the folder belongs to someone else.
+        A target of that name runs already, the folder belongs to someone else, or is full.
     """
 
     def __init__(
@@ -88,8 +88,12 @@ class Registration:
     def _write(self) -> None:
         self._path = own_folder() / registry.file_name(self._entry.name)
         temporary = self._path.with_suffix(f".{os.getpid()}.part")
-        temporary.write_bytes(msgspec.json.encode(self._entry))
-        os.replace(temporary, self._path)
+        try:
+            temporary.write_bytes(msgspec.json.encode(self._entry))
+            os.replace(temporary, self._path)
+        except OSError as error:
+            temporary.unlink(missing_ok=True)
+            raise Refused(f"{self._path}: cannot be written: {error.strerror}") from error
 
     def keep(self) -> None:
         """Write it again where it was removed: with its folder at the end of a login, for example.
