@@ -73,7 +73,9 @@ def rounds(place: Place, tally: Tally) -> Iterator[None]:
             # a message may have taken the right, switched the power off, or pressed STOP
             target.take_command(force=True)
             target.set_inputs(0)
-            target.drive_auto()
+            if target.drive_status().explicit:
+                target.pause()  # disabled while it runs, it would move at once
+                target.drive_auto()
             target.release_command()
             if target.status().state != "running":
                 target.acknowledge()

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from enum import StrEnum
 
+STOPS = ("stop", "stop input", "host lost")  # reasons of a trip that no limit has
+
 
 class _State(StrEnum):
     def __repr__(self) -> str:
@@ -29,8 +31,13 @@ class DriveState(_State):
     HOMED = "homed"
     ENABLED = "enabled"
     RUNNING = "running"
-    STOPPED = "stopped"  # by somebody
+    STOPPED = "stopped"  # by somebody, or since who commanded is gone
     TRIPPED = "tripped"  # by a limit
+
+    @classmethod
+    def latched(cls, reason: str) -> DriveState:
+        """What a latched trip makes of the drives, by its reason."""
+        return cls.STOPPED if reason in STOPS else cls.TRIPPED
 
 
 class RecorderState(_State):

@@ -16,13 +16,7 @@ from zendsp_protocol.errors import LinkError, Refused
 from zendsp_target.access import endpoints as listening
 from zendsp_target.access.admission import Doors, access_control, settle
 from zendsp_target.access.endpoints import Security
-from zendsp_target.access.registration import (
-    check_free,
-    own_folder,
-    register,
-    unregister,
-    users_file,
-)
+from zendsp_target.access.registration import Registration, check_free, own_folder, users_file
 from zendsp_target.api import RuntimeApi
 from zendsp_target.serving.server import Server
 from zendsp_target.serving.service import identity
@@ -62,7 +56,7 @@ class Monitor:
         self._session, self.endpoints = _open(options, doors)
         self._server = Server(runtime, who, self._session, options.managed, doors)
         self.token = doors.token
-        self._entry = register(
+        self._entry = Registration(
             who.name, self.endpoints, options.machine, doors.token,
             self._server.service.once.instance.hex(), runtime.stop_page(),
         )
@@ -73,7 +67,7 @@ class Monitor:
         if self._closed:
             return
         self._closed = True
-        unregister(self._entry)
+        self._entry.remove()
         self._server.close()
         self._session.close()  # type: ignore[no-untyped-call]
         self._runtime.close()
@@ -95,6 +89,7 @@ class Monitor:
                 with contextlib.suppress(queue.Empty):
                     asked.get(timeout=PARENT_POLL_S)
                     break
+                self._entry.keep()
         finally:
             self.close()
 

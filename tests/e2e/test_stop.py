@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import signal
 import struct
 import subprocess
@@ -353,3 +354,23 @@ def test_ctrl_c_while_homing_ends_the_homing(
                 assert target.home_and_wait() == "homed", "and it can be homed again"
         finally:
             monitor.close()
+
+
+def test_a_target_whose_folder_was_removed_is_stopped_and_found_by_name(
+    start: Callable[..., Target], typed: Callable[..., tuple[object, str, str]]
+) -> None:
+    """The system empties it at the end of a login, or for its age."""
+    target = start(clock="real", options=["--no-realtime"], name="alone")
+    target.download("pd.c")
+    target.start()
+    folder = Path(os.environ["ZENDSP_RUNTIME_DIR"])
+    pid = local_entries()[0].pid
+    shutil.rmtree(folder)
+    until(lambda: "alone" in [entry.name for entry in local_entries()], "its entry again")
+    assert folder.stat().st_mode & 0o777 == 0o700
+    status, said, wrong = typed("stop")
+    assert (status, wrong) == (0, "") and said == f"stopped, at sample {_latched(target)}\n"
+    says = rf"alone runs here \(process {pid}\), but its socket \S+ was removed: .*'kill {pid}'"
+    with pytest.raises(LinkError, match=says):
+        connect("alone")
+    assert re.search(says, "".join(typed("ls")[1:]))

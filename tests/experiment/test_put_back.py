@@ -141,7 +141,7 @@ def test_nothing_is_written_into_another_program(arm: Target) -> None:
 @pytest.mark.parametrize(
     ("moves", "policy", "state", "row_rate"),
     [
-        (True, "stop", "tripped", 777),
+        (True, "stop", "stopped", 777),
         (False, "stop", "running", 777),
         (True, "finish", "running", 1000),
     ],

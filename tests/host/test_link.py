@@ -175,6 +175,48 @@ def test_a_recording_whose_rows_would_be_others_is_no_recording(
             assert running.acquire_load().columns == ("q[0]", "q[1]")
 
 
+@pytest.mark.parametrize(
+    ("what", "was"), [("pause", "paused"), ("stop", "stopped"), ("host lost", "stopped")]
+)
+def test_a_recording_that_another_host_cuts_short_says_so_and_keeps_what_there_is(
+    running: Target, runtime: Runtime, what: str, was: str
+) -> None:
+    def disturb(done: float) -> None:
+        if 0.0 < done < 0.02:
+            runtime.pause() if what == "pause" else runtime.trip(what)
+
+    says = rf"the program was {was} before the recording was complete \((\d+) of 10000 rows\)"
+    with pytest.raises(Incomplete, match=says) as caught:
+        running.acquire(["q"], 10.0, progress=disturb)
+    assert "acquire_load() brings home" in caught.value.__notes__[0]
+    rows = running.acquire_load()
+    assert f"({len(rows)} of" in str(caught.value) and 0 < len(rows) < 10_000
+    assert np.array_equal(rows["q[0]"], rows.start_tick + np.arange(len(rows)))
+
+
+def test_a_recording_whose_host_was_lost_is_not_complete_for_those_who_wait_for_it(
+    running: Target,
+) -> None:
+    with connect("fake") as other:
+        other.take_command()
+        other.acquire_configure(["q"], 60.0)
+        other.acquire_start()
+        until(lambda: other.acquire_status().count > 0, "rows")
+        other.link.session.close()  # type: ignore[no-untyped-call]  # without a word
+        until(lambda: running.acquire_status().state == "done", "the target ends it")
+    with pytest.raises(Incomplete, match=r"the program was stopped before .* of 60000 rows"):
+        running.acquire_finish()
+    assert len(running.acquire_load()) > 0
+
+
+def test_a_recording_that_is_not_complete_in_time_says_how_far_it_came(running: Target) -> None:
+    running.acquire_configure(["q"], 60.0)
+    running.acquire_start()
+    says = r"not complete after 0.1 s \(\d+ of 60000 rows, running\)"
+    with pytest.raises(Incomplete, match=says):
+        running.acquire_finish(0.1)
+
+
 def test_large_tables_arrive_whole_in_one_sample(running: Target) -> None:
     values = np.random.default_rng(0).normal(size=(50_000, 4))
     running.upload("ref", values.reshape(-1))

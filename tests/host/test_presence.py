@@ -27,7 +27,7 @@ from zendsp.link.settings import Credentials, zenoh_config
 from zendsp_protocol import codec, keys
 from zendsp_protocol.registry import Entry, born
 from zendsp_protocol.verbs import VERBS
-from zendsp_target.monitor import Monitor
+from zendsp_target.monitor import Monitor, Options
 from zendsp_target.runtime import Runtime
 
 
@@ -237,3 +237,34 @@ def test_rubbish_among_the_entries_of_targets_keeps_nobody_from_finding_them(
     )
     (tmp_path / "imi.json").write_bytes(msgspec.json.encode(whole))
     assert local_entries() == [whole]
+
+
+def test_a_host_behind_a_router_does_all_that_one_beside_the_target_does(
+    runtime: Runtime, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        place = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    usual = zenoh.Config()
+    usual.insert_json5("mode", '"router"')
+    usual.insert_json5("scouting/multicast/enabled", "false")
+    usual.insert_json5("listen/endpoints", f'["{place}"]')
+    with zenoh.open(usual):
+        monitor = Monitor(runtime, Options("behind", "imi_planar", connect=[place]))
+        try:
+            until(lambda: discover("behind", place), "the router knows it")
+            with connect("behind", place) as host:
+                host.download("pd.c")
+                host.take_command()
+                host.start()
+                host.update(Kp1=900.0)
+                assert host["Kp1"] == 900.0 and len(host.acquire(["q"], 0.1)) == 100
+                with host.live(["q"]) as view:
+                    assert len(next(iter(view)).t)
+                assert host.stop().trip.reason == "stop"
+                host.acknowledge()
+                host.start()
+                host.link.session.close()  # type: ignore[no-untyped-call]  # without a word
+            until(lambda: runtime.status().trip is not None, "the policy acts")
+            assert runtime.status().trip.reason == "host lost"
+        finally:
+            monitor.close()

@@ -4,8 +4,17 @@ out once.
 
 from __future__ import annotations
 
+import os
+import re
+import signal
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
 import numpy as np
 import pytest
+from waiting import freeze, until
 
 from zendsp.errors import AcquisitionError, Refused
 from zendsp.link import Target
@@ -15,6 +24,7 @@ from zendsp_protocol import messages as m
 from zendsp_protocol.chunks import crc, folded_crc
 from zendsp_protocol.once import AGAIN, FIRST, stamp
 from zendsp_protocol.version import PROTOCOL
+from zendsp_target.runtime import Runtime
 
 
 def chunk(rows: np.ndarray, first: int = 0) -> tuple[bytes, bytes]:
@@ -88,3 +98,24 @@ def test_a_request_that_arrives_twice_is_carried_out_once(running: Target) -> No
     assert len(running.log()) == before + 1
     send(2, FIRST)
     assert len(running.log()) == before + 2
+
+
+def test_a_recording_says_how_many_samples_were_late_in_it_and_by_how_much(
+    loaded: Target, runtime: Runtime, typed: Callable[..., tuple[object, str, str]], tmp_path: Path
+) -> None:
+    """A simulated machine waits for a loop that stood still: no row is lost, and none in time."""
+    words = ("acquire", "q", "-s", "1.5", "-o", tmp_path / "run.npz", "-t", "fake")
+
+    def stall() -> None:
+        until(lambda: loaded.acquire_status().count > 100, "rows")
+        freeze(runtime.runner_pid())
+        time.sleep(0.4)
+        os.kill(runtime.runner_pid(), signal.SIGCONT)
+
+    thread = threading.Thread(target=stall)
+    thread.start()
+    status, said, _ = typed(*words, "--start")
+    thread.join()
+    found = re.search(r" 0 lost, (\d+) samples? late, by up to (\d+) ms$", said.strip())
+    assert status == 0 and found, said
+    assert int(found[1]) >= 200 and int(found[2]) >= 390, said  # 400 samples, some caught up with

@@ -18,7 +18,7 @@ PROGRAMS = {
     ),
     "pendulum": (
         "pendulum_track.c", "pendulum_compensation.c", "pendulum_torque.c", "pendulum_current.c",
-        "constant_torque.c", "template.c",
+        "constant_torque.c", "template.c", "joint_pd.c",
     ),
     "wam7": ("wam_pd_gravity.c",),
 }

@@ -22,7 +22,7 @@ RUNS = {
     ),
     "sweep": "zendsp.sweep(t, {'Kp1': [1900.0, 1800.0]}, ['q'], seconds=60.0)",
 }
-ENDS = {"frequency response": ["tripped", "host lost"], "sweep": ["running", ""]}
+ENDS = {"frequency response": ["stopped", "host lost"], "sweep": ["running", ""]}
 LOOK = """
 import json, zendsp
 with zendsp.connect('imi') as t:

@@ -14,7 +14,7 @@ from zendsp_target.access import admission
 from zendsp_target.access.admission import Doors, access_control, check_role, settle
 from zendsp_target.access.endpoints import Security, check
 from zendsp_target.access.lists import read_roles, read_users
-from zendsp_target.access.registration import own_folder, users_file
+from zendsp_target.access.registration import Registration, own_folder, users_file
 
 
 def write(path: Path, text: str) -> str:
@@ -266,3 +266,14 @@ def test_what_others_can_reach_needs_encryption_and_hosts_that_say_who_they_are(
             check([endpoint], security)
         check([endpoint], Security("one.pem", "one.key", authority="ca.pem"))
         check([endpoint], Security("one.pem", "one.key", users="users"))
+
+
+def test_an_entry_that_a_full_disk_does_not_take_is_refused_by_its_name_and_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ZENDSP_RUNTIME_DIR", str(tmp_path / "run"))
+    full = own_folder() / f"imi.{os.getpid()}.part"
+    full.symlink_to("/dev/full")
+    with pytest.raises(Refused, match=r"run/imi\.json: cannot be written: No space left"):
+        Registration("imi", ["tcp/127.0.0.1:1"], "imi_planar")
+    assert not any((tmp_path / "run").iterdir())

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hardware import driver
+from helpers import children
 from samples import run
 
 from zendsp_protocol.errors import Refused, RunnerDied
@@ -356,6 +357,10 @@ def test_a_runner_that_was_stopped_by_a_signal_is_told_as_that(
     assert "the runner was stopped from outside (SIGSTOP" in runtime.status().crash
 
 
+def _words(pid: int) -> bytes:
+    return Path(f"/proc/{pid}/cmdline").read_bytes()
+
+
 @pytest.mark.parametrize(
     "code", [GOOD, GOOD.replace("x += 1.0;", "for (;;) x += 1.0;")], ids=["well", "hung"]
 )
@@ -368,11 +373,13 @@ def test_a_killed_monitor_leaves_no_runner_and_no_shared_memory(wait_for: Wait, 
         runner, folder = monitor.stdout.readline().split()
         # not later: any target that starts on this computer clears up after dead ones
         assert os.path.isdir(folder)
+        safe = next(pid for pid in children(monitor.pid) if b"--safe" in _words(pid))
     finally:
         monitor.send_signal(signal.SIGKILL)
         monitor.wait()
         if monitor.stdout is not None:
             monitor.stdout.close()
+    os.kill(safe, signal.SIGKILL)  # which would end the runner too, after a while
 
     def gone() -> bool:
         try:

@@ -12,6 +12,7 @@ import numpy as np
 from samples import rows_of
 
 from zendsp_isr.build import source_root
+from zendsp_protocol import stop_page
 from zendsp_target.runtime import Runtime
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -22,6 +23,17 @@ def first_code(page: str) -> str:
     match = re.search(r"```c\n(.*?)```", (DOCS / page).read_text(), re.DOTALL)
     assert match is not None
     return match[1]
+
+
+def test_the_stop_page_is_as_the_protocol_tells_clients_of_others() -> None:
+    text = " ".join((DOCS / "protocol.md").read_text().split())
+    said = re.search(r"`stop`\. This is the path of a file of (\d+) bytes", text)
+    words = re.findall(r"`(\w+)` \(uint32, (0x\w+|\d+)\)", text)
+    assert said and int(said[1]) == stop_page.SIZE
+    assert {name: int(word, 0) for name, word in words} == {
+        "magic": stop_page.MAGIC, "version": stop_page.VERSION,
+    }  # fmt: skip
+    assert f"`by` ({stop_page.SIZE - stop_page.BY} bytes of UTF-8, at {stop_page.BY}" in text
 
 
 def test_the_program_of_the_page_controls_the_machine_of_the_page(

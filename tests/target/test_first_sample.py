@@ -15,6 +15,7 @@ from hardware import driver
 from samples import run
 from waiting import freeze
 
+from zendsp_isr.build import source_root
 from zendsp_target.runtime import Runtime
 
 Make = Callable[..., Runtime]
@@ -100,6 +101,9 @@ def test_after_a_pause_of_hardware_it_begins_afresh_wherever_the_arm_was_pushed_
     ), "the machine was never given the 77 N m of a first sample"
 
 
+CIRCLE = (source_root() / "programs" / "pd.c").read_text()
+
+
 @pytest.mark.parametrize("policy", ["count", "skip"])
 def test_after_a_stall_hardware_goes_on_in_true_time_and_begins_afresh(
     make_runtime: Make, wait_for: Wait, tmp_path: Path, policy: str
@@ -128,3 +132,20 @@ def test_after_a_stall_hardware_goes_on_in_true_time_and_begins_afresh(
     found = runtime.read(NAMES)[1]
     assert found["fresh"] >= 2.0 and found["fresh_enabled"] == 0.0
     assert found["fresh_tick"] >= before.tick + stalled - 3.0
+
+
+def test_after_a_pause_of_the_whole_computer_a_simulated_arm_begins_afresh_where_it_stood(
+    make_runtime: Make, wait_for: Wait
+) -> None:
+    """As a virtual machine that is frozen for a while; its path would else be far ahead of it."""
+    runtime = make_runtime(CIRCLE, clock="real", realtime=False, hang_s=60.0)
+    runtime.set_drive("torque")
+    runtime.start()
+    wait_for(lambda: runtime.status().tick > 1500)  # on its circle
+    freeze(runtime.runner_pid())
+    before = runtime.status()
+    time.sleep(1.5)  # more than it makes good
+    os.kill(runtime.runner_pid(), signal.SIGCONT)
+    wait_for(lambda: runtime.status().tick > before.tick + 2500 or bool(runtime.status().trip))
+    assert runtime.status().trip is None
+    assert runtime.status().timing.missed >= 1400

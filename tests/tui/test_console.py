@@ -72,6 +72,7 @@ async def test_the_safe_sequence_by_keys(
         await until(pilot, lambda: snap().mine, "taken over deliberately")
         await pilot.press("f9")
         await until(pilot, lambda: snap().drive == "stopped", "stopped")
+        await until(pilot, lambda: not lab.session.stops.just_pressed(), "somebody saw it")
         await pilot.press("ctrl+k")
         await until(pilot, lambda: snap().drive == "homed" and snap().trip is None, "acknowledged")
         await pilot.press("o")

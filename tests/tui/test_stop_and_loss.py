@@ -11,6 +11,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from threading import Event
 
 import numpy as np
 import pytest
@@ -106,6 +107,7 @@ async def test_after_stop_nothing_moves_until_somebody_enables(
         await until(
             pilot, lambda: len(refused()) == 2, "enable and start are refused while latched"
         )
+        await until(pilot, lambda: not lab.session.stops.just_pressed(), "somebody saw it")
         await pilot.press("ctrl+k")
         await until(pilot, lambda: lab.session.snapshot.drive == "homed", "acknowledged")
         await pilot.press("s")
@@ -113,6 +115,31 @@ async def test_after_stop_nothing_moves_until_somebody_enables(
         assert not np.any(target.status().io["aout"])
         await pilot.press("e")
         await until(pilot, lambda: lab.session.snapshot.drive == "enabled", "enabled again")
+
+
+async def test_what_was_asked_before_a_stop_is_not_done_after_it(
+    lab: ZendspApp, target: Target, enabled: Step, until: Until, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """STOP passes what waits for a slow screen or a slow request: neither undoes it afterwards."""
+    monkeypatch.setattr("zendsp.tui.stop_lane.REACTION_S", 1e9)
+    gate = Event()
+    async with lab.run_test(size=(100, 30)) as pilot:
+        await enabled(lab, pilot)
+        await pilot.press("s")
+        await until(pilot, lambda: lab.session.snapshot.t > 0.5, "moves")
+        lab.session.do("slow", lambda port: gate.wait())
+        late = lab.session.do("acknowledge", lambda port: port.drive("acknowledge"))
+        await pilot.press("f9")
+        await until(pilot, lambda: lab.session.snapshot.drive == "stopped", "stopped")
+        gate.set()
+        await until(pilot, late.done, "its turn came")
+        assert "STOP came after" in str(late.exception())
+        await pilot.press("ctrl+k")
+        await until(pilot, lambda: bool(lab._notifications), "it says why it does nothing")
+        later = lab.session.do("look", lambda port: port.drive("status"))
+        await until(pilot, later.done, "all that was asked is done")
+        trip = target.status().trip
+        assert trip is not None and trip.reason == "stop"
 
 
 async def test_acknowledging_what_is_not_latched_pauses_nothing(
@@ -142,7 +169,7 @@ async def test_stop_during_a_run_ends_it_and_keeps_the_data(
         screen = await slow_circle(lab, pilot, until, folder)
         await pilot.press("f9")
         await until(pilot, lambda: screen.runs, "the run is kept")
-        assert screen.runs[0].outcome.startswith(("tripped", "stopped")) and screen.runs[0].rows > 0
+        assert screen.runs[0].outcome.startswith("stopped") and screen.runs[0].rows > 0
 
 
 # -- loss
@@ -269,7 +296,7 @@ def test_when_the_commanding_host_disappears_the_policy_decides(
             come(lambda: target.status().trip, "a trip")
             trip = target.status().trip
             assert trip is not None and trip.reason == "host lost"
-            assert target.drive_status().state == "tripped"
+            assert target.drive_status().state == target.status().drive == "stopped"
             assert not np.any(target.status().io["aout"])
         else:
             if policy == "hold":

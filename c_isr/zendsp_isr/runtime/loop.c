@@ -214,12 +214,14 @@ static uint64_t wait_for(uint64_t deadline, uint64_t spin) {
  * begins afresh, as after a pause. */
 static void leave_out(runner *r, uint64_t behind) {
     control *c = r->control;
-    for (uint64_t i = 0; i < behind && i < CATCH_UP; i++)
+    const bool simulated = c->info.simulated;
+    /* a simulated machine waits for a computer that stood still */
+    for (uint64_t i = 0; i < behind && behind <= CATCH_UP; i++)
         step_machine(r);
     c->timing.missed += behind;
     stream_skip(r, behind);
     r->state.speed_known = 0; /* of equally spaced samples only */
-    if (!c->info.simulated && behind > CATCH_UP_HARDWARE && c->running == RUN_ISR)
+    if (behind > (simulated ? CATCH_UP : CATCH_UP_HARDWARE) && c->running == RUN_ISR)
         safety_anew(r);
     store64(&c->tick, c->tick + behind);
 }

@@ -64,6 +64,7 @@ def command(
 
     Example:  zendsp acquire q tau -s 2 -o run.mat
     """
+    from zendsp.cli.stats import late_since
     from zendsp.errors import AcquisitionError, Incomplete, RunnerDied
     from zendsp.link import Trigger
     from zendsp.recording.files import check_suffix
@@ -76,6 +77,7 @@ def command(
     when = Trigger(source=trigger, level=level, edge=edge, pre_s=pre) if trigger else None
     ended = ""
     with open_target(target, connect) as t:
+        before = t.status().timing
         try:
             with progress("recording", seconds, as_json) as set_fraction:
                 recording = t.acquire(
@@ -97,6 +99,7 @@ def command(
                 recording = t.acquire_load(note)
             except AcquisitionError:
                 raise error from None
+        late = late_since(before, t.status().timing)
     from zendsp.recording.files import save_anyhow
 
     written, wrong = save_anyhow(recording, out)
@@ -106,13 +109,13 @@ def command(
         recording.plot(path=plot)
     body = {
         "file": str(written), "rows": len(recording), "columns": recording.columns,
-        "lost": recording.lost, "ended": ended,
+        "lost": recording.lost, "late": late, "ended": ended,
     }
     emit(
         body,
         as_json,
         f"{len(recording)} rows of {len(recording.columns)} signals to {written},"
-        f" {recording.lost} lost",
+        f" {recording.lost} lost" + (f", {late}" if late else ""),
     )
     if ended == "interrupted":
         raise KeyboardInterrupt

@@ -9,6 +9,7 @@ import numpy as np
 
 from zendsp.cli.common import emit, open_target, target_options
 from zendsp_protocol import messages as m
+from zendsp_protocol.texts import counted
 from zendsp_protocol.values import from_wire
 
 WIDTH = 40  # of the longest bar
@@ -49,6 +50,19 @@ def _text(status: m.Status) -> str:
         if counts.ndim == 1 and len(edges) == len(counts) + 1 and counts.sum():
             lines += ["", f"{name}, µs; bars: log of the samples", *bars(counts, edges)]
     return "\n".join(lines)
+
+
+def late_since(before: m.Timing, now: m.Timing) -> str:
+    """Return how many samples came late since ``before`` was read, and by how much; "" where none
+    did.
+    """
+    if now.ticks < before.ticks:  # another program was loaded
+        before = m.Timing()
+    if (count := now.overruns - before.overruns) <= 0:
+        return ""
+    binned = np.subtract(from_wire(now.late_histogram), from_wire(before.late_histogram))
+    edge = np.asarray(from_wire(now.histogram_edges_ns))[int(np.flatnonzero(binned)[-1]) + 1]
+    return f"{counted(count, 'sample')} late, by up to {1e-6 * min(edge, now.late_max_ns):.3g} ms"
 
 
 def _summary(name: str, mean_ns: float, max_ns: float, period_us: float) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 from zendsp.demo.controller import flags, sources
 from zendsp.demo.stage import Stage, nominal_model
 from zendsp.errors import AcquisitionError, Refused
+from zendsp.here.stopped import ended
 from zendsp.link import Target
 from zendsp.physics.model import Model
 from zendsp.physics.simulation.run import simulate
@@ -78,7 +79,7 @@ class Machine:
         trip = self.target.status().trip
         if trip is not None and trip.reason:
             self.target.acknowledge()
-            raise Refused(f"{note}: the machine stopped itself: {trip.text}")
+            raise Refused(f"{note}: {ended(trip)}")
 
     def settings(self) -> dict[str, Assignable]:
         """Parameters of the control program on this machine."""

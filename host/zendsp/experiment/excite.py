@@ -9,8 +9,10 @@ import numpy.typing as npt
 
 from zendsp.errors import AcquisitionError, Refused, ZendspError
 from zendsp.experiment.player import Player, position
+from zendsp.here.stopped import ended
 from zendsp.link import Target, rehearse
 from zendsp.recording import Recording
+from zendsp_protocol.states import STOPS
 
 Floats = npt.NDArray[np.float64]
 APPROACH_S = 0.5  # from where the machine stands into the first row
@@ -87,9 +89,8 @@ def _sign_of_life(progress: Callable[[float], None] | None) -> Callable[[float],
 def _refuse_trip(target: Target) -> None:
     trip = target.status().trip if target.alive else None
     if trip is not None:
-        if trip.reason == "stop":
-            raise Refused(trip.text)
-        raise Refused(f"the machine stopped itself: {trip.text}; take less amplitude")
+        less = "; take less amplitude" if trip.reason not in STOPS else ""
+        raise Refused(f"{ended(trip)}{less}")
 
 
 def _tables(

@@ -16,6 +16,7 @@ import numpy as np
 
 from zendsp.errors import RecordingError, Refused, ZendspError
 from zendsp.experiment.result import Result
+from zendsp.here.stopped import ended
 from zendsp.link import Target
 from zendsp.link.put_back import Loaded, kept
 from zendsp.recording import Recording
@@ -231,7 +232,7 @@ class Bench:
                 )
             trip = target.status().trip
             if trip is not None and trip.reason:
-                raise Refused(f"{name}: the machine stopped itself: {trip.text}")
+                raise Refused(f"{name}: {ended(trip)}")
         except BaseException as error:
             with contextlib.suppress(ZendspError):
                 _stop(target)  # first of all

@@ -28,6 +28,12 @@ def stopped(status: m.Status) -> str:
     return f"stopped, at sample {status.trip.tick}{why}"
 
 
+def ended(trip: m.Trip) -> str:
+    """Say what ended a run: who asked, or which limit."""
+    own = DriveState.latched(trip.reason) == DriveState.TRIPPED
+    return f"the machine stopped itself: {trip.text}" if own else trip.text
+
+
 def state_at(status: m.Status) -> str:
     """Say in what state a program is, and since which sample if a STOP or a trip ended it."""
     if status.trip is None or status.state != ProgramState.STOPPED:

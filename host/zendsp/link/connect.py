@@ -12,7 +12,7 @@ from typing import IO, TYPE_CHECKING
 
 from zendsp.errors import LinkError
 from zendsp.here.registered import CONNECT, local_entries, own_entries, remote_endpoints
-from zendsp.link.find import reach, there
+from zendsp.link.find import reach, there, unreachable
 from zendsp.link.link import Link
 from zendsp.link.settings import Credentials
 from zendsp.link.target import Target
@@ -117,6 +117,8 @@ def locate(
             f"no target named {name!r} runs on this machine (there runs {running}). Start one with "
             f"'zendsp target --name {name}', or say where it is: {WHERE}"
         )
+    if problem := unreachable(entries[name]):
+        raise LinkError(problem)
     return name, *reach(entries[name])
 
 

@@ -5,6 +5,7 @@ one names.
 from __future__ import annotations
 
 import fnmatch
+import os
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,6 +17,8 @@ from zendsp.link.session import open_session
 from zendsp.link.settings import Credentials
 from zendsp_protocol import codec, keys, registry
 from zendsp_protocol import messages as m
+
+SOCKET = "unixsock-stream/"
 
 
 @dataclass(frozen=True)
@@ -67,6 +70,8 @@ def discover(
     places += [([endpoint], None) for endpoint in remote_endpoints(connect)]
     found: dict[str, Found] = {}
     for entry, answers in zip_longest(entries, _ask_all(places, timeout)):
+        if entry and (problem := unreachable(entry)):
+            found[entry.name] = Found(entry.name, tuple(entry.endpoints), None, problem)
         for one in answers:
             if one.name == entry.name if entry else fnmatch.fnmatchcase(one.name, pattern):
                 found.setdefault(one.name, one)
@@ -91,11 +96,25 @@ def there(endpoints: Sequence[str]) -> list[Found]:
     return [found[name] for name in sorted(found)]
 
 
+def unreachable(entry: registry.Entry) -> str:
+    """Why nobody can connect to a target of this user; empty where its socket is there."""
+    sockets = [
+        endpoint.partition("/")[2] for endpoint in reach(entry)[0] if endpoint.startswith(SOCKET)
+    ]
+    if not sockets or any(map(os.path.exists, sockets)):
+        return ""
+    return (
+        f"{entry.name} runs here (process {entry.pid}), but its socket {sockets[0]} was removed:"
+        f" 'zendsp stop {entry.name}' stops it as ever, nothing else reaches it. 'kill"
+        f" {entry.pid}' ends it; then start it again"
+    )
+
+
 def reach(entry: registry.Entry) -> tuple[list[str], Credentials | None]:
     """Where a target of this user listens for its own user, and what lets it in; None where it asks
     for what anyone needs.
     """
-    sockets = [endpoint for endpoint in entry.endpoints if endpoint.startswith("unixsock-stream/")]
+    sockets = [endpoint for endpoint in entry.endpoints if endpoint.startswith(SOCKET)]
     if sockets or entry.user:
         return sockets or entry.endpoints, Credentials(
             user=entry.user, password=entry.password, own=True

@@ -40,6 +40,9 @@ def open_session(
     where = ", ".join(endpoints)
     try:
         session = zenoh.open(zenoh_config(endpoints, credentials, timeout))
+        if session.info.routers_zid():  # which hand nothing from peer to peer
+            session.close()  # type: ignore[no-untyped-call]
+            session = zenoh.open(zenoh_config(endpoints, credentials, timeout, "client"))
     except zenoh.ZError as error:
         secured = any(endpoint.startswith(("tls/", "quic/")) for endpoint in endpoints)
         doubt = (

@@ -69,7 +69,7 @@ def common_name(certificate: str) -> str:
 
 
 def zenoh_config(
-    endpoints: Sequence[str], credentials: Credentials, timeout: float
+    endpoints: Sequence[str], credentials: Credentials, timeout: float, mode: str = "peer"
 ) -> zenoh.Config:
     """Settings of a host's session: it listens nowhere, connects to ``endpoints`` only, and comes
     back after an outage.
@@ -80,6 +80,8 @@ def zenoh_config(
         For example ``tcp/127.0.0.1:7447``; any one that answers will do.
     timeout : float, s
         For the first connection.
+    mode : str
+        ``"peer"``, or ``"client"``: of a router.
 
     Raises
     ------
@@ -89,7 +91,7 @@ def zenoh_config(
     """
     _check(credentials)
     settings: dict[str, object] = {
-        "mode": "peer",
+        "mode": mode,
         "listen/endpoints": [],
         "connect/endpoints": list(endpoints),
         "connect/timeout_ms": int(timeout * 1000),

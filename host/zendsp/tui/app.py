@@ -277,6 +277,9 @@ class ZendspApp(App[None]):
             if not isinstance(self.focused, Input):
                 self.toast("nothing is latched, so there is nothing to acknowledge")
             raise SkipAction
+        if self.session.stops.just_pressed():
+            self.toast("it was typed before the STOP: acknowledge once more", "warning")
+            return
         self.session.stops.acknowledged()
         self.drive("acknowledge", "acknowledge")
 

@@ -22,6 +22,7 @@ from zendsp.tui.port import Port, Shot
 from zendsp.tui.runs import Outcome, Run, store_run
 from zendsp.tui.snapshot import Snapshot
 from zendsp.tui.trial import Plan, Trial, make_plan
+from zendsp_protocol.states import DriveState
 
 LOOK_S = 0.05
 REST_S = 1.0  # for an arm to come to rest under its control law
@@ -164,7 +165,7 @@ class PlayJob(Job[Run | None]):
                 playlist.duration,
             )
             if s.trip is not None:
-                return Outcome.TRIPPED, s.trip.text
+                return Outcome(DriveState.latched(s.trip.reason)), s.trip.text
             if s.drive in ("stopped", "tripped"):
                 return Outcome.STOPPED, ""
             if s.crash or s.state == "crashed":

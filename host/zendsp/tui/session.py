@@ -16,7 +16,7 @@ from concurrent.futures import Future
 from dataclasses import replace
 from typing import Any, TypeVar
 
-from zendsp.errors import LinkError, ZendspError
+from zendsp.errors import LinkError, Refused, ZendspError
 from zendsp.link.background import background
 from zendsp.tui.events import EventLog
 from zendsp.tui.port import Port
@@ -51,7 +51,7 @@ class Session:
         self._name = ""
         self._wake = threading.Event()
         self._closing = threading.Event()
-        self._jobs: queue.Queue[tuple[Future[Any], str, Callable[[Port], Any]] | None] = (
+        self._jobs: queue.Queue[tuple[Future[Any], str, Callable[[Port], Any], float] | None] = (
             queue.Queue()
         )
         self._live: Callable[[], None] | None = None
@@ -111,10 +111,10 @@ class Session:
 
     def do(self, label: str, job: Callable[[Port], T]) -> Future[T]:
         """Run a job against the target on the worker thread. What goes wrong becomes an event and
-        the future's error.
+        the future's error; so does a STOP that comes before its turn.
         """
         future: Future[T] = Future()
-        self._jobs.put((future, label, job))
+        self._jobs.put((future, label, job, time.monotonic()))
         return future
 
     @property
@@ -302,11 +302,13 @@ class Session:
             item = self._jobs.get()
             if item is None or self._closing.is_set():
                 return
-            future, label, job = item
+            future, label, job, asked = item
             port = self._port
             try:
                 if port is None:
                     raise LinkError("there is no link to a target; connect with Ctrl+O")
+                if asked < self.stops.heard:
+                    raise Refused("not done, since STOP came after it was asked: ask again")
                 future.set_result(job(port))
             except ZendspError as error:
                 self.events.add(f"{label}: {error}", "error")

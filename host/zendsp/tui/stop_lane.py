@@ -21,6 +21,7 @@ from zendsp.tui.stop_process import EMERGENCY, STOPPERS, Field, StopState
 from zendsp.tui.stopper import Stopper
 
 SHOWN_S = 5.0  # at the least, of the word that the machine stopped
+REACTION_S = 0.3  # nobody sees that it stopped, and types, within less
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,7 @@ class StopLane:
         self, events: EventLog, port: Callable[[], Port | None], wake: Callable[[], object]
     ) -> None:
         self.verdict: Verdict | None = None
+        self.heard = float("-inf")  # of the latest STOP, by the monotonic clock
         self.stopper: Stopper | None = None
         self._events, self._port, self._wake = events, port, wake
         self._target = ""
@@ -92,6 +94,12 @@ class StopLane:
         """Take the word about the last STOP away."""
         self.verdict = None
 
+    def just_pressed(self) -> bool:
+        """Whether a key that is looked at now was typed before the latest STOP: a slow screen sees
+        it later than the process that does STOP.
+        """
+        return time.monotonic() < self.heard + REACTION_S
+
     def judge(self, new: Snapshot, begin: float) -> None:
         """Correct the verdict by a snapshot that was asked for at ``begin``."""
         verdict = self.verdict
@@ -108,7 +116,9 @@ class StopLane:
 
     def tell(self, state: StopState, text: str, detail: str = "") -> None:
         """Show how far a STOP is."""
-        self.verdict = Verdict(state, text, time.monotonic())
+        now = time.monotonic()
+        self.heard = now if state == StopState.ASKED else self.heard
+        self.verdict = Verdict(state, text, now)
         if state == StopState.STOPPED:
             self._events.add(f"STOP: {text}", "warning")
         elif state == StopState.NOT_STOPPED:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -58,33 +59,56 @@ def users_file(name: str, users: Mapping[str, str]) -> Iterator[str]:
         path.unlink(missing_ok=True)
 
 
-def register(
-    name: str,
-    endpoints: list[str],
-    machine: str,
-    token: tuple[str, str] = ("", ""),
-    instance: str = "",
-    stop: str = "",
-) -> Path:
-    """Write the entry of this process; only this user may read the folder.
+class Registration:
+    """The entry of this process; only this user may read the folder.
 
     Raises
     ------
     Refused
-        A target of that name runs already, or the folder belongs to someone else.
+        A target of that name runs already, the folder belongs to someone else, or is full.
     """
-    folder = own_folder()
-    path = folder / registry.file_name(name)
-    check_free(name)
-    entry = registry.Entry(
-        name=name, pid=os.getpid(), born=registry.born(os.getpid()), endpoints=endpoints,
-        machine=machine, protocol=PROTOCOL, user=token[0], password=token[1], instance=instance,
-        stop=stop,
-    )
-    temporary = path.with_suffix(f".{os.getpid()}.part")
-    temporary.write_bytes(msgspec.json.encode(entry))
-    os.replace(temporary, path)
-    return path
+
+    def __init__(
+        self,
+        name: str,
+        endpoints: list[str],
+        machine: str,
+        token: tuple[str, str] = ("", ""),
+        instance: str = "",
+        stop: str = "",
+    ) -> None:
+        self._entry = registry.Entry(
+            name=name, pid=os.getpid(), born=registry.born(os.getpid()), endpoints=endpoints,
+            machine=machine, protocol=PROTOCOL, user=token[0], password=token[1],
+            instance=instance, stop=stop,
+        )
+        check_free(name)
+        self._write()
+
+    def _write(self) -> None:
+        self._path = own_folder() / registry.file_name(self._entry.name)
+        temporary = self._path.with_suffix(f".{os.getpid()}.part")
+        try:
+            temporary.write_bytes(msgspec.json.encode(self._entry))
+            os.replace(temporary, self._path)
+        except OSError as error:
+            temporary.unlink(missing_ok=True)
+            raise Refused(f"{self._path}: cannot be written: {error.strerror}") from error
+
+    def keep(self) -> None:
+        """Write it again where it was removed: with its folder at the end of a login, for example.
+        Without it no STOP of this computer would find the target.
+        """
+        if not self._path.exists():
+            with contextlib.suppress(OSError, Refused):
+                self._write()
+
+    def remove(self) -> None:
+        """Remove it if it is still this process's own."""
+        with contextlib.suppress(OSError, msgspec.MsgspecError):
+            found = msgspec.json.decode(self._path.read_bytes(), type=registry.Entry)
+            if found.pid == os.getpid():
+                self._path.unlink()
 
 
 def check_free(name: str) -> None:
@@ -105,12 +129,3 @@ def check_free(name: str) -> None:
             f"a target named {name!r} runs here already (process {entry.pid}): stop it or choose"
             " --name"
         )
-
-
-def unregister(path: Path) -> None:
-    """Remove the entry if it is still this process's own."""
-    try:
-        if msgspec.json.decode(path.read_bytes(), type=registry.Entry).pid == os.getpid():
-            path.unlink()
-    except (OSError, msgspec.MsgspecError):
-        pass

@@ -32,7 +32,6 @@ _REASONS = {
 }
 REQUESTS = {"stop": 1, "host lost": 3}
 _ASKED = {"stop": "STOP was requested", "host lost": "the host that commanded the motion is gone"}
-STOPS = ("stop", "stop input", "host lost")
 _LOOKS = 100  # until two are the same: one may be acknowledged, and another latched, meanwhile
 _ARRAYS = ("position_min", "position_max", "speed_max", "torque_max", "command_max")
 

@@ -92,7 +92,7 @@ def _drive(state: ProgramState, reason: str, mode: str, homed: bool) -> DriveSta
     if state == ProgramState.CRASHED:
         return DriveState.OFF
     if reason:
-        return DriveState.STOPPED if reason in safety.STOPS else DriveState.TRIPPED
+        return DriveState.latched(reason)
     if mode == "off":
         return DriveState.HOMED if homed else DriveState.READY
     return DriveState.RUNNING if state == ProgramState.RUNNING else DriveState.ENABLED

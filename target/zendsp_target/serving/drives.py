@@ -52,7 +52,6 @@ COMMANDING = (
 )
 # of these, what changes values only
 CHANGES = ("write", "update", "table_commit", "run_begin", "run_end")
-STOPS = ("stop", "stop input")  # reasons of a latched trip that mean that somebody pressed STOP
 HOLD_VARIABLE = "hold"  # a bool parameter of programs that can hold their reference
 
 
@@ -97,7 +96,7 @@ class Drives:
         """
         if status.trip is not None:
             self._enabled = False
-            return DriveState.STOPPED if status.trip.reason in STOPS else DriveState.TRIPPED
+            return DriveState.latched(status.trip.reason)
         running = status.state == ProgramState.RUNNING
         resting = DriveState.HOMED if status.homed and _loaded(status) else DriveState.READY
         if not self._explicit:
