@@ -118,6 +118,20 @@ def test_the_numbers_of_a_figure_come_back_as_they_were_written(tmp_path: Path) 
     assert np.array_equal(law.panels[0].series[1].y, np.sign(law.panels[0].series[1].x) * 8.0)
 
 
+async def test_a_long_finding_goes_on_beside_its_label(tmp_path: Path, until: Until) -> None:
+    d = cases.stored(tmp_path / "diagnoses")
+    d.report["findings"][0]["sentence"] = "A spring pulls " + "and pulls " * 10 + "on joint 1."
+    app = _alone(tmp_path)
+    async with app.run_test(size=(80, 24)) as pilot:
+        screen = await opened(app, pilot, until, DiagnoseScreen)
+        screen.open(d)
+        await pilot.pause()
+        lines = screen.query_one("#findings", OptionList)
+        first, second = (lines.render_line(y).text for y in (0, 1))
+        assert first.lstrip().startswith("97 %  A spring pulls") and "on joint 1." in second
+        assert second.startswith(" " * first.index("A spring") + "pulls and")
+
+
 @pytest.mark.covers("diagnose.cancel")
 async def test_a_diagnosis_is_cancelled_and_leaves_nothing(
     tmp_path: Path, until: Until, monkeypatch: pytest.MonkeyPatch
