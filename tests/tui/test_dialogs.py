@@ -128,7 +128,8 @@ async def test_a_list_filters_while_one_types_and_the_arrows_stay(app: ZendspApp
 async def test_enter_chooses_from_the_filter_line_too(app: ZendspApp) -> None:
     chosen: list[object] = []
     async with app.run_test(size=(100, 30)) as pilot:
-        await app.push_screen(Choose("Source", [Option(n, n) for n in ("a.c", "pd.c")]), chosen.append)
+        options = [Option(name, name) for name in ("a.c", "pd.c")]
+        await app.push_screen(Choose("Source", options), chosen.append)
         await pilot.pause()
         await pilot.press("slash", "p", "d", "enter")
         assert chosen == [["pd.c"]]

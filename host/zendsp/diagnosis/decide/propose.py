@@ -159,8 +159,9 @@ def _without_rival(
     joint = next((d.joint for d in decisions if d.kind == "unexplained"), 0)
     if joint and not findings:
         record = searches[joint - 1].final.data.records[0][joint - 1]
+        motion = motions(record, _limits(given), np.random.default_rng(seed))[OTHER]
         return _played(
-            signals, given, joint, motions(record, _limits(given), np.random.default_rng(seed))[OTHER],
+            signals, given, joint, motion,
             f"Record joint {joint} again through the same states in another order and at other"
             f" speeds, as {OTHER} does ({{}}): what repeats with the state is physics.",
         )  # fmt: skip

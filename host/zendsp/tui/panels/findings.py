@@ -63,7 +63,8 @@ def entries(d: Diagnosed, theme: Mapping[str, str]) -> list[Entry]:
     r, charts = d.report, d.charts
     out = [_finding(k, f, charts, theme) for k, f in enumerate(r["findings"])]
     if r["unexplained"]:
-        out.append(Entry("unexplained", Text("left".ljust(LABEL) + r["unexplained"], theme["warning"])))
+        line = Text("left".ljust(LABEL) + r["unexplained"], theme["warning"])
+        out.append(Entry("unexplained", line))
     out += _errors(r, charts)
     for c in _of("where", charts):
         out.append(Entry(c.name, _plain("where", f"{c.caption}, over time"), c, _where(r)))
