@@ -390,7 +390,8 @@ async def test_a_recording_that_a_pause_cut_short_is_kept(
         await pilot.press("p")
         await until(pilot, lambda: list_runs(folder / "runs"), "what there is is kept")
         assert 0 < len(list_runs(folder / "runs")[0].recording()) < 200_000
-        assert "paused before the recording was complete" in events_of(lab)
+        why = "paused before the recording was complete"
+        await until(pilot, lambda: why in events_of(lab), "it says so")
 
 
 @pytest.mark.covers(
