@@ -192,6 +192,10 @@ def test_what_no_effect_describes_is_unexplained(tmp_path: Path) -> None:
     d = run(Case(reality.Machine(wave=0.05), [VISCOUS, COULOMB], {}), tmp_path)
     assert d.verdict == "unexplained" and d.findings == ()
     assert d.regions and "N m" in d.unexplained
+    assert d.next_recording is not None and d.next_recording.reference is not None
+    motion, period = d.next_recording.reference
+    assert motion.shape == (round(10.0 / period), 1), "can be played, as `n` and --run do"
+    assert "as a multisine over the whole range does (10 s, " in d.next_recording.sentence
 
 
 def test_a_torque_that_nothing_predicts_is_not_passed_over(tmp_path: Path) -> None:

@@ -352,6 +352,49 @@ async def test_record_then_open_simulation_and_diagnosis(
         assert lab.screen.chosen("fit") == [str(run.folder / "recording.mat")]
 
 
+@pytest.mark.covers("console.record")
+async def test_while_it_records_gains_change_and_r_ends_it_with_what_there_is(
+    lab: ZendspApp, target: Target, built: Step, until: Until, folder: Path
+) -> None:
+    async with lab.run_test(size=(100, 30)) as pilot:
+        await built(lab, pilot)
+        target.start()
+        await until(pilot, lambda: lab.session.snapshot.state == "running", "running")
+        await pilot.press("r")
+        await pilot.pause()
+        await type_first(pilot, "200")
+        await until(pilot, lambda: lab.session.snapshot.recording, "it records")
+        await mark_variable(lab, pilot, "Kp1")
+        await pilot.press("enter")
+        await pilot.pause()
+        await type_first(pilot, "1900")
+        await until(pilot, lambda: target["Kp1"] == 1900.0, "the gain is written meanwhile")
+        await pilot.press("r")
+        await until(pilot, lambda: list_runs(folder / "runs"), "what there is is kept")
+        recording = list_runs(folder / "runs")[0].recording()
+        assert 0 < len(recording) < 200_000 and recording.lost == 0
+        assert [change.name for change in recording.log] == ["Kp1"]
+
+
+@pytest.mark.covers("console.record")
+async def test_a_recording_that_a_pause_cut_short_is_kept(
+    lab: ZendspApp, target: Target, built: Step, until: Until, folder: Path
+) -> None:
+    async with lab.run_test(size=(100, 30)) as pilot:
+        await built(lab, pilot)
+        target.start()
+        await until(pilot, lambda: lab.session.snapshot.state == "running", "running")
+        await pilot.press("r")
+        await pilot.pause()
+        await type_first(pilot, "200")
+        await until(pilot, lambda: lab.session.snapshot.recording, "it records")
+        await pilot.press("p")
+        await until(pilot, lambda: list_runs(folder / "runs"), "what there is is kept")
+        assert 0 < len(list_runs(folder / "runs")[0].recording()) < 200_000
+        why = "paused before the recording was complete"
+        await until(pilot, lambda: why in events_of(lab), "it says so")
+
+
 @pytest.mark.covers(
     "app.show('console')", "app.show('execute')", "app.show('reference')", "app.show('diagnose')",
     "app.help", "app.next_theme", "app.command_palette", "app.quit",

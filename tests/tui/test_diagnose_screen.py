@@ -28,7 +28,7 @@ from zendsp.reference import make_reference
 from zendsp.tui import command
 from zendsp.tui.app import ZendspApp
 from zendsp.tui.compensating import compensation_of, written_out
-from zendsp.tui.diagnoses import list_diagnoses
+from zendsp.tui.diagnoses import compare, list_diagnoses
 from zendsp.tui.dialogs import Choose, Message
 from zendsp.tui.link_port import open_port
 from zendsp.tui.panels.figure import FigureView
@@ -136,6 +136,30 @@ def test_the_numbers_of_a_figure_come_back_as_they_were_written(tmp_path: Path) 
     law = d.charts[0]
     assert law.section == "law" and law.same and law.panels[0].limits == (-10.0, 10.0)
     assert np.array_equal(law.panels[0].series[1].y, np.sign(law.panels[0].series[1].x) * 8.0)
+
+
+def test_two_diagnoses_stand_side_by_side_in_80_columns(tmp_path: Path) -> None:
+    one, other = (cases.stored(tmp_path, name) for name in ("one", "other"))
+    other = replace(other, recordings=(*other.recordings, "20261123-164112-next-of-small.mat"))
+    lines = compare(one, other).splitlines()
+    assert max(map(len, lines)) <= 74  # as wide as the dialog is there
+    at = lines[0].index("other")
+    (next_line,) = (line for line in lines if line.endswith("small.mat"))
+    assert next_line[:at].strip() == "", "goes on in its own column"
+
+
+async def test_a_long_finding_goes_on_beside_its_label(tmp_path: Path, until: Until) -> None:
+    d = cases.stored(tmp_path / "diagnoses")
+    d.report["findings"][0]["sentence"] = "A spring pulls " + "and pulls " * 10 + "on joint 1."
+    app = _alone(tmp_path)
+    async with app.run_test(size=(80, 24)) as pilot:
+        screen = await opened(app, pilot, until, DiagnoseScreen)
+        screen.open(d)
+        await pilot.pause()
+        lines = screen.query_one("#findings", OptionList)
+        first, second = (lines.render_line(y).text for y in (0, 1))
+        assert first.lstrip().startswith("97 %  A spring pulls") and "on joint 1." in second
+        assert second.startswith(" " * first.index("A spring") + "pulls and")
 
 
 @pytest.mark.covers("diagnose.cancel")
@@ -286,6 +310,7 @@ async def test_an_earlier_diagnosis_is_opened_saved_and_compared(
         shown = _words(pilot)
         row = next(line for line in shown.splitlines() if line.startswith("coulomb, joint 1"))
         assert row.index("level 6 N m") < row.index("level 8 N m"), shown
+        assert max(map(len, shown.splitlines())) <= 74, "as wide as the dialog is at 80 columns"
         assert f"{first.name}  " in shown and second.name in shown
         (made,) = (line.split(maxsplit=1)[1] for line in shown.splitlines() if "made" in line)
         assert first.when in made and second.when in made, "of one recording, perhaps"

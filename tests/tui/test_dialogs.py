@@ -125,6 +125,16 @@ async def test_a_list_filters_while_one_types_and_the_arrows_stay(app: ZendspApp
         assert chosen == [["Kp2"]]
 
 
+async def test_enter_chooses_from_the_filter_line_too(app: ZendspApp) -> None:
+    chosen: list[object] = []
+    async with app.run_test(size=(100, 30)) as pilot:
+        options = [Option(name, name) for name in ("a.c", "pd.c")]
+        await app.push_screen(Choose("Source", options), chosen.append)
+        await pilot.pause()
+        await pilot.press("slash", "p", "d", "enter")
+        assert chosen == [["pd.c"]]
+
+
 async def test_the_name_that_was_typed_whole_comes_first(app: ZendspApp) -> None:
     """Who types pd.c means pd.c, not joint_pd.c, which stands before it."""
     chosen: list[object] = []

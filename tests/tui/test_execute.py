@@ -217,6 +217,24 @@ async def test_a_run_of_seven_joints_begins_where_the_arm_stands(
             assert np.abs(np.diff(first["r"], axis=0)).max() * 1000.0 < machine.limits.speed.max()
 
 
+async def test_a_reference_that_lies_elsewhere_is_chosen_by_its_path(
+    app: ZendspApp, until: Until, tmp_path: Path
+) -> None:
+    """`zendsp reference --out motion.mat` saves where one stands, not in references/."""
+    path = save_reference(make_reference("circle", "imi_planar"), tmp_path / "motion.mat")
+    async with app.run_test(size=(80, 24)) as pilot:
+        screen = await opened(app, pilot, until, ExecuteScreen)
+        await pilot.press("o")
+        await pilot.pause()
+        assert isinstance(app.screen, Choose)
+        await pilot.press("enter")  # "another file …" is all there is
+        await pilot.pause()
+        app.screen.query_one("#f-path", Input).value = str(path)
+        await pilot.press("enter")
+        await until(pilot, lambda: screen.references, "it is loaded")
+        assert app.chosen == (path,)
+
+
 @pytest.mark.covers("execute.abort")
 async def test_abort_keeps_what_was_acquired(
     lab: ZendspApp, target: Target, enabled: Step, until: Until, folder: Path

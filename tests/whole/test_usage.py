@@ -116,6 +116,12 @@ def test_a_group_without_a_word_shows_its_help(capsys: pytest.CaptureFixture[str
     assert status == 2 and "Commands:" in text and "restore" in text
 
 
+def test_the_last_line_of_help_says_how_to_begin(capsys: pytest.CaptureFixture[str]) -> None:
+    """A terminal of 24 rows shows the end of it."""
+    _, text = said(capsys)
+    assert text.rstrip().splitlines()[-1].strip().startswith("To begin:  zendsp demo")
+
+
 def test_the_names_of_commands_are_those_of_the_table() -> None:
     assert isinstance(cli, LazyGroup) and "get" in COMMANDS
 

@@ -121,12 +121,14 @@ class LazyGroup(click.Group):
             formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
 
 
-@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(
+    cls=LazyGroup,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog="To begin:  zendsp demo, then zendsp tui",
+)
 @click.version_option(package_name="zendsp")
 def cli() -> None:
     """Run C control code in real time, tune it live, record it, and find what the model left out.
-
-    Example:  zendsp demo
     """
 
 

@@ -149,7 +149,7 @@ ACTIONS = (
            "Show the event log in the place of the variables, or back (on a small terminal)."),
     # -- console: what it opens
     Action("console", "record", "r", "Record",
-           "Record the curves of the scope for some seconds and keep the run."),
+           "Record the curves of the scope for some seconds and keep the run; again: end it."),
     Action("console", "simulate", "S", "Simulate",
            "Simulate the last run, its source and its reference, with the model of the machine."),
     Action("console", "diagnose", "D", "Diagnose", "Open the last run on Diagnose."),

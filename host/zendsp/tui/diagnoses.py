@@ -14,7 +14,9 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
+from itertools import zip_longest
 from pathlib import Path
+from textwrap import wrap
 
 from zendsp.diagnosis.decide.contract import LeftReport, Report
 from zendsp.diagnosis.report.chart import SUFFIX, Chart, load_chart
@@ -105,6 +107,9 @@ def list_diagnoses(root: Path) -> list[Diagnosed]:
     return sorted(found, key=lambda d: d.created, reverse=True)
 
 
+COLUMN = 24  # columns of each of two that are compared: both go into 80
+
+
 def compare(one: Diagnosed, other: Diagnosed) -> str:
     """Return what sets two diagnoses apart, the first on the left."""
     rows: list[tuple[str, str, str]] = [
@@ -122,9 +127,13 @@ def compare(one: Diagnosed, other: Diagnosed) -> str:
     ours, theirs = ({x["joint"]: x for x in d.report["discrepancy"]} for d in (one, other))
     for joint in sorted({*ours, *theirs}):
         rows.append((f"left, joint {joint}", _left(ours.get(joint)), _left(theirs.get(joint))))
-    wide = max(len(r[0]) for r in rows)
-    middle = max(len(r[1]) for r in rows)
-    return "\n".join(f"{a:{wide}}  {b:{middle}}  {c}" for a, b, c in rows)
+    lines = [
+        cells
+        for name, *both in rows
+        for cells in zip_longest([name], *(wrap(x, COLUMN) for x in both), fillvalue="")
+    ]
+    wide, middle = (max(len(cells[k]) for cells in lines) for k in range(2))
+    return "\n".join(f"{a:{wide}}  {b:{middle}}  {c}" for a, b, c in lines)
 
 
 def _names(d: Diagnosed) -> str:

@@ -117,6 +117,12 @@ class Session:
         self._jobs.put((future, label, job, time.monotonic()))
         return future
 
+    def do_beside(self, label: str, job: Callable[[Port], T]) -> Future[T]:
+        """Run a job that takes long on a thread of its own: the worker's go on meanwhile."""
+        future: Future[T] = Future()
+        background(f"tui-{label}", self._run, future, label, job, time.monotonic())
+        return future
+
     @property
     def port(self) -> Port | None:
         """The open port, None where there is none."""
@@ -302,21 +308,23 @@ class Session:
             item = self._jobs.get()
             if item is None or self._closing.is_set():
                 return
-            future, label, job, asked = item
-            port = self._port
-            try:
-                if port is None:
-                    raise LinkError("there is no link to a target; connect with Ctrl+O")
-                if asked < self.stops.heard:
-                    raise Refused("not done, since STOP came after it was asked: ask again")
-                future.set_result(job(port))
-            except ZendspError as error:
-                self.events.add(f"{label}: {error}", "error")
-                future.set_exception(error)
-            except Exception as error:
-                self.events.add(f"{label}: {type(error).__name__}: {error}", "error")
-                future.set_exception(error)
-            self._wake.set()
+            self._run(*item)
+
+    def _run(
+        self, future: Future[T], label: str, job: Callable[[Port], T], asked: float
+    ) -> None:
+        try:
+            port = self.require()
+            if asked < self.stops.heard:
+                raise Refused("not done, since STOP came after it was asked: ask again")
+            future.set_result(job(port))
+        except ZendspError as error:
+            self.events.add(f"{label}: {error}", "error")
+            future.set_exception(error)
+        except Exception as error:
+            self.events.add(f"{label}: {type(error).__name__}: {error}", "error")
+            future.set_exception(error)
+        self._wake.set()
 
 
 def _close_quietly(port: Port) -> None:

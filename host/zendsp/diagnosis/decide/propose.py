@@ -31,6 +31,7 @@ SECONDS = 10.0
 ROUND_S = 0.1
 WEAK = 0.8  # confidence below which a finding is to be confirmed
 COUNTS = 8  # of the sensor that a proposed motion spans at least
+OTHER = "a multisine over the whole range"  # where no rival is known
 SEPARATES = 20.0  # deviance by which it tells two hypotheses apart at least
 
 
@@ -71,7 +72,7 @@ def motions(
         t < SECONDS / 2, np.sin(2 * np.pi * 0.2 * t), np.sin(2 * np.pi * 0.8 * (t - SECONDS / 2))
     )
     return {
-        "a multisine over the whole range": limited(np.asarray(multisine), reach, 1.2 * top),
+        OTHER: limited(np.asarray(multisine), reach, 1.2 * top),
         "a slow multisine with many reversals": limited(np.asarray(slow), 0.6 * reach, 0.25 * top),
         "slow triangles over the whole range": limited(triangle, reach, 0.3 * top),
         "small slow reversals": limited(np.sin(2 * np.pi * 0.5 * t), 0.05 * reach, 0.05 * top),
@@ -97,7 +98,7 @@ def propose(
     """
     open_ones = [f for f in findings if f.indistinguishable]
     if not open_ones:
-        return _without_rival(findings, decisions)
+        return _without_rival(train[0], given, searches, findings, decisions, seed)
     finding = open_ones[0]
     search = searches[finding.joint - 1]
     rival = _rival(search, finding)
@@ -118,28 +119,43 @@ def propose(
             f" {names}: there they are the same torque.",
         )
     name, motion, gain = best
-    q = np.tile(
-        np.array([np.mean(train[0].position[:, j]) for j in range(given.joints)]), (len(motion), 1)
-    )
-    q[:, finding.joint - 1] = motion
-    text = (
-        f"To tell {finding.effect} from {names} at joint {finding.joint}, record {name}"
-        f" ({SECONDS:.0f} s, {motion.min():.3g} … {motion.max():.3g}"
-        f" {'m' if given.joint_kind(finding.joint) == 'linear' else 'rad'}): if {finding.effect} is"
-        f" true, {rival.effect} will be {gain / 2:.0f} units of log-likelihood less likely."
-    )
-    return Next(text, (q, train[0].sample_time))
+    return _played(
+        train[0], given, finding.joint, motion,
+        f"To tell {finding.effect} from {names} at joint {finding.joint}, record {name} ({{}}): if"
+        f" {finding.effect} is true, {rival.effect} will be {gain / 2:.0f} units of log-likelihood"
+        " less likely.",
+    )  # fmt: skip
+
+
+def _played(signals: Signals, given: Model, joint: int, motion: Array, text: str) -> Next:
+    """A motion of one joint while the others stand, as a table that a program plays; none where
+    nothing commanded the recording.
+    """
+    q = np.tile(signals.position.mean(axis=0), (len(motion), 1))
+    q[:, joint - 1] = motion
+    unit = "m" if given.joint_kind(joint) == "linear" else "rad"
+    span = f"{SECONDS:.0f} s, {motion.min():.3g} … {motion.max():.3g} {unit}"
+    reference = (q, signals.sample_time) if np.any(signals.command) else None
+    return Next(text.format(span), reference)
 
 
 def _without_rival(
-    findings: Sequence[Finding], decisions: Sequence[Decision]
+    signals: Signals,
+    given: Model,
+    searches: Sequence[JointSearch],
+    findings: Sequence[Finding],
+    decisions: Sequence[Decision],
+    seed: int,
 ) -> Next | None:
     joint = next((d.joint for d in decisions if d.kind == "unexplained"), 0)
     if joint and not findings:
-        return Next(
+        record = searches[joint - 1].final.data.records[0][joint - 1]
+        motion = motions(record, _limits(given), np.random.default_rng(seed))[OTHER]
+        return _played(
+            signals, given, joint, motion,
             f"Record joint {joint} again through the same states in another order and at other"
-            " speeds: what repeats with the state is physics.",
-        )
+            f" speeds, as {OTHER} does ({{}}): what repeats with the state is physics.",
+        )  # fmt: skip
     weak = [
         f for f in findings if f.confidence < WEAK and f.effect not in ("disturbance", "unknown")
     ]
@@ -166,11 +182,10 @@ def _best_motion(
     inertia = mean_inertia(record, search.final.model)
     gain = abs(per_joint(given.actuator.gain, joint, 1.0)) or 1.0
     speed = 2 * np.pi * 4.0
-    limits = given.limits.get("position", (-np.inf, np.inf))
     best: tuple[str, Array, float] | None = None
     truth = next(step.chosen.scored.model for step in search.steps if rival in step.rivals)
     for name, motion in motions(
-        record, (float(limits[0]), float(limits[1])), np.random.default_rng(seed)
+        record, _limits(given), np.random.default_rng(seed)
     ).items():
         resolution = record.measurement.resolution
         loop = simulate_joint_loop(
@@ -194,6 +209,11 @@ def _best_motion(
         if best is None or value > best[2]:
             best = (name, motion, value)
     return best if best is not None and best[2] > SEPARATES else None
+
+
+def _limits(given: Model) -> tuple[float, float]:
+    low, high = given.limits.get("position", (-np.inf, np.inf))
+    return float(low), float(high)
 
 
 def _separation(

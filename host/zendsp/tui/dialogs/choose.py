@@ -103,7 +103,10 @@ class Choose(Dialog[list[str]]):
 
     @on(Input.Submitted)
     def _to_list(self) -> None:
-        self.query_one(OptionList).focus()
+        rows = self.query_one(OptionList)
+        rows.focus()
+        if not self._several:
+            rows.action_select()
 
     def on_key(self, event: events.Key) -> None:
         rows = self.query_one(OptionList)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from rich.console import Console, ConsoleOptions, RenderResult
 from rich.text import Text
 
 from zendsp.diagnosis.decide.contract import FindingReport, Report
@@ -14,6 +15,7 @@ from zendsp.tui.diagnoses import Diagnosed
 from zendsp_protocol.texts import counted
 
 LOOP = "loop"  # key of the line about the compensation
+LABEL = 7  # columns of a line's label
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,20 @@ class Entry:
     text: Text
     chart: Chart | None = None
     words: str = ""
+
+
+@dataclass(frozen=True)
+class Hanging:
+    """A line of the list: what wraps goes on beside the label, not under it."""
+
+    text: Text
+
+    def __str__(self) -> str:
+        return self.text.plain
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        lines = self.text[LABEL:].wrap(console, max(1, options.max_width - LABEL))
+        yield Text.assemble(self.text[:LABEL], Text("\n" + " " * LABEL).join(lines))
 
 
 def headline(report: Report) -> str:
@@ -46,7 +62,8 @@ def entries(d: Diagnosed, theme: Mapping[str, str]) -> list[Entry]:
     r, charts = d.report, d.charts
     out = [_finding(k, f, charts, theme) for k, f in enumerate(r["findings"])]
     if r["unexplained"]:
-        out.append(Entry("unexplained", Text(r["unexplained"], theme["warning"])))
+        line = Text("left".ljust(LABEL) + r["unexplained"], theme["warning"])
+        out.append(Entry("unexplained", line))
     out += _errors(r, charts)
     for c in _of("where", charts):
         out.append(Entry(c.name, _plain("where", f"{c.caption}, over time"), c, _where(r)))
@@ -63,7 +80,7 @@ def entries(d: Diagnosed, theme: Mapping[str, str]) -> list[Entry]:
 
 
 def _plain(label: str, text: str) -> Text:
-    return Text(f"{label:<7}", "dim").append(text, "not dim")
+    return Text(label.ljust(LABEL), "dim").append(text, "not dim")
 
 
 def _of(section: str, charts: Sequence[Chart]) -> list[Chart]:
@@ -73,7 +90,7 @@ def _of(section: str, charts: Sequence[Chart]) -> list[Chart]:
 
 
 def _finding(k: int, f: FindingReport, charts: Sequence[Chart], theme: Mapping[str, str]) -> Entry:
-    text = Text(f"{100 * f['confidence']:3.0f} %  ", f"bold {theme['success']}")
+    text = Text(f"{100 * f['confidence']:3.0f} %".ljust(LABEL), f"bold {theme['success']}")
     text.append(f["sentence"], "bold")
     words = [f["sentence"], ""]
     words += [

@@ -148,9 +148,15 @@ class LabScreen(Screen[None]):
             self.lab.toast(text, level)
 
     def ask(
-        self, label: str, job: Callable[[Port], T], then: Callable[[T], Any] | None = None
+        self,
+        label: str,
+        job: Callable[[Port], T],
+        then: Callable[[T], Any] | None = None,
+        by: Callable[[str, Callable[[Port], T]], Future[T]] | None = None,
     ) -> Future[T]:
-        """Run a job against the target, off this thread; then show its result, or why it failed."""
+        """Run a job against the target, off this thread, by the session's worker unless told; then
+        show its result, or why it failed.
+        """
 
         def done(future: Future[T]) -> None:
             error = future.exception()
@@ -159,7 +165,7 @@ class LabScreen(Screen[None]):
             elif then is not None:
                 self.app.call_later(then, future.result())
 
-        future = self.lab.session.do(label, job)
+        future = (by or self.lab.session.do)(label, job)
         future.add_done_callback(done)
         return future
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
-from zendsp.errors import ZendspError
+from zendsp.errors import Incomplete, RunnerDied, ZendspError
 from zendsp.tui.dialogs import Choose, Field, Form, Option
 from zendsp.tui.dialogs.source import SourceView
 from zendsp.tui.port import Build, Port, Shot
@@ -43,6 +44,7 @@ class ProgramActions(LabScreen):
     def __init__(self) -> None:
         super().__init__()
         self.remarks: tuple[Diagnostic, ...] = ()
+        self._recording: Future[str] | None = None
 
     # -- the sequence
 
@@ -178,7 +180,10 @@ class ProgramActions(LabScreen):
         return []
 
     def action_record(self) -> None:
-        """Record the curves for some seconds."""
+        """Record the curves for some seconds, or end that."""
+        if self._recording is not None and not self._recording.done():
+            self.ask("record", lambda port: port.end_acquisition())
+            return
         names = self.curve_names()
         if not names:
             self.say("choose curves first (c): what the scope shows is recorded", "warning")
@@ -198,9 +203,15 @@ class ProgramActions(LabScreen):
         sources = self.lab.source_texts()
 
         def job(port: Port) -> str:
-            recording = port.acquire(shot, str(answer["note"]))
+            note, why = str(answer["note"]), ""
+            try:
+                recording = port.acquire(shot, note)
+            except (Incomplete, RunnerDied) as error:  # what there is, is kept
+                recording, why = port.load(note), f"; {error}"
             run = store_run(folder, str(answer["name"]), recording, sources=sources)
-            return f"{len(recording)} rows, {recording.lost} lost, kept as {run.folder.name}"
+            return f"{len(recording)} rows, {recording.lost} lost, kept as {run.folder.name}{why}"
 
-        self.say(f"recording {shot.seconds:g} s of {counted(len(names), 'curve')} …")
-        self.ask("record", job, lambda text: self.say(str(text), "good"))
+        self.say(f"recording {shot.seconds:g} s of {counted(len(names), 'curve')}; r ends it …")
+        self._recording = self.ask(
+            "record", job, lambda text: self.say(text, "good"), by=self.lab.session.do_beside
+        )

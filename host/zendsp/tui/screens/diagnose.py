@@ -23,7 +23,7 @@ from zendsp.tui.diagnoses import Diagnosed, begin, keep, list_diagnoses, recordi
 from zendsp.tui.dialogs import Choose, Field, Form
 from zendsp.tui.dialogs import Option as Line
 from zendsp.tui.panels.figure import FigureView
-from zendsp.tui.panels.findings import LOOP, entries, headline
+from zendsp.tui.panels.findings import LOOP, Hanging, entries, headline
 from zendsp.tui.panels.table import ListTable
 from zendsp.tui.runs import DATA, Outcome, Run, list_runs
 from zendsp.tui.scope import Scope
@@ -354,7 +354,7 @@ class DiagnoseScreen(LoopActions):
         self.entries = [*entries(d, theme), self.loop_entry(d)]
         lines = self.query_one("#findings", OptionList)
         lines.clear_options()
-        lines.add_options([Option(e.text, id=e.key) for e in self.entries])
+        lines.add_options([Option(Hanging(e.text), id=e.key) for e in self.entries])
         lines.highlighted = 0
         lines.focus()
 

@@ -27,7 +27,7 @@ from zendsp.tui.compensating import (
 )
 from zendsp.tui.diagnoses import Diagnosed, compare
 from zendsp.tui.dialogs import Field, Form, Message, not_empty
-from zendsp.tui.panels.findings import LOOP, Entry
+from zendsp.tui.panels.findings import LABEL, LOOP, Entry, Hanging
 from zendsp.tui.play_job import usual_channels
 from zendsp.tui.port import Build, Port
 from zendsp.tui.scope import Channel, History, Scope
@@ -75,7 +75,7 @@ class LoopActions(LabScreen):
         return Entry(LOOP, self._line(self.lab.session.snapshot))
 
     def _line(self, s: Snapshot) -> Text:
-        text = Text(f"{'loop':<7}", "dim")
+        text = Text("loop".ljust(LABEL), "dim")
         text.append(self._standing(s)[1], "not dim")
         return text
 
@@ -107,7 +107,7 @@ class LoopActions(LabScreen):
         if state != self._state:
             self._state = state
             lines = self.query_one("#findings", OptionList)
-            lines.replace_option_prompt(LOOP, self._line(s))
+            lines.replace_option_prompt(LOOP, Hanging(self._line(s)))
         if self.query_one("#loop").display:
             self.query_one("#loop-words", Static).update(self._figures(state))
 

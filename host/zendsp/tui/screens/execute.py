@@ -30,6 +30,7 @@ from zendsp.tui.preflight import Condition, machine_of, preflight
 from zendsp.tui.preview import curves_of, limits_of, views_of
 from zendsp.tui.runs import Outcome
 from zendsp.tui.scope import Channel, Scope
+from zendsp.tui.screens.analysis import existing
 from zendsp.tui.screens.console_program import positive, whole
 from zendsp.tui.screens.console_scope import percent, real
 from zendsp.tui.screens.execute_measure import MeasureActions
@@ -314,26 +315,21 @@ class ExecuteScreen(MeasureActions):
 
     def action_choose(self) -> None:
         """Choose references."""
-        files = self.lab.workspace.saved_references()
-        if not files:
-            self.say(
-                f"no planned reference in {self.lab.workspace.references}: plan one on Reference"
-                " (F4)",
-                "warning",
-            )
-            return
-        options = [Option(str(p), p.stem) for p in files]
+        options = [Option(str(p), p.stem) for p in self.lab.workspace.saved_references()]
+        options.append(Option("", "another file …", "its path is asked for"))
         marked = [str(p) for p in self.files]
+        title = "References, played in the order of marking"
+        text = f"Reference (F4) saves them in {self.lab.workspace.references}"
         self.app.push_screen(
-            Choose(
-                "References, played in the order of marking", options, several=True, marked=marked
-            ),
-            self._chosen,
+            Choose(title, options, several=True, marked=marked, text=text), self._chosen
         )
 
     def _chosen(self, keys: Sequence[str] | None) -> None:
-        if keys is not None:
+        if keys is not None and "" not in keys:
             self.lab.chosen = tuple(Path(k) for k in keys)
+        elif keys:
+            form = Form("Reference", [Field("path", "File", "", check=existing)])
+            self.app.push_screen(form, lambda r: self._chosen([r["path"]]) if r else None)
 
     def action_cyclic(self) -> None:
         """Ask how often."""
