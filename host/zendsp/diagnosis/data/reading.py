@@ -30,6 +30,7 @@ from zendsp.diagnosis.data.sampling import (
     resample,
     resample_held,
     resolution_of,
+    turned_on,
 )
 from zendsp.diagnosis.data.sensors import SENSED, judged, read_sensed
 from zendsp.diagnosis.data.signals import MIN_SAMPLES, Signals
@@ -69,6 +70,10 @@ def read_signals(source: str | Path | Recording | Table, model: Model) -> Signal
         notes.append(f"{name}: [columns] names no command: the motion is taken as driven by none")
     if repeated:
         notes.append(f"{name}: {repeated} rows repeat the row before, its time included; left out")
+    turns = np.array([model.joint_kind(j + 1) == "rotary" for j in range(joints)])
+    position, reference, on = turned_on(position, reference, turns)
+    for column in (column_name(columns["position"], j) for j in on):
+        notes.append(f"{name}: {column!r} begins anew at a full turn; the turns are put together")
     resolution = np.array(
         [resolution_of(name, columns, j, position, command, model, notes) for j in range(joints)]
     )

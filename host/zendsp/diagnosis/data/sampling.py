@@ -21,6 +21,7 @@ TARGET_RATE = 1000.0  # Hz: faster recordings are averaged down to about this
 BUDGET = 150_000
 SLOWEST_RATE = 250.0  # Hz
 
+TURN = 2 * np.pi  # rad
 REPEATED_COUNTS = 4.0  # of the sensor: a step that a logger's repeated row may have left out
 SLOWEST_CLOCK = 0.1  # s between samples
 STATED = 0.2  # of the stated sample time: further off, the unit is another
@@ -33,6 +34,22 @@ LATTICE = (0.02, 300)
 OFF, ON = 0.05, 0.95  # of a count off a whole one at most, in so many of the steps
 STEPS = 10  # that must be there to tell
 MANY = 1.5  # times TARGET_RATE: above, means of counts are better than one of them
+
+
+def turned_on(
+    position: Array, reference: Array | None, turns: npt.NDArray[np.bool_]
+) -> tuple[Array, Array | None, list[int]]:
+    """Positions and references (n, joints) with the turns of a sensor that begins anew at each of
+    them put together; and the joints (from 0), of those that may turn on, where it did.
+    """
+    span, step = np.ptp(position, axis=0), np.abs(np.diff(position, axis=0)).max(axis=0)
+    found = turns & (span < TURN * (1 + UNITS)) & (step > 0.5 * TURN)
+    out = np.where(found, np.unwrap(position, axis=0), position)
+    if reference is not None:
+        beside = np.unwrap(reference, axis=0)
+        beside += TURN * np.round((position - reference)[0] / TURN)
+        reference = np.where(found, beside, reference)
+    return out, reference, np.flatnonzero(found).tolist()
 
 
 def read_anew(position: Array, resolution: Array) -> tuple[Array, int]:
