@@ -22,6 +22,7 @@ from zendsp.diagnosis.data.columns import (
     without_repeats,
 )
 from zendsp.diagnosis.data.sampling import (
+    between_rows,
     clock,
     decimated,
     left_by_lines,
@@ -94,7 +95,8 @@ def read_signals(source: str | Path | Recording | Table, model: Model) -> Signal
         origin=float(time[0]),
     )  # fmt: skip
     signals, said = _of_joints(read, model)
-    signals = decimated(replace(signals, notes=(*done, *notes, *said)))
+    signals = replace(signals, notes=(*done, *notes, *said))
+    signals = decimated(between_rows(signals, model.actuator.hold or sample_time))
     if grid is None or signals.raw is not None:  # of means, neighbours share no row
         return signals
     return _as_noisy_as_read(signals, left_by_lines(grid, stamps))

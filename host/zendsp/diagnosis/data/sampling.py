@@ -27,6 +27,7 @@ SLOWEST_CLOCK = 0.1  # s between samples
 STATED = 0.2  # of the stated sample time: further off, the unit is another
 EXACT, ROUNDED = 1e-3, 0.05  # of it: mean and median so near are it, printed with few digits
 JITTER = 0.02  # of the sample time: below, stamps are as good as even
+UNSEEN = 0.05  # of the time between rows: less is the rounding of stamps
 GAP = 50  # samples, and SLOWEST_CLOCK at least
 UNITS = 0.02  # of a factor between units
 # steps in counts that tell a lattice: below it is rounding, far above the digits printed do not do
@@ -221,6 +222,25 @@ def resample_held(grid: Array, time: Array, values: Array) -> Array:
         sums = np.concatenate([[0.0], np.cumsum(column * np.diff(ends))])
         out.append(np.diff(np.interp(edges, ends, sums)) / period)
     return np.stack(out, axis=1)
+
+
+def between_rows(s: Signals, hold: float) -> Signals:
+    """A recording whose command is held for a part of the time between rows only: they hold samples
+    of a faster loop. Its mean until the next row lies on the line to it, and what is white in the
+    column is beside that line another at each step of the loop.
+    """
+    unseen = 1.0 - hold / s.sample_time
+    if unseen < UNSEEN:
+        return s
+    white = np.mean(np.diff(s.command, 4, axis=0) ** 2, axis=0) / FOURTH
+    command = s.command.copy()
+    command[:-1] += 0.5 * unseen * np.diff(s.command, axis=0)
+    note = (
+        f"{s.name}: the command is held for {hold:.4g} s ([actuator] hold) of the"
+        f" {s.sample_time:.4g} s from row to row; in between, lines stand"
+    )
+    beside = np.sqrt(white * unseen * (1.0 - 0.5 * unseen))
+    return replace(s, command=command, between=beside, notes=(*s.notes, note))
 
 
 def decimated(signals: Signals) -> Signals:
