@@ -24,6 +24,7 @@ SLOWEST_RATE = 250.0  # Hz
 TURN = 2 * np.pi  # rad
 REPEATED_COUNTS = 4.0  # of the sensor: a step that a logger's repeated row may have left out
 SLOWEST_CLOCK = 0.1  # s between samples
+UNIT = 50  # a factor between sample times above: seconds, milliseconds, minutes
 STATED = 0.2  # of the stated sample time: further off, the unit is another
 EXACT, ROUNDED = 1e-3, 0.05  # of it: mean and median so near are it, printed with few digits
 JITTER = 0.02  # of the sample time: below, stamps are as good as even
@@ -72,6 +73,16 @@ def read_anew(position: Array, resolution: Array) -> tuple[Array, int]:
     return out, count
 
 
+def _of_another_rate(name: str, period: float, stated: float) -> RecordingError:
+    what = "recordings of another rate need a model file, and a diagnosis, of their own"
+    if max(period / stated, stated / period) > UNIT:
+        what = "check the unit of the time column"
+    return RecordingError(
+        f"{name}: samples are {period:.6g} s apart, the model says sample_time = {stated:.6g} s:"
+        f" {what}"
+    )
+
+
 def clock(
     name: str, get: Getter, columns: Columns, model: Model, n: int
 ) -> tuple[Array, float, list[str], Array | None]:
@@ -102,10 +113,7 @@ def clock(
             f" the time column {columns['time']!r} in seconds?"
         )
     if model.sample_time and abs(period / model.sample_time - 1) > STATED:
-        raise RecordingError(
-            f"{name}: samples are {period:.6g} s apart, the model says sample_time ="
-            f" {model.sample_time:.6g} s: check the unit of the time column"
-        )
+        raise _of_another_rate(name, period, model.sample_time)
     if (
         model.sample_time
         and abs(np.mean(step) / model.sample_time - 1) < EXACT
