@@ -184,7 +184,10 @@ def test_sample_time_that_contradicts_the_clock_is_refused(
     wrong = reality.model_file(
         tmp_path / "model.toml", 1000.0, reality.effect("viscous", coefficient=0.004)
     )
-    assert "sample_time" in refuse(reality.save(tmp_path / "run.csv", good), "--model", wrong)
+    said = refuse(reality.save(tmp_path / "run.csv", good), "--model", wrong)
+    assert "sample_time" in said and "of another rate" in said and "unit" not in said
+    thousandfold = reality.save(tmp_path / "ms.csv", {**good, "t": good["t"] / 1000.0})
+    assert "check the unit" in refuse(thousandfold, "--model", wrong)
 
 
 def test_a_recording_without_a_clock_needs_the_model_to_state_one(

@@ -137,6 +137,31 @@ def test_numbers_fitted_to_slow_motion_that_are_off_in_a_fast_one_are_no_missing
     assert lacking.verdict != "complete"
 
 
+def test_what_a_faster_loop_does_between_rows_is_no_missing_physics(tmp_path: Path) -> None:
+    """Its command is the finer for it, and shows no more than it has to."""
+
+    def verdict(machine: reality.Machine, model: Path) -> Diagnosis:
+        runs = []
+        for seed in (1, 2):
+            run = reality.simulate(machine, reality.multisine(12.0, RATE, seed), RATE, seed)
+            every = {name: column[::5] for name, column in run.items()}
+            runs.append(reality.save(tmp_path / f"{seed}.csv", every))
+        return diagnose(runs[0], model, runs[1])
+
+    counts = 2 * np.pi / 8192
+    held = reality.model_file(tmp_path / "held.toml", RATE / 5, *KNOWN, resolution=counts)
+    faster = tmp_path / "faster.toml"
+    faster.write_text(held.read_text().replace("hold = 0.01", f"hold = {1 / RATE}"))
+    machine = reality.Machine(resolution=counts)
+    taken_as_held = verdict(machine, held)
+    assert taken_as_held.verdict == "unexplained"
+    assert "[actuator] hold" in taken_as_held.unexplained
+    d = verdict(machine, faster)
+    assert d.verdict == "complete"
+    assert sum("in between, lines stand" in note for note in d.notes) == 2
+    assert verdict(replace(machine, wave=0.06), faster).verdict != "complete"
+
+
 def test_what_acts_surely_and_drowns_in_what_stays_unexplained_is_not_complete(
     decided: Decided, monkeypatch: pytest.MonkeyPatch
 ) -> None:

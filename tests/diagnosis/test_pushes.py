@@ -140,7 +140,18 @@ def test_what_comes_often_or_explains_little_or_is_another_load_is_no_push(
     assert (outcome is not None and outcome.kind == "disturbance") == pushed
 
 
-def test_a_recording_with_another_load_is_said_to_be_one(decided: Decided) -> None:
-    d = decided(reality.Machine(), reality.Machine(inertia=0.014))
+@pytest.mark.parametrize(
+    "other",
+    [
+        reality.Machine(inertia=0.014),
+        # little enough that numbers between the two leave 2 % of the torque in each
+        reality.Machine(inertia=0.0107),
+        reality.Machine(coulomb=0.042),
+    ],
+)
+def test_a_recording_with_another_load_is_said_to_be_one(
+    other: reality.Machine, decided: Decided
+) -> None:
+    d = decided(reality.Machine(), other)
     assert d.verdict == "unexplained" and not d.findings
     assert any("numbers of its own explain" in note for note in d.notes)

@@ -138,6 +138,26 @@ def test_rows_that_repeat_the_row_before_are_left_out_and_said(
     assert any("3 rows repeat the row before" in n for n in signals.notes)
 
 
+def test_an_angle_that_begins_anew_at_a_full_turn_turns_on_and_this_is_said(
+    good: Columns, model: Path, tmp_path: Path
+) -> None:
+    given = kernel_model(load_model(model))
+    true = read_signals(reality.save(tmp_path / "good.csv", good), given)
+    turn = 2 * np.pi
+    on = turn - 3 * reality.RESOLUTION - good["q"].max()  # rad, and so the sensor begins anew
+    again = {**good, "q": (good["q"] + on + 0.5) % turn, "r": good["r"] + on + 0.5}
+    wrapped = read_signals(reality.save(tmp_path / "wrapped.csv", again), given)
+    assert np.ptp(again["q"]) > np.ptp(good["q"]) + 1.0
+    moved = wrapped.position[:, 0] - true.position[:, 0]
+    assert np.ptp(moved) < 1.01 * reality.RESOLUTION
+    assert wrapped.reference is not None and true.reference is not None
+    away = wrapped.reference[:, 0] - wrapped.position[:, 0]
+    np.testing.assert_allclose(
+        away, true.reference[:, 0] - true.position[:, 0], atol=1.01 * reality.RESOLUTION
+    )
+    assert any("begins anew at a full turn" in n for n in wrapped.notes), wrapped.notes
+
+
 def test_a_position_that_was_not_read_anew_is_no_motion_and_said(
     good: Columns, model: Path, tmp_path: Path
 ) -> None:

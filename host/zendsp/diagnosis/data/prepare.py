@@ -93,6 +93,7 @@ def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
             slides=model.joint_kind(j + 1) == "linear",
             columns=joint_columns(s, j),
             recording=s.whole or s.name,
+            between=_between(s, model, j),
         )
         for j, (measurement, motion) in enumerate(smoothed)
     )
@@ -110,6 +111,14 @@ def _motion(s: Signals, model: Model, j: int) -> tuple[Measurement, Motion]:
     torque = per_joint(model.actuator.gain, j + 1, 1.0) * s.command[:, j]
     inertia = _guess_inertia(model, j + 1, s, torque)
     return measurement, smooth(measurement, s.sample_time, torque / inertia)
+
+
+def _between(s: Signals, model: Model, j: int) -> float:
+    """RMS torque (N m or N) of a joint (from 0) that no row says."""
+    if s.between is None:
+        return 0.0
+    mean_of = s.sample_time / s.raw.sample_time if s.raw else 1.0
+    return abs(per_joint(model.actuator.gain, j + 1, 1.0)) * float(s.between[j] / np.sqrt(mean_of))
 
 
 def _scale(

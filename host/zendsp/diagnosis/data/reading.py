@@ -22,6 +22,7 @@ from zendsp.diagnosis.data.columns import (
     without_repeats,
 )
 from zendsp.diagnosis.data.sampling import (
+    between_rows,
     clock,
     decimated,
     left_by_lines,
@@ -30,6 +31,7 @@ from zendsp.diagnosis.data.sampling import (
     resample,
     resample_held,
     resolution_of,
+    turned_on,
 )
 from zendsp.diagnosis.data.sensors import SENSED, judged, read_sensed
 from zendsp.diagnosis.data.signals import MIN_SAMPLES, Signals
@@ -70,6 +72,10 @@ def read_signals(source: Source, model: Model) -> Signals:
         notes.append(f"{name}: [columns] names no command: the motion is taken as driven by none")
     if repeated:
         notes.append(f"{name}: {repeated} rows repeat the row before, its time included; left out")
+    turns = np.array([model.joint_kind(j + 1) == "rotary" for j in range(joints)])
+    position, reference, on = turned_on(position, reference, turns)
+    for column in (column_name(columns["position"], j) for j in on):
+        notes.append(f"{name}: {column!r} begins anew at a full turn; the turns are put together")
     resolution = np.array(
         [resolution_of(name, columns, j, position, command, model, notes) for j in range(joints)]
     )
@@ -90,7 +96,8 @@ def read_signals(source: Source, model: Model) -> Signals:
         origin=float(time[0]),
     )  # fmt: skip
     signals, said = _of_joints(read, model)
-    signals = decimated(replace(signals, notes=(*done, *notes, *said)))
+    signals = replace(signals, notes=(*done, *notes, *said))
+    signals = decimated(between_rows(signals, model.actuator.hold or sample_time))
     if grid is None or signals.raw is not None:  # of means, neighbours share no row
         return signals
     return _as_noisy_as_read(signals, left_by_lines(grid, stamps))

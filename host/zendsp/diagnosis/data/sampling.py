@@ -21,11 +21,14 @@ TARGET_RATE = 1000.0  # Hz: faster recordings are averaged down to about this
 BUDGET = 150_000
 SLOWEST_RATE = 250.0  # Hz
 
+TURN = 2 * np.pi  # rad
 REPEATED_COUNTS = 4.0  # of the sensor: a step that a logger's repeated row may have left out
 SLOWEST_CLOCK = 0.1  # s between samples
+UNIT = 50  # a factor between sample times above: seconds, milliseconds, minutes
 STATED = 0.2  # of the stated sample time: further off, the unit is another
 EXACT, ROUNDED = 1e-3, 0.05  # of it: mean and median so near are it, printed with few digits
 JITTER = 0.02  # of the sample time: below, stamps are as good as even
+UNSEEN = 0.05  # of the time between rows: less is the rounding of stamps
 GAP = 50  # samples, and SLOWEST_CLOCK at least
 UNITS = 0.02  # of a factor between units
 # steps in counts that tell a lattice: below it is rounding, far above the digits printed do not do
@@ -33,6 +36,22 @@ LATTICE = (0.02, 300)
 OFF, ON = 0.05, 0.95  # of a count off a whole one at most, in so many of the steps
 STEPS = 10  # that must be there to tell
 MANY = 1.5  # times TARGET_RATE: above, means of counts are better than one of them
+
+
+def turned_on(
+    position: Array, reference: Array | None, turns: npt.NDArray[np.bool_]
+) -> tuple[Array, Array | None, list[int]]:
+    """Positions and references (n, joints) with the turns of a sensor that begins anew at each of
+    them put together; and the joints (from 0), of those that may turn on, where it did.
+    """
+    span, step = np.ptp(position, axis=0), np.abs(np.diff(position, axis=0)).max(axis=0)
+    found = turns & (span < TURN * (1 + UNITS)) & (step > 0.5 * TURN)
+    out = np.where(found, np.unwrap(position, axis=0), position)
+    if reference is not None:
+        beside = np.unwrap(reference, axis=0)
+        beside += TURN * np.round((position - reference)[0] / TURN)
+        reference = np.where(found, beside, reference)
+    return out, reference, np.flatnonzero(found).tolist()
 
 
 def read_anew(position: Array, resolution: Array) -> tuple[Array, int]:
@@ -52,6 +71,16 @@ def read_anew(position: Array, resolution: Array) -> tuple[Array, int]:
         out[rows, j] = 0.5 * (position[rows - 1, j] + position[rows + 1, j])
         count += len(rows)
     return out, count
+
+
+def _of_another_rate(name: str, period: float, stated: float) -> RecordingError:
+    what = "recordings of another rate need a model file, and a diagnosis, of their own"
+    if max(period / stated, stated / period) > UNIT:
+        what = "check the unit of the time column"
+    return RecordingError(
+        f"{name}: samples are {period:.6g} s apart, the model says sample_time = {stated:.6g} s:"
+        f" {what}"
+    )
 
 
 def clock(
@@ -84,10 +113,7 @@ def clock(
             f" the time column {columns['time']!r} in seconds?"
         )
     if model.sample_time and abs(period / model.sample_time - 1) > STATED:
-        raise RecordingError(
-            f"{name}: samples are {period:.6g} s apart, the model says sample_time ="
-            f" {model.sample_time:.6g} s: check the unit of the time column"
-        )
+        raise _of_another_rate(name, period, model.sample_time)
     if (
         model.sample_time
         and abs(np.mean(step) / model.sample_time - 1) < EXACT
@@ -204,6 +230,25 @@ def resample_held(grid: Array, time: Array, values: Array) -> Array:
         sums = np.concatenate([[0.0], np.cumsum(column * np.diff(ends))])
         out.append(np.diff(np.interp(edges, ends, sums)) / period)
     return np.stack(out, axis=1)
+
+
+def between_rows(s: Signals, hold: float) -> Signals:
+    """A recording whose command is held for a part of the time between rows only: they hold samples
+    of a faster loop. Its mean until the next row lies on the line to it, and what is white in the
+    column is beside that line another at each step of the loop.
+    """
+    unseen = 1.0 - hold / s.sample_time
+    if unseen < UNSEEN:
+        return s
+    white = np.mean(np.diff(s.command, 4, axis=0) ** 2, axis=0) / FOURTH
+    command = s.command.copy()
+    command[:-1] += 0.5 * unseen * np.diff(s.command, axis=0)
+    note = (
+        f"{s.name}: the command is held for {hold:.4g} s ([actuator] hold) of the"
+        f" {s.sample_time:.4g} s from row to row; in between, lines stand"
+    )
+    beside = np.sqrt(white * unseen * (1.0 - 0.5 * unseen))
+    return replace(s, command=command, between=beside, notes=(*s.notes, note))
 
 
 def decimated(signals: Signals) -> Signals:

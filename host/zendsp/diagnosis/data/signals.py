@@ -36,6 +36,8 @@ class Signals:
     # (joints,): what a filter or averaging leaves of the quantiser's noise, however still a joint
     # stands
     least_noise: Array | None = None
+    # (joints,): RMS of what the command does beside the lines from row to row; None: it is held
+    between: Array | None = None
     whole: str = ""  # name of the recording that this is a part of; empty: it is no part
     origin: float = 0.0  # s: where the time of what changes with time begins, for all recordings
 

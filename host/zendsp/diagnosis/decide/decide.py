@@ -240,9 +240,17 @@ def _nothing_named(
     again = _asked(
         replace(out, base=whole, final=whole, before=size, after=size, state=state), parts, turning
     )
-    if again.kind != "complete":
+    if again.kind != "complete" or _contradicted(parts.fit, base, whole, joint):
         return asked
     return replace(out, final=whole, after=size, state=state)
+
+
+def _contradicted(fit: Data, base: Scored, whole: Scored, joint: int) -> bool:
+    """Whether the recordings of the fit surely lack more with the numbers fitted to all: then they
+    do determine them, and what has other numbers in other recordings is no physics.
+    """
+    own, others = (discrepancy(fit, s.model, joint) for s in (base, whole))
+    return others.low > own.high and beyond(others.value, own.value) > LAWFUL
 
 
 def _asked(out: Decision, parts: Parts, turning: bool) -> Decision:

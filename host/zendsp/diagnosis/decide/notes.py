@@ -113,6 +113,16 @@ def _hardly_moves(fit: Data, joint: int) -> str:
     )
 
 
+def _held(fit: Data, joint: int) -> str:
+    """What is said where commands are taken as held from row to row."""
+    if any(rec[joint - 1].between for rec in fit.records):
+        return ""
+    return (
+        " (if the rows are samples of a faster loop, say how long it holds a command: [actuator]"
+        " hold)"
+    )
+
+
 def left_over(decisions: Sequence[Decision], given: Model, fit: Data) -> str:
     """What nothing named explains, joint by joint, in words; empty where it is too little to
     matter.
@@ -137,7 +147,7 @@ def left_over(decisions: Sequence[Decision], given: Model, fit: Data) -> str:
             words.append(
                 f"Joint {d.joint}: a torque of {d.after.value * d.scale:.2g} {unit} RMS"
                 f" ({percent(d.after.value)} % of the torque) is missing that neither a known"
-                " effect nor any function of the joint's state predicts"
+                " effect nor any function of the joint's state predicts" + _held(fit, d.joint)
             )
         elif d.kind == "missing" and d.after.low > OF_STATE:
             words.append(

@@ -100,11 +100,17 @@ def kept(record: JointRecord, band: float) -> slice:
 
 
 def noise(record: JointRecord, model: Model, band: float) -> float:
-    """Mean square of the torque that the sensor's noise alone makes, (N m)² or N²."""
-    draws = np.random.default_rng(0).standard_normal((DRAWS, record.n))
-    draws *= np.sqrt(np.maximum(record.measurement.variance, 0.0))
-    seen = as_seen(record, model, band, draws, on_sensor=True)
-    return float(np.mean(seen[:, kept(record, band)] ** 2))
+    """Mean square of the torque that the sensor's noise alone makes, (N m)² or N²; and what the
+    command does between rows.
+    """
+    draws = np.random.default_rng(0).standard_normal((2, DRAWS, record.n))
+    draws[0] *= np.sqrt(np.maximum(record.measurement.variance, 0.0))
+    seen = as_seen(record, model, band, draws[0], on_sensor=True)
+    total = float(np.mean(seen[:, kept(record, band)] ** 2))
+    if record.between > 0.0:
+        seen = as_seen(record, model, band, record.between * draws[1])
+        total += float(np.mean(seen[:, kept(record, band)] ** 2))
+    return total
 
 
 def energy_blocks(

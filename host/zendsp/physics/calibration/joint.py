@@ -43,6 +43,7 @@ class JointRecord:
     columns: Mapping[str, Array] = field(default_factory=dict)
     recording: str = ""  # its name
     origin: float = 0.0  # s, of ``t0``'s clock: where the time of effects begins
+    between: float = 0.0  # N m or N, RMS: what a command does until the next row that no row says
     every: int = 1  # samples of the recording that one stands for, see ``thinned``
     _gains: dict[float, tuple[Array, Array, Array]] = field(default_factory=dict)
     _integral: Array | None = None
