@@ -82,6 +82,10 @@ def _repeated(c: Columns) -> None:
         c[name] = np.concatenate([c[name], c[name]])
 
 
+def _few_digits(c: Columns) -> None:
+    c["t"] = np.round(1.7e9 + c["t"], -1)  # of a calendar's stamp nine digits were printed
+
+
 def _shifted(c: Columns) -> None:
     c["u"] = np.roll(c["u"], len(c["u"]) // 3)
 
@@ -114,6 +118,7 @@ BAD: dict[str, tuple[Callable[[Columns], None], str]] = {
     "two runs glued": (_glued, "glued"),
     "the same run twice": (_repeated, "glued"),
     "command of another run": (_shifted, "different runs"),
+    "time in few digits": (_few_digits, "stands still at row 2, at 1700000000: is it written"),
     "time in milliseconds": (_scale(1000.0, "t"), "seconds"),
 }
 
@@ -184,7 +189,8 @@ def test_sample_time_that_contradicts_the_clock_is_refused(
     wrong = reality.model_file(
         tmp_path / "model.toml", 1000.0, reality.effect("viscous", coefficient=0.004)
     )
-    assert "sample_time" in refuse(reality.save(tmp_path / "run.csv", good), "--model", wrong)
+    refused = refuse(reality.save(tmp_path / "run.csv", good), "--model", wrong)
+    assert "unit of the time column" in refused and "leave sample_time out" in refused
 
 
 def test_a_recording_without_a_clock_needs_the_model_to_state_one(

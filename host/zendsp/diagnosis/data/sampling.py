@@ -73,9 +73,15 @@ def clock(
     step = np.diff(time)
     if (step <= 0).any():
         row = int(np.argmax(step <= 0)) + 2
+        if not (step < 0).any():
+            raise RecordingError(
+                f"{name}: time column {columns['time']!r} stands still at row {row}, at"
+                f" {time[row - 1]:.12g}: is it written with too few digits, or are rows there"
+                " twice?"
+            )
         raise RecordingError(
-            f"{name}: time runs backwards or stands still at row {row}: are two runs glued"
-            " together? Give them as two files"
+            f"{name}: time runs backwards at row {row}: are two runs glued together?"
+            " Give them as two files"
         )
     period = float(np.median(step))
     if period > SLOWEST_CLOCK:
@@ -86,7 +92,8 @@ def clock(
     if model.sample_time and abs(period / model.sample_time - 1) > STATED:
         raise RecordingError(
             f"{name}: samples are {period:.6g} s apart, the model says sample_time ="
-            f" {model.sample_time:.6g} s: check the unit of the time column"
+            f" {model.sample_time:.6g} s: check the unit of the time column (of recordings"
+            " at several rates leave sample_time out)"
         )
     if (
         model.sample_time
