@@ -29,6 +29,7 @@ from zendsp.diagnosis.measure.likelihood import (
     informative,
 )
 from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, Structure, structure
+from zendsp.diagnosis.measure.where import mismatch
 from zendsp.diagnosis.search import rounds
 from zendsp.diagnosis.search.candidates import as_given, simulated
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival, Step
@@ -102,6 +103,17 @@ def test_a_hysteresis_of_a_force_that_no_motion_reaches_is_a_spring() -> None:
     assert {t.effect for t in found.model.terms} == {"viscous", "stiffness"}
     spring = next(t for t in found.model.terms if t.effect == "stiffness")
     assert spring.value("coefficient") == pytest.approx(0.5, rel=0.01)
+
+
+def test_a_figure_shows_the_torque_that_lacks_in_full_beside_a_models_damping() -> None:
+    """A ninth of it was lost to the damping, so that a figure said less than its sentence."""
+    reference = reality.multisine(6.0, RATE, 3, size=1.2)
+    columns = reality.simulate(reality.Machine(viscous=0.05), reference, RATE)
+    model = model_of({**VISCOUS, "coefficient": 0.05})
+    (lacks,) = mismatch(data_of(columns, model), model, 1)
+    speed = lacks.variables["velocity"]
+    fast = np.abs(speed) > np.quantile(np.abs(speed), 0.5)
+    assert np.median(lacks.torque[fast] * np.sign(speed[fast])) == pytest.approx(0.03, rel=0.03)
 
 
 def test_a_gap_is_begun_from_the_given_inertia_where_calibration_moved_it() -> None:

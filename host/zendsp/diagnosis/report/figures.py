@@ -22,6 +22,7 @@ MOST_JOINTS = 7  # that get figures of their own
 FINE = 40  # repetitions over the travel: a pattern with more is a smear, not a curve
 FOLDED = 6  # repetitions over the travel: a pattern with more is drawn over one of them
 SLOW = 0.5  # of the observer's bandwidth: a pattern that passes faster is flatter in what it says
+HELD = 0.2  # of that speed: slower, dry friction may hold the joint
 ENOUGH = 1000  # samples of a curve
 JOINED = "time [s], one recording after the other"
 STAMPS = 1e6  # s: a time beyond is a calendar's stamp
@@ -223,12 +224,13 @@ def _period(finding: Finding) -> float:
 
 
 def _passing_slowly(lacks: list[Missing], period: float) -> list[Missing]:
-    """The samples in which a pattern passes so slowly that what is lacking shows it in full; all,
-    where these are few.
+    """The samples in which a pattern passes so slowly that what is lacking shows it in full, and
+    not in dry friction's stead; all, where these are few.
     """
     fastest = SLOW * BANDS[0] * period / (2 * np.pi) or np.inf
-    slow = [np.abs(m.variables["velocity"]) < fastest for m in lacks]
-    if sum(map(np.count_nonzero, slow)) < ENOUGH:
+    speeds = [np.abs(m.variables["velocity"]) for m in lacks]
+    slow = [(v < fastest) & (v > HELD * fastest) for v in speeds]
+    if not period or sum(map(np.count_nonzero, slow)) < ENOUGH:
         return lacks
     return [
         replace(
