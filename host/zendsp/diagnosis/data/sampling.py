@@ -54,6 +54,22 @@ def read_anew(position: Array, resolution: Array) -> tuple[Array, int]:
     return out, count
 
 
+def _forwards(name: str, column: str, time: Array, step: Array) -> None:
+    """Refuse a time that runs backwards, or stands still."""
+    if (step <= 0).any():
+        row = int(np.argmax(step <= 0)) + 2
+        if not (step < 0).any():
+            raise RecordingError(
+                f"{name}: time column {column!r} stands still at row {row}, at"
+                f" {time[row - 1]:.12g}: is it written with too few digits, or are rows there"
+                " twice?"
+            )
+        raise RecordingError(
+            f"{name}: time runs backwards at row {row}: are two runs glued together?"
+            " Give them as two files"
+        )
+
+
 def clock(
     name: str, get: Getter, columns: Columns, model: Model, n: int
 ) -> tuple[Array, float, list[str], Array | None]:
@@ -71,18 +87,7 @@ def clock(
             f"{name}: time column {columns['time']!r} holds values that are not finite numbers"
         )
     step = np.diff(time)
-    if (step <= 0).any():
-        row = int(np.argmax(step <= 0)) + 2
-        if not (step < 0).any():
-            raise RecordingError(
-                f"{name}: time column {columns['time']!r} stands still at row {row}, at"
-                f" {time[row - 1]:.12g}: is it written with too few digits, or are rows there"
-                " twice?"
-            )
-        raise RecordingError(
-            f"{name}: time runs backwards at row {row}: are two runs glued together?"
-            " Give them as two files"
-        )
+    _forwards(name, str(columns["time"]), time, step)
     period = float(np.median(step))
     if period > SLOWEST_CLOCK:
         raise RecordingError(
