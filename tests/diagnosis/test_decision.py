@@ -233,6 +233,23 @@ def test_calibration_may_move_a_number_as_far_as_the_model_file_says_that_it_is_
     )
 
 
+def test_the_figure_of_a_ripple_of_many_periods_is_of_one_as_large_as_the_sentence_says(
+    decided: Decided,
+) -> None:
+    """Twelve periods over the travel, fast: in forty bins over it they were a wave of another kind.
+    """
+    d = decided(reality.Machine(ripple=0.02, order=40))
+    (found,) = d.findings
+    assert found.effect == "ripple" and d.workings is not None
+    panel = law_chart(d, d.workings, found, 0).panels[0]
+    period = 2 * np.pi / found.parameters["order"].value
+    assert f"within a period of {period:.4g} rad" in panel.xlabel
+    for kind in ("means", "line"):
+        drawn = next(series for series in panel.series if series.kind == kind)
+        assert np.min(drawn.x) >= 0.0 and np.max(drawn.x) <= period
+        assert np.ptp(drawn.y) / 2 == pytest.approx(0.02, rel=0.2)
+
+
 def test_the_figure_of_a_friction_over_position_shows_its_law(decided: Decided) -> None:
     """Both directions of travel, one turned over: their mean would hide what was found."""
     d = decided(reality.Machine(uneven=0.01))

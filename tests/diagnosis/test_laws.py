@@ -193,6 +193,23 @@ def test_beside_a_doubted_law_another_of_its_mechanism_is_not_stated(
     assert laws.believed(decision, parts, 1).claims == (other,)
 
 
+@pytest.mark.parametrize(("left", "stand"), [(0.01, False), (0.0005, True)])
+def test_friction_beside_a_curve_of_the_position_stands_where_nothing_is_left(
+    left: float, stand: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    curve = replace(claim_of(Term("gravity", 1, {}), 0.88), effect="unknown")
+    rubs = claim_of(Term("coulomb", 1, {}), 0.1)
+    ripple = claim_of(Term("ripple", 1, {}), 0.1)  # of a curve over position it is a part
+    monkeypatch.setattr(laws, "structure", lambda *_: Structure(0.5, 9.0, 1.0))
+    monkeypatch.setattr(laws, "_ahead", lambda *_: 0.0)
+    outcome = replace(of_one_claim(curve, 1.2, left), claims=(curve, rubs, ripple))
+    monkeypatch.setattr(laws, "_alone", lambda *_: outcome.alone)
+    nothing: Any = SimpleNamespace(each=(), model=None)
+    decided = laws.believed(replace(outcome, base=nothing), nothing, 1)
+    assert (rubs in decided.claims, rubs in decided.refinements) == (stand, not stand)
+    assert [c.effect for c in decided.claims] == (["unknown", "coulomb"] if stand else ["unknown"])
+
+
 def test_claims_that_are_dropped_leave_no_law_that_the_model_lacks() -> None:
     base: Any = SimpleNamespace(deviance=10.0)
     law: Any = SimpleNamespace(effect="backlash")

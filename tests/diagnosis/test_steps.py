@@ -30,6 +30,7 @@ from zendsp.diagnosis.measure.likelihood import (
     informative,
 )
 from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, Structure, structure
+from zendsp.diagnosis.measure.where import mismatch
 from zendsp.diagnosis.search import rounds
 from zendsp.diagnosis.search.candidates import as_given, simulated
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival, Step
@@ -89,6 +90,31 @@ def test_an_asymmetry_of_equal_directions_is_the_symmetric_effect_and_another_on
     )
     assert kept in {t.effect for t in best.model.terms}
     assert {t.effect for t in best.model.terms} <= {"viscous", kept}
+
+
+def test_a_hysteresis_of_a_force_that_no_motion_reaches_is_a_spring() -> None:
+    reference = reality.multisine(6.0, RATE, 3, size=1.2)
+    columns = reality.simulate(reality.Machine(spring=0.5, coulomb=0.0), reference, RATE)
+    wide = {"kind": "hysteresis", "joint": 1, "force": 400.0, "stiffness": 0.45}
+    data = data_of(columns, model := model_of(VISCOUS))
+    base = calibrate_joint(data, model, 1, jobs=1)
+    bent = model.with_terms((*model.terms, *model_of(wide).terms))
+    scored = fit_scored(data, bent, joint_handles(data, bent, 1), (1,), jobs=1)
+    found = simplify(JointSearch(1, base, best=scored), informative(data, 1), 1)[0]
+    assert {t.effect for t in found.model.terms} == {"viscous", "stiffness"}
+    spring = next(t for t in found.model.terms if t.effect == "stiffness")
+    assert spring.value("coefficient") == pytest.approx(0.5, rel=0.01)
+
+
+def test_a_figure_shows_the_torque_that_lacks_in_full_beside_a_models_damping() -> None:
+    """A ninth of it was lost to the damping, so that a figure said less than its sentence."""
+    reference = reality.multisine(6.0, RATE, 3, size=1.2)
+    columns = reality.simulate(reality.Machine(viscous=0.05), reference, RATE)
+    model = model_of({**VISCOUS, "coefficient": 0.05})
+    (lacks,) = mismatch(data_of(columns, model), model, 1)
+    speed = lacks.variables["velocity"]
+    fast = np.abs(speed) > np.quantile(np.abs(speed), 0.5)
+    assert np.median(lacks.torque[fast] * np.sign(speed[fast])) == pytest.approx(0.03, rel=0.03)
 
 
 def test_a_gap_is_begun_from_the_given_inertia_where_calibration_moved_it() -> None:

@@ -146,6 +146,12 @@ def test_a_late_second_sensor_is_taken_out_and_said() -> None:
     assert any("4 ms late" in note or "4.0" in note or "3.9" in note for note in spring.notes)
 
 
+def test_friction_of_the_motor_that_looks_like_an_early_second_sensor_is_said() -> None:
+    spring = only(measured(viscous=0.04, soft=40.0, load=0.006, resolution=FINE))
+    (note,) = (n for n in spring.notes if "early" in n)
+    assert "or viscous friction of 0.0" in note and "N m s/rad acts before the transmission" in note
+
+
 def test_a_joint_without_a_second_sensor_is_left_alone() -> None:
     made = dict(columns((), 1))
     made["ql"] = np.zeros_like(made["q"])

@@ -146,6 +146,9 @@ def test_an_unknown_unit_is_asked_about_and_time_backwards_names_the_file(tmp_pa
     file.write_text("\n".join(["t [s],angle [rad]", *reversed(rows)]))
     with pytest.raises(RecordingError, match=r"run\.csv: column 't'.*sort the rows"):
         draft_model(read_table(file))
+    file.write_text("\n".join(["t [s],angle [rad]", *(f"1.7e+09{row[4:]}" for row in rows)]))
+    with pytest.raises(RecordingError, match=r"'t'.* at 1700000000: .*too few digits"):
+        draft_model(read_table(file))
 
 
 def test_values_that_are_no_numbers_are_said_and_do_not_hide_the_encoder() -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from steps import Until
+from textual.events import Key
 from textual.widgets import OptionList
 
 from zendsp.tui.app import ZendspApp
@@ -147,4 +148,20 @@ async def test_the_name_that_was_typed_whole_comes_first(app: ZendspApp) -> None
         assert [o.id for o in rows.options] == ["joint_pd.c", "pd.c", "pd.cpp"]
         assert rows.highlighted == 0, "the first of what is left"
         await pilot.press("backspace", "backspace", "backspace", "p", "d", ".", "c", "enter")
+        assert chosen == [["pd.c"]]
+
+
+async def test_a_name_that_comes_in_one_go_with_its_enter_is_the_one_that_is_chosen(
+    app: ZendspApp, until: Until
+) -> None:
+    """Typed ahead of a busy computer: the first of the whole list was chosen, and built."""
+    chosen: list[object] = []
+    names = ("constant_torque.c", "joint_pd.c", "pd.c")
+    async with app.run_test(size=(100, 30)) as pilot:
+        await app.push_screen(Choose("Source", [Option(n, n) for n in names]), chosen.append)
+        await pilot.pause()
+        for key, character in (("p", "p"), ("d", "d"), ("full_stop", "."), ("c", "c")):
+            app.post_message(Key(key, character))
+        app.post_message(Key("enter", "\r"))
+        await until(pilot, lambda: chosen, "the list is closed")
         assert chosen == [["pd.c"]]

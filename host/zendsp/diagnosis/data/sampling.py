@@ -74,13 +74,29 @@ def read_anew(position: Array, resolution: Array) -> tuple[Array, int]:
 
 
 def _of_another_rate(name: str, period: float, stated: float) -> RecordingError:
-    what = "recordings of another rate need a model file, and a diagnosis, of their own"
+    what = "for recordings of another rate leave sample_time and hold out of the model file"
     if max(period / stated, stated / period) > UNIT:
         what = "check the unit of the time column"
     return RecordingError(
         f"{name}: samples are {period:.6g} s apart, the model says sample_time = {stated:.6g} s:"
         f" {what}"
     )
+
+
+def _forwards(name: str, column: str, time: Array, step: Array) -> None:
+    """Refuse a time that runs backwards, or stands still."""
+    if (step <= 0).any():
+        row = int(np.argmax(step <= 0)) + 2
+        if not (step < 0).any():
+            raise RecordingError(
+                f"{name}: time column {column!r} stands still at row {row}, at"
+                f" {time[row - 1]:.12g}: is it written with too few digits, or are rows there"
+                " twice?"
+            )
+        raise RecordingError(
+            f"{name}: time runs backwards at row {row}: are two runs glued together?"
+            " Give them as two files"
+        )
 
 
 def clock(
@@ -100,12 +116,7 @@ def clock(
             f"{name}: time column {columns['time']!r} holds values that are not finite numbers"
         )
     step = np.diff(time)
-    if (step <= 0).any():
-        row = int(np.argmax(step <= 0)) + 2
-        raise RecordingError(
-            f"{name}: time runs backwards or stands still at row {row}: are two runs glued"
-            " together? Give them as two files"
-        )
+    _forwards(name, str(columns["time"]), time, step)
     period = float(np.median(step))
     if period > SLOWEST_CLOCK:
         raise RecordingError(

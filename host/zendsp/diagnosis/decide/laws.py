@@ -116,7 +116,7 @@ def named(
         claims += [law_of(parts, given, search, rounds, final, p, p, jobs, tell) for p in own[1:]]
     refinements += [c for p in rest for c in _plain(p)]
     claims.sort(key=lambda c: -c.evidence.gain)
-    claims, more = _beside_unknown(claims)
+    claims, more = _beside_unknown(claims, after.value)
     refinements += more
     best = claims[0].size if claims else 0.0
     # more is left that depends on the state than anything claimed explains
@@ -212,7 +212,7 @@ def believed(decision: Decision, parts: Parts, jobs: int) -> Decision:
         else:
             more.append(claim)
             doubted.add(claim.mechanism)
-    keep, parts_of_it = _beside_unknown(keep)
+    keep, parts_of_it = _beside_unknown(keep, decision.after.value)
     return replace(decision, claims=tuple(keep), refinements=tuple(more + parts_of_it))
 
 
@@ -240,9 +240,12 @@ def without_law(claim: Claim, decision: Decision) -> Claim:
 
 def _told_apart(claim: Claim, decision: Decision, parts: Parts) -> bool:
     """Whether no other mechanism's variables predict more of what lacks: a mechanism without a law
-    is known by its variables alone. (A constant is a function of any.)
+    is known by its variables alone, where its laws together leave anything. (A constant is a
+    function of any.)
     """
     if claim.mechanism not in STRUCTURED or get_effect(claim.term.effect).constant:
+        return True
+    if decision.after.value < NUMERIC:
         return True
     model, joint = decision.base.model, decision.joint
     of = {m: structure(parts.each, model, joint, [m]).size ** 2 for m in STRUCTURED}
@@ -283,13 +286,20 @@ def _turns_otherwise(claim: Claim, decision: Decision, parts: Parts) -> bool:
     return moving.size < OF_STATE or moving.z < SURE
 
 
-def _beside_unknown(claims: Sequence[Claim]) -> tuple[list[Claim], list[Claim]]:
+def _beside_unknown(claims: Sequence[Claim], left: float) -> tuple[list[Claim], list[Claim]]:
     """Claims, and those that become refinements: beside a mechanism without a law, what is not
     larger than half of it may be a part of it; of any curve over position a constant is, and what
-    repeats itself along it.
+    repeats itself along it. Where all together ``left`` nothing, what depends on other variables is
+    no part of it.
     """
-    unknown = max((c.size for c in claims if c.effect == "unknown"), default=0.0)
+    without = [c for c in claims if c.effect == "unknown"]
+    unknown = max((c.size for c in without), default=0.0)
+    kinds = {m for c in without for m in kind_of(c.mechanism)}
     curve = any(draws_a_curve(c) for c in claims)
+
+    def large(claim: Claim) -> bool:
+        apart = left < NUMERIC and claim.mechanism in STRUCTURED and claim.mechanism not in kinds
+        return claim.size > (LAW_ERROR if apart else A_PART) * unknown
 
     def of_position(claim: Claim) -> bool:
         effect = get_effect(claim.effect)
@@ -298,7 +308,7 @@ def _beside_unknown(claims: Sequence[Claim]) -> tuple[list[Claim], list[Claim]]:
     keep = [
         c
         for c in claims
-        if c.effect == "unknown" or (c.size > A_PART * unknown and not (curve and of_position(c)))
+        if c.effect == "unknown" or (large(c) and not (curve and of_position(c)))
     ]
     return keep, [c for c in claims if not any(c is k for k in keep)]
 

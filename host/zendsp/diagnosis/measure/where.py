@@ -12,8 +12,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.measure.discrepancy import BANDS, kept, lacking, noise
+from zendsp.diagnosis.measure.discrepancy import BANDS, band_of, kept, lacking, noise
 from zendsp.physics.calibration.fit import Data
+from zendsp.physics.calibration.joint import effective_inertia
+from zendsp.physics.calibration.predict import damping_along
 from zendsp.physics.kernel.smooth import moving_mean
 from zendsp.physics.model import Model, per_joint
 
@@ -58,7 +60,7 @@ class Missing:
 
 def mismatch(data: Data, model: Model, joint: int) -> list[Missing]:
     """Torque that a model lacks at one joint, along each recording: how an observer that keeps it
-    on the motion corrects it.
+    on the motion corrects it, with what the model's own damping takes of a correction.
     """
     found = lacking(data, model, joint, BANDS[0])
     out = []
@@ -67,7 +69,9 @@ def mismatch(data: Data, model: Model, joint: int) -> list[Missing]:
         q, qd, qdd = record.motion.states
         use = kept(record, BANDS[0])
         time = record.t0 + np.arange(record.n, dtype=np.float64) * record.sample_time
-        std = np.full(record.n, np.sqrt(noise(record, model, BANDS[0])))
+        stiff = effective_inertia(record, model) * band_of(record, BANDS[0])
+        taken = 1.0 + np.sqrt(2.0) * damping_along(record, model) / stiff
+        torque, std = torque * taken, taken * np.sqrt(noise(record, model, BANDS[0]))
         variables = {"velocity": qd, "position": q, "acceleration": qdd, "command": record.command}
         within = {n: v[use] for n, v in variables.items()}
         out.append(Missing(time[use], torque[use], std[use], within, units(model, joint)))

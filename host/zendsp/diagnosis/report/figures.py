@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.decide.result import Diagnosis, Finding, SimulatorErrors, Workings
 from zendsp.diagnosis.measure.curve import Curve, binned, curve_of, curve_over
+from zendsp.diagnosis.measure.discrepancy import BANDS
 from zendsp.diagnosis.measure.where import Missing, energy, mismatch
 from zendsp.diagnosis.measure.windows import window_error
 from zendsp.diagnosis.report.chart import Chart, Mesh, Panel, Series
@@ -19,6 +20,10 @@ from zendsp.physics.effects import library, mechanism_of
 Array = npt.NDArray[np.float64]
 MOST_JOINTS = 7  # that get figures of their own
 FINE = 40  # repetitions over the travel: a pattern with more is a smear, not a curve
+FOLDED = 6  # repetitions over the travel: a pattern with more is drawn over one of them
+SLOW = 0.5  # of the observer's bandwidth: a pattern that passes faster is flatter in what it says
+HELD = 0.2  # of that speed: slower, dry friction may hold the joint
+ENOUGH = 1000  # samples of a curve
 JOINED = "time [s], one recording after the other"
 STAMPS = 1e6  # s: a time beyond is a calendar's stamp
 
@@ -176,12 +181,19 @@ def law_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Chart:
     without = whole.improved.with_terms(
         (*[t for t in whole.improved.terms if t not in terms], *replaced)
     )
+    period = _period(finding)
     before, after = (
         curve_over(
-            mismatch(w.train, model, joint), axis_of(finding.effect), mechanism_of(finding.effect)
+            _passing_slowly(mismatch(w.train, model, joint), period),
+            axis_of(finding.effect),
+            mechanism_of(finding.effect),
         )
         for model in (without, whole.improved)
     )
+    along = ""
+    if period and float(np.ptp(before.x)) > FOLDED * period:
+        before, after = (_folded(curve, period) for curve in (before, after))
+        along = f"position within a period of {period:.4g} {_units(d, joint)['position']}"
     centre, law, _ = binned(before.x, before.torque - after.torque, 120)
     curve = Series("line", "law", centre, law, f"{finding.effect}, as found")
     panels = (
@@ -189,11 +201,12 @@ def law_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Chart:
         _curve_panel(d, joint, after, "after", f"with {finding.effect}"),
     )
     limits = panels[0].limits
+    left, right = (replace(p, xlabel=along or p.xlabel, limits=limits) for p in panels)
     return Chart(
         "law",
         finding.sentence,
         f"law_{index + 1}_{finding.effect}_joint{joint}",
-        (panels[0], replace(panels[1], limits=limits)),
+        (left, right),
         title=f"Joint {joint}: torque that the model lacks",
         beside=True,
         same=True,
@@ -201,6 +214,40 @@ def law_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Chart:
         finding=index,
         joint=joint,
     )
+
+
+def _period(finding: Finding) -> float:
+    """Of what a law repeats along the position, rad or m; 0 where it does not."""
+    if "order" in finding.parameters:
+        return 2 * np.pi / max(finding.parameters["order"].value, 1e-300)
+    return finding.parameters["period"].value if "period" in finding.parameters else 0.0
+
+
+def _passing_slowly(lacks: list[Missing], period: float) -> list[Missing]:
+    """The samples in which a pattern passes so slowly that what is lacking shows it in full, and
+    not in dry friction's stead; all, where these are few.
+    """
+    fastest = SLOW * BANDS[0] * period / (2 * np.pi) or np.inf
+    speeds = [np.abs(m.variables["velocity"]) for m in lacks]
+    slow = [(v < fastest) & (v > HELD * fastest) for v in speeds]
+    if not period or sum(map(np.count_nonzero, slow)) < ENOUGH:
+        return lacks
+    return [
+        replace(
+            m,
+            time=m.time[use],
+            torque=m.torque[use],
+            std=m.std[use],
+            variables={name: values[use] for name, values in m.variables.items()},
+        )
+        for m, use in zip(lacks, slow, strict=True)
+    ]
+
+
+def _folded(curve: Curve, period: float) -> Curve:
+    """A curve over the position, all its periods laid over one another."""
+    x = np.mod(curve.x, period)
+    return Curve(curve.variable, x, curve.torque, *binned(x, curve.torque), curve.against)
 
 
 def unknown_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Chart | None:

@@ -24,7 +24,7 @@ from zendsp.diagnosis.search.hypothesis import (
     price,
 )
 from zendsp.diagnosis.search.rounds import GLANCE, SETTLED, WAIT, WORTH, Progress, Rounds
-from zendsp.diagnosis.search.simplify import simplify, split_asymmetry
+from zendsp.diagnosis.search.simplify import simplify, split_asymmetry, straightened
 from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.calibration.predict import run
 from zendsp.physics.effects import get_effect
@@ -148,6 +148,7 @@ class Searcher:
             current = rivals[0].scored
             if not waiting:
                 current = split_asymmetry(found, current, self.jobs)
+                current = straightened(found, current, self.jobs)
         if found.steps:
             found.best = current if not waiting else found.steps[-1].chosen.scored
             found.best, found.dropped = simplify(found, self.rounds.n, self.jobs)

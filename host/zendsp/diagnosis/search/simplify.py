@@ -29,6 +29,7 @@ from zendsp.physics.model import Model, Term
 PLAIN = 0.1
 NO_WORSE = 10.0  # deviance that a simpler law may cost
 BENDS = 0.02  # of the travel: hysteresis that slides after less has a soft onset only
+STRAIGHT = 2.0  # times the torque that a hysteresis would reach unbent: of more it is a spring
 HALVINGS = 2  # of the integration's step at most, in the last fit of a joint
 
 
@@ -57,6 +58,29 @@ def split_asymmetry(found: JointSearch, current: Scored, jobs: int) -> Scored:
     )
     model = current.model.with_terms((*(t for t in current.model.terms if t is not term), *parts))
     other = _refitted(current.data, model, found.joint, jobs, 1)
+    return other if other.deviance < current.deviance + NO_WORSE else current
+
+
+def straightened(found: JointSearch, current: Scored, jobs: int) -> Scored:
+    """Hysteresis of a force that the motion is far from reaching is a spring: name it so where that
+    explains as much. It was found for a spring and dry friction together, as long as one of them
+    was missing.
+    """
+    had = {t.effect for t in found.base.model.at(found.joint)}
+    here = current.model.at(found.joint)
+    term = next((t for t in here if t.effect == "hysteresis"), None)
+    if term is None or had & {"hysteresis", "stiffness"}:
+        return current
+    record = max((rec[found.joint - 1] for rec in current.data.records), key=lambda r: r.n)
+    if term.value("force") < STRAIGHT * term.value("stiffness") * record.scale.position:
+        return current
+    begin = float(record.motion.states[0][0])  # where its bristle is straight
+    numbers = {"coefficient": term.value("stiffness"), "neutral": begin}
+    spring = make_term(get_effect("stiffness"), found.joint, numbers)
+    others = (t for t in current.model.terms if t is not term)
+    other = _refitted(
+        current.data, current.model.with_terms((*others, spring)), found.joint, jobs, 3
+    )
     return other if other.deviance < current.deviance + NO_WORSE else current
 
 
@@ -181,7 +205,8 @@ def _as_spring(found: JointSearch, best: Scored, jobs: int) -> Scored:
 
 def simplify(found: JointSearch, n: int, jobs: int) -> tuple[Scored, tuple[str, ...]]:
     """Drop every term, given or found, that the recording does not need any more."""
-    best = _as_coulomb(_resolved(found.final, found.joint, jobs), found.joint, jobs)
+    best = _resolved(straightened(found, found.final, jobs), found.joint, jobs)
+    best = _as_coulomb(best, found.joint, jobs)
     best = _as_spring(found, _as_payload(found, best, jobs), jobs)
     best = _as_symmetric(found, best, n, jobs)
     dropped: list[str] = []

@@ -85,15 +85,12 @@ def _measured(parts: Parts, model: Model, joint: int, jobs: int) -> Measured:
     band = OF_BODIES if has_bodies(model) and not sides else OF_MOTOR
     inertia = joint_inertia(parts.fit, model, joint)
     lag, waves, straight = _in_time(raw, model, band)
-    if lag:
-        late = "late" if lag > 0 else "early"
-        notes.append(
-            f"joint {joint}: position_load is {1e3 * abs(lag):.3g} ms {late} against position;"
-            " taken out"
-        )
     chosen, slow, motor = choose(straight.each(lambda t: lowpass(t, band)), inertia, known_motor)
     scale = torque_scale(slow.fit)
     claims = [_spread(c, motor) for c in claims_of(slow, chosen, scale, model)]
+    if lag:
+        springs = [abs(c.value) for c in claims if c.name == "spring" and known_motor is None]
+        notes.append(_in_words(model, joint, lag, springs))
     if known:
         said = ", ".join(f"{c.name} {abs(c.value):.3g}" for c in claims) or "nothing beyond it"
         notes.append(
@@ -131,6 +128,18 @@ def _in_time(raw: Sets, model: Model, band: float) -> tuple[float, list[Claim], 
         if not waves:
             break
     return lag, waves, straight
+
+
+def _in_words(model: Model, joint: int, lag: float, springs: list[float]) -> str:
+    """What is said of a lag; ``springs``: compliances where the torque is the motor's, less what
+    friction takes of it. Such a friction looks like a column that is early.
+    """
+    late = f"{1e3 * abs(lag):.3g} ms {'late' if lag > 0 else 'early'} against position"
+    if lag < 0 and springs:
+        unit = "m" if model.joint_kind(joint) == "linear" else "rad"
+        friction = f"{-lag / springs[0]:.2g} {model.torque_unit(joint)} s/{unit}"
+        late += f", or viscous friction of {friction} acts before the transmission (it looks alike)"
+    return f"joint {joint}: position_load is {late}; taken out"
 
 
 def _spread(claim: Claim, motor: Motor) -> Claim:

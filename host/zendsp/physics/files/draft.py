@@ -146,6 +146,11 @@ def _sample_time(page: _Page, clock: Group | None, file: str) -> float:
         raise RecordingError(f"{file}: has {len(clock.values)} row; a recording has many")
     steps = np.diff(clock.values[:, 0])
     step = float(np.median(steps))
+    if step == 0.0 and not (steps < 0).any():
+        raise RecordingError(
+            f"{file}: column {clock.names[0]!r} looks like time and stands still at"
+            f" {clock.values[0, 0]:.12g}: is it written with too few digits?"
+        )
     if not np.isfinite(step) or step <= 0:
         raise RecordingError(
             f"{file}: column {clock.names[0]!r} looks like time and does not run forwards: sort the"

@@ -49,7 +49,7 @@ class Choose(Dialog[list[str]]):
         super().__init__()
         self._title, self._options, self._several, self._most = title, tuple(options), several, most
         self._marked = [key for key in marked if any(o.key == key for o in options)]
-        self._text = text
+        self._text, self._words = text, ""
 
     def compose(self) -> ComposeResult:
         with Vertical(classes="box") as box:
@@ -97,9 +97,14 @@ class Choose(Dialog[list[str]]):
             rows.highlighted = min(at or 0, len(shown) - 1)
 
     @on(Input.Changed)
-    def _filter(self, event: Input.Changed) -> None:
-        self.query_one(OptionList).highlighted = None
-        self._fill(event.value)
+    def _edited(self, event: Input.Changed) -> None:
+        self._filter(event.value)
+
+    def _filter(self, words: str) -> None:
+        if words != self._words:
+            self._words = words
+            self.query_one(OptionList).highlighted = None
+            self._fill(words)
 
     @on(Input.Submitted)
     def _to_list(self) -> None:
@@ -142,6 +147,8 @@ class Choose(Dialog[list[str]]):
         else:
             return False
         field.cursor_position = len(field.value)
+        # at once: an ⏎ that comes with the keys is heard before Input.Changed is
+        self._filter(field.value)
         return True
 
     @on(OptionList.OptionSelected)
