@@ -41,7 +41,7 @@ def apart_in_time(parts: Parts, model: Model) -> list[str]:
         found = {
             name: (float(np.average(at, weights=1 / var)), float(1 / np.sum(1 / var)))
             for name, known in shifts.items()
-            for at, var in [np.array([k for k in known if np.isfinite(k[1])]).reshape(-1, 2).T]
+            for at, var in [np.array([k for k in known if 0.0 < k[1] < np.inf]).reshape(-1, 2).T]
             if len(at)
         }
         said += _said(joint, found, ROW * parts.fit.records[0][joint - 1].sample_time)

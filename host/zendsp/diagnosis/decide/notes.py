@@ -63,8 +63,8 @@ def _loosely_fitted(decisions: Sequence[Decision]) -> list[str]:
     return [
         f"joint {d.joint}: with numbers fitted to the first recordings, {percent(d.before.value)} %"
         " of the torque of the untouched ones stays unexplained; with numbers fitted to all,"
-        f" {percent(d.after.value)} %. So no physics is missing, but the first recordings hardly"
-        " determine the numbers for such motion: fit one that has it too"
+        f" {percent(d.after.value)} %. The first recordings hardly determine the numbers for such"
+        " motion: fit one that has it too"
         for d in decisions
         if d.kind == "complete" and d.final is not d.base
     ]
