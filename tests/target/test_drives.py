@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
 
@@ -75,6 +76,29 @@ def test_off_ready_homed_enabled_running_and_back(target: Target) -> None:
     target.pause()
     states.append(target.drive_status().state)
     assert states == ["off", "homed", "enabled", "running", "homed"]
+
+
+CRASH = """#include "isr.h"
+static int32_t go;
+void UserInit(void) { PARAMETER(go, 0, "", 0, 1, "crash"); }
+void UserISR_INT2(void) { if (go) __builtin_trap(); }
+void UserBackground(void) {}
+"""
+
+
+def test_after_a_crash_nothing_is_enabled(target: Target, tmp_path: Path) -> None:
+    (tmp_path / "crash.c").write_text(CRASH)
+    target.download(tmp_path / "crash.c")
+    target.power_on()
+    target.home_and_wait()
+    target.enable()
+    target.start()
+    target["go"] = 1
+    until(lambda: target.status().crash != "", "it crashed")
+    drives = target.drive_status()
+    assert (drives.state, drives.mode) == ("ready", "off")
+    assert not {"enabled", "running"} & {target.status().drive}
+    target.download("pd.c")
 
 
 def test_enabling_moves_nothing_though_a_program_went_on_beside_drives_that_were_off(

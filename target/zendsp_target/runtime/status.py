@@ -52,7 +52,8 @@ def status_of(session: Session, latched: Callable[[], Trip | None]) -> Status:
         trip = latched()  # now: what tripped at its very end was latched until then
     state = _state(session, trip is not None)
     tick = session.tick
-    mode, homed = _MODES.get(int(control.drive_mode), "off"), bool(control.homed)
+    mode = _MODES.get(int(control.drive_mode), "off") if session.alive() else "off"
+    homed = bool(control.homed)
     return Status(
         state=state,
         tick=tick,

@@ -97,6 +97,8 @@ class Drives:
         if status.trip is not None:
             self._enabled = False
             return DriveState.latched(status.trip.reason)
+        if status.state == ProgramState.CRASHED:  # the machine was made safe
+            self._enabled = False
         running = status.state == ProgramState.RUNNING
         resting = DriveState.HOMED if status.homed and _loaded(status) else DriveState.READY
         if not self._explicit:
