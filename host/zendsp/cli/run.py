@@ -55,6 +55,11 @@ def command(
             compiled(lambda: t.download(file, flags), as_json, t)
         if values:
             t.write(**values)
+        if file is not None and "comp_share" in t.variables():
+            click.echo(
+                f"zendsp: {t.name}: the program includes a compensation.c; comp_share ="
+                f" {t['comp_share']:g} of it acts ('--set comp_share=0' leaves it out)", err=True,
+            )
         if seconds is None:
             t.programs.begin()
             status = t.watch_start()
