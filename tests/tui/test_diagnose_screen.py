@@ -151,9 +151,7 @@ def test_two_diagnoses_stand_side_by_side_in_80_columns(tmp_path: Path) -> None:
 async def test_a_long_finding_goes_on_beside_its_label(tmp_path: Path, until: Until) -> None:
     d = cases.stored(tmp_path / "diagnoses")
     d.report["findings"][0]["sentence"] = "A spring pulls " + "and pulls " * 10 + "on joint 1."
-    app = _alone(tmp_path)
-    async with app.run_test(size=(80, 24)) as pilot:
-        screen = await opened(app, pilot, until, DiagnoseScreen)
+    async with _alone(tmp_path, until, (80, 24)) as (pilot, screen):
         screen.open(d)
         await pilot.pause()
         lines = screen.query_one("#findings", OptionList)
