@@ -238,7 +238,7 @@ def test_stop_without_a_name_stops_what_is_here_and_what_the_environment_leads_t
     assert [name for name, _ in stopped_of()] == ["far", "near"]
     monkeypatch.setenv("ZENDSP_CONNECT", f"{find_tcp('near')},tcp/127.0.0.1:1")
     status, said, wrong = typed("stop")
-    assert status == 2 and said.startswith("near: stopped")
+    assert status == 2 and "near: stopped" in said
     assert "tcp/127.0.0.1:1: NOT STOPPED" in wrong and "near" not in wrong
 
 

@@ -123,10 +123,6 @@ NOT_RUN: dict[tuple[str, str], str] = {
         "docs/tui.md", "zendsp tui --screenshots docs/screens",
     ): "draws every screen for a minute: tests/tui/test_coverage.py",
     ("docs/tui.md", "off → ready → homed → enabled → running → stopped | tripped"): DRAWING,
-    (
-        "docs/tui.md",
-        "app.py            the four screens over one session      actions.py     the table",
-    ): DRAWING,
     **{
         ("docs/results.md", f"zendsp experiment {name}"): EXPERIMENT
         for name in (
