@@ -17,7 +17,6 @@ from zendsp.diagnosis.decide.notes import bent
 from zendsp.diagnosis.decide.pieces import may_leave
 from zendsp.diagnosis.decide.remember import remembered
 from zendsp.diagnosis.decide.result import FitTable
-from zendsp.diagnosis.engine import verdict_of
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.structure import Structure
@@ -155,9 +154,6 @@ def test_what_only_refined_the_fit_is_held_in_the_model_file() -> None:
 def test_calibration_that_makes_untouched_recordings_worse_is_told() -> None:
     assert bent(FitTable(1e-4, 2e-4, 2e-4), 1e-5) and not bent(FitTable(1e-4, 1.2e-4, 1e-4), 1e-5)
     assert not bent(FitTable(1e-6, 1e-5, 1e-5), 1e-5), "both within the sensor's noise"
-    complete: Any = SimpleNamespace(kind="complete")
-    assert verdict_of([complete], (), []) == "complete"
-    assert verdict_of([complete], (), ["worse than as given"]) == "unexplained"
 
 
 def test_an_exponent_that_is_fitted_at_the_end_does_not_count_against_a_law() -> None:

@@ -139,6 +139,10 @@ def _diagnose(
     parts, decisions, whole = found.parts, found.decisions, found.whole
     notes += [note for m in found.measured for note in m.notes]
     findings, refinements, rejected = _name(found, given)
+    kinds = {d.kind for d in decisions}
+    verdict: Verdict = "complete" if kinds == {"complete"} else "unexplained"
+    if findings:
+        verdict = "missing"
     improved = remembered(whole.improved if findings else whole.calibrated, given, decisions)
     joints = range(1, given.joints + 1)
     lacking = {j: mismatch(parts.fit, whole.calibrated, j) for j in joints}
@@ -153,8 +157,8 @@ def _diagnose(
     notes += [*said(alone), *notes_of(decisions, given)]
     notes += apart_in_time(parts, improved)
     notes += moved(given, found.whole.improved if findings else found.whole.calibrated)
-    worse = [] if findings else bent(test, noise_floor(parts.test))
-    verdict = verdict_of(decisions, findings, worse)
+    if not findings:
+        notes += bent(test, noise_floor(parts.test))
     return Diagnosis(
         verdict=verdict,
         findings=findings,
@@ -171,7 +175,7 @@ def _diagnose(
         rejected=rejected,
         next_recording=proposal,
         seconds=time.perf_counter() - begin,
-        notes=(*notes, *worse, *left_out(file_model(improved))),
+        notes=(*notes, *left_out(file_model(improved))),
         given=given_file,
         calibrated=file_model(whole.calibrated),
         improved=file_model(improved),
@@ -180,16 +184,6 @@ def _diagnose(
         remaining={j: mismatch(parts.fit, improved, j) for j in joints},
         workings=Workings(found.searches, decisions, whole, parts.fit, parts.test),
     )
-
-
-def verdict_of(
-    decisions: Sequence[Decision], findings: Sequence[Finding], worse: Sequence[str]
-) -> Verdict:
-    """``worse``: why numbers fitted to the first recordings are worse than the given ones."""
-    if findings:
-        return "missing"
-    complete = all(d.kind == "complete" for d in decisions) and not worse
-    return "complete" if complete else "unexplained"
 
 
 def _left(decision: Decision) -> Left:
