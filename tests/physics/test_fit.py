@@ -114,9 +114,8 @@ def test_what_the_step_does_is_known_without_fitting_again(data: Data) -> None:
     told, really = step_error(coarse, one, (1,)), eight.x - one.x
     assert np.max(np.abs(really / one.std)) > 1.0  # a step so coarse that it matters
     # to first order
-    assert (np.abs(told - really) < np.maximum(1.2 * one.std, 0.3 * np.abs(really))).all()
-    large = np.abs(really) > one.std
-    assert large.any() and (np.sign(told) == np.sign(really))[large].all()
+    assert (np.abs(told - really) < np.maximum(one.std, 0.3 * np.abs(really))).all()
+    assert (np.sign(told) == np.sign(really)).all()
     certain = with_step_error(coarse, one, (1,))
     assert (certain.std >= np.abs(told)).all() and (certain.std >= one.std).all()
 
@@ -164,8 +163,7 @@ def test_thinning_keeps_what_the_sensor_says(data: Data) -> None:
         said = np.where(record.counted, 1.0 / record.measurement.variance, 0.0)
         kept = np.where(thin.counted, 1.0 / thin.measurement.variance, 0.0)
         assert thin.n == groups
-        after = max(thin.beginning, -(-record.beginning // every))
-        assert kept[after:].sum() == pytest.approx(said[after * every : groups * every].sum())
+        assert kept.sum() == pytest.approx(said[: groups * every].sum())
         # the integral of the command at the ends of the groups is that of the recording
         assert thin.integral == pytest.approx(record.integral[: groups * every + 1 : every])
 

@@ -22,10 +22,6 @@ Array = npt.NDArray[np.float64]
 SMALL = 1e-4  # rad or m: a step of a derivative
 
 
-FORGOTTEN = 0.5  # s, or a twentieth of the recording
-UNCOUNTED = 1e-6  # weight of a sample that corrects the observer and says nothing
-
-
 @dataclass
 class JointRecord:
     """One joint along one recording. Arrays are (n,), C-contiguous; SI units, joint coordinates."""
@@ -86,15 +82,7 @@ class JointRecord:
         change does.
         """
         mask: npt.NDArray[np.bool_] = self.measurement.half == 0
-        mask[: self.beginning] = False
         return mask
-
-    @property
-    def beginning(self) -> int:
-        """Samples in which what acted before the recording still shows: a drive that lags, a spring
-        that is bent, a load that rings. The observer has to forget it first.
-        """
-        return min(round(FORGOTTEN / self.sample_time), self.n // 20)
 
     def gains(self, bandwidth: float) -> tuple[Array, Array, Array]:
         """Observer gains k1, k2 and weights of a bandwidth in rad/s, which stands for white process
@@ -118,7 +106,6 @@ class JointRecord:
                 p(k2),
                 p(w),
             )
-            w[: self.beginning] *= UNCOUNTED
             self._gains[key] = (k1, k2, w)
         return self._gains[key]
 
