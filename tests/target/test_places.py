@@ -84,7 +84,7 @@ void UserBackground(void) {{}}
 def test_a_program_that_hangs_leaves_the_other_target_its_cpu(
     make_runtime: Callable[..., Runtime], wait_for: Callable[..., None]
 ) -> None:
-    other = make_runtime(HANGING.format(what=""), clock="real")
+    other = make_runtime(HANGING.format(what=""), clock="real", cpu=0)
     if "normal scheduling" in other.status().scheduling:
         pytest.skip("needs the right to real-time scheduling")
     other.start()
@@ -92,6 +92,7 @@ def test_a_program_that_hangs_leaves_the_other_target_its_cpu(
         HANGING.format(what='if (n > 100.0) for (;;) __asm__ volatile("");'),
         clock="real",
         hang_s=HANGS_S,
+        cpu=0,  # the same
     )
     hanging.start()
     wait_for(lambda: hanging.status().crash != "", hanging.status)
