@@ -37,8 +37,7 @@ from zendsp.diagnosis.search.hypothesis import JointSearch, Rival, Step
 from zendsp.diagnosis.search.rounds import Rounds
 from zendsp.diagnosis.search.screen import Candidate, with_candidate
 from zendsp.diagnosis.search.simplify import simplify
-from zendsp.diagnosis.transmission.links import divided, with_links
-from zendsp.physics.calibration.fit import Data, fit, joint_handles, residual
+from zendsp.physics.calibration.fit import Data, fit, joint_handles
 from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.model import Model
 
@@ -284,82 +283,6 @@ def test_a_constant_torque_does_not_act_where_a_joint_turns_round() -> None:
     data = data_of(columns, plain)
     assert abs(at_reversals(data, plain, constant, 1)) < 0.2
     assert at_reversals(data, plain, bristles, 1) > 0.9
-
-
-def test_the_other_joint_feels_the_link_behind_a_spring() -> None:
-    p1, p2, p3, stiffness, motor = 0.42, 0.1, 0.1, 300.0, 0.12
-    seconds, steps = 4.0, 40
-    h = 1.0 / RATE / steps
-    t = np.arange(round(seconds * RATE)) / RATE
-    command = np.stack([2.0 * np.sin(7 * t) + np.sin(23 * t), 0.8 * np.sin(9 * t + 1)], 1)
-    command *= np.minimum(1.0, t / 0.5)[:, None]
-    x, v, turned, speed, rows = np.zeros(2), np.zeros(2), 0.0, 0.0, []
-    for u in command:  # semi-implicit Euler of motor 1 and both links
-        rows.append((turned, x[1]))
-        for _ in range(steps):
-            c, s = p3 * np.cos(x[1]), p3 * np.sin(x[1])
-            spring = stiffness * (turned - x[0]) + 0.5 * (speed - v[0])
-            inertia = np.array([[p1 - motor + 2 * c, p2 + c], [p2 + c, p2]])
-            bias = np.array([-s * v[1] * (2 * v[0] + v[1]), s * v[0] ** 2])
-            v = v + h * np.linalg.solve(inertia, [spring, u[1] - 0.1 * v[1]] - bias)
-            x = x + h * v
-            speed += h * (u[0] - spring - 0.2 * speed) / motor
-            turned += h * speed
-    model = parse_model(
-        {
-            "sample_time": 1.0 / RATE,
-            "mechanism": {"kind": "planar2r", "parameters": {"p1": p1, "p2": p2, "p3": p3}},
-            "effect": [
-                {"kind": "viscous", "joint": 1, "coefficient": 0.2},
-                {"kind": "viscous", "joint": 2, "coefficient": 0.1},
-                {
-                    "kind": "elasticity", "joint": 1, "stiffness": stiffness, "damping": 0.5,
-                    "load_inertia": p1 - motor,
-                },
-            ],
-        }
-    )  # fmt: skip
-    read = Signals("run", t, 1.0 / RATE, np.array(rows), command, None, np.full(2, 1e-6))
-    data = prepare([read], model, 64.0)
-    assert divided(model) == {1}
-    links = with_links(Parts(data, data, data), model, divided(model)).fit
-    off = [np.sqrt(np.mean(residual(d, model, [2]) ** 2)) for d in (data, links)]
-    assert off[1] < 0.25 * off[0]
-    assert np.allclose(residual(links, model, [1]), residual(data, model, [1]))
-
-
-def test_the_other_joint_feels_the_link_and_not_its_filtered_position() -> None:
-    p1, p2, p3, late, steps = 0.42, 0.1, 0.1, 0.01, 20
-    h = 1.0 / RATE / steps
-    t = np.arange(2000) / RATE
-    command = np.stack([2.0 * np.sin(7 * t) + np.sin(23 * t), 0.8 * np.sin(9 * t + 1)], 1)
-    command *= np.minimum(1.0, t / 0.5)[:, None]
-    x, v, seen, rows = np.zeros(2), np.zeros(2), 0.0, []
-    for u in command:
-        rows.append((seen, x[1]))
-        for _ in range(steps):
-            c, s = p3 * np.cos(x[1]), p3 * np.sin(x[1])
-            bias = np.array([-s * v[1] * (2 * v[0] + v[1]), s * v[0] ** 2]) + [0.2, 0.1] * v
-            inertia = np.array([[p1 + 2 * c, p2 + c], [p2 + c, p2]])
-            v = v + h * np.linalg.solve(inertia, u - bias)
-            x = x + h * v
-            seen += h * (x[0] - seen) / late
-    model = parse_model(
-        {
-            "sample_time": 1.0 / RATE,
-            "mechanism": {"kind": "planar2r", "parameters": {"p1": p1, "p2": p2, "p3": p3}},
-            "effect": [
-                {"kind": "viscous", "joint": 1, "coefficient": 0.2},
-                {"kind": "viscous", "joint": 2, "coefficient": 0.1},
-                {"kind": "position_filter", "joint": 1, "time_constant": late},
-            ],
-        }
-    )
-    read = Signals("run", t, 1.0 / RATE, np.array(rows), command, None, np.full(2, 1e-6))
-    data = prepare([read], model, 64.0)
-    links = with_links(Parts(data, data, data), model, divided(model)).fit
-    off = [np.sqrt(np.mean(residual(d, model, [2]) ** 2)) for d in (data, links)]
-    assert off[1] < 0.25 * off[0]
 
 
 def test_a_recording_whose_rows_are_shifted_is_told_from_the_others() -> None:

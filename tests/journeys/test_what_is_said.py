@@ -75,7 +75,7 @@ def test_run_says_that_the_program_crashed_and_reading_it_says_so(user: Installe
 def test_run_says_that_a_compensation_acts(user: Installed) -> None:
     user.write("with.c", RUNS.replace("a, 1.0", "comp_share, 1.0").replace(" a ", " comp_share "))
     said = user.run("run", "with.c", "--set", "comp_share=0.5")
-    assert said.returncode == 0 and "comp_share = 0.5 of it acts" in said.stderr, said
+    assert said.returncode == 0 and "times comp_share = 0.5 (" in said.stderr, said
     assert "comp_share" not in user.run("run", "runs.c").stderr
 
 

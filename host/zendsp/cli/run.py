@@ -57,8 +57,9 @@ def command(
             t.write(**values)
         if file is not None and "comp_share" in t.variables():
             click.echo(
-                f"zendsp: {t.name}: the program includes a compensation.c; comp_share ="
-                f" {t['comp_share']:g} of it acts ('--set comp_share=0' leaves it out)", err=True,
+                f"zendsp: {t.name}: the program adds the torque of a compensation.c, times"
+                f" comp_share = {t['comp_share']:g} (zendsp set comp_share=0 leaves it out)",
+                err=True,
             )
         if seconds is None:
             t.programs.begin()

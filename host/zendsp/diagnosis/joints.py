@@ -73,7 +73,7 @@ def with_their_links(
     only as long as that claims no more and predicts no worse.
     """
     felt, now, explained = divided(given), parts, first
-    while found := _unseen(explained) - felt:
+    while found := _claimed(explained, "transmission", "measurement") - felt:
         tell("the links that nobody sees: what the other joints feel")
         tried = []
         for joint in found:
@@ -86,7 +86,7 @@ def with_their_links(
         if best[0][0] > before[0] or best[0][1] > before[1]:
             break
         felt, now, explained = felt | {best[1]}, best[2], best[3]
-    swinging = _unseen(explained)
+    swinging = _claimed(explained, "transmission")
     calm = [
         unpushed(d) if swinging - {d.joint} and d.kind == "disturbance" else d
         for d in explained[1]
@@ -94,10 +94,9 @@ def with_their_links(
     return now, (explained[0], calm, explained[2])
 
 
-def _unseen(explained: Explained) -> frozenset[int]:
-    """Joints that are claimed to have a transmission whose link nobody sees, or such a sensor."""
-    hiding = ("transmission", "measurement")
-    claimed = {d.joint for d in explained[1] if any(c.mechanism in hiding for c in d.claims)}
+def _claimed(explained: Explained, *mechanisms: str) -> frozenset[int]:
+    """Joints whose links nobody sees, for which one of some mechanisms is claimed."""
+    claimed = {d.joint for d in explained[1] if any(c.mechanism in mechanisms for c in d.claims)}
     return divided(explained[2].improved) & claimed
 
 

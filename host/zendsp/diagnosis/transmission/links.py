@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
@@ -62,14 +63,15 @@ def _with_links(data: Data, model: Model, joints: Collection[int]) -> Data:
 def _felt(rec: Records, data: Data, model: Model, joints: Collection[int]) -> Records:
     """One recording; a joint's own motor stays what it was."""
     links = rec[0].others.copy()
+    side: Literal["seen", "beyond"] = "seen" if model.sensor.side == "load" else "beyond"
     for joint in joints:
         record = rec[joint - 1]
-        beyond = run(record, model, data.bandwidth[joint - 1], inner=data.inner, states="beyond")
-        if beyond.diverged:
+        link = run(record, model, data.bandwidth[joint - 1], inner=data.inner, states=side)
+        if link.diverged:
             continue
-        assert beyond.q is not None and beyond.qd is not None
-        rate = np.gradient(beyond.qd, record.sample_time)
-        links[joint - 1] = within_samples(np.stack([beyond.q, beyond.qd, rate]), record.sample_time)
+        assert link.q is not None and link.qd is not None
+        rate = np.gradient(link.qd, record.sample_time)
+        links[joint - 1] = within_samples(np.stack([link.q, link.qd, rate]), record.sample_time)
     out = []
     for j, record in enumerate(rec):
         others = links.copy()
