@@ -67,7 +67,8 @@ def uneven(x: float) -> tuple[float, float, float]:
     """Load position behind a motor at x, and its first two derivatives by it."""
     at = ORDER * x + PHASE
     return (
-        x + ERROR * math.sin(at), 1 + ERROR * ORDER * math.cos(at),
+        x + ERROR * math.sin(at),
+        1 + ERROR * ORDER * math.cos(at),
         -ERROR * ORDER**2 * math.sin(at),
     )
 
@@ -187,7 +188,12 @@ def test_a_spring_is_bent_already_when_a_recording_begins_in_the_middle() -> Non
     record = prepare(
         [
             Signals(
-                "later", np.arange(N - begin) * T, T, later, command()[begin:, None], None,
+                "later",
+                np.arange(N - begin) * T,
+                T,
+                later,
+                command()[begin:, None],
+                None,
                 np.zeros(1),
             )
         ],
@@ -199,3 +205,27 @@ def test_a_spring_is_bent_already_when_a_recording_begins_in_the_middle() -> Non
     off = np.abs(run(record, model, 16.0, inner=8, free_every=N).innovations[early])
     bend = np.abs(true[begin, 0] - true[begin, 2])
     assert np.max(off) < 0.15 * bend
+
+
+def test_no_spring_is_bent_where_a_recording_begins_at_rest() -> None:
+    k, load, push = 15.0, 0.006, 0.1  # a load that rings for long
+    rows, steps = 500, 10
+    command, x, true = np.full(rows, push), np.zeros(4), []
+    for _ in range(rows):
+        true.append(x[0])
+        for _ in range(steps):  # motor, its speed, load, its speed
+            force = k * (x[0] - x[2])
+            x[1] += T / steps * (push - force) / (J - load)
+            x[3] += T / steps * force / load
+            x[0], x[2] = x[0] + T / steps * x[1], x[2] + T / steps * x[3]
+    term = {"kind": "elasticity", "joint": 1, "stiffness": k, "damping": 0, "load_inertia": load}
+    mechanism = {"kind": "rotary", "parameters": {"inertia": J}}
+    model = parse_model({"mechanism": mechanism, "effect": [term], "sample_time": T})
+    seen = np.array(true)[:, None]
+    signals = Signals("step", np.arange(rows) * T, T, seen, command[:, None], None, np.zeros(1))
+    record = prepare([signals], model).records[0][0]
+    off = run(record, model, 16.0, inner=8, free_every=rows).innovations
+    static = push * load / J / k
+    assert np.ptp(off - np.polyval(np.polyfit(np.arange(rows), off, 1), np.arange(rows))) < (
+        0.2 * static
+    )

@@ -264,11 +264,20 @@ def fill(
     m.nfx, m.kind, m.p = len(own), ffi.cast("int *", ffi.from_buffer(kinds)), p(table)
     m.qd0 = float(rqd[0])
     fill_shift(m, record, per_joint(model.sensor.offset, record.joint, 0.0))
-    soon = min(n - 1, max(1, round(AT_FIRST / record.sample_time)))
-    m.a0 = float(rqd[soon] - rqd[0]) / (soon * record.sample_time)
+    m.a0 = _first_acceleration(record)
     m.load_sensor = 1 if model.sensor.side == "load" else 0
     m.reset, m.rq, m.rqd, m.t0 = 0, p(rq), p(rqd), record.began
     return [kinds, table, inertia, bias, k1, k2, w]
+
+
+def _first_acceleration(record: JointRecord) -> float:
+    """That of the motion which is going on when a recording begins, rad/s²; none from rest: where
+    most of the first speed is yet to come, nothing has bent a spring.
+    """
+    soon = min(record.n - 1, max(1, round(AT_FIRST / record.sample_time)))
+    speed = record.motion.states[1]
+    gained = float(speed[soon] - speed[0])
+    return 0.0 if abs(speed[0]) < abs(gained) else gained / (soon * record.sample_time)
 
 
 def steps(record: JointRecord, model: Model, inertia: Array, inner: int) -> int:
