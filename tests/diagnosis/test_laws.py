@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from zendsp.diagnosis import joints
+from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide import laws
 from zendsp.diagnosis.decide.claims import Claim, Decision, unclaimed
 from zendsp.diagnosis.decide.confidence import least_stated, stated
@@ -276,3 +277,21 @@ def test_a_friction_that_creeps_stands_once_where_a_joint_is_decided_again(
     beneath = model((coulomb, creep) if stated else (coulomb,))
     joints.decided_again(SimpleNamespace(fit=None), beneath, first, 1, lambda _: None)  # type: ignore[arg-type]
     assert seen[0].terms == (coulomb, creep)
+
+
+@pytest.mark.parametrize(("lacks", "claimed"), [(0.3, True), (1.1, False)])
+def test_an_actuator_is_not_blamed_for_what_its_command_has_to_bear(
+    lacks: float, claimed: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def predicted(
+        _parts: Any, _model: Any, _joint: int, by: list[str], _turning: bool
+    ) -> Structure:
+        return Structure(0.9 * lacks if by == ["actuator"] else 0.1 * lacks, 0.8, 9.0)
+
+    monkeypatch.setattr(decision, "structure", predicted)
+    base, size = SimpleNamespace(model=None), Size(lacks, 0.9 * lacks, 1.1 * lacks)
+    state = Structure(0.9 * lacks, 0.8, 9.0)
+    out: Any = SimpleNamespace(joint=1, base=base, before=size, state=state)
+    parts: Any = SimpleNamespace(each=())
+    claim = decision._without_law(parts, out, True)
+    assert (claim is not None and claim.mechanism == "actuator") is claimed

@@ -403,6 +403,9 @@ def _without_law(parts: Parts, out: Decision, turning: bool) -> Claim | None:
     least = MOST * max(out.state.size, out.before.value) ** 2
     if best.z < SURE or best.size**2 < least or best.share < MOST:
         return None
+    # in a loop the command follows what the joint has to bear: of any torque, so large a part
+    if order[0] == "actuator" and out.before.value**2 > MOST:
+        return None
     other = next(alone[m] for m in order[1:] if m not in kind_of(order[0]))
     if other.size**2 > RIVAL * best.size**2:
         return None
