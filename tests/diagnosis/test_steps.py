@@ -236,8 +236,7 @@ def test_what_repeats_itself_and_what_remembers_are_told_from_unrest() -> None:
     def seen(columns: dict[str, np.ndarray]) -> tuple[float, float]:
         half = len(reference) // 2
         parts = [
-            data_of({key: x[a : a + half] for key, x in columns.items()}, model)
-            for a in (0, half)
+            data_of({key: x[a : a + half] for key, x in columns.items()}, model) for a in (0, half)
         ]
         memory = structure(parts, model, 1, [MEMORY])
         return periodic(parts[1], model, 1), memory.size if memory.z > 3 else 0.0
@@ -259,8 +258,7 @@ def test_a_torque_that_acts_seldom_is_told_from_chance() -> None:
 
     def seen(columns: dict[str, np.ndarray]) -> Structure:
         parts = [
-            data_of({key: x[a : a + half] for key, x in columns.items()}, model)
-            for a in (0, half)
+            data_of({key: x[a : a + half] for key, x in columns.items()}, model) for a in (0, half)
         ]
         return structure(parts, model, 1, STRUCTURED)
 
@@ -423,3 +421,25 @@ def test_a_search_that_runs_away_goes_on_with_its_next_first_step(
     alone = decision.find_sounder(parts, longer, final, sound, 1)
     assert alone is not None and alone.best is steps[1].scored, "its first step, alone"
     assert decision.find_sounder(parts, alone, final, sound, 1) is None
+
+
+@pytest.mark.parametrize(("steps", "pushed", "numeric"), [(1, 0.0, True), (20, 0.001, False)])
+def test_a_simulator_of_first_order_is_half_a_row_off_and_lacks_nothing(
+    steps: int, pushed: float, numeric: bool
+) -> None:
+    t = np.arange(5000) / RATE
+    command = 0.15 * (np.sin(7.0 * t) + np.sin(17.0 * t + 1.0) + np.sin(31.0 * t + 2.0))
+    foreign = pushed * np.random.default_rng(5).standard_normal(50).repeat(100)
+    h, q, v, seen = 1.0 / RATE / steps, 0.0, 0.0, []
+    for u in command + foreign:
+        seen.append(q)
+        for _ in range(steps):
+            v += h * (u - 0.004 * v) / 0.01
+            q += h * v
+    model = model_of(VISCOUS)
+    data = data_of({"t": t, "q": np.array(seen), "u": command}, model)
+    base = calibrate_joint(data, model, 1)
+    out: Any = SimpleNamespace(joint=1, base=base, before=discrepancy(data, base.model, 1))
+    parts: Any = SimpleNamespace(fit=data, test=data)
+    assert out.before.value > OF_STATE
+    assert decision._half_a_row(out, parts, 1) is numeric

@@ -54,7 +54,7 @@ from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
 from zendsp.diagnosis.search.rounds import WAIT
 from zendsp.diagnosis.search.simplify import simplify
 from zendsp.physics.calibration.fit import Data, joint_handles
-from zendsp.physics.model import Model, Term
+from zendsp.physics.model import Model, Quantity, Term
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -229,7 +229,7 @@ def _nothing_named(
     asked = _asked(out, parts, turning)
     # something acts there surely, though what it is drowns in what stays unexplained
     drowned = any(sure(parts.test, p) and beyond(p.size, out.known.all) > OF_STATE for p in pieces)
-    if drowned and asked.kind == "complete":
+    if drowned and asked.kind == "complete" and not _half_a_row(out, parts, jobs):
         return replace(out, kind="unexplained")
     if drowned or asked.kind == "complete":
         return asked
@@ -243,6 +243,24 @@ def _nothing_named(
     if again.kind != "complete" or _contradicted(parts.fit, base, whole, joint):
         return asked
     return replace(out, final=whole, after=size, state=state)
+
+
+def _half_a_row(out: Decision, parts: Parts, jobs: int) -> bool:
+    """Whether most of what lacks is gone where position and command are half a row apart: so they
+    are in a simulator of first order.
+    """
+    joint, model = out.joint, out.base.model
+    for way in (0.5, -0.5):
+        by = Quantity(way * parts.fit.records[0][joint - 1].sample_time, free=False)
+        shift = Term("column_shift", joint, {"time": by})
+        shifted = replace(
+            out.base, fit=replace(out.base.fit, model=model.with_terms((*model.terms, shift)))
+        )
+        fitted = _fitted_to(parts.fit, shifted, joint, jobs)
+        left = discrepancy(parts.test, fitted.model, joint)
+        if left.value**2 < (1.0 - MOST) * out.before.value**2:
+            return True
+    return False
 
 
 def _contradicted(fit: Data, base: Scored, whole: Scored, joint: int) -> bool:
