@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from zendsp.diagnosis import joints
+from zendsp.diagnosis.decide import absorbed, laws
 from zendsp.diagnosis.decide import decide as decision
-from zendsp.diagnosis.decide import laws
 from zendsp.diagnosis.decide.claims import Claim, Decision, unclaimed
 from zendsp.diagnosis.decide.confidence import least_stated, stated
 from zendsp.diagnosis.decide.notes import bent
@@ -295,3 +295,16 @@ def test_an_actuator_is_not_blamed_for_what_its_command_has_to_bear(
     parts: Any = SimpleNamespace(each=())
     claim = decision._without_law(parts, out, True)
     assert (claim is not None and claim.mechanism == "actuator") is claimed
+
+
+def test_no_inertia_is_known_better_than_simulators_agree(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(absorbed, "_needed", lambda *_: True)
+    given = parse_model({"mechanism": {"kind": "rotary", "parameters": {"inertia": 0.020}}})
+    moved = replace(given, mechanism={"inertia": (Quantity(0.025, std=1e-7),)})
+    whole: Any = SimpleNamespace(improved=moved)
+    search: Any = SimpleNamespace(joint=1)
+    nothing: Any = None
+    ((_, finding),) = absorbed.shifted(given, search, whole, (), nothing)
+    amount = finding.parameters["amount"]
+    assert amount.value == pytest.approx(0.005)
+    assert amount.std == pytest.approx(0.002 * 0.025, rel=0.01)

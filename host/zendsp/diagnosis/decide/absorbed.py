@@ -15,6 +15,7 @@ import numpy as np
 
 from zendsp.diagnosis.decide.assemble import Assembled
 from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.findings import NUMERIC
 from zendsp.diagnosis.decide.result import Estimate, Finding
 from zendsp.diagnosis.measure.discrepancy import difference
 from zendsp.diagnosis.measure.evidence import compare
@@ -66,7 +67,8 @@ def shifted(
         ratio = after.value / before.value - 1.0
         known = max(TOLERANCE, before.std / abs(before.value))
         spread = math.hypot(known, after.std / abs(before.value))
-        moves[key] = (ratio, ratio / spread, after.value - before.value, after.std)
+        std = math.hypot(after.std, NUMERIC * after.value)
+        moves[key] = (ratio, ratio / spread, after.value - before.value, std)
     main = "inertia" if given.kind == "rotary" else "mass"
     if main not in moves or abs(moves[main][1]) < FAR:
         return _gravity_only(given, joint, moves)
