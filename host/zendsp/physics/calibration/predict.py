@@ -272,14 +272,12 @@ def fill(
 
 def _first_acceleration(record: JointRecord) -> float:
     """That of the motion which is going on when a recording begins, rad/s²; none from rest: where
-    most of the first speed is yet to come, nothing has bent a spring. What begins in the middle of
-    a recording moves already.
+    most of the first speed is yet to come, nothing has bent a spring.
     """
     soon = min(record.n - 1, max(1, round(AT_FIRST / record.sample_time)))
     speed = record.motion.states[1]
     gained = float(speed[soon] - speed[0])
-    rests = record.began <= 0.0 and abs(speed[0]) < abs(gained)
-    return 0.0 if rests else gained / (soon * record.sample_time)
+    return 0.0 if abs(speed[0]) < abs(gained) else gained / (soon * record.sample_time)
 
 
 def steps(record: JointRecord, model: Model, inertia: Array, inner: int) -> int:
