@@ -67,6 +67,7 @@ class Arm:
     shifted: float = 0.0  # m of the upper arm's centre, along it
     tilt: float = 0.0  # rad, of gravity about x
     gain: float = 1.0  # of the actuator of joint 2
+    rotor: float = 0.0  # kg m², of the motor of joint 2
     spring: float = 0.0  # N m/rad between the last motor, where its sensor is, and its link
 
 
@@ -82,6 +83,7 @@ def simulate(arm: Arm, seed: int, seconds: float = 10.0) -> dict[str, np.ndarray
     own = true.inertias[2]
     lever = own.lever + np.array([arm.shifted, 0.0, 0.0])
     true.inertias[2] = pin.Inertia(own.mass + arm.heavier, lever, own.inertia)
+    true.armature = np.array([0.0, arm.rotor, 0.0])
     true.gravity.linear = 9.81 * np.array([0.0, np.sin(arm.tilt), -np.cos(arm.tilt)])
     data, plan = true.createData(), given.createData()
     r = np.random.default_rng(seed)
@@ -357,6 +359,20 @@ def test_a_rotor_that_calibration_moves_by_what_a_link_may_weigh_is_noted(
     given = load_model(tmp_path / "model.toml")
     notes = moved(given, set_values(given, [Handle("term", 0, "amount")], np.array([rotor])))
     assert bool(notes) == noted and all("0.1 to 0.115" in n and "payload" in n for n in notes)
+
+
+@pytest.mark.parametrize("stated, named", [(0.21, True), (0.285, False)])
+def test_a_rotor_that_is_a_third_off_is_named_and_one_within_its_tolerance_is_not(record,
+    stated: float, named: bool) -> None:  # type: ignore[no-untyped-def]
+    model, paths = record("rotor", Arm(rotor=0.3), True)
+    rotor = make_term(get_effect("inertia"), 2, {"amount": stated})
+    model = model.with_terms((*model.terms, rotor))
+    d = zendsp.diagnose(paths[0], model, paths[1], jobs=1)
+    assert [(f.effect, f.joint) for f in d.findings] == [("inertia", 2)] * named
+    for f in d.findings:
+        amount = f.parameters["amount"]
+        assert abs(amount.value - (0.3 - stated)) < 3 * amount.std + 0.01 * 0.3
+        assert {"body", "payload"} <= set(f.indistinguishable)
 
 
 def test_what_calibration_moved_is_told_by_name_in_the_numbers_of_a_model_file() -> None:
