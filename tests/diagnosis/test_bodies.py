@@ -346,6 +346,39 @@ def test_the_inertia_of_joints_that_accelerate_together_stays_in_its_range(tmp_p
     assert low < rotor < high
 
 
+def test_what_a_noisy_command_of_one_joint_does_to_the_others_is_known(tmp_path: Path) -> None:
+    """A feedback's noise at one joint shakes all; no smoothing of their positions finds it, and a
+    complete model of a six-axis arm had an elastic joint.
+    """
+    import pinocchio as pin
+
+    (tmp_path / "arm.urdf").write_text(urdf(LINKS))
+    (tmp_path / "model.toml").write_text(
+        f'name = "arm"\nsample_time = {1 / RATE}\n[mechanism]\nkind = "urdf"\nfile = "arm.urdf"\n'
+        f'[sensor]\nposition_resolution = {RESOLUTION}\n'
+        '[columns]\ntime = "t"\nposition = "q"\ncommand = "u"\n'
+    )
+    arm = pin.buildModelFromXML(urdf(LINKS))
+    data, r = arm.createData(), np.random.default_rng(1)
+    q, v, rows, truth = np.array([0.3, 0.6, -0.9]), np.zeros(3), [], []
+    for k in range(2000):
+        u = pin.computeGeneralizedGravity(arm, data, q) + 9.0 * (0.5 * np.sin(k / 200) - q) - 4 * v
+        u[2] += r.normal(0, 2.0)
+        y = RESOLUTION * np.round(q / RESOLUTION)
+        rows.append([k / RATE, *y, *u])
+        before = v
+        for _ in range(SUB):
+            v = v + pin.aba(arm, data, q, v, u) / RATE / SUB
+            q = q + v / RATE / SUB
+        truth.append((v - before) * RATE)
+    table = np.array(rows)
+    np.savez(tmp_path / "run.npz", t=table[:, 0], q=table[:, 1:4], u=table[:, 4:])
+    model = load_model(tmp_path / "model.toml")
+    smoothed = prepare([read_signals(tmp_path / "run.npz", model)], model, 64.0).records[0][0]
+    error = smoothed.others[:, 2].T - np.array(truth)
+    assert np.all(error[50:-50].std(axis=0) < 0.1 * np.array(truth)[50:-50].std(axis=0))
+
+
 @pytest.mark.parametrize("rotor, noted", [(0.115, True), (0.102, False)])
 def test_a_rotor_that_calibration_moves_by_what_a_link_may_weigh_is_noted(
     tmp_path: Path, rotor: float, noted: bool
