@@ -114,6 +114,13 @@ def _carried(b: Body) -> Body:
     return bare
 
 
+def mass_matrices(bodies: Sequence[Body], q: Array) -> Array:
+    """Inertia that each joint feels of each, kg m² or kg, (n, joints, joints) along (n, joints)."""
+    still, unit = np.zeros_like(q), np.eye(q.shape[1])
+    columns = [inverse_dynamics(bodies, np.zeros(3), q, still, still + e) for e in unit]
+    return np.stack(columns, axis=2)
+
+
 def forward_dynamics(
     bodies: Sequence[Body], gravity: Array, q: Array, qd: Array, tau: Array
 ) -> Array:

@@ -25,10 +25,12 @@ from zendsp.physics.kernel.signals import (
 )
 from zendsp.physics.model import TREES, Model, per_joint
 from zendsp.physics.robots.bodies import Links, body_terms, machine_tree
-from zendsp.physics.robots.rigid import Basis, bases
+from zendsp.physics.robots.rigid import Basis, bases, recorded_tree
 from zendsp.physics.term_numbers import added_inertia
+from zendsp.tree import mass_matrices
 
 Array = npt.NDArray[np.float64]
+POSES = 0.02  # s: an arm's inertia changes little over it
 
 
 def prepare(signals: Sequence[Signals], model: Model, bandwidth: float = 32.0) -> Data:
@@ -63,7 +65,8 @@ def one_sensor(signals: Sequence[Signals]) -> list[Signals]:
 def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
     """One recording as its joints."""
     joints = s.position.shape[1]
-    smoothed = [_motion(s, model, j) for j in range(joints)]
+    known = _accelerations(s, model)
+    smoothed = [_motion(s, j, known) for j in range(joints)]
     within = [within_samples(motion.states, s.sample_time) for _, motion in smoothed]
     others = np.ascontiguousarray(np.stack(within))
     basis = bases(model, within)
@@ -99,8 +102,10 @@ def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
     )
 
 
-def _motion(s: Signals, model: Model, j: int) -> tuple[Measurement, Motion]:
-    """What the sensor of a joint (from 0) says, and the motion behind it."""
+def _motion(s: Signals, j: int, known: Sequence[Array]) -> tuple[Measurement, Motion]:
+    """What the sensor of a joint (from 0) says, and the motion behind it; ``known`` is what its
+    acceleration may be, (n, joints) each.
+    """
     y = np.ascontiguousarray(s.position[:, j])
     resolution = float(s.resolution[j])
     noise = max(
@@ -108,9 +113,29 @@ def _motion(s: Signals, model: Model, j: int) -> tuple[Measurement, Motion]:
         float(s.least_noise[j]) if s.least_noise is not None else 0.0,
     )
     measurement = measure(y, s.sample_time, resolution, noise)
-    torque = per_joint(model.actuator.gain, j + 1, 1.0) * s.command[:, j]
-    inertia = _guess_inertia(model, j + 1, s, torque)
-    return measurement, smooth(measurement, s.sample_time, torque / inertia)
+    return measurement, smooth(measurement, s.sample_time, *(a[:, j] for a in known))
+
+
+def _accelerations(s: Signals, model: Model) -> list[Array]:
+    """Acceleration of the joints that the commands bring as the given model has it, without what
+    weight and motion do, (n, joints); of an arm also none, where the model's inertias are far off.
+
+    In an arm each torque accelerates all joints. What a command does from row to row, a feedback's
+    noise most of all, is not found in positions, and the other joints feel it.
+    """
+    joints = range(1, s.position.shape[1] + 1)
+    torque = s.command * [per_joint(model.actuator.gain, j, 1.0) for j in joints]
+    if model.kind not in TREES:
+        return [torque / [_inertia(model, j) for j in joints]]
+    bodies, _ = recorded_tree(model, len(joints))
+    rows = np.arange(len(torque))
+    late = model.actuator.delay / s.sample_time
+    torque = np.stack([np.interp(rows - late, rows, row) for row in torque.T], axis=1)
+    every = max(1, round(POSES / s.sample_time))
+    masses = mass_matrices(bodies, s.position[::every])
+    masses += np.diag([added_inertia(model, j) for j in joints])
+    inverse = np.linalg.pinv(masses, hermitian=True)[rows // every]
+    return [np.einsum("nij,nj->ni", inverse, torque), np.zeros_like(torque)]
 
 
 def _between(s: Signals, model: Model, j: int) -> float:
@@ -173,11 +198,8 @@ def within_samples(states: Array, sample_time: float) -> Array:
     return np.concatenate([mean, np.stack([q[-1:], qd[-1:], qdd[-1:]])], axis=1)
 
 
-def _guess_inertia(model: Model, joint: int, s: Signals, torque: np.ndarray) -> float:  # type: ignore[type-arg]
+def _inertia(model: Model, joint: int) -> float:
+    """A joint's inertia (kg m²) or mass as the mechanism's parameters have it."""
     if model.kind in ("rotary", "linear"):
         return mechanism_value(model, "inertia" if model.kind == "rotary" else "mass", joint)
-    if model.kind == "planar2r":
-        return mechanism_value(model, "p1" if joint == 1 else "p2", joint)
-    return max(float(np.std(torque)), 1e-6) / max(
-        float(np.std(np.diff(s.position[:, joint - 1], 2))) / s.sample_time**2, 1e-6
-    )
+    return mechanism_value(model, "p1" if joint == 1 else "p2", joint)

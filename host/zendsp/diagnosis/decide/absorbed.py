@@ -22,7 +22,7 @@ from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import fit_scored
 from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.effects import get_effect, library, mechanism_of
-from zendsp.physics.model import CALLED, TREES, Model, Quantity
+from zendsp.physics.model import CALLED, TREES, Model, Quantity, Term
 from zendsp.physics.term_numbers import file_model
 
 # relative standard deviation of a given inertia, mass or gravity figure; more where its std says so
@@ -54,7 +54,11 @@ def shifted(
     sprung = any(
         effect in library() and get_effect(effect).family == "transmission" for effect in found
     )
-    if given.kind not in ("rotary", "linear") or sprung or "torque_gain" in found:
+    if sprung or "torque_gain" in found:
+        return []
+    if given.kind in TREES:
+        return _rotor(given, search, whole, test)
+    if given.kind not in ("rotary", "linear"):
         return []
     moves = {}
     for key, items in given.mechanism.items():
@@ -73,7 +77,10 @@ def shifted(
     if main not in moves or abs(moves[main][1]) < FAR:
         return _gravity_only(given, joint, moves)
     ratio, z, amount, std = moves[main]
-    if not _needed(given, search, main, test):
+    items = tuple(replace(q, free=False) for q in given.mechanism[main])
+    model = search.final.model
+    held = replace(model, mechanism={**model.mechanism, main: items})
+    if not _needed(held, search, test):
         return []
     unit = "kg m²" if given.kind == "rotary" else "kg"
     what = "a payload, or a wrong figure" if amount > 0 else "a wrong figure"
@@ -143,18 +150,46 @@ def _numbers(
             yield f"{old.effect.replace('_', ' ')} {key}", q, new.parameters.get(key, q)
 
 
-def _needed(given: Model, search: Decision, key: str, test: Data) -> bool:
-    """Whether the recordings, held-out ones included, insist on the shift."""
-    final, joint = search.final, search.joint
-    items = given.mechanism[key]
-    held = tuple(replace(q, free=False) for q in items)
-    model = replace(final.model, mechanism={**final.model.mechanism, key: held})
-    handles = tuple(
-        h
-        for h in joint_handles(final.data, model, joint)
-        if not (h.place == "mechanism" and h.key == key)
+def _rotor(
+    given: Model, search: Decision, whole: Assembled, test: Data
+) -> list[tuple[float, Finding]]:
+    """The same of the rotor inertia that a model states beside the bodies of its file."""
+    joint = search.joint
+    both = [
+        [t for t in m.at(joint) if t.effect == "inertia"]
+        for m in (given, search.final.model, whole.improved)
+    ]
+    if any(len(terms) != 1 for terms in both):
+        return []
+    (stated,), (fitted,), (improved,) = both
+    before, after = stated.parameters["amount"], improved.parameters["amount"]
+    if not before.free or before.value <= 0.0:
+        return []
+    amount = after.value - before.value
+    z = amount / math.hypot(max(TOLERANCE * before.value, before.std), after.std)
+    fixed = Term("inertia", joint, {"amount": replace(before, free=False)})
+    terms = tuple(fixed if t is fitted else t for t in search.final.model.terms)
+    if abs(z) < FAR or not _needed(search.final.model.with_terms(terms), search, test):
+        return []
+    unit = "kg" if given.joint_kind(joint) == "linear" else "kg m²"
+    text = (
+        f"Calibration moves the rotor inertia of joint {joint} by"
+        f" {100 * amount / before.value:+.0f} % ({amount:+.3g} {unit}), far beyond the tolerance of"
+        " a given figure: a wrong one. Where only its own acceleration shows it, a link or a"
+        " payload of another mass is the same."
     )
-    fixed = fit_scored(final.data, model, handles, (joint,), rounds=3)
+    values = {"amount": Estimate(amount, after.std, unit)}
+    sure = min(0.9, 0.5 + 0.05 * abs(z))
+    return [(z, _finding("inertia", joint, values, sure, ("body", "payload"), text))]
+
+
+def _needed(held: Model, search: Decision, test: Data) -> bool:
+    """Whether the recordings, held-out ones included, insist on the shift: ``held`` is the model
+    without it.
+    """
+    final, joint = search.final, search.joint
+    handles = joint_handles(final.data, held, joint)
+    fixed = fit_scored(final.data, held, handles, (joint,), rounds=3)
     if fixed.deviance - final.deviance < INSISTS:
         return False
     # as any finding: more than what stays unexplained

@@ -200,7 +200,7 @@ def thin_measurement(measurement: Measurement, q: Array, every: int) -> Measurem
     )
 
 
-def smooth(measurement: Measurement, sample_time: float, known_acceleration: Array) -> Motion:
+def smooth(measurement: Measurement, sample_time: float, *known: Array) -> Motion:
     """The motion behind the measurements, given the acceleration that is already known.
 
     The rest of the acceleration is a random walk, whose strength maximises the likelihood of the
@@ -210,13 +210,13 @@ def smooth(measurement: Measurement, sample_time: float, known_acceleration: Arr
     ----------
     sample_time : float
         s.
-    known_acceleration : ndarray, shape (n,)
-        rad/s² or m/s², held over each sample.
+    known : ndarray, shape (n,)
+        rad/s² or m/s², held over each sample; of several the one counts that makes the
+        measurements likeliest.
     """
     lib = native()
     n = len(measurement.value)
     span = float(np.ptp(measurement.value)) or 1e-6
-    size = max(float(np.std(known_acceleration)), span)
     window = max(5, round(SPEED_OVER / sample_time))
     early = measurement.value[: 4 * window]
     v0 = (
@@ -225,10 +225,10 @@ def smooth(measurement: Measurement, sample_time: float, known_acceleration: Arr
         else 0.0
     )
     work, out, var = np.empty(14 * n), np.empty((3, n)), np.empty((3, n))
-    a = np.ascontiguousarray(known_acceleration)
     p = lib.doubles
 
-    def run(strength: float) -> float:
+    def run(choice: tuple[float, float, Array]) -> float:
+        strength, size, a = choice
         value: float = lib.lib.zf_smooth(
             n,
             sample_time,
@@ -246,11 +246,16 @@ def smooth(measurement: Measurement, sample_time: float, known_acceleration: Arr
         )
         return value
 
-    grid = size * 10.0 ** np.arange(-2.0, 3.6, 0.5)
-    best = min(grid, key=run)
-    run(float(best))
-    states = np.stack([out[0], out[1], out[2] + a])
-    return Motion(states, var.copy(), float(best))
+    choices = [
+        (float(size * strength), size, np.ascontiguousarray(a))
+        for a in known
+        for size in [max(float(np.std(a)), span)]
+        for strength in 10.0 ** np.arange(-2.0, 3.6, 0.5)
+    ]
+    best = min(choices, key=run)
+    run(best)
+    states = np.stack([out[0], out[1], out[2] + best[2]])
+    return Motion(states, var.copy(), best[0])
 
 
 def noise_beside_quantisation(y: Array, resolution: float) -> float:

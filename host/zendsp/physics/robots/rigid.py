@@ -17,7 +17,7 @@ import numpy.typing as npt
 from zendsp.errors import ModelError
 from zendsp.physics.model import TREES, Model
 from zendsp.physics.robots.robot import robot_tree
-from zendsp.tree import inverse_dynamics
+from zendsp.tree import Body, inverse_dynamics
 from zendsp_protocol.texts import counted
 
 Array = npt.NDArray[np.float64]
@@ -74,13 +74,25 @@ def bases(model: Model, motion: list[Array]) -> list[dict[str, Basis]]:
     raise ModelError(f"kind = {model.kind!r} has no rigid-body form")
 
 
-def _tree_bases(model: Model, motion: list[Array]) -> list[Basis]:
+def recorded_tree(model: Model, joints: int) -> tuple[list[Body], Array]:
+    """Links and gravity of a robot whose recording has so many joints.
+
+    Raises
+    ------
+    ModelError
+        It has more, or fewer.
+    """
     bodies, gravity = robot_tree(model)
-    joints = len(bodies)
-    if joints != len(motion):
+    if len(bodies) != joints:
         raise ModelError(
-            f"{model.file}: has {counted(joints, 'joint')}, the recording {len(motion)}"
+            f"{model.file}: has {counted(len(bodies), 'joint')}, the recording {joints}"
         )
+    return bodies, gravity
+
+
+def _tree_bases(model: Model, motion: list[Array]) -> list[Basis]:
+    bodies, gravity = recorded_tree(model, len(motion))
+    joints = len(bodies)
     q, qd, qdd = (np.ascontiguousarray(np.stack([m[i] for m in motion], axis=1)) for i in range(3))
     torque = inverse_dynamics(bodies, gravity, q, qd, qdd)
     still, weightless = np.zeros_like(q), np.zeros(3)
