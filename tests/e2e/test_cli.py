@@ -377,3 +377,12 @@ def test_ls_tells_that_what_is_elsewhere_may_refuse_a_password() -> None:
     assert done.returncode == 1
     for said in ("'nobody-*'", "tcp/127.0.0.1:9", "refuses the certificate or password"):
         assert said in done.stdout
+
+
+def test_target_refuses_a_wrong_option_in_one_line() -> None:
+    done = zendsp_("target", "--nam", "bench", "--list")
+    assert done.returncode == 2
+    assert done.stderr.strip().splitlines() == [
+        "zendsp target: unrecognized arguments: --nam bench --list; 'python -m zendsp_target"
+        " --help' lists the options"
+    ]
