@@ -166,7 +166,7 @@ def main() -> None:
         lacking = _too_little_memory(error)
         if lacking is None:
             raise
-        say(MemoryError(*lacking.args))
+        say(MemoryError(str(lacking)))
         sys.exit(2)
     except OSError as error:  # a full disk, a folder without the right to write, a full output
         say(error)
