@@ -30,6 +30,31 @@ if TYPE_CHECKING:
     from zendsp_protocol.messages import CompileResult
 
 
+def nearest(name: str, known: Collection[str], most: int = 1, alike: float = 0.6) -> list[str]:
+    """What somebody who wrote ``name`` may have meant, the nearest first; capitals do not count.
+
+    Parameters
+    ----------
+    name : str
+        As it was written.
+    known : collection of str
+        What could stand there.
+    most : int
+        So many at the most.
+    alike : float
+        How alike they must be, 0 … 1.
+
+    Examples
+    --------
+    >>> nearest("kd1", ("qd1", "Kd1"), 2)
+    ['Kd1', 'qd1']
+    """
+    import difflib
+
+    small = {word.lower(): word for word in known}
+    return [small[word] for word in difflib.get_close_matches(name.lower(), small, most, alike)]
+
+
 def did_you_mean(name: str, known: Collection[str]) -> str:
     """Say what somebody who wrote ``name`` probably meant, and what there is.
 
@@ -45,9 +70,7 @@ def did_you_mean(name: str, known: Collection[str]) -> str:
     >>> did_you_mean("dealy", ("gain", "delay"))
     'did you mean delay? Allowed: gain, delay'
     """
-    import difflib
-
-    close = difflib.get_close_matches(name, known, 1, 0.6)
+    close = nearest(name, known)
     return (
         f"{f'did you mean {close[0]}? Allowed' if close else 'allowed'}:"
         f" {', '.join(known) or 'none'}"

@@ -212,7 +212,11 @@ _ROWS = (
     Verb("run_begin", RunBegin, m.RunBegun, "quick", role="tune", once=True),
     Verb("run_end", RunEnd, m.Applied, "sync", role="tune"),
     Verb("log", Log, tuple[m.Change, ...], "quick", role="observe"),
-    Verb("acquire_configure", AcquireConfigure, m.AcquireStatus, "quick", role="tune", once=True),
+    # the target makes up to 2 GB of pages present
+    Verb(
+        "acquire_configure", AcquireConfigure, m.AcquireStatus, "quick", 30.0, role="tune",
+        once=True,
+    ),
     Verb("acquire_start", AcquireStart, m.Empty, "quick", role="tune", once=True),
     Verb("acquire_stop", Nothing, m.Empty, "quick", role="tune", once=True),
     Verb("acquire_status", Nothing, m.AcquireStatus, "quick", role="observe"),

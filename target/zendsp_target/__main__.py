@@ -54,10 +54,17 @@ DROPPED = (
 )
 
 
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        """One line, as of every other error."""
+        self.exit(2, f"zendsp target: {message}; '{self.prog} --help' lists the options\n")
+
+
 def parser() -> argparse.ArgumentParser:
     """Command line of the target."""
-    p = argparse.ArgumentParser(
+    p = _Parser(
         prog="python -m zendsp_target",
+        allow_abbrev=False,
         description=(
             "Run C control code at a fixed rate against a machine, and serve it over Zenoh."
         ),

@@ -377,3 +377,23 @@ def test_ls_tells_that_what_is_elsewhere_may_refuse_a_password() -> None:
     assert done.returncode == 1
     for said in ("'nobody-*'", "tcp/127.0.0.1:9", "refuses the certificate or password"):
         assert said in done.stdout
+
+
+def test_target_refuses_a_wrong_option_in_one_line() -> None:
+    done = zendsp_("target", "--nam", "bench", "--list")
+    assert done.returncode == 2
+    assert done.stderr.strip().splitlines() == [
+        "zendsp target: unrecognized arguments: --nam bench --list; 'python -m zendsp_target"
+        " --help' lists the options"
+    ]
+
+
+def test_more_than_memory_holds_is_told_in_words() -> None:
+    """An acquisition of 12 days said "too little memory (((1000000000, 4), dtype('float64')))"."""
+    code = "import numpy, zendsp.cli as c; c.cli = lambda **_: numpy.empty(10**17); c.main()"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False,
+        timeout=PATIENCE_S,
+    )
+    assert done.returncode == 2
+    assert "too little memory (Unable to allocate" in done.stderr, done.stderr

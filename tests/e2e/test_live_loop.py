@@ -233,7 +233,7 @@ def test_names_and_values_of_matrices_are_read_from_a_command_line() -> None:
     from zendsp.cli.common import parse_assignments, parse_names
 
     assert parse_names("q, K[1,2],tau") == ["q", "K[1,2]", "tau"]
-    given = parse_assignments(("K[0,1]=2", "K=[[1, 2], [3, 4]]"))
+    given = parse_assignments(("K[0,1] = 2", "K=[[1, 2], [3, 4]]"))
     assert given == {"K[0,1]": 2, "K": [[1, 2], [3, 4]]}
 
 
@@ -241,6 +241,10 @@ def test_what_is_asked_wrong_of_a_recording_names_what_to_write(fast: Target) ->
     fast.download("pd.c")
     with pytest.raises(AcquisitionError, match="nothing: no such variable"):
         fast.acquire(["nothing"], seconds=1.0)
+    with pytest.raises(VariableError, match=r"values have names: update\(Kp1=450.0\)"):
+        fast.update({"Kp1": 450.0})  # type: ignore[arg-type]
+    with pytest.raises(VariableError, match="kd1: no such variable; did you mean Kd1 or "):
+        fast["kd1"]
     with pytest.raises(Refused, match="nothing to record: the program is loaded"):
         fast.acquire(["q", "tick"], seconds=1.0)
     for ask in (fast.acquire, fast.acquire_configure):

@@ -44,6 +44,12 @@ def test_tab_completes_commands_targets_variables_and_programs(installed: Instal
     assert "pd.c" in _tab(installed, "zendsp", "run", "pd")
 
 
+def test_tab_completes_machines_and_experiments(installed: Installed) -> None:
+    assert _tab(installed, "zendsp", "target", "--machine", "i") == ["imi_planar"]
+    assert _tab(installed, "zendsp", "demo", "--machine", "w") == ["wam7"]
+    assert _tab(installed, "zendsp", "experiment", "imi-f") == ["imi-fit"]
+
+
 def test_other_shells_get_a_script(installed: Installed) -> None:
     for shell, word in (("zsh", "compdef"), ("fish", "complete --no-files")):
         assert word in installed.run("completion", shell).stdout

@@ -65,3 +65,15 @@ def test_a_recording_that_cannot_be_written_there_is_written_elsewhere(
     assert done.returncode == 1 and "cannot be written" in done.stderr, done.stderr
     kept = Path(done.stderr.split("it is in ", 1)[1].split()[0])
     assert kept.name == "run.csv" and len(kept.read_text().splitlines()) > 100
+
+
+def test_a_picture_that_cannot_be_drawn_hides_no_recording(installed: Installed) -> None:
+    """An ordinary file in the place of the folder: root may write everywhere else."""
+    installed.target("imi")
+    assert installed.run("run", "pd.c", "-t", "imi").returncode == 0
+    installed.write("file", "not a folder")
+    words = ("acquire", "q", "-t", "imi", "-s", "0.1", "-o", "q.csv", "--plot", "file/q.png")
+    done = installed.run(*words)
+    assert done.returncode == 1
+    assert "100 rows of 2 signals to q.csv" in done.stdout
+    assert done.stderr.startswith("zendsp: file/q.png: cannot be drawn (")

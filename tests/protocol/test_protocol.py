@@ -328,3 +328,9 @@ def test_a_request_that_would_take_long_to_decode_is_refused() -> None:
 def test_who_asks_has_a_name_of_200_characters_at_most() -> None:
     request = codec.encode_request("status", {}, "anna@" + "y" * 60_000)
     assert len(codec.decode_request(request, "quick")[2]) == 200
+
+
+def test_a_name_in_the_wrong_capitals_is_the_nearest_there_is() -> None:
+    assert errors.nearest("kp", ("Kd1", "Kp1", "q")) == ["Kp1"]
+    assert errors.nearest("kd1", ("qd1", "Kd1"), 2) == ["Kd1", "qd1"]
+    assert errors.did_you_mean("DELAY", ("gain", "delay")).startswith("did you mean delay?")

@@ -4,7 +4,6 @@ nothing heavy.
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import os
 import re
@@ -27,6 +26,7 @@ if TYPE_CHECKING:
 
 from zendsp.cli.lines import fitted
 from zendsp.errors import ZendspError
+from zendsp_protocol.errors import nearest
 from zendsp_protocol.texts import shown
 
 LEAST_MEMORY = 512 << 20  # bytes of addresses
@@ -166,7 +166,7 @@ def main() -> None:
         lacking = _too_little_memory(error)
         if lacking is None:
             raise
-        say(MemoryError(*lacking.args))
+        say(MemoryError(str(lacking)))
         sys.exit(2)
     except OSError as error:  # a full disk, a folder without the right to write, a full output
         say(error)
@@ -205,7 +205,7 @@ def _wrong_use(error: click.ClickException) -> str:
     if context is not None and isinstance(error, click.exceptions.NoSuchCommand):
         group = context.command
         known = group.list_commands(context) if isinstance(group, click.Group) else []
-        close = difflib.get_close_matches(error.command_name, known, 1)
+        close = nearest(error.command_name, known)
         near = f"did you mean {close[0]}? " if close else ""
         return (
             f"no command {error.command_name!r}; {near}'{context.command_path} --help' lists them"

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from zendsp.cli.common import emit, open_target, progress, target_options
 from zendsp.cli.completing import variables
+
+if TYPE_CHECKING:
+    from zendsp.recording import Recording
 
 PICTURES = (".png", ".svg", ".pdf")
 
@@ -105,8 +109,6 @@ def command(
     written, wrong = save_anyhow(recording, out)
     if wrong:
         click.echo(f"zendsp: {wrong}", err=True)
-    if plot is not None:
-        recording.plot(path=plot)
     body = {
         "file": str(written), "rows": len(recording), "columns": recording.columns,
         "lost": recording.lost, "late": late, "ended": ended,
@@ -117,10 +119,21 @@ def command(
         f"{len(recording)} rows of {len(recording.columns)} signals to {written},"
         f" {recording.lost} lost" + (f", {late}" if late else ""),
     )
+    drawn = plot is None or _draw(recording, plot)
     if ended == "interrupted":
         raise KeyboardInterrupt
     if ended:
         click.echo(f"zendsp: {ended}", err=True)
         raise click.exceptions.Exit(1)
-    if wrong:
+    if wrong or not drawn:
         raise click.exceptions.Exit(1)
+
+
+def _draw(recording: Recording, path: Path) -> bool:
+    """Draw it; where that cannot be written, say so, since the recording is there all the same."""
+    try:
+        recording.plot(path=path)
+    except OSError as error:
+        click.echo(f"zendsp: {path}: cannot be drawn ({error.strerror})", err=True)
+        return False
+    return True

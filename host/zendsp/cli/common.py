@@ -203,6 +203,7 @@ def parse_assignments(pairs: tuple[str, ...]) -> dict[str, Assignable]:
     values: dict[str, Assignable] = {}
     for pair in pairs:
         name, equals, text = pair.partition("=")
+        name = name.strip()
         if not equals or not name:
             raise click.BadParameter(f"{pair!r}: expected NAME=VALUE")
         if name in values:

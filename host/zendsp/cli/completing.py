@@ -1,5 +1,5 @@
-"""What the shell offers behind a word: targets, variables, programs. Fast, and silent where nothing
-answers.
+"""What the shell offers behind a word: targets, variables, programs, machines, experiments. Fast,
+and silent where nothing answers.
 """
 
 from __future__ import annotations
@@ -83,6 +83,27 @@ def programs(ctx: click.Context, param: click.Parameter, incomplete: str) -> lis
     fitting = [n for n in dict.fromkeys((*here, *shipped)) if n.startswith(incomplete)]
     # a shell that is told to look for files itself shows nothing else
     return [CompletionItem(n) for n in fitting] or [CompletionItem(incomplete, type="file")]
+
+
+def machines(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Machines that come with zendsp; else any file."""
+    from zendsp_isr.parts import machine_names
+
+    fitting = [CompletionItem(n) for n in machine_names() if n.startswith(incomplete)]
+    return fitting or [CompletionItem(incomplete, type="file")]
+
+
+def experiments(
+    ctx: click.Context, param: click.Parameter, incomplete: str
+) -> list[CompletionItem]:
+    """Experiments that ``zendsp experiment`` lists."""
+    from zendsp.experiment.registry import EXPERIMENTS
+
+    return [
+        CompletionItem(name, help=e.title)
+        for name, e in EXPERIMENTS.items()
+        if name.startswith(incomplete)
+    ]
 
 
 def _words(unit: str, text: str) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from zendsp.cli.common import emit
+from zendsp.cli.completing import machines
 
 
 @click.command("demo")
@@ -20,7 +21,7 @@ from zendsp.cli.common import emit
     help="Folder for what it makes.",
 )
 @click.option(
-    "--machine", default="imi_planar", show_default=True,
+    "--machine", default="imi_planar", show_default=True, shell_complete=machines,
     help="imi_planar, pendulum, or wam7, which conceals a payload.",
 )
 @click.option(

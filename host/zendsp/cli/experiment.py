@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from zendsp.cli.common import wrapped
+from zendsp.cli.completing import experiments
 from zendsp_protocol.texts import counted
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @click.command("experiment")
-@click.argument("name", required=False)
+@click.argument("name", required=False, shell_complete=experiments)
 @click.option(
     "--out",
     type=click.Path(path_type=Path),

@@ -8,11 +8,16 @@ import sys
 
 import click
 
+from zendsp.cli.completing import machines
+
 
 @click.command(
     "target", context_settings={"ignore_unknown_options": True, "allow_extra_args": True}
 )
-@click.option("--machine", default="imi_planar", show_default=True, help="Machine to drive.")
+@click.option(
+    "--machine", default="imi_planar", show_default=True, help="Machine to drive.",
+    shell_complete=machines,
+)
 @click.option("--name", help="Name of the target (default: that of the machine).")
 @click.option("--rate", type=float, default=1000.0, show_default=True, help="Sample rate, Hz.")
 @click.option("--clock", type=click.Choice(["real", "fast"]), default="real", show_default=True)

@@ -11,6 +11,7 @@ from pathlib import Path
 import click
 
 from zendsp.cli.common import parse_names
+from zendsp.cli.completing import machines
 from zendsp.errors import LinkError
 from zendsp_isr.parts import is_model, machine_source
 
@@ -22,7 +23,7 @@ from zendsp_isr.parts import is_model, machine_source
     help="The same as TARGET, as of the other commands (else $ZENDSP_TARGET).",
 )
 @click.option(
-    "--local", "--machine", "machine", metavar="MACHINE",
+    "--local", "--machine", "machine", metavar="MACHINE", shell_complete=machines,
     help="Start a simulated machine here, for example imi_planar.",
 )
 @click.option(

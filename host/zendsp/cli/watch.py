@@ -64,7 +64,7 @@ def command(
                 newest = _first(t, view)
                 due = time.monotonic() + interval  # from the first rows on
             parts = [
-                f"{name} {show(value):>10} {unit}".rstrip()
+                f"{name} {show(value):>12} {unit}".rstrip()
                 for (name, value), unit in zip(newest.items(), ("s", *view.units), strict=True)
             ]
             if rewrite:

@@ -174,6 +174,11 @@ class Variables(Part):
             raise
 
     def _update(self, at_tick: int | None, values: dict[str, Assignable]) -> int:
+        if at_tick is not None and not hasattr(at_tick, "__index__"):  # values, as for a dict
+            raise VariableError(
+                f"at_tick = {at_tick!r} is not the number of a sample; values have names:"
+                " update(Kp1=450.0), or update(**values)"
+            )
         batch = {**self._staged, **values} if self._staged and values else self._staged or values
         if not batch:
             raise VariableError("nothing to update: stage values first, or give them as arguments")

@@ -33,8 +33,10 @@ _EDGES = {"rising": 1, "falling": 2, "both": 3}
 _STATES = dict(enumerate(RecorderState))  # STREAM_… of layout.h
 # bytes of a stream: its pages are made present at once, which takes about a second for so many
 _LARGEST = 2_000_000_000
-# the service thread of the runner maps a stream in milliseconds; a loaded machine may take longer
+# the service thread of the runner maps a small stream in milliseconds, 1 GB in half a second; a
+# loaded machine may take longer
 _ANSWER_S = 5.0
+_PAGES_PER_S = 100e6  # bytes made present in a second, at the least
 
 
 @dataclass
@@ -199,7 +201,8 @@ def attach(stream: Stream, control: Any, number: int, alive: Callable[[], bool])
     generation = before + 2 if before % 2 else before + 1
     lib.monitor_store32(ffi.addressof(slot, "requested"), generation)
     mapped = ffi.addressof(slot, "mapped")
-    if not _until(lambda: lib.monitor_load32(mapped) == generation, alive):
+    limit = _ANSWER_S + int(stream.head.bytes) / _PAGES_PER_S
+    if not _until(lambda: lib.monitor_load32(mapped) == generation, alive, limit):
         raise AcquisitionError(
             "the runner did not take the acquisition: see status for its state, then load the"
             " program again"
@@ -232,8 +235,8 @@ def request(stream: Stream, word: str, alive: Callable[[], bool]) -> None:
             )
 
 
-def _until(done: Callable[[], bool], alive: Callable[[], bool]) -> bool:
-    end = time.monotonic() + _ANSWER_S
+def _until(done: Callable[[], bool], alive: Callable[[], bool], limit: float = _ANSWER_S) -> bool:
+    end = time.monotonic() + limit
     while not done():
         if not alive() or time.monotonic() > end:
             return done()

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from zendsp_protocol.errors import VariableError
+from zendsp_protocol.errors import VariableError, nearest
 from zendsp_protocol.messages import VariableInfo
 from zendsp_protocol.texts import joint_units
 from zendsp_protocol.values import Value
@@ -184,10 +184,8 @@ class Dictionary:
         return self._places[name]
 
     def _nearest(self, name: str) -> str:
-        import difflib
-
         names = [n for n, e in self.entries.items() if e.info.kind != "setting"]
-        close = difflib.get_close_matches(name, names, 3, 0.5)
+        close = nearest(name, names, 3, 0.5)
         meant = f"did you mean {' or '.join(close)}? The" if close else "the"
         counts = [
             (kind, sum(e.info.kind == kind for e in self.entries.values()))

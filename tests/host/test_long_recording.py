@@ -1,0 +1,22 @@
+"""A recording that is longer than what the target holds."""
+
+from __future__ import annotations
+
+import resource
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from zendsp.errors import AcquisitionError
+from zendsp.link.acquire import Recorder
+
+
+def test_memory_is_taken_as_rows_come() -> None:
+    status = SimpleNamespace(channels=("q",), begun=1, first=0, count=0, state="stopped")
+    recorder: Any = SimpleNamespace(insist=lambda verb, patience: status)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(AcquisitionError, match="ended after 0 of 100000000 rows"):
+        Recorder._follow(recorder, 100_000_000, "", None, 1.0, None)
+    taken_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    assert taken_kb < 400_000, "of 800 MB that the whole recording will need"
