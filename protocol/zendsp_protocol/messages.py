@@ -129,6 +129,7 @@ class Trip(Message, frozen=True):
     limit: float = 0.0  # that was broken, same unit
     text: str = ""  # a sentence for people
     cause: str = ""  # its first words: what broke which limit
+    number: int = 0  # of trips, and STOPs beside them, of this target; moves on with a STOP
 
 
 class Status(Message, frozen=True):

@@ -93,6 +93,10 @@ class Drive(Arguments, frozen=True, kw_only=True):
     policy: str = ""  # of host_lost: stop | hold | finish
 
 
+class Acknowledge(Arguments, frozen=True, kw_only=True):
+    trip: int | None = None  # number of the one that is meant: no other is acknowledged
+
+
 class RunBegin(Arguments, frozen=True, kw_only=True):
     names: list[str]  # what the run will set; those that the program lacks are left out
     moves: bool = False  # it moves the machine: if its host is lost, the host-lost policy acts
@@ -204,7 +208,7 @@ _ROWS = (
     Verb("set_overrun", SetOverrun, m.Empty, "quick", role="command", once=True),
     Verb("set_inputs", SetInputs, m.Empty, "quick", role="command", once=True),
     Verb("home", Nothing, m.Empty, "quick", role="command", once=True),
-    Verb("acknowledge", Nothing, m.Said, "quick", role="command", once=True),
+    Verb("acknowledge", Acknowledge, m.Said, "quick", role="command", once=True),
     Verb("drive", Drive, m.Said, "quick", role="command", once=True),
     Verb("drive_status", Nothing, m.DriveStatus, "quick", role="observe"),
     Verb("seal", Nothing, m.Seal, "quick", role="observe"),

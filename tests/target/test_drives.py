@@ -231,6 +231,29 @@ def test_with_nothing_latched_acknowledge_says_so_and_a_program_goes_on(target: 
     assert target.drive_status().state == "enabled", "the drives stay as they are, too"
 
 
+def test_a_trip_that_came_after_what_was_seen_is_not_acknowledged(target: Target) -> None:
+    target.start()
+    seen = target.stop().trip
+    assert seen is not None
+    with connect(target.name) as other:
+        other.stop()
+    with pytest.raises(Refused, match="another STOP or trip came after"):
+        target.acknowledge(seen)
+    assert target.status().trip is not None
+    target.acknowledge(target.status().trip)
+    one = target.stop().trip
+    assert target.acknowledge(one).startswith("acknowledged")
+    again = target.stop().trip
+    assert one is not None and again is not None and one.tick == again.tick, "it stands still"
+    with pytest.raises(Refused, match="another STOP or trip came after"):
+        target.acknowledge(one)
+    wrong = _cli(target, "acknowledge", "--sample", f"{seen.tick}")
+    assert wrong.returncode == 2 and f"since sample {again.tick}" in wrong.stderr
+    assert target.status().trip is not None
+    right = _cli(target, "acknowledge", "--sample", f"{again.tick}")
+    assert "(it was: STOP was requested" in right.stderr and target.status().trip is None
+
+
 def test_the_right_to_command_is_exclusive_and_taken_over_deliberately(target: Target) -> None:
     assert target.drive_status().commander == ""
     target.power_on()

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from samples import run
 from waiting import until
 
@@ -119,6 +120,23 @@ def test_stop_is_latched_until_acknowledged(runtime: Runtime, reason: str) -> No
     runtime.acknowledge()
     assert runtime.status().state == "paused"
     run(runtime, 5)
+
+
+@pytest.mark.parametrize("later", ["stop", "host lost"])
+def test_the_loop_ends_no_trip_that_came_while_one_was_acknowledged(
+    runtime: Runtime, later: str
+) -> None:
+    runtime.start()
+    runtime.trip("stop")
+    runtime_state_is(runtime, "stopped")
+    seen = runtime.status().trip
+    assert seen is not None
+    runtime.trip(later)
+    until(lambda: runtime.status().trip == replace(seen, number=seen.number + 1), "it is counted")
+    runtime.acknowledge(seen.number)
+    assert runtime.status().state == "stopped"
+    runtime.acknowledge(seen.number + 1)
+    assert runtime.status().state == "paused"
 
 
 def runtime_state_is(runtime: Runtime, state: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import pytest
@@ -72,7 +73,9 @@ async def test_the_safe_sequence_by_keys(
         await until(pilot, lambda: snap().mine, "taken over deliberately")
         await pilot.press("f9")
         await until(pilot, lambda: snap().drive == "stopped", "stopped")
-        await until(pilot, lambda: not lab.session.stops.just_pressed(), "somebody saw it")
+        await until(
+            pilot, lambda: not lab.session.stops.unseen(time.monotonic()), "somebody saw it"
+        )
         await pilot.press("ctrl+k")
         await until(pilot, lambda: snap().drive == "homed" and snap().trip is None, "acknowledged")
         await pilot.press("o")

@@ -9,6 +9,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from threading import Event
@@ -107,7 +108,9 @@ async def test_after_stop_nothing_moves_until_somebody_enables(
         await until(
             pilot, lambda: len(refused()) == 2, "enable and start are refused while latched"
         )
-        await until(pilot, lambda: not lab.session.stops.just_pressed(), "somebody saw it")
+        await until(
+            pilot, lambda: not lab.session.stops.unseen(time.monotonic()), "somebody saw it"
+        )
         await pilot.press("ctrl+k")
         await until(pilot, lambda: lab.session.snapshot.drive == "homed", "acknowledged")
         await pilot.press("s")
@@ -140,6 +143,32 @@ async def test_what_was_asked_before_a_stop_is_not_done_after_it(
         await until(pilot, later.done, "all that was asked is done")
         trip = target.status().trip
         assert trip is not None and trip.reason == "stop"
+
+
+async def test_a_key_that_was_typed_before_a_trip_was_shown_does_not_acknowledge_it(
+    lab: ZendspApp, target: Target, enabled: Step, until: Until, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with lab.run_test(size=(100, 30)) as pilot:
+        await enabled(lab, pilot)
+        await pilot.press("s")
+        await until(pilot, lambda: lab.session.snapshot.t > 0.5, "moves")
+        target.stop()  # by somebody else
+        await until(pilot, lambda: lab.session.snapshot.drive == "stopped", "it is told")
+        monkeypatch.setattr("zendsp.tui.stop_lane.REACTION_S", 1e9)
+        await pilot.press("ctrl+k")
+        await until(pilot, lambda: bool(lab._notifications), "it says why it does nothing")
+        monkeypatch.undo()
+        seen = lab.session.snapshot
+        target.stop()
+        await until(pilot, lambda: lab.session.snapshot.trip != seen.trip, "one more is told")
+        lab.session.snapshot = seen  # what the screen still shows
+        monkeypatch.setattr("zendsp.tui.stop_lane.REACTION_S", -1e9)
+        lab.action_acknowledge()
+        refused = lambda: any(  # noqa: E731
+            "another STOP or trip came" in e.text for e in lab.session.events.since(0)[1]
+        )
+        await until(pilot, refused, "the target refuses")
+        assert target.status().trip is not None
 
 
 async def test_acknowledging_what_is_not_latched_pauses_nothing(

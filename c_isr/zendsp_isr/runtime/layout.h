@@ -21,7 +21,7 @@
 #include "machine.h"
 
 enum {
-    LAYOUT_VERSION = 5,
+    LAYOUT_VERSION = 6,
     LAYOUT_MAGIC = 0x5a445350, /* "ZDSP" */
     STOP_PAGE_VERSION = 3, /* of its own: a host of another zendsp can still stop the loop */
     LAYOUT_VARIABLES = 1024,   /* entries of the dictionary, built-ins and settings included */
@@ -78,7 +78,7 @@ enum {
 typedef struct stop_page {
     uint32_t magic, version;
     uint32_t stop;   /* by any host: 1 asks for STOP; the loop clears it */
-    uint32_t pad;
+    uint32_t trips;  /* by the loop: trips latched, and STOPs asked while one was */
     uint64_t sample; /* by the loop, before it counts `taken`: that of the trip latched then */
     uint64_t taken;  /* by the loop: STOPs from here whose safe outputs the machine has */
     char by[LAYOUT_WHO]; /* by whoever asks, before `stop`: who, and when; UTF-8, ended by 0 */
@@ -243,7 +243,9 @@ typedef struct control {
     uint32_t run;        /* RUN_…; the loop itself sets RUN_PAUSED at run_until */
     uint32_t stop;       /* TRIP_… to latch at the next sample; the loop clears it */
     uint32_t acknowledge; /* increments; the loop answers in `acknowledged` */
+    uint32_t acknowledge_trip; /* before it: `trips` that were seen; of others none ends */
     int32_t drive;       /* MACHINE_OFF | MACHINE_TORQUE | MACHINE_VELOCITY */
+    uint32_t pad;
     uint64_t run_until;  /* pause when `tick` has come so far; 0: no end */
     uint32_t simulated_din; /* OR-ed into the digital inputs of a simulated machine */
     uint32_t off;           /* increments each time the drives are switched off */

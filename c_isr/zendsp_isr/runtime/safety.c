@@ -14,6 +14,9 @@ static bool latched(const runner *r) { return r->control->trip.reason != TRIP_NO
 /* Latch the first trip; later ones change nothing until it is acknowledged. */
 void safety_trip(runner *r, uint32_t reason, int joint, double value, double limit) {
     control *c = r->control;
+    const bool asked = reason == TRIP_STOP || reason == TRIP_HOST_LOST;
+    if (!latched(r) || asked) /* what breaks a limit does so every sample */
+        store32(&r->page->trips, r->page->trips + 1);
     if (latched(r))
         return;
     c->trip.joint = joint;
@@ -78,10 +81,12 @@ void safety_requests(runner *r, bool paused) {
     control *c = r->control;
     const uint32_t acknowledge = load32(&c->acknowledge);
     if (acknowledge != c->acknowledged) {
-        store32(&c->trip.reason, TRIP_NONE);
-        r->state.overruns_in_row = 0;
-        safety_anew(r); /* what was computed before the trip shall not act */
-        widen(r);
+        if (c->acknowledge_trip == r->page->trips) { /* else nobody has seen the latest */
+            store32(&c->trip.reason, TRIP_NONE);
+            r->state.overruns_in_row = 0;
+            safety_anew(r); /* what was computed before the trip shall not act */
+            widen(r);
+        }
         store32(&c->acknowledged, acknowledge);
     }
     const uint32_t off = load32(&c->off);

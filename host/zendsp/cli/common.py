@@ -52,6 +52,24 @@ def target_options(function: F) -> F:
     return function
 
 
+sample_option = click.option(
+    "--sample", type=int, metavar="N",
+    help="Acknowledge only what is latched since this sample, and nothing that came after it.",
+)
+
+
+def acknowledge(target: Target, sample: int | None) -> None:
+    """Acknowledge the trip that is latched, or only that of one sample; say what it was."""
+    from zendsp.errors import Refused
+
+    trip = target.status().trip
+    if trip and sample not in (None, trip.tick):
+        raise Refused(
+            f"not acknowledged: another one is latched, since sample {trip.tick}. {trip.text}"
+        )
+    click.echo(target.acknowledge(trip), err=True)
+
+
 @contextmanager
 def open_target(name: str, endpoint: str | None) -> Iterator[Target]:
     """Connect to the target that the options name, and at the end say on standard error if it is

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import click
 
-from zendsp.cli.common import emit, open_target, target_options
+from zendsp.cli.common import acknowledge, emit, open_target, sample_option, target_options
 from zendsp.errors import Refused
 
 ACTIONS = (
@@ -23,12 +23,14 @@ ACTIONS = (
     help="Of enable.",
 )
 @click.option("--force", is_flag=True, help="take: also from another host.")
+@sample_option
 @target_options
 def command(
     action: str,
     policy: str | None,
     mode: str,
     force: bool,
+    sample: int | None,
     target: str,
     connect: str | None,
     as_json: bool,
@@ -58,7 +60,7 @@ def command(
         }
         try:
             if action == "acknowledge":
-                click.echo(t.acknowledge(), err=True)
+                acknowledge(t, sample)
             elif action == "host-lost":
                 click.echo(t.set_host_lost(policy or "stop"), err=True)
             elif action != "status":

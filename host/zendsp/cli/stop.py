@@ -11,7 +11,16 @@ from typing import TYPE_CHECKING, TypeAlias
 import click
 
 from zendsp.cli import LEAST_MEMORY
-from zendsp.cli.common import emit, held_target, open_target, target_options
+from zendsp.cli.common import (
+    acknowledge as acknowledge_trip,
+)
+from zendsp.cli.common import (
+    emit,
+    held_target,
+    open_target,
+    sample_option,
+    target_options,
+)
 from zendsp.cli.completing import targets
 from zendsp.errors import NotStopped, ZendspError
 
@@ -30,9 +39,15 @@ TOO_LITTLE = f"a link needs {LEAST_MEMORY >> 20} MB of addresses: 'ulimit -v' al
 @click.command("stop")
 @click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=targets)
 @click.option("--acknowledge", is_flag=True, help="Instead, acknowledge an earlier STOP or trip.")
+@sample_option
 @target_options
 def command(
-    names: tuple[str, ...], acknowledge: bool, target: str, connect: str | None, as_json: bool
+    names: tuple[str, ...],
+    acknowledge: bool,
+    sample: int | None,
+    target: str,
+    connect: str | None,
+    as_json: bool,
 ) -> None:
     """STOP: outputs are safe from the next sample on, and stay so until acknowledged.
 
@@ -47,7 +62,7 @@ def command(
         if len(names) > 1:
             raise click.UsageError("acknowledge one target at a time")
         with open_target("".join(names) or target, connect) as t:
-            click.echo(t.acknowledge(), err=True)
+            acknowledge_trip(t, sample)
             status = t.status()
             emit(status, as_json, f"{status.state}, drive {status.drive}")
         return

@@ -30,7 +30,9 @@ if TYPE_CHECKING:
 else:
     np = Lazily("numpy")
 
-WAITING = 4096  # messages that may wait for the thread that takes them
+# Messages that may wait for the thread that takes them. Zenoh keeps with each the whole packet of
+# 64 kB that it came in: 17 MB, and a quarter of a second at the shortest interval.
+WAITING = 256
 SHOWN = 600  # points of a curve in a notebook
 PICTURE_S = 0.2  # between pictures in a notebook
 BACKLOG = 256  # blocks that an iterator may lag behind before the oldest are dropped

@@ -187,16 +187,23 @@ class Programs(Part):
             status if status.trip is not None else msgspec.structs.replace(status, trip=known.trip)
         )
 
-    def acknowledge(self) -> str:
+    def acknowledge(self, trip: m.Trip | None = None) -> str:
         """Acknowledge a STOP or a trip; nothing moves before the next `start`. Where nothing is
         latched, nothing changes.
+
+        Parameters
+        ----------
+        trip : Trip, optional
+            The one that is meant, as ``status().trip`` told it: where another STOP or trip came
+            since, it is refused. Default: what is latched, whatever it is.
 
         Returns
         -------
         str
             What was done, or that there was nothing to acknowledge.
         """
-        said: m.Said = self.request("acknowledge")
+        meant = {"trip": trip.number} if trip and trip.number else {}  # an older target has none
+        said: m.Said = self.request("acknowledge", **meant)
         return said.text
 
     def unload(self) -> None:

@@ -100,6 +100,7 @@ class ZendspApp(App[None]):
         self.targets = Targets(self, find_targets, start_machine, machines)
         self._target, self._first, self._theme_name, self._begin = target, first, theme, begin
         self.chosen: tuple[Path, ...] = ()  # references that Execute will play
+        self._typed = 0.0  # when the key or the click came that is handled now, monotonic
         self._expected = 0.0  # until when keys wait for a dialog
         self._held: list[events.Key] = []
         self._given: WeakKeyDictionary[events.Key, MessagePump] = WeakKeyDictionary()
@@ -277,11 +278,11 @@ class ZendspApp(App[None]):
             if not isinstance(self.focused, Input):
                 self.toast("nothing is latched, so there is nothing to acknowledge")
             raise SkipAction
-        if self.session.stops.just_pressed():
+        if self.session.stops.unseen(self._typed):
             self.toast("it was typed before the STOP: acknowledge once more", "warning")
             return
         self.session.stops.acknowledged()
-        self.drive("acknowledge", "acknowledge")
+        self.drive("acknowledge", "acknowledge", trip=now.trip)
 
     # -- keys
 
@@ -325,6 +326,8 @@ class ZendspApp(App[None]):
             if isinstance(event, events.Key) and event.key == PICTURE:
                 self._see()
             return
+        if isinstance(event, events.InputEvent):
+            self._typed = event.time
         if isinstance(event, events.Key):
             if self._dialog_comes():
                 self._held.append(_anew(event))

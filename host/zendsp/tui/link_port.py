@@ -252,6 +252,8 @@ class LinkPort:
         """Ask something of the drives; homing is waited for."""
         if verb == "home":
             return self.target.home_and_wait()
+        if verb == "acknowledge":
+            return self.target.acknowledge(**values)
         said: m.Said = self.target.request("drive", action=verb, **values)
         return said.text
 
@@ -289,7 +291,7 @@ class LinkPort:
 def _trip(trip: m.Trip | None) -> TripView | None:
     if trip is None:
         return None
-    return TripView(trip.reason, trip.tick, trip.text or trip.reason)
+    return TripView(trip.reason, trip.tick, trip.text or trip.reason, trip.number)
 
 
 def _variable(info: m.VariableInfo, kind: str) -> Variable:

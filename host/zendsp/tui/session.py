@@ -184,6 +184,7 @@ class Session:
         """Keep a snapshot and put its changes of state into the event log."""
         old, self.snapshot = self.snapshot, new
         if new.trip is not None and (new.trip != old.trip or old.link != "up"):
+            self.stops.tripped = time.monotonic()
             self.events.add(f"trip at sample {new.trip.tick}: {new.trip.text}", "error")
         if old.link != "up":
             return

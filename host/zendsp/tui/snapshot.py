@@ -52,6 +52,7 @@ class TripView:
     reason: str
     tick: int
     text: str
+    number: int = 0  # 0: told by a target that counts none
 
 
 @dataclass(frozen=True)

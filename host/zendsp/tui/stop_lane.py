@@ -49,6 +49,7 @@ class StopLane:
     ) -> None:
         self.verdict: Verdict | None = None
         self.heard = float("-inf")  # of the latest STOP, by the monotonic clock
+        self.tripped = float("-inf")  # when the latest trip was told, by the same
         self.stopper: Stopper | None = None
         self._events, self._port, self._wake = events, port, wake
         self._target = ""
@@ -94,11 +95,11 @@ class StopLane:
         """Take the word about the last STOP away."""
         self.verdict = None
 
-    def just_pressed(self) -> bool:
-        """Whether a key that is looked at now was typed before the latest STOP: a slow screen sees
-        it later than the process that does STOP.
+    def unseen(self, typed: float) -> bool:
+        """Whether what was typed at a time was typed before anybody saw the latest STOP or trip: a
+        slow screen handles it later.
         """
-        return time.monotonic() < self.heard + REACTION_S
+        return typed < max(self.heard, self.tripped) + REACTION_S
 
     def judge(self, new: Snapshot, begin: float) -> None:
         """Correct the verdict by a snapshot that was asked for at ``begin``."""

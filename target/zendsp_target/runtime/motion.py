@@ -140,11 +140,16 @@ class Motion:
         else:
             lib.monitor_store32(ffi_address(session.control, "stop"), safety.REQUESTS[reason])
 
-    def acknowledge(self) -> None:
+    def acknowledge(self, trip: int | None = None) -> None:
         """End a STOP or a trip. The program is paused; nothing moves before the next start.
 
         Where another cause still stands, the next sample trips again. A joint beyond its position
         limit may be moved back inside, and no further out.
+
+        Parameters
+        ----------
+        trip : int, optional
+            `Trip.number` of the one that is meant: where another came since, nothing ends.
 
         Raises
         ------
@@ -164,6 +169,7 @@ class Motion:
             if session.pressed:
                 raise Refused(f"acknowledging is refused: {PRESSED}")
             control = session.control
+            control.acknowledge_trip = self._programs.trips() if trip is None else trip
             wanted = (int(control.acknowledge) + 1) & 0xFFFFFFFF
             lib.monitor_store32(ffi_address(control, "acknowledge"), wanted)
             answered = ffi_address(control, "acknowledged")

@@ -175,6 +175,13 @@ class Programs:
             trip = safety.asked_trip("stop", 0 if session is None else session.tick, by)
         return trip
 
+    def trips(self) -> int:
+        """How many trips, and STOPs beside them, there were. Read it before the trip: it is never
+        the number of one that came later.
+        """
+        head = self._page.pointer("stop_page")
+        return int(head.trips) + int(head.stop)  # in this order: the loop may take one meanwhile
+
     def require_no_trip(self) -> None:
         """Refuse what must wait until a STOP or trip is acknowledged."""
         trip = self.latched()
@@ -184,6 +191,7 @@ class Programs:
     def forget_trip(self) -> None:
         """Acknowledge where no loop runs."""
         _, lib = layout()
+        self._page.pointer("stop_page").trips = self.trips()
         lib.monitor_store32(self._stop, 0)
         self._held = None
         if self.session is not None:

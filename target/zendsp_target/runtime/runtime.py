@@ -16,6 +16,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from msgspec.structs import replace
+
 from zendsp_isr.build import source_root
 from zendsp_protocol.kept import Kept
 from zendsp_protocol.messages import Status
@@ -134,9 +136,14 @@ class Runtime:
     def status(self) -> Status:
         """Everything that a person wants to see at a glance."""
         programs, session = self.programs, self.programs.session
-        if session is None:
-            return empty_status(programs.settings, programs.unsafe, programs.latched())
-        return status_of(session, programs.latched)
+        number = programs.trips()
+        status = (
+            empty_status(programs.settings, programs.unsafe, programs.latched())
+            if session is None
+            else status_of(session, programs.latched)
+        )
+        trip = status.trip and replace(status.trip, number=number)
+        return replace(status, trip=trip) if trip else status
 
     def __enter__(self) -> Runtime:
         return self

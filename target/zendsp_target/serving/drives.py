@@ -365,24 +365,31 @@ class Drives:
         self._explicit = True
         return f"disabled{self._off_and_look()}"
 
-    def acknowledge(self) -> str:
+    def acknowledge(self, trip: int | None = None) -> str:
         """stopped | tripped → homed; nothing moves before somebody enables (or, automatically,
-        starts) again. Where nothing is latched nothing changes: a program goes on.
+        starts) again. Where nothing is latched, or not what is meant, nothing changes.
         """
         status = self._runtime.status()
         if status.trip is None and status.state != ProgramState.CRASHED:
             return "nothing is latched, so there is nothing to acknowledge"
+        seen = status.trip.number if status.trip else None
+        if trip is not None and status.trip and trip != seen:
+            raise Refused(
+                "not acknowledged: another STOP or trip came after the one that is meant."
+                f" {status.trip.text or status.trip.reason}"
+            )
         if self._explicit:
             self._off()
         self._enabled = False
-        self._runtime.acknowledge()
-        trip = self._runtime.status().trip
-        if trip is not None:
-            raise Refused(f"acknowledged, and latched again since: {trip.text or trip.reason}")
+        self._runtime.acknowledge(seen)
+        again = self._runtime.status().trip
+        if again is not None:
+            raise Refused(f"acknowledged, and latched again since: {again.text or again.reason}")
         first = "enable the drives" if self._explicit else "start the program"
         if not _loaded(self._runtime.status()):
             first = "load a program"
-        return f"acknowledged; {first} before anything moves"
+        was = f" (it was: {status.trip.cause}, sample {status.trip.tick})" if status.trip else ""
+        return f"acknowledged; {first} before anything moves{was}"
 
     def auto(self) -> str:
         """Leave the explicit sequence: drives on at start, off at pause."""
@@ -455,7 +462,7 @@ class Drives:
                 return m.Said(text=self.home())
             elif name == "acknowledge":
                 with self._lock:
-                    return m.Said(text=self.acknowledge())
+                    return m.Said(text=self.acknowledge(args.trip))
             result = handler(args, by)
             if name == "set_ramp":
                 self._ramp_s = args.seconds

@@ -47,6 +47,6 @@ class MachineVerbs:
         self.runtime.home()
         return m.Empty()
 
-    def do_acknowledge(self, args: verbs.Nothing, by: str) -> m.Said:
-        self.runtime.acknowledge()
+    def do_acknowledge(self, args: verbs.Acknowledge, by: str) -> m.Said:
+        self.runtime.acknowledge(args.trip)
         return m.Said()
