@@ -97,7 +97,7 @@ ARM = """
 import zendsp
 from zendsp.reference import make_reference
 for name, amplitude in (("run1", 0.1), ("run2", 0.08), ("test", 0.09)):
-    motion = make_reference("multisine", "imi_planar", period=4.0, f_max=2.0, periods=1, amplitude=amplitude)
+    motion = make_reference("multisine", "imi_planar", period=2.0, f_max=2.0, periods=1, amplitude=amplitude)
     rec = zendsp.simulate("pd.c", "imi_planar.toml", reference=motion, channels=["measured", "plant_torque"])
     q, tau = rec["measured"], rec["plant_torque"]
     columns = {"q": q, "tau": tau}

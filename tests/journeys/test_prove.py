@@ -21,12 +21,11 @@ def test_cases_are_made_once_and_judged_where_they_lie(installed: Installed) -> 
     assert made.returncode == 0, made.stdout + made.stderr
     assert "1 cases in cases/cases; truth sealed in cases/truth" in made.stdout
     stamp = made.stdout.split()[-1]
-    judged = installed.run(
-        "prove", "--judge", "cases", "--no-peers", "--jobs", "1", "--limit", "100"
-    )
+    judged = installed.run("prove", "--judge", "cases", "--jobs", "1", "--limit", "100")
     assert f"truth sealed before, opened after: {stamp}" in judged.stdout, (
         judged.stdout + judged.stderr
     )
+    assert "zendsp: 1 cases" in judged.stdout and "FROLS: 1 cases" in judged.stdout
     results = json.loads((installed.folder / "cases" / "results.json").read_text())
     assert [c["reality"] for c in results["cases"]] == ["mujoco"]
     assert results["cases"][0]["cpu"] > 0

@@ -48,6 +48,7 @@ def command(
     from zendsp.errors import RunnerDied
     from zendsp.here.stopped import state_at
     from zendsp.link.programs import late
+    from zendsp.physics.codegen.compensation import SHARE
 
     values = parse_assignments(assignments)
     with open_target(target, connect) as t:
@@ -55,10 +56,10 @@ def command(
             compiled(lambda: t.download(file, flags), as_json, t)
         if values:
             t.write(**values)
-        if file is not None and "comp_share" in t.variables():
+        if file is not None and SHARE in t.variables():
             click.echo(
                 f"zendsp: {t.name}: the program adds the torque of a compensation.c, times"
-                f" comp_share = {t['comp_share']:g} (zendsp set comp_share=0 leaves it out)",
+                f" {SHARE} = {t[SHARE]:g} (zendsp set {SHARE}=0 leaves it out)",
                 err=True,
             )
         if seconds is None:

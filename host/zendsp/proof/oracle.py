@@ -98,8 +98,8 @@ class Judge:
         """
         target = self.project((drive - self.fixed)[self.slides, None])
         if extra is not None:
-            columns = self.project(extra[self.slides])
-            columns = columns / (np.sqrt(np.mean(extra[self.slides] ** 2, 0)) + 1e-300)
+            extra = extra[self.slides]
+            columns = self.project(extra) / (np.sqrt(np.mean(extra**2, 0)) + 1e-300)
             gram = columns.T @ columns
             target = target - columns @ (
                 np.linalg.pinv(gram, rcond=1e-11, hermitian=True) @ (columns.T @ target)

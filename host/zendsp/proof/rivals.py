@@ -41,23 +41,22 @@ def spaced(low: float, high: float, count: int) -> tuple[float, ...]:
 def bristle(q: Array, bend: float) -> Array:
     """Dahl's deflection over its saturation along the true motion, -1..1."""
     step = np.diff(q, prepend=q[0])
-    out, z = np.empty_like(q), 0.0
-    decay = np.exp(-np.abs(step) / bend)
-    for k in range(q.size):
-        if step[k] != 0.0:
-            rest = 1.0 if step[k] > 0 else -1.0
-            z = rest + (z - rest) * decay[k]
-        out[k] = z
-    return out
+    out, z = [], 0.0
+    decays = np.exp(-np.abs(step) / bend).tolist()
+    for rest, decay in zip(np.sign(step).tolist(), decays, strict=True):
+        if rest:
+            z = rest + (z - rest) * decay
+        out.append(z)
+    return np.array(out)
 
 
 def bouc_wen(q: Array, bend: float) -> Array:
     """Bouc-Wen z with n = 1 and beta = gamma: stiff when loading, linear when unloading."""
-    out, z = np.empty_like(q), 0.0
-    for k, dx in enumerate(np.diff(q, prepend=q[0]) / bend):
+    out, z = [], 0.0
+    for dx in (np.diff(q, prepend=q[0]) / bend).tolist():
         z = max(-1.0, min(1.0, z + dx - 0.5 * (abs(dx) * z + dx * abs(z))))
-        out[k] = z
-    return out
+        out.append(z)
+    return np.array(out)
 
 
 def rivals(d: Draft, joint: int, scales: list[Scale], judge: Judge) -> Iterator[tuple[str, Rival]]:

@@ -9,14 +9,13 @@ from pathlib import Path
 
 from zendsp.errors import ZendspError
 from zendsp.physics import load_model
-from zendsp.physics.codegen.compensation import SETTINGS, compensation_values
+from zendsp.physics.codegen.compensation import SETTINGS, SHARE, compensation_values
 from zendsp.physics.codegen.terms import compensable, why_not
 from zendsp.tui.diagnoses import Diagnosed
 from zendsp_protocol.messages import Program
 from zendsp_protocol.values import Value
 
 FILE = "compensation.c"
-SHARE = "comp_share"
 LINES = """    #include "compensation.c"                         after isr.h
     CompensationInit();                               in UserInit
     tau[j] += Compensation(j, q, qd, qdd, tau[j]);    in UserISR_INT2, for each joint"""

@@ -118,12 +118,13 @@ def compensation_values(terms: Sequence[Term], model: Model) -> dict[str, float]
 
 
 # Settings of every compensation; all its other parameters are numbers of effects.
-SETTINGS = ("comp_share", "comp_fade", "comp_limit", "comp_sign_speed")
+SHARE = "comp_share"
+SETTINGS = (SHARE, "comp_fade", "comp_limit", "comp_sign_speed")
 
 
 def _settings(sign_speed: float) -> list[Variable]:
     return [
-        Variable("comp_share", 1.0, "", "part of the compensation that is added", 0.0, 1.0),
+        Variable(SHARE, 1.0, "", "part of the compensation that is added", 0.0, 1.0),
         Variable("comp_fade", 0.5, "s", "time in which it fades in or out", 0.0, 60.0),
         Variable("comp_limit", 0.5, "", "most that is added, part of the torque limit", 0.0, 1.0),
         Variable(

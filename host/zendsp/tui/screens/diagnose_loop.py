@@ -16,10 +16,10 @@ from rich.text import Text
 from textual.widgets import OptionList, Static
 
 from zendsp.errors import ZendspError
+from zendsp.physics.codegen.compensation import SHARE
 from zendsp.tui.compensating import (
     FILE,
     LINES,
-    SHARE,
     Compensation,
     compensation_of,
     has_room,
