@@ -283,6 +283,24 @@ def test_a_constant_torque_does_not_act_where_a_joint_turns_round() -> None:
     assert at_reversals(data, plain, bristles, 1) > 0.9
 
 
+def test_what_acted_before_the_recording_began_bends_no_number() -> None:
+    lag, steps = 0.045, 10
+    h = 1.0 / RATE / steps
+    command = 0.1 * np.cos(np.cumsum(2 * np.pi * np.linspace(0.1, 0.7, 4000)) / RATE)
+    q, v, acts, seen = 0.0, 0.0, 0.0, []
+    for u in command:  # a drive that stood still before the first, largest, command
+        seen.append(q)
+        for _ in range(steps):
+            acts += h * (u - acts) / lag
+            v += h * (acts - 0.004 * v) / 0.01
+            q += h * v
+    model = model_of(VISCOUS, {"kind": "lag", "joint": 1, "time_constant": 0.02})
+    columns = {"t": np.arange(len(seen)) / RATE, "q": np.array(seen), "u": command}
+    data = data_of(columns, model)
+    found = fit(data, model, joint_handles(data, model, 1), joints=(1,), iterations=20).model
+    assert found.at(1)[-1].value("time_constant") == pytest.approx(lag, rel=0.02)
+
+
 def test_a_recording_whose_rows_are_shifted_is_told_from_the_others() -> None:
     reference = reality.multisine(8.0, RATE, 3)
     model = model_of(VISCOUS, COULOMB)

@@ -23,6 +23,7 @@ from zendsp.diagnosis.search.hypothesis import JointSearch, price
 from zendsp.diagnosis.search.screen import Candidate, Screen, with_candidate
 from zendsp.physics.calibration.fit import Data, Fit, fit, joint_handles
 from zendsp.physics.calibration.handles import Handle
+from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model, Term
 
 # rad/s: 64 Hz; a tenth of the usual first resonance of a stiff drive train is below, its multiples
@@ -67,7 +68,7 @@ def fine_ripples(
     if band < 2 * FASTEST:
         return []
     data, held = train.at_bandwidth(joint, band), test.at_bandwidth(joint, band)
-    current = _fitted(data, search.final.model, joint, 4, jobs)
+    current = _fitted(data, _undisplaced(search), joint, 4, jobs)
     found: list[FineRipple] = []
     while len(found) < MOST:
         screen = Screen(data, current.fit, joint, (joint,))
@@ -85,6 +86,22 @@ def fine_ripples(
         found.append(_reported(search, current, after, kind))
         current = after
     return found
+
+
+def _undisplaced(search: JointSearch) -> Model:
+    """What was found, without what displaces the position: a tenth of a millimetre that only helped
+    a slow observer turns a ripple of two by a radian or more.
+    """
+    known, model = search.base.model, search.final.model
+    return model.with_terms(
+        tuple(
+            t
+            for t in model.terms
+            if t.effect in {k.effect for k in known.at(t.joint)}
+            or (effect := get_effect(t.effect)).over != "position"
+            or effect.mechanism not in ("measurement", "transmission")
+        )
+    )
 
 
 def fixed(term: Term) -> Term:

@@ -20,6 +20,8 @@ from zendsp.physics.term_numbers import added_inertia
 
 Array = npt.NDArray[np.float64]
 SMALL = 1e-4  # rad or m: a step of a derivative
+BEGIN = 2.0  # rad a row: as fast as the rows allow
+FADE = 0.05  # s, or a 250th of the recording: in which the square of the bandwidth fades
 
 
 @dataclass
@@ -100,7 +102,7 @@ class JointRecord:
             lib.lib.zf_gains(
                 n,
                 self.sample_time,
-                bandwidth**2 * np.sqrt(reference),
+                p(self._unrest(bandwidth) * np.sqrt(reference)),
                 p(self.measurement.variance),
                 p(k1),
                 p(k2),
@@ -108,6 +110,18 @@ class JointRecord:
             )
             self._gains[key] = (k1, k2, w)
         return self._gains[key]
+
+    def _unrest(self, bandwidth: float) -> Array:
+        """Squares of the bandwidth along the recording, (n,) (rad/s)².
+
+        What acted before a recording began is not known: a drive that lags, a spring that is bent,
+        a load that rings. The observer follows it at first.
+        """
+        fade = min(FADE, 0.004 * self.n * self.sample_time)
+        first = (BEGIN / self.sample_time) ** 2
+        return np.asarray(
+            bandwidth**2 + first * np.exp(-self.sample_time / fade * np.arange(self.n))
+        )
 
     def thinned(self, every: int) -> JointRecord:
         """The record with one sample in place of so many, for a first look at a hypothesis.

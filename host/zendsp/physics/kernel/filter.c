@@ -6,11 +6,11 @@
 #include <stddef.h>
 
 /* Gains of a double integrator driven by white acceleration of sa per sample. */
-void zf_gains(int n, double T, double sa, const double *R, double *k1, double *k2, double *w)
+void zf_gains(int n, double T, const double *sa, const double *R, double *k1, double *k2, double *w)
 {
     double p11 = 1e3 * (R[0] > 0 ? R[0] : 1e-6), p12 = 0, p22 = p11 * 1e3;
-    double q = sa * sa, q11 = q * T * T * T * T / 4, q12 = q * T * T * T / 2, q22 = q * T * T;
     for (int k = 0; k < n; k++) {
+        double q = sa[k] * sa[k], q11 = q * T * T * T * T / 4, q12 = q * T * T * T / 2;
         if (R[k] > 0) {
             double S = p11 + R[k];
             k1[k] = p11 / S; k2[k] = p12 / S; w[k] = 1 / sqrt(S);
@@ -19,7 +19,7 @@ void zf_gains(int n, double T, double sa, const double *R, double *k1, double *k
         } else { k1[k] = k2[k] = w[k] = 0; }
         p11 += 2 * T * p12 + T * T * p22 + q11;
         p12 += T * p22 + q12;
-        p22 += q22;
+        p22 += q * T * T;
     }
 }
 
