@@ -302,7 +302,7 @@ def test_no_inertia_is_known_better_than_simulators_agree(monkeypatch: pytest.Mo
     given = parse_model({"mechanism": {"kind": "rotary", "parameters": {"inertia": 0.020}}})
     moved = replace(given, mechanism={"inertia": (Quantity(0.025, std=1e-7),)})
     whole: Any = SimpleNamespace(improved=moved)
-    search: Any = SimpleNamespace(joint=1)
+    search: Any = SimpleNamespace(joint=1, final=SimpleNamespace(model=given))
     nothing: Any = None
     ((_, finding),) = absorbed.shifted(given, search, whole, (), nothing)
     amount = finding.parameters["amount"]

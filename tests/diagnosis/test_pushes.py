@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -97,11 +96,13 @@ def test_what_lacks_beside_a_push_is_found_where_nothing_pushes(decided: Decided
 
 
 def test_a_push_beside_what_is_found_is_told(decided: Decided) -> None:
-    """Dry friction is missing too: it is the finding, and the push stands in what is left."""
+    """Dry friction is missing too: it is found where nothing pushes."""
     pushed = reality.Machine(push=(0.08, 4.0, 6.0))
     d = decided(pushed, reality.Machine(), KNOWN[0])
-    assert [f.effect for f in d.findings] == ["coulomb"]
-    assert re.search(r"acts at (3\.9|4\.0)\d–(5\.9|6\.[01])\d s of \S+run1.csv that", d.unexplained)
+    assert [f.effect for f in d.findings] == ["disturbance", "coulomb"]
+    ((begin, end),) = d.findings[0].numbers["intervals"]
+    assert (begin, end) == (pytest.approx(4.0, abs=0.15), pytest.approx(6.0, abs=0.2))
+    assert "run1.csv" in d.findings[0].sentence
     alone = decided(reality.Machine(), None, KNOWN[0])
     assert "push" not in alone.unexplained
 
