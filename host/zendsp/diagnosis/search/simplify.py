@@ -241,7 +241,12 @@ def _released(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored:
     """
     had = {t.effect for t in found.base.model.at(found.joint)}
     free = {
-        id(t): {key for numbers in get_effect(t.effect).tries for key in numbers}
+        id(t): {
+            key
+            for numbers in get_effect(t.effect).tries
+            for key in numbers
+            if not t.parameters[key].free
+        }
         for t in best.model.at(found.joint)
         if t.effect not in had
     }

@@ -275,8 +275,8 @@ class Effect:
     restart : callable or None
         A second start value, from the first.
     tries : tuple of mapping
-        Numbers that are chosen while laws compete: a full fit tries these too. In the end they
-        are fitted, where the recording tells them.
+        Numbers that a full fit tries too: other starts, or numbers that are chosen while laws
+        compete. In the end these are fitted, where the recording tells them.
     hidden : bool
         Has a state, or acts on the timing: counts as a parameter more.
     essence : tuple of str

@@ -53,6 +53,7 @@ EFFECT = Effect(
     equation="k (qm - ql) + c (q̇m - q̇l)",
     over="acceleration",
     scan=_starts,
+    tries=({"damping": 0.0},),  # a spring that rings for long is an optimum of its own
     hidden=True,
     essence=("stiffness", "load_inertia"),  # with infinite stiffness it is none
     possible=swings,
