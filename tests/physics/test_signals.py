@@ -109,7 +109,7 @@ def test_code_changes_are_measurements_with_the_variance_that_they_claim() -> No
 def test_slow_quantised_motion_is_smoothed_to_a_fraction_of_a_count() -> None:
     _, q, qd, qdd = motion(0.1)
     m = measure(COUNT * np.round(q / COUNT), T, COUNT)
-    got = smooth(m, T, qdd + 0.05)  # the known acceleration is wrong by a constant
+    got = smooth(m, T, (qdd + 0.05)[:, np.newaxis])  # the known acceleration is wrong by a constant
     inner = slice(200, -200)
     assert np.std((got.states[0] - q)[inner]) < 0.12 * COUNT
     assert np.std((got.states[1] - qd)[inner]) < 0.01 * np.max(np.abs(qd))

@@ -102,9 +102,9 @@ def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
     )
 
 
-def _motion(s: Signals, j: int, known: Sequence[Array]) -> tuple[Measurement, Motion]:
-    """What the sensor of a joint (from 0) says, and the motion behind it; ``known`` is what its
-    acceleration may be, (n, joints) each.
+def _motion(s: Signals, j: int, known: Array) -> tuple[Measurement, Motion]:
+    """What the sensor of a joint (from 0) says, and the motion behind it; ``known`` is what the
+    acceleration of each is thought to be made of, (n, joints, parts).
     """
     y = np.ascontiguousarray(s.position[:, j])
     resolution = float(s.resolution[j])
@@ -113,12 +113,12 @@ def _motion(s: Signals, j: int, known: Sequence[Array]) -> tuple[Measurement, Mo
         float(s.least_noise[j]) if s.least_noise is not None else 0.0,
     )
     measurement = measure(y, s.sample_time, resolution, noise)
-    return measurement, smooth(measurement, s.sample_time, *(a[:, j] for a in known))
+    return measurement, smooth(measurement, s.sample_time, known[:, j])
 
 
-def _accelerations(s: Signals, model: Model) -> list[Array]:
+def _accelerations(s: Signals, model: Model) -> Array:
     """Acceleration of the joints that the commands bring as the given model has it, without what
-    weight and motion do, (n, joints); of an arm also none, where the model's inertias are far off.
+    weight and motion do, (n, joints, parts): in an arm by its own command, and by the others'.
 
     In an arm each torque accelerates all joints. What a command does from row to row, a feedback's
     noise most of all, is not found in positions, and the other joints feel it.
@@ -126,7 +126,7 @@ def _accelerations(s: Signals, model: Model) -> list[Array]:
     joints = range(1, s.position.shape[1] + 1)
     torque = s.command * [per_joint(model.actuator.gain, j, 1.0) for j in joints]
     if model.kind not in TREES:
-        return [torque / [_inertia(model, j) for j in joints]]
+        return (torque / [_inertia(model, j) for j in joints])[:, :, np.newaxis]
     bodies, _ = recorded_tree(model, len(joints))
     rows = np.arange(len(torque))
     late = model.actuator.delay / s.sample_time
@@ -135,7 +135,9 @@ def _accelerations(s: Signals, model: Model) -> list[Array]:
     masses = mass_matrices(bodies, s.position[::every])
     masses += np.diag([added_inertia(model, j) for j in joints])
     inverse = np.linalg.pinv(masses, hermitian=True)[rows // every]
-    return [np.einsum("nij,nj->ni", inverse, torque), np.zeros_like(torque)]
+    own = np.einsum("nii,ni->ni", inverse, torque)
+    every_one = np.einsum("nij,nj->ni", inverse, torque)
+    return np.stack([own, every_one - own], axis=2)
 
 
 def _between(s: Signals, model: Model, j: int) -> float:

@@ -213,7 +213,7 @@ def _through_servos(
         y = np.ascontiguousarray(position[:, j])
         step = float(resolution[j])
         measured = measure(y, sample_time, step, noise_beside_quantisation(y, step))
-        q, qd, _ = smooth(measured, sample_time, np.zeros(len(y))).states
+        q, qd, _ = smooth(measured, sample_time).states
         out[:, j] = drive.applied(command[:, j], q, qd, sample_time)
         joints.append(str(j + 1))
     return out, [

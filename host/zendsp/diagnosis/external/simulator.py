@@ -266,7 +266,7 @@ def bench(signals: Signals, model: Model, simulator: Simulator) -> Bench:
         measurements.append(
             measure(y, signals.sample_time, resolution, noise_beside_quantisation(y, resolution))
         )
-        motions.append(smooth(measurements[i], signals.sample_time, np.zeros(len(y))))
+        motions.append(smooth(measurements[i], signals.sample_time))
     others = np.ascontiguousarray(np.stack([m.states for m in motions]))
     records = []
     for i in range(count):

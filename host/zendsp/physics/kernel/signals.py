@@ -200,19 +200,18 @@ def thin_measurement(measurement: Measurement, q: Array, every: int) -> Measurem
     )
 
 
-def smooth(measurement: Measurement, sample_time: float, *known: Array) -> Motion:
-    """The motion behind the measurements, given the acceleration that is already known.
+def smooth(measurement: Measurement, sample_time: float, known: Array | None = None) -> Motion:
+    """The motion behind the measurements, given what its acceleration is thought to be made of.
 
-    The rest of the acceleration is a random walk, whose strength maximises the likelihood of the
-    measurements.
+    As much of each part is taken as makes the measurements likeliest: a model's inertia may be far
+    off. The rest of the acceleration is a random walk, whose strength maximises the likelihood too.
 
     Parameters
     ----------
     sample_time : float
         s.
-    known : ndarray, shape (n,)
-        rad/s² or m/s², held over each sample; of several the one counts that makes the
-        measurements likeliest.
+    known : ndarray, shape (n, parts)
+        rad/s² or m/s², held over each sample.
     """
     lib = native()
     n = len(measurement.value)
@@ -224,17 +223,20 @@ def smooth(measurement: Measurement, sample_time: float, *known: Array) -> Motio
         if len(early) > 3
         else 0.0
     )
+    parts = np.zeros((n, 1)) if known is None else known
+    size = max(float(np.std(parts.sum(axis=1))), span)
     work, out, var = np.empty(14 * n), np.empty((3, n)), np.empty((3, n))
+    gains = work[9 * n :].reshape(n, 5)  # of a run: the last two are a variance and an error each
+    says = measurement.variance > 0
     p = lib.doubles
 
-    def run(choice: tuple[float, float, Array]) -> float:
-        strength, size, a = choice
+    def run(strength: float, acceleration: Array) -> float:
         value: float = lib.lib.zf_smooth(
             n,
             sample_time,
             strength,
             3 * size,
-            p(a),
+            p(np.ascontiguousarray(acceleration)),
             p(measurement.value),
             p(measurement.half),
             p(measurement.variance),
@@ -246,16 +248,25 @@ def smooth(measurement: Measurement, sample_time: float, *known: Array) -> Motio
         )
         return value
 
-    choices = [
-        (float(size * strength), size, np.ascontiguousarray(a))
-        for a in known
-        for size in [max(float(np.std(a)), span)]
-        for strength in 10.0 ** np.arange(-2.0, 3.6, 0.5)
-    ]
-    best = min(choices, key=run)
-    run(best)
-    states = np.stack([out[0], out[1], out[2] + best[2]])
-    return Motion(states, var.copy(), best[0])
+    def error_of(strength: float, acceleration: Array) -> Array:
+        run(strength, acceleration)
+        error: Array = gains[says, 4] / np.sqrt(gains[says, 3])
+        return error
+
+    def likeliest(strength: float) -> tuple[float, float, Array]:
+        """Minus twice the log likelihood of a strength, the strength, and what is known of the
+        acceleration then: the errors of one step are linear in the share of a part.
+        """
+        alone = error_of(strength, np.zeros(n))
+        less = [alone - error_of(strength, part) for part in parts.T]
+        brought = parts @ np.linalg.lstsq(np.stack(less, axis=1), alone, rcond=None)[0]
+        return run(strength, brought), strength, brought
+
+    strengths = size * 10.0 ** np.arange(-2.0, 3.6, 0.5)
+    _, strength, brought = min(map(likeliest, strengths), key=lambda found: found[0])
+    run(strength, brought)
+    states = np.stack([out[0], out[1], out[2] + brought])
+    return Motion(states, var.copy(), strength)
 
 
 def noise_beside_quantisation(y: Array, resolution: float) -> float:
