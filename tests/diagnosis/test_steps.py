@@ -206,6 +206,19 @@ def test_a_spring_is_found_wherever_its_resonance_lies(hertz: float) -> None:
     assert found.model.terms[-1].value("stiffness") == pytest.approx(stiffness, rel=0.03)
 
 
+def test_what_was_begun_as_a_bent_spring_and_does_not_bend_is_a_spring() -> None:
+    load, motor, stiffness = 0.004, 0.006, 20.0
+    machine = reality.Machine(load=load, soft=stiffness)
+    base = model_of(VISCOUS, COULOMB)
+    data = data_of(
+        reality.simulate(machine, reality.multisine(4.0, RATE, 5, high=6.0), RATE), base
+    )
+    rounds = Rounds(data, 1, 2, print, base)
+    found = rounds.stand_ins(calibrate_joint(data, base, 1), frozenset({"stiffening"}))
+    assert found[0].effect == "elasticity"
+    assert found[0].scored.model.terms[-1].value("stiffness") == pytest.approx(stiffness, rel=0.02)
+
+
 def test_the_load_on_a_spring_may_weigh_more_than_the_whole_that_the_model_states() -> None:
     """A model that forgot the motor's inertia: what is at a bound counts as not seen."""
     load, motor = 0.0085, 0.0015

@@ -33,6 +33,7 @@ from zendsp.diagnosis.search.screen import Candidate, with_candidate
 from zendsp.physics.calibration.fit import Data, Fit, fit, joint_handles
 from zendsp.physics.calibration.handles import Handle
 from zendsp.physics.calibration.joint import facts, own_terms
+from zendsp.physics.calibration.terms import make_term
 from zendsp.physics.effects import get_effect
 from zendsp.physics.kernel.threads import threads
 from zendsp.physics.model import Model, Term
@@ -195,11 +196,29 @@ class Rounds:
             full = list(each(lambda r: self._full(current, r, worth), finalists))
         rivals = [
             r
-            for r in (*full, *others)
+            for r in (*full, *self._bare(full), *others)
             if not any(vanishes(r.scored.fit, t) or self._too_small(r, t) for t in r.terms)
             and self._possible(r)
         ]
-        return self.order(current, sorted(rivals, key=lambda r: r.value)) if rivals else []
+        rivals.sort(key=lambda r: r.value)
+        return self.order(current, rivals) if rivals else []
+
+    def _bare(self, rivals: list[Rival]) -> list[Rival]:
+        """What is left of the likeliest hypothesis where it is nothing of its own: the search for a
+        gap or a bent spring may end at a spring to which no start of its own leads.
+        """
+        best = min(rivals, key=lambda r: r.value, default=None)
+        bare = get_effect(best.effect).bare if best else ""
+        if not best or not bare or best.replaces or not vanishes(best.scored.fit, best.terms[0]):
+            return []
+        fitted = counterpart(best.scored.model.terms, best.terms[0])
+        numbers = {p.name: fitted.value(p.name) for p in get_effect(bare).parameters}
+        term = make_term(get_effect(bare), self.joint, numbers)
+        model = best.scored.model
+        model = model.with_terms(tuple(term if t is fitted else t for t in model.terms))
+        handles, joints = joint_handles(self.data, model, self.joint), (self.joint,)
+        scored = fit_scored(best.scored.data, model, handles, joints, jobs=self.jobs)
+        return [Rival(bare, self.joint, scored, price((term,), self.n), (term,), ())]
 
     def _promising(self, current: Scored, rivals: list[Rival]) -> list[Rival]:
         """Before nothing is found: hypotheses that gain most on the thinned recordings that they

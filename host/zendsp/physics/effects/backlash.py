@@ -63,6 +63,7 @@ EFFECT = Effect(
     apart="gap",  # of one gap the likeliest: others lead to the same optimum
     hidden=True,
     essence=("gap", "load_inertia"),  # without a gap it is a spring
+    bare="elasticity",
     rough=True,
     loosens_inertia=True,
     family="transmission",

@@ -325,6 +325,8 @@ class Effect:
         Effects that can be exactly the same to any recording: no fit tells them apart.
     symmetric : str
         The effect that it is where both directions are alike.
+    bare : str
+        The effect that it is without its essence.
     sums : tuple of str
         Effects that together are this one, by algebra.
     family : str
@@ -385,6 +387,7 @@ class Effect:
     needs: tuple[str, ...] = ()
     aliases: tuple[str, ...] = ()
     symmetric: str = ""
+    bare: str = ""
     sums: tuple[str, ...] = ()
     family: str = ""
     rivals: tuple[str, ...] = ()

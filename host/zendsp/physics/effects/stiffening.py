@@ -73,6 +73,7 @@ EFFECT = Effect(
     scan=_starts,
     hidden=True,
     essence=("stiffness3", "load_inertia"),
+    bare="elasticity",
     loosens_inertia=True,
     family="transmission",
     sole=True,
