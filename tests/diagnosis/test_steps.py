@@ -207,7 +207,7 @@ def test_a_spring_is_found_wherever_its_resonance_lies(hertz: float) -> None:
 
 
 def test_what_was_begun_as_a_bent_spring_and_does_not_bend_is_a_spring() -> None:
-    load, motor, stiffness = 0.004, 0.006, 20.0
+    load, stiffness = 0.004, 20.0
     machine = reality.Machine(load=load, soft=stiffness)
     base = model_of(VISCOUS, COULOMB)
     data = data_of(
