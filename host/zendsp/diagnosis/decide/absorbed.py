@@ -35,8 +35,9 @@ ROTOR = "inertia amount"  # what a joint of a tree adds to its bodies
 
 def shifted(
     given: Model, search: Decision, whole: Assembled, found: Collection[str], test: Data
-) -> list[tuple[float, Finding]]:
-    """Findings about mechanism parameters that moved far from their given values, with their z.
+) -> list[tuple[float, float, Finding]]:
+    """Findings about mechanism parameters that moved far from their given values, with their z and
+    the torque that the given value would leave, as a part of the RMS torque.
 
     Parameters
     ----------
@@ -48,7 +49,7 @@ def shifted(
 
     Returns
     -------
-    list of (float, Finding)
+    list of (float, float, Finding)
     """
     joint = search.joint
     sprung = any(
@@ -75,12 +76,10 @@ def shifted(
         moves[key] = (ratio, ratio / spread, after.value - before.value, std)
     main = "inertia" if given.kind == "rotary" else "mass"
     if main not in moves or abs(moves[main][1]) < FAR:
-        return _gravity_only(given, joint, moves)
+        return _gravity_only(given, search, moves, test)
     ratio, z, amount, std = moves[main]
-    items = tuple(replace(q, free=False) for q in given.mechanism[main])
-    model = search.final.model
-    held = replace(model, mechanism={**model.mechanism, main: items})
-    if not _needed(held, search, test):
+    size = _size(_held(given, search, main), search, test)
+    if size is None:
         return []
     unit = "kg m²" if given.kind == "rotary" else "kg"
     what = "a payload, or a wrong figure" if amount > 0 else "a wrong figure"
@@ -98,7 +97,7 @@ def shifted(
     if same:
         text += f" This recording cannot tell it from {', '.join(same)}."
     sure = min(0.9, 0.5 + 0.05 * abs(z))
-    return [(z, _finding("inertia", joint, values, sure, tuple(same), text))]
+    return [(z, size, _finding("inertia", joint, values, sure, tuple(same), text))]
 
 
 def moved(given: Model, calibrated: Model) -> list[str]:
@@ -152,7 +151,7 @@ def _numbers(
 
 def _rotor(
     given: Model, search: Decision, whole: Assembled, test: Data
-) -> list[tuple[float, Finding]]:
+) -> list[tuple[float, float, Finding]]:
     """The same of the rotor inertia that a model states beside the bodies of its file."""
     joint = search.joint
     both = [
@@ -169,7 +168,8 @@ def _rotor(
     z = amount / math.hypot(max(TOLERANCE * before.value, before.std), after.std)
     fixed = Term("inertia", joint, {"amount": replace(before, free=False)})
     terms = tuple(fixed if t is fitted else t for t in search.final.model.terms)
-    if abs(z) < FAR or not _needed(search.final.model.with_terms(terms), search, test):
+    size = _size(search.final.model.with_terms(terms), search, test) if abs(z) >= FAR else None
+    if size is None:
         return []
     unit = "kg" if given.joint_kind(joint) == "linear" else "kg m²"
     text = (
@@ -180,30 +180,43 @@ def _rotor(
     )
     values = {"amount": Estimate(amount, after.std, unit)}
     sure = min(0.9, 0.5 + 0.05 * abs(z))
-    return [(z, _finding("inertia", joint, values, sure, ("body", "payload"), text))]
+    return [(z, size, _finding("inertia", joint, values, sure, ("body", "payload"), text))]
 
 
-def _needed(held: Model, search: Decision, test: Data) -> bool:
-    """Whether the recordings, held-out ones included, insist on the shift: ``held`` is the model
-    without it.
+def _held(given: Model, search: Decision, key: str) -> Model:
+    """The model of a joint with a parameter of the mechanism as it was given."""
+    items = tuple(replace(q, free=False) for q in given.mechanism[key])
+    model = search.final.model
+    return replace(model, mechanism={**model.mechanism, key: items})
+
+
+def _size(held: Model, search: Decision, test: Data) -> float | None:
+    """Torque that a model without a shift leaves, as a part of the RMS torque; None where the
+    recordings, held-out ones included, do not insist on the shift.
     """
     final, joint = search.final, search.joint
     handles = joint_handles(final.data, held, joint)
     fixed = fit_scored(final.data, held, handles, (joint,), rounds=3)
     if fixed.deviance - final.deviance < INSISTS:
-        return False
+        return None
     # as any finding: more than what stays unexplained
-    stays = max(search.after.value, search.state.size)
-    if difference(test, fixed.model, final.model, joint) <= stays:
-        return False
+    size = difference(test, fixed.model, final.model, joint)
+    if size <= max(search.after.value, search.state.size):
+        return None
     evidence = compare(fixed, final, test, joint)
-    return evidence.gain > PAYS and evidence.z > SURELY
+    return size if evidence.gain > PAYS and evidence.z > SURELY else None
 
 
 def _gravity_only(
-    given: Model, joint: int, moves: dict[str, tuple[float, float, float, float]]
-) -> list[tuple[float, Finding]]:
+    given: Model,
+    search: Decision,
+    moves: dict[str, tuple[float, float, float, float]],
+    test: Data,
+) -> list[tuple[float, float, Finding]]:
     if "gravity" not in moves or abs(moves["gravity"][1]) < 2 * FAR:
+        return []
+    joint, size = search.joint, _size(_held(given, search, "gravity"), search, test)
+    if size is None:
         return []
     ratio, z, amount, std = moves["gravity"]
     values = {
@@ -215,7 +228,7 @@ def _gravity_only(
         f" ({amount:+.3g} {given.torque_unit(joint)}), far beyond the tolerance of a given figure:"
         " an unbalance, or a wrong figure."
     )
-    return [(z, _finding("gravity", joint, values, 0.7, ("stiffness",), text))]
+    return [(z, size, _finding("gravity", joint, values, 0.7, ("stiffness",), text))]
 
 
 def _finding(

@@ -81,7 +81,10 @@ def name_findings(
         ]
         named = {c.term.effect for c in decision.claims}
         if not any(draws_a_curve(c) for c in decision.claims):  # it may have moved gravity
-            ranked += [(0.5 * abs(z), f) for z, f in shifted(given, decision, whole, named, test)]
+            ranked += [
+                (0.5 * abs(z), replace(f, share=min(1.0, size**2 / everything)))
+                for z, size, f in shifted(given, decision, whole, named, test)
+            ]
     ranked.sort(key=lambda item: -item[0])
     unique = {(r.effect, r.joint): r for r in sorted(rejected, key=lambda r: r.score)}
     worst_first = sorted(unique.values(), key=lambda r: -r.score)
