@@ -21,6 +21,7 @@ from zendsp.diagnosis.decide.findings import new_terms, percent
 from zendsp.diagnosis.decide.laws import believed, named
 from zendsp.diagnosis.decide.pieces import (
     dry_torque,
+    finest,
     grouped,
     held_apart,
     kind_of,
@@ -400,6 +401,10 @@ def _why(
     gain = base.deviance - rival.value
     seen = next((p for p in pieces if rival.effect in p.effects), None)
     if seen is not None and seen.log_e > 0 and seen.evidence.z > CLAIMED:
+        if seen.size < finest(rival.effect):
+            least = f"{percent(finest(rival.effect))} %"
+            small = f"{percent(seen.size)} % of the torque, and simulators differ by {least}"
+            return rival.effect, f"too small to be told: {small}", 0.5 * gain
         sizes = f"{percent(seen.size)} % of the torque beside {percent(before.value)} %"
         return rival.effect, f"not clearly more than what stays unexplained: {sizes}", 0.5 * gain
     why = (

@@ -13,6 +13,7 @@ HARMONICS = 60
 # damping ratio of a load: rubber has 0.1, MuJoCo's constraints 1; a fit that needs more stands in
 # for something else
 OVERDAMPED = 2.0
+OFF_CENTRE = 0.06  # of the radius, a disc of lines
 DAMPING = 0.3  # of √(stiffness load): a damping ratio of 0.15 of the load on its spring
 SLOWEST, FASTEST = 0.5, 200.0  # Hz: a resonance beyond is not seen in a recording
 
@@ -108,6 +109,18 @@ def transmission_limits(facts: Facts) -> tuple[float, float]:
     return 0.05 * inertia * (2 * math.pi * SLOWEST) ** 2, 0.25 * inertia * _fastest(facts) ** 2
 
 
+def stiffening_limits(facts: Facts) -> tuple[float, float]:
+    """The same of the cubic term, at the typical torque."""
+    return 0.0, transmission_limits(facts)[1] ** 3 / facts.scale.torque**2
+
+
+def viscous_limits(facts: Facts) -> tuple[float, float]:
+    """At most what takes the typical torque at a hundredth of the typical speed: a joint that is
+    damped more hardly moves.
+    """
+    return 0.0, 100.0 * facts.scale.torque / facts.scale.speed
+
+
 def transmission_damping_limits(facts: Facts) -> tuple[float, float]:
     """From none to a transmission that does not oscillate."""
     return 0.0, 0.4 * facts.scale.inertia * _fastest(facts)
@@ -134,8 +147,13 @@ def bristle_limits(facts: Facts) -> tuple[float, float]:
 
 
 def off_centre(_facts: Facts) -> tuple[float, float]:
-    """3.4 degrees at most: no encoder disc is further off centre."""
-    return 0.0, 0.06
+    """3.4 degrees at most: no encoder disc is further off."""
+    return 0.0, OFF_CENTRE
+
+
+def even(p: Numbers) -> bool:
+    """Whether a sensor's scale varies along its turn by no more than that of a disc off centre."""
+    return p["order"] * p["amplitude"] <= OFF_CENTRE
 
 
 def late(along: Along, p: Numbers) -> Array:

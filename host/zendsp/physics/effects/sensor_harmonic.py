@@ -5,7 +5,7 @@ An oval track, two reading heads, the poles of a resolver.
 
 from __future__ import annotations
 
-from zendsp.physics.effects.axes import off_centre, order_limits, orders
+from zendsp.physics.effects.axes import even, off_centre, order_limits, orders
 from zendsp.physics.effects.base import Effect, Parameter
 
 EFFECT = Effect(
@@ -24,6 +24,7 @@ EFFECT = Effect(
     over="position",
     linear=("amplitude",),
     grid={"order": orders, "phase": (0.0, 1.5707963267948966)},
+    possible=even,
     rivals=("encoder_eccentricity", "ripple"),
     repeatable=True,
     why_not="it is in the sensor: correct the measured angle",

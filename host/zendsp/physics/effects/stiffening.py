@@ -10,6 +10,7 @@ from zendsp.physics.effects.axes import (
     DAMPING,
     load_limits,
     resonance,
+    stiffening_limits,
     transmission_damping_limits,
     transmission_limits,
 )
@@ -49,7 +50,7 @@ EFFECT = Effect(
     mechanism="transmission",
     parameters=(
         Parameter("stiffness", "torque/position", lower=1e-9, limits=transmission_limits),
-        Parameter("stiffness3", "torque/position3", lower=0),
+        Parameter("stiffness3", "torque/position3", lower=0, limits=stiffening_limits),
         Parameter(
             "load_inertia", "inertia", lower=0, default=0.0, limits=load_limits,
             meaning="0: half of the joint's",

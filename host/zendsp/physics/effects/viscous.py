@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from zendsp.physics.effects.axes import viscous_limits
 from zendsp.physics.effects.base import Effect, Parameter
 
 EFFECT = Effect(
     name="viscous",
     site="viscous",
     mechanism="fluid_friction",
-    parameters=(Parameter("coefficient", "torque/speed", lower=0),),
+    parameters=(Parameter("coefficient", "torque/speed", lower=0, limits=viscous_limits),),
     c="return p[0] * s->qd;",
     sentence=("Joint {joint} lacks viscous friction of {coefficient}."),
     experiment=("Constant-speed moves at several speeds over a decade, both ways."),

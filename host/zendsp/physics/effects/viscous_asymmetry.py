@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from zendsp.physics.effects.axes import viscous_limits
 from zendsp.physics.effects.base import Effect, Parameter
 
 EFFECT = Effect(
@@ -9,8 +10,8 @@ EFFECT = Effect(
     site="viscous",
     mechanism="fluid_friction",
     parameters=(
-        Parameter("coefficient_pos", "torque/speed", lower=0),
-        Parameter("coefficient_neg", "torque/speed", lower=0),
+        Parameter("coefficient_pos", "torque/speed", lower=0, limits=viscous_limits),
+        Parameter("coefficient_neg", "torque/speed", lower=0, limits=viscous_limits),
     ),
     c="return s->qd > 0 ? p[0] * s->qd : p[1] * s->qd;",
     sentence=(
