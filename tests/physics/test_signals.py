@@ -70,11 +70,9 @@ def test_smoother_is_the_rauch_tung_striebel_smoother() -> None:
     lib = native()
     work, out, var, half = np.empty(14 * n), np.empty((3, n)), np.empty((3, n)), np.zeros(n)
     p = lib.doubles
-    walk = np.full(n, sd)
     got = lib.lib.zf_smooth(
-        n, T, p(walk), sd0, p(a_in), p(y), p(half), p(variance), float(y[0]), v0, p(work), p(out),
-        p(var)
-    )  # fmt: skip
+        n, T, sd, sd0, p(a_in), p(y), p(half), p(variance), float(y[0]), v0, p(work), p(out), p(var)
+    )
     assert got == pytest.approx(nll, rel=1e-9)
     assert np.max(np.abs(out - xs.T) / np.ptp(xs, axis=0)[:, None]) < 1e-6
     # the textbook form loses digits to its inverses where variances are tiny

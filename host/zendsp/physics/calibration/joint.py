@@ -12,13 +12,7 @@ import numpy.typing as npt
 from zendsp.physics.effects import get_effect
 from zendsp.physics.effects.base import Along, Facts, Scale
 from zendsp.physics.kernel.native import native
-from zendsp.physics.kernel.signals import (
-    Measurement,
-    Motion,
-    beginning,
-    means,
-    thin_measurement,
-)
+from zendsp.physics.kernel.signals import Measurement, Motion, means, thin_measurement
 from zendsp.physics.model import Model, Term, per_joint
 from zendsp.physics.robots.bodies import Links, body_terms
 from zendsp.physics.robots.rigid import Basis, bases
@@ -27,6 +21,7 @@ from zendsp.physics.term_numbers import added_inertia
 Array = npt.NDArray[np.float64]
 SMALL = 1e-4  # rad or m: a step of a derivative
 BEGIN = 2.0  # rad a row: as fast as the rows allow
+FADE = 0.05  # s, or a 250th of the recording: in which the square of the bandwidth fades
 
 
 @dataclass
@@ -117,11 +112,16 @@ class JointRecord:
         return self._gains[key]
 
     def _unrest(self, bandwidth: float) -> Array:
-        """Squares of the bandwidth along the recording, (n,) (rad/s)²: at first the observer
-        follows what acted before.
+        """Squares of the bandwidth along the recording, (n,) (rad/s)².
+
+        What acted before a recording began is not known: a drive that lags, a spring that is bent,
+        a load that rings. The observer follows it at first.
         """
+        fade = min(FADE, 0.004 * self.n * self.sample_time)
         first = (BEGIN / self.sample_time) ** 2
-        return bandwidth**2 + first * beginning(self.n, self.sample_time)
+        return np.asarray(
+            bandwidth**2 + first * np.exp(-self.sample_time / fade * np.arange(self.n))
+        )
 
     def thinned(self, every: int) -> JointRecord:
         """The record with one sample in place of so many, for a first look at a hypothesis.

@@ -26,7 +26,7 @@ void zf_gains(int n, double T, const double *sa, const double *R, double *k1, do
 /* States (q, qd, d): acceleration = a_in + d, d a random walk of sd per sqrt(second). work: 14 n
  * doubles. Returns -2 log-likelihood. out: 3 x n smoothed q, qd, d; var: 3 x n variances. half:
  * dead zone of the measurement. */
-double zf_smooth(int n, double T, const double *sd, double sd0, const double *a_in, const double *m,
+double zf_smooth(int n, double T, double sd, double sd0, const double *a_in, const double *m,
                  const double *half, const double *R, double q0, double v0, double *work,
                  double *out, double *var) {
     double x0 = q0, x1 = v0, x2 = 0, nll = 0;
@@ -38,8 +38,8 @@ double zf_smooth(int n, double T, const double *sd, double sd0, const double *a_
     /* filtered state and covariance; gains, S, e */
     double *xf = work, *Pf = work + 3 * (size_t)n, *gain = work + 9 * (size_t)n;
     double h = 0.5 * T * T;
+    double q = sd * sd * T;
     for (int k = 0; k < n; k++) {
-        double q = sd[k] * sd[k] * T;
         if (R[k] > 0) {
             double e = m[k] - x0;
             e = e > half[k] ? e - half[k] : e < -half[k] ? e + half[k] : 0;

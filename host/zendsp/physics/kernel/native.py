@@ -43,7 +43,7 @@ void zk_filter(int n, double T, const double *k1, const double *k2, const double
                const double *inertia, const double *damp, int cols, const double *d, int meas,
                const double *per, int lag, double *out);
 void zf_gains(int n, double T, const double *sa, const double *R, double *k1, double *k2, double *w);
-double zf_smooth(int n, double T, const double *sd, double sd0, const double *a_in, const double *m, const double *half, const double *R,
+double zf_smooth(int n, double T, double sd, double sd0, const double *a_in, const double *m, const double *half, const double *R,
                  double q0, double v0, double *work, double *out, double *var);
 void zf_swing(int n, double T, double first, double second, const double *a, double *place);
 """  # noqa: E501

@@ -29,9 +29,6 @@ SPEED_OVER = 0.02  # s, over which the speed of measurements is taken
 SLOW = 0.5  # counts a sample: below, a constant code says only where the position may lie
 DITHERED = 0.3  # counts of noise beside quantisation: from there on a code is a mean, no interval
 
-# in which a beginning fades: s, and share of the recording at most
-FADE, FADED = 0.05, 0.004
-
 # of a lattice: the steps that are looked at, and how they lie
 SMALL = 1e-9  # of the span: a smaller step is rounding of the numbers
 SMALLEST = 0.001  # quantile of the steps that is taken for one count, to begin with
@@ -203,19 +200,6 @@ def thin_measurement(measurement: Measurement, q: Array, every: int) -> Measurem
     )
 
 
-def beginning(n: int, sample_time: float) -> Array:
-    """How much of what acted before a recording began, and nobody knows, is left at its samples,
-    (n,): of a drive that lags, a spring that is bent, a load that rings.
-
-    Parameters
-    ----------
-    sample_time : float
-        s.
-    """
-    fade = min(FADE, FADED * n * sample_time)
-    return np.asarray(np.exp(-sample_time / fade * np.arange(n)))
-
-
 def smooth(measurement: Measurement, sample_time: float, known: Array | None = None) -> Motion:
     """The motion behind the measurements, given what its acceleration is thought to be made of.
 
@@ -241,18 +225,16 @@ def smooth(measurement: Measurement, sample_time: float, known: Array | None = N
     )
     parts = np.zeros((n, 1)) if known is None else known
     size = max(float(np.std(parts.sum(axis=1))), span)
-    unrest = (3 * size) ** 2 * beginning(n, sample_time) / FADE
     work, out, var = np.empty(14 * n), np.empty((3, n)), np.empty((3, n))
     gains = work[9 * n :].reshape(n, 5)  # of a run: the last two are a variance and an error each
     says = measurement.variance > 0
     p = lib.doubles
 
     def run(strength: float, acceleration: Array) -> float:
-        walk = np.sqrt(strength**2 + unrest)
         value: float = lib.lib.zf_smooth(
             n,
             sample_time,
-            p(walk),
+            strength,
             3 * size,
             p(np.ascontiguousarray(acceleration)),
             p(measurement.value),
