@@ -137,7 +137,7 @@ class Controller:
             tau = self.speed_gain * slip + self.integral + self.ahead[k]
         else:
             tau = self.kp * e + self.kd * ed + self.ahead[k]
-        return np.minimum(np.maximum(tau / self.gain, -self.limit), self.limit)
+        return np.asarray(np.minimum(np.maximum(tau / self.gain, -self.limit), self.limit))
 
 
 def nuisance_of(bench: Bench, t: Array, size: list[float], rng: Rng) -> Array:
