@@ -238,7 +238,6 @@ PLANS: dict[str, Plan] = {
     "docs/troubleshooting/loop.md": Plan(saved_parameters, stands_for={"FILE": "kept.json"}),
     "docs/tui.md": Plan(loaded),
     "docs/tutorial.md": Plan(
-        stands_for={"--f-max 0.6": "--f-max 0.6 --periods 1"},  # half as long, thrice
         files={
             "import zendsp": "play.py",
             'name = "arm"': "arm.toml",
