@@ -55,11 +55,7 @@ def link_motion(
     m = LinkMotion([], [], [], [], [])
     zero = np.zeros((n, 3))
     for k, b in enumerate(bodies):
-        if b.slides:
-            turn = np.broadcast_to(b.rotation, (n, 3, 3))
-            place = b.place + q[:, k, None] * (b.rotation @ b.axis)
-        else:
-            turn, place = b.rotation @ axis_turn(b.axis, q[:, k]), np.broadcast_to(b.place, (n, 3))
+        turn, place = _carried_by(b, q[:, k])
         root = b.parent < 0
         w, wd = (zero, zero) if root else (m.spin[b.parent], m.spin_rate[b.parent])
         a = (zero - gravity) if root else m.push[b.parent]
@@ -77,6 +73,42 @@ def link_motion(
         m.spin_rate.append(wd)
         m.push.append(a)
     return m
+
+
+def _carried_by(b: Body, q: Array) -> tuple[Array, Array]:
+    """Turn and place of a link in its parent's frame along a joint's motion (n,): (n, 3, 3) and
+    (n, 3).
+    """
+    if b.slides:
+        turn = np.broadcast_to(b.rotation, (len(q), 3, 3))
+        return turn, b.place + q[:, None] * (b.rotation @ b.axis)
+    return b.rotation @ axis_turn(b.axis, q), np.broadcast_to(b.place, (len(q), 3))
+
+
+def own_inertias(bodies: Sequence[Body], q: Array) -> Array:
+    """Inertia that each joint feels of itself along a motion, kg m² or kg, (n, joints): of all that
+    it carries, put together from the last link on (Walker and Orin 1982).
+    """
+    out, one = np.empty_like(q), np.eye(3)
+    mass = [b.mass for b in bodies]
+    first: list[Array] = [b.mass * b.com for b in bodies]  # moments, about the link's own origin
+    second: list[Array] = [about(b.mass, b.com, b.inertia) for b in bodies]
+    for k in reversed(range(len(bodies))):
+        b = bodies[k]
+        out[:, k] = mass[k] if b.slides else second[k] @ b.axis @ b.axis
+        if b.parent < 0:
+            continue
+        turn, place = _carried_by(b, q[:, k])
+        moment = (turn @ first[k][..., None])[..., 0]
+        # about the parent's origin: the parallel axes of a body whose moment is not zero
+        twice = place[:, :, None] * (moment + 0.5 * mass[k] * place)[:, None, :]
+        twice = twice + np.swapaxes(twice, 1, 2)
+        size = 0.5 * np.trace(twice, axis1=1, axis2=2)
+        moved = turn @ second[k] @ np.swapaxes(turn, 1, 2) + 2.0 * size[:, None, None] * one - twice
+        mass[b.parent] += mass[k]
+        first[b.parent] = first[b.parent] + moment + mass[k] * place
+        second[b.parent] = second[b.parent] + moved
+    return out
 
 
 def inverse_dynamics(

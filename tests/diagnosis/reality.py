@@ -1,5 +1,5 @@
-"""A machine that shares no code with what is judged: plain Python, semi-implicit Euler at 10 kHz,
-friction by tanh.
+"""A machine that shares no code with what is judged: plain C (reality.c), semi-implicit Euler at 10
+kHz, friction by tanh.
 
 The equation is M q̈ + friction + gravity + … = torque; a PD loop with a quantised encoder computes
 the command once a sample.
@@ -7,11 +7,16 @@ the command once a sample.
 
 from __future__ import annotations
 
+import functools
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
+import cffi
 import numpy as np
+
+from zendsp_isr.build import build
 
 RESOLUTION = 2 * math.pi / 16384
 RATE = 500.0
@@ -66,7 +71,6 @@ class Machine:
     both_sides: bool = False  # a second encoder, of the load, and a torque sensor at the spring
     dry_load: float = 0.0  # N m: dry friction of the load, behind the spring
     thin: float = 0.0  # 1/K by which dry friction falls with the temperature, which rises by 15 K
-    extra: dict[str, float] = field(default_factory=dict)
 
 
 def multisine(
@@ -90,114 +94,49 @@ def multisine(
     return np.asarray(size * ramp * q / np.max(np.abs(q)))
 
 
+NUMBERS = [f.name for f in fields(Machine) if f.type in ("float", "int")]
+
+
+@functools.cache
+def _library() -> tuple[cffi.FFI, Any]:
+    """reality.c, compiled once per content."""
+    head = f"typedef struct {{ double {', '.join(NUMBERS)}; }} numbers;\n"
+    source = head + Path(__file__).with_suffix(".c").read_text()
+    built = build("reality", {"reality.c": source.encode()}, ())
+    assert built.path is not None, built.messages
+    ffi = cffi.FFI()
+    ffi.cdef(
+        head + "void run(const numbers *m, int n, int sub, double T, const double *reference,"
+        " const double *warm, const double *outside, double *out);"
+    )
+    return ffi, ffi.dlopen(str(built.path))
+
+
 def simulate(
     m: Machine, reference: np.ndarray, rate: float, seed: int = 0
 ) -> dict[str, np.ndarray]:
     """Columns t, q, u, r of one run."""
-    T = 1.0 / rate
-    sub = max(4, round(1e4 / rate))
-    h = T / sub
-    q, v, last, queue = float(reference[0]), 0.0, float(reference[0]), []
-    there, speed = q - 0.5 * m.gap, 0.0  # of the load
-    late = round(m.delay / h)
-    queue = [0.0] * (late + 1)
-    ys, us, loads, twisting = [], [], [], []
-    draw = np.random.default_rng(seed)
-    slow = (
-        [
-            (2 * math.pi * a, b)
-            for a, b in zip(draw.uniform(0.2, 2.0, 40), draw.uniform(0, 6.28, 40), strict=True)
-        ]
-        if m.unrest
-        else []
-    )
-    seen, warm = q, []
-    for k, r in enumerate(reference):
-        warm.append(20.0 + 15.0 * (1.0 - math.exp(-k * T / 3.0)))
-        unrest = m.unrest / math.sqrt(20) * sum(math.sin(a * k * T + b) for a, b in slow)
-        at = q + m.oval * math.sin(2 * q + 0.3)
-        y = m.resolution * round(at / m.resolution) if m.resolution else at
-        u = m.kp * (r - y) - m.kd * (y - last) / T
-        u = max(-m.limit, min(m.limit, u))
-        last = y
-        ys.append(m.resolution * round(seen / m.resolution) if m.smear else y)
-        us.append(u)
-        of_load = there if m.load else q
-        loads.append(m.resolution * round(of_load / m.resolution) if m.resolution else of_load)
-        twisting.append(m.soft * (q - there) + m.hard * (q - there) ** 3)
-        drive = u * (1.0 + m.fade * (1.0 - math.exp(-k * T / 3.0)))
-        for _ in range(sub):
-            if late:
-                queue.append(u)
-                torque = queue[-1 - late]
-            else:
-                torque = drive
-            torque = max(-m.supply - m.back * v, min(m.supply - m.back * v, torque))
-            torque = max(-m.weak, min(m.weak, torque)) + unrest
-            spans = zip(m.push[1::2], m.push[2::2], strict=True)
-            torque += m.push[0] * any(a <= k * T < b for a, b in spans)
-            level = m.coulomb + m.uneven * math.sin(7 * q) + (
-                (m.breakaway - m.coulomb) * math.exp(-(abs(v / m.stribeck) ** m.tail))
-                if m.breakaway
-                else 0.0
-            )
-            f = (
-                m.viscous * v
-                + m.drag * math.copysign(abs(v) ** m.power, v)
-                + m.gravity * math.sin(q)
-                + m.ripple * math.sin(m.order * q + 0.4)
-                + m.spring * q
-            )
-            f += m.wave * math.tanh(3 * math.sin(3 * q)) * math.cos(2 * v) + m.wiggle * v / (
-                1 + v * v
-            )
-            level *= 1.0 - m.thin * (warm[-1] - 20.0)
-            inertia = m.inertia
-            if m.wobble:  # the load turns by `slope` for each turn of the motor
-                slope = 1.0 + 5 * m.wobble * math.cos(5 * q + 0.6)
-                bend = -25 * m.wobble * math.sin(5 * q + 0.6)
-                inertia *= slope * slope
-                f += m.inertia * slope * bend * v * v
-                f += m.gravity * (
-                    slope * math.sin(q + m.wobble * math.sin(5 * q + 0.6)) - math.sin(q)
-                )
-            f += m.sticky * math.tanh(2 * math.sin(3 * q)) * math.tanh(v / 0.1)
-            f += m.swirl * math.sin(2 * v) + m.blend * q * v
-            # dry friction implicitly in its slope: stable at any step
-            s = math.tanh(v / m.creep)
-            steep = level / m.creep * (1 - s * s)
-            push = 0.0
-            if m.soft:
-                apart = q - there
-                push = m.soft * apart + m.hard * apart**3 + 0.02 * (v - speed)
-                held = math.tanh(speed / 1e-3)
-                steep_there = m.dry_load / 1e-3 * (1 - held * held)
-                speed += h * (push - m.dry_load * held) / (m.load + h * steep_there)
-                there += h * speed
-            elif m.load:
-                apart = q - there
-                deep = apart - math.copysign(0.5 * m.gap, apart)
-                if abs(apart) > 0.5 * m.gap:
-                    push = math.copysign(
-                        max(0.0, math.copysign(1.0, apart) * (120.0 * deep + 0.2 * (v - speed))),
-                        apart,
-                    )
-                speed += h * push / m.load
-                there += h * speed
-            v += h * (torque - f - push - level * s) / (inertia - m.load + h * steep)
-            q += h * v
-            seen += h * (q - seen) / m.smear if m.smear else 0.0
-    n = len(reference)
-    rows = np.clip(np.arange(n) - m.late, 0, n - 1)
+    ffi, library = _library()
+    T, n = 1.0 / rate, len(reference)
+    t, reference = np.arange(n) * T, np.ascontiguousarray(reference, float)
+    warm, outside, out = 20.0 - 15.0 * np.expm1(-t / 3.0), np.zeros(n), np.empty((4, n))
+    for begin, end in zip(m.push[1::2], m.push[2::2], strict=True):
+        outside[(begin <= t) & (t < end)] = m.push[0]
+    if m.unrest:
+        draw = np.random.default_rng(seed)
+        turns = np.outer(t, 2 * math.pi * draw.uniform(0.2, 2.0, 40)) + draw.uniform(0, 6.28, 40)
+        outside += m.unrest / math.sqrt(20) * np.sin(turns).sum(1)
+    numbers = ffi.new("numbers *", {name: getattr(m, name) for name in NUMBERS})
+    series = [ffi.from_buffer("double[]", a) for a in (reference, warm, outside, out)]
+    library.run(numbers, n, max(4, round(1e4 / rate)), T, *series)
+    position, command, far, bent = out
     columns = {
-        "t": np.arange(n) * T,
-        "q": np.array(ys),
-        "u": np.array(us)[rows],
-        "r": np.asarray(reference, float),
-    }
+        "t": t, "q": position, "u": command[np.clip(np.arange(n) - m.late, 0, n - 1)],
+        "r": reference,
+    }  # fmt: skip
     if m.both_sides:
-        columns |= {"ql": np.array(loads), "ts": np.array(twisting)}
-    return {**columns, "warm": np.array(warm)} if m.thin else columns
+        columns |= {"ql": far, "ts": bent}
+    return {**columns, "warm": warm} if m.thin else columns
 
 
 def save(path: Path, columns: dict[str, np.ndarray]) -> Path:

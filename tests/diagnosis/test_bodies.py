@@ -250,8 +250,8 @@ def test_gravity_acts_on_the_load_of_an_elastic_joint_where_the_load_is(record,
     assert there < 2e-4 < 0.5 * error()
 
 
-def test_a_body_that_is_not_there_is_proposed_in_vain(record,
-    monkeypatch) -> None:  # type: ignore[no-untyped-def]
+def test_a_body_that_is_not_there_is_proposed_in_vain(record, monkeypatch,
+    tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     from zendsp.diagnosis import engine
 
     def wrong(fit, choose, model, jobs, tell):  # type: ignore[no-untyped-def]
@@ -260,7 +260,10 @@ def test_a_body_that_is_not_there_is_proposed_in_vain(record,
 
     monkeypatch.setattr(engine, "find_bodies", wrong)
     model, paths = record("none", Arm(), True)
-    d = zendsp.diagnose(paths[0], model, paths[1], jobs=1)
+    short = [tmp_path / path.name for path in paths]
+    for path, begun in zip(paths, short, strict=True):
+        np.savez(begun, **{key: x[:2500] for key, x in np.load(path).items()})
+    d = zendsp.diagnose(short[0], model, short[1], jobs=1)
     assert d.verdict == "complete" and d.findings == ()
     assert not any(t.effect == "payload" for t in (*d.improved.terms, *d.calibrated.terms))
     assert ("payload", 3) in {(r.effect, r.joint) for r in d.rejected}

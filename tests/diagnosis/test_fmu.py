@@ -12,6 +12,7 @@ import subprocess
 import tempfile
 import zipfile
 from collections.abc import Callable
+from math import sin, tanh
 from pathlib import Path
 
 import numpy as np
@@ -198,11 +199,11 @@ def pendulum(seed: int, dry: float = DRY, seconds: float = 5.0) -> dict[str, np.
     rows = []
     for k in range(int(seconds * RATE)):
         goal = 0.5 * float((np.sin(2 * np.pi * f * k / RATE + phase) - np.sin(phase)).sum())
-        y = 1e-4 * round((q + rng.normal(0, 3e-5)) / 1e-4)
+        y = 1e-4 * round((q + float(rng.normal(0, 3e-5))) / 1e-4)
         u = 4.0 * (goal - y) - 0.1 * v
         rows.append((k / RATE, y, u))
         for _ in range(sub):
-            a = (u - DAMPING * v - WEIGHT * np.sin(q) - dry * np.tanh(v / 1e-3)) / INERTIA
+            a = (u - DAMPING * v - WEIGHT * sin(q) - dry * tanh(v / 1e-3)) / INERTIA
             v += a / RATE / sub
             q += v / RATE / sub
     t, q_, u_ = np.array(rows).T

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import cos, sin
 from types import SimpleNamespace
 from typing import Any
 
@@ -19,7 +20,7 @@ from zendsp.physics.model import Model
 from zendsp.tree import Array
 
 P1, P2, P3 = 0.42, 0.1, 0.1  # kg m²
-VISCOUS = np.array([0.2, 0.1])  # N m s/rad
+VISCOUS = (0.2, 0.1)  # N m s/rad
 STIFFNESS, DAMPING, MOTOR = 300.0, 0.5, 0.12  # N m/rad, N m s/rad, kg m²
 LATE = 0.01  # s
 SPRING = {
@@ -36,8 +37,8 @@ def _model(side: str, *effects: dict[str, object]) -> Model:
             "mechanism": {"kind": "planar2r", "parameters": {"p1": P1, "p2": P2, "p3": P3}},
             "sensor": {"side": side},
             "effect": [
-                {"kind": "viscous", "joint": 1, "coefficient": float(VISCOUS[0])},
-                {"kind": "viscous", "joint": 2, "coefficient": float(VISCOUS[1])},
+                {"kind": "viscous", "joint": 1, "coefficient": VISCOUS[0]},
+                {"kind": "viscous", "joint": 2, "coefficient": VISCOUS[1]},
                 *effects,
             ],
         }
@@ -51,23 +52,26 @@ def _arm(side: str, *effects: dict[str, object], steps: int = 40) -> tuple[Array
     t = np.arange(round(4.0 * RATE)) / RATE
     command = np.stack([2.0 * np.sin(7 * t) + np.sin(23 * t), 0.8 * np.sin(9 * t + 1)], 1)
     command *= np.minimum(1.0, t / 0.5)[:, None]
-    x, v, turned, speed, seen, rows = np.zeros(2), np.zeros(2), 0.0, 0.0, 0.0, []
-    for u in command:  # semi-implicit Euler of a motor, where it has one, and both links
-        looked_at = turned if motor and side == "motor" else x[0]
-        rows.append((seen if late else looked_at, x[1]))
+    q1 = q2 = v1 = v2 = turned = speed = seen = 0.0
+    rows = []
+    # semi-implicit Euler of a motor, where it has one, and both links
+    for u1, u2 in command.tolist():
+        looked_at = turned if motor and side == "motor" else q1
+        rows.append((seen if late else looked_at, q2))
         for _ in range(steps):
-            c, s = P3 * np.cos(x[1]), P3 * np.sin(x[1])
-            inertia = np.array([[P1 - motor + 2 * c, P2 + c], [P2 + c, P2]])
-            bias = np.array([-s * v[1] * (2 * v[0] + v[1]), s * v[0] ** 2])
-            drive = u - VISCOUS * v
+            c, s = P3 * cos(q2), P3 * sin(q2)
+            first, both = P1 - motor + 2 * c, P2 + c  # inertias, for Cramer's rule
+            push = u1 - VISCOUS[0] * v1
             if motor:
-                drive[0] = STIFFNESS * (turned - x[0]) + DAMPING * (speed - v[0])
-                speed += h * (u[0] - drive[0] - VISCOUS[0] * speed) / motor
+                push = STIFFNESS * (turned - q1) + DAMPING * (speed - v1)
+                speed += h * (u1 - push - VISCOUS[0] * speed) / motor
                 turned += h * speed
-            v = v + h * np.linalg.solve(inertia, drive - bias)
-            x = x + h * v
+            a, b = push + s * v2 * (2 * v1 + v2), u2 - VISCOUS[1] * v2 - s * v1 * v1
+            size = first * P2 - both * both
+            v1, v2 = v1 + h * (P2 * a - both * b) / size, v2 + h * (first * b - both * a) / size
+            q1, q2 = q1 + h * v1, q2 + h * v2
             if late:
-                seen += h * (x[0] - seen) / late
+                seen += h * (q1 - seen) / late
     return command, np.array(rows)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from math import sin, tanh
 from pathlib import Path
 
 import numpy as np
@@ -36,12 +37,12 @@ def _record(path: Path, coulomb: float = 0.05, inner: int = 20) -> None:
     rows = []
     for k in range(1000):
         t = k * STEP
-        r = sum(0.3 * np.sin(w * t + p) for w, p in ((2.1, 0.0), (5.3, 1.0), (9.7, 2.0)))
+        r = sum(0.3 * sin(w * t + p) for w, p in ((2.1, 0.0), (5.3, 1.0), (9.7, 2.0)))
         seen = round(q / 1e-5) * 1e-5
         u = 4.0 * (r - seen) - 0.2 * qd
         rows.append((t, seen, u))
         for _ in range(inner):
-            qd += h * (u - coulomb * np.tanh(qd / 1e-3)) / 0.01
+            qd += h * (u - coulomb * tanh(qd / 1e-3)) / 0.01
             q += h * qd
     np.savetxt(path, rows, delimiter=",", header="t,q,u", comments="")
 

@@ -15,6 +15,7 @@ import socket
 import subprocess
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from math import sin, tanh
 from pathlib import Path
 
 import numpy as np
@@ -76,20 +77,18 @@ def bench(user: Installed) -> None:
         rng, dt, n = np.random.default_rng(seed), 0.001, 6000
         t = dt * np.arange(n)
         phases = rng.uniform(0.0, 2.0 * np.pi, 4)
-        wanted = sum(
-            0.5 * np.sin(2.0 * np.pi * f * t + p)
-            for f, p in zip((0.3, 0.7, 1.3, 2.1), phases, strict=True)
-        )
+        tones = zip((0.3, 0.7, 1.3, 2.1), phases, strict=True)
+        wanted = sum(0.5 * np.sin(2.0 * np.pi * f * t + p) for f, p in tones).tolist()
         q = qd = command = 0.0
         rows = []
         for k in range(n):
             counted = round(q / 0.00153398) * 0.00153398
             rows.append(f"{t[k]:.6f},{counted:.8f},{command:.8f},{wanted[k]:.8f}")
             for _ in range(10):  # the command acts from this row to the next
-                torque = command - 0.30 * np.sin(q) - 0.002 * qd - 0.05 * np.tanh(qd / 0.01)
+                torque = command - 0.30 * sin(q) - 0.002 * qd - 0.05 * tanh(qd / 0.01)
                 qd += 0.1 * dt * torque / 0.010
                 q += 0.1 * dt * qd
-            command = float(np.clip(2.0 * (wanted[k] - counted) - 0.05 * qd, -1.5, 1.5))
+            command = max(-1.5, min(1.5, 2.0 * (wanted[k] - counted) - 0.05 * qd))
         user.write(f"{name}.csv", "t,q,u,q_ref\n" + "\n".join(rows) + "\n")
 
 

@@ -62,12 +62,12 @@ class Plant:
     @property
     def q(self) -> np.ndarray:  # type: ignore[type-arg]
         """True positions, rad."""
-        return np.array([self.truth.q[j] for j in range(self.joints)])
+        return np.array(self.ffi.unpack(self.truth.q, self.joints))
 
     @property
     def qd(self) -> np.ndarray:  # type: ignore[type-arg]
         """True velocities, rad/s."""
-        return np.array([self.truth.qd[j] for j in range(self.joints)])
+        return np.array(self.ffi.unpack(self.truth.qd, self.joints))
 
     def truth_current(self, joint: int) -> float:
         """Torque that the drive of a joint gives, N m."""
@@ -76,12 +76,11 @@ class Plant:
     def sample(self, aout: Any, mode: int = TORQUE) -> np.ndarray:  # type: ignore[type-arg]
         """One sample: outputs in mV, conversion, time passes; the encoder positions, rad."""
         self.actuators.mode = mode
-        for j in range(self.joints):
-            self.actuators.aout[j] = float(aout[j])
+        self.actuators.aout[0 : self.joints] = np.asarray(aout, float).tolist()
         self.ops.write(self.handle, self.actuators)
         self.ops.read(self.handle, self.sensors)
         self.ops.step(self.handle, self.period)
-        return np.array([self.sensors.enc[j] for j in range(self.joints)]) / self.counts
+        return np.array(self.ffi.unpack(self.sensors.enc, self.joints)) / self.counts
 
     def torque(self, tau: Any) -> np.ndarray:  # type: ignore[type-arg]
         """One sample with a torque command, N m."""

@@ -16,7 +16,7 @@ from zendsp.physics.files.model_write import model_text
 from zendsp.physics.model import Quantity, Term
 from zendsp.physics.robots.bodies import Links, change_of, changed, numbers_of, turned_gravity
 from zendsp.physics.robots.rigid import bases
-from zendsp.tree import inverse_dynamics, read_urdf
+from zendsp.tree import inverse_dynamics, mass_matrices, own_inertias, read_urdf
 
 MODELS = Path(__file__).parents[2] / "examples" / "models"
 ARM = MODELS / "wam7.urdf"
@@ -81,6 +81,16 @@ def test_inertia_is_how_torque_answers_to_the_joints_own_acceleration(motion: np
             np.abs(Links(tuple(bodies), gravity, motion).change(terms, j).inertia - answer).max()
             < 1e-10
         )
+
+
+@pytest.mark.parametrize("slides", [(), (0, 3)])
+def test_a_joints_own_inertia_is_the_mass_matrixs(
+    slides: tuple[int, ...], motion: np.ndarray
+) -> None:
+    bodies = [replace(b, slides=k in slides) for k, b in enumerate(read_urdf(str(ARM))[0])]
+    q = motion[:, 0].T
+    whole = np.diagonal(mass_matrices(bodies, q), axis1=1, axis2=2)
+    np.testing.assert_allclose(own_inertias(bodies, q), whole, rtol=1e-10)
 
 
 def test_columns_are_pinocchios_regressor(motion: np.ndarray) -> None:

@@ -5,6 +5,7 @@ integrator.
 from __future__ import annotations
 
 from dataclasses import replace
+from math import copysign, sin, tanh
 
 import numpy as np
 import pytest
@@ -41,11 +42,11 @@ def recording(seed: int) -> Signals:
     for k in range(N):
         out.append(q)
         # held near zero by a loop that is part of the command below
-        torque = u[k] - 3.0 * q - 0.05 * v
+        torque = float(u[k]) - 3.0 * q - 0.05 * v
         for _ in range(40):
-            s = np.tanh(v / 5e-4) if abs(v) < 0.01 else np.sign(v)
+            s = tanh(v / 5e-4) if abs(v) < 0.01 else copysign(1.0, v)
             slope = level / 5e-4 * (1 - s * s)
-            v += h * (torque - b * v - level * s - weight * np.sin(q)) / (J + h * slope)
+            v += h * (torque - b * v - level * s - weight * sin(q)) / (J + h * slope)
             q += h * v
         u[k] = torque
     y = COUNT * np.round(np.array(out) / COUNT)

@@ -4,6 +4,7 @@ order, ten steps a sample and more), effect by effect.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,6 +16,7 @@ from integrated import (
     STIFF,
     J,
     N,
+    State,
     T,
     Torque,
     command,
@@ -155,7 +157,7 @@ def test_added_inertia_slows_the_joint() -> None:
 
 
 def test_lag_is_a_first_order_actuator() -> None:
-    true = integrate(lambda x, t, u: np.array([x[1], x[2] / J, (u - x[2]) / 0.02]), 3)[:, 0]
+    true = integrate(lambda x, t, u: (x[1], x[2] / J, (u - x[2]) / 0.02), 3)[:, 0]
     without = rigid(lambda *_: 0.0)
     got = kernel(true, [{"kind": "lag", "joint": 1, "time_constant": 0.02}], 4)
     assert np.max(np.abs(got - true)) < 0.01 * np.max(np.abs(true - without))
@@ -188,9 +190,9 @@ def test_delay_of_a_fraction_of_a_sample_is_exact() -> None:
 def test_bristles_bend_as_lugre_says() -> None:
     level, s0, s1 = 0.05, 60.0, 0.1
 
-    def derivative(x: np.ndarray, _t: float, u: float) -> np.ndarray:
+    def derivative(x: State, _t: float, u: float) -> State:
         rate = x[1] - s0 * abs(x[1]) * x[2] / level
-        return np.array([x[1], (u - s0 * x[2] - s1 * rate) / J, rate])
+        return x[1], (u - s0 * x[2] - s1 * rate) / J, rate
 
     true = integrate(derivative, 3)[:, 0]
     without = rigid(lambda q, v, t, u: dry(level)(v), sub=STIFF)
@@ -208,10 +210,10 @@ def test_hysteresis_remembers_as_bouc_and_wen_say() -> None:
     force, stiffness, n = 0.08, 0.8, 1.5
     rate = stiffness / force
 
-    def derivative(x: np.ndarray, _t: float, u: float) -> np.ndarray:
+    def derivative(x: State, _t: float, u: float) -> State:
         z, v = x[2], x[1]
         zdot = rate * (v - 0.5 * abs(v) * abs(z) ** (n - 1) * z - 0.5 * v * abs(z) ** n)
-        return np.array([v, (u - force * z) / J, zdot])
+        return v, (u - force * z) / J, zdot
 
     true, without = integrate(derivative, 3)[:, 0], rigid(lambda *_: 0.0)
     got = kernel(
@@ -251,7 +253,7 @@ def test_a_free_run_that_begins_in_the_middle_knows_what_the_sensor_makes_of_the
     late: float, size: float
 ) -> None:
     begin, terms = 300, []
-    true = integrate(lambda x, t, u: np.array([x[1], u / J, (x[0] - x[2]) / (late or 1.0)]), 3)
+    true = integrate(lambda x, t, u: (x[1], u / J, (x[0] - x[2]) / (late or 1.0)), 3)
     seen = true[:, 2] if late else true[:, 0] + size * np.sin(2 * true[:, 0] + 0.5)
     if late:
         terms.append({"kind": "position_filter", "joint": 1, "time_constant": late})
@@ -321,12 +323,18 @@ TYPICAL = {
 }
 
 
+@functools.cache
+def rubbing() -> np.ndarray:
+    """A motion against dry friction."""
+    return rigid(lambda q, v, t, u: dry(0.04)(v), sub=STIFF)
+
+
 @pytest.mark.parametrize("name", [e for e in library() if e != "coupling"])
 def test_many_parameter_sets_at_once_predict_what_each_of_them_predicts_alone(name: str) -> None:
     effect = library()[name]
     term = {"kind": name, **{p.name: max(TYPICAL[p.size], p.lower) for p in effect.parameters}}
     needed = [{"kind": "coulomb", "level": 0.03}] if name != "coulomb" else []
-    model, record = recorded(rigid(lambda q, v, t, u: dry(0.04)(v), sub=STIFF), [*needed, term])
+    model, record = recorded(rubbing(), [*needed, term])
     # more than fit into one pass, and not a multiple
     models = [varied(model, 1.0 + 0.05 * i) for i in range(11)]
     alone = np.stack([run(record, m, 16.0).innovations for m in models], axis=1)
@@ -350,7 +358,7 @@ def test_a_small_inertia_behind_much_viscous_friction_is_followed() -> None:
 
 def test_a_prediction_that_runs_away_leaves_those_beside_it_alone() -> None:
     model, record = recorded(
-        rigid(lambda q, v, t, u: dry(0.04)(v), sub=STIFF),
+        rubbing(),
         [{"kind": "viscous", "coefficient": 0.01}],
     )
     away = replace(

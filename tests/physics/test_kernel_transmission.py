@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from integrated import J, N, T, command, integrate, kernel, rigid
+from integrated import J, N, State, T, command, integrate, kernel, rigid
 from scipy.optimize import brentq
 
 from zendsp.diagnosis.data.prepare import prepare
@@ -22,9 +22,9 @@ from zendsp.physics.files.model_file import parse_model
 def test_elastic_joint_is_two_inertias() -> None:
     k, c, load = 30.0, 0.05, 0.004
 
-    def derivative(x: np.ndarray, _t: float, u: float) -> np.ndarray:
+    def derivative(x: State, _t: float, u: float) -> State:
         spring = k * (x[0] - x[2]) + c * (x[1] - x[3])
-        return np.array([x[1], (u - spring) / (J - load), x[3], spring / load])
+        return x[1], (u - spring) / (J - load), x[3], spring / load
 
     true, without = integrate(derivative, 4)[:, 0], rigid(lambda *_: 0.0)
     got = kernel(
@@ -39,11 +39,11 @@ def test_a_stiffening_spring_is_harder_the_more_it_is_bent() -> None:
     k, k3, load = 8.0, 2.0e4, 0.004  # bent by 11 mrad: a quarter of the torque is the cubic term's
     c = 0.1 * math.sqrt(k * load)
 
-    def derivative(k3: float) -> Callable[[np.ndarray, float, float], np.ndarray]:
-        def rate(x: np.ndarray, _t: float, u: float) -> np.ndarray:
+    def derivative(k3: float) -> Callable[[State, float, float], State]:
+        def rate(x: State, _t: float, u: float) -> State:
             d = x[0] - x[2]
             spring = k * d + k3 * d**3 + c * (x[1] - x[3])
-            return np.array([x[1], (u - spring) / (J - load), x[3], spring / load])
+            return x[1], (u - spring) / (J - load), x[3], spring / load
 
         return rate
 
@@ -87,19 +87,15 @@ def test_the_load_turns_unevenly_behind_a_transmission_with_an_error(
     else:
         terms.append({"kind": "inertia", "amount": ROTOR})
 
-    def stiff(x: np.ndarray, _t: float, u: float) -> np.ndarray:  # by Lagrange, one coordinate
+    def stiff(x: State, _t: float, u: float) -> State:  # by Lagrange, one coordinate
         at, slope, bend = uneven(x[0])
         inert = J * slope * slope + ROTOR
-        return np.array(
-            [x[1], (u - J * slope * bend * x[1] ** 2 - slope * WEIGHT * math.sin(at)) / inert]
-        )
+        return (x[1], (u - J * slope * bend * x[1] ** 2 - slope * WEIGHT * math.sin(at)) / inert)
 
-    def springy(x: np.ndarray, _t: float, u: float) -> np.ndarray:
+    def springy(x: State, _t: float, u: float) -> State:
         at, slope, _ = uneven(x[0])
         pull = k * (at - x[2]) + c * (slope * x[1] - x[3])
-        return np.array(
-            [x[1], (u - slope * pull) / (J - load), x[3], (pull - WEIGHT * math.sin(x[2])) / load]
-        )
+        return x[1], (u - slope * pull) / (J - load), x[3], (pull - WEIGHT * math.sin(x[2])) / load
 
     if elastic:
         # of the motor where the load hangs down
@@ -117,24 +113,22 @@ def test_the_load_turns_unevenly_behind_a_transmission_with_an_error(
     assert np.max(np.abs(got - true)) < 0.05 * size
 
 
-def springy_even(x: np.ndarray, u: float, k: float, c: float, load: float) -> np.ndarray:
+def springy_even(x: State, u: float, k: float, c: float, load: float) -> State:
     """Two inertias and a pendulum's weight on the second, without an error between them."""
     pull = k * (x[0] - x[2]) + c * (x[1] - x[3])
-    return np.array([x[1], (u - pull) / (J - load), x[3], (pull - WEIGHT * math.sin(x[2])) / load])
+    return x[1], (u - pull) / (J - load), x[3], (pull - WEIGHT * math.sin(x[2])) / load
 
 
 def test_weights_and_springs_to_the_frame_pull_at_the_load_beyond_a_spring() -> None:
     k, c, load, hold, pull = 12.0, 0.01, 0.004, 0.6, 0.3
 
-    def derivative(beyond: bool) -> Callable[[np.ndarray, float, float], np.ndarray]:
-        def rate(x: np.ndarray, _t: float, u: float) -> np.ndarray:
+    def derivative(beyond: bool) -> Callable[[State, float, float], State]:
+        def rate(x: State, _t: float, u: float) -> State:
             spring = k * (x[0] - x[2]) + c * (x[1] - x[3])
             at = x[2] if beyond else x[0]
             held = hold * at + pull * math.sin(at)
             motor, moved = (0.0, held) if beyond else (held, 0.0)
-            return np.array(
-                [x[1], (u - spring - motor) / (J - load), x[3], (spring - moved) / load]
-            )
+            return (x[1], (u - spring - motor) / (J - load), x[3], (spring - moved) / load)
 
         return rate
 
@@ -151,11 +145,11 @@ def test_gap_lets_the_motor_move_alone() -> None:
     k, load, gap = 40.0, 0.004, 0.05
     c = 0.1 * math.sqrt(k * load)
 
-    def derivative(x: np.ndarray, _t: float, u: float) -> np.ndarray:
+    def derivative(x: State, _t: float, u: float) -> State:
         d = x[0] - x[2]
         over = d - 0.5 * gap if d > 0.5 * gap else d + 0.5 * gap if d < -0.5 * gap else 0.0
         force = k * over + (c * (x[1] - x[3]) if over else 0.0)
-        return np.array([x[1], (u - force) / (J - load), x[3], force / load])
+        return x[1], (u - force) / (J - load), x[3], force / load
 
     true, without = integrate(derivative, 4)[:, 0], rigid(lambda *_: 0.0)
     got = kernel(
@@ -171,9 +165,9 @@ def test_gap_lets_the_motor_move_alone() -> None:
 def test_a_spring_is_bent_already_when_a_recording_begins_in_the_middle() -> None:
     k, c, load = 15.0, 0.2, 0.004  # damped, so that its own ringing is over
 
-    def derivative(x: np.ndarray, _t: float, u: float) -> np.ndarray:
+    def derivative(x: State, _t: float, u: float) -> State:
         force = k * (x[0] - x[2]) + c * (x[1] - x[3])
-        return np.array([x[1], (u - force) / (J - load), x[3], force / load])
+        return x[1], (u - force) / (J - load), x[3], force / load
 
     true, begin = integrate(derivative, 4), 200
     term = {"kind": "elasticity", "joint": 1, "stiffness": k, "damping": c, "load_inertia": load}

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 from steps import nobody
+from textual.css.model import RuleSet
+from textual.css.stylesheet import Stylesheet
 from textual.pilot import Pilot
 from waiting import PATIENCE_S
 
@@ -42,6 +44,26 @@ def _no_waiting_for_an_idle_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr("textual.app.wait_for_idle", turns)
     monkeypatch.setattr("textual.pilot.wait_for_idle", turns)
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _styles_are_parsed_once() -> Iterator[None]:
+    """Textual parses the styles of all widgets again for each application and each change of theme:
+    the same text and the same variables give the same rules.
+    """
+    known: dict[tuple[object, ...], list[RuleSet]] = {}
+    parse = Stylesheet._parse_rules
+
+    def parsed(self: Stylesheet, css: str, *where: object, **more: object) -> list[RuleSet]:
+        key = (css, where, tuple(more.items()), tuple(self._variables.items()))
+        if key not in known:
+            known[key] = parse(self, css, *where, **more)  # type: ignore[arg-type]
+        return known[key]
+
+    patch = pytest.MonkeyPatch()
+    patch.setattr(Stylesheet, "_parse_rules", parsed)
+    yield
+    patch.undo()
 
 
 def pytest_configure(config: pytest.Config) -> None:

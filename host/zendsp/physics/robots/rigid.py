@@ -17,7 +17,7 @@ import numpy.typing as npt
 from zendsp.errors import ModelError
 from zendsp.physics.model import TREES, Model
 from zendsp.physics.robots.robot import robot_tree
-from zendsp.tree import Body, inverse_dynamics
+from zendsp.tree import Body, inverse_dynamics, own_inertias
 from zendsp_protocol.texts import counted
 
 Array = npt.NDArray[np.float64]
@@ -94,12 +94,8 @@ def _tree_bases(model: Model, motion: list[Array]) -> list[Basis]:
     bodies, gravity = recorded_tree(model, len(motion))
     joints = len(bodies)
     q, qd, qdd = (np.ascontiguousarray(np.stack([m[i] for m in motion], axis=1)) for i in range(3))
-    torque = inverse_dynamics(bodies, gravity, q, qd, qdd)
-    still, weightless = np.zeros_like(q), np.zeros(3)
-    found = []
-    for i in range(joints):
-        unit = np.zeros_like(q)
-        unit[:, i] = 1.0
-        inertia = inverse_dynamics(bodies, weightless, q, still, unit)[:, i]
-        found.append(Basis(inertia, torque[:, i] - inertia * qdd[:, i]))
-    return found
+    torque, inertias = inverse_dynamics(bodies, gravity, q, qd, qdd), own_inertias(bodies, q)
+    return [
+        Basis(np.ascontiguousarray(inertias[:, i]), torque[:, i] - inertias[:, i] * qdd[:, i])
+        for i in range(joints)
+    ]

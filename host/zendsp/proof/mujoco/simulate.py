@@ -137,13 +137,7 @@ class Controller:
             tau = self.speed_gain * slip + self.integral + self.ahead[k]
         else:
             tau = self.kp * e + self.kd * ed + self.ahead[k]
-        return np.asarray(np.clip(tau / self.gain, -self.limit, self.limit))
-
-
-def actuated(command: Array, joints: list[Joint]) -> Array:
-    """What reaches the motor's gain: the dead zone taken off."""
-    width = np.array([j.dead_zone for j in joints])
-    return np.asarray(np.sign(command) * np.maximum(np.abs(command) - width, 0.0))
+        return np.asarray(np.minimum(np.maximum(tau / self.gain, -self.limit), self.limit))
 
 
 def nuisance_of(bench: Bench, t: Array, size: list[float], rng: Rng) -> Array:
@@ -160,6 +154,53 @@ def nuisance_of(bench: Bench, t: Array, size: list[float], rng: Rng) -> Array:
         x = lfilter([1 - a], [1, -a], rng.standard_normal(t.size))
         out[:, k] = bench.nuisance * size[k] * x / np.sqrt(np.mean(x**2))
     return out
+
+
+class Row:
+    """What acts from one row to the next: the command, where the drive is late; laws that MuJoCo
+    does not have.
+    """
+
+    def __init__(self, mj: Any, model: Any, data: Any, bench: Bench, dof: list[int]) -> None:
+        self.mj, self.model, self.data, self.dof = mj, model, data, dof
+        self.h, self.motion = bench.substep, bench.motion
+        self.torques = [(k, dof[k], law(self.h)) for k, law in bench.laws]
+        for k, law in bench.twists:
+            self.torques.append((k, int(model.joint(f"f{k}").dofadr[0]), law(self.h)))
+        waits = [round(j.delay / self.h) for j in bench.joints]
+        self.late = [[0.0] * (wait + 1) if wait else [] for wait in waits]
+        self.gains = [j.gain for j in bench.joints]
+        self.touched = sorted({*dof, *(place for _, place, _ in self.torques)})
+
+    def pass_by(self, now: float, steps: int, sent: Array, outside: Array) -> None:
+        """Let the row's time pass: `sent` reaches the motors' gains, `outside` acts beside them."""
+        data, late = self.data, any(self.late)
+        data.qfrc_applied[self.dof] = outside
+        data.ctrl[:] = sent
+        if not self.torques and not late and self.motion is None:
+            self.mj.mj_step(self.model, data, steps)
+            return
+        applied, where, speed = data.qfrc_applied, data.qpos.item, data.qvel.item
+        acts = sent.tolist()
+        tau = [gain * u for gain, u in zip(self.gains, acts, strict=True)]
+        base = [0.0] * len(applied)
+        for place, push in zip(self.dof, outside.tolist(), strict=True):
+            base[place] = push
+        for s in range(steps):
+            if late:
+                for i, line in enumerate(self.late):
+                    line.append(acts[i])
+                    value = line.pop(0)
+                    data.ctrl[i], tau[i] = value, self.gains[i] * value
+            t, total = now + s * self.h, base.copy()
+            for i, place, torque in self.torques:
+                total[place] += torque(t, where(place), speed(place), tau[i])
+            for place in self.touched:
+                applied[place] = total[place]
+            if self.motion is not None:
+                form, factor = self.motion
+                applied[self.dof] += factor * form(t, data.qpos[self.dof], data.qvel[self.dof])
+            self.mj.mj_step(self.model, data)
 
 
 @dataclass(frozen=True)
@@ -197,50 +238,23 @@ def simulate(bench: Bench, shape: str, rng: Rng, size: list[float] | None = None
     rows, n = p.r.shape
     noise = bench.noise * np.array(bench.resolution) * rng.standard_normal((rows, n))
     nuisance = nuisance_of(bench, p.t, size or [0.0] * n, rng)
-    still = np.array([j.offset for j in bench.joints])
-    torques = [(k, dof[k], law(bench.substep)) for k, law in bench.laws]
-    for k, law in bench.twists:
-        torques.append((k, int(model.joint(f"f{k}").dofadr[0]), law(bench.substep)))
-    wait = [round(j.delay / bench.substep) for j in bench.joints]
-    fine = bool(torques) or any(wait) or bench.motion is not None
-    queue = [[0.0] * (w + 1) for w in wait]
+    outside = nuisance + np.array([j.offset for j in bench.joints])
+    for i, begin, end, push in bench.pushes:
+        outside[(begin <= p.t) & (p.t < end), i] += push
+    row = Row(mj, model, data, bench, dof)
+    width = np.array([j.dead_zone for j in bench.joints])
+    grid, position, speed = np.array(bench.resolution), data.qpos, data.qvel
     q, v, y, u = (np.zeros((rows, n)) for _ in range(4))
-    tau = [0.0] * n
-    grid, gains = np.array(bench.resolution), [j.gain for j in bench.joints]
-    for k in range(rows):
-        q[k], v[k] = data.qpos[dof], data.qvel[dof]
-        seen = q[k].copy()
+    for k, steps in enumerate(p.steps):
+        seen = q[k] = position[dof]
+        v[k] = speed[dof]
         for i, order, size_, phase in bench.sensor:
             seen[i] += size_ * np.sin(order * q[k, i] + phase)
-        y[k] = np.round((seen + noise[k]) / grid) * grid
-        u[k] = controller.command(k, y[k], p.steps[k] * bench.substep)
-        sent = actuated(u[k], bench.joints)
-        outside = nuisance[k] + still
-        for i, begin, end, push in bench.pushes:
-            if begin <= p.t[k] < end:
-                outside[i] += push
-        data.qfrc_applied[dof] = outside
-        if not fine:
-            data.ctrl[:] = sent
-            mj.mj_step(model, data, p.steps[k])
-            continue
-        now = float(p.t[k])
-        for s in range(p.steps[k]):
-            for i in range(n):
-                line = queue[i]
-                line.append(float(sent[i]))
-                value = line.pop(0) if wait[i] else line.pop()
-                data.ctrl[i] = value
-                tau[i] = gains[i] * value
-            data.qfrc_applied[:] = 0.0
-            data.qfrc_applied[dof] = outside
-            t = now + s * bench.substep
-            for i, place, torque in torques:
-                data.qfrc_applied[place] += torque(t, data.qpos[place], data.qvel[place], tau[i])
-            if bench.motion is not None:
-                form, factor = bench.motion
-                data.qfrc_applied[dof] += factor * form(t, data.qpos[dof], data.qvel[dof])
-            mj.mj_step(model, data)
+        y[k] = np.rint((seen + noise[k]) / grid) * grid
+        sent = u[k] = controller.command(k, y[k], steps * bench.substep)
+        if width.any():  # a dead zone takes off
+            sent = np.sign(sent) * np.maximum(np.abs(sent) - width, 0.0)
+        row.pass_by(float(p.t[k]), steps, sent, outside[k])
     if not np.all(np.isfinite(q)) or np.any(data.warning.number > 0):
         raise Unstable("MuJoCo lost the motion")
     return Record(Run(p.t, y, u, p.r, q, v, np.zeros(rows)), nuisance)
