@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import zlib
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -90,6 +91,16 @@ def save_reference(
         with suppress(OSError):  # nothing is there where the folder is none
             part.unlink(missing_ok=True)
     return target
+
+
+def is_reference(path: str | Path) -> bool:
+    """Whether a file begins as those of `save_reference` do; no more of it is read."""
+    try:
+        with open(path, "rb") as file:
+            first = file.read(512)[136:]  # behind the header of MAT and of its first, packed table
+        return FORMAT.encode() in zlib.decompressobj().decompress(first)
+    except (OSError, zlib.error):
+        return False
 
 
 def load_reference(path: str | Path) -> Reference:
