@@ -321,7 +321,7 @@ class ExecuteScreen(MeasureActions):
         options.append(Option("", "another file …", "its path is asked for"))
         marked = [str(p) for p in self.files]
         title = "References, played in the order of marking"
-        text = f"Those in {self.lab.workspace.root} and in the folders in it; Reference (F4) plans new ones."
+        text = f"Those in {self.lab.workspace.root} and a folder below; F4 plans others."
         self.app.push_screen(
             Choose(title, options, several=True, marked=marked, text=text), self._chosen
         )
