@@ -193,8 +193,10 @@ class LoopActions(LabScreen):
                 self.say(f"not faded in: {words}", "warning")
 
         self._measuring = True
-        moves = self.lab.session.snapshot.state == "running"
-        self.set_timer(LOOK_S if moves and not self._rms() else 0.0, measured)
+        if self.lab.session.snapshot.state == "running" and not self._rms():
+            self.set_timer(LOOK_S, measured)
+        else:
+            measured()
 
     def _show_loop(self) -> None:
         if self.entries:
