@@ -221,3 +221,18 @@ async def test_what_is_typed_behind_the_last_answer_is_for_the_screen_below_once
         _type(app, "enter", "ctrl+t")
         await until(pilot, lambda: len(heard) == 2, "both are heard")
         assert heard == ["answer", "key"]
+
+
+async def test_a_key_that_comes_just_before_those_that_wait_are_handed_over_waits_with_them(
+    app: ZendspApp, until: Until
+) -> None:
+    """"arm.toml" and Enter was ar, Enter, and m.toml for the screen below."""
+    chosen: list[object] = []
+    async with app.run_test(size=(100, 30)) as pilot:
+        await app.push_screen(Choose("Model", [Option(n, n) for n in ("a", "arm")]), chosen.append)
+        await pilot.pause()
+        app._held += [Key(letter, letter) for letter in "arm"]
+        app.call_later(app.hand_over)  # behind what is in the queue already
+        await app.on_event(Key("enter", None))
+        await until(pilot, lambda: chosen, "the list is closed")
+        assert chosen == [["arm"]]

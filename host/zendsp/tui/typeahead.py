@@ -11,6 +11,7 @@ from textual import events
 from textual.app import App
 from textual.message_pump import MessagePump
 
+from zendsp.tui.actions import ACTIONS
 from zendsp.tui.dialogs.base import Dialog
 from zendsp.tui.stop_process import PICTURE
 
@@ -24,11 +25,16 @@ def _anew(key: events.Key) -> events.Key:
     return typed
 
 
+# keys that work everywhere go by no screen, and would overtake those that do
+EVERYWHERE = frozenset(k for a in ACTIONS if a.priority for k in a.keys.split(","))
+
+
 class TypeAhead(App[None]):
     """Each key does what it would do if the screen were never late.
 
     Keys wait for a dialog that is on its way. In a dialog each waits until the one before has had
-    its effect, which may be that the dialog has closed and that another one opens.
+    its effect, which may be that the dialog has closed and that another one opens. A key that works
+    everywhere waits for those that are still on their way through the screen that is shown.
     """
 
     def __init__(self) -> None:
@@ -38,8 +44,8 @@ class TypeAhead(App[None]):
         self._held: list[events.Key] = []
         self._given: WeakKeyDictionary[events.Key, MessagePump] = WeakKeyDictionary()
         self._blind = False  # before the first picture
-        self._way: Iterator[MessagePump] | None = None  # what a key has still to pass
-        self._passed = 0.0  # until when it is waited for
+        self._ways: set[Iterator[MessagePump]] = set()  # what keys have still to pass
+        self._passed = 0.0  # until when they are waited for
 
     def expect_dialog(self) -> None:
         """Hold back the keys from now on until a dialog or an input line is there to take them,
@@ -65,22 +71,24 @@ class TypeAhead(App[None]):
 
     def answered(self) -> None:
         """A dialog has its answer: keys wait until that has had its effect on the screen below."""
-        self._hold_for(self.screen, self)
+        self._ways.clear()
+        self._wait_for(self.screen, self)
 
-    def _hold_for(self, *pumps: MessagePump) -> None:
+    def _wait_for(self, *pumps: MessagePump) -> None:
+        way = iter(pumps)
+        self._ways.add(way)
         self._passed = time.monotonic() + HELD_S
-        self._way = iter(pumps)
-        self._pass(self._way)
+        self._pass(way)
 
     def _pass(self, way: Iterator[MessagePump]) -> None:
         """Go on to the next queue, behind what a key has left in this one."""
-        if way is not self._way:
-            return  # a later one is waited for
+        if way not in self._ways:
+            return  # it is waited for no more
         for pump in way:
             if pump.call_later(self._pass, way):
                 return
-        self._way = None
-        if self._held and not self._dialog_comes():
+        self._ways.discard(way)
+        if self._held and not self._ways and not self._dialog_comes():
             self.call_later(self.hand_over)
 
     def _see(self) -> None:
@@ -109,21 +117,25 @@ class TypeAhead(App[None]):
         if self._given.setdefault(event, taker) is not taker:
             event = _anew(event)
             self._given[event] = taker
-        fresh = not event.is_forwarded
-        if fresh and self._passes():
+        if event.is_forwarded:
+            await super().on_event(event)
+        elif self._is_early(event):
             self._held.append(event)
-            return
-        await super().on_event(event)
-        way, screen = taker.ancestors_with_self, self.screen
-        if fresh and isinstance(screen, Dialog) and screen.opened and screen in way:
-            # up to the application as a key, and up to the dialog as what it has brought about
-            self._hold_for(*way, *way[: way.index(screen) + 1])
+        else:
+            await super().on_event(event)
+            way, screen = taker.ancestors_with_self, self.screen
+            if screen in way:
+                # up to here as a key, and in a dialog up to it as what the key has brought about
+                again = way[: way.index(screen) + 1] if isinstance(screen, Dialog) else []
+                self._wait_for(*way, *again)
 
-    def _passes(self) -> bool:
-        """Whether a key is still on its way through a dialog."""
-        if self._way is not None and time.monotonic() > self._passed:
-            self._way = None
-        return self._way is not None
+    def _is_early(self, key: events.Key) -> bool:
+        """Whether what was typed before has to have its effect first."""
+        if self._ways and time.monotonic() > self._passed:
+            self._ways.clear()
+            self.call_later(self.hand_over)
+        overtakes = isinstance(self.screen, Dialog) or key.key in EVERYWHERE
+        return bool(self._held or (self._ways and overtakes))
 
     def _dialog_comes(self) -> bool:
         screen = self.screen
