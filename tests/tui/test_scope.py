@@ -244,7 +244,7 @@ def test_the_statistics_between_the_cursors_are_those_of_the_samples() -> None:
     settings = ScopeSettings(cursor_a=0.0, cursor_b=1.0)
     whole: Any = SimpleNamespace(start=0.0, end=2.0, zero=0.0)
     line = cursor_lines(whole, settings, Channel("q"), t, -1234.5 * step[:, None], 66)[1]
-    assert "rise " in line and line.endswith(f"over {100.0 * peak:.3g} % …"), "the range is left out first"
+    assert "rise " in line and line.endswith(f"over {100.0 * peak:.3g} % …"), "the range goes first"
     gap = np.where(t < 1.0, np.nan, 1.0)
     assert measure(t, gap, 0.0, 2.0).mean == 1.0 and np.isnan(measure(t, gap, 0.0, 0.5).mean)
 
