@@ -234,5 +234,6 @@ async def test_a_key_that_comes_just_before_those_that_wait_are_handed_over_wait
         app._held += [Key(letter, letter) for letter in "arm"]
         app.call_later(app.hand_over)  # behind what is in the queue already
         await app.on_event(Key("enter", None))
+        assert [key.key for key in app._held] == ["a", "r", "m", "enter"]
         await until(pilot, lambda: chosen, "the list is closed")
         assert chosen == [["arm"]]
