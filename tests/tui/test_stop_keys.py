@@ -255,8 +255,9 @@ async def test_a_key_that_works_everywhere_does_not_overtake_those_of_a_slow_scr
         for key in ("e", "f3", "o"):
             lab.post_message(Key(key, key if len(key) == 1 else None))
         await asyncio.sleep(0.1)  # the pilot would wait for the screen
-        assert lab.current_mode == "console"
+        before = lab.current_mode
         seen.set()
+        assert before == "console"
         await until(pilot, lambda: isinstance(lab.screen, Choose), "all have come")
         assert asked == ["enable"] and lab.current_mode == "execute"
         await until(pilot, lambda: lab.screen.opened, "it takes keys")
