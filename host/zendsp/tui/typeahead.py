@@ -13,7 +13,7 @@ from textual.message_pump import MessagePump
 
 from zendsp.tui.actions import ACTIONS
 from zendsp.tui.dialogs.base import Dialog
-from zendsp.tui.stop_process import PICTURE
+from zendsp.tui.stop_process import PICTURE, is_stop
 
 HELD_S = 5.0  # that keys wait for a dialog that is on its way, or for what a key does in a dialog
 
@@ -107,7 +107,7 @@ class TypeAhead(App[None]):
             return
         if isinstance(event, events.InputEvent):
             self._typed = event.time
-        if not isinstance(event, events.Key):
+        if not isinstance(event, events.Key) or is_stop(event.key):
             await super().on_event(event)
             return
         if self._dialog_comes():
