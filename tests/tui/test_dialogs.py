@@ -11,9 +11,10 @@ from textual.events import Key
 from textual.widgets import OptionList
 
 from zendsp.tui.app import ZendspApp
-from zendsp.tui.dialogs import Choose, Field, Form, Message, Option
+from zendsp.tui.dialogs import Choose, Field, Form, Message, Option, Sliders
 from zendsp.tui.dialogs.source import SourceView
 from zendsp.tui.screens.analysis import ProcessView
+from zendsp.tui.snapshot import Variable
 
 
 async def test_stop_works_under_every_dialog(
@@ -237,3 +238,25 @@ async def test_a_key_that_comes_just_before_those_that_wait_are_handed_over_wait
         assert [key.key for key in app._held] == ["a", "r", "m", "enter"]
         await until(pilot, lambda: chosen, "the list is closed")
         assert chosen == [["arm"]]
+
+
+async def test_a_slider_that_has_no_room_comes_into_sight_and_the_keys_stay(
+    app: ZendspApp, until: Until
+) -> None:
+    """In 24 rows the eleventh parameter moved out of sight."""
+    parameters = [
+        Variable(f"p{k}", "double", 1, "parameter", "N", 0.0, 10.0, 1.0, "") for k in range(15)
+    ]
+    values = {v.name: 1.0 for v in parameters}
+    async with app.run_test(size=(80, 24)) as pilot:
+        dialog = Sliders(parameters, lambda: values, lambda *_: None)
+        await app.push_screen(dialog)
+        await pilot.pause()
+        box = dialog.query_one(".box").region
+        assert box.contains_region(dialog.query_one(".hint").region)
+        await pilot.press(*["down"] * 12)
+        await until(
+            pilot, lambda: app.focused is not None and box.contains_region(app.focused.region),
+            "it is seen",
+        )
+        assert app.focused is list(dialog.query("Slider"))[12]
