@@ -37,8 +37,23 @@ _LAZY = {
     "MatDSPAcquireLoad": "zendsp.matdsp",
 }
 
+# `zendsp.physics.load_effects` works after `import zendsp` alone
+_ROOMS = (
+    "bridge", "diagnosis", "experiment", "link", "matdsp", "physics", "proof", "recording",
+    "reference",
+)  # fmt: skip
+
 TYPE_CHECKING = False  # what `typing` has, without its import: a command begins with this file
 if TYPE_CHECKING:
+    from zendsp import bridge as bridge
+    from zendsp import diagnosis as diagnosis
+    from zendsp import experiment as experiment
+    from zendsp import link as link
+    from zendsp import matdsp as matdsp
+    from zendsp import physics as physics
+    from zendsp import proof as proof
+    from zendsp import recording as recording
+    from zendsp import reference as reference
     from zendsp.experiment import frequency_response as frequency_response
     from zendsp.experiment import sweep as sweep
     from zendsp.link import ParameterSet as ParameterSet
@@ -68,8 +83,8 @@ if TYPE_CHECKING:
 
 __all__ = ["__version__", *_LAZY]
 
-__getattr__ = on_first_use(__name__, _LAZY)
+__getattr__ = on_first_use(__name__, _LAZY, _ROOMS)
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_LAZY})
+    return sorted({*globals(), *_LAZY, *_ROOMS})

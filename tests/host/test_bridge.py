@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import itertools
 import json
@@ -47,11 +48,22 @@ class Viewer:
         """The first message that is wanted: JSON, or the body of a row."""
         while True:
             data = self.socket.recv(timeout=PATIENCE_S)
-            message = json.loads(data) if isinstance(data, str) else _row(data)
+            message = json.loads(data) if isinstance(data, str) else self._row(data)
             for channel in message.get("channels", ()):
                 self.topics[channel["topic"]] = channel
             if wanted(message):
                 return message
+
+    def _row(self, data: bytes) -> dict[str, Any]:
+        opcode, channel, stamp = struct.unpack_from("<BIQ", data)
+        if opcode != 1:
+            return {}
+        of, body = next(c for c in self.topics.values() if c["id"] == channel), data[13:]
+        if of["encoding"] == "json":
+            return {"row": json.loads(body), "stamp": stamp}
+        names = _names(of["schema"])
+        read = {names[k]: [x for x, in struct.iter_unpack("<d", v)] for k, v in _fields(body)}
+        return {"row": {n: v[0] if len(v) == 1 else v for n, v in read.items()}, "stamp": stamp}
 
     def ask(self, op: str, **values: Any) -> None:
         self.socket.send(json.dumps({"op": op, **values}))
@@ -63,16 +75,47 @@ class Viewer:
         self.ask("subscribe", subscriptions=[{"id": channel, "channelId": channel}])
 
 
-def _row(data: bytes) -> dict[str, Any]:
-    opcode, _, stamp = struct.unpack_from("<BIQ", data)
-    return {"row": json.loads(data[13:]), "stamp": stamp} if opcode == 1 else {}
+def _fields(data: bytes) -> Iterator[tuple[int, Any]]:
+    """The fields of a Protobuf message: their numbers and values."""
+    at = 0
+
+    def varint() -> int:
+        nonlocal at
+        value = shift = 0
+        while True:
+            byte = data[at]
+            at += 1
+            value |= (byte & 0x7F) << shift
+            shift += 7
+            if byte < 0x80:
+                return value
+
+    while at < len(data):
+        number, kind = divmod(varint(), 8)
+        if kind == 0:
+            yield number, varint()
+            continue
+        size = 8 if kind == 1 else varint()
+        yield number, data[at : at + size]
+        at += size
+
+
+def _names(schema: str) -> dict[int, str]:
+    """The names of the fields of a message, by their numbers, from its description."""
+    (_, file), = _fields(base64.b64decode(schema))
+    message = next(body for number, body in _fields(file) if number == 4)
+    fields = [dict(_fields(body)) for number, body in _fields(message) if number == 2]
+    assert all(f[5] == 1 for f in fields), "doubles"
+    return {f[3]: f[1].decode() for f in fields}
 
 
 def test_every_signal_arrives_with_its_time_and_its_schema(target: Target) -> None:
     with foxglove(target, port=0) as bridge, Viewer(bridge) as viewer:
         viewer.subscribe("/signals")
-        schema = json.loads(viewer.topics["/signals"]["schema"])
-        assert schema["properties"]["q1"] == {"type": ["number", "null"], "description": "rad"}
+        topic = viewer.topics["/signals"]
+        # all that PlotJuggler takes beside ROS; names like Kp1 are none of ROS's
+        assert topic["encoding"] == topic["schemaEncoding"] == "protobuf"
+        assert topic["schemaName"] == "zendsp.Signals"
         rows = [viewer.until(lambda message: "row" in message) for _ in range(50)]
         times = [message["row"]["t"] for message in rows]
         assert all(b > a for a, b in itertools.pairwise(times))

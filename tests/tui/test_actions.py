@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import inspect
 import re
 from collections import Counter
 from dataclasses import replace
@@ -16,8 +18,9 @@ from textual.containers import VerticalScroll
 from textual.widgets import DataTable, Static
 from textual.widgets._footer import FooterKey
 
+from zendsp.link import programs
 from zendsp.recording import Recording
-from zendsp.tui.actions import ACTIONS, SCREENS, actions
+from zendsp.tui.actions import ACTIONS, SCREENS, actions, in_keys
 from zendsp.tui.app import ZendspApp
 from zendsp.tui.dialogs import Message
 from zendsp.tui.panels.table import Column, LiveTable
@@ -31,6 +34,20 @@ from zendsp.tui.snapshot import Snapshot, TripView
 from zendsp.tui.statusbar import StatusBar, Tabs, mean_and_max
 from zendsp.tui.stop_process import EMERGENCY, StopState
 from zendsp.tui.trial import Trial
+from zendsp_target.serving import drives
+
+
+def test_a_refusal_names_the_key_and_no_command_of_the_shell() -> None:
+    texts = [
+        node.value
+        for module in (drives, programs)
+        for node in ast.walk(ast.parse(inspect.getsource(module)))
+        if isinstance(node, ast.Constant) and "zendsp drive " in str(node.value)
+    ]
+    assert len(texts) >= 6
+    assert not [text for text in texts if "zendsp " in in_keys(text)]
+    said = in_keys("home the machine (zendsp drive home), then take it ('zendsp target --name a')")
+    assert said == "home the machine (h on Console), then take it (Ctrl+O)"
 
 
 def test_no_key_has_two_meanings_on_a_screen() -> None:

@@ -360,6 +360,10 @@ async def test_compensation_fades_in_and_out_of_the_running_program(
             "the tracking error falls",
         )
         assert "→" in _text(screen, "#loop-words")
+        await pilot.press("c")
+        await until(pilot, lambda: share() == 0.0, "off")
+        await pilot.press("c")
+        await until(pilot, lambda: share() == 1.0, "on again, of a loop that is looked at already")
         screen.compensation = None  # as of the next diagnosis, where nothing is left to cancel
         line = screen.query_one("#findings", OptionList)
         await until(

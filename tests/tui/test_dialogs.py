@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from pathlib import Path
 
 import pytest
@@ -10,9 +11,10 @@ from textual.events import Key
 from textual.widgets import OptionList
 
 from zendsp.tui.app import ZendspApp
-from zendsp.tui.dialogs import Choose, Field, Form, Message, Option
+from zendsp.tui.dialogs import Choose, Field, Form, Message, Option, Sliders
 from zendsp.tui.dialogs.source import SourceView
 from zendsp.tui.screens.analysis import ProcessView
+from zendsp.tui.snapshot import Variable
 
 
 async def test_stop_works_under_every_dialog(
@@ -165,3 +167,96 @@ async def test_a_name_that_comes_in_one_go_with_its_enter_is_the_one_that_is_cho
         app.post_message(Key("enter", "\r"))
         await until(pilot, lambda: chosen, "the list is closed")
         assert chosen == [["pd.c"]]
+
+
+def _type(app: ZendspApp, *keys: str) -> None:
+    """At once, as a terminal hands on one read."""
+    for key in keys:
+        app.post_message(Key(key, key if len(key) == 1 else None))
+
+
+async def test_what_is_typed_behind_enter_is_for_the_dialog_that_it_opens(
+    app: ZendspApp, until: Until
+) -> None:
+    """A name that followed a choice was lost, or its letters were commands."""
+    asked: list[object] = []
+
+    def ask_again(answer: object) -> None:
+        asked.append(answer)
+        if len(asked) < 3:
+            app.push_screen(Form("A name", [Field("name", "Name", "")]), ask_again)
+
+    async with app.run_test(size=(100, 30)) as pilot:
+        commands: list[str] = []
+        app.session.do = lambda label, job: commands.append(label)  # type: ignore[method-assign, assignment, return-value]
+        app.push_screen(Choose("Layouts", [Option("old", "old")]), ask_again)
+        _type(app, "o", "enter", "s", "p", "enter", "b", "enter")
+        await until(pilot, lambda: len(asked) == 3, "all three are answered")
+        assert asked == [["old"], {"name": "sp"}, {"name": "b"}]
+        assert not commands
+
+
+async def test_what_is_typed_behind_an_enter_that_is_refused_goes_on_in_the_form(
+    app: ZendspApp, until: Until
+) -> None:
+    entered: list[object] = []
+    async with app.run_test(size=(100, 30)) as pilot:
+        app.push_screen(Form("f", [Field("x", "Level", "", check=float)]), entered.append)
+        _type(app, "x", "enter", "backspace", "4", "2", "enter")
+        await until(pilot, lambda: entered, "the form is answered")
+        assert entered == [{"x": 42.0}]
+
+
+async def test_what_is_typed_behind_the_last_answer_is_for_the_screen_below_once_it_has_it(
+    app: ZendspApp, until: Until
+) -> None:
+    heard: list[str] = []
+
+    async def answered(_: object) -> None:
+        await asyncio.sleep(0.1)  # what an answer does takes its time
+        heard.append("answer")
+
+    async with app.run_test(size=(100, 30)) as pilot:
+        app.action_next_theme = lambda: heard.append("key")  # type: ignore[method-assign]
+        app.push_screen(Message("m", "text", agree="yes"), answered)
+        _type(app, "enter", "ctrl+t")
+        await until(pilot, lambda: len(heard) == 2, "both are heard")
+        assert heard == ["answer", "key"]
+
+
+async def test_a_key_that_comes_just_before_those_that_wait_are_handed_over_waits_with_them(
+    app: ZendspApp, until: Until
+) -> None:
+    """"arm.toml" and Enter was ar, Enter, and m.toml for the screen below."""
+    chosen: list[object] = []
+    async with app.run_test(size=(100, 30)) as pilot:
+        await app.push_screen(Choose("Model", [Option(n, n) for n in ("a", "arm")]), chosen.append)
+        await pilot.pause()
+        app._held += [Key(letter, letter) for letter in "arm"]
+        app.call_later(app.hand_over)  # behind what is in the queue already
+        await app.on_event(Key("enter", None))
+        assert [key.key for key in app._held] == ["a", "r", "m", "enter"]
+        await until(pilot, lambda: chosen, "the list is closed")
+        assert chosen == [["arm"]]
+
+
+async def test_a_slider_that_has_no_room_comes_into_sight_and_the_keys_stay(
+    app: ZendspApp, until: Until
+) -> None:
+    """In 24 rows the eleventh parameter moved out of sight."""
+    parameters = [
+        Variable(f"p{k}", "double", 1, "parameter", "N", 0.0, 10.0, 1.0, "") for k in range(15)
+    ]
+    values = {v.name: 1.0 for v in parameters}
+    async with app.run_test(size=(80, 24)) as pilot:
+        dialog = Sliders(parameters, lambda: values, lambda *_: None)
+        await app.push_screen(dialog)
+        await pilot.pause()
+        box = dialog.query_one(".box").region
+        assert box.contains_region(dialog.query_one(".hint").region)
+        await pilot.press(*["down"] * 12)
+        await until(
+            pilot, lambda: app.focused is not None and box.contains_region(app.focused.region),
+            "it is seen",
+        )
+        assert app.focused is list(dialog.query("Slider"))[12]

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from steps import Step, Until, opened, short_run, slow_circle
-from textual.widgets import Button, Input
+from textual.widgets import Button, Input, OptionList
 from waiting import PATIENCE_S
 from waiting import until as wait_for
 
@@ -217,17 +217,22 @@ async def test_a_run_of_seven_joints_begins_where_the_arm_stands(
             assert np.abs(np.diff(first["r"], axis=0)).max() * 1000.0 < machine.limits.speed.max()
 
 
-async def test_a_reference_that_lies_elsewhere_is_chosen_by_its_path(
+async def test_references_that_lie_here_are_listed_and_others_are_chosen_by_their_path(
     app: ZendspApp, until: Until, tmp_path: Path
 ) -> None:
     """`zendsp reference --out motion.mat` saves where one stands, not in references/."""
-    path = save_reference(make_reference("circle", "imi_planar"), tmp_path / "motion.mat")
+    circle = make_reference("circle", "imi_planar")
+    here = save_reference(circle, tmp_path / "motion.mat")
+    path = save_reference(circle, tmp_path / "far" / "away" / "motion.mat")
+    short_run(1.0).save(tmp_path / "recording.mat")
     async with app.run_test(size=(80, 24)) as pilot:
         screen = await opened(app, pilot, until, ExecuteScreen)
         await pilot.press("o")
         await pilot.pause()
         assert isinstance(app.screen, Choose)
-        await pilot.press("enter")  # "another file …" is all there is
+        rows = app.screen.query_one(OptionList)
+        assert [row.id for row in rows.options] == [str(here), ""], "a recording is no reference"
+        await pilot.press("down", "enter")
         await pilot.pause()
         app.screen.query_one("#f-path", Input).value = str(path)
         await pilot.press("enter")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import unicodedata
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from rich.style import Style
 from zendsp.tui.colours import THEMES, trace_colours
 from zendsp.tui.scope import Channel, History, ScopeSettings, encode, envelope, fill
 from zendsp.tui.scope.lines import legend_lines
-from zendsp.tui.scope.measure import measure
+from zendsp.tui.scope.measure import cursor_lines, measure
 from zendsp.tui.scope.path import Axes, Curve, plot_lines
 from zendsp.tui.scope.picture import LIMIT, arrange, compose, fit_range
 from zendsp.tui.scope.raster import braille
@@ -239,6 +241,10 @@ def test_the_statistics_between_the_cursors_are_those_of_the_samples() -> None:
     assert found.overshoot == pytest.approx(peak, rel=0.01)
     share = (t[np.argmax(step >= 0.9)] - t[np.argmax(step >= 0.1)])
     assert found.rise == pytest.approx(share, abs=2e-3)
+    settings = ScopeSettings(cursor_a=0.0, cursor_b=1.0)
+    whole: Any = SimpleNamespace(start=0.0, end=2.0, zero=0.0)
+    line = cursor_lines(whole, settings, Channel("q"), t, -1234.5 * step[:, None], 66)[1]
+    assert "rise " in line and line.endswith(f"over {100.0 * peak:.3g} % …"), "the range goes first"
     gap = np.where(t < 1.0, np.nan, 1.0)
     assert measure(t, gap, 0.0, 2.0).mean == 1.0 and np.isnan(measure(t, gap, 0.0, 0.5).mean)
 

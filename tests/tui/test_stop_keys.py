@@ -4,6 +4,7 @@ there.
 
 from __future__ import annotations
 
+import asyncio
 import os
 import signal
 import subprocess
@@ -241,6 +242,26 @@ async def test_a_key_that_comes_back_when_an_input_has_the_focus_is_no_command(
         lab.screen.set_focus(line)
         await until(pilot, lambda: line.value == "p", "the input has it")
         assert not asked
+
+
+async def test_a_key_that_works_everywhere_does_not_overtake_those_of_a_slow_screen(
+    lab: ZendspApp, until: Until
+) -> None:
+    """Enable, then Execute: the e became a letter of the dialog that followed there."""
+    async with lab.run_test(size=(100, 30)) as pilot:
+        await until(pilot, lambda: lab.session.snapshot.link == "up", "the link is up")
+        asked, seen = _asked(lab), asyncio.Event()
+        lab.screen.call_later(seen.wait)
+        for key in ("e", "f3", "o"):
+            lab.post_message(Key(key, key if len(key) == 1 else None))
+        await asyncio.sleep(0.1)  # the pilot would wait for the screen
+        before = lab.current_mode
+        seen.set()
+        assert before == "console"
+        await until(pilot, lambda: isinstance(lab.screen, Choose), "all have come")
+        assert asked == ["enable"] and lab.current_mode == "execute"
+        await until(pilot, lambda: lab.screen.opened, "it takes keys")
+        assert lab.screen.query_one(Input).value == ""
 
 
 async def test_keys_that_come_back_from_a_slow_screen_do_not_fall_behind_later_ones(

@@ -9,8 +9,12 @@ import importlib
 import inspect
 import pkgutil
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
 from typing import Any
+
+from waiting import PATIENCE_S
 
 ROOMS = (
     "zendsp", "zendsp.link", "zendsp.recording", "zendsp.reference", "zendsp.physics",
@@ -134,3 +138,13 @@ def test_a_name_that_is_imported_on_first_use_is_no_module_beside_it() -> None:
         room = importlib.import_module(package)
         modules = {name for _, name, _ in pkgutil.iter_modules(room.__path__)}
         assert modules & set(room._LAZY) == set(), package
+
+
+def test_the_rooms_need_no_import_of_their_own() -> None:
+    code = "import zendsp, sys; assert 'numpy' not in sys.modules; print(*zendsp._ROOMS)\n"
+    code += "zendsp.physics.load_effects, zendsp.bridge.foxglove, zendsp.matdsp.MatDSPstart"
+    words = [sys.executable, "-c", code]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=PATIENCE_S)
+    assert done.returncode == 0, done.stderr
+    for name in done.stdout.split():
+        assert importlib.util.find_spec(f"zendsp.{name}"), name

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from zendsp.bridge.protobuf import MESSAGE, PACKAGE, Rows
 from zendsp.errors import LinkError, Refused, ZendspError
 from zendsp.extras import need
 from zendsp.link import Target
@@ -83,7 +84,7 @@ class Bridge:
         self._signals: Any = None
         self._events = self._fox.Channel(EVENTS, schema=LOG_SCHEMA, context=self._context)
         self._view: LiveView | None = None
-        self._columns: list[tuple[str, slice, bool]] = []
+        self._form = Rows((), ())
         self._offset = float("nan")  # Unix time of the target's t = 0, s
         self._names: tuple[str, ...] = ()
         self._sent: dict[str, Any] = {}
@@ -170,13 +171,19 @@ class Bridge:
             return
         self._offset = float("nan")
         every = max(1, round(status.rate_hz / self._rate))
-        self._columns = columns_of(wanted, infos)
-        units = {n: infos[n].unit for n, _, _ in self._columns if n in infos}
+        columns = columns_of(wanted, infos)
+        units = {n: infos[n].unit for n, _, _ in columns if n in infos}
+        names = ["time" if "t" in wanted else "t", *(n for n, _, _ in columns)]
+        widths = [1, *(part.stop - part.start for _, part, _ in columns)]
+        self._form = Rows(names, widths)
         if self._signals is not None:
             self._signals.close()
         self._signals = self._fox.Channel(
             SIGNALS,
-            schema=_schema(self._columns, units),
+            message_encoding="protobuf",
+            schema=self._fox.Schema(
+                name=f"{PACKAGE}.{MESSAGE}", encoding="protobuf", data=self._form.schema
+            ),
             context=self._context,
             metadata={n: u for n, u in units.items() if u},
         )
@@ -190,12 +197,9 @@ class Bridge:
         # begun anew only where the target fell behind, as by a pause: times never run back
         if not newest <= self._offset + BEHIND_S:
             self._offset = newest
-        for t, row in zip(block.t.tolist(), block.data, strict=True):
-            body: dict[str, Any] = {"t": t}
-            for name, part, alone in self._columns:
-                values = [v if v - v == 0.0 else None for v in row[part].tolist()]
-                body[name] = values[0] if alone else values
-            self._signals.log(json.dumps(body).encode(), log_time=int((self._offset + t) * 1e9))
+        rows = self._form.encode(np.column_stack((block.t, block.data)))
+        for t, row in zip(block.t.tolist(), rows, strict=True):
+            self._signals.log(row, log_time=int((self._offset + t) * 1e9))
 
     def _say(self, text: str, level: int) -> None:
         now = time.time_ns()
@@ -282,15 +286,6 @@ def columns_of(
         found.append((name, slice(at, at + width), width == 1))
         at += width
     return found
-
-
-def _schema(columns: Sequence[tuple[str, slice, bool]], units: dict[str, str]) -> dict[str, Any]:
-    one = {"type": ["number", "null"]}
-    properties: dict[str, Any] = {"t": {"type": "number", "description": "s since the start"}}
-    for name, _, alone in columns:
-        kind = dict(one) if alone else {"type": "array", "items": one}
-        properties[name] = {**kind, "description": units.get(name, "")}
-    return {"type": "object", "title": "zendsp.Signals", "properties": properties}
 
 
 def _as_declared(name: str, value: Any, info: m.VariableInfo | None) -> Any:

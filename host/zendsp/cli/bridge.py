@@ -57,7 +57,10 @@ def foxglove(
         open_target(target, connect) as t,
         serve(t, channels, port=port, rate=rate, writable=write) as bridge,
     ):
-        words = f"{t.name} at {bridge.url} (Foxglove: Open connection, Foxglove WebSocket)"
+        words = (
+            f"{t.name} at {bridge.url} (Foxglove: Open connection, Foxglove WebSocket;"
+            " PlotJuggler: Streaming, Foxglove Bridge)"
+        )
         emit({"url": bridge.url, "target": t.name}, as_json, words)
         until_ctrl_c()
 

@@ -137,7 +137,7 @@ def load_reference(path: str | Path) -> Reference:
 
 
 def is_reference(path: Path) -> bool:
-    """Whether a file is one that `save_reference` wrote, and no other table.
+    """Whether a file is one that `save_reference` wrote, and no other table; its rows are not read.
 
     Examples
     --------
@@ -145,19 +145,20 @@ def is_reference(path: Path) -> bool:
     False
     """
     try:
-        return path.suffix == ".mat" and _read_mat(path).get("format") == FORMAT
+        return path.suffix == ".mat" and _read_mat(path, ["format"]).get("format") == FORMAT
     except ReferenceError_:
         return False  # the reader of tables says what is wrong with it
 
 
-def _read_mat(path: Path) -> dict[str, Any]:
+def _read_mat(path: Path, names: list[str] | None = None) -> dict[str, Any]:
     """Variables of a MAT file: text as str, single numbers as float, the rest as arrays."""
     from scipy.io import loadmat
 
     if not path.is_file():
         raise ReferenceError_(f"{path}: no such file")
     try:
-        return {k: _plain(v) for k, v in loadmat(path).items() if not k.startswith("__")}
+        found = loadmat(path, variable_names=names)
+        return {k: _plain(v) for k, v in found.items() if not k.startswith("__")}
     except Exception as error:  # SciPy raises whatever its parser stumbles over
         raise ReferenceError_(f"{path}: cannot be read: {error}") from error
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -233,3 +234,26 @@ def bindings(scope: str) -> list[BindingType]:
         )
         for a in actions(scope)
     ]
+
+
+# what the target and the link say to do, and the action that does it here
+DONE_BY = (
+    (r"Ctrl\+R in the terminal, else 'zendsp drive take --force'", "command"),
+    (r"'?zendsp drive acknowledge'?( or acknowledge\(\))?", "acknowledge"),
+    (r"zendsp drive on", "power"),
+    (r"zendsp drive home", "home"),
+    (r"zendsp drive enable", "enable"),
+    (r"zendsp run without a file", "start"),
+    (r"'zendsp run FILE' or download\(\)|download a program", "build"),
+    (r"'zendsp target[^']*'|'zendsp ls'", "connect"),
+)
+
+
+def in_keys(text: str) -> str:
+    """Return what the target or the link says, with keys in the place of commands of the shell."""
+    for words, name in DONE_BY:
+        action = next(a for a in ACTIONS if a.name == name)
+        key = action.keys.title() if "+" in action.keys else action.keys
+        where = "" if action.scope == "app" else f" on {action.scope.title()}"
+        text = re.sub(words, f"{key}{where}", text)
+    return text

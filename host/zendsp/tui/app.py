@@ -7,44 +7,31 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future
 from functools import partial
 from pathlib import Path
-from typing import Any
-from weakref import WeakKeyDictionary
 
-from textual import events
 from textual.actions import SkipAction
-from textual.app import App, SystemCommand
+from textual.app import SystemCommand
 from textual.driver import Driver
-from textual.message_pump import MessagePump
 from textual.screen import ModalScreen, Screen
 from textual.widgets import Input
 
-from zendsp.tui.actions import ACTIONS, Action, bindings
+from zendsp.tui.actions import ACTIONS, Action, bindings, in_keys
 from zendsp.tui.colours import THEMES
 from zendsp.tui.dialogs import Message
-from zendsp.tui.dialogs.base import Dialog
 from zendsp.tui.dialogs.leave import LEFT, Leave, moves
 from zendsp.tui.port import Port
 from zendsp.tui.runs import Outcome, Run
 from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.session import Session
-from zendsp.tui.stop_process import PICTURE
 from zendsp.tui.stopper import with_stop
 from zendsp.tui.targets import Targets
+from zendsp.tui.typeahead import HELD_S, TypeAhead
 from zendsp.tui.workspace import Workspace
 from zendsp_isr.sources import gather, shipped_programs
 
 PUT_BACK_S = 5.0  # for a run that was stopped to put back what it has set
-HELD_S = 5.0  # that keys wait for a dialog that is on its way
 
 
-def _anew(key: events.Key) -> events.Key:
-    """The same key, as if it came from the terminal."""
-    typed = events.Key(key.key, key.character)
-    typed.time = key.time
-    return typed
-
-
-class ZendspApp(App[None]):
+class ZendspApp(TypeAhead):
     """Console, Execute, Reference and Diagnose.
 
     Parameters
@@ -100,11 +87,7 @@ class ZendspApp(App[None]):
         self.targets = Targets(self, find_targets, start_machine, machines)
         self._target, self._first, self._theme_name, self._begin = target, first, theme, begin
         self.chosen: tuple[Path, ...] = ()  # references that Execute will play
-        self._typed = 0.0  # when the key or the click came that is handled now, monotonic
-        self._expected = 0.0  # until when keys wait for a dialog
-        self._held: list[events.Key] = []
-        self._given: WeakKeyDictionary[events.Key, MessagePump] = WeakKeyDictionary()
-        self._blind = self._marked = False  # before the first picture; its end is told
+        self._marked = False  # the end of the first picture is told
         self._screens: dict[str, LabScreen] = {}
         self._awaited: tuple[Path, Callable[[Run], None]] | None = None
 
@@ -163,10 +146,6 @@ class ZendspApp(App[None]):
             self.set_timer(HELD_S, self._see)  # should its word not come
         else:
             self._see()
-
-    def _see(self) -> None:
-        """From now on keys are meant for what is seen."""
-        self._blind = False
 
     async def _build_others(self, names: Iterable[str]) -> None:
         """Build the other screens behind the first picture: none has to be built when its key is
@@ -294,58 +273,6 @@ class ZendspApp(App[None]):
             lambda: self.session.stops.stop(),
         )
 
-    def expect_dialog(self) -> None:
-        """Hold back the keys from now on until a dialog or an input line is there to take them,
-        for :data:`HELD_S` at the most.
-        """
-        self._expected = time.monotonic() + HELD_S
-
-    def no_dialog(self) -> None:
-        """No dialog comes: what was typed for it is dropped, and never becomes a command."""
-        self._expected = 0.0
-        self._held.clear()
-
-    async def hand_over(self, dialog: Dialog[Any] | None = None) -> None:
-        """Hand what was typed to the dialog, or to the input that has the focus now; later keys
-        wait in this task's queue meanwhile.
-        """
-        self._expected = 0.0
-        if dialog is not None:
-            dialog.opened = True
-        held, self._held = self._held, []
-        for key in sorted(held, key=lambda key: key.time):  # some came by way of a slow screen
-            await self.on_event(key)
-
-    async def on_event(self, event: events.Event) -> None:
-        """Drop what was typed before the first picture. Keep keys for a dialog that is on its way:
-        also those that no widget wanted and that come back here as commands, since a terminal
-        hands on many keys at once. One that comes back when the focus has moved is for whoever has
-        it now.
-        """
-        if self._blind and isinstance(event, events.InputEvent | events.Paste):
-            if isinstance(event, events.Key) and event.key == PICTURE:
-                self._see()
-            return
-        if isinstance(event, events.InputEvent):
-            self._typed = event.time
-        if isinstance(event, events.Key):
-            if self._dialog_comes():
-                self._held.append(_anew(event))
-                return
-            taker = self.focused or self.screen
-            if self._given.setdefault(event, taker) is not taker:
-                event = _anew(event)
-                self._given[event] = taker
-        await super().on_event(event)
-
-    def _dialog_comes(self) -> bool:
-        screen = self.screen
-        if isinstance(screen, Dialog) and not screen.opened:
-            return True
-        if self._expected and time.monotonic() > self._expected:
-            self.no_dialog()
-        return bool(self._expected)
-
     # -- helpers of the screens
 
     def drive(self, label: str, verb: str, **values: object) -> None:
@@ -404,7 +331,7 @@ class ZendspApp(App[None]):
         severity = (
             "error" if level == "error" else "warning" if level == "warning" else "information"
         )
-        self.notify(text, severity=severity, timeout=6, markup=False)  # type: ignore[arg-type]
+        self.notify(in_keys(text), severity=severity, timeout=6, markup=False)  # type: ignore[arg-type]
 
     def get_system_commands(self, screen: Screen[object]) -> Iterable[SystemCommand]:
         """Fill the command palette from the table of actions."""

@@ -6,6 +6,7 @@ import threading
 import time
 from collections import deque
 
+from zendsp.tui.actions import in_keys
 from zendsp.tui.snapshot import Event
 
 KEPT = 2000
@@ -22,7 +23,7 @@ class EventLog:
     def add(self, text: str, level: str = "info") -> None:
         """Add one line; ``level`` is info, good, warning or error."""
         with self._lock:
-            self._events.append(Event(time.time(), level, text))
+            self._events.append(Event(time.time(), level, in_keys(text)))
             self._count += 1
 
     def since(self, count: int) -> tuple[int, list[Event]]:

@@ -95,7 +95,7 @@ class Targets:
             return
         self._lab.no_dialog()
         self._lab.toast(
-            "no target answers, and none can be started here; start one with: zendsp target",
+            "no target answers, and none can be started from here; in a shell: zendsp target",
             "warning",
         )
 

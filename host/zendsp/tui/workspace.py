@@ -6,6 +6,10 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+from zendsp.reference.files import is_reference
+
+MOST = 200  # files that a list is made of
+
 
 def file_name(text: str) -> str:
     """Return a text as a name that any file system takes."""
@@ -54,8 +58,14 @@ class Workspace:
         return path
 
     def saved_references(self) -> list[Path]:
-        """Return the references there are, newest first."""
-        return sorted(self.references.glob("*.mat"), key=lambda p: p.stat().st_mtime, reverse=True)
+        """Return the references of this folder and of those one below, newest first; hidden
+        folders are left out.
+        """
+        found = [*self.references.glob("*.mat"), *self.root.glob("*.mat")]
+        below = self.root.glob("*/*.mat")
+        found += [p for p in below if not p.parent.name.startswith(".") and p not in found]
+        dated = sorted(((p.stat().st_mtime, p) for p in found[:MOST]), reverse=True)
+        return [p for _, p in dated if is_reference(p)]
 
     def sources(self) -> list[Path]:
         """Return the C files in this folder and beneath it, the nearest first; hidden folders are
@@ -63,4 +73,4 @@ class Workspace:
         """
         found = list(self.root.glob("*.c"))
         found += [p for p in self.root.glob("*/*.c") if not p.parent.name.startswith(".")]
-        return sorted(found)[:200]
+        return sorted(found)[:MOST]

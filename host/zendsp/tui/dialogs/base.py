@@ -63,7 +63,11 @@ class Dialog(ModalScreen[Result | None]):
         if self.closed:
             return AwaitComplete()
         self.closed = True
-        return super().dismiss(result)
+        gone = super().dismiss(result)
+        answered = getattr(self.app, "answered", None)
+        if answered is not None:
+            answered()
+        return gone
 
     @on(Button.Pressed, "#cancel")
     @on(Button.Pressed, "#close")

@@ -87,6 +87,8 @@ class Slider(Widget, can_focus=True):
     Slider:focus { background: $boost; text-style: bold; }
     """
     BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("up", "app.focus_previous", "up"),  # here: the list would scroll, and no more
+        Binding("down", "app.focus_next", "down"),
         Binding("left", f"move({-STEP})", "less"),
         Binding("right", f"move({STEP})", "more"),
         Binding("shift+left,pagedown", f"move({-COARSE})", "much less"),
@@ -187,11 +189,10 @@ class Sliders(Dialog[None]):
     DEFAULT_CSS = """
     Sliders { align: right bottom; background: transparent; }
     Sliders > .box { max-height: 60%; margin: 3 1 1 0; }
-    Sliders VerticalScroll { height: auto; }
+    Sliders VerticalScroll { height: auto; max-height: 100%; margin-bottom: 1; }
+    Sliders .hint { dock: bottom; }
     """
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("up", "app.focus_previous", "up"),
-        Binding("down", "app.focus_next", "down"),
         Binding("z", "undo", "back"),
         Binding("enter", "cancel", "close"),
     ]

@@ -11,6 +11,7 @@ from textual.app import ComposeResult
 from textual.containers import Horizontal, Vertical
 from textual.widgets import Button
 
+from zendsp.tui.actions import in_keys
 from zendsp.tui.panels.lines import Lines
 from zendsp.tui.scope.ticks import number
 from zendsp.tui.snapshot import Snapshot
@@ -94,7 +95,7 @@ class DrivePanel(Vertical):
             text.append("every condition of enabling is met\n", Style(dim=True))
         for name, advice in unmet:
             text.append("✖ ", Style(color=c["error"], bold=True))
-            text.append(f"{name}: {advice}\n", Style(color=c["warning"]))
+            text.append(f"{name}: {in_keys(advice)}\n", Style(color=c["warning"]))
         if s.host_lost:
             text.append("if the host is lost: ", Style(dim=True))
             text.append(f"{s.host_lost}\n")

@@ -113,10 +113,10 @@ def cursor_lines(
     found = measure(t, curve, a, b)
     between = (
         f" A…B mean {short(found.mean)}  rms {short(found.rms)}  σ {short(found.deviation)}"
-        f"  {short(found.low)} … {short(found.high)}"
     )
-    if np.isfinite(found.rise):
+    if np.isfinite(found.rise):  # before what is left out first
         between += f"  rise {duration(found.rise)}  over {100.0 * found.overshoot:.3g} %"
+    between += f"  {short(found.low)} … {short(found.high)}"
     return at, whole_words(between, width)
 
 

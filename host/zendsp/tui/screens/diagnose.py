@@ -391,8 +391,14 @@ class DiagnoseScreen(LoopActions):
             self._choose_diagnosis("Compare with", self.compare_with)
 
     def action_earlier(self) -> None:
-        """Open an earlier diagnosis."""
-        self._choose_diagnosis("Diagnoses", self.open)
+        """Open an earlier diagnosis, and go on with its model."""
+
+        def then(d: Diagnosed) -> None:
+            self.open(d)
+            if Path(d.model).is_file():
+                self._take_model(d.model)
+
+        self._choose_diagnosis("Diagnoses", then)
 
     def _choose_diagnosis(self, title: str, then: Callable[[Diagnosed], None]) -> None:
         known = list_diagnoses(self.lab.workspace.diagnoses)

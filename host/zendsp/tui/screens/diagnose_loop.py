@@ -193,8 +193,10 @@ class LoopActions(LabScreen):
                 self.say(f"not faded in: {words}", "warning")
 
         self._measuring = True
-        moves = self.lab.session.snapshot.state == "running"
-        self.set_timer(LOOK_S if moves and not self._rms() else 0.0, measured)
+        if self.lab.session.snapshot.state == "running" and not self._rms():
+            self.set_timer(LOOK_S, measured)
+        else:
+            measured()
 
     def _show_loop(self) -> None:
         if self.entries:
@@ -213,7 +215,13 @@ class LoopActions(LabScreen):
         """Offer it to the chosen source, else to the loaded program as the target knows it."""
         source = self.lab.source
         if source is None:
-            self.ask("program", lambda port: port.program(), lambda p: self._offer_loaded(c, p))
+            self.lab.expect_dialog()
+            asked = self.ask(
+                "program", lambda port: port.program(), lambda p: self._offer_loaded(c, p)
+            )
+            asked.add_done_callback(
+                lambda done: self.app.call_later(self.lab.no_dialog) if done.exception() else None
+            )
             return
         try:
             texts = gather(source)
@@ -253,6 +261,7 @@ class LoopActions(LabScreen):
             " the program (Console) and press c here again."
         )
         if self.lab.session.snapshot.state == "running":
+            self.lab.no_dialog()
             self.say("pause the program first (p on Console): it is built anew", "warning")
             return
         self.app.push_screen(

@@ -315,11 +315,13 @@ class ExecuteScreen(MeasureActions):
 
     def action_choose(self) -> None:
         """Choose references."""
-        options = [Option(str(p), p.stem) for p in self.lab.workspace.saved_references()]
+        options = [
+            Option(str(p), p.stem, p.parent.name) for p in self.lab.workspace.saved_references()
+        ]
         options.append(Option("", "another file …", "its path is asked for"))
         marked = [str(p) for p in self.files]
         title = "References, played in the order of marking"
-        text = f"Reference (F4) saves them in {self.lab.workspace.references}"
+        text = f"Those in {self.lab.workspace.root} and a folder below; F4 plans others."
         self.app.push_screen(
             Choose(title, options, several=True, marked=marked, text=text), self._chosen
         )
