@@ -275,7 +275,7 @@ def test_it_is_said_who_moves_a_machine_that_nobody_commands(user: Installed) ->
     *status, last, names = script.stdout.strip().splitlines()
     author, mover = names.split()
     assert author == mover
-    assert last == "" and status[-1].startswith(f"commanded by nobody, moved by a run of {author};")
+    assert last == "" and status[-1].startswith(f"commanded by nobody, moved by {author};")
 
 
 def test_the_end_of_a_host_is_no_trouble_of_the_target(installed: Installed) -> None:
