@@ -208,6 +208,8 @@ def test_one_way_to_name_a_program(user: Installed) -> None:
         assert said.returncode == 2 and "nonsense.c" in said.stderr and "pd.c" in said.stderr, (
             command, said,
         )
+    said = user.run("run", ".")
+    assert said.returncode == 2 and "is a folder; name the program in it" in said.stderr, said
     resolved = user.script("from zendsp.cli.tui import found\nprint(found('pd.c'))")
     assert resolved.stdout.strip().endswith("programs/pd.c"), resolved.stderr
 
