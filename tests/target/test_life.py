@@ -20,6 +20,7 @@ from waiting import PATIENCE_S
 from zendsp_protocol.errors import AcquisitionError, Refused
 from zendsp_target.api import AcquireConfig
 from zendsp_target.runtime import Runtime
+from zendsp_target.runtime.memory.shm import SharedFile
 
 Make = Callable[..., Runtime]
 COUNT = (
@@ -128,6 +129,8 @@ def test_the_speed_of_the_fast_clock_can_be_limited(make_runtime: Make) -> None:
 
 def test_what_cannot_be_recorded_is_refused_with_the_reason(make_runtime: Make) -> None:
     runtime = make_runtime(COUNT)
+    with pytest.raises(Refused, match=r"1e\+09 MB of shared memory are not free .*make room"):
+        SharedFile(Path("/dev/shm/zendsp-of-this-test"), 10**15)
     for config, says in (
         (AcquireConfig(("nothing", "enc", "x[3]")), "nothing"),
         (AcquireConfig(()), "0 channels"),
