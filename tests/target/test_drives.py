@@ -314,6 +314,20 @@ def test_who_watches_what_it_started_lets_go_when_it_is_lost(target: Target) -> 
     assert trip is not None and trip.reason == "host lost"
 
 
+def test_who_homes_lets_go_when_it_is_lost() -> None:
+    """Automatically too, where homing takes no right to command."""
+    with local("wam7", clock="fast", options=["--speed", "2"]) as target:
+        target.download("joint_pd.c")
+        target.start(ticks=400)
+        target.wait()  # it has sunk a little, and has a way to go
+        with connect(target.name) as other:
+            other.home()
+            assert other.status().state == "running"
+        until(lambda: target.status().state != "running" or target.status().trip, "it ends")
+        trip = target.status().trip
+        assert trip is not None and trip.reason == "host lost"
+
+
 def test_the_host_lost_policy_of_a_commander_ends_with_its_command(target: Target) -> None:
     with connect(target.name) as other:
         other.set_host_lost("finish")

@@ -83,7 +83,7 @@ class Drives:
         self._enabled = False
         self.commander = ""  # who holds the right to command
         self.moved_by = ""  # whose run moves the machine now
-        self._attended_by = ""  # who started the program, and watches it
+        self._attended_by = ""  # who started the program and watches it, or homes
         self._ramp_s = SOFT_S
         self._lock = threading.RLock()
         if managed:
@@ -472,8 +472,9 @@ class Drives:
                 with self._lock:
                     return m.Said(text=self.acknowledge(args.trip))
             result = handler(args, by)
-            if name in ("start", "pause"):
-                self._attended_by = by if name == "start" and args.attended else ""
+            if name in ("start", "home", "pause"):
+                attended = name == "home" or (name == "start" and args.attended)
+                self._attended_by = by if attended else ""
             elif name == "set_ramp":
                 self._ramp_s = args.seconds
             if name == "load" and self._explicit:
