@@ -188,7 +188,7 @@ def test_a_file_outside_is_never_shown(
 
 
 @needs_root_of_its_own
-@pytest.mark.parametrize("way", list(WAYS))
+@pytest.mark.parametrize("way", ["include", "has_include"])
 def test_whether_a_file_outside_is_there_cannot_be_told(way: str, secret: Path) -> None:
     def told(path: Path) -> str:
         result = compile_program({"peek.c": HEAD + WAYS[way].format(path=path)})
