@@ -201,7 +201,7 @@ class ZendspApp(App[None]):
     def action_suspend(self) -> None:
         """Say why the terminal does not sleep."""
         s = self.session.snapshot
-        left = f" ({becomes(s)})" if moves(s) else ""
+        left = f" ({becomes(s)})" if s.mine or moves(s) else ""
         text = f"nothing is suspended: a terminal that sleeps is a lost host{left}; Ctrl+Q leaves"
         self.session.events.add(text, "warning")
         self.toast(text, "warning")
