@@ -38,6 +38,7 @@ _BUSY = 3.0  # times as long as it may compute: other work takes the rest
 _WAITS_S = 1.0  # past its time, without wanting a processor or a disk: for a pipe, say
 _MAX_MESSAGES = 200
 _MAX_TEXT = 2000  # characters of one message
+_ALONE = True  # nothing else is there, where the system allows namespaces
 # what a compiler is made of; nothing else can be read while an upload is compiled
 _TOOLCHAIN = (
     "/bin", "/lib", "/lib32", "/lib64", "/usr/bin", "/usr/include", "/usr/lib", "/usr/lib32",
@@ -160,7 +161,7 @@ def run_compiler(
         time it has computed, and of three times as much that has passed.
     readable : sequence of Path
         Folders of headers. It reads these, `cwd` and the toolchain; where the kernel has Landlock
-        nothing else can be opened.
+        nothing else can be opened, and where gcc may have namespaces nothing else is there.
 
     Returns
     -------
@@ -176,6 +177,7 @@ def run_compiler(
         "file": _MAX_FILE,
         "read": allowed,
         "write": [str(cwd), "/dev/null", *zig.values()],
+        "alone": _ALONE and compiler.json,  # clang and zig look for themselves in /proc
     }
     script = Path(__file__).with_name("confine.py")
     launch = [sys.executable, "-I", "-S", str(script), json.dumps(settings)]

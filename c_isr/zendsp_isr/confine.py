@@ -4,8 +4,9 @@ own, which becomes the command.
     python -I -S confine.py SETTINGS COMMAND …
 
 Landlock (Linux 5.13 and later) needs no rights: the command reads its toolchain and the folders it
-is given, and writes to its own. The limits on memory, CPU time and the size of files hold
-everywhere. It imports nothing but the standard library.
+is given, and writes to its own. Where the system lets this user have namespaces, nothing else is
+there at all: it cannot even tell whether a file exists. The limits on memory, CPU time and the size
+of files hold everywhere. It imports nothing but the standard library.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ _EXECUTE, _WRITE, _READ_FILE, _READ_DIR = 1, 2, 4, 8
 _READ = _EXECUTE | _READ_FILE | _READ_DIR
 _FILE_ONLY = _EXECUTE | _WRITE | _READ_FILE | 1 << 14
 _NETWORK = 0b11  # bind and connect, TCP
+_NEW_MOUNTS, _NEW_USER = 0x20000, 0x10000000  # of unshare
+_BIND, _RECURSIVE, _PRIVATE = 1 << 12, 1 << 14, 1 << 18  # of mount
 
 
 class _Ruleset(ctypes.Structure):
@@ -90,6 +93,66 @@ def restrict(readable: Sequence[str], writable: Sequence[str]) -> bool:
     return True
 
 
+def seclude(paths: Sequence[str], cwd: str) -> bool:
+    """Give this process and its children a root in which these paths stand, and nothing else.
+
+    Parameters
+    ----------
+    paths : sequence of str
+        Folders and files; what does not exist is left out.
+    cwd : str
+        Of the paths, the folder to go on in. An empty ``.root`` is left there.
+
+    Returns
+    -------
+    bool
+        False where the system allows no such thing: all is seen as before.
+    """
+    libc = ctypes.CDLL(None, use_errno=True)
+    root, user, group = os.path.join(cwd, ".root"), os.getuid(), os.getgid()
+    others = _NEW_USER if user else 0
+    try:
+        _checked(libc.unshare(_NEW_MOUNTS | others))
+        maps = {"uid_map": f"{user} {user} 1", "gid_map": f"{group} {group} 1"}
+        for name, words in {"setgroups": "deny", **maps}.items() if others else ():
+            with open(f"/proc/self/{name}", "w", encoding="ascii") as file:
+                file.write(words)
+        _mount(libc, "none", "/", _RECURSIVE | _PRIVATE)
+        os.mkdir(root)
+        _checked(libc.mount(b"none", os.fsencode(root), b"tmpfs", ctypes.c_ulong(0), None))
+        for path in sorted(paths, key=len):  # what holds others first
+            if os.path.exists(path):
+                _bring(libc, path, root)
+        os.chroot(root)
+    except OSError:
+        return False
+    os.chdir(cwd)
+    return True
+
+
+def _bring(libc: ctypes.CDLL, path: str, root: str) -> None:
+    """Show a path in a new root, with the links on the way to it."""
+    real = "/"
+    for name in path.strip("/").split("/"):
+        step = os.path.join(real, name)
+        real = os.path.realpath(step)
+        if os.path.islink(step) and not os.path.lexists(root + step):
+            os.symlink(real, root + step)
+        if not os.path.lexists(root + real):
+            os.makedirs(root + os.path.dirname(real), exist_ok=True)
+            if os.path.isdir(real):
+                os.mkdir(root + real)
+            else:
+                os.close(os.open(root + real, os.O_CREAT))
+    _mount(libc, real, root + real, _BIND | _RECURSIVE)
+
+
+def _mount(libc: ctypes.CDLL, source: str, where: str, flags: int) -> None:
+    _checked(
+        libc.mount(os.fsencode(source), os.fsencode(where), None, ctypes.c_ulong(flags), None)
+    )
+
+
 def _checked(answer: int) -> None:
     if answer < 0:
         number = ctypes.get_errno()
@@ -108,7 +171,8 @@ def main(words: Sequence[str]) -> None:
     Parameters
     ----------
     words : sequence of str
-        Settings as JSON (``cpu_s``, ``memory``, ``file``, ``read``, ``write``), then the command.
+        Settings as JSON (``cpu_s``, ``memory``, ``file``, ``read``, ``write``, ``alone``), then the
+        command.
     """
     settings, command = json.loads(words[0]), list(words[1:])
     _limit(resource.RLIMIT_CPU, settings["cpu_s"])
@@ -116,6 +180,8 @@ def main(words: Sequence[str]) -> None:
     _limit(resource.RLIMIT_FSIZE, settings["file"])
     _limit(resource.RLIMIT_NOFILE, 256)
     _limit(resource.RLIMIT_CORE, 0)
+    if settings["alone"]:
+        seclude([*settings["read"], *settings["write"]], os.getcwd())
     if settings["read"]:
         restrict(settings["read"], settings["write"])
     os.execvp(command[0], command)

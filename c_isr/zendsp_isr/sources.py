@@ -37,13 +37,19 @@ def find_program(name: str | Path) -> Path:
     Raises
     ------
     CompileFailed
-        There is neither; the message lists the shipped programs.
+        There is neither, and the message lists the shipped programs; or a folder.
 
     Examples
     --------
     >>> find_program("pd.c").is_file()
     True
     """
+    if Path(name).is_dir():
+        inside = ", ".join(str(path) for path in sorted(Path(name).glob("*.c")))
+        raise CompileFailed(
+            f"{name}: is a folder; name the program in it"
+            + (f": {inside}" if inside else ", where no C file is now")
+        )
     shipped = shipped_programs()
     found = found_or_shipped(name, shipped)
     if found is None:

@@ -4,9 +4,13 @@ loads, and is never lost.
 
 from __future__ import annotations
 
-import os
-import signal
 import sys
+
+try:
+    import os
+    import signal
+except KeyboardInterrupt:
+    raise SystemExit(130) from None
 
 AGAIN_S = 0.05  # by then the main thread is elsewhere, perhaps in a call that only a signal ends
 

@@ -259,7 +259,7 @@ class DriveStatus(Message, frozen=True, kw_only=True):
     explicit: bool = False
     homed: bool = True  # whether positions mean anything
     commander: str = ""  # who has the exclusive right to command
-    moved_by: str = ""  # whose run moves the machine now
+    moved_by: str = ""  # whose run, or attended start, moves the machine now
     host_lost: str = "stop"  # when the commander disappears: stop, hold or finish
     conditions: tuple[Condition, ...] = ()  # of enabling
 

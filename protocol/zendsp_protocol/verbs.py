@@ -36,6 +36,7 @@ class Load(Arguments, frozen=True, kw_only=True):
 
 class Start(Arguments, frozen=True, kw_only=True):
     ticks: int | None = None
+    attended: bool = False  # if this host is lost before a pause, the host-lost policy acts
 
 
 class Read(Arguments, frozen=True, kw_only=True):

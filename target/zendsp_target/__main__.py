@@ -30,7 +30,7 @@ from zendsp_target.access.admission import settle
 from zendsp_target.access.endpoints import Security
 
 if TYPE_CHECKING:
-    from zendsp_target.monitor import Monitor
+    from zendsp_target.monitor import Asked, Monitor
     from zendsp_target.runtime import Runtime
 
 AS_ROOT = (
@@ -220,12 +220,12 @@ def _runtime(args: argparse.Namespace) -> Runtime:
 
 def _monitor(
     args: argparse.Namespace, name: str, listen: Sequence[str], security: Security
-) -> tuple[Runtime, Monitor]:
+) -> tuple[Runtime, Monitor, Asked]:
     """Bring everything up; a second and a half on a computer with nothing else to do, and more for
     a machine that has to be compiled.
     """
     _need_memory()
-    from zendsp_target.monitor import Monitor, Options
+    from zendsp_target.monitor import Monitor, Options, asked_to_end
     from zendsp_target.serving.malloc import keep_large_buffers
 
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
@@ -235,9 +235,9 @@ def _monitor(
     runtime = _runtime(args)
     title = machine_title(args.machine)
     try:
-        return runtime, Monitor(
-            runtime, Options(name, title, listen, args.connect, security, args.managed)
-        )
+        asked = asked_to_end()
+        options = Options(name, title, listen, args.connect, security, args.managed)
+        return runtime, Monitor(runtime, options), asked
     except BaseException:
         runtime.close()
         raise
@@ -246,7 +246,7 @@ def _monitor(
 def _serve(args: argparse.Namespace, listen: Sequence[str], security: Security) -> int:
     name = args.name or machine_title(args.machine)
     with _patience(f"zendsp target: starting {args.machine}; one that is new is compiled first …"):
-        runtime, monitor = _monitor(args, name, listen, security)
+        runtime, monitor, asked = _monitor(args, name, listen, security)
     if os.getuid() == 0:  # said of one that runs: where it does not start, why comes first
         print(AS_ROOT, file=sys.stderr, flush=True)
     kept, dropped = runtime.left_behind
@@ -266,7 +266,7 @@ def _serve(args: argparse.Namespace, listen: Sequence[str], security: Security) 
             flush=True,
         )
 
-    monitor.run(args.parent, announce)
+    monitor.run(asked, args.parent, announce)
     return 0
 
 

@@ -8,7 +8,7 @@ import queue
 import signal
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeAlias
 
 import zenoh
 
@@ -23,6 +23,7 @@ from zendsp_target.serving.service import identity
 
 TRIES = 5  # another process may take a free port before Zenoh does
 PARENT_POLL_S = 0.2
+Asked: TypeAlias = "queue.SimpleQueue[int]"
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,17 @@ class Options:
     connect: Sequence[str] = ()
     security: Security = field(default_factory=Security)
     managed: bool = False  # the safe sequence of the drives cannot be left
+
+
+def asked_to_end() -> Asked:
+    """Signals that ask for the end, from now on. A target that begins notes them: one that ended at
+    once would leave its socket.
+    """
+    # no threading.Event: its lock may be held by what the signal interrupts, for ever then
+    asked: Asked = queue.SimpleQueue()
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, lambda number, _: asked.put(number))
+    return asked
 
 
 class Monitor:
@@ -72,19 +84,12 @@ class Monitor:
         self._session.close()  # type: ignore[no-untyped-call]
         self._runtime.close()
 
-    def run(self, parent: int = 0, ready: Callable[[], None] | None = None) -> None:
-        """Serve until SIGTERM, SIGINT, SIGHUP, or until the process ``parent`` is no longer this
-        one's parent.
-
-        ``ready`` is called once a signal would end it cleanly.
+    def run(self, asked: Asked, parent: int, ready: Callable[[], None]) -> None:
+        """Serve until it is ``asked`` to end, or until the process ``parent``, unless it is 0, is
+        no longer this one's parent; ``ready`` is called first.
         """
-        # no threading.Event: its lock may be held by what the signal interrupts, for ever then
-        asked: queue.SimpleQueue[int] = queue.SimpleQueue()
-        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-            signal.signal(number, lambda number, _: asked.put(number))
         try:
-            if ready is not None:
-                ready()
+            ready()
             while not parent or os.getppid() == parent:
                 with contextlib.suppress(queue.Empty):
                     asked.get(timeout=PARENT_POLL_S)

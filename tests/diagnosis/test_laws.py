@@ -298,13 +298,14 @@ def test_an_actuator_is_not_blamed_for_what_its_command_has_to_bear(
 
 
 def test_no_inertia_is_known_better_than_simulators_agree(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(absorbed, "_needed", lambda *_: True)
+    monkeypatch.setattr(absorbed, "_size", lambda *_: 0.1)
     given = parse_model({"mechanism": {"kind": "rotary", "parameters": {"inertia": 0.020}}})
     moved = replace(given, mechanism={"inertia": (Quantity(0.025, std=1e-7),)})
     whole: Any = SimpleNamespace(improved=moved)
     search: Any = SimpleNamespace(joint=1, final=SimpleNamespace(model=given))
     nothing: Any = None
-    ((_, finding),) = absorbed.shifted(given, search, whole, (), nothing)
+    ((_, size, finding),) = absorbed.shifted(given, search, whole, (), nothing)
+    assert size == 0.1
     amount = finding.parameters["amount"]
     assert amount.value == pytest.approx(0.005)
     assert amount.std == pytest.approx(0.002 * 0.025, rel=0.01)

@@ -25,6 +25,7 @@ from zendsp.errors import LinkError, Refused, RunnerDied
 from zendsp.link import Target
 from zendsp.link.link import Link
 from zendsp.link.settings import Credentials
+from zendsp_isr.compiler import find_compiler
 from zendsp_protocol import codec, registry
 
 HEAD = (
@@ -435,3 +436,60 @@ def test_a_stream_whose_viewer_never_said_goodbye_is_closed(fast: Target) -> Non
         return False
 
     until(free, "the streams without subscribers are closed")
+
+
+JUMPS = r"""
+#define _GNU_SOURCE
+#include <fcntl.h>
+#include <stdlib.h>
+#include <sys/mman.h>
+#include <sys/syscall.h>
+#include <time.h>
+#include <unistd.h>
+static volatile long *ahead; /* s */
+__attribute__((constructor)) static void find(void) {
+    int file = open(getenv("AHEAD"), O_RDONLY);
+    if (file >= 0) ahead = mmap(NULL, 4096, PROT_READ, MAP_SHARED, file, 0);
+}
+int clock_gettime(clockid_t clock, struct timespec *t) {
+    long failed = syscall(SYS_clock_gettime, clock, t);
+    if (!failed && ahead && ahead != MAP_FAILED && clock == CLOCK_REALTIME) t->tv_sec += *ahead;
+    return (int)failed;
+}
+"""
+
+
+def test_a_jump_of_the_system_clock_disturbs_neither_the_loop_nor_who_commands(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Somebody sets it, or the network does: here only the target's processes see it."""
+    library, ahead = tmp_path / "jumps.so", tmp_path / "ahead"
+    (tmp_path / "jumps.c").write_text(JUMPS)
+    compiler = find_compiler().command
+    words = [*compiler, "-shared", "-fPIC", str(tmp_path / "jumps.c"), "-o", str(library)]
+    subprocess.run(words, check=True)
+    ahead.write_bytes(bytes(4096))
+    monkeypatch.setenv("AHEAD", str(ahead))
+    monkeypatch.setenv("LD_PRELOAD", str(library))
+    with zendsp.local("imi_planar") as target:
+        monkeypatch.delenv("LD_PRELOAD")
+        target.download("pd.c")
+        with zendsp.connect(target.name) as other:
+            other.take_command()
+            other.start()
+            for seconds in (86_400, -600_000_000, 0):
+                with ahead.open("r+b") as file:
+                    file.write(seconds.to_bytes(8, "little", signed=True))
+                begin, first = time.monotonic(), target.status()
+                logged = len(target.log())
+                other.update(Kp1=1990.0)
+                until(lambda n=logged: len(target.log()) > n, "it is logged")  # type: ignore[misc]
+                seen = target.log()[-1].host_time
+                assert abs(seen - time.time() - seconds) < PATIENCE_S, "the target sees the jump"
+                until(lambda s=first: target.status().tick >= s.tick + 300, "300 samples")  # type: ignore[misc]
+                now = target.status()
+                passed = time.monotonic() - begin
+                assert (now.tick - first.tick) / now.rate_hz < passed + 0.05, "no sample too many"
+                assert now.trip is None and now.state == "running"
+                assert target.drive_status().commander == other.link.author
+        until(lambda: target.status().trip is not None, "who commanded is missed")

@@ -6,7 +6,10 @@ import base64
 import contextlib
 import itertools
 import json
+import os
+import socket
 import struct
+import subprocess
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -14,6 +17,7 @@ import pytest
 
 pytest.importorskip("foxglove")
 connect = pytest.importorskip("websockets.sync.client").connect
+ConnectionClosed = pytest.importorskip("websockets.exceptions").ConnectionClosed
 
 from zendsp.bridge import Bridge, foxglove  # noqa: E402
 from zendsp.errors import LinkError  # noqa: E402
@@ -183,6 +187,56 @@ def test_a_trip_is_an_event(target: Target) -> None:
         finally:
             target.acknowledge()
             target.start()
+
+
+def _said(port: int, head: str = "") -> bytes:
+    """What the port answers to a page or a program that asks for the protocol."""
+    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as link:
+        link.sendall(
+            f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\n{head}"
+            "Connection: Upgrade\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
+            "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Protocol: foxglove.sdk.v1\r\n\r\n"
+            .encode()
+        )
+        return link.recv(4096)
+
+
+def test_a_foreign_web_page_does_not_come_in(target: Target) -> None:
+    with foxglove(target, ["q1"], port=0) as bridge:
+        port = int(bridge.url.rpartition(":")[2])
+        for origin in ("https://app.foxglove.dev", "http://localhost:8080", "file://"):
+            assert b" 101 " in _said(port, f"Origin: {origin}\r\n"), origin
+        for origin in ("https://evil.example", "http://localhost.evil.example", "null", "http://["):
+            assert b" 403 " in _said(port, f"origin: {origin}\r\n"), origin
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root may be another user")
+def test_another_user_of_this_computer_does_not_come_in(target: Target) -> None:
+    code = (
+        "import socket, sys; s = socket.create_connection(('127.0.0.1', int(sys.argv[1])));"
+        "s.sendall(b'GET / HTTP/1.1\\r\\nOrigin: http://x\\r\\n\\r\\n'); print(s.recv(99))"
+    )
+    with foxglove(target, ["q1"], port=0) as bridge:
+        words = ["/usr/bin/env", "python3", "-I", "-c", code, bridge.url.rpartition(":")[2]]
+        for user, answered in ((0, True), (65534, False)):
+            done = subprocess.run(words, user=user, capture_output=True, text=True, check=False)
+            assert (" 403 " in done.stdout) is answered, done
+
+
+def test_who_goes_past_the_door_is_thrown_out_and_writes_nothing(target: Target) -> None:
+    with foxglove(target, ["q1"], port=0, writable=True) as bridge:
+        before = target["Kp1"]
+        past = f"ws://{bridge.behind[0]}:{bridge.behind[1]}"
+        with connect(past, subprotocols=["foxglove.sdk.v1"]) as intruder:
+            values = [{"name": "Kp1", "value": 77.0}]
+            with pytest.raises(ConnectionClosed):
+                intruder.send(json.dumps({"op": "setParameters", "parameters": values}))
+                while True:
+                    intruder.recv(timeout=PATIENCE_S)
+        with Viewer(bridge) as viewer:  # whoever comes in by the door does
+            viewer.subscribe("/signals")
+            viewer.until(lambda message: "row" in message)
+        assert target["Kp1"] == before
 
 
 def test_a_port_that_is_taken_is_refused_and_the_server_is_on_the_loopback(target: Target) -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import os
 import resource
 import signal
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -22,6 +23,11 @@ HEAD = (
 EXITING = 4  # PF_EXITING of the kernel
 SECRET = "root_x_secret_7113"
 
+# an ordinary user, too, where the system lets it have namespaces
+needs_root_of_its_own = pytest.mark.skipif(
+    subprocess.run(["unshare", "-rm", "true"], check=False).returncode != 0,
+    reason="no namespaces here",
+)
 needs_landlock = pytest.mark.skipif(landlock_version() < 1, reason="this kernel has no Landlock")
 
 
@@ -168,14 +174,27 @@ WAYS = {
 
 @needs_landlock
 @pytest.mark.parametrize("way", list(WAYS))
-def test_a_file_outside_is_never_shown(way: str, secret: Path) -> None:
+def test_a_file_outside_is_never_shown(
+    way: str, secret: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from zendsp_target.runtime.compile_service import program_path
 
+    monkeypatch.setattr(compiler, "_ALONE", False)  # Landlock by itself
     result = compile_program({"peek.c": HEAD + WAYS[way].format(path=secret)})
     assert SECRET not in str(result.diagnostics)
     assert way == "has_include" or not result.ok
     if result.ok:
         assert SECRET.encode() not in program_path(result.key).read_bytes()
+
+
+@needs_root_of_its_own
+@pytest.mark.parametrize("way", ["include", "has_include"])
+def test_whether_a_file_outside_is_there_cannot_be_told(way: str, secret: Path) -> None:
+    def told(path: Path) -> str:
+        result = compile_program({"peek.c": HEAD + WAYS[way].format(path=path)})
+        return f"{result.ok} {result.diagnostics}".replace(str(path), "path")
+
+    assert told(secret) == told(secret.with_name("nobody"))
 
 
 def test_a_message_about_a_file_outside_is_not_passed_on(secret: Path) -> None:

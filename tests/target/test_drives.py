@@ -289,6 +289,45 @@ def test_the_right_falls_free_when_its_holder_leaves(target: Target) -> None:
     until(lambda: target.drive_status().commander == "", "freed")
 
 
+def test_who_watches_what_it_started_lets_go_when_it_is_lost(target: Target) -> None:
+    """Without the right to command: the terminal's Start. One that does not watch leaves it going,
+    and so does one after whose start somebody paused and started.
+    """
+
+    def started(attended: bool, anew: bool = False) -> None:
+        target.pause()
+        with connect(target.name) as other:
+            other.start(attended=attended)
+            assert other.drive_status().moved_by == (other.link.author if attended else "")
+            if anew:
+                target.pause()
+                target.start()
+        until(lambda: other.link.author not in target.status().hosts, "it is gone")
+        until(lambda: target.drive_status().moved_by == "", "nobody watches")
+
+    started(attended=False)
+    started(attended=True, anew=True)
+    assert target.status().state == "running" and target.status().trip is None
+    started(attended=True)
+    until(lambda: target.status().trip is not None, "the policy acts")
+    trip = target.status().trip
+    assert trip is not None and trip.reason == "host lost"
+
+
+def test_who_homes_lets_go_when_it_is_lost() -> None:
+    """Automatically too, where homing takes no right to command."""
+    with local("wam7", clock="fast", options=["--speed", "2"]) as target:
+        target.download("joint_pd.c")
+        target.start(ticks=400)
+        target.wait()  # it has sunk a little, and has a way to go
+        with connect(target.name) as other:
+            other.home()
+            assert other.status().state == "running"
+        until(lambda: target.status().state != "running" or target.status().trip, "it ends")
+        trip = target.status().trip
+        assert trip is not None and trip.reason == "host lost"
+
+
 def test_the_host_lost_policy_of_a_commander_ends_with_its_command(target: Target) -> None:
     with connect(target.name) as other:
         other.set_host_lost("finish")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import gc
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -13,10 +15,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from samples import run
+from waiting import PATIENCE_S
 
 from zendsp_protocol.errors import AcquisitionError, Refused
 from zendsp_target.api import AcquireConfig
 from zendsp_target.runtime import Runtime
+from zendsp_target.runtime.memory.shm import SharedFile
 
 Make = Callable[..., Runtime]
 COUNT = (
@@ -74,6 +78,24 @@ def test_close_removes_everything(make_runtime: Make) -> None:
         runtime.load("0" * 32)
 
 
+def test_a_target_that_is_ended_while_it_begins_leaves_no_socket(
+    tmp_path: Path, wait_for: Callable[..., None]
+) -> None:
+    """As Ctrl-C does while a target is started for a command."""
+    tmp_path.chmod(0o700)
+    words = [sys.executable, "-m", "zendsp_target", "--machine", "imi_planar", "--name", "begins"]
+    process = subprocess.Popen(
+        words, env={**os.environ, "ZENDSP_RUNTIME_DIR": str(tmp_path)}, stdout=subprocess.DEVNULL
+    )
+    try:
+        wait_for((tmp_path / "begins.sock").exists)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(PATIENCE_S) == 0
+    finally:
+        process.kill()
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_program_that_is_replaced_lets_go_of_its_files_at_once(
     make_runtime: Make, load: Callable[[Runtime, str], None], wait_for: Callable[..., None]
 ) -> None:
@@ -107,6 +129,8 @@ def test_the_speed_of_the_fast_clock_can_be_limited(make_runtime: Make) -> None:
 
 def test_what_cannot_be_recorded_is_refused_with_the_reason(make_runtime: Make) -> None:
     runtime = make_runtime(COUNT)
+    with pytest.raises(Refused, match=r"1e\+09 MB of shared memory are not free .*make room"):
+        SharedFile(Path("/dev/shm/zendsp-of-this-test"), 10**15)
     for config, says in (
         (AcquireConfig(("nothing", "enc", "x[3]")), "nothing"),
         (AcquireConfig(()), "0 channels"),

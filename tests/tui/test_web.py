@@ -181,10 +181,15 @@ async def test_pages_end_with_the_server_and_let_the_target_go(
     with _serve(tmp_path, target.name) as served:
         async with _open(served) as page:
             await page.until(lambda: "○ loaded" in page.lines[1])
-            await page.press("o")
-            await page.until(lambda: "homed" in page.lines[1])
-            await page.press("es")
-            await page.until(lambda: "● running" in page.lines[1] and "cmd you" in page.lines[1])
+            if how == "killed":  # nobody has the right to command: who pressed Start lets go too
+                await page.press("s")
+                mine = "cmd nobody  run you"
+            else:
+                await page.press("o")
+                await page.until(lambda: "homed" in page.lines[1])
+                await page.press("es")
+                mine = "cmd you"
+            await page.until(lambda: "● running" in page.lines[1] and mine in page.lines[1])
             everything = {served.process.pid, *_below(served.process.pid)}
             if how == "page hangs":
                 (child,) = _children(served.process.pid)

@@ -140,12 +140,12 @@ def test_the_timing_is_shown_in_a_screenful() -> None:
 
 # as sitecustomize: of every interpreter, also of the one that a command turns into
 INTERRUPTS = """
-import os, signal, sys
+import os, sys
 
 class Finder:
     def find_spec(self, name, path=None, target=None):
         if name == os.environ["WHEN"]:
-            os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), 2)
 
 sys.meta_path.insert(0, Finder())
 """
@@ -154,6 +154,7 @@ sys.meta_path.insert(0, Finder())
 @pytest.mark.parametrize(
     ("command", "when"),
     [
+        ("ls", "signal"),  # of zendsp's own lines among the first
         ("ls", "zendsp.errors"),
         ("target", "zendsp.cli.target"),
         ("target", "runpy"),  # of the interpreter that takes its place

@@ -1,8 +1,8 @@
 """A target for Foxglove and PlotJuggler: signals, parameters and events over the Foxglove protocol.
 
 It is a viewer of the target like any other: the loop does not notice. The server listens on the
-loopback only. Its protocol knows no users, and any web page in a browser of this computer may
-connect to it: so parameters are read only unless their writing is asked for.
+loopback only. Its protocol knows no users: a door before it (`door`) lets in viewers of this user,
+and no foreign web page.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from zendsp.bridge.door import HOST, Door, drawn_host
 from zendsp.bridge.protobuf import MESSAGE, PACKAGE, Rows
 from zendsp.errors import LinkError, Refused, ZendspError
 from zendsp.extras import need
@@ -25,7 +26,6 @@ from zendsp_protocol import messages as m
 from zendsp_protocol.states import ProgramState
 from zendsp_protocol.values import Assignable
 
-HOST = "127.0.0.1"
 PORT = 8765  # where viewers look first
 POLL_S = 0.2  # between looks at the state
 SIGNALS, EVENTS = "/signals", "/events"
@@ -66,6 +66,11 @@ class Bridge:
     ------
     LinkError
         The port is taken, or foxglove-sdk is not installed.
+
+    Attributes
+    ----------
+    behind : tuple of str and int
+        Where the server itself listens.
     """
 
     def __init__(
@@ -90,18 +95,16 @@ class Bridge:
         self._sent: dict[str, Any] = {}
         self._known: m.Status | None = None
         self._closing = threading.Event()
-        websocket = self._fox.websocket
+        self._server = self._serve()
         try:
-            self._server = self._fox.start_server(
-                name=f"zendsp {target.name}", host=HOST, port=port,
-                capabilities=[websocket.Capability.Parameters], server_listener=_Listener(self),
-                context=self._context,
-            )
-        except RuntimeError as error:
+            self._door = Door(port, self.behind)
+        except OSError as error:
+            self._server.stop()
             raise LinkError(f"port {port} of {HOST} cannot be taken ({error}): --port") from error
         try:
             self._watch()
         except BaseException:
+            self._door.close()
             self._server.stop()
             raise
         self._poller = background("bridge", self._poll)
@@ -109,11 +112,12 @@ class Bridge:
     @property
     def url(self) -> str:
         """The address to open in a viewer."""
-        return f"ws://{HOST}:{self._server.port}"
+        return f"ws://{HOST}:{self._door.port}"
 
     def close(self) -> None:
         """End the server; the target goes on."""
         self._closing.set()
+        self._door.close()
         self._poller.join(2.0)
         if self._view is not None:
             self._view.close()
@@ -125,10 +129,30 @@ class Bridge:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def _serve(self) -> Any:
+        """Start the server behind the door, where nobody else looks for it."""
+        host = drawn_host()
+        server = self._fox.start_server(
+            name=f"zendsp {self.target.name}", host=host, port=0, context=self._context,
+            capabilities=[self._fox.websocket.Capability.Parameters],
+            server_listener=_Listener(self),
+        )
+        self.behind: tuple[str, int] = (host, server.port)
+        return server
+
+    def alone(self) -> bool:
+        """Whether all viewers came by the door; one that did not may ask for nothing."""
+        return self._door.alone()
+
     # -- what goes out
 
     def _poll(self) -> None:
         while not self._closing.wait(POLL_S):
+            if not self.alone():  # another user, who found the server: all come again by the door
+                self._server.stop()
+                self._server = self._serve()
+                self._door.behind = self.behind
+                self._say("somebody went past the bridge's port and was thrown out", WARNING)
             try:
                 self._watch()
             except ZendspError as error:  # a link that is away comes back by itself
@@ -224,6 +248,8 @@ class Bridge:
 
     def write(self, values: Mapping[str, Assignable]) -> None:
         """Write parameters for a viewer, all in one sample, or say why not."""
+        if not self.alone():
+            return
         if not self._writable:
             self._say("parameters are read only here: start the bridge with --write", WARNING)
             return
@@ -258,7 +284,8 @@ class _Listener:
 
     def _present(self, names: list[str]) -> list[Any]:
         try:
-            return self._bridge.as_parameters(names, self._bridge.parameters())
+            known = self._bridge.parameters() if self._bridge.alone() else {}
+            return self._bridge.as_parameters(names, known)
         except ZendspError:  # the poller says so
             return []
 

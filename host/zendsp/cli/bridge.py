@@ -46,8 +46,8 @@ def foxglove(
     """Serve signals, parameters and events to Foxglove and PlotJuggler, until Ctrl-C.
 
     CHANNELS are signals; without them, all of the program. The server listens on 127.0.0.1 only:
-    from another computer use ssh -L. Any web page in a browser of this computer can reach it, so
-    parameters are read only without --write.
+    from another computer use ssh -L. It lets in your own viewers, no other user of this computer
+    and no foreign web page. Parameters are read only without --write.
 
     Example:  zendsp bridge foxglove q tau -t imi
     """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import signal
@@ -18,10 +19,13 @@ from click.core import ParameterSource
 
 from zendsp.cli import completing
 from zendsp.cli.lines import fitted
+from zendsp.errors import ZendspError
 from zendsp_protocol.texts import shown
 from zendsp_protocol.values import Assignable, Packed, from_wire
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from zendsp.link import Target
 
 ENDING = (signal.SIGTERM, signal.SIGHUP)
@@ -80,7 +84,6 @@ def open_target(name: str, endpoint: str | None) -> Iterator[Target]:
     if held is not None:
         yield held
         return
-    from zendsp.errors import ZendspError
     from zendsp.link import connect
     from zendsp.link.programs import trouble
 
@@ -108,6 +111,23 @@ def held_target(name: str, endpoint: str | None) -> Target | None:
         return None
     typed = context.get_parameter_source("target") == ParameterSource.COMMANDLINE
     return held if name in ("", held.name) or not typed else None
+
+
+def check_writable(out: Path) -> None:
+    """Say before the work, not after it, that its result could not be written to a folder."""
+    missing = [folder for folder in (out, *out.parents) if not folder.exists()]
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ZendspError(
+            f"--out {out}: cannot be made a folder ({error.strerror}): choose one that you may"
+            " write to"
+        ) from None
+    writable = os.access(out, os.W_OK)
+    for folder in missing:  # what is interrupted leaves none
+        folder.rmdir()
+    if not writable:
+        raise ZendspError(f"--out {out}: you may not write there: choose another folder")
 
 
 def emit(value: Any, as_json: bool, text: Callable[[], str] | str = "") -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from zendsp.cli.common import emit
+from zendsp.cli.common import check_writable, emit
 from zendsp.cli.completing import machines
 
 
@@ -61,6 +61,7 @@ def command(
     from zendsp.demo import run_demo
     from zendsp.demo.narrator import Narrator
 
+    check_writable(out)
     narrator = Narrator(quiet=as_json)
     told = run_demo(out, machine=machine, effect=effect, seed=seed, clock=clock, narrator=narrator)
     emit(json.loads((out / "story.json").read_text(encoding="utf-8")), as_json)

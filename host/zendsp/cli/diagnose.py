@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from zendsp.cli.common import check_writable
 from zendsp.cli.lines import fitted
 from zendsp_protocol.texts import shown
 
@@ -105,7 +106,7 @@ def command(
         )
     cores = jobs or os.cpu_count() or 1
     if out is not None:
-        _writable(out)
+        check_writable(out)
     asked = _Asked(train, model_path, heldout, out, not no_figures, as_json, seed, cores, effects)
     if each:
         _each(asked, scheduler)
@@ -126,22 +127,6 @@ class _Asked:
     seed: int
     jobs: int
     effects: tuple[Path, ...]
-
-
-def _writable(out: Path) -> None:
-    """Say before the work, not after it, that its result could not be written."""
-    from zendsp.errors import ZendspError
-
-    missing = [folder for folder in (out, *out.parents) if not folder.exists()]
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ZendspError(f"--out {out}: cannot be made a folder: {error.strerror}") from None
-    writable = os.access(out, os.W_OK)
-    for folder in missing:  # a diagnosis that is interrupted leaves none
-        folder.rmdir()
-    if not writable:
-        raise ZendspError(f"--out {out}: is not writable")
 
 
 def _together(asked: _Asked, run_on: str | None) -> None:

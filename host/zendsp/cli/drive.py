@@ -79,7 +79,7 @@ def command(
             for c in status.conditions
         ]
         mover = status.moved_by
-        moved = f", moved by a run of {mover}" if mover not in ("", status.commander) else ""
+        moved = f", moved by {mover}" if mover not in ("", status.commander) else ""
         lines.append(
             f"commanded by {status.commander or 'nobody'}{moved}; if the commanding host is lost:"
             f" {status.host_lost}"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from zendsp.cli.common import wrapped
+from zendsp.cli.common import check_writable, wrapped
 from zendsp.cli.completing import experiments
 from zendsp_protocol.texts import counted
 
@@ -64,6 +64,7 @@ def command(
     if name is None:
         _list()
         return
+    check_writable(out)
     names = [n for n, e in EXPERIMENTS.items() if e.machine] if name == "all" else [name]
     takes = fit_model(names, into) if into is not None else []  # before the machine moves
     opened = None

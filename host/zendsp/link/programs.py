@@ -92,9 +92,16 @@ class Programs(Part):
         self.load(result.key)
         return result
 
-    def start(self, ticks: int | None = None) -> None:
-        """Start or continue the program, and look at its first samples (20 ms); with ``ticks`` it
-        pauses by itself after so many.
+    def start(self, ticks: int | None = None, attended: bool = False) -> None:
+        """Start or continue the program, and look at its first samples (20 ms).
+
+        Parameters
+        ----------
+        ticks : int, optional
+            Samples after which it pauses by itself.
+        attended : bool
+            Whoever starts it watches it: if this host is lost before somebody pauses, the host-lost
+            policy acts, though nobody took the right to command. Otherwise it goes on.
 
         Raises
         ------
@@ -105,16 +112,16 @@ class Programs(Part):
         RunnerDied
             It crashed in them.
         """
-        self.begin(ticks)
+        self.begin(ticks, attended)
         status = self.watch_start(FIRST_S)
         if status.state == ProgramState.CRASHED:
             raise RunnerDied(f"started, and {trouble(status)}")
         if status.trip is not None:
             raise Tripped(f"started, and {trouble(status)}")
 
-    def begin(self, ticks: int | None = None) -> None:
+    def begin(self, ticks: int | None = None, attended: bool = False) -> None:
         """As `start`, for who looks at what becomes of it himself."""
-        self.request("start", ticks=ticks)
+        self.request("start", ticks=ticks, attended=attended)
 
     def pause(self) -> None:
         """Pause the program: outputs are safe, variables keep their values.

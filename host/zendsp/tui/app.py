@@ -17,7 +17,7 @@ from textual.widgets import Input
 from zendsp.tui.actions import ACTIONS, Action, bindings, in_keys
 from zendsp.tui.colours import THEMES
 from zendsp.tui.dialogs import Message
-from zendsp.tui.dialogs.leave import LEFT, Leave, moves
+from zendsp.tui.dialogs.leave import Leave, becomes, moves
 from zendsp.tui.port import Port
 from zendsp.tui.runs import Outcome, Run
 from zendsp.tui.screens.base import LabScreen
@@ -180,7 +180,7 @@ class ZendspApp(TypeAhead):
     def action_suspend(self) -> None:
         """Say why the terminal does not sleep."""
         s = self.session.snapshot
-        left = f" ({LEFT.get(s.host_lost, s.host_lost)})" if s.mine else ""
+        left = f" ({becomes(s)})" if s.mine or moves(s) else ""
         text = f"nothing is suspended: a terminal that sleeps is a lost host{left}; Ctrl+Q leaves"
         self.session.events.add(text, "warning")
         self.toast(text, "warning")

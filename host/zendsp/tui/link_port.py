@@ -170,8 +170,8 @@ class LinkPort:
         return stopped(self.target.stop())
 
     def start(self, ticks: int | None = None) -> None:
-        """Start or continue the program."""
-        self.target.start(ticks)
+        """Start or continue the program; a terminal that dies lets go of it."""
+        self.target.start(ticks, attended=True)
 
     def pause(self) -> None:
         """Pause the program."""

@@ -164,7 +164,7 @@ def create(
         raise TooLarge(
             f"{len(plan.sources)} channels for {config.seconds:g} s need {size / 1e6:.3g} MB of"
             f" shared memory, {allowed / 1e6:.3g} MB are free for it here: shorten it, raise the"
-            " decimation, or record fewer channels"
+            " decimation, record fewer channels, or make room ('df -h /dev/shm')"
         )
     file = SharedFile(path, size)
     head = file.pointer("stream_head")

@@ -83,6 +83,7 @@ class Drives:
         self._enabled = False
         self.commander = ""  # who holds the right to command
         self.moved_by = ""  # whose run moves the machine now
+        self._attended_by = ""  # who started the program and watches it, or homes
         self._ramp_s = SOFT_S
         self._lock = threading.RLock()
         if managed:
@@ -177,13 +178,17 @@ class Drives:
                 explicit=self._explicit,
                 homed=status.homed,
                 commander=self.commander,
-                moved_by=self.moved_by,
+                moved_by=self._mover(status),
                 host_lost=self._policy,
                 conditions=tuple(
                     m.Condition(name=c.name, met=c.met, advice="" if c.met else c.advice)
                     for c in self.conditions(status)
                 ),
             )
+
+    def _mover(self, status: Status) -> str:
+        running = status.state == ProgramState.RUNNING and status.trip is None
+        return self.moved_by or (self._attended_by if running else "")
 
     # -- who may
 
@@ -226,9 +231,12 @@ class Drives:
 
     def host_gone(self, host: str, moves: bool = False) -> str:
         """Act on the disappearance of a host, by the policy, if it commanded, or if nobody did and
-        a run of it `moves` the machine; returns the policy that acted, "" where none did.
+        a run of it `moves` the machine, or a start that it watched; returns the policy that acted,
+        "" where none did.
         """
         with self._lock:
+            if host == self._attended_by:
+                self._attended_by, moves = "", True
             if host != self.commander and (self.commander or not moves):
                 return ""
             policy = self._policy
@@ -464,7 +472,10 @@ class Drives:
                 with self._lock:
                     return m.Said(text=self.acknowledge(args.trip))
             result = handler(args, by)
-            if name == "set_ramp":
+            if name in ("start", "home", "pause"):
+                attended = name == "home" or (name == "start" and args.attended)
+                self._attended_by = by if attended else ""
+            elif name == "set_ramp":
                 self._ramp_s = args.seconds
             if name == "load" and self._explicit:
                 with self._lock:

@@ -17,6 +17,12 @@ def moves(s: Snapshot) -> bool:
     return s.link == "up" and s.state == "running" and s.drive not in ("stopped", "tripped")
 
 
+def becomes(s: Snapshot) -> str:
+    """What the machine does once this terminal is gone."""
+    lets_go = s.mine or (s.moved_by == "you" and not s.commander)
+    return LEFT.get(s.host_lost, s.host_lost) if lets_go else "the program goes on"
+
+
 class Leave(Choose):
     """Ask; the result is ["stay"], ["stop"] or ["leave"].
 
@@ -29,7 +35,7 @@ class Leave(Choose):
     """
 
     def __init__(self, s: Snapshot, here: bool, busy: bool) -> None:
-        left = LEFT.get(s.host_lost, s.host_lost) if s.mine else "the program goes on"
+        left = becomes(s)
         if here:
             left = "the simulated machine ends with this terminal"
         elif busy:

@@ -8,6 +8,7 @@ merely attached exits.
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import mmap
 import os
@@ -18,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from zendsp_protocol import kept
+from zendsp_protocol.errors import Refused
 from zendsp_protocol.kept import Kept
 from zendsp_target.runtime.memory.layout import layout
 
@@ -93,6 +95,11 @@ class SharedFile:
     size : int or None
         Create the file with so many bytes, allocated now (a full /dev/shm is an error here, not a
         crash later); None: map it as it is.
+
+    Raises
+    ------
+    Refused
+        There is not so much.
     """
 
     def __init__(self, path: Path, size: int | None = None) -> None:
@@ -106,8 +113,12 @@ class SharedFile:
         except OSError as error:
             if size is not None:
                 os.unlink(path)
-            what = "the file" if size is None else f"{size} bytes of shared memory"
-            raise OSError(error.errno, f"{what}: {error.strerror}", str(path)) from error
+                if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.ENOMEM):
+                    raise Refused(
+                        f"{size / 1e6:.3g} MB of shared memory are not free for {path}: make room"
+                        " ('df -h /dev/shm'; end other targets, remove files), and try again"
+                    ) from error
+            raise OSError(error.errno, error.strerror, str(path)) from error
         finally:
             os.close(file)
         ffi, _ = layout()
