@@ -76,10 +76,12 @@ class Solver:
         return self.layout.place(h, values) - self.origin
 
     def estimate(self, h: Hypothesis, start: Array | None = None) -> Array:
-        """Numbers that make the innovations of all joints most likely, (p,)."""
+        """Numbers that make the innovations of all joints most likely, (p,): those of a machine,
+        where any start leads to such.
+        """
         begins = self._starts(h) if start is None else [start]
         ends = [self._descend(h, values) for values in begins]
-        return min(ends, key=lambda end: end[1])[0]
+        return min(ends, key=lambda end: (not self.plausible(h, end[0]), end[1]))[0]
 
     def _descend(self, h: Hypothesis, values: Array) -> tuple[Array, float]:
         """Levenberg-Marquardt from some numbers: where it ends, and its deviance."""
@@ -122,7 +124,7 @@ class Solver:
 
     def _starts(self, h: Hypothesis) -> list[Array]:
         """Numbers to begin with: all zero, but for a payload, whose centre nobody can see without
-        its mass.
+        its mass: what its moment says, and a tenth of the link's mass in its centre.
         """
         if h.effect != "payload":
             return [np.zeros(len(h.free))]
@@ -135,7 +137,10 @@ class Solver:
         size = max(float(np.linalg.norm(moment)), 1e-6)
         heavy = [max(abs(float(mass)), 1e-3), *(size / distance for distance in self.limits.starts)]
         far = self.limits.reach
-        return [np.array([m, *np.clip(np.array(moment) / m, -far, far)]) for m in heavy]
+        link = self.layout.links.bodies[h.joint - 1]
+        inside = {"mass": 0.1 * link.mass or 1e-3, **dict(zip(COM, link.com.tolist(), strict=True))}
+        starts = [[m, *np.clip(np.array(moment) / m, -far, far)] for m in heavy]
+        return [np.array(s) for s in (*starts, [inside.get(key, 0.0) for key in h.free])]
 
     def plausible(self, h: Hypothesis, values: Array) -> bool:
         """Whether numbers are those of a machine."""
