@@ -127,8 +127,12 @@ def transmission_damping_limits(facts: Facts) -> tuple[float, float]:
 
 
 def swings(p: Numbers) -> bool:
-    """Whether a load hangs on a spring, not on a dashpot: damped at most twice critically."""
-    return p["damping"] < OVERDAMPED * 2.0 * math.sqrt(p["stiffness"] * p["load_inertia"])
+    """Whether a load hangs on a spring, not on a dashpot: damped at most twice critically, and no
+    slower than a recording can show.
+    """
+    critical = 2.0 * math.sqrt(p["stiffness"] * p["load_inertia"])
+    slowest = p["load_inertia"] * (2 * math.pi * SLOWEST) ** 2
+    return p["damping"] < OVERDAMPED * critical and p["stiffness"] > slowest
 
 
 def load_limits(facts: Facts) -> tuple[float, float]:
