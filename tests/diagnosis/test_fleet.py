@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -104,3 +106,21 @@ def test_a_scheduler_that_is_not_there_is_named() -> None:
     soon = dask.config.set({"distributed.comm.timeouts.connect": "1s"})
     with soon, pytest.raises(LinkError, match=r"127\.0\.0\.1:9"):
         diagnose_each(["x.csv"], "m.toml", scheduler="tcp://127.0.0.1:9")
+
+
+def test_a_process_that_searches_a_joint_ends_with_the_one_that_started_it() -> None:
+    """Of a diagnosis that was killed two searched on, one of them waiting for ever."""
+    code = (
+        "import os, time; from zendsp.diagnosis import joints; parent = os.getpid()\n"
+        "if os.fork() == 0:\n"
+        "    joints._inherit(parent, None, None, print); print(1, flush=True)\n"
+        "time.sleep(60)"
+    )
+    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert parent.stdout is not None
+    assert parent.stdout.readline()
+    parent.kill()
+    parent.wait()
+    begin = time.monotonic()
+    parent.stdout.read()  # ends with the child
+    assert time.monotonic() - begin < 20.0

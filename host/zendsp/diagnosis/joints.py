@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 import multiprocessing
+import os
 from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import replace
@@ -26,6 +27,7 @@ from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
 from zendsp.diagnosis.search.rounds import WAIT
 from zendsp.diagnosis.search.simplify import upon
 from zendsp.diagnosis.transmission.links import divided, with_links
+from zendsp.parent import die_with
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.model import Model
 
@@ -180,7 +182,7 @@ def _search(
     # user has added
     context = multiprocessing.get_context("fork")
     stages = context.SimpleQueue()
-    inherited = (parts, beneath, stages.put)
+    inherited = (os.getpid(), parts, beneath, stages.put)
     with ProcessPoolExecutor(min(jobs, len(joints)), context, _inherit, inherited) as pool:
         searches = {joint: pool.submit(_search_inherited, joint) for joint in joints}
         waiting: Collection[Future[Any]] = searches.values()
@@ -239,7 +241,8 @@ def decided_again(
 _inherited: list[tuple[Parts, Model, Progress]] = []
 
 
-def _inherit(parts: Parts, given: Model, tell: Progress) -> None:
+def _inherit(parent: int, parts: Parts, given: Model, tell: Progress) -> None:
+    die_with(parent)  # killed, it could not end them
     _inherited[:] = [(parts, given, tell)]
 
 
