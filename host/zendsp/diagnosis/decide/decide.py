@@ -402,8 +402,8 @@ def _why(
     seen = next((p for p in pieces if rival.effect in p.effects), None)
     if seen is not None and seen.log_e > 0 and seen.evidence.z > CLAIMED:
         if seen.size < finest(rival.effect):
-            least = f"{percent(finest(rival.effect))} %"
-            small = f"{percent(seen.size)} % of the torque, and simulators differ by {least}"
+            least = f"findings have {percent(finest(rival.effect))} % at least"
+            small = f"{percent(seen.size)} % of the torque, and {least}"
             return rival.effect, f"too small to be told: {small}", 0.5 * gain
         sizes = f"{percent(seen.size)} % of the torque beside {percent(before.value)} %"
         return rival.effect, f"not clearly more than what stays unexplained: {sizes}", 0.5 * gain

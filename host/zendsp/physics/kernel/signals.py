@@ -248,7 +248,8 @@ def smooth(measurement: Measurement, sample_time: float, known: Array | None = N
         )
         return value
 
-    def error_of(strength: float, acceleration: Array) -> Array:
+    def errors(strength: float, acceleration: Array) -> Array:
+        """Errors of one step, in standard deviations."""
         run(strength, acceleration)
         error: Array = gains[says, 4] / np.sqrt(gains[says, 3])
         return error
@@ -257,8 +258,8 @@ def smooth(measurement: Measurement, sample_time: float, known: Array | None = N
         """Minus twice the log likelihood of a strength, the strength, and what is known of the
         acceleration then: the errors of one step are linear in the share of a part.
         """
-        alone = error_of(strength, np.zeros(n))
-        less = [alone - error_of(strength, part) for part in parts.T]
+        alone = errors(strength, np.zeros(n))
+        less = [alone - errors(strength, part) for part in parts.T]
         brought = parts @ np.linalg.lstsq(np.stack(less, axis=1), alone, rcond=None)[0]
         return run(strength, brought), strength, brought
 
