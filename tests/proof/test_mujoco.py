@@ -7,6 +7,7 @@ import tomllib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -25,7 +26,7 @@ from zendsp.proof.mujoco.foreign import PARTS, TOGETHER  # noqa: E402
 from zendsp.proof.mujoco.friction import lugre  # noqa: E402
 from zendsp.proof.mujoco.machines import MACHINES, Bench, harden  # noqa: E402
 from zendsp.proof.mujoco.programme import QUICK, UNFIT, requests  # noqa: E402
-from zendsp.proof.mujoco.simulate import Nominal, Record, simulate  # noqa: E402
+from zendsp.proof.mujoco.simulate import Nominal, Record, Row, simulate  # noqa: E402
 from zendsp.proof.mujoco.truths import MAKERS  # noqa: E402
 
 
@@ -233,3 +234,24 @@ def test_an_arm_given_as_mjcf_is_the_model_that_is_given_as_urdf(
     assert a.actuator.gain == pytest.approx(b.actuator.gain)
     assert a.actuator.limit == pytest.approx(b.actuator.limit)
     assert a.joint_kinds == b.joint_kinds
+
+
+@pytest.mark.parametrize("substeps", [1, 3])
+def test_a_delay_acts_as_many_substeps_later_as_is_sealed(substeps: int) -> None:
+    b = MACHINES["mj_joint"](np.random.default_rng(0))
+    b.joints[0].delay = substeps * b.substep
+    acts: list[float] = []
+
+    class Engine:
+        """Keeps what reaches the motor in each substep."""
+
+        def mj_step(self, model: object, data: SimpleNamespace) -> None:
+            acts.append(float(data.ctrl[0]))
+
+    n = len(b.joints)
+    data = SimpleNamespace(
+        qfrc_applied=np.zeros(n), ctrl=np.zeros(n), qpos=np.zeros(n), qvel=np.zeros(n)
+    )
+    row = Row(Engine(), None, data, b, list(range(n)))
+    row.pass_by(0.0, 6, np.ones(n), np.zeros(n))
+    assert acts == [0.0] * substeps + [1.0] * (6 - substeps)

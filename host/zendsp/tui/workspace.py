@@ -64,8 +64,8 @@ class Workspace:
         found = [*self.references.glob("*.mat"), *self.root.glob("*.mat")]
         below = self.root.glob("*/*.mat")
         found += [p for p in below if not p.parent.name.startswith(".") and p not in found]
-        dated = sorted(((p.stat().st_mtime, p) for p in found[:MOST]), reverse=True)
-        return [p for _, p in dated if is_reference(p)]
+        dated = sorted(((p.stat().st_mtime, p) for p in found), reverse=True)
+        return [p for _, p in dated[:MOST] if is_reference(p)]
 
     def sources(self) -> list[Path]:
         """Return the C files in this folder and beneath it, the nearest first; hidden folders are

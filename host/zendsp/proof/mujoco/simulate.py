@@ -168,7 +168,7 @@ class Row:
         for k, law in bench.twists:
             self.torques.append((k, int(model.joint(f"f{k}").dofadr[0]), law(self.h)))
         waits = [round(j.delay / self.h) for j in bench.joints]
-        self.late = [[0.0] * (wait + 1) if wait else [] for wait in waits]
+        self.late = [[0.0] * wait for wait in waits]
         self.gains = [j.gain for j in bench.joints]
         self.touched = sorted({*dof, *(place for _, place, _ in self.torques)})
 

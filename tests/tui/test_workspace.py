@@ -1,0 +1,25 @@
+"""What the terminal finds in its folder."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from zendsp.tui import workspace
+
+
+def test_the_newest_references_are_listed_where_there_are_more_than_fit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(workspace, "MOST", 3)
+    monkeypatch.setattr(workspace, "is_reference", lambda path: path.stem != "table")
+    (tmp_path / "below").mkdir()
+    # newest last, and last found too: the folders below come after the folder itself
+    names = ["a.mat", "b.mat", "c.mat", "d.mat", "below/e.mat", "below/table.mat"]
+    for age, name in enumerate(names):
+        (tmp_path / name).touch()
+        os.utime(tmp_path / name, (1e9 + age, 1e9 + age))
+    found = workspace.Workspace(tmp_path).saved_references()
+    assert [p.stem for p in found] == ["e", "d"]  # of the three newest files, one is no reference
