@@ -103,11 +103,11 @@ def named(
             left is not None and _surely_more(left, max(allowed, NUMERIC))
         )
         # a constant beside several laws of the position is a part of the curve that they draw
-        level = sum(all(get_effect(t.effect).constant for t in p.terms) for p in claimed) * (
-            len(own) > 1 and piece.mechanism == "position_torque"
-        )
-        drawn = piece.mechanism == "position_torque" and _is_curve(ranked, travel)
-        part = _part_of_a_wave(first.terms[0], travel)
+        of_position = piece.mechanism == "position_torque"
+        level = sum(all(get_effect(t.effect).constant for t in p.terms) for p in claimed)
+        drawn = of_position and _is_curve(ranked, level, travel)
+        part = _part_of_a_wave(first.terms[0], level, travel)
+        level *= of_position and len(own) > 1
         if poor or drawn or part or len(own) + level >= CURVE:
             refinements += [c for p in own[1:] for c in _plain(p)]
             claims.append(replace(law, effect="unknown", left=left))
@@ -338,16 +338,16 @@ def _repeats(other: Piece, first: Piece) -> bool:
     )
 
 
-def _is_curve(ranked: Sequence[Piece], travel: float) -> bool:
+def _is_curve(ranked: Sequence[Piece], level: int, travel: float) -> bool:
     """Whether laws of the position, none of which can be left out, are the pieces of a curve: more
-    than one of them, and ripples that are no harmonics of one, or that the ``travel`` does not tell
-    apart: together they are one that fades along it.
+    than one of them (with a constant, or its ``level`` is 0), and ripples that are no harmonics of
+    one, or that the ``travel`` does not tell apart: together they are one that fades along it.
     """
     held = [p for p in ranked if p.log_e > 0 and p.evidence.z > PLAIN]
     repeats = sorted(p.terms[0].value("order") for p in held if "order" in p.terms[0].parameters)
     if any((b - a) * travel < 2 * math.pi for a, b in pairwise(repeats)):
         return True
-    if len(held) < CURVE:
+    if len(held) < 2 or len(held) + level < CURVE:
         return False
     orders = [p.terms[0].value("order") for p in held if "order" in p.terms[0].parameters]
     if len(orders) < len(held):
@@ -356,11 +356,19 @@ def _is_curve(ranked: Sequence[Piece], travel: float) -> bool:
     return bool(np.any(np.abs(ratios - np.round(ratios)) > HARMONIC))
 
 
-def _part_of_a_wave(term: Term, travel: float) -> bool:
+def _part_of_a_wave(term: Term, level: int, travel: float) -> bool:
     """Whether a law that repeats along the position does not do so within the ``travel``: any curve
-    is as good.
+    is as good. So it is of one wave a turn beside a constant (its ``level`` is not 0), unless it is
+    balanced where axes are given their zero: at a quarter of a turn.
     """
-    return "period" in get_effect(term.effect).names and term.value("period") > travel
+    names = get_effect(term.effect).names
+    if "period" in names:
+        return term.value("period") > travel
+    if get_effect(term.effect).shape != "angle" or not level or travel >= 2 * math.pi:
+        return False
+    angle = term.parameters["angle"]
+    off = math.remainder(angle.value, math.pi / 2)
+    return abs(off) > PLAIN * angle.std
 
 
 def _ranked(
