@@ -137,6 +137,22 @@ def test_a_law_leaves_too_much_only_where_that_is_sure(size: float, z: float, mu
     assert laws._surely_more(Structure(size, 0.5, z), 0.05) is much
 
 
+@pytest.mark.parametrize(
+    ("angle", "level", "travel", "curve"),
+    [
+        (-2.18, 1, 2.6, True),  # a spring past the middle was a gravity and a constant
+        (-2.18, 0, 2.6, False),
+        (-2.18, 1, 6.5, False),  # it was seen to return
+        (1.5, 1, 2.6, False),  # balanced where an axis has its zero
+    ],
+)
+def test_a_wave_and_a_constant_over_less_than_a_turn_are_any_curve(
+    angle: float, level: int, travel: float, curve: bool
+) -> None:
+    wave = Term("gravity", 1, {"angle": Quantity(angle, std=0.09)})
+    assert laws._part_of_a_wave(wave, level, travel) is curve
+
+
 def test_what_only_refined_the_fit_is_held_in_the_model_file() -> None:
     """Of two terms of one effect the second; not what stands for a term of the given model."""
     terms = [
