@@ -28,6 +28,7 @@ from zendsp.physics.model import Model, Term
 # fitted away any more
 PLAIN = 0.1
 NO_WORSE = 10.0  # deviance that a simpler law may cost
+AS_MUCH = 0.95  # share of what two laws gain together that one in their place has to gain
 BENDS = 0.02  # of the travel: hysteresis that slides after less has a soft onset only
 STRAIGHT = 2.0  # times the torque that a hysteresis would reach unbent: of more it is a spring
 HALVINGS = 2  # of the integration's step at most, in the last fit of a joint
@@ -196,11 +197,13 @@ def _as_spring(found: JointSearch, best: Scored, jobs: int) -> Scored:
         found.joint,
         {"coefficient": slope, "neutral": centre - push.value("level") / slope},
     )
-    model = best.model.with_terms(
-        (*(t for t in best.model.terms if t is not hard and t is not push), spring)
-    )
-    other = _refitted(best.data, replace(model, mechanism=mechanism), found.joint, jobs, 3)
-    return other if other.deviance < best.deviance + NO_WORSE else best
+    bare = best.model.with_terms(tuple(t for t in best.model.terms if t not in (hard, push)))
+    model = replace(bare.with_terms((*bare.terms, spring)), mechanism=mechanism)
+    other = _refitted(best.data, model, found.joint, jobs, 3)
+    if other.deviance < best.deviance + NO_WORSE:
+        return other
+    without = _refitted(best.data, bare, found.joint, jobs, 2).deviance
+    return other if without - other.deviance > AS_MUCH * (without - best.deviance) else best
 
 
 def simplify(found: JointSearch, n: int, jobs: int) -> tuple[Scored, tuple[str, ...]]:
