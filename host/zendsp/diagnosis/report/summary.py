@@ -25,6 +25,19 @@ WORDS = {
 }
 
 
+def word_of(mechanism: str, effects: Sequence[str]) -> str:
+    """A mechanism in plain words; what couples joints may be a mass, friction or speed.
+
+    Examples
+    --------
+    >>> word_of("inertia", ("coupling",)), word_of("inertia", ("inertia", "coupling"))
+    ("the other joints' motion", 'a mass or an inertia')
+    """
+    if set(effects) == {"coupling"}:
+        return "the other joints' motion"
+    return WORDS.get(mechanism, effects[0])
+
+
 def headline(d: Diagnosis) -> str:
     """The verdict in one sentence, the mechanism first; in two where the given numbers were off."""
     found = [(f.mechanism, (f.effect, *f.indistinguishable), f.joint) for f in d.findings]
@@ -61,7 +74,7 @@ def verdict_sentence(verdict: Verdict, found: Sequence[tuple[str, Sequence[str],
         )
     at: dict[int, list[str]] = {}
     for mechanism, effects, joint in found:
-        word = WORDS.get(mechanism, effects[0])
+        word = word_of(mechanism, effects)
         if word != WORDS["disturbance"]:
             word += f" ({' or '.join(effects)})"
         if word not in at.setdefault(joint, []):
