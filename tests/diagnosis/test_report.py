@@ -23,7 +23,7 @@ from zendsp.diagnosis.measure.curve import samples_of
 from zendsp.diagnosis.measure.where import Missing
 from zendsp.diagnosis.report.chart import Panel, Series
 from zendsp.diagnosis.report.figures import axis_of, from_a_whole_second
-from zendsp.diagnosis.report.summary import _sized, percent, verdict_sentence
+from zendsp.diagnosis.report.summary import _sized, dark, percent, verdict_sentence
 from zendsp.physics.effects import library
 
 
@@ -228,6 +228,15 @@ def test_dry_friction_between_joints_is_not_called_a_mass() -> None:
     text = verdict_sentence("missing", [("inertia", ("coupling",), 1)])
     assert text == "Missing physics: the other joints' motion (coupling) at joint 1."
     assert "mass" in verdict_sentence("missing", [("inertia", ("inertia",), 1)])
+
+
+def test_recordings_that_show_nothing_are_not_called_a_complete_model() -> None:
+    assert dark([(1, (0.0, 0.2)), (2, (0.0, 1.0))]) == (2,)
+    assert verdict_sentence("complete", [], ()).startswith("Complete: ")
+    assert verdict_sentence("complete", [], (1, 2)) == (
+        "Cannot tell: nothing is seen to be missing, but these recordings show next to nothing of"
+        " joints 1 and 2."
+    )
 
 
 def test_a_coupling_is_drawn_over_the_motion_of_the_other_joint() -> None:
