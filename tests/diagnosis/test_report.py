@@ -18,10 +18,12 @@ from reality import RATE
 
 from zendsp.cli import main
 from zendsp.diagnosis import diagnose
-from zendsp.diagnosis.decide.result import Detectable
+from zendsp.diagnosis.decide.result import Detectable, Finding
+from zendsp.diagnosis.measure.curve import samples_of
+from zendsp.diagnosis.measure.where import Missing
 from zendsp.diagnosis.report.chart import Panel, Series
-from zendsp.diagnosis.report.figures import from_a_whole_second
-from zendsp.diagnosis.report.summary import _sized, percent
+from zendsp.diagnosis.report.figures import axis_of, from_a_whole_second
+from zendsp.diagnosis.report.summary import _sized, dark, percent, verdict_sentence
 from zendsp.physics.effects import library
 
 
@@ -220,3 +222,38 @@ def test_a_report_that_the_disk_takes_no_more_of_is_written_elsewhere(
     assert status == 1 and "No space left" in said, said
     elsewhere = Path(said.split("it is in ", 1)[1].split()[0])
     assert (elsewhere / "report.html").read_text() == "written"
+
+
+def test_dry_friction_between_joints_is_not_called_a_mass() -> None:
+    text = verdict_sentence("missing", [("inertia", ("coupling",), 1)])
+    assert text == "Missing physics: the other joints' motion (coupling) at joint 1."
+    assert "mass" in verdict_sentence("missing", [("inertia", ("inertia",), 1)])
+
+
+def test_recordings_that_show_nothing_are_not_called_a_complete_model() -> None:
+    assert dark([(1, (0.0, 0.2)), (2, (0.0, 1.0))]) == (2,)
+    assert verdict_sentence("complete", [], ()).startswith("Complete: ")
+    assert verdict_sentence("complete", [], (1, 2)) == (
+        "Cannot tell: nothing is seen to be missing, but these recordings show next to nothing of"
+        " joints 1 and 2."
+    )
+
+
+def test_a_coupling_is_drawn_over_the_motion_of_the_other_joint() -> None:
+    states = np.arange(24.0).reshape(2, 3, 4)  # joints, (position, velocity, acceleration), samples
+    q, qd, qdd = states[0]
+    variables = {"position": q, "velocity": qd, "acceleration": qdd, "command": q}
+    lacks = Missing(q, q, q, variables, others=states)
+    over = {}
+    for law in ("inertia", "coriolis", "viscous", "coulomb"):
+        said = {"from_joint": 2, "law": law}
+        over[law] = axis_of(Finding("coupling", 1, {}, 0.9, 1.0, (), (), "", said, "inertia"))
+    assert over == {
+        "inertia": "acceleration of joint 2",
+        "coriolis": "velocity of joint 2",
+        "viscous": "velocity of joint 2",
+        "coulomb": "velocity of joints 1 + 2",
+    }
+    assert np.array_equal(samples_of(lacks, over["inertia"]), states[1, 2])
+    assert np.array_equal(samples_of(lacks, over["coulomb"]), states[0, 1] + states[1, 1])
+    assert np.array_equal(samples_of(lacks, "time"), lacks.time)

@@ -119,13 +119,14 @@ def _missing(axis: Axes, told: Told, joint: int) -> None:
     """Torque that the calibrated and the improved model lack, over the variable in which the effect
     lives.
     """
+    from zendsp.diagnosis.measure.curve import samples_of
     from zendsp.diagnosis.report.figures import axis_of
 
     if told.tracking is not None and any(of_body(f) for f in told.diagnosis.findings):
         _joints(axis, told.tracking)
         return
     finding = told.diagnosis.findings[0] if told.diagnosis.findings else None
-    variable = axis_of(finding.effect) if finding else "velocity"
+    variable = axis_of(finding) if finding else "velocity"
     units = {
         "position": _unit(told),
         "velocity": f"{_unit(told)}/s",
@@ -138,9 +139,7 @@ def _missing(axis: Axes, told: Told, joint: int) -> None:
         ("with what was found", told.diagnosis.remaining, FOUND),
     )
     for label, parts, colour in series:
-        x = np.concatenate(
-            [m.time if variable == "time" else m.variables[variable] for m in parts[joint]]
-        )
+        x = np.concatenate([samples_of(m, variable) for m in parts[joint]])
         y = np.concatenate([m.torque for m in parts[joint]])
         every = slice(None, None, max(1, len(x) // 4000))
         axis.plot(x[every], y[every], ".", ms=1.6, alpha=0.35, color=colour, rasterized=True)
@@ -148,7 +147,8 @@ def _missing(axis: Axes, told: Told, joint: int) -> None:
         _middle(axis, x, y, colour)
     _scale(axis, np.concatenate([m.torque for m in told.diagnosis.missing[joint]]), 0.3)
     axis.axhline(0.0, color=QUIET, lw=0.8)
-    axis.set_xlabel(f"{variable} of joint {joint} ({units[variable]})")
+    where = variable if " of " in variable else f"{variable} of joint {joint}"
+    axis.set_xlabel(f"{where} ({units[variable.split()[0]]})")
     axis.set_ylabel("missing torque (N m)")
     name = finding.effect.replace("_", " ") if finding else told.diagnosis.verdict
     axis.set_title(f"What the model lacks: {name}", loc="left")

@@ -148,6 +148,15 @@ def _without_rival(
     seed: int,
 ) -> Next | None:
     joint = next((d.joint for d in decisions if d.kind == "unexplained"), 0)
+    dark = [d.joint for d in decisions if d.kind == "complete" and d.after.high >= 1.0]
+    if dark and not joint and not findings:
+        record = searches[dark[0] - 1].final.data.records[0][dark[0] - 1]
+        motion = motions(record, _limits(given), np.random.default_rng(seed))[OTHER]
+        return _played(
+            signals, given, dark[0], motion,
+            f"Record joint {dark[0]} for longer, there and back, as {OTHER} does ({{}}): all of"
+            " its torque could be unexplained, and these recordings would not show it.",
+        )  # fmt: skip
     if joint and not findings:
         record = searches[joint - 1].final.data.records[0][joint - 1]
         motion = motions(record, _limits(given), np.random.default_rng(seed))[OTHER]

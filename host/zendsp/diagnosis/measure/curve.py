@@ -46,13 +46,26 @@ class Curve:
         return 1.0 - float(np.sum((self.torque - level) ** 2) / max(np.sum(self.torque**2), 1e-300))
 
 
+def samples_of(missing: Missing, variable: str) -> Array:
+    """Samples of a variable along a recording, (n,); ``variable`` may be ``"time"``, and
+    ``"velocity of joint 2"`` or ``"velocity of joints 1 + 2"`` (their sum), as of other joints.
+    """
+    kind, _, joints = variable.partition(" of ")
+    if not joints or missing.others is None:
+        return missing.time if kind == "time" else missing.variables[kind]
+    numbers = [int(word) for word in joints.split() if word.isdigit()]
+    row = ("position", "velocity", "acceleration").index(kind)
+    total: Array = missing.others[[j - 1 for j in numbers], row].sum(axis=0)
+    return total
+
+
 def curve_over(lacks: Sequence[Missing], variable: str, mechanism: str) -> Curve:
-    """What is lacking over one variable; ``variable`` may be ``"time"``.
+    """What is lacking over one variable of ``samples_of``.
 
     Dry friction over anything but velocity is turned over where the joint moves backwards: the mean
     of both directions would hide it.
     """
-    x = np.concatenate([m.time if variable == "time" else m.variables[variable] for m in lacks])
+    x = np.concatenate([samples_of(m, variable) for m in lacks])
     torque = np.concatenate([m.torque for m in lacks])
     against = mechanism == "dry_friction" and variable != "velocity"
     if against:

@@ -56,6 +56,7 @@ class Missing:
     std: Array
     variables: dict[str, Array]
     units: dict[str, str] = field(default_factory=dict)
+    others: Array | None = None  # (joints, 3, n): position, velocity, acceleration of all joints
 
 
 def mismatch(data: Data, model: Model, joint: int) -> list[Missing]:
@@ -74,7 +75,9 @@ def mismatch(data: Data, model: Model, joint: int) -> list[Missing]:
         torque, std = torque * taken, taken * np.sqrt(noise(record, model, BANDS[0]))
         variables = {"velocity": qd, "position": q, "acceleration": qdd, "command": record.command}
         within = {n: v[use] for n, v in variables.items()}
-        out.append(Missing(time[use], torque[use], std[use], within, units(model, joint)))
+        named = units(model, joint)
+        all_joints = record.others[:, :, use]
+        out.append(Missing(time[use], torque[use], std[use], within, named, all_joints))
     return out
 
 

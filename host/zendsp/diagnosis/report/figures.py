@@ -28,8 +28,21 @@ JOINED = "time [s], one recording after the other"
 STAMPS = 1e6  # s: a time beyond is a calendar's stamp
 
 
-def axis_of(effect: str) -> str:
-    """The variable over which an effect is best seen."""
+def axis_of(finding: Finding) -> str:
+    """The variable over which a finding is best seen: of a coupling, the other joint's motion.
+
+    Examples
+    --------
+    >>> said = {"from_joint": 2, "law": "coulomb"}
+    >>> axis_of(Finding("coupling", 1, {}, 0.9, 1.0, (), (), "", said))
+    'velocity of joints 1 + 2'
+    """
+    effect, other = finding.effect, finding.numbers.get("from_joint")
+    if effect == "coupling" and other is not None:
+        law = finding.numbers.get("law")
+        if law == "coulomb":
+            return f"velocity of joints {' + '.join(map(str, sorted((finding.joint, other))))}"
+        return f"{'acceleration' if law == 'inertia' else 'velocity'} of joint {other}"
     return (
         library()[effect].over
         if effect in library()
@@ -185,7 +198,7 @@ def law_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Chart:
     before, after = (
         curve_over(
             _passing_slowly(mismatch(w.train, model, joint), period),
-            axis_of(finding.effect),
+            axis_of(finding),
             mechanism_of(finding.effect),
         )
         for model in (without, whole.improved)
@@ -239,6 +252,7 @@ def _passing_slowly(lacks: list[Missing], period: float) -> list[Missing]:
             torque=m.torque[use],
             std=m.std[use],
             variables={name: values[use] for name, values in m.variables.items()},
+            others=None if m.others is None else m.others[:, :, use],
         )
         for m, use in zip(lacks, slow, strict=True)
     ]
@@ -282,7 +296,7 @@ def _curve_panel(
         *lines,
     )
     return Panel(
-        f"{curve.variable} [{units[curve.variable]}]",
+        f"{curve.variable} [{units[curve.variable.split()[0]]}]",
         label.replace(" [", " against the motion [") if curve.against else label,
         series,
         title,

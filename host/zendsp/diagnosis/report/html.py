@@ -9,7 +9,7 @@ from pathlib import Path
 
 from zendsp.diagnosis.decide.result import Diagnosis, Finding, FitTable, number
 from zendsp.diagnosis.report.figures import whole_second
-from zendsp.diagnosis.report.summary import WORDS, headline, unnamed
+from zendsp.diagnosis.report.summary import headline, unnamed, word_of
 
 SMALLER = 1.05  # times: a smaller fall of the error is not told as one
 STYLE = """
@@ -141,7 +141,7 @@ def _findings_table(findings: Sequence[Finding]) -> str:
     for f in findings:
         numbers = "<br>".join(f"{escape(n)} = {escape(number(e))}" for n, e in f.parameters.items())
         rows.append(
-            f"<tr><td>{escape(WORDS.get(f.mechanism, f.mechanism))}<td>{escape(f.effect)}<td>{f.joint}<td>{numbers}<td"  # noqa: E501
+            f"<tr><td>{escape(word_of(f.mechanism, (f.effect, *f.indistinguishable)))}<td>{escape(f.effect)}<td>{f.joint}<td>{numbers}<td"  # noqa: E501
             f" class=n>{_percent(f.share)}<td class=n>{100 * f.confidence:.0f} %"
             f"<td>{escape(', '.join(f.indistinguishable)) or '—'}<td>{escape(', '.join(f.replaces)) or '—'}"  # noqa: E501
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -25,24 +25,55 @@ WORDS = {
 }
 
 
+def word_of(mechanism: str, effects: Sequence[str]) -> str:
+    """A mechanism in plain words; what couples joints may be a mass, friction or speed.
+
+    Examples
+    --------
+    >>> word_of("inertia", ("coupling",)), word_of("inertia", ("inertia", "coupling"))
+    ("the other joints' motion", 'a mass or an inertia')
+    """
+    if set(effects) == {"coupling"}:
+        return "the other joints' motion"
+    return WORDS.get(mechanism, effects[0])
+
+
 def headline(d: Diagnosis) -> str:
     """The verdict in one sentence, the mechanism first; in two where the given numbers were off."""
     found = [(f.mechanism, (f.effect, *f.indistinguishable), f.joint) for f in d.findings]
-    text = verdict_sentence(d.verdict, found)
+    unseen = dark((x.joint, x.interval) for x in d.discrepancy)
+    text = verdict_sentence(d.verdict, found, unseen)
     table = d.test or d.heldout
-    if d.verdict == "complete" and table.given > OFF * table.calibrated:
+    if d.verdict == "complete" and not unseen and table.given > OFF * table.calibrated:
         times = two_digits(table.given / table.calibrated)
         text += f" The given numbers were off: calibrated, it errs {times} times less (notes)."
     return text
 
 
-def verdict_sentence(verdict: Verdict, found: Sequence[tuple[str, Sequence[str], int]]) -> str:
+def dark(left: Iterable[tuple[int, Sequence[float]]]) -> tuple[int, ...]:
+    """Joints of which recordings show nothing: all of their torque could be unexplained.
+
+    Parameters
+    ----------
+    left : iterable of (joint, interval)
+        Of ``Left``, or of a report's ``discrepancy``.
+    """
+    return tuple(joint for joint, interval in left if interval[1] >= 1.0)
+
+
+def verdict_sentence(
+    verdict: Verdict,
+    found: Sequence[tuple[str, Sequence[str], int]],
+    unseen: Sequence[int] = (),
+) -> str:
     """The verdict in one sentence.
 
     Parameters
     ----------
     found : sequence of (mechanism, effects, joint)
         The effect that is named, and those that cannot be told from it.
+    unseen : sequence of int
+        Joints of which the recordings show nothing, see ``dark``.
 
     Examples
     --------
@@ -52,6 +83,11 @@ def verdict_sentence(verdict: Verdict, found: Sequence[tuple[str, Sequence[str],
     >>> verdict_sentence("missing", same)
     'Missing physics: dry friction (coulomb) at joints 1, 2 and 3.'
     """
+    if verdict == "complete" and unseen:
+        return (
+            "Cannot tell: nothing is seen to be missing, but these recordings show next to nothing"
+            f" of {_listed(unseen)}."
+        )
     if verdict == "complete":
         return "Complete: nothing is missing that these recordings could show."
     if verdict == "unexplained":
@@ -61,7 +97,7 @@ def verdict_sentence(verdict: Verdict, found: Sequence[tuple[str, Sequence[str],
         )
     at: dict[int, list[str]] = {}
     for mechanism, effects, joint in found:
-        word = WORDS.get(mechanism, effects[0])
+        word = word_of(mechanism, effects)
         if word != WORDS["disturbance"]:
             word += f" ({' or '.join(effects)})"
         if word not in at.setdefault(joint, []):

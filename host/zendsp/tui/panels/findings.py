@@ -10,7 +10,7 @@ from rich.text import Text
 
 from zendsp.diagnosis.decide.contract import FindingReport, Report
 from zendsp.diagnosis.report.chart import Chart
-from zendsp.diagnosis.report.summary import percent, verdict_sentence
+from zendsp.diagnosis.report.summary import dark, percent, verdict_sentence
 from zendsp.tui.diagnoses import Diagnosed
 from zendsp_protocol.texts import counted
 
@@ -48,7 +48,8 @@ def headline(report: Report) -> str:
         (f["mechanism"], (f["effect"], *f["indistinguishable"]), f["joint"])
         for f in report["findings"]
     ]
-    return verdict_sentence(report["verdict"], found)
+    left = ((x["joint"], x["interval"]) for x in report["discrepancy"])
+    return verdict_sentence(report["verdict"], found, dark(left))
 
 
 def entries(d: Diagnosed, theme: Mapping[str, str]) -> list[Entry]:

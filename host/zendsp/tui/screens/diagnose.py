@@ -347,10 +347,11 @@ class DiagnoseScreen(LoopActions):
         """Show a diagnosis."""
         self.shown = d
         theme = self.app.theme_variables
-        colour = {"complete": "success", "missing": "error"}.get(d.report["verdict"], "warning")
-        self.query_one("#verdict", Static).update(
-            Text(headline(d.report), Style(color=theme[colour], bold=True))
+        said = headline(d.report)
+        colour = {"Complete": "success", "Missing": "error"}.get(
+            said.split()[0].rstrip(":"), "warning"
         )
+        self.query_one("#verdict", Static).update(Text(said, Style(color=theme[colour], bold=True)))
         self.entries = [*entries(d, theme), self.loop_entry(d)]
         lines = self.query_one("#findings", OptionList)
         lines.clear_options()
