@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 
@@ -23,12 +24,22 @@ def errors(recording: Path, given: Path, calibrated: Path, improved: Path) -> tu
     from zendsp.physics.files.model_file import load_model
     from zendsp.physics.term_numbers import kernel_model
 
-    # the calibrated model prepares the motion for both: a wrong improvement must not smooth it to
-    # its liking
+    signals = [read_signals(recording, kernel_model(load_model(given)))]
     models = [kernel_model(load_model(path)) for path in (calibrated, improved)]
-    data = prepare([read_signals(recording, kernel_model(load_model(given)))], models[0], 64.0)
-    one, two = (float(model_error(data, m)) for m in models)
-    return one, two
+    first, second = (prepare(signals, m, 64.0) for m in models)
+    # the calibrated model prepares the motion for both: a wrong improvement must not smooth it to
+    # its liking; bodies are each model's own, and a report's model.mjcf holds others
+    records = tuple(
+        tuple(
+            replace(mine, motion=r.motion, measurement=r.measurement)
+            for mine, r in zip(ours, theirs, strict=True)
+        )
+        for ours, theirs in zip(second.records, first.records, strict=True)
+    )
+    return (
+        float(model_error(first, models[0])),
+        float(model_error(replace(second, records=records), models[1])),
+    )
 
 
 if __name__ == "__main__":

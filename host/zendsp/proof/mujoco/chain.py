@@ -151,18 +151,19 @@ def mjcf(links: list[Link], joints: list[Joint], world: World, step: float, inte
             f' springref="{numbers(joint.springref)}"{stops(joint)}/>'
         )
         place = f'pos="{numbers(link.place)}"'
+        named = f'name="link{k + 1}"'  # as its URDF calls it
         if joint.equality is not None:
             beside.append(f"<body {place}>{motor}{ROTOR}</body>")
             inner = f'<joint name="f{k}" type="{kind}" axis="{numbers(link.axis)}"/>'
-            heads.append(f"<body {place}>{inner}{body}{world.on_link.get(k, '')}")
+            heads.append(f"<body {named} {place}>{inner}{body}{world.on_link.get(k, '')}")
         elif joint.two_sided:
             inner = flexible(k, joint, kind, link)
             heads.append(
-                f"<body {place}>{motor}{ROTOR}<body>{inner}{body}{world.on_link.get(k, '')}"
+                f"<body {place}>{motor}{ROTOR}<body {named}>{inner}{body}{world.on_link.get(k, '')}"
             )
             tails.append("</body>")
         else:
-            heads.append(f"<body {place}>{motor}{body}{world.on_link.get(k, '')}")
+            heads.append(f"<body {named} {place}>{motor}{body}{world.on_link.get(k, '')}")
         tails.append("</body>")
     chain = "".join(heads) + "".join(tails)
     if world.base:
