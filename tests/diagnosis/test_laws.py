@@ -21,10 +21,11 @@ from zendsp.diagnosis.decide.result import FitTable
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.structure import Structure
+from zendsp.diagnosis.search import simplify
 from zendsp.physics.calibration.terms import make_term
 from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.files.model_file import parse_model
-from zendsp.physics.model import Quantity, Term
+from zendsp.physics.model import Model, Quantity, Term
 
 
 def claim_of(term: Term, size: float, evidence: Evidence | None = None) -> Claim:
@@ -151,6 +152,33 @@ def test_a_wave_and_a_constant_over_less_than_a_turn_are_any_curve(
 ) -> None:
     wave = Term("gravity", 1, {"angle": Quantity(angle, std=0.09)})
     assert laws._part_of_a_wave(wave, level, travel) is curve
+
+
+@pytest.mark.parametrize(
+    ("loss", "kept"), [(25.0, {"stiffness"}), (200.0, {"cubic_stiffness", "torque_offset"})]
+)
+def test_one_spring_stands_for_two_laws_where_it_gains_nearly_what_they_gain(
+    monkeypatch: pytest.MonkeyPatch, loss: float, kept: set[str]
+) -> None:
+    """Of a gain of 1000 in deviance."""
+    motion = SimpleNamespace(states=(np.linspace(-1.0, 1.0, 11),))
+    data = SimpleNamespace(records=[[SimpleNamespace(n=11, motion=motion)]])
+    costs = {"stiffness": loss, "cubic_stiffness": 0.0}
+
+    def scored(model: Model) -> Any:
+        lost = [costs[t.effect] for t in model.terms if t.effect in costs]
+        return SimpleNamespace(model=model, data=data, deviance=min(lost, default=1000.0))
+
+    mechanism = {"kind": "rotary", "parameters": {"inertia": 0.01}}
+    bare = parse_model({"sample_time": 0.001, "mechanism": mechanism})
+    two = (
+        make_term(get_effect("cubic_stiffness"), 1, {"coefficient": 0.006, "neutral": 0.0}),
+        make_term(get_effect("torque_offset"), 1, {"level": -0.003}),
+    )
+    monkeypatch.setattr(simplify, "_refitted", lambda data, model, *_: scored(model))
+    found: Any = SimpleNamespace(joint=1, base=scored(bare))
+    best = simplify._as_spring(found, scored(bare.with_terms(two)), 1)
+    assert {t.effect for t in best.model.terms} == kept
 
 
 def test_what_only_refined_the_fit_is_held_in_the_model_file() -> None:

@@ -15,6 +15,7 @@ from zendsp.diagnosis import Diagnosis
 from zendsp.diagnosis.report.files import write_report
 from zendsp.errors import ModelError, RecordingError
 from zendsp.physics.files.model_file import load_model
+from zendsp.proof.untouched import errors
 
 mujoco = pytest.importorskip("mujoco")
 pytestmark = pytest.mark.timeout(600)  # seconds of work, minutes on a machine that has other work
@@ -205,3 +206,19 @@ def test_a_recording_with_other_joints_is_refused(tmp_path: Path) -> None:
             {"mechanism": {"kind": "mjcf", "file": str(tmp_path / "given.xml"),
                            "joints": ["wrist"]}},
         )  # fmt: skip
+
+
+def test_the_proof_judges_bodies_in_a_report_by_the_file_that_holds_them(tmp_path: Path) -> None:
+    """The improved model was simulated with the calibrated one's bodies: a right payload counted
+    as worse.
+    """
+    run = record(xml(tool=TOOL), tmp_path / "run.npz", 3)
+    for name, tool in (("given", ""), ("improved", TOOL)):
+        (tmp_path / f"{name}.xml").write_text(xml(tool=tool))
+        (tmp_path / f"{name}.toml").write_text(
+            f'name = "two"\nsample_time = {1 / RATE}\n[mechanism]\nkind = "mjcf"\n'
+            f'file = "{name}.xml"\n[sensor]\nposition_resolution = {RESOLUTION}\n{COLUMNS}'
+        )
+    given, improved = (tmp_path / f"{name}.toml" for name in ("given", "improved"))
+    before, after = errors(run, given, given, improved)
+    assert after < 0.05 * before

@@ -80,7 +80,7 @@ def test_two_ripples_that_the_travel_does_not_tell_apart_are_one_that_fades(
         replace(piece(0.1, 5.0, 20.0), terms=(Term("ripple", 1, {"order": Quantity(order)}),))
         for order in (12.0, 12.0 + apart)
     ]
-    assert laws._is_curve(found, 0, 3.0) is curve
+    assert laws._is_curve(found, 3.0) is curve
 
 
 @pytest.mark.parametrize(
@@ -94,9 +94,7 @@ def test_two_ripples_that_the_travel_does_not_tell_apart_are_one_that_fades(
 def test_what_was_tried_and_is_no_finding_says_why(size: float, z: float, why: str) -> None:
     base: Any = SimpleNamespace(deviance=200.0)
     tried: Any = SimpleNamespace(effect="ripple", value=100.0)
-    effect, said, gain = decision._why(
-        tried, base, [piece(size, z, 20.0)], Size(0.2, 0.2, 0.0)
-    )
+    effect, said, gain = decision._why(tried, base, [piece(size, z, 20.0)], Size(0.2, 0.2, 0.0))
     assert (effect, gain) == ("ripple", 50.0) and said.startswith(why)
 
 

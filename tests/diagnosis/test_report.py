@@ -18,12 +18,14 @@ from reality import RATE
 
 from zendsp.cli import main
 from zendsp.diagnosis import diagnose
+from zendsp.diagnosis.decide.contract import dark
 from zendsp.diagnosis.decide.result import Detectable, Finding
 from zendsp.diagnosis.measure.curve import samples_of
 from zendsp.diagnosis.measure.where import Missing
 from zendsp.diagnosis.report.chart import Panel, Series
 from zendsp.diagnosis.report.figures import axis_of, from_a_whole_second
-from zendsp.diagnosis.report.summary import _sized, dark, percent, verdict_sentence
+from zendsp.diagnosis.report.files import write_report
+from zendsp.diagnosis.report.summary import _sized, headline, percent, verdict_sentence
 from zendsp.physics.effects import library
 
 
@@ -257,3 +259,25 @@ def test_a_coupling_is_drawn_over_the_motion_of_the_other_joint() -> None:
     assert np.array_equal(samples_of(lacks, over["inertia"]), states[1, 2])
     assert np.array_equal(samples_of(lacks, over["coulomb"]), states[0, 1] + states[1, 1])
     assert np.array_equal(samples_of(lacks, "time"), lacks.time)
+
+
+def test_recordings_that_show_nothing_are_to_be_made_again_for_longer(tmp_path: Path) -> None:
+    """Two seconds of 0.08 rad, by a coarse encoder."""
+    t = np.arange(2000) / 1000.0
+    command = 0.02 * np.sin(2 * np.pi * t)
+    position, speed, rows = 0.0, 0.0, []
+    for u in command:
+        rows.append(0.0015 * round(position / 0.0015))
+        speed += (u - 0.05 * speed) / 0.01 / 1000.0
+        position += speed / 1000.0
+    np.savez(tmp_path / "run.npz", t=t, q=np.array(rows), u=command)
+    (tmp_path / "model.toml").write_text(
+        'name = "m"\nsample_time = 0.001\n[mechanism]\nkind = "rotary"\n[mechanism.parameters]\n'
+        'inertia = 0.01\n[[effect]]\nkind = "viscous"\njoint = 1\ncoefficient = 0.05\n[sensor]\n'
+        'position_resolution = 0.0015\n[columns]\ntime = "t"\nposition = "q"\ncommand = "u"\n'
+    )
+    d = diagnose(tmp_path / "run.npz", tmp_path / "model.toml", jobs=1)
+    assert headline(d).startswith("Cannot tell: ") and d.next_recording is not None
+    assert d.next_recording.sentence.startswith("Record joint 1 for longer, ")
+    write_report(d, tmp_path / "report")
+    assert "class='verdict unexplained'" in (tmp_path / "report" / "report.html").read_text()

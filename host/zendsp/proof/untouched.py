@@ -10,8 +10,13 @@ from __future__ import annotations
 import json
 import math
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from zendsp.physics.calibration.joint import JointRecord
 
 
 def errors(recording: Path, given: Path, calibrated: Path, improved: Path) -> tuple[float, float]:
@@ -25,20 +30,24 @@ def errors(recording: Path, given: Path, calibrated: Path, improved: Path) -> tu
     from zendsp.physics.term_numbers import kernel_model
 
     signals = [read_signals(recording, kernel_model(load_model(given)))]
-    models = [kernel_model(load_model(path)) for path in (calibrated, improved)]
-    first, second = (prepare(signals, m, 64.0) for m in models)
+    before, after = (kernel_model(load_model(path)) for path in (calibrated, improved))
     # the calibrated model prepares the motion for both: a wrong improvement must not smooth it to
-    # its liking; bodies are each model's own, and a report's model.mjcf holds others
-    records = tuple(
-        tuple(
-            replace(mine, motion=r.motion, measurement=r.measurement)
-            for mine, r in zip(ours, theirs, strict=True)
-        )
-        for ours, theirs in zip(second.records, first.records, strict=True)
-    )
-    return (
-        float(model_error(first, models[0])),
-        float(model_error(replace(second, records=records), models[1])),
+    # its liking
+    data = own = prepare(signals, before, 64.0)
+    if after.file != before.file:  # a report's model.mjcf holds the bodies that were found
+        own = prepare(signals, after, 64.0)
+        pairs = zip(own.records, data.records, strict=True)
+        own = replace(own, records=tuple(_with_motion(mine, theirs) for mine, theirs in pairs))
+    return float(model_error(data, before)), float(model_error(own, after))
+
+
+def _with_motion(
+    record: Sequence[JointRecord], other: Sequence[JointRecord]
+) -> tuple[JointRecord, ...]:
+    """A recording with the motion that was found with another model."""
+    return tuple(
+        replace(mine, motion=theirs.motion, measurement=theirs.measurement)
+        for mine, theirs in zip(record, other, strict=True)
     )
 
 

@@ -5,6 +5,7 @@ A file holds null where a diagnosis has no finite number.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from typing import Any, Literal, NotRequired, TypedDict
 
 Verdict = Literal["complete", "missing", "unexplained"]
@@ -125,3 +126,14 @@ class Report(TypedDict):
     unexplained: str
     notes: list[str]
     seconds: float
+
+
+def dark(left: Iterable[tuple[int, Sequence[float]]]) -> tuple[int, ...]:
+    """Joints of which recordings show nothing: all of their torque could be unexplained.
+
+    Parameters
+    ----------
+    left : iterable of (joint, interval)
+        What nothing named explains, as a part of the RMS torque: of ``discrepancy``.
+    """
+    return tuple(joint for joint, (_, high) in left if high >= 1.0)

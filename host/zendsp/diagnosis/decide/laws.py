@@ -105,10 +105,10 @@ def named(
         # a constant beside several laws of the position is a part of the curve that they draw
         of_position = piece.mechanism == "position_torque"
         level = sum(all(get_effect(t.effect).constant for t in p.terms) for p in claimed)
-        drawn = of_position and _is_curve(ranked, level, travel)
+        drawn = of_position and _is_curve(ranked, travel)
         part = _part_of_a_wave(first.terms[0], level, travel)
-        level *= of_position and len(own) > 1
-        if poor or drawn or part or len(own) + level >= CURVE:
+        pieces = len(own) + (level if of_position and len(own) > 1 else 0)
+        if poor or drawn or part or pieces >= CURVE:
             refinements += [c for p in own[1:] for c in _plain(p)]
             claims.append(replace(law, effect="unknown", left=left))
             continue
@@ -338,16 +338,16 @@ def _repeats(other: Piece, first: Piece) -> bool:
     )
 
 
-def _is_curve(ranked: Sequence[Piece], level: int, travel: float) -> bool:
+def _is_curve(ranked: Sequence[Piece], travel: float) -> bool:
     """Whether laws of the position, none of which can be left out, are the pieces of a curve: more
-    than one of them (with a constant, or its ``level`` is 0), and ripples that are no harmonics of
-    one, or that the ``travel`` does not tell apart: together they are one that fades along it.
+    than one of them, and ripples that are no harmonics of one, or that the ``travel`` does not tell
+    apart: together they are one that fades along it.
     """
     held = [p for p in ranked if p.log_e > 0 and p.evidence.z > PLAIN]
     repeats = sorted(p.terms[0].value("order") for p in held if "order" in p.terms[0].parameters)
     if any((b - a) * travel < 2 * math.pi for a, b in pairwise(repeats)):
         return True
-    if len(held) < 2 or len(held) + level < CURVE:
+    if len(held) < CURVE:
         return False
     orders = [p.terms[0].value("order") for p in held if "order" in p.terms[0].parameters]
     if len(orders) < len(held):
@@ -358,8 +358,9 @@ def _is_curve(ranked: Sequence[Piece], level: int, travel: float) -> bool:
 
 def _part_of_a_wave(term: Term, level: int, travel: float) -> bool:
     """Whether a law that repeats along the position does not do so within the ``travel``: any curve
-    is as good. So it is of one wave a turn beside a constant (its ``level`` is not 0), unless it is
-    balanced where axes are given their zero: at a quarter of a turn.
+    is as good. One wave a turn and a constant (there are ``level`` of them) draw one too, over less
+    than a turn, in rad; not where the wave is balanced at a quarter of a turn, where an axis has
+    its zero.
     """
     names = get_effect(term.effect).names
     if "period" in names:

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.contract import dark
 from zendsp.diagnosis.decide.result import Finding, Next
 from zendsp.diagnosis.measure.likelihood import deviance
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
@@ -147,24 +148,20 @@ def _without_rival(
     decisions: Sequence[Decision],
     seed: int,
 ) -> Next | None:
-    joint = next((d.joint for d in decisions if d.kind == "unexplained"), 0)
-    dark = [d.joint for d in decisions if d.kind == "complete" and d.after.high >= 1.0]
-    if dark and not joint and not findings:
-        record = searches[dark[0] - 1].final.data.records[0][dark[0] - 1]
-        motion = motions(record, _limits(given), np.random.default_rng(seed))[OTHER]
-        return _played(
-            signals, given, dark[0], motion,
-            f"Record joint {dark[0]} for longer, there and back, as {OTHER} does ({{}}): all of"
-            " its torque could be unexplained, and these recordings would not show it.",
-        )  # fmt: skip
+    again = [d.joint for d in decisions if d.kind == "unexplained"]
+    unseen = dark((d.joint, (d.after.low, d.after.high)) for d in decisions if d.kind == "complete")
+    joint = next(iter((*again, *unseen)), 0)
     if joint and not findings:
         record = searches[joint - 1].final.data.records[0][joint - 1]
         motion = motions(record, _limits(given), np.random.default_rng(seed))[OTHER]
-        return _played(
-            signals, given, joint, motion,
-            f"Record joint {joint} again through the same states in another order and at other"
-            f" speeds, as {OTHER} does ({{}}): what repeats with the state is physics.",
-        )  # fmt: skip
+        why = (
+            f"again through the same states in another order and at other speeds, as {OTHER} does"
+            " ({}): what repeats with the state is physics."
+            if again
+            else f"for longer, there and back, as {OTHER} does ({{}}): all of its torque could be"
+            " unexplained, and these recordings would not show it."
+        )
+        return _played(signals, given, joint, motion, f"Record joint {joint} {why}")
     weak = [
         f for f in findings if f.confidence < WEAK and f.effect not in ("disturbance", "unknown")
     ]

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
+from zendsp.diagnosis.decide.contract import dark
 from zendsp.diagnosis.decide.result import Diagnosis, Finding, FitTable, number
 from zendsp.diagnosis.report.figures import whole_second
 from zendsp.diagnosis.report.summary import headline, unnamed, word_of
@@ -41,7 +42,7 @@ def page(d: Diagnosis, figures: list[tuple[str, str, Path]]) -> str:
             f" content='width=device-width'><title>{title}</title>"
         ),
         f"<style>{STYLE}</style><h1>{title}</h1>",
-        f"<div class='verdict {d.verdict}'><b>{escape(headline(d))}</b>{_sentences(d)}</div>",
+        f"<div class='verdict {_colour(d)}'><b>{escape(headline(d))}</b>{_sentences(d)}</div>",
         _pictures([first] if first else [], first[0] if first else ""),
         _untouched(d),
         _left(d),
@@ -133,6 +134,12 @@ def _fit_table(d: Diagnosis) -> str:
     return f"<table>{head}{row('recordings of the fit', d.estimation)}{row('held-out recordings', d.heldout)}{row('of these, untouched', d.test or d.heldout)}</table>"  # noqa: E501
 
 
+def _colour(d: Diagnosis) -> str:
+    """The style of the verdict: of what was not seen, that of what cannot be told."""
+    unseen = dark((x.joint, x.interval) for x in d.discrepancy)
+    return "unexplained" if d.verdict == "complete" and unseen else d.verdict
+
+
 def _findings_table(findings: Sequence[Finding]) -> str:
     rows = [
         "<tr><th>mechanism<th>law<th>joint<th>parameters<th class=n>share<th"
@@ -140,9 +147,10 @@ def _findings_table(findings: Sequence[Finding]) -> str:
     ]
     for f in findings:
         numbers = "<br>".join(f"{escape(n)} = {escape(number(e))}" for n, e in f.parameters.items())
+        word = word_of(f.mechanism, (f.effect, *f.indistinguishable))
         rows.append(
-            f"<tr><td>{escape(word_of(f.mechanism, (f.effect, *f.indistinguishable)))}<td>{escape(f.effect)}<td>{f.joint}<td>{numbers}<td"  # noqa: E501
-            f" class=n>{_percent(f.share)}<td class=n>{100 * f.confidence:.0f} %"
+            f"<tr><td>{escape(word)}<td>{escape(f.effect)}<td>{f.joint}<td>{numbers}"
+            f"<td class=n>{_percent(f.share)}<td class=n>{100 * f.confidence:.0f} %"
             f"<td>{escape(', '.join(f.indistinguishable)) or '—'}<td>{escape(', '.join(f.replaces)) or '—'}"  # noqa: E501
         )
     return f"<table>{''.join(rows)}</table>"

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
+
+from zendsp.diagnosis.decide.contract import dark
 
 if TYPE_CHECKING:
     from zendsp.diagnosis.decide.contract import Verdict
@@ -48,17 +50,6 @@ def headline(d: Diagnosis) -> str:
         times = two_digits(table.given / table.calibrated)
         text += f" The given numbers were off: calibrated, it errs {times} times less (notes)."
     return text
-
-
-def dark(left: Iterable[tuple[int, Sequence[float]]]) -> tuple[int, ...]:
-    """Joints of which recordings show nothing: all of their torque could be unexplained.
-
-    Parameters
-    ----------
-    left : iterable of (joint, interval)
-        Of ``Left``, or of a report's ``discrepancy``.
-    """
-    return tuple(joint for joint, interval in left if interval[1] >= 1.0)
 
 
 def verdict_sentence(

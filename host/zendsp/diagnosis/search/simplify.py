@@ -28,7 +28,9 @@ from zendsp.physics.model import Model, Term
 # fitted away any more
 PLAIN = 0.1
 NO_WORSE = 10.0  # deviance that a simpler law may cost
-AS_MUCH = 0.95  # share of what two laws gain together that one in their place has to gain
+# share of what two laws gain together that one in their place has to gain; a true spring of a
+# pendulum gained 98 % with a coarse encoder (seed 144, case 28), and did better on untouched data
+AS_MUCH = 0.95
 BENDS = 0.02  # of the travel: hysteresis that slides after less has a soft onset only
 STRAIGHT = 2.0  # times the torque that a hysteresis would reach unbent: of more it is a spring
 HALVINGS = 2  # of the integration's step at most, in the last fit of a joint

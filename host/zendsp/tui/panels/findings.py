@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.text import Text
 
-from zendsp.diagnosis.decide.contract import FindingReport, Report
+from zendsp.diagnosis.decide.contract import FindingReport, Report, dark
 from zendsp.diagnosis.report.chart import Chart
-from zendsp.diagnosis.report.summary import dark, percent, verdict_sentence
+from zendsp.diagnosis.report.summary import percent, verdict_sentence
 from zendsp.tui.diagnoses import Diagnosed
 from zendsp_protocol.texts import counted
 
@@ -48,8 +48,12 @@ def headline(report: Report) -> str:
         (f["mechanism"], (f["effect"], *f["indistinguishable"]), f["joint"])
         for f in report["findings"]
     ]
-    left = ((x["joint"], x["interval"]) for x in report["discrepancy"])
-    return verdict_sentence(report["verdict"], found, dark(left))
+    return verdict_sentence(report["verdict"], found, unseen(report))
+
+
+def unseen(report: Report) -> tuple[int, ...]:
+    """Joints of which the recordings show nothing."""
+    return dark((x["joint"], x["interval"]) for x in report["discrepancy"])
 
 
 def entries(d: Diagnosed, theme: Mapping[str, str]) -> list[Entry]:

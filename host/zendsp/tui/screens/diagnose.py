@@ -23,7 +23,7 @@ from zendsp.tui.diagnoses import Diagnosed, begin, keep, list_diagnoses, recordi
 from zendsp.tui.dialogs import Choose, Field, Form
 from zendsp.tui.dialogs import Option as Line
 from zendsp.tui.panels.figure import FigureView
-from zendsp.tui.panels.findings import LOOP, Hanging, entries, headline
+from zendsp.tui.panels.findings import LOOP, Hanging, entries, headline, unseen
 from zendsp.tui.panels.table import ListTable
 from zendsp.tui.runs import DATA, Outcome, Run, list_runs
 from zendsp.tui.scope import Scope
@@ -347,11 +347,12 @@ class DiagnoseScreen(LoopActions):
         """Show a diagnosis."""
         self.shown = d
         theme = self.app.theme_variables
-        said = headline(d.report)
-        colour = {"Complete": "success", "Missing": "error"}.get(
-            said.split()[0].rstrip(":"), "warning"
+        colour = {"complete": "success", "missing": "error"}.get(d.report["verdict"], "warning")
+        if colour == "success" and unseen(d.report):
+            colour = "warning"
+        self.query_one("#verdict", Static).update(
+            Text(headline(d.report), Style(color=theme[colour], bold=True))
         )
-        self.query_one("#verdict", Static).update(Text(said, Style(color=theme[colour], bold=True)))
         self.entries = [*entries(d, theme), self.loop_entry(d)]
         lines = self.query_one("#findings", OptionList)
         lines.clear_options()
