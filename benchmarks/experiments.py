@@ -8,11 +8,13 @@ hold what the machine really has?
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -21,27 +23,62 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from zendsp.experiment import Lab, Result
+from zendsp.experiment.any_friction import friction
 from zendsp.experiment.imi_breakaway import static
 from zendsp.experiment.imi_friction import viscous
 from zendsp.experiment.lab import Bench
 from zendsp.experiment.pendulum_motor import electrical, mechanical
-from zendsp.experiment.truth import TRUTH
-from zendsp.experiment.wam_friction import friction
+from zendsp.experiment.truth import FRICTION, TRUTH
+from zendsp.experiment.wam_friction import friction as wam_friction
+from zendsp.link import local
 from zendsp.recording import Recording
 
-WAM_JOINTS = (4,)
 PLACES = 4
 # the longest integration step, s: twice that of the machine, for time
 SUBSTEP = {"imi_planar": 2e-4, "wam7": 1e-4}
-EXPERIMENTS: dict[str, tuple[str, Callable[[Lab], Result]]] = {
-    "imi-static": (f"{PLACES} places a direction", lambda lab: static(lab, PLACES)),
-    "imi-viscous": ("", viscous),
-    "pendulum-electrical": ("", electrical),
-    "pendulum-mechanical": ("", mechanical),
-    "wam-friction": (
-        f"joint {', '.join(map(str, WAM_JOINTS))}",
-        lambda lab: friction(lab, joints=WAM_JOINTS, narrow=False),
+
+
+@dataclass(frozen=True)
+class Repeated:
+    """An experiment, what is left of it where all of it would take too long, and the truth."""
+
+    make: Callable[[Lab], Result]
+    truth: Mapping[str, float]
+    note: str = ""
+
+
+def _wam(joint: int) -> Callable[[Lab], Result]:
+    return lambda lab: wam_friction(lab, joints=(joint,), narrow=False)
+
+
+def _any(machine: str, joint: int) -> Callable[[Lab], Result]:
+    def make(lab: Lab) -> Result:
+        step = [f"substep={SUBSTEP[machine]}"] if machine in SUBSTEP else []
+        options = [f"seed={lab.seed}", *step]
+        arguments = [part for option in options for part in ("--machine-option", option)]
+        with local(machine, clock="fast", options=arguments) as target:
+            return friction(Lab(lab.folder, target, seed=lab.seed), joints=(joint,))
+
+    return make
+
+
+EXPERIMENTS: dict[str, Repeated] = {
+    "imi-static": Repeated(
+        lambda lab: static(lab, PLACES), TRUTH["imi-static"], f"{PLACES} places a direction"
     ),
+    "imi-viscous": Repeated(viscous, TRUTH["imi-viscous"]),
+    "pendulum-electrical": Repeated(electrical, TRUTH["pendulum-electrical"]),
+    "pendulum-mechanical": Repeated(mechanical, TRUTH["pendulum-mechanical"]),
+    **{
+        f"wam-friction, joint {joint}": Repeated(_wam(joint), TRUTH["wam-friction"])
+        for joint in range(1, 8)
+    },
+    **{
+        f"friction, {machine}, joint {joint}": Repeated(_any(machine, joint), truth)
+        for machine, truth in FRICTION.items()
+        for joint in range(1, 8)
+        if f"coulomb{joint}_pos" in truth
+    },
 }
 
 
@@ -62,67 +99,77 @@ def keep_nothing() -> None:
     Recording.save = lambda self, path: Path(path)  # type: ignore[method-assign]
 
 
-def repeat(
-    name: str, kept: dict[str, list[Any]], seeds: int, until: float, keep: Path | None = None
-) -> None:
-    """Add repetitions to those that are kept, until there are so many or the time is over: value
-    and standard deviation of every number whose truth is known. Each is kept at once.
-    """
-    rows = kept.setdefault(name, [])
-    while len(rows) < seeds and time.monotonic() < until:
-        with tempfile.TemporaryDirectory() as folder:
-            result = EXPERIMENTS[name][1](Quick(folder, seed=len(rows) + 1))
-        found = result.values
-        rows.append(
-            {key: (found[key].value, found[key].std) for key in TRUTH[name] if key in found}
-        )
-        if keep:
-            part = keep.with_name(keep.name + ".part")
-            part.write_text(json.dumps(kept))
-            part.replace(keep)  # a run that is killed leaves all that was done
+def repeat(name: str, rows: list[Any], seed: int) -> None:
+    """Add a repetition: value and standard deviation of every number whose truth is known."""
+    one = EXPERIMENTS[name]
+    with tempfile.TemporaryDirectory() as folder:
+        found = one.make(Quick(folder, seed=seed)).values
+    rows.append({key: (found[key].value, found[key].std) for key in one.truth if key in found})
 
 
-def section(name: str, rows: list[Any]) -> str:
-    """What the repetitions of one experiment say."""
+def section(name: str, kept: Mapping[str, list[Any]]) -> str:
+    """What the repetitions of one experiment say, of all joints that it was made on."""
     lines = [
         "| quantity | machine | mean | spread | stated | off, in stated | intervals that hold it |",
         "|---|---|---|---|---|---|---|",
     ]
-    held, count = 0, 0
-    for key in rows[0]:
-        value, std = np.array([row[key] for row in rows]).T
-        truth = TRUTH[name][key]
-        inside = np.abs(value - truth) <= 1.96 * std
-        held, count = held + int(inside.sum()), count + len(inside)
-        lines.append(
-            f"| {key.replace('_', ' ')} | {truth:.4g} | {value.mean():.4g} |"
-            f" {value.std(ddof=1):.2g} | {std.mean():.2g} |"
-            f" {(value.mean() - truth) / std.mean():+.2f} | {100 * inside.mean():.1f} % |"
-        )
-    note = f" ({EXPERIMENTS[name][0]})" if EXPERIMENTS[name][0] else ""
-    return (
-        f"## {name}{note}\n"
-        "\n"
-        f"{len(rows)} repetitions: {100 * held / count:.1f} % of {count} intervals hold.\n"
-        "\n" + "\n".join(lines) + "\n"
-    )
+    held, count, times = 0, 0, []
+    for one in (one for one in EXPERIMENTS if whole(one) == name and len(kept.get(one, [])) > 1):
+        rows = kept[one]
+        times.append(len(rows))
+        for key in rows[0]:
+            value, std = np.array([row[key] for row in rows]).T
+            truth = EXPERIMENTS[one].truth[key]
+            inside = np.abs(value - truth) <= 1.96 * std
+            held, count = held + int(inside.sum()), count + len(inside)
+            lines.append(
+                f"| {key.replace('_', ' ')} | {truth:.4g} | {value.mean():.4g} |"
+                f" {value.std(ddof=1):.2g} | {std.mean():.2g} |"
+                f" {(value.mean() - truth) / std.mean():+.2f} | {100 * inside.mean():.1f} % |"
+            )
+    note = f" ({EXPERIMENTS[name].note})" if name in EXPERIMENTS and EXPERIMENTS[name].note else ""
+    fewest, most = min(times), max(times)
+    many = f"{most}" if fewest == most else f"{fewest} to {most}"
+    said = f"{many} repetitions, {date.today():%-d %B %Y}: {100 * held / count:.1f} % of {count}"
+    return "\n".join([f"## {name}{note}", "", f"{said} intervals hold.", "", *lines, ""])
+
+
+def whole(name: str) -> str:
+    """The experiment without the joint that it was made on."""
+    return name.rpartition(", joint ")[0] or name
+
+
+def page(tables: Mapping[str, str], before: str) -> str:
+    """The page with these tables in their sections; what was written below a table, or in sections
+    of its own, stays.
+    """
+    new = {table.partition("\n")[0]: table for table in tables.values()}
+    head, *parts = before.strip("\n").split("\n\n## ") if before else [HEAD]
+    out = [head.strip("\n") + "\n"]
+    for part in parts:
+        heading, _, text = f"## {part}\n".partition("\n")
+        if table := new.pop(heading, None):
+            text = table.partition("\n")[2] + "\n" + text.rpartition("|\n")[2].strip("\n")
+        out.append(f"{heading}\n{text.rstrip()}\n")
+    return "\n".join([*out, *new.values()])
 
 
 HEAD = """# Do the intervals of the experiments hold?
 
-{day}. `python benchmarks/experiments.py`: every experiment repeated on copies of its simulated
-machine, with other noise, other places of uneven friction and other start positions. *Spread* is
-that of the values found, *stated* the mean of the standard deviations that the experiment gave;
-the last column counts how many of its 95 % intervals hold what the machine has. Where the spread is
-far below what is stated, the law that is fitted is not quite the machine's: the error is the same
-in every copy, and its interval holds the truth each time, or never.
+`python benchmarks/experiments.py`: every experiment repeated on copies of its simulated machine,
+with other noise, other places of uneven friction and other start positions. *Spread* is that of the
+values found, *stated* the mean of the standard deviations that the experiment gave; the last column
+counts how many of its 95 % intervals hold what the machine has. Where the spread is far below what
+is stated, the law that is fitted is not quite the machine's: the error is the same in every copy,
+and its interval holds the truth each time, or never.
 """
 
 
 def main() -> None:
     p = argparse.ArgumentParser(description=__doc__)
     p.add_argument("--seeds", type=int, default=200, help="repetitions of each")
-    p.add_argument("--only", default="", help="one experiment")
+    p.add_argument("--first-seed", type=int, default=1, help="others: other copies")
+    p.add_argument("--only", default="", help="those whose names begin so")
     p.add_argument("--minutes", type=float, default=float("inf"), help="stop after so many")
     p.add_argument("--keep", type=Path, help="go on from this file, and keep the repetitions there")
     p.add_argument("--page", type=Path, help="write the tables there (Markdown)")
@@ -130,13 +177,21 @@ def main() -> None:
     keep_nothing()
     until = time.monotonic() + 60 * args.minutes
     kept = json.loads(args.keep.read_text()) if args.keep and args.keep.exists() else {}
-    for name in [args.only] if args.only else EXPERIMENTS:
-        repeat(name, kept, args.seeds, until, args.keep)
-    tables = [section(name, kept[name]) for name in EXPERIMENTS if len(kept.get(name, [])) > 1]
-    print("\n".join(tables))
+    names = [name for name in EXPERIMENTS if name.startswith(args.only)]
+    for count, name in itertools.product(range(args.seeds), names):
+        rows = kept.setdefault(name, [])
+        if len(rows) <= count and time.monotonic() < until:
+            repeat(name, rows, args.first_seed + count)
+            if args.keep:  # a run that is killed leaves all that was done
+                part = args.keep.with_name(args.keep.name + ".part")
+                part.write_text(json.dumps(kept))
+                part.replace(args.keep)
+    done = dict.fromkeys(whole(name) for name in EXPERIMENTS if len(kept.get(name, [])) > 1)
+    tables = {name: section(name, kept) for name in done}
+    print("\n".join(tables.values()))
     if args.page:
-        day = f"{date.today():%-d %B %Y}"
-        args.page.write_text("\n".join([HEAD.format(day=day), *tables]), encoding="utf-8")
+        before = args.page.read_text(encoding="utf-8") if args.page.exists() else ""
+        args.page.write_text(page(tables, before), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -32,7 +32,7 @@ class Card:
 
     def __init__(self, folder: Path, functions: str, hardware: bool) -> None:
         self.machine = folder / "guarded.c"
-        path = folder / "card"
+        self.path = path = folder / "card"
         path.write_bytes(bytes(4096))
         with path.open("r+b") as file:
             self._map = mmap.mmap(file.fileno(), 4096)

@@ -22,7 +22,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from zendsp_isr.compiler import Compiler, find_compiler, run_compiler
-from zendsp_isr.messages import Message
+from zendsp_isr.messages import Message, where_it_lacks
 from zendsp_protocol.errors import CompileFailed
 
 # -g1: the line of a crash; more takes a third longer, and three times as long for 900 variables
@@ -285,4 +285,4 @@ def _compile(
             scratch.write_text(json.dumps([asdict(message) for message in outcome.messages]))
             os.replace(scratch, target.with_suffix(".json"))
             os.replace(output, target)
-        return outcome.ok, outcome.messages
+        return outcome.ok, tuple(where_it_lacks(m, sources) for m in outcome.messages)

@@ -46,6 +46,8 @@ _TOOLCHAIN = (
     "/etc/ld.so.cache", "/etc/alternatives", "/dev/urandom",
 )
 
+_PARTS = ("bin", "include", "lib", "lib32", "lib64", "libexec", f"{os.uname().machine[:3]}*-*-*")
+
 
 @dataclass(frozen=True)
 class Compiler:
@@ -54,7 +56,7 @@ class Compiler:
     Parameters
     ----------
     command : tuple of str
-        The words that start it.
+        The words that start it, the first a path.
     version : str
         First line of ``--version``.
     json : bool
@@ -94,13 +96,14 @@ def _probe(command: tuple[str, ...]) -> Compiler | None:
 
 
 def _candidates(cc: str | None) -> list[tuple[str, ...]]:
-    found: list[tuple[str, ...]] = []
-    if cc:
-        found.append(tuple(shlex.split(cc)))
+    asked = tuple(shlex.split(cc or ""))
+    package = importlib.util.find_spec("ziglang")
+    zig = str(Path(package.origin).resolve().parent / "zig") if package and package.origin else ""
+    if zig and "ziglang" in asked:  # python -m ziglang cc: without Python, which it does not need
+        asked = (zig, *asked[asked.index("ziglang") + 1 :])
+    found = [(os.path.abspath(shutil.which(asked[0]) or asked[0]), *asked[1:])] if asked else []
     found += [(path,) for name in ("cc", "gcc", "clang") if (path := shutil.which(name))]
-    if importlib.util.find_spec("ziglang") is not None:
-        found.append((sys.executable, "-m", "ziglang", "cc"))
-    return found
+    return [*found, (zig, "cc")] if zig else found
 
 
 @functools.lru_cache(maxsize=8)
@@ -109,7 +112,7 @@ def _search(cc: str | None, path: str) -> Compiler:
         compiler = _probe(command)
         if compiler is not None:
             return compiler
-        if cc and command == tuple(shlex.split(cc)):
+        if cc:
             raise CompileFailed(
                 f"$CC is {cc!r}, which does not run: correct it, or unset it to use cc, gcc or"
                 " clang"
@@ -161,7 +164,7 @@ def run_compiler(
         time it has computed, and of three times as much that has passed.
     readable : sequence of Path
         Folders of headers. It reads these, `cwd` and the toolchain; where the kernel has Landlock
-        nothing else can be opened, and where gcc may have namespaces nothing else is there.
+        nothing else can be opened, and where it may have namespaces nothing else is there.
 
     Returns
     -------
@@ -177,7 +180,7 @@ def run_compiler(
         "file": _MAX_FILE,
         "read": allowed,
         "write": [str(cwd), "/dev/null", *zig.values()],
-        "alone": _ALONE and compiler.json,  # clang and zig look for themselves in /proc
+        "program": str(Path(compiler.command[0]).resolve()) if _ALONE else "",
     }
     script = Path(__file__).with_name("confine.py")
     launch = [sys.executable, "-I", "-S", str(script), json.dumps(settings)]
@@ -298,24 +301,19 @@ def _too_much(session: int, cwd: Path) -> str:
 
 
 def _toolchain(compiler: Compiler) -> list[str]:
-    first = shutil.which(compiler.command[0]) or compiler.command[0]
-    real = Path(first).resolve()
-    own = [str(real.parent)] if not str(real).startswith(("/usr/", "/bin/")) else []
-    if "ziglang" in compiler.command:
-        package = importlib.util.find_spec("ziglang")
-        own += [
-            sys.prefix,
-            sys.base_prefix,
-            *(package.submodule_search_locations or () if package else ()),
-        ]
-    elif own:  # a compiler unpacked elsewhere: its headers and libraries stand beside its bin
-        own.append(str(real.parent.parent) if real.parent.name == "bin" else str(real.parent))
-    return [*_TOOLCHAIN, *own]
+    program = Path(compiler.command[0])
+    real = program.resolve()
+    if str(real).startswith(("/usr/", "/bin/")):
+        return list(_TOOLCHAIN)
+    # a compiler unpacked elsewhere: its headers and libraries, not what else stands in ~
+    base = real.parent.parent if real.parent.name == "bin" else real.parent
+    own = [path for name in _PARTS for path in base.glob(name)]
+    return [*_TOOLCHAIN, *map(str, [program, real, *own])]
 
 
 def _zig(compiler: Compiler) -> dict[str, str]:
     """Zig compiles its own libraries once and keeps them."""
-    if "ziglang" not in compiler.command:
+    if Path(compiler.command[0]).resolve().name != "zig":
         return {}
     folder = Path(os.environ.get("ZIG_GLOBAL_CACHE_DIR") or Path.home() / ".cache" / "zig")
     folder.mkdir(parents=True, exist_ok=True)

@@ -1,7 +1,7 @@
 """Run a command within limits: what it may read, write, take and last. Started as a script of its
 own, which becomes the command.
 
-    python -I -S confine.py SETTINGS COMMAND …
+    python -I -S confine.py SETTINGS /path/to/COMMAND …
 
 Landlock (Linux 5.13 and later) needs no rights: the command reads its toolchain and the folders it
 is given, and writes to its own. Where the system lets this user have namespaces, nothing else is
@@ -93,7 +93,7 @@ def restrict(readable: Sequence[str], writable: Sequence[str]) -> bool:
     return True
 
 
-def seclude(paths: Sequence[str], cwd: str) -> bool:
+def seclude(paths: Sequence[str], cwd: str, program: str) -> bool:
     """Give this process and its children a root in which these paths stand, and nothing else.
 
     Parameters
@@ -102,6 +102,9 @@ def seclude(paths: Sequence[str], cwd: str) -> bool:
         Folders and files; what does not exist is left out.
     cwd : str
         Of the paths, the folder to go on in. An empty ``.root`` is left there.
+    program : str
+        What ``/proc/self/exe`` names, all that there is of ``/proc``: clang and zig find their
+        headers by it.
 
     Returns
     -------
@@ -123,6 +126,8 @@ def seclude(paths: Sequence[str], cwd: str) -> bool:
         for path in sorted(paths, key=len):  # what holds others first
             if os.path.exists(path):
                 _bring(libc, path, root)
+        os.makedirs(f"{root}/proc/self")
+        os.symlink(program, f"{root}/proc/self/exe")
         os.chroot(root)
     except OSError:
         return False
@@ -171,8 +176,8 @@ def main(words: Sequence[str]) -> None:
     Parameters
     ----------
     words : sequence of str
-        Settings as JSON (``cpu_s``, ``memory``, ``file``, ``read``, ``write``, ``alone``), then the
-        command.
+        Settings as JSON (``cpu_s``, ``memory``, ``file``, ``read``, ``write``, ``program``; empty:
+        what else there is can be told), then the command.
     """
     settings, command = json.loads(words[0]), list(words[1:])
     _limit(resource.RLIMIT_CPU, settings["cpu_s"])
@@ -180,11 +185,11 @@ def main(words: Sequence[str]) -> None:
     _limit(resource.RLIMIT_FSIZE, settings["file"])
     _limit(resource.RLIMIT_NOFILE, 256)
     _limit(resource.RLIMIT_CORE, 0)
-    if settings["alone"]:
-        seclude([*settings["read"], *settings["write"]], os.getcwd())
+    if settings["program"]:
+        seclude([*settings["read"], *settings["write"]], os.getcwd(), settings["program"])
     if settings["read"]:
         restrict(settings["read"], settings["write"])
-    os.execvp(command[0], command)
+    os.execv(command[0], command)
 
 
 if __name__ == "__main__":

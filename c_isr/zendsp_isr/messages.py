@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from zendsp_protocol.texts import placed
@@ -17,6 +18,10 @@ _NO_TYPE = re.compile(
     r"(?:'_Generic' selector of|controlling expression) type '([^']+?)(?: \*)?'.*not compatible"
 )
 _TYPES = "PARAMETER and SIGNAL take double, float, int32_t, bool, and arrays of them, no '{}'"
+
+_SEMICOLON = "expected ';'"
+_COMMENT = re.compile(r"""("(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*')|/\*.*?\*/|//[^\n]*""", re.DOTALL)
+_TAB = 8  # columns, as gcc counts
 
 
 @dataclass(frozen=True)
@@ -87,6 +92,25 @@ def parse_messages(text: str) -> tuple[Message, ...]:
 def _in_our_words(message: Message) -> Message:
     found = _NO_TYPE.search(message.message)
     return replace(message, message=_TYPES.format(found[1])) if found else message
+
+
+def where_it_lacks(message: Message, sources: Mapping[str, bytes]) -> Message:
+    """Return a message about a missing semicolon with the place where it belongs: behind a macro
+    gcc names the next word, perhaps of another line, perhaps internal to isr.h.
+    """
+    if not message.message.startswith(_SEMICOLON) or message.file not in sources:
+        return message
+    lines = sources[message.file].decode(errors="replace").expandtabs(_TAB).split("\n")
+    if not 0 < message.line <= len(lines):  # of a #line of the user's
+        return message
+    before = [*lines[: message.line - 1], lines[message.line - 1][: message.column - 1]]
+    blank = re.compile(r"[^\n]")
+    code = _COMMENT.sub(lambda found: found[1] or blank.sub(" ", found[0]), "\n".join(before))
+    line, column = code.rstrip().count("\n") + 1, len(code.rstrip().rpartition("\n")[2]) + 1
+    if (line, column) == (message.line, message.column):
+        return message
+    text = _SEMICOLON + (" at the end of this line" if line < message.line else "")
+    return replace(message, line=line, column=column, message=text)
 
 
 def _from_json(entry: dict[str, object]) -> list[Message]:

@@ -30,6 +30,7 @@ _LAZY = {
     "MatDSPstart": "zendsp.matdsp",
     "MatDSPpause": "zendsp.matdsp",
     "MatDSPstop": "zendsp.matdsp",
+    "MatDSPacknowledge": "zendsp.matdsp",
     "MatDSPvariable": "zendsp.matdsp",
     "MatDSPdiscard": "zendsp.matdsp",
     "MatDSPupdate": "zendsp.matdsp",
@@ -64,6 +65,7 @@ if TYPE_CHECKING:
     from zendsp.link import find_salvage as find_salvage
     from zendsp.link import local as local
     from zendsp.link import rehearse as rehearse
+    from zendsp.matdsp import MatDSPacknowledge as MatDSPacknowledge
     from zendsp.matdsp import MatDSPAcquireConfig as MatDSPAcquireConfig
     from zendsp.matdsp import MatDSPAcquireLoad as MatDSPAcquireLoad
     from zendsp.matdsp import MatDSPclose as MatDSPclose

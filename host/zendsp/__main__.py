@@ -17,8 +17,8 @@ AGAIN_S = 0.05  # by then the main thread is elsewhere, perhaps in a call that o
 
 def main() -> None:
     """Import the commands and run the one that was typed."""
-    _open_streams()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    _open_streams()
     from zendsp.cli import main as command
 
     sys.unraisablehook = _unraisable

@@ -1,4 +1,6 @@
-"""Re-exports the error tree, so that a user writes ``zendsp.errors.Refused``."""
+"""Re-exports the error tree, so that a user writes ``zendsp.errors.Refused``, and reads that name
+in a traceback.
+"""
 
 from zendsp_protocol.errors import (
     AcquisitionError,
@@ -29,3 +31,6 @@ __all__ = [
     "Refused", "RunnerDied", "TooLarge", "Tripped", "VariableError", "VersionMismatch",
     "ZendspError", "did_you_mean",
 ]
+
+for _name in __all__:
+    globals()[_name].__module__ = __name__

@@ -27,7 +27,7 @@ import tomli_w
 
 from zendsp.errors import Refused
 from zendsp.extras import need
-from zendsp_protocol import toml
+from zendsp_protocol import written
 from zendsp_protocol.errors import did_you_mean
 from zendsp_protocol.verbs import ROLES
 
@@ -237,7 +237,7 @@ class Lab:
 
     def _lists(self) -> dict[str, dict[str, str]]:
         try:
-            data = toml.loads(self.roles_file.read_text(encoding="utf-8"))
+            data = written.toml(self.roles_file.read_text(encoding="utf-8"))
         except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
             raise Refused(f"{self.roles_file} cannot be read: {error}") from error
         return {
@@ -371,9 +371,13 @@ def _write(path: Path, data: bytes, mode: int) -> None:
     """Write a file whole or not at all; nobody else reads a private one at any moment."""
     part = path.with_name(f"{path.name}.{os.getpid()}.part")
     part.unlink(missing_ok=True)
-    with open(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
-        os.fchmod(file.fileno(), mode)
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(part, path)
+    try:
+        with open(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
+            os.fchmod(file.fileno(), mode)
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(part, path)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise Refused(f"{path}: cannot be written: {error.strerror}") from error

@@ -145,6 +145,13 @@ def MatDSPstop() -> m.Status:
     return _desk.get().stop()
 
 
+def MatDSPacknowledge() -> str:
+    """Acknowledge a STOP or a trip, and say what was done; nothing moves before
+    :func:`MatDSPstart`.
+    """
+    return _desk.get().acknowledge()
+
+
 def MatDSPvariable(name: str, value: Any = None, now: bool = False) -> Any:
     """Read a variable of the running code, or note a new value for it.
 

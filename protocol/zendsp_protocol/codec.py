@@ -7,6 +7,7 @@ handler.
 from __future__ import annotations
 
 import dataclasses
+import threading
 from typing import Any
 
 import msgpack
@@ -24,6 +25,8 @@ from zendsp_protocol.version import PROTOCOL, mismatch
 MOST_NAME = 200  # characters of who asks: it is kept in the log and told to all
 MOST_TEXT = 20_000  # characters of an error, which may quote what was asked
 ROOM = 1024  # bytes at first: a packer that makes room for 256 kB each time asks the kernel for it
+_KNOWN: set[Any] = set()  # types that msgspec has looked at, nested ones included
+_LOOKING = threading.Lock()
 _MALFORMED = (msgspec.MsgspecError, ValueError, TypeError, OverflowError, RecursionError)
 
 
@@ -78,9 +81,22 @@ def _unpack(data: bytes, what: str) -> Any:
         raise LinkError(f"malformed {what}: {_why(error)}") from error
 
 
+def _checked(value: Any, kind: Any) -> Any:
+    """Convert. Of a type that is new, msgspec looks at the fields first, and another thread that
+    meets it half looked at ends the process (SIGSEGV): so one thread at a time does that.
+    """
+    if kind in _KNOWN:
+        return msgspec.convert(value, kind)
+    with _LOOKING:
+        try:
+            return msgspec.convert(value, kind)
+        finally:
+            _KNOWN.add(kind)
+
+
 def _convert(value: Any, kind: Any, what: str) -> Any:
     try:
-        return msgspec.convert(value, kind)
+        return _checked(value, kind)
     except _MALFORMED as error:
         raise LinkError(f"malformed {what}: {_why(error)}") from error
 
@@ -169,7 +185,7 @@ def decode_reply(data: bytes, kind: Any) -> Any:
     try:  # nearly always
         message = msgpack.unpackb(data)
         if message["ok"] is True and message["v"] == PROTOCOL:
-            return msgspec.convert(_said(message.get("result"), data), kind)
+            return _checked(_said(message.get("result"), data), kind)
     except (*_MALFORMED, LookupError):
         pass  # what follows finds the words
     return _explain(data, kind)
@@ -181,7 +197,7 @@ def _explain(data: bytes, kind: Any) -> Any:
     """
     message = _said(_unpack(data, "reply"), data)
     try:
-        reply = msgspec.convert(message, Reply)
+        reply = _checked(message, Reply)
     except _MALFORMED as error:
         _check_version(message, "host")
         raise LinkError(f"malformed reply: {_why(error)}") from error

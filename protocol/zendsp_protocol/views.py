@@ -1,5 +1,5 @@
 """What a notebook shows of an object: sentences, tables and curves as HTML and SVG that need
-nothing from elsewhere.
+nothing from elsewhere; and tables for a prompt.
 """
 
 from __future__ import annotations
@@ -7,11 +7,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from html import escape
 from math import ceil, floor, log10
+from typing import Any
+
+from zendsp_protocol.values import Packed, from_wire
 
 COLOURS = ("#1f5fa8", "#b4451f", "#3a7d44", "#8a6d00", "#7a4fa0", "#2987a8", "#a23b78", "#555555")
 WIDTH, HEIGHT, LEFT, RIGHT = 640, 200, 64, 8  # pixels
 LANE = 110  # pixels; of each where there are several
 MOST = 8  # curves
+ELEMENTS = 8  # of an array's value
 
 
 def sentence(text: str) -> str:
@@ -38,6 +42,56 @@ def html_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
         f"<tr>{''.join(f'<td>{escape(str(cell))}</td>' for cell in row)}</tr>" for row in rows
     )
     return f"<table><tr>{head}</tr>{body}</table>"
+
+
+def text_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return a table as a terminal shows it, numbers to the right.
+
+    Examples
+    --------
+    >>> print(text_table(["NAME", "N"], [["q", "12"], ["tau", "3"]]))
+    NAME   N
+    q     12
+    tau    3
+    """
+    cells = [header, *rows]
+    widths = [max(len(row[k]) for row in cells) for k in range(len(header))]
+    right = [bool(rows) and all(_looks_numeric(row[k]) for row in rows) for k in range(len(header))]
+    lines = []
+    for row in cells:
+        parts = [
+            c.rjust(w) if r else c.ljust(w) for c, w, r in zip(row, widths, right, strict=True)
+        ]
+        lines.append("  ".join(parts).rstrip())
+    return "\n".join(lines)
+
+
+def _looks_numeric(text: str) -> bool:
+    return text[:1] in "0123456789-+.–" and text not in ("-", "")
+
+
+def short(value: Any) -> str:
+    """Return a variable's value as it is shown; a value that is not there is a dash.
+
+    Examples
+    --------
+    >>> short(0.1 + 0.2), short(float("nan")), short([1.0, 2.0]), short(None)
+    ('0.3', 'NaN', '[1, 2]', '–')
+    """
+    if isinstance(value, Packed):
+        value = from_wire(value)
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        inner = ", ".join(short(item) for item in value[:ELEMENTS])
+        return f"[{inner}{', …' if len(value) > ELEMENTS else ''}]"
+    if value is None:
+        return "–"
+    if isinstance(value, float) and value != value:
+        return "NaN"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def curves(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -42,6 +43,22 @@ def test_torques_of_position_at_two_joints_have_no_law_each() -> None:
     assert named(across.across_joints(pulled)) == [[("unknown", "position_torque", ())]] * 2
     other = [pulled[0], lacking(2, "coulomb", level=1.0)]
     assert across.across_joints(other) == other
+
+
+@pytest.mark.parametrize(
+    ("kind", "size", "stays"),
+    [("unexplained", 0.3, False), ("unexplained", 0.01, True), ("missing", 0.3, True)],
+)
+def test_beside_a_joint_where_as_much_depends_on_the_state_nothing_is_a_push(
+    kind: Literal["unexplained", "missing"], size: float, stays: bool
+) -> None:
+    large = Size(0.3, 0.2, 0.4)
+    other = replace(lacking(1, "coulomb", level=1.0), kind=kind, state=Structure(size, 0.9, 5.0))
+    pushed = replace(lacking(2, "coulomb", level=1.0), kind="disturbance", before=large)
+    assert [d.kind for d in across.pushed_alone([other, pushed])] == [
+        kind,
+        "disturbance" if stays else "unexplained",
+    ]
 
 
 @pytest.mark.parametrize(("of_filter", "law"), [(10.0, "position_filter"), (30.0, "lag")])
@@ -95,3 +112,17 @@ def test_joints_that_come_late_by_unlike_times_keep_their_laws() -> None:
         lacking(2, "position_filter", time_constant=0.0035),
     ]
     assert across.same_timing(SimpleNamespace(), late, 1) == late  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("name", "numbers", "asked"),
+    [("gravity", {"torque": 0.1, "angle": 0.0}, True), ("inertia", {"amount": 0.1}, True),
+     ("torque_offset", {"level": 0.1}, True), ("quadratic_drag", {"coefficient": 0.1}, False)],
+)  # fmt: skip
+def test_a_body_is_asked_for_beside_the_friction_that_joints_lack(
+    name: str, numbers: dict[str, float], asked: bool
+) -> None:
+    """0.12 kg of a link of a Z1 were a gravity at one joint, beside 20 times as much friction."""
+    decisions = [lacking(1, "coulomb", level=1.0), lacking(2, name, **numbers)]
+    beside = [t.effect for t in across.friction_beside_weight(decisions)]
+    assert ("coulomb" in beside) is asked

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -311,3 +312,28 @@ def test_a_gain_that_is_wrong_by_one_factor_at_all_joints_is_refused(
         scaled("run.csv", [gain, 1.02 * gain, gain])
     scaled("run.csv", [gain])  # of one joint its load may be
     scaled("run.csv", [1.0, gain])  # one of two
+
+
+@pytest.mark.parametrize("mistake", ["two runs glued", "the same run twice", "NaN", "gap"])
+def test_the_command_that_a_refusal_names_makes_recordings_that_are_taken(
+    mistake: str, good: Columns, model: Path, tmp_path: Path, refuse: Callable[..., str],
+    typed: Callable[..., tuple[object, str, str]],
+) -> None:  # fmt: skip
+    columns = {k: v.copy() for k, v in good.items()}
+    if mistake == "gap":
+        columns["t"][len(columns["t"]) // 3 :] += 7.0
+    else:
+        BAD[mistake][0](columns)
+    path = reality.save(tmp_path / "run.csv", columns)
+    said = refuse(path, "--model", model)
+    assert f"'zendsp cut {path} " in said, said
+    out = ("-o", tmp_path / "part.csv")
+    if between := re.search(r"--to ([0-9.]+) ", said):
+        typed("cut", path, "--to", between[1], "-o", tmp_path / "first.csv")
+        status, *_ = typed("cut", path, "--from", between[1], *out)
+    else:
+        status, *_ = typed("cut", path, *(("--finite", "q") if mistake == "NaN" else ()), *out)
+    assert not status
+    parts = [p for p in tmp_path.glob("*.csv") if p != path]
+    assert len(parts) == (1 if mistake == "NaN" else 2)
+    check_signals([read_signals(part, load_model(model)) for part in parts], load_model(model))

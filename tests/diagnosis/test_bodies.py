@@ -41,6 +41,8 @@ LINKS = (  # name, place, axis, mass, centre, inertia
     ("upper", "0 0.1 0.1", "0 1 0", 5.0, "0.2 0 0.01", 0.06),
     ("fore", "0.4 0 0", "0 1 0", 2.0, "0.15 0.01 0", 0.015),
 )
+# a wrist that weighs something and has no inertia about its axis, as files often have it
+WRIST = (*LINKS[:2], ("fore", "0.4 0 0", "1 0 0", 0.5, "0.04 0 0", 0.0))
 
 
 def urdf(links: tuple[tuple[str, str, str, float, str, float], ...]) -> str:
@@ -68,6 +70,8 @@ class Arm:
     tilt: float = 0.0  # rad, of gravity about x
     gain: float = 1.0  # of the actuator of joint 2
     rotor: float = 0.0  # kg m², of the motor of joint 2
+    motors: tuple[float, float, float] = (0.0, 0.0, 0.0)  # kg m², rotors that no file has
+    links: tuple[tuple[str, str, str, float, str, float], ...] = LINKS
     spring: float = 0.0  # N m/rad between the last motor, where its sensor is, and its link
 
 
@@ -77,13 +81,13 @@ def simulate(arm: Arm, seed: int, seconds: float = 10.0) -> dict[str, np.ndarray
     """
     import pinocchio as pin
 
-    given = pin.buildModelFromXML(urdf(LINKS))
+    given = pin.buildModelFromXML(urdf(arm.links))
     true = given.copy()
     true.inertias[3] = true.inertias[3] + pin.Inertia(arm.mass, np.array(arm.com), np.zeros((3, 3)))
     own = true.inertias[2]
     lever = own.lever + np.array([arm.shifted, 0.0, 0.0])
     true.inertias[2] = pin.Inertia(own.mass + arm.heavier, lever, own.inertia)
-    true.armature = np.array([0.0, arm.rotor, 0.0])
+    true.armature = np.add(arm.motors, (0.0, arm.rotor, 0.0))
     true.gravity.linear = 9.81 * np.array([0.0, np.sin(arm.tilt), -np.cos(arm.tilt)])
     data, plan = true.createData(), given.createData()
     r = np.random.default_rng(seed)
@@ -125,9 +129,9 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., tuple[Mode
     friction too unless told.
     """
     folder = tmp_path_factory.mktemp("arms")
-    (folder / "arm.urdf").write_text(urdf(LINKS))
 
     def make(name: str, arm: Arm, friction: bool = False) -> tuple[Model, list[Path]]:
+        (folder / "arm.urdf").write_text(urdf(arm.links))
         paths = [folder / f"{name}{seed}.npz" for seed in (1, 2)]
         for seed, path in enumerate(paths, 1):
             if not path.exists():
@@ -252,13 +256,13 @@ def test_gravity_acts_on_the_load_of_an_elastic_joint_where_the_load_is(record,
 
 def test_a_body_that_is_not_there_is_proposed_in_vain(record, monkeypatch,
     tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
-    from zendsp.diagnosis import engine
+    from zendsp.diagnosis import machine
 
     def wrong(fit, choose, model, jobs, tell):  # type: ignore[no-untyped-def]
         carried = searched(record("payload", Arm(mass=1.5)))
         return replace(carried, model=model.with_terms((*model.terms, carried.found[0].term)))
 
-    monkeypatch.setattr(engine, "find_bodies", wrong)
+    monkeypatch.setattr(machine, "find_bodies", wrong)
     model, paths = record("none", Arm(), True)
     short = [tmp_path / path.name for path in paths]
     for path, begun in zip(paths, short, strict=True):
@@ -409,6 +413,20 @@ def test_a_rotor_that_is_a_third_off_is_named_and_one_within_its_tolerance_is_no
         amount = f.parameters["amount"]
         assert abs(amount.value - (0.3 - stated)) < 3 * amount.std + 0.01 * 0.3
         assert {"body", "payload"} <= set(f.indistinguishable)
+
+
+def test_rotors_that_a_file_lacks_are_named_beside_a_link_without_inertia(record) -> None:  # type: ignore[no-untyped-def]
+    """Without its rotor the wrist runs away in any simulation, and what an observer sees of it is
+    its damping.
+    """
+    motors = (0.3, 0.4, 0.02)
+    model, paths = record("rotors", Arm(motors=motors, links=WRIST), True)
+    d = zendsp.diagnose(paths[0], model, paths[1], jobs=1)
+    found = {f.joint: f.parameters["amount"] for f in d.findings if f.effect == "inertia"}
+    assert len(d.findings) == len(found) == 3
+    for joint, true in enumerate(motors, 1):
+        assert abs(found[joint].value - true) < 3 * found[joint].std + 0.02 * true
+    assert d.test is not None and d.test.improved < 0.01 * d.test.calibrated < 1.0
 
 
 def test_what_calibration_moved_is_told_by_name_in_the_numbers_of_a_model_file() -> None:

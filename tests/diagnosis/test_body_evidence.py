@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from zendsp.diagnosis import joints, machine
 from zendsp.diagnosis.decide.decide_bodies import Heard, borne, unsure
 from zendsp.diagnosis.search.body_columns import NUISANCE
-from zendsp.diagnosis.search.body_explain import Explained, first_of
-from zendsp.diagnosis.search.body_hypotheses import LIMITS, Hypothesis
+from zendsp.diagnosis.search.body_explain import Explained, explain, first_of
+from zendsp.diagnosis.search.body_hypotheses import COST, LIMITS, Hypothesis
 from zendsp.diagnosis.search.body_solver import Solver
 
 BLOCKS, SAMPLES = 16, 150
@@ -73,6 +75,39 @@ def test_what_joints_say_of_one_body_adds_up() -> None:
     assert borne(against, 9.0) is None, "most of it is where it is not missed"
 
 
+def test_a_body_stands_where_the_joints_need_more_findings_and_predict_no_better(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A real arm's load was a spring and two wrong rotors, of which no joint misses the body."""
+    findings = {"body": 1, "joints": 3}
+    errors = {"body": 3.2e-4, "joints": 3.5e-4}  # rad
+    machines: list[Any] = [([], [], SimpleNamespace(improved=name)) for name in findings]
+    monkeypatch.setattr(joints, "findings_at", lambda _test, _given, e: findings[e[2].improved])
+    monkeypatch.setattr(joints, "model_error", lambda _test, model: errors[model])
+
+    def stands() -> bool:
+        return joints.plainer(None, None, *machines, -1)  # type: ignore[arg-type]
+
+    assert stands()
+    findings["joints"] = 2
+    assert not stands(), "a body is a finding, too"
+    findings["joints"], errors["body"] = 3, 3.6e-4
+    assert not stands(), "it predicts worse"
+
+
+def test_where_the_joints_have_one_finding_no_body_is_asked(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(machine, "findings_at", lambda *_: 1)
+    monkeypatch.setattr(machine, "explain", lambda *_: pytest.fail("searched once more"))
+    parts = SimpleNamespace(test=None)
+    apart: Any = SimpleNamespace(
+        bare=parts, bodies=SimpleNamespace(found=[1, 2]), searches=[], decisions=[], whole=None
+    )
+    found = machine._one_body(apart, ([], [], None), None, 1, print)  # type: ignore[arg-type]
+    assert found is apart
+
+
 def explained(joint: int, *free: str, cost: float, behind: float) -> Explained:
     numbers = np.ones(len(free))
     h = Hypothesis("body", joint, f"link{joint}", free, cost)
@@ -92,6 +127,15 @@ def test_fewer_numbers_of_a_link_must_predict_as_well_as_more_of_it() -> None:
     assert first_of([nearly, centre], LIMITS) is nearly
 
 
+def test_numbers_of_a_link_of_which_none_is_known_do_not_stand_for_one_that_is() -> None:
+    """0.12 kg of a link that moves one joint of a Z1 were 0.9 ± 20 kg, 0.04 ± 0.7 m off: no body.
+    """
+    mass = explained(2, "mass", cost=2.0, behind=1.9)
+    every = explained(2, "mass", "com_x", "com_z", cost=4.0, behind=0.0)
+    assert first_of([mass, every], LIMITS) is every
+    assert first_of([mass, replace(every, std=20.0 * every.std)], LIMITS) is mass
+
+
 @pytest.mark.parametrize(("com", "nothing"), [(0.45, True), (0.65, False)])
 def test_a_body_of_which_no_number_is_surely_other_than_nothing_is_none(
     com: float, nothing: bool
@@ -102,3 +146,42 @@ def test_a_body_of_which_no_number_is_surely_other_than_nothing_is_none(
         hypothesis=SimpleNamespace(free=("mass", "com_x")),
     )  # fmt: skip
     assert unsure(explained) is nothing
+
+
+@pytest.mark.parametrize(("at", "carried"), [(1.1, True), (1.6, False)])
+def test_what_a_link_of_a_metre_carries_may_sit_beyond_its_end(at: float, carried: bool) -> None:
+    """Reach counts from the link's centre of mass, not from the joint at its begin."""
+    link = SimpleNamespace(mass=1.0, com=np.array([0.0, 0.0, 0.5]))
+    solver: Any = SimpleNamespace(
+        layout=SimpleNamespace(links=SimpleNamespace(bodies=[link, link])), limits=LIMITS
+    )
+    payload = Hypothesis("payload", 2, "fore", ("mass", "com_x", "com_z"))
+    assert Solver.plausible(solver, payload, np.array([1.9, 0.0, at])) is carried
+
+
+def gaining(**gains: float) -> Any:
+    """A solver in which each effect gains so much, and none predicts better than another."""
+    left = lambda x: 1000.0 - gains.get(x, 0.0)  # noqa: E731
+    return SimpleNamespace(
+        limits=LIMITS,
+        at=lambda h, values: h.effect,
+        estimate=lambda h: np.zeros(1),
+        points=lambda x: np.array([[left(x)]]),
+        squares=lambda x: np.array([left(x)]),
+        plausible=lambda h, values: True,
+        std=lambda h, values: np.zeros(1),
+        better=lambda x, other: 9.0 if other == "nothing" else 0.0,
+    )
+
+
+@pytest.mark.parametrize(("rotors", "first"), [(300.0, "body"), (598.0, "gravity")])
+def test_what_needs_a_rotor_as_well_goes_behind_what_does_not(rotors: float, first: str) -> None:
+    """A first link of 10 % more mass was a gravity and an inertia of its joint, and a balancer must
+    not become a link.
+    """
+    tried = [
+        Hypothesis("gravity", 1, "", ("sine", "cosine"), COST["gravity"]),
+        Hypothesis("body", 1, "upper", ("mass",), COST["body"] + 1),
+    ]
+    rigid = gaining(gravity=rotors, body=898.0 - rotors)
+    assert explain(gaining(gravity=600.0, body=600.0), tried, rigid)[0].hypothesis.effect == first

@@ -20,7 +20,9 @@ from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide import laws
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.measure import structure as measure_structure
-from zendsp.diagnosis.report.figures import charts, law_chart
+from zendsp.diagnosis.measure.discrepancy import Size
+from zendsp.diagnosis.report.figures import charts
+from zendsp.diagnosis.report.laws import law_chart
 from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.files.model_write import model_text
 
@@ -74,6 +76,8 @@ def test_a_mechanism_without_a_law_has_the_curve_of_its_torque_and_a_figure(
     d = decided(reality.Machine(swirl=0.02))
     (found,) = d.findings
     assert (found.effect, found.mechanism) == ("unknown", "fluid_friction")
+    assert d.next_recording is not None and d.next_recording.reference is not None
+    assert d.next_recording.sentence.startswith("Of the torque without a law, record joint 1 again")
     assert "depends on the speed of joint 1" in found.sentence
     curve = found.as_dict()["curve"]  # type: ignore[typeddict-item]
     assert (curve["variable"], curve["unit"]) == ("velocity", "rad/s")
@@ -135,6 +139,17 @@ def test_numbers_fitted_to_slow_motion_that_are_off_in_a_fast_one_are_no_missing
     assert any("hardly determine the numbers" in note for note in d.notes), d.notes
     lacking = diagnose(runs[0], reality.model_file(tmp_path / "less.toml", RATE, KNOWN[0]), runs[1])
     assert lacking.verdict != "complete"
+
+
+def test_a_position_far_off_in_recordings_too_short_to_say_by_what_torque_is_not_complete(
+    decided: Decided, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(decision, "discrepancy", lambda *_: Size(0.0, 0.0, 0.4))
+    assert decided(reality.Machine()).verdict == "complete"
+    monkeypatch.setattr(decision, "_off", lambda *_: True)
+    d = decided(reality.Machine())
+    assert d.verdict == "unexplained"
+    assert "up to 40 % of the torque may be missing" in d.unexplained
 
 
 def test_what_a_faster_loop_does_between_rows_is_no_missing_physics(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ import reality
 from reality import KNOWN, RATE
 
 from zendsp.diagnosis import Diagnosis, diagnose
+from zendsp.diagnosis.report.figures import charts
 from zendsp.physics.files.draft import draft_model
 from zendsp.recording import read_table
 
@@ -186,6 +187,10 @@ def test_a_fast_ripple_is_found_though_the_held_out_recording_has_another_zero(
     ripple = next(f for f in d.findings if f.effect == "ripple")
     assert ripple.parameters["order"].value == pytest.approx(57, abs=0.3)
     assert ripple.parameters["amplitude"].value == pytest.approx(0.003, rel=0.1)
+    (chart,) = (c for c in charts(d) if c.finding == d.findings.index(ripple))
+    without, with_ = (panel.series[1].y for panel in chart.panels)  # means over a period
+    assert np.ptp(without) > 0.002, "rows of 2 ms allow an observer that passes a third of 0.006"
+    assert np.ptp(with_) < 0.3 * np.ptp(without)
 
 
 def test_what_no_effect_describes_is_unexplained(tmp_path: Path) -> None:

@@ -3,21 +3,26 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+import reality
 
 from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.data.split import split
 from zendsp.diagnosis.decide.findings import estimates
 from zendsp.diagnosis.decide.naming import between, may_be_nothing
 from zendsp.diagnosis.decide.result import Estimate
+from zendsp.diagnosis.engine import _ready
 from zendsp.diagnosis.measure.significance import counterpart, vanishes
 from zendsp.physics.calibration.fit import Fit
 from zendsp.physics.calibration.handles import Handle
+from zendsp.physics.files.model_file import load_model
 from zendsp.physics.model import Model, Quantity, Term
+from zendsp.physics.term_numbers import kernel_model
 
 # of the couplings from joint 2 by inertia, from joint 2 by speed, from joint 3 by inertia
 SIZES = (0.3, 0.02, 0.7)
@@ -122,6 +127,21 @@ def test_what_is_held_out_is_the_last_third_of_the_motion_whenever_the_machine_c
         assert len(train[0].time) + len(test[0].time) == len(t)
         assert len(train[0].time) == pytest.approx(share * len(t), rel=0.05)
         assert "the last third of its motion" in notes[0]
+
+
+def test_a_recording_too_short_to_be_divided_counts_once(tmp_path: Path) -> None:
+    """As two parts of the same rows each would predict the other, and every row would count twice.
+    """
+    rate = 200.0
+    run = reality.simulate(reality.Machine(), reality.multisine(6.0, rate, 1), rate)
+    whole = reality.save(tmp_path / "whole.csv", run)
+    short = reality.save(tmp_path / "short.csv", {key: x[200:700] for key, x in run.items()})
+    model = reality.model_file(tmp_path / "model.toml", rate, *reality.KNOWN)
+    given = kernel_model(load_model(model))
+    (_, choose, test), parts, notes = _ready(whole, short, given, lambda _text: None)
+    assert choose is test and parts.choose is parts.test and len(parts.each) == 2
+    assert len(parts.held.records) == 1
+    assert any("too short to be divided" in note for note in notes)
 
 
 def test_a_refinement_takes_no_part_of_a_laws_number() -> None:

@@ -24,7 +24,7 @@ from zendsp.diagnosis.external.fmu import Fmu
 from zendsp.diagnosis.report.figures import charts
 from zendsp.diagnosis.report.files import write_report
 from zendsp.errors import ModelError
-from zendsp.physics.files.model_file import load_model
+from zendsp.physics.files.model_file import load_model, parse_model
 
 fmpy = pytest.importorskip("fmpy")
 pytestmark = [
@@ -352,3 +352,9 @@ def test_hostile_files_and_names_are_refused(shop: Path, tmp_path: Path) -> None
             zendsp.diagnose(shop / "run1.npz", make(tmp_path, file, extra))
     with pytest.raises(ModelError, match="no variable 'K'"):
         zendsp.diagnose(shop / "run1.npz", write_model(tmp_path, shop / "p2.fmu", "", "K = 1.0"))
+
+
+def test_an_fmu_has_a_joint_for_each_output_where_the_column_is_one_array() -> None:
+    mechanism = {"kind": "fmu", "file": "arm.fmu", "outputs": ["q1", "q2"]}
+    model = parse_model({"mechanism": mechanism, "columns": {"position": "q", "command": "u"}})
+    assert model.joints == 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -13,7 +14,7 @@ from zendsp.diagnosis import joints
 from zendsp.diagnosis.decide import absorbed, laws
 from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide.claims import Claim, Decision, unclaimed
-from zendsp.diagnosis.decide.confidence import least_stated, stated
+from zendsp.diagnosis.decide.confidence import confidence, least_stated, stated
 from zendsp.diagnosis.decide.notes import bent
 from zendsp.diagnosis.decide.pieces import may_leave
 from zendsp.diagnosis.decide.remember import remembered
@@ -83,23 +84,30 @@ def test_a_law_that_is_not_believed_leaves_its_mechanism_where_it_explains_more_
 
 
 @pytest.mark.parametrize(
-    ("effect", "other", "stands"),
+    ("effect", "other", "left", "stands"),
     [
-        ("dead_zone", ("position_torque", 0.021), False),  # 0.02 of its own
-        ("dead_zone", ("position_torque", 0.019), True),
-        ("coulomb", ("fluid_friction", 0.030), True),  # functions of the same variables
-        ("torque_offset", ("dry_friction", 0.030), True),  # and of any
+        ("dead_zone", ("position_torque", 0.021), 0.01, False),  # 0.02 of its own
+        ("dead_zone", ("position_torque", 0.019), 0.01, True),
+        ("dead_zone", ("position_torque", 0.021), 0.0, True),  # nothing is left of the state
+        ("dead_zone", ("position_torque", 0.025), 0.0, False),
+        ("coulomb", ("fluid_friction", 0.030), 0.01, True),  # functions of the same variables
+        ("torque_offset", ("dry_friction", 0.030), 0.01, True),  # and of any
     ],
 )
 def test_a_mechanism_without_a_law_is_one_whose_variables_alone_predict_what_lacks(
-    effect: str, other: tuple[str, float], stands: bool, monkeypatch: pytest.MonkeyPatch
+    effect: str,
+    other: tuple[str, float],
+    left: float,
+    stands: bool,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     claim = replace(claim_of(Term(effect, 1, {}), 0.02), effect="unknown")
     sizes = {claim.mechanism: 0.02, **dict([other])}
     predicted = lambda *to: Structure(sizes.get(to[-1][0], 0.0), 0.9, 5.0)  # noqa: E731
     monkeypatch.setattr(laws, "structure", predicted)
     model: Any = SimpleNamespace(model=None)
-    outcome = laws.believed(of_one_claim(claim, 0.03, 0.01, model), SimpleNamespace(each=()), 1)  # type: ignore[arg-type]
+    found = replace(of_one_claim(claim, 0.03, 0.01, model), state=Structure(left, 0.9, 5.0))
+    outcome = laws.believed(found, SimpleNamespace(each=()), 1)  # type: ignore[arg-type]
     assert [c.effect for c in outcome.claims] == (["unknown"] if stands else [])
 
 
@@ -112,6 +120,25 @@ def test_a_doubted_law_that_predicts_surely_better_than_its_neighbours_is_named(
     doubted = of_one_claim(claim_of(Term("dead_zone", 1, {}), 0.02), 0.025, 0.01)
     outcome = laws.believed(doubted, None, 1)  # type: ignore[arg-type]
     assert [c.effect for c in outcome.claims] == ["dead_zone" if named else "unknown"]
+
+
+@pytest.mark.parametrize(
+    ("effect", "ahead", "most"),
+    [
+        ("gravity", 5.0, 0.97),
+        ("gravity", 0.5, 0.6915),  # of the normal distribution
+        ("gravity", -0.5, 0.3085),
+        ("coulomb", -0.5, 0.97),  # every machine has it
+        ("torque_offset", 0.0, 0.97),  # and a constant is what it is
+    ],
+)
+def test_a_law_is_no_surer_than_that_it_predicts_better_than_its_neighbours(
+    effect: str, ahead: float, most: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(laws, "_ahead", lambda *_: ahead)
+    sure = of_one_claim(claim_of(Term(effect, 1, {}), 0.2), 0.2, 0.0)
+    outcome = laws.believed(sure, None, 1)  # type: ignore[arg-type]
+    assert confidence(outcome.claims[0], outcome) == pytest.approx(most, abs=1e-4)
 
 
 @pytest.mark.parametrize(("moving", "stands"), [(0.0, False), (0.008, True)])
@@ -147,11 +174,20 @@ def test_a_law_leaves_too_much_only_where_that_is_sure(size: float, z: float, mu
         (1.5, 1, 2.6, False),  # balanced where an axis has its zero
     ],
 )
-def test_a_wave_and_a_constant_over_less_than_a_turn_are_any_curve(
+def test_a_wave_beside_a_constant_or_a_spring_over_less_than_a_turn_is_any_curve(
     angle: float, level: int, travel: float, curve: bool
 ) -> None:
     wave = Term("gravity", 1, {"angle": Quantity(angle, std=0.09)})
     assert laws._part_of_a_wave(wave, level, travel) is curve
+
+
+def test_how_one_joints_motion_acts_on_another_is_one_finding_and_two_frictions_are_two() -> None:
+    def piece(effect: str) -> Any:
+        return SimpleNamespace(terms=(Term(effect, 5, {}),), effects=(effect,))
+
+    assert laws._one_with(piece("coupling"), piece("coupling"))
+    assert laws._one_with(piece("stribeck"), piece("coulomb"))
+    assert not laws._one_with(piece("coulomb"), piece("position_friction"))
 
 
 @pytest.mark.parametrize(
@@ -191,7 +227,7 @@ def test_what_only_refined_the_fit_is_held_in_the_model_file() -> None:
     final: Any = SimpleNamespace(model=given.with_terms(tuple(terms)))
     claimed, refined = (claim_of(t, 0.1) for t in terms[1:])
     outcome = replace(of_one_claim(claimed, 0.02, 0.02, final), refinements=(refined,), scale=5.0)
-    model = remembered(given.with_terms(tuple(replace(t) for t in terms)), given, [outcome])
+    model = remembered(given.with_terms(tuple(replace(t) for t in terms)), given, [outcome], [])
     assert [any(q.free for q in t.parameters.values()) for t in model.terms] == [True, True, False]
     assert model.discrepancy.torque == (0.1,)
 
@@ -217,19 +253,16 @@ def test_beside_a_doubted_law_another_of_its_mechanism_is_not_stated(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     large, small, other = (
-        SimpleNamespace(effect=e, mechanism=m, size=s)
-        for e, m, s in (
-            ("stribeck", "dry_friction", 0.3), ("hysteresis", "dry_friction", 0.1),
-            ("ripple", "position_torque", 0.1),
-        )
-    )  # fmt: skip
+        claim_of(Term(effect, 1, {}), size)
+        for effect, size in (("stribeck", 0.3), ("hysteresis", 0.1), ("ripple", 0.1))
+    )
     nothing: Any = SimpleNamespace(value=1.0)
     decision: Any = Decision(
         1, "missing", (large, small, other), (), nothing, nothing, nothing, nothing, nothing,
         nothing, nothing, 1.0,
     )  # type: ignore[arg-type]  # fmt: skip
     parts: Any = None
-    monkeypatch.setattr(laws, "_goes_on", lambda *_: True)
+    monkeypatch.setattr(laws, "_goes_on", lambda *_: math.inf)
     monkeypatch.setattr(laws, "confidence", lambda *_: 0.2)
     monkeypatch.setattr(laws, "_alone", lambda *_: nothing)
     monkeypatch.setattr(laws, "stated", lambda claim, _: True)

@@ -18,11 +18,12 @@ from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.structure import Structure
 from zendsp.physics.effects import mechanism_of
-from zendsp.physics.model import Quantity, Term
+from zendsp.physics.model import Model, Quantity, Term
 
 PARTS: Any = SimpleNamespace(fit="fit", choose="choose", test=SimpleNamespace(joints=1), each=())
 SEARCH: Any = SimpleNamespace(joint=1)
 FINAL: Any = SimpleNamespace(model=None)
+WITHOUT: Any = object()
 Held = Callable[..., tuple[list[Piece], list[Piece]]]
 NOTHING = Structure(0.0, 0.0, 0.0)
 
@@ -30,23 +31,29 @@ NOTHING = Structure(0.0, 0.0, 0.0)
 def piece(size: float, z: float, log_e: float, effect: str = "ripple") -> Piece:
     term = Term(effect, 1, {})
     evidence = Evidence(gain=2 * log_e, z=z, blocks=np.zeros(1))
-    without: Any = SimpleNamespace(model=None, deviance=100.0)
+    without: Any = SimpleNamespace(model=WITHOUT, deviance=100.0)
     return Piece(mechanism_of(effect), (term,), without, size, evidence, log_e)
 
 
 @pytest.fixture
 def held_apart(monkeypatch: pytest.MonkeyPatch) -> Held:
-    """Which pieces are claimed and which are not, where all of them leave ``left``."""
+    """Which pieces are claimed and which are not, where all of them leave ``left``; ``lacked``
+    without any of them.
+    """
 
     def ask(
         *found: Piece,
         left: Size,
+        lacked: float = 1.0,
         structure: Structure = NOTHING,
         known: Known | None = None,
         search: Any = SEARCH,
         final: Any = FINAL,
     ) -> tuple[list[Piece], list[Piece]]:
-        monkeypatch.setattr(pieces, "discrepancy", lambda *_: left)
+        before = Size(0.0, 0.0, lacked)
+        monkeypatch.setattr(
+            pieces, "discrepancy", lambda _, model, __: before if model is WITHOUT else left
+        )
         monkeypatch.setattr(pieces, "structure", lambda *_: structure)
         monkeypatch.setattr(pieces, "kept_laws", lambda *_: [])
         monkeypatch.setattr(pieces, "known_discrepancy", lambda *_: known or Known())
@@ -69,6 +76,25 @@ def test_what_is_not_twice_what_a_machine_is_known_to_leave_may_be_a_part_of_it(
     one = piece(size, 5.0, 20.0)
     claimed, _ = held_apart(one, left=Size(0.0, 0.0, 0.0), known=Known(0.01, 0.01))
     assert claimed == ([one] if claims else [])
+
+
+def test_a_torque_without_a_law_is_shown_free_of_what_else_was_found() -> None:
+    """Its own pieces and refinements are taken away, the given friction that one replaced is back.
+    """
+    def model(*effects: str) -> Model:
+        return Model("m", 1e-3, "rotary", {}, tuple(Term(e, 1, {}) for e in effects))
+
+    def shown(mechanism: str, *named: str) -> list[str]:
+        calibrated = model("viscous", "coulomb")
+        improved = model("viscous", "coulomb_asymmetry", "quadratic_drag", "gravity", "ripple")
+        beside = pieces.beside_unknown(calibrated, improved, 1, mechanism, named)
+        return sorted(t.effect for t in beside.terms)
+
+    frictions = ["coulomb_asymmetry", "quadratic_drag", "viscous"]
+    assert shown("position_torque", "coulomb_asymmetry") == frictions
+    assert shown("dry_friction", "quadratic_drag", "gravity") == [
+        "coulomb", "gravity", "quadratic_drag", "ripple", "viscous",
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize(("apart", "curve"), [(0.2, True), (5.0, False)])
@@ -123,6 +149,29 @@ def test_what_acts_where_a_joint_turns_round_is_more_than_its_dry_friction_may_b
 
 
 @pytest.mark.usefixtures("moving")
+@pytest.mark.parametrize(("lacked", "claims"), [(0.05, False), (0.06, True)])
+def test_what_is_likelier_and_is_no_torque_that_lacked_is_not_claimed(
+    held_apart: Held, lacked: float, claims: bool
+) -> None:
+    one = piece(0.11, 5.0, 20.0)
+    claimed, _ = held_apart(one, left=Size(0.0, 0.0, 0.0), lacked=lacked)
+    assert claimed == ([one] if claims else [])
+
+
+@pytest.mark.usefixtures("moving")
+@pytest.mark.parametrize(("losing", "claims"), [(4, True), (5, False)])
+def test_what_gains_almost_everywhere_is_claimed_though_it_gains_most_in_few_places(
+    held_apart: Held, losing: int, claims: bool
+) -> None:
+    """Of 24 blocks 20 that gain are 3.3 deviations, 19 are 2.9."""
+    one = piece(0.1, 1.0, 20.0)
+    gains = np.r_[np.ones(24 - losing), -np.ones(losing)]
+    one = replace(one, evidence=replace(one.evidence, blocks=gains))
+    claimed, _ = held_apart(one, left=Size(0.0, 0.0, 0.0))
+    assert claimed == ([one] if claims else [])
+
+
+@pytest.mark.usefixtures("moving")
 def test_only_what_untouched_recordings_bear_out_by_chance_too_rarely_is_claimed(
     held_apart: Held,
 ) -> None:
@@ -133,6 +182,19 @@ def test_only_what_untouched_recordings_bear_out_by_chance_too_rarely_is_claimed
     left, structure = Size(0.01, 0.0, 0.02), Structure(0.01, 0.5, 1.0)
     claimed, rest = held_apart(sure, unlikely, uneven, small, left=left, structure=structure)
     assert claimed == [sure] and rest == [unlikely, uneven, small]
+
+
+def test_what_a_wrong_model_lacks_does_not_make_its_evidence_less(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Innovations of the model without a spring are alike over 80 samples because of the spring."""
+    alike = {"without": 80.0, "final": 2.0}
+    monkeypatch.setattr(pieces, "dependence", lambda scored, *_: alike[scored])
+    models: list[Any] = ["without", "final", None]
+    held = Evidence(400.0, 5.0, np.zeros(1))
+    assert pieces.log_e_value(held, *models, 1) == 100.0
+    alike["final"] = 90.0  # where something unknown acts in both
+    assert pieces.log_e_value(held, *models, 1) == 2.5
 
 
 @pytest.mark.usefixtures("moving")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,10 +13,10 @@ import pytest
 import reality
 from reality import KNOWN
 
-from zendsp.diagnosis import Diagnosis
+from zendsp.diagnosis import Diagnosis, diagnose
 from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide.claims import Decision
-from zendsp.diagnosis.report.figures import torque_chart
+from zendsp.diagnosis.report.figures import charts
 
 Decided = Callable[..., Diagnosis]
 
@@ -48,7 +49,8 @@ def test_a_push_in_the_recording_of_the_fit_alone_is_told_though_it_bends_the_ca
     spans = np.array(d.findings[0].numbers["intervals"])
     assert spans == pytest.approx(np.array([[4.0, 6.0]]), abs=0.2)
     assert d.test is not None and d.test.improved < 1.2 * d.test.given
-    (panel,) = torque_chart(d, 1).panels  # on the same clock
+    (chart,) = (chart for chart in charts(d) if chart.finding == 0)
+    (panel,) = chart.panels  # on the same clock
     lacking = panel.series[0]
     there = lacking.x[np.abs(lacking.y) > 0.5 * np.max(np.abs(lacking.y))]
     assert there == pytest.approx(5.0, abs=1.2)
@@ -141,18 +143,71 @@ def test_what_comes_often_or_explains_little_or_is_another_load_is_no_push(
     assert (outcome is not None and outcome.kind == "disturbance") == pushed
 
 
-@pytest.mark.parametrize(
-    "other",
-    [
-        reality.Machine(inertia=0.014),
-        # little enough that numbers between the two leave 2 % of the torque in each
-        reality.Machine(inertia=0.0107),
-        reality.Machine(coulomb=0.042),
-    ],
-)
-def test_a_recording_with_another_load_is_said_to_be_one(
-    other: reality.Machine, decided: Decided
-) -> None:
-    d = decided(reality.Machine(), other)
+def test_a_recording_with_another_load_is_said_to_be_one(decided: Decided) -> None:
+    """What differs is no load that inertia and weight show: nothing is claimed."""
+    d = decided(reality.Machine(), reality.Machine(coulomb=0.042))
     assert d.verdict == "unexplained" and not d.findings
     assert any("numbers of its own explain" in note for note in d.notes)
+
+
+@pytest.mark.parametrize("inertia", [0.014, 0.0107, 0.008])
+def test_a_load_that_only_the_held_out_recording_has_is_named(
+    inertia: float, decided: Decided
+) -> None:
+    """Of 0.0107 little enough that numbers between the two leave 2 % of the torque in each."""
+    d = decided(reality.Machine(), reality.Machine(inertia=inertia))
+    (found,) = d.findings
+    amount = found.parameters["amount"]
+    (name,) = found.numbers["recordings"]
+    assert (found.effect, Path(name).name) == ("inertia", "run2.csv")
+    assert abs(amount.value - (inertia - 0.010)) < 3.0 * amount.std < 0.0003
+    assert d.test.improved < 0.2 * d.test.calibrated
+
+
+def test_a_load_that_gravity_shows_too_is_a_payload(decided: Decided, tmp_path: Path) -> None:
+    """0.1 kg at 0.2 m, beside inertia and weight that the model has."""
+    decided(reality.Machine(gravity=0.15), reality.Machine(gravity=0.3462, inertia=0.014))
+    model = reality.model_file(tmp_path / "heavy.toml", reality.RATE, *KNOWN, gravity=0.15)
+    d = diagnose(tmp_path / "run1.csv", model, tmp_path / "run2.csv", jobs=1)
+    (found,) = d.findings
+    mass, reach = (found.parameters[key] for key in ("mass", "com_x"))
+    assert (found.effect, found.mechanism) == ("payload", "inertia")
+    assert abs(mass.value - 0.1) < 3.0 * mass.std < 0.01
+    assert abs(reach.value - 0.2) < 3.0 * reach.std < 0.02
+
+
+@pytest.mark.parametrize(
+    ("fit", "held", "said"),
+    [
+        ((0.02, 0.018), (0.28, 0.02), ("held",)),  # friction's bristles, in both
+        ((0.02, 0.018), (0.28, 0.05), ()),  # more than a load differs
+        ((0.02, 0.018), (0.021, 0.018), ()),
+        ((0.02, 0.002), (0.05, 0.002), ("fit", "held")),  # numbers between two loads
+        ((0.004, 0.004), (0.05, 0.02), ()),
+    ],
+)
+def test_numbers_of_its_own_explain_a_recording_as_well_as_the_machine_is_ever_explained(
+    fit: tuple[float, float],
+    held: tuple[float, float],
+    said: tuple[str, ...],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A load of 0.15 kg on the shipped pendulum was "depends on the state": its bristles stay."""
+
+    @dataclass(frozen=True)
+    class Data:
+        records: tuple[Any, ...]
+
+    lacks = {"fit": fit, "held": held}
+
+    def left(data: Data, model: str, joint: int) -> Any:
+        value = lacks[data.records[0][0].recording][model == "own"]
+        return SimpleNamespace(value=value, high=1.2 * value)
+
+    monkeypatch.setattr(decision, "discrepancy", left)
+    monkeypatch.setattr(decision, "_fitted_to", lambda *_: SimpleNamespace(model="own"))
+    parts: Any = SimpleNamespace(
+        **{k: Data(((SimpleNamespace(recording=k),),)) for k in ("fit", "held")}
+    )
+    out: Any = SimpleNamespace(joint=1, final=SimpleNamespace(model="base"))
+    assert decision._by_own_numbers(out, parts, 1) == said

@@ -1,5 +1,5 @@
-"""The report folder is the contract of DIAGNOSIS.md, and what it promises works: the model again,
-the compensation in C, the page offline.
+"""The report folder is what other programs read (docs/diagnosis.md), and what it promises works:
+the model again, the compensation in C, the page offline.
 """
 
 from __future__ import annotations
@@ -18,15 +18,19 @@ from reality import RATE
 
 from zendsp.cli import main
 from zendsp.diagnosis import diagnose
+from zendsp.diagnosis.data.reading import read_signals
+from zendsp.diagnosis.data.split import split
 from zendsp.diagnosis.decide.contract import dark
 from zendsp.diagnosis.decide.result import Detectable, Finding
-from zendsp.diagnosis.measure.curve import samples_of
+from zendsp.diagnosis.measure.curve import Axis, samples_of
 from zendsp.diagnosis.measure.where import Missing
 from zendsp.diagnosis.report.chart import Panel, Series
-from zendsp.diagnosis.report.figures import axis_of, from_a_whole_second
+from zendsp.diagnosis.report.figures import charts, from_a_whole_second
 from zendsp.diagnosis.report.files import write_report
+from zendsp.diagnosis.report.laws import axis_of
 from zendsp.diagnosis.report.summary import _sized, headline, percent, verdict_sentence
 from zendsp.physics.effects import library
+from zendsp.physics.files.model_file import load_model
 
 
 @pytest.fixture(scope="module")
@@ -120,6 +124,16 @@ def test_found_parameters_are_in_the_units_of_the_contract(report: dict[str, Any
     assert units["ripple"]["amplitude"] == "N m"
 
 
+def test_the_model_file_states_the_uncertainties_of_the_report(
+    folder: Path, report: dict[str, Any]
+) -> None:
+    terms = load_model(folder / "out" / "model.toml").terms
+    for finding in report["findings"]:
+        (term,) = [t for t in terms if t.effect == finding["effect"]]
+        for name, told in finding["parameters"].items():
+            assert term.parameters[name].std == pytest.approx(told["std"], rel=1e-9), name
+
+
 def test_improved_model_given_again_is_complete(folder: Path) -> None:
     again = folder / "out" / "model.toml"
     data = tomllib.loads(again.read_text())
@@ -149,6 +163,30 @@ def test_time_stamps_of_a_calendar_are_drawn_from_a_whole_second_that_the_axis_n
     assert shown.series[0].x.tolist() == [0.25, 1.25, 2.25] and shown.spans == ((1.25, 2.25),)
     own = Panel("time [s]", "torque [N m]", (Series("line", "before", t - t[0], t),))
     assert from_a_whole_second(own) is own
+
+
+def test_a_given_number_that_is_wrong_is_drawn_as_given_and_calibrated(tmp_path: Path) -> None:
+    heavy = reality.Machine(inertia=0.016)
+    for name, seed in (("train", 1), ("heldout", 2)):
+        rows = reality.simulate(heavy, reality.multisine(9.0, RATE, seed), RATE)
+        rows["t"] += 100.0  # the target had run for so long
+        reality.save(tmp_path / f"{name}.csv", rows)
+    model = reality.model_file(tmp_path / "model.toml", RATE, *reality.KNOWN)
+    d = diagnose(tmp_path / "train.csv", model, tmp_path / "heldout.csv")
+    assert [f.effect for f in d.findings] == ["inertia"]
+    drawn = charts(d)
+    (chart,) = (c for c in drawn if c.finding == 0)
+    given, calibrated = chart.panels
+    assert (given.title, calibrated.title) == ("as given", "calibrated")
+    assert given.xlabel == "acceleration [rad/s²]"
+    line, left = given.series[-1], calibrated.series[1]
+    slope = np.polyfit(line.x, line.y, 1)[0]
+    assert slope == pytest.approx(0.016 - 0.0102, rel=0.1), "what calibration added"
+    assert np.max(np.abs(left.y)) < 0.05 * np.max(np.abs(line.y))
+    errors = next(c for c in drawn if c.section == "fit").panels[0].series[0]
+    assert 103.0 < errors.x[0] < 106.0, "the half to test on, by the target's clock"
+    _, (last,), (note,) = split([read_signals(tmp_path / "train.csv", d.given)])
+    assert f"train.csv from {last.time[0]:.2f} s on" in note and last.time[0] > 105.0
 
 
 def test_page_is_self_contained(folder: Path) -> None:
@@ -193,6 +231,10 @@ def test_json_on_the_terminal_is_the_report(
 ) -> None:
     words = ("--model", folder / "model.toml", "--heldout", folder / "heldout.csv")
     plain = ("--json", "--out", folder / "plain", "--no-figures")
+    (folder / "plain").mkdir()
+    for old in ("report.html", "error.chart.json", "error.png", "next_reference.mat"):
+        (folder / "plain" / old).write_text("of another diagnosis")
+    (folder / "plain" / "my.png").write_text("the user's own")
     status, out, err = typed("diagnose", folder / "train.csv", *words, *plain)
     assert status == 0 and err == ""
     printed = json.loads(out)
@@ -202,7 +244,10 @@ def test_json_on_the_terminal_is_the_report(
     assert printed == filed  # the same seed, the same bits
     made = {path.name for path in (folder / "plain").iterdir()}
     assert {"report.json", "model.toml", "calibrated.toml", "compensation.c"} <= made
-    assert not [name for name in made if name.endswith((".html", ".png", ".chart.json"))]
+    shown = [name for name in made if name.endswith((".html", ".png", ".chart.json"))]
+    assert shown == ["my.png"], "what another diagnosis left would be taken for this one's"
+    next_recording = (printed["next_recording"] or {}).get("reference")
+    assert ("next_reference.mat" in made) == (next_recording is not None)
 
 
 def test_a_report_that_the_disk_takes_no_more_of_is_written_elsewhere(
@@ -250,7 +295,7 @@ def test_a_coupling_is_drawn_over_the_motion_of_the_other_joint() -> None:
     for law in ("inertia", "coriolis", "viscous", "coulomb"):
         said = {"from_joint": 2, "law": law}
         over[law] = axis_of(Finding("coupling", 1, {}, 0.9, 1.0, (), (), "", said, "inertia"))
-    assert over == {
+    assert {law: str(axis) for law, axis in over.items()} == {
         "inertia": "acceleration of joint 2",
         "coriolis": "velocity of joint 2",
         "viscous": "velocity of joint 2",
@@ -258,7 +303,7 @@ def test_a_coupling_is_drawn_over_the_motion_of_the_other_joint() -> None:
     }
     assert np.array_equal(samples_of(lacks, over["inertia"]), states[1, 2])
     assert np.array_equal(samples_of(lacks, over["coulomb"]), states[0, 1] + states[1, 1])
-    assert np.array_equal(samples_of(lacks, "time"), lacks.time)
+    assert np.array_equal(samples_of(lacks, Axis("time")), lacks.time)
 
 
 def test_recordings_that_show_nothing_are_to_be_made_again_for_longer(tmp_path: Path) -> None:

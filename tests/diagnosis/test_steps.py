@@ -37,6 +37,7 @@ from zendsp.diagnosis.search.hypothesis import JointSearch, Rival, Step
 from zendsp.diagnosis.search.rounds import Rounds
 from zendsp.diagnosis.search.screen import Candidate, with_candidate
 from zendsp.diagnosis.search.simplify import simplify
+from zendsp.physics.calibration import convergence
 from zendsp.physics.calibration.fit import Data, fit, joint_handles
 from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.model import Model
@@ -114,6 +115,21 @@ def test_a_figure_shows_the_torque_that_lacks_in_full_beside_a_models_damping() 
     speed = lacks.variables["velocity"]
     fast = np.abs(speed) > np.quantile(np.abs(speed), 0.5)
     assert np.median(lacks.torque[fast] * np.sign(speed[fast])) == pytest.approx(0.03, rel=0.03)
+
+
+def test_a_number_that_nothing_feels_asks_for_no_finer_steps(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As the phase of a ripple of no size: rounding alone once gave it a step error of 1e136."""
+    rng = np.random.default_rng(0)
+    jacobian = rng.standard_normal((3000, 16))
+    jacobian[:, 7] = 0.0
+    monkeypatch.setattr(convergence, "residual", lambda *_args: rng.standard_normal(3000))
+    fitted: Any = SimpleNamespace(
+        handles=(None,) * 16, residual=np.zeros(3000), jacobian=jacobian, model=None
+    )
+    error = convergence.step_error(Data((), (), inner=2), fitted, (1,))
+    assert error[7] == 0.0 and 0.0 < np.max(np.abs(error)) < 1.0
 
 
 def test_a_gap_is_begun_from_the_given_inertia_where_calibration_moved_it() -> None:

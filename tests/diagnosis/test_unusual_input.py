@@ -21,6 +21,7 @@ from zendsp.diagnosis.data.sampling import resample_held
 from zendsp.diagnosis.data.signals import Signals
 from zendsp.errors import RecordingError
 from zendsp.physics.files.model_file import load_model, parse_model
+from zendsp.physics.simulation.control import simulate_loop
 from zendsp.physics.term_numbers import kernel_model
 
 Columns = dict[str, np.ndarray]
@@ -63,7 +64,30 @@ def test_a_jittered_clock_is_resampled_and_the_report_says_so(
     t = good["t"] + r.uniform(-0.2, 0.2, len(good["t"])) / RATE
     columns = {"t": t, **{k: np.interp(t, good["t"], good[k]) for k in ("q", "r")}, "u": good["u"]}
     notes = _accepted(reality.save(tmp_path / "run.csv", columns), model)
-    assert any("jitter" in n and "resampled" in n for n in notes), notes
+    assert any("jitter" in n and "0 rows missing" in n for n in notes), notes
+    assert any("resampled" in n for n in notes), notes
+
+
+def test_stamps_that_jitter_beside_rows_that_do_not_are_not_believed(
+    good: Columns, model: Path, tmp_path: Path
+) -> None:
+    """A tenth of a sample made 2.5 % of the torque missing, and told of seven rows that lacked."""
+    r = np.random.default_rng(7)
+    t = good["t"] + 0.1 * r.standard_normal(len(good["t"])) / RATE
+    file = reality.save(tmp_path / "run.csv", {**good, "t": t})
+    notes = _accepted(file, model)
+    assert any("0 rows missing" in n for n in notes) and any("evenly spaced" in n for n in notes)
+    read = read_signals(file, kernel_model(load_model(model)))
+    assert np.allclose(read.position[:, 0], good["q"], rtol=0.0, atol=1e-9)
+
+
+def test_a_row_that_lacks_is_no_late_stamp(good: Columns, model: Path, tmp_path: Path) -> None:
+    r = np.random.default_rng(8)
+    t = good["t"] + 0.1 * r.standard_normal(len(good["t"])) / RATE
+    lacks = np.delete(np.arange(len(t)), [400, 900, 901])
+    columns = {**good, "t": t}
+    file = reality.save(tmp_path / "run.csv", {key: x[lacks] for key, x in columns.items()})
+    assert any("and 3 rows missing" in n for n in _accepted(file, model))
 
 
 def test_lines_between_jittered_rows_hide_no_noise_of_the_sensor(
@@ -77,6 +101,29 @@ def test_lines_between_jittered_rows_hide_no_noise_of_the_sensor(
     given = kernel_model(load_model(model))
     (record,) = prepare([read_signals(file, given)], given, 64.0).records[0]
     assert record.measurement.noise == pytest.approx(noise, rel=0.05)
+
+
+@pytest.mark.parametrize("hertz", [0.3, 1.0, 2.5])  # 0.8 to 7 counts a row
+@pytest.mark.parametrize("noise", [0.0, 0.3])  # counts
+def test_counts_between_jittered_rows_are_stated_as_noisy_as_they_are(
+    hertz: float, noise: float, tmp_path: Path
+) -> None:
+    """Lines between rounded positions are rounded once more, and hide that codes go to and fro."""
+    step = 2 * np.pi / 1024
+    model = reality.model_file(tmp_path / "m.toml", RATE, *KNOWN, resolution=step)
+    rng = np.random.default_rng(2)
+    time = (np.arange(16000) + 0.13 * rng.uniform(-1.7, 1.7, 16000)) / RATE
+
+    def motion(t: np.ndarray) -> np.ndarray:
+        return np.asarray(2.0 * np.sin(2 * np.pi * hertz * t))
+
+    codes = np.round(motion(time) / step + noise * rng.standard_normal(16000))
+    file = reality.save(tmp_path / "run.csv", {"t": time, "q": step * codes, "u": 0.0 * time})
+    read = read_signals(file, kernel_model(load_model(model)))
+    slow = (read.position[:15984, 0] - motion(read.time[:15984])).reshape(-1, 16).mean(axis=1)
+    assert read.least_noise is not None
+    stated = step**2 / 12 + float(read.least_noise[0]) ** 2
+    assert 0.7 < stated / (16 * np.var(slow)) < 1.6
 
 
 def test_a_held_command_is_not_late_after_a_jittered_clock_was_resampled() -> None:
@@ -167,6 +214,8 @@ def test_a_position_that_was_not_read_anew_is_no_motion_and_said(
     parts = np.array_split(np.arange(2, len(step) - 2), 4)
     fast = [int(part[np.argmax(step[part])]) for part in parts]  # steps of many counts
     stale = {k: v.copy() for k, v in good.items()}
+    slow = np.flatnonzero(np.abs(step / reality.RESOLUTION - 8) < 2)  # of few counts
+    fast += [int(slow[len(slow) // 2]), fast[0] + 2]  # a slow one, and another soon after the first
     for k in fast:
         stale["q"][k + 1] = stale["q"][k]
     signals = read_signals(reality.save(tmp_path / "stale.csv", stale), given)
@@ -205,6 +254,28 @@ def swings(seed: int) -> np.ndarray:
     return np.stack([x.sum(axis=1) / 5 for x in own])
 
 
+def swinging(
+    own: tuple[float, float, float],
+    lengths: tuple[float, float],
+    rotors: tuple[float, float],
+    mass: float,
+    seed: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Angles and torques of a flat arm with a mass at its end, whose second joint swings against
+    its first; ``own`` are p1, p2, p3 without the mass.
+    """
+    p1, p2, p3 = own
+    l1, l2 = lengths
+    q1 = 0.8 * swings(seed)
+    q2 = 0.1 * swings(seed + 1) - 0.7 * q1
+    m1, m2 = p1 + rotors[0] + mass * (l1**2 + l2**2), p2 + mass * l2**2
+    c, s = (f(q2[0]) * (p3 + mass * l1 * l2) for f in (np.cos, np.sin))
+    coriolis = s * q2[1] * (2 * q1[1] + q2[1])
+    first = (m1 + 2 * c) * q1[2] + (m2 + c) * q2[2] - coriolis
+    second = (m2 + c) * q1[2] + (m2 + rotors[1]) * q2[2] + s * q1[1] ** 2 + 0.1 * q2[1]
+    return np.stack([q1[0], q2[0]], axis=1), np.stack([first, second], axis=1)
+
+
 @pytest.mark.parametrize("tool", [1.0, 3.0])
 def test_a_tool_that_pulls_against_the_links_own_inertia_is_no_bad_recording(tool: float) -> None:
     """An arm of two links whose second moves against the first; most of its inertia is its motor's.
@@ -223,14 +294,7 @@ def test_a_tool_that_pulls_against_the_links_own_inertia_is_no_bad_recording(too
     )
 
     def run(mass: float, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
-        q1 = 0.8 * swings(seed)
-        q2 = 0.1 * swings(seed + 1) - 0.7 * q1
-        m1, m2 = p1 + mass * (l1**2 + l2**2), p2 + mass * l2**2
-        c, s = (f(q2[0]) * (p3 + mass * l1 * l2) for f in (np.cos, np.sin))
-        coriolis = s * q2[1] * (2 * q1[1] + q2[1])
-        first = (m1 + 2 * c) * q1[2] + (m2 + c) * q2[2] - coriolis
-        second = (m2 + c) * q1[2] + (m2 + rotor) * q2[2] + s * q1[1] ** 2 + 0.1 * q2[1]
-        return np.stack([q1[0], q2[0]], axis=1), np.stack([first, second], axis=1)
+        return swinging((p1, p2, p3), (l1, l2), (0.0, rotor), mass, seed)
 
     def looked_at(angles: np.ndarray, command: np.ndarray) -> None:
         t = np.arange(len(angles)) * 0.004
@@ -243,6 +307,45 @@ def test_a_tool_that_pulls_against_the_links_own_inertia_is_no_bad_recording(too
         looked_at(angles, command * [1.0, -1.0])
     with pytest.raises(RecordingError, match="different runs"):
         looked_at(angles, np.stack([command[:, 0], run(0.0, seed=6)[1][:, 1]], axis=1))
+
+
+def test_a_joint_that_its_controller_holds_while_another_swings_is_no_bad_recording() -> None:
+    """As in a frequency response of joint 1: the command of joint 2 is only that of its controller,
+    which looks like friction that drives.
+    """
+    model = load_model("imi_planar.toml")
+    tones = np.linspace(0.5, 30.0, 22)[:, None]
+    t = np.arange(5000) * 0.001
+    phases = np.random.default_rng(1).uniform(0.0, 2 * np.pi, (22, 1))
+    swing = 0.004 * np.sin(2 * np.pi * tones * t + phases).sum(axis=0)
+    run = simulate_loop(model, np.stack([swing, np.zeros(5000)], axis=1))
+    signals = Signals("run", t, 0.001, run["q"], run["tau"], None, np.full(2, 4e-5))
+    check_driven(["joint 1", "joint 2"], prepare([signals], model, 64.0).records[0], model)
+
+
+def test_a_tool_as_heavy_as_a_light_arm_is_no_gear_ratio(tmp_path: Path) -> None:
+    """Both inertias are about ten times the model's. A gear of ten that is forgotten is refused."""
+    link = (
+        '<link name="{0}"><inertial><mass value="0.2"/><inertia ixx="1e-3" iyy="1e-3" izz="{1}"'
+        ' ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="to_{0}" type="revolute"><parent'
+        ' link="{2}"/><child link="{0}"/><origin xyz="{3} 0 0"/><axis xyz="0 0 1"/><limit'
+        ' lower="-9" upper="9" effort="9" velocity="9"/></joint>'
+    )
+    links = link.format("upper", 0.001, "base", 0) + link.format("fore", 0.01, "upper", 0.2)
+    (tmp_path / "arm.urdf").write_text(f'<robot name="arm"><link name="base"/>{links}</robot>')
+    mechanism = {"kind": "urdf", "file": str(tmp_path / "arm.urdf")}
+    model = parse_model({"sample_time": 0.004, "mechanism": mechanism})
+    own = 0.001 + 0.01 + 0.2 * 0.2**2, 0.01, 0.0
+
+    def looked_at(mass: float, gear: float = 1.0) -> None:
+        angles, torque = swinging(own, (0.2, 0.5), (0.0, 0.0), mass, 1)
+        t = np.arange(len(angles)) * 0.004
+        signals = Signals("run", t, 0.004, angles, gear * torque, None, np.full(2, 1e-5))
+        check_driven(["joint 1", "joint 2"], prepare([signals], model, 64.0).records[0], model)
+
+    looked_at(0.35)
+    with pytest.raises(RecordingError, match="gear ratio"):
+        looked_at(0.0, gear=10.0)
 
 
 def test_the_sign_of_a_recording_is_that_of_its_liveliest_part(

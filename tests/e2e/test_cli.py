@@ -368,7 +368,7 @@ def test_run_says_of_a_program_that_is_always_late(tmp_path: Path) -> None:
     )
     with zendsp.local("imi_planar", timeout=PATIENCE_S) as target:
         done = zendsp_("run", str(slow), "-t", target.name)
-        assert done.stdout == "running\n"
+        assert done.stdout == "running; it goes on until 'zendsp pause' or 'zendsp stop'\n"
         assert "samples took longer than the period of 1 ms: shorten UserISR_INT2" in done.stderr
 
 

@@ -207,6 +207,12 @@ def test_the_matdsp_verbs_do_what_the_paper_says(fast: Target) -> None:
     rec = zendsp.MatDSPAcquireLoad()
     zendsp.MatDSPpause()
     assert len(rec) == 100 and rec["level"][0] == 2.0
+    zendsp.MatDSPstop()
+    with pytest.raises(Refused, match="acknowledge"):
+        zendsp.MatDSPstart()
+    assert "acknowledged" in zendsp.MatDSPacknowledge()
+    zendsp.MatDSPstart()
+    zendsp.MatDSPpause()
     with pytest.raises(AcquisitionError, match="chanels"):
         zendsp.MatDSPAcquireConfig({"chanels": ["level"]})
 
@@ -245,6 +251,14 @@ def test_a_matrix_is_read_written_saved_and_reset_over_the_link(tmp_path: Path) 
         back = zendsp.Recording.load(rec.save(tmp_path / "matrix.mat"))
     assert np.array_equal(back["P"][-1], [0.0, 0.0, 9.0, 0.0]) and back["K[1,2]"][-1] == 9.0
     assert np.array_equal(back.parameters["K"], given)
+
+
+def test_a_target_is_asked_for_the_names_of_its_variables_as_a_dictionary_is() -> None:
+    with zendsp.local("imi_planar", clock="fast") as target:
+        target.download("pd.c")
+        names = list(target)
+        assert names == list(target.variables) == list(target.variables())
+        assert "Kp1" in names and "Kp1" in target and "Kp9" not in target.variables
 
 
 def test_names_and_values_of_matrices_are_read_from_a_command_line() -> None:

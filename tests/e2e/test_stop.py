@@ -246,6 +246,21 @@ def test_stop_without_a_name_stops_what_is_here_and_what_the_environment_leads_t
     assert "tcp/127.0.0.1:1: NOT STOPPED" in wrong and "near" not in wrong
 
 
+def test_a_target_of_this_machine_is_stopped_by_name_wherever_the_environment_leads(
+    start: Callable[..., Target],
+    typed: Callable[..., tuple[object, str, str]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    near = start(name="near")
+    near.download("pd.c")
+    near.start()
+    monkeypatch.setenv("ZENDSP_CONNECT", "tcp/127.0.0.1:1")
+    status, said, wrong = typed("stop", "near")
+    assert near.status().trip is not None
+    assert said.startswith("near at this machine: stopped, at sample")
+    assert status == 2 and wrong.startswith("zendsp: near: NOT STOPPED"), "of the other place"
+
+
 def test_stop_at_the_prompt_of_a_shell_stops_the_target_of_that_prompt(
     start: Callable[..., Target],
     typed: Callable[..., tuple[object, str, str]],

@@ -8,18 +8,23 @@ import sys
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from story_cases import Answer, live_case
 from waiting import PATIENCE_S
 
 import zendsp
 from zendsp.demo.controller import plan_update, slots, sources
 from zendsp.demo.narrator import Narrator
+from zendsp.demo.picture import _missing
 from zendsp.demo.run import concealment
 from zendsp.demo.runs import prepare_machine
 from zendsp.demo.stage import get_stage, nominal_model
+from zendsp.diagnosis.decide.result import Finding
+from zendsp.diagnosis.measure.where import Missing
 from zendsp.errors import Refused
 from zendsp.experiment.separating import run_reference
 from zendsp.link import Target
@@ -235,6 +240,30 @@ def test_a_reference_is_refused_with_the_reason_where_it_cannot_be_played(fast: 
     fast.download("pd.c")
     with pytest.raises(Refused, match=r"joint 1 to .* 2\.5; the target allows -2\.15 … 2\.15"):
         run_reference(fast, _swing(2, 2.5), model)
+
+
+def test_the_picture_is_scaled_by_what_it_draws() -> None:
+    """Torques that the recording hardly shows are not drawn, and set no scale."""
+    t = np.arange(4000) / 500.0
+    q, v = np.sin(t), np.cos(t)
+    torque, std = np.sign(v) * np.sin(5 * q), np.full(4000, 0.02)
+    torque[::100], std[::100] = 60.0, 1e3
+    variables = {"position": q, "velocity": v, "acceleration": -q, "command": torque}
+    parts = {1: [Missing(t, torque, std, variables)]}
+    found = Finding(
+        "position_friction", 1, {}, 0.9, 1.0, (), (), "", {}, mechanism="dry_friction"
+    )
+    told = SimpleNamespace(
+        tracking=None,
+        diagnosis=SimpleNamespace(findings=[found], missing=parts, remaining=parts, unit="rad"),
+    )
+    axis = Figure().add_subplot()
+    _missing(axis, told, 1)  # type: ignore[arg-type]
+    low, high = axis.get_ylim()
+    assert -2 < low < -1 and 1 < high < 2
+    line = axis.get_lines()[2]  # dots, their colour in the legend, the curve: of one direction
+    apart = np.asarray(line.get_ydata()) - np.sin(5 * np.asarray(line.get_xdata()))
+    assert line.get_lw() > 1 and np.median(np.abs(apart)) < 0.1
 
 
 def test_run_needs_a_folder_for_the_new_recording() -> None:

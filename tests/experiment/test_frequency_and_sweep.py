@@ -12,8 +12,10 @@ from waiting import PATIENCE_S, until
 
 import zendsp
 from zendsp.errors import AcquisitionError, RecordingError, Refused, VariableError
-from zendsp.experiment.frequency import FrequencyResponse, choose_lines, estimate, make_period
-from zendsp.experiment.sweep import Sweep, announced, tried_of, values_of
+from zendsp.experiment.frequency import choose_lines, estimate, make_period
+from zendsp.experiment.response import FrequencyResponse
+from zendsp.experiment.sweep import announced, tried_of, values_of
+from zendsp.experiment.sweep_result import Sweep
 from zendsp.link import Target, local
 
 RATE = 1000.0

@@ -88,6 +88,9 @@ def test_nor_does_its_host_when_it_is_lost(watched: Target) -> None:
     lost.close()
     until(lambda: watched["Kp1"] == 2000.0, "it is put back")
     assert watched.status().trip is None and watched["step"] < STEP
+    # where the arm is just on its circle, a step of the gains is none of the torque
+    back = [c for c in watched.log() if c.name == "Kp1"][-1]
+    assert (back.old, back.new, back.fade) == (5.0, 2000.0, 500)
 
 
 @pytest.fixture(scope="module")

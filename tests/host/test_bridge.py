@@ -19,11 +19,12 @@ pytest.importorskip("foxglove")
 connect = pytest.importorskip("websockets.sync.client").connect
 ConnectionClosed = pytest.importorskip("websockets.exceptions").ConnectionClosed
 
-from zendsp.bridge import Bridge, foxglove  # noqa: E402
-from zendsp.errors import LinkError  # noqa: E402
-from zendsp.link import Target, local  # noqa: E402
+from waiting import PATIENCE_S, until  # noqa: E402
 
-PATIENCE_S = 30.0
+from zendsp.bridge import Bridge, foxglove  # noqa: E402
+from zendsp.bridge.foxglove import WARNING  # noqa: E402
+from zendsp.errors import LinkError, Refused  # noqa: E402
+from zendsp.link import Target, local  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -37,8 +38,8 @@ def target() -> Iterator[Target]:
 class Viewer:
     """As much of a viewer as is needed."""
 
-    def __init__(self, bridge: Bridge) -> None:
-        self._connection = connect(bridge.url, subprotocols=["foxglove.sdk.v1"])
+    def __init__(self, bridge: Bridge, protocol: Any = "foxglove.sdk.v1") -> None:
+        self._connection = connect(bridge.url, subprotocols=[protocol])
         self.topics: dict[str, dict[str, Any]] = {}
 
     def __enter__(self) -> Viewer:
@@ -128,6 +129,15 @@ def test_every_signal_arrives_with_its_time_and_its_schema(target: Target) -> No
         assert body["q"] == [body["q1"], body["q2"]] and body["e1"] == body["r1"] - body["q1"]
 
 
+def test_a_viewer_that_knows_the_protocol_by_its_former_name_comes_in(target: Target) -> None:
+    # Lichtblick and viewers of before 2025 ask for it so
+    name = "foxglove.websocket.v1"
+    with foxglove(target, ["q1"], port=0) as bridge, Viewer(bridge, name) as viewer:
+        assert viewer.socket.subprotocol == name
+        viewer.subscribe("/signals")
+        assert viewer.until(lambda message: "row" in message)["row"]["t"] > 0.0
+
+
 def test_parameters_are_read_and_not_written_unless_asked_for(target: Target) -> None:
     with foxglove(target, ["q1"], port=0) as bridge, Viewer(bridge) as viewer:
         viewer.ask("getParameters", parameterNames=[], id="all")
@@ -176,6 +186,25 @@ def test_what_is_no_value_of_a_parameter_is_refused_in_words(
         viewer.ask("setParameters", parameters=[given], id="a")
         assert said.lower() in viewer.until(lambda m: m.get("op") == "status")["message"].lower()
         assert target["Kp1"] == 2000.0
+
+
+def test_why_the_target_refuses_is_said_once(
+    target: Target, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where a role was taken away: it was said five times a second."""
+    asked: list[str] = []
+
+    def refused() -> dict[str, Any]:
+        asked.append("")
+        raise Refused("no role")
+
+    with foxglove(target, ["q1"], port=0) as bridge, Viewer(bridge) as viewer:
+        monkeypatch.setattr(bridge, "parameters", refused)
+        until(lambda: len(asked) > 5, "it goes on looking")
+        bridge._say("the end", WARNING)
+        said: list[str] = []
+        viewer.until(lambda m: said.append(m.get("message")) or said[-1] == "the end")
+        assert said.count("no role") == 1
 
 
 def test_a_trip_is_an_event(target: Target) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime, timedelta
@@ -76,6 +77,19 @@ def test_a_person_may_do_what_the_list_says_now(lab: Lab, start: Open) -> None:
         until(lambda: host.status().state == "stopped", "it stopped")
 
 
+def test_who_is_revoked_takes_nobody_else_s_role(lab: Lab, start: Open) -> None:
+    target, bo = lab.add_target("imi"), lab.add_user("bo", "tune")
+    lab.add_user("anna", "observe")
+    monitor = start(lab, target)
+    with enter(monitor, lab, bo) as host:
+        assert host.log() == ()
+        lab.revoke("anna")
+        assert host.log() == (), "of a target that ran meanwhile"
+    monitor.close()
+    with enter(start(lab, target), lab, bo) as host:
+        assert host.log() == (), "of one that starts afterwards"
+
+
 def test_a_damaged_list_gives_nobody_a_role(
     lab: Lab, start: Open, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -86,6 +100,9 @@ def test_a_damaged_list_gives_nobody_a_role(
             host.limits()
         assert "nobody has a role from now on" in caplog.text
         lab.roles_file.unlink()
+        with pytest.raises(Refused, match="anna has none"):
+            host.limits()
+        os.mkfifo(lab.roles_file, 0o600)  # the target waits for nobody who would write into it
         with pytest.raises(Refused, match="anna has none"):
             host.limits()
 
@@ -268,6 +285,21 @@ def test_an_authority_is_not_overwritten_nor_shared(lab: Lab, tmp_path: Path) ->
     (lab.folder / "ca.key").chmod(0o640)
     with pytest.raises(Refused, match="chmod 600"):
         Lab(lab.folder)
+
+
+def test_a_full_disk_is_told_with_the_file_and_changes_nothing(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lab.add_user("anna", "tune")
+    before = lab.roles_file.read_text()
+
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(Refused, match=r"lab/roles\.toml: cannot be written: No space left"):
+        lab.add_user("anna", "command")
+    assert lab.roles_file.read_text() == before and not [*lab.folder.rglob("*.part")]
 
 
 def test_nothing_is_signed_for_longer_than_the_authority_lives(lab: Lab) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import threading
 import weakref
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +23,8 @@ from zendsp.link import ParameterSet, Target, connect
 from zendsp.matdsp import MatDSPcompile, MatDSPdownload
 from zendsp_protocol.messages import CompileResult, JointInfo, MachineInfo
 from zendsp_target.runtime import Runtime
+from zendsp_target.serving.server import THREADS
+from zendsp_target.serving.turns import Turns
 
 
 def test_write_and_read_asynchronously(running: Target) -> None:
@@ -84,6 +87,51 @@ def test_parameter_sets_save_diff_restore_and_reset(running: Target, tmp_path: o
         ParameterSet.load(__file__)
     with pytest.raises(VariableError, match=r"are JSON; name it .*good\.json"):
         before.save(f"{tmp_path}/good.toml")
+
+
+class Overdue:
+    """A querier whose time is up."""
+
+    ok = None
+
+    def get(self, **_: object) -> Overdue:
+        return self
+
+    def recv(self) -> Overdue:
+        return self
+
+
+def test_an_update_that_got_no_answer_in_time_is_asked_for_again(
+    loaded: Target, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It ended as "not answered: Timeout", without a word whether it was applied."""
+    with monkeypatch.context() as patch:
+        patch.setitem(loaded.link._queriers, "sync", Overdue())
+        loaded.update(Kp1=250.0)
+    assert loaded["Kp1"] == 250.0
+
+
+def test_a_compile_that_a_flooded_target_lets_go_of_is_asked_for_again(
+    running: Target, runtime: Runtime, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was "did not answer within 120 s", at once."""
+    let_go: list[str] = []
+    usual = Turns.next
+
+    def flooded(turns: Turns) -> Any:
+        query = usual(turns)
+        while "/slow" in str(query.key_expr) and len(let_go) < 3:
+            let_go.append(str(query.key_expr))
+            query.drop()
+            query = usual(turns)
+        return query
+
+    compiled = CompileResult(True, "", (), 0.0, False, "", ())
+    monkeypatch.setattr(runtime, "compile", lambda *_: compiled)
+    monkeypatch.setattr(Turns, "next", flooded)
+    for _ in range(1 + THREADS["slow"]):  # the first ones by threads that wait already
+        assert running.compile({"a.c": "x"}).ok
+    assert let_go
 
 
 def test_a_slow_compile_holds_up_neither_stop_nor_reads(
@@ -182,7 +230,7 @@ def test_a_recording_that_another_host_cuts_short_says_so_and_keeps_what_there_i
     running: Target, runtime: Runtime, what: str, was: str
 ) -> None:
     def disturb(done: float) -> None:
-        if 0.0 < done < 0.02:
+        if 0.0 < done < 0.9:  # soon, but for a busy computer
             runtime.pause() if what == "pause" else runtime.trip(what)
 
     says = rf"the program was {was} before the recording was complete \((\d+) of 10000 rows\)"

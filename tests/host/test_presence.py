@@ -169,6 +169,15 @@ def test_an_endpoint_in_the_environment_is_meant_though_a_target_of_that_name_ru
     assert locate(target.info.name)[1] != ["tcp/elsewhere:7447"]
     monkeypatch.setenv("ZENDSP_CONNECT", "tcp/elsewhere:7447")
     assert locate(target.info.name) == (target.info.name, ["tcp/elsewhere:7447"], None)
+    monkeypatch.setenv("ZENDSP_CONNECT", "tcp/127.0.0.1:1")
+    unset = r"fake runs on this computer, but .ZENDSP_CONNECT leads to tcp/127.0.0.1:1: .* unset"
+    for name in ("fake", ""):
+        with pytest.raises(LinkError, match=unset):
+            connect(name, timeout=0.3)
+    for name, place in (("other", None), ("fake", "tcp/127.0.0.1:1")):
+        with pytest.raises(LinkError, match="or it asks for a password") as caught:
+            connect(name, place, timeout=0.3)
+        assert "unset" not in str(caught.value), "nothing else was meant"
 
 
 @pytest.mark.parametrize(

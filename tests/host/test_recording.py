@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 from zendsp import local
 from zendsp.errors import RecordingError
 from zendsp.recording import ParameterChange, Recording, read_table
+from zendsp.recording.cut import read_parts
 
 
 @pytest.fixture
@@ -263,3 +265,45 @@ def test_analog_inputs_keep_the_unit_of_each(tmp_path: Path) -> None:
     assert rec["adc"].shape == (10, 2)
     for name in ("run.mat", "run.csv", "run.npz"):
         assert Recording.load(rec.save(tmp_path / name)).column_units == ("A", "V", "counts")
+
+
+def test_a_part_of_a_recording_keeps_what_was_true_of_it(
+    recording: Recording, tmp_path: Path
+) -> None:
+    path = recording.save(tmp_path / "run.mat")
+    (part,) = read_parts(path, begin=0.0, end=0.004)  # rows 0 and 1, ticks 17 and 19
+    assert len(part) == 2 and part.start_tick == 17 and part.trigger_row == -1
+    assert part.log == () and part.parameters == {"Kp": 1.0, "a": [1, 2]}
+    (part,) = read_parts(path, begin=0.004)
+    assert part.start_tick == 21 and part.trigger_row == 3
+    assert part.log == recording.log and part.parameters == recording.parameters
+    assert np.array_equal(part.data, recording.data[2:]) and part.sources == recording.sources
+    with pytest.raises(RecordingError, match=r"no row is left of 200; it is 0.398 s long"):
+        read_parts(path, begin=1.0)
+
+
+def test_a_foreign_file_is_cut_at_its_gaps_and_keeps_its_columns(tmp_path: Path) -> None:
+    stamp = np.concatenate([np.arange(50), 500.0 + np.arange(30), 10.0 + np.arange(20)]) * 0.01
+    (tmp_path / "run.csv").write_text(
+        "stamp,q [deg]\n" + "".join(f"{t:.2f},{k}\n" for k, t in enumerate(stamp))
+    )
+    parts = read_parts(tmp_path / "run.csv", time="stamp")
+    assert [len(part) for part in parts] == [50, 30, 20], "time that runs backwards is a gap too"
+    assert parts[1].names == ("q",) and parts[1].t[0] == 5.0, "the time once, as t"
+    table = read_table(parts[1].save(tmp_path / "part.csv"))
+    assert list(table.columns) == ["stamp", "q"], "a model file finds it as in the file it was"
+    assert parts[1]["q"][0] == pytest.approx(np.radians(50))
+    with pytest.raises(RecordingError, match="no time column \\(when\\)"):
+        read_parts(tmp_path / "run.csv", time="when")
+
+
+def test_cut_writes_over_no_file_unless_told(
+    tmp_path: Path, typed: Callable[..., tuple[object, str, str]]
+) -> None:
+    run = tmp_path / "run.csv"
+    run.write_text("t [s],q [rad]\n" + "".join(f"{k / 100},{k}\n" for k in range(90)))
+    before = run.read_bytes()
+    status, _, said = typed("cut", run, "--to", 0.3, "-o", run)
+    assert status == 2 and "--force" in said and run.read_bytes() == before
+    status, *_ = typed("cut", run, "--to", 0.3, "-o", run, "--force")
+    assert status == 0 and len(Recording.load(run)) == 30

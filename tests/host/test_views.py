@@ -130,3 +130,23 @@ def test_a_live_view_takes_names_as_they_come_and_draws(target: Target) -> None:
         assert repr(view).endswith("rows, 3 more not shown (a recording keeps all)>")
     assert "closed" in repr(view)
     target.pause()
+
+
+def test_what_a_target_lists_is_a_table_at_a_prompt_and_in_a_notebook() -> None:
+    with local("imi_planar", clock="fast") as target:
+        target.download("pd.c")
+        known = target.variables()
+        first, row = repr(known).splitlines()[:2]
+        assert first.split() == ["VARIABLE", "TYPE", "KIND", "UNIT", "MIN", "MAX"]
+        assert row.split(maxsplit=7) == [
+            "Kp1", "double", "parameter", "N", "m/rad", "0", "20000", "proportional gain, joint 1",
+        ]
+        assert "<td>double[2]</td>" in known._repr_html_() and known["Kp1"].unit == "N m/rad"
+        assert "<td>encoders</td>" in target.builtins()._repr_html_()
+        assert repr(target.log()) == "none"
+        sample = target.update(Kp1=400.0)
+        assert repr(target.log()).splitlines()[1].split()[:4] == [str(sample), "Kp1", "2000", "400"]
+        assert "<td>400</td>" in target.log()._repr_html_()
+        reading = target.read(["Kp1", "q"])
+        assert repr(reading).startswith(f"<Reading of sample {reading.tick}: Kp1 400, q [")
+        assert "<td>Kp1</td><td>400</td>" in reading._repr_html_()

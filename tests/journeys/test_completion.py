@@ -48,6 +48,7 @@ def test_tab_completes_machines_and_experiments(installed: Installed) -> None:
     assert _tab(installed, "zendsp", "target", "--machine", "i") == ["imi_planar"]
     assert _tab(installed, "zendsp", "demo", "--machine", "w") == ["wam7"]
     assert _tab(installed, "zendsp", "experiment", "imi-f") == ["imi-fit"]
+    assert _tab(installed, "zendsp", "diagnose", "--model", "wam") == ["wam7.toml"]
 
 
 def test_other_shells_get_a_script(installed: Installed) -> None:

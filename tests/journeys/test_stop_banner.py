@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +80,21 @@ def test_stop_ends_in_the_right_banner(
         return "NOT STOPPED" not in screen.text()
 
     until(acknowledged, "the banner goes", screen.text)
+
+
+def test_a_machine_that_was_started_here_is_stopped_wherever_the_environment_leads(
+    installed: Installed, screens: list[Screen]
+) -> None:
+    """The process of the keys looked for it at $ZENDSP_CONNECT, and the machine ran on."""
+    away = replace(installed, env={**installed.env, "ZENDSP_CONNECT": "tcp/127.0.0.1:1"})
+    screens.append(Screen(away, (80, 24), "--local", "imi_planar", "--source", "pd.c"))
+    screens[-1].until("○ empty")
+    screens[-1].keys(b"b")
+    screens[-1].until("○ loaded")
+    screens[-1].keys(b"s")
+    screens[-1].until("● running")
+    screens[-1].keys(F9)
+    screens[-1].until("stopped, at sample")
 
 
 def runner_of(target: int) -> int:

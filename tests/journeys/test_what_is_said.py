@@ -231,6 +231,7 @@ def test_what_tripped_is_never_called_merely_stopped(user: Installed) -> None:
     said = user.run("run", "trips.c")
     assert said.stdout == "tripped at sample 0\n", said  # not where the paused clock is now
     assert user.run("pause").stdout == "tripped at sample 0\n"
+    assert " tripped " in user.run("ls").stdout
     said = user.run("stop")
     assert said.stdout.count("stopped, at sample 0") == 1 and "computed nan" in said.stdout, said
     refused = user.run("experiment", "friction", "-t", "imi")

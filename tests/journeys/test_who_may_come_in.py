@@ -191,7 +191,7 @@ def bridged(user: Installed, env: dict[str, str]) -> Iterator[Callable[..., str]
 
 def test_a_lab_makes_keys_gives_roles_and_takes_them_back(installed: Installed) -> None:
     pytest.importorskip("cryptography")
-    for line in ("init", "target imi", "user anna --role observe"):
+    for line in ("init", "target imi", "user anna --role observe", "user bo --role tune"):
         said = installed.run("keys", *line.split())
         assert said.returncode == 0, said.stderr
     keys = "--tls-cert lab/targets/imi.pem --tls-key lab/targets/imi.key --tls-ca lab/ca.pem"
@@ -220,6 +220,9 @@ def test_a_lab_makes_keys_gives_roles_and_takes_them_back(installed: Installed) 
     assert installed.run("keys", "revoke", "anna").returncode == 0
     refused = installed.run("set", "Kp1=420", "-t", "imi", env=anna)
     assert refused.returncode == 2 and "anna has none" in refused.stderr
+    bo = {name: word.replace("anna", "bo") for name, word in anna.items()}
+    said = installed.run("set", "Kp1=430", "-t", "imi", env=bo)
+    assert said.returncode == 0, f"revoking anna took bo's role: {said.stderr}"
     stopped = installed.run("stop", "-t", "imi", env=anna)
     assert stopped.returncode == 0, stopped.stdout + stopped.stderr
     assert "revoked" in installed.run("keys", "list").stdout

@@ -154,6 +154,7 @@ def test_effects_are_read_from_toml_and_json_in_the_form_of_a_model_file(tmp_pat
         ("seed:x", "imi_planar", "expected seed:N"),
         ("seed:1,colour=red", "imi_planar", "colour in 'seed:1,colour=red'"),
         ("seed:1,effect=magic", "imi_planar", "cannot carry 'magic'"),
+        ("seed:1,effect=coulom", "imi_planar", "did you mean coulomb?"),
         ("seed:1,effect=coupling", "pendulum", "pendulum cannot carry 'coupling'"),
         ("seed:1,joint=3", "imi_planar", "joint 3; imi_planar has joints 1 to 2"),
         ("seed:1", "/home/me/arm.c", "nothing can be drawn for"),

@@ -20,6 +20,13 @@ from zendsp_protocol.errors import CompileFailed
 
 mujoco: Any = pytest.importorskip("mujoco")
 MODELS = Path(__file__).parent / "models"
+URDF = """<robot name="pole"><link name="base"><visual><geometry>
+<mesh filename="package://somewhere/base.stl"/></geometry></visual></link>
+<link name="pole"><inertial><origin xyz="0 0 0.3"/><mass value="2"/>
+<inertia ixx="0.02" iyy="0.02" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial>
+<collision><geometry><mesh filename="package://somewhere/pole.stl"/></geometry></collision></link>
+<joint name="swing" type="revolute"><parent link="base"/><child link="pole"/><axis xyz="0 1 0"/>
+<limit lower="-1" upper="1" effort="20" velocity="2"/></joint></robot>"""
 ARM, ACROBOT = MODELS / "bench_arm.xml", MODELS / "acrobot_and_ball.xml"
 
 
@@ -347,6 +354,18 @@ def test_a_part_that_other_files_include_is_told_from_a_model(tmp_path: Path) ->
     part.write_text("<mujocoinclude><body/></mujocoinclude>")
     with pytest.raises(ValueError, match="a part that another file includes: give that file"):
         robot(part)
+
+
+def test_a_urdf_whose_meshes_are_in_another_package_runs_without_its_shapes(tmp_path: Path) -> None:
+    file = tmp_path / "pole.urdf"
+    file.write_text(URDF)
+    with robot(file) as plant:
+        said = plant.ffi.string(plant.info.text).decode()
+        assert "without shapes: files of meshes are missing" in said
+        assert plant.info.joint[0].inertia == pytest.approx(0.02 + 2 * 0.3**2)
+    file.with_suffix(".xml").write_text('<mujoco><asset><mesh file="no.stl"/></asset></mujoco>')
+    with pytest.raises(ValueError, match=r"no\.stl"):
+        robot(file.with_suffix(".xml"))
 
 
 def test_a_model_that_is_too_slow_for_the_real_clock_says_how_slow(tmp_path: Path) -> None:

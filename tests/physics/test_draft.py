@@ -4,6 +4,7 @@ back.
 
 from __future__ import annotations
 
+import re
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -40,6 +41,9 @@ def recording() -> dict[str, np.ndarray]:
 
 
 def model_of(text: str) -> Model:
+    chosen = re.sub("(?m)^#(?! )", "", text)  # every line that is a choice
+    assert "\n[controller]\n" in chosen
+    parse_model(tomllib.loads(chosen), "chosen.toml")
     return parse_model(tomllib.loads(text), "draft.toml")
 
 
@@ -109,8 +113,29 @@ def test_joints_are_grouped_and_sides_are_told_apart() -> None:
     ]
     assert model.columns["command"] == ["axis1.torque", "axis2.torque", "axis3.torque"]
     assert model.columns["position_load"] == ["q_load1", "q_load2", "q_load3"]
-    assert "not used: noise" in draft.text
+    assert "not used: noise" in draft.text and draft.unused == ("noise",)
     assert any("act on one another" in question for question in draft.questions)
+
+
+def test_joint_states_name_their_joints_in_any_order() -> None:
+    elbow, shoulder = (recording(), {k: 2 * v for k, v in recording().items()})
+    columns = {
+        "t": T,
+        "arm/feedback.elbow.position": elbow["q"],
+        "arm/feedback.shoulder.position": shoulder["q"],
+        "arm/command.shoulder.effort": shoulder["tau"],
+        "arm/command.elbow.effort": elbow["tau"],
+    }
+    model = model_of(draft_model(Table(columns, path=Path("bag"))).text)
+    assert model.columns["command"] == ["arm/command.elbow.effort", "arm/command.shoulder.effort"]
+    assert [q.value for q in model.mechanism["inertia"]] == pytest.approx([INERTIA] * 2, rel=0.1)
+
+
+def test_a_first_idea_is_of_what_was_recorded_without_a_gap() -> None:
+    columns = {name: np.delete(values, slice(5000, 5060)) for name, values in recording().items()}
+    draft = draft_model(Table(columns, {"q": "rad", "tau": "N m"}, path=Path("run.csv")))
+    assert "60 rows missing" in draft.text
+    assert model_of(draft.text).mechanism["inertia"][0].value == pytest.approx(INERTIA, rel=0.05)
 
 
 def test_degrees_and_milliseconds_end_as_si(tmp_path: Path) -> None:

@@ -74,6 +74,13 @@ def test_smooth_torque_is_integrated_to_second_order(name: str) -> None:
     assert fine < 0.3 * coarse + 1e-5 * size
 
 
+def reaches(u: float, v: float) -> float:
+    """Torque x of a drive's u that a friction of 0.04 + 0.3 |x| against the speed v lets through.
+    """
+    rest = u - math.copysign(0.04, v)
+    return abs(rest) / (1.0 + math.copysign(0.3, v * rest))
+
+
 DRY: dict[str, tuple[list[dict[str, Any]], Torque]] = {
     "coulomb": ([{"kind": "coulomb", "level": 0.05}], lambda q, v, t, u: dry(0.05)(v)),
     "coulomb_asymmetry": (
@@ -98,6 +105,13 @@ DRY: dict[str, tuple[list[dict[str, Any]], Torque]] = {
     "load_friction": (
         [{"kind": "load_friction", "coefficient": 0.3}],
         lambda q, v, t, u: dry(0.3 * abs(u))(v),
+    ),
+    "friction of the load": (
+        [
+            {"kind": "coulomb", "level": 0.04},
+            {"kind": "load_friction", "coefficient": 0.3, "of": "load"},
+        ],
+        lambda q, v, t, u: dry(0.04 + 0.3 * reaches(u, v))(v),
     ),
     "friction_drift": (
         [

@@ -320,3 +320,26 @@ def test_a_mesh_is_still_found_from_where_the_model_is_written(tmp_path: Path) -
     mechanism = {"kind": "mjcf", "file": "model.mjcf"}
     again = parse_model({"mechanism": mechanism}, str(out / "model.toml"))
     assert write_mjcf(again, out / "again.mjcf") is not None, "what was written is a model again"
+
+
+def test_a_urdf_whose_meshes_are_in_another_package_is_read_and_written_back(
+    tmp_path: Path,
+) -> None:
+    from zendsp.physics.robots.mjcf_write import write_mjcf
+
+    (tmp_path / "pole.urdf").write_text(
+        '<robot name="pole"><link name="base"/><link name="pole"><inertial><origin xyz="0 0 0.3"/>'
+        '<mass value="2"/><inertia ixx="0.02" iyy="0.02" izz="0.001" ixy="0" ixz="0" iyz="0"/>'
+        '</inertial><visual><geometry><mesh filename="package://somewhere/pole.stl"/></geometry>'
+        '</visual><collision><geometry><mesh filename="package://somewhere/pole.stl"/></geometry>'
+        '</collision></link><joint name="swing" type="revolute"><parent link="base"/>'
+        '<child link="pole"/><axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="9"'
+        ' velocity="2"/></joint></robot>'
+    )
+    mechanism = {"kind": "mjcf", "file": "pole.urdf"}
+    payload = {"kind": "payload", "joint": 1, "mass": 0.5, "com_z": 0.6}
+    model = parse_model({"mechanism": mechanism, "effect": [payload]}, str(tmp_path / "m.toml"))
+    assert write_mjcf(model, tmp_path / "model.mjcf") is not None
+    again = parse_model({"mechanism": mechanism | {"file": "model.mjcf"}}, str(tmp_path / "m.toml"))
+    (body,), _ = robot_tree(again)
+    assert (body.mass, body.com[2]) == (pytest.approx(2.5), pytest.approx(0.36))

@@ -285,6 +285,25 @@ def test_a_machine_moves_as_scipy_says_with(name: str) -> None:
     assert np.abs(rec["position"] - sensor(truth.y)).max() < 3e-6
 
 
+def test_friction_may_grow_with_the_torque_that_reaches_the_load() -> None:
+    """U = load + 0.2 |load| sign of the speed, to the step by which the load is known late."""
+    def law(t: float, x: Any) -> list[float]:
+        load = U / (1.0 + math.copysign(0.2, x[1]))
+        return [x[1], (load - G * math.sin(x[0])) / J]
+
+    friction = effect("load_friction", coefficient=0.2, of="load")
+    rec = simulate_loop(
+        rotary(friction, gravity=G), command=np.full(800, U), position=1.0, inner=32
+    )
+    truth = solve_ivp(law, (0, 0.8), [1.0, -1e-12], rtol=1e-9, max_step=1e-4, t_eval=rec.t)
+    of_drive = simulate_loop(
+        rotary(effect("load_friction", coefficient=0.2), gravity=G), command=np.full(800, U),
+        position=1.0, inner=32,
+    )  # fmt: skip
+    assert np.abs(rec["position"] - truth.y[0]).max() < 1e-4
+    assert np.abs(of_drive["position"] - truth.y[0]).max() > 1e-2
+
+
 def test_dry_friction_follows_the_temperature_that_is_recorded() -> None:
     model = rotary(
         effect("coulomb", level=0.02),

@@ -8,6 +8,8 @@ import contextlib
 import importlib.util
 import itertools
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import msgpack
@@ -334,3 +336,29 @@ def test_a_name_in_the_wrong_capitals_is_the_nearest_there_is() -> None:
     assert errors.nearest("kp", ("Kd1", "Kp1", "q")) == ["Kp1"]
     assert errors.nearest("kd1", ("qd1", "Kd1"), 2) == ["Kd1", "qd1"]
     assert errors.did_you_mean("DELAY", ("gain", "delay")).startswith("did you mean delay?")
+
+
+NEW = """
+import sys, threading
+from zendsp_protocol import codec, messages as m
+from zendsp_protocol.states import ProgramState
+sys.setswitchinterval(1e-6)
+trip = m.Trip(reason="stop", tick=1, text="STOP")
+told = codec.encode_result(m.Status(state=ProgramState.STOPPED, trip=trip, timing=m.Timing()))
+begin = threading.Barrier(12)
+def read():
+    begin.wait()
+    assert codec.decode_reply(told, m.Status).trip == trip
+threads = [threading.Thread(target=read) for _ in range(12)]
+for thread in threads:
+    thread.start()
+for thread in threads:
+    thread.join()
+"""
+
+
+def test_several_threads_may_meet_a_type_for_the_first_time_together() -> None:
+    """As `zendsp ls` of many targets does on a busy computer, where it ended with SIGSEGV."""
+    for _ in range(3):
+        done = subprocess.run([sys.executable, "-c", NEW], capture_output=True, text=True)
+        assert done.returncode == 0, (done.returncode, done.stderr)

@@ -199,10 +199,34 @@ def test_command_line_plans_saves_draws_and_refuses(tmp_path: Path) -> None:
     assert isinstance(refused.exception, ReferenceError_) and not (tmp_path / "no.mat").exists()
 
 
+def test_planning_and_drawing_say_what_they_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ZENDSP_PROGRESS", "lines")  # on a terminal: one line, in a pipe: nothing
+    picture = tmp_path / "circle.png"
+    words = ["circle", "--machine", "imi_planar", "--radius", "0.1", "--plot", str(picture)]
+    done = CliRunner().invoke(command, words, catch_exceptions=False)
+    told = done.stderr.splitlines()
+    assert told == ["planning within the limits of imi_planar", f"drawing {picture}"]
+    assert f"wrote {picture}" in done.stdout
+
+
 def test_plot_has_one_axis_per_quantity_and_the_path_of_a_planar_tip() -> None:
     arm, pendulum = load_machine("imi_planar"), load_machine("pendulum")
     assert len(plot_reference(make_reference("circle", arm), arm).axes) == 5
     assert len(plot_reference(make_reference("lspb", pendulum), pendulum).axes) == 4
+
+
+def test_the_picture_tells_every_limit_and_its_legend_covers_no_curve() -> None:
+    arm = load_machine("imi_planar")
+    figure = plot_reference(make_reference("circle", arm, radius=0.15), arm)
+    assert all(ax.get_legend() is None for ax in figure.axes[:4])
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.texts] == ["joint 1", "joint 2", "limit"]
+    torque = figure.axes[3]
+    dashed = {round(float(np.asarray(line.get_ydata())[0]), 1) for line in torque.lines[2:]}
+    assert torque.get_title(loc="right") == "limits: joint 1 ±245"  # 11 times what the circle asks
+    assert dashed == {-39.2, 39.2}, "joint 2"
 
 
 def test_dynamics_of_the_wam_are_pinocchios_to_1e_9(wam_of_pinocchio: Any) -> None:
@@ -351,3 +375,16 @@ def test_a_move_whose_time_nobody_gave_is_calm_and_within_limits(machine: str) -
     slow = replace(own, limits=replace(own.limits, speed=0.001 * own.limits.speed))
     long = make_reference("point_to_point", slow)
     assert long.duration > 2.0 and not slow.find_violations(long)
+
+
+@pytest.mark.parametrize("kind", sorted(set(KINDS) - {"swing"}))
+def test_the_example_in_the_help_of_each_kind_runs(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "motion.csv").write_text("t,q1,q2\n0,0.1,0.2\n0.5,0.15,0.25\n1,0.2,0.3\n")
+    shown = CliRunner().invoke(command, [kind, "--help"]).output.partition("Example:")[2]
+    words = shown.partition("Options")[0].split()
+    assert words[:3] == ["zendsp", "reference", kind]
+    said = CliRunner().invoke(command, words[2:])
+    assert said.exit_code == 0 and (tmp_path / f"{kind}.png").exists(), said.output

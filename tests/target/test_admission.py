@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -52,6 +54,15 @@ def test_a_users_file_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
     assert read_users(path) == {"anna": "secret", "bo": "x:y"}
 
 
+@pytest.mark.timeout(10)
+@pytest.mark.parametrize("option", ["users", "roles"])
+def test_a_list_that_would_never_end_is_refused_at_once(tmp_path: Path, option: str) -> None:
+    pipe = str(tmp_path / "pipe")
+    os.mkfifo(pipe, 0o600)  # to open it waits for somebody who writes
+    with pytest.raises(Refused, match=f"--{option} {pipe}: .* expected a regular file"):
+        settle("imi", [], [], Security(**{option: pipe}))
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -60,6 +71,9 @@ def test_a_users_file_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
         ('[roles]\nanna = "tuna"\n', "did you mean tune"),
         ('[roles]\nowner = "tune"\n', "owner"),
         ("[roles\n", "cannot be read"),
+        ('[roles]\nanna = "tune"\n[revokd]\n', "did you mean revoked"),
+        ('[roles]\nanna = "tune"\n[revoked]\nanna = "2026-01-01"\n', "revoked as well"),
+        ('revoked = ["anna"]\n[roles]\nbo = "tune"\n', "a table .revoked."),
     ],
 )
 def test_a_roles_file_that_says_nothing_clear_is_refused(
@@ -277,3 +291,49 @@ def test_an_entry_that_a_full_disk_does_not_take_is_refused_by_its_name_and_leav
     with pytest.raises(Refused, match=r"run/imi\.json: cannot be written: No space left"):
         Registration("imi", ["tcp/127.0.0.1:1"], "imi_planar")
     assert not any((tmp_path / "run").iterdir())
+
+
+def test_what_a_killed_target_left_is_removed_by_the_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "run"
+    monkeypatch.setenv("ZENDSP_RUNTIME_DIR", str(folder))
+    listen = "unixsock-stream/{}/{}.sock"
+    code = """
+import os, sys, time, zenoh
+from zendsp_target.access.registration import Registration
+config = zenoh.Config()
+config.insert_json5("listen/endpoints", f'["{sys.argv[2]}"]')
+config.insert_json5("scouting/multicast/enabled", "false")
+session = zenoh.open(config)
+entry = Registration(sys.argv[1], [sys.argv[2]], "imi_planar")
+print("there", flush=True)
+time.sleep(3600)
+"""
+
+    def begin(name: str) -> subprocess.Popen[str]:
+        words = [sys.executable, "-c", code, name, listen.format(folder, name)]
+        process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+        assert process.stdout is not None and process.stdout.readline() == "there\n"
+        return process
+
+    folder.mkdir(mode=0o700)
+    os.mkfifo(folder / "pipe.json")
+    (folder / "endless.json").symlink_to("/dev/zero")
+    first, other = begin("first"), begin("next")
+    try:
+        assert os.stat(folder / "first.json").st_mode & 0o077 == 0, "it may hold a token"
+        first.kill()
+        first.wait()
+        assert (folder / "first.sock").exists()
+        last = begin("last")
+        try:
+            left = sorted(path.name for path in folder.glob("[!pe]*"))
+        finally:
+            last.kill()
+            last.communicate()
+    finally:
+        for process in (first, other):
+            process.kill()
+            process.wait()
+    assert left == [f"{n}.{s}" for n in ("last", "next") for s in ("json", "sock", "sock.lock")]

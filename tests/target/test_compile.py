@@ -25,6 +25,30 @@ from zendsp_target.runtime.process.settings import Settings, split_options
 HEAD = '#include "isr.h"\nstatic double x;\nvoid UserInit(void) { SIGNAL(x, "", ""); }\n'
 
 
+@pytest.mark.parametrize(
+    ("end", "column"),
+    [("", 21), ("  // of the angle", 21), (' /* of "it" */\n\n', 21)],
+)
+def test_a_semicolon_that_lacks_after_a_macro_is_told_of_the_line_where_it_lacks(
+    end: str, column: int
+) -> None:
+    # gcc names the next word, and that may be an internal name in another line
+    source = f"""#include "isr.h"
+static double q, r;
+void UserInit(void) {{
+SIGNAL(q, "rad", ""){end}
+SIGNAL(r, "rad", "");
+}}
+void UserISR_INT2(void) {{ q = 1.0; Acquire() }}
+void UserBackground(void) {{}}
+"""
+    said = compile_program({"pd.c": source}).diagnostics
+    assert [(d.line, d.column, d.message) for d in said if d.severity == "error"] == [
+        (4, column, "expected ';' at the end of this line"),
+        (7 + end.count("\n"), 45, "expected ';'"),
+    ]
+
+
 def test_an_error_names_file_line_and_column() -> None:
     result = compile_program({"law.c": HEAD + "void UserISR_INT2(void) {\n    x = 1.0\n}\n"})
     assert not result.ok

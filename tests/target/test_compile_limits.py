@@ -187,9 +187,31 @@ def test_a_file_outside_is_never_shown(
         assert SECRET.encode() not in program_path(result.key).read_bytes()
 
 
+OTHER = """#!/bin/sh
+[ "$1" = --version ] && exec echo clang version 14
+shift  # what gcc does not take
+[ "$(readlink /proc/self/exe)" = "$0" ] && exec gcc "$@"
+"""
+
+
 @needs_root_of_its_own
 @pytest.mark.parametrize("way", ["include", "has_include"])
-def test_whether_a_file_outside_is_there_cannot_be_told(way: str, secret: Path) -> None:
+@pytest.mark.parametrize("folder", ["", "gcc", ".", "bin"])
+def test_whether_a_file_outside_is_there_cannot_be_told(
+    folder: str, way: str, secret: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nor by a compiler at home that looks for its headers beside what /proc/self/exe names, as
+    clang and zig do.
+    """
+    if folder == "gcc":
+        monkeypatch.setenv("CC", folder)
+    elif folder:
+        (stand_in := secret.parent / folder / "clang").parent.mkdir(exist_ok=True)
+        stand_in.write_text(OTHER)
+        stand_in.chmod(0o755)
+        monkeypatch.setenv("CC", str(stand_in))
+    assert compile_program({"plain.c": HEAD}).ok
+
     def told(path: Path) -> str:
         result = compile_program({"peek.c": HEAD + WAYS[way].format(path=path)})
         return f"{result.ok} {result.diagnostics}".replace(str(path), "path")

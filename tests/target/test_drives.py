@@ -11,6 +11,7 @@ from typing import cast
 
 import numpy as np
 import pytest
+from hardware import driver
 from msgspec.structs import replace
 from waiting import until
 
@@ -146,7 +147,7 @@ def test_each_refusal_names_what_fails(process: Target) -> None:
         process.start()
     process.stop()
     until(lambda: process.status().trip is not None, "latched at the next sample")
-    with pytest.raises(Refused, match="enabling is refused: no trip: STOP"):
+    with pytest.raises(Refused, match="enabling is refused: trip: STOP"):
         process.enable()
     process.acknowledge()
     with pytest.raises(Refused, match="expected 'torque' or 'velocity'"):
@@ -159,7 +160,7 @@ def test_a_refused_enable_changes_nothing(target: Target) -> None:
     target.start()
     target.stop()
     until(lambda: target.status().trip is not None, "latched at the next sample")
-    with pytest.raises(Refused, match="enabling is refused: no trip: STOP"):
+    with pytest.raises(Refused, match="enabling is refused: trip: STOP"):
         target.enable()
     assert not target.drive_status().explicit, "still automatic"
     target.acknowledge()
@@ -188,6 +189,28 @@ def test_enabling_wants_finite_limits(target: Target) -> None:
         assert conditions["limits"] is met
     with pytest.raises(Refused, match="finite"):
         target.set_limits(torque_max=[float("inf")] * 2)
+
+
+def test_enabling_beside_a_sensor_that_reports_a_fault_is_refused(tmp_path: Path) -> None:
+    """All was green, and the first sample tripped."""
+    source, broken = tmp_path / "driver.c", tmp_path / "broken"
+    read = f's->enc[0] = 5; s->fault = access("{broken}", F_OK) == 0;'
+    source.write_text(driver("", read=read))
+    with local(str(source), clock="real", options=["--no-realtime"]) as target:
+        target.download("pd.c")
+        target.power_on()
+        broken.touch()
+        until(lambda: not _met(target, "sensors"), "the fault is read while nothing runs")
+        with pytest.raises(Refused, match="fault of joint 1: mend it"):
+            target.enable()
+        broken.unlink()
+        until(lambda: _met(target, "sensors"), "the fault is gone")
+        target.enable()
+
+
+def _met(target: Target, name: str) -> bool:
+    (found,) = (c for c in target.drive_status().conditions if c.name == name)
+    return found.met
 
 
 def test_of_an_emergency_stop_that_nobody_reads_yet_nothing_is_said() -> None:

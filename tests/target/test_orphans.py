@@ -108,6 +108,12 @@ def _started(monitor: Monitor) -> int:
     return int(monitor.stdout.readline())
 
 
+def _stop(monitor: Monitor) -> None:
+    """Returns when none of its threads runs any more: one would see the runner's death."""
+    monitor.send_signal(signal.SIGSTOP)
+    os.waitid(os.P_PID, monitor.pid, os.WSTOPPED)
+
+
 @pytest.mark.parametrize(
     ("hangs", "does"),
     [
@@ -133,7 +139,7 @@ def test_nothing_outlives_a_killed_target(tmp_path: Path, hangs: list[str], does
 def test_a_stopped_runner_goes_on_to_make_the_machine_safe(tmp_path: Path) -> None:
     with killed(tmp_path, PROGRAM % "") as monitor:
         runner = _started(monitor)
-        monitor.send_signal(signal.SIGSTOP)  # before the runner: its watchdog would end it
+        _stop(monitor)  # before the runner: its watchdog would end it
         os.kill(runner, signal.SIGSTOP)
     assert (tmp_path / "is-safe").exists()
 
@@ -167,6 +173,6 @@ def test_a_target_and_a_runner_that_are_killed_at_once_leave_a_machine_that_is_s
 ) -> None:
     with killed(tmp_path, PROGRAM % "") as monitor:
         runner = _started(monitor)
-        monitor.send_signal(signal.SIGSTOP)
+        _stop(monitor)
         os.kill(runner, signal.SIGKILL)
     until((tmp_path / "is-safe").exists, "the machine is safe")

@@ -221,22 +221,21 @@ def test_updates_for_later_samples_do_not_hold_up_earlier_ones(make_runtime: Mak
     )
 
 
-def test_more_updates_than_fit_are_refused_and_those_that_fit_are_all_applied(
-    make_runtime: Make,
-) -> None:
+def test_updates_for_later_samples_leave_room_for_those_of_the_next(make_runtime: Make) -> None:
+    """Otherwise whoever writes for the year after next keeps all others from writing."""
     runtime = make_runtime(WITNESS)
     sequences = []
-    for number in range(1000):
-        try:
+    with pytest.raises(Refused, match="64 updates wait for a later sample, or fade, already"):
+        for number in range(1000):
             sequences.append(runtime.write({"alone": number}, "me", at_tick=50))
-        except Refused as refusal:
-            assert "updates wait already" in str(refusal)
-            break
-    assert 100 <= len(sequences) <= 128
+    assert len(sequences) == 64
+    now = [runtime.write({"alone": -1}, "another") for _ in range(64)]
     run(runtime, 200)
     ticks = [runtime.wait_applied(sequence, 10.0) for sequence in sequences]
     assert ticks == sorted(ticks)
     assert set(ticks) == {50}
+    # a busy computer hands some of them over a sample or two later
+    assert max(runtime.wait_applied(sequence, 10.0) for sequence in now) < 50
     assert runtime.read(["alone"])[1]["alone"] == len(sequences) - 1
     runtime.wait_applied(runtime.write({"alone": -1}, "me"), 10.0)
 

@@ -114,3 +114,22 @@ def test_it_fires_when_the_runner_is_gone_or_stopped(
     runtime = _running(make_runtime, wait_for, card, hang_s=20.0)
     os.kill(_pid(runtime), number)
     wait_for(lambda: fires(card))
+
+
+def test_nothing_keeps_it_alive_while_a_program_is_loaded(
+    make_runtime: Make, wait_for: Wait, card: Card
+) -> None:
+    """As the page says, so that whoever writes a machine arms it by the first call."""
+    code = (
+        f'#include <fcntl.h>\n#include <sys/mman.h>\n{PROGRAM}'.replace(
+            "UserInit(void) {",
+            "UserInit(void) {\n    const struct timespec t = {0, 300000000}; nanosleep(&t, 0);"
+            f'\n    x = (double)*(volatile long *)mmap(0, 4096, PROT_READ, MAP_SHARED,'
+            f' open("{card.path}", O_RDONLY), 0);',
+        )
+    )
+    runtime = make_runtime(
+        code, machine=str(card.machine), clock="real", rate_hz=100.0, realtime=False
+    )
+    assert runtime.read(["x"])[1] == {"x": 0.0}
+    wait_for(lambda: card[ALIVE] > 0)

@@ -34,13 +34,13 @@ from zendsp.tui.snapshot import Snapshot, TripView
 from zendsp.tui.statusbar import StatusBar, Tabs, mean_and_max
 from zendsp.tui.stop_process import EMERGENCY, StopState
 from zendsp.tui.trial import Trial
-from zendsp_target.serving import drives
+from zendsp_target.serving import drives, enabling
 
 
 def test_a_refusal_names_the_key_and_no_command_of_the_shell() -> None:
     texts = [
         node.value
-        for module in (drives, programs)
+        for module in (drives, enabling, programs)
         for node in ast.walk(ast.parse(inspect.getsource(module)))
         if isinstance(node, ast.Constant) and "zendsp drive " in str(node.value)
     ]

@@ -110,7 +110,7 @@ async def test_a_file_is_diagnosed_and_the_finding_is_drawn(tmp_path: Path, unti
         await pilot.press("enter")  # the model that lies here
         await pilot.pause()
         assert screen.model == str(model)
-        await until(pilot, lambda: "in /" in _model_line(screen), "its folder, cut at the border")
+        await until(pilot, lambda: model.name in _model_line(screen), "its name; it lies here")
         await pilot.press("s")
         assert screen.busy
         await until(pilot, lambda: len(screen.said) > 2, "stages are shown as they begin")
@@ -359,7 +359,9 @@ async def test_compensation_fades_in_and_out_of_the_running_program(
             pilot, lambda: screen._rms().get("e1", 1.0) < 0.7 * screen.before["e1"],
             "the tracking error falls",
         )
-        assert "→" in _text(screen, "#loop-words")
+        words = _text(screen, "#loop-words")
+        assert "→" in words and "rms over 4.5 s" in words, "a turn of the circle"
+        assert words.count("rad") == 1 and len(words) <= 80, "whole, where there are 80 columns"
         await pilot.press("c")
         await until(pilot, lambda: share() == 0.0, "off")
         await pilot.press("c")

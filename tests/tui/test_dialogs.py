@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from steps import Until
 from textual.events import Key
 from textual.widgets import OptionList
+from textual.widgets._toast import Toast
 
 from zendsp.tui.app import ZendspApp
 from zendsp.tui.dialogs import Choose, Field, Form, Message, Option, Sliders
@@ -65,6 +67,18 @@ async def test_screens_cannot_be_left_while_a_dialog_asks(app: ZendspApp) -> Non
         assert app.current_mode == "reference"
 
 
+async def test_a_click_on_a_label_or_a_unit_is_for_its_input(app: ZendspApp, until: Until) -> None:
+    async with app.run_test() as pilot:
+        fields = [Field("a", "gain", "1", "N m"), Field("b", "name", "x"), Field("c", "on", True)]
+        form = Form("f", fields)
+        await app.push_screen(form)
+        await until(pilot, lambda: form.focused is form.query_one("#f-a"), "the first field")
+        lines = list(form.query(".field"))
+        for line, part, key in ((1, ".label", "b"), (0, ".unit", "a"), (2, ".label", "c")):
+            await pilot.click(lines[line].query_one(part))
+            await until(pilot, lambda key=key: form.focused is form.query_one(f"#f-{key}"), key)  # type: ignore[misc]
+
+
 async def test_a_form_says_what_is_wrong_and_waits(app: ZendspApp, until: Until) -> None:
     results: list[object] = []
     async with app.run_test() as pilot:
@@ -96,6 +110,21 @@ async def test_toasts_and_lists_keep_units_in_brackets(app: ZendspApp) -> None:
         await pilot.pause()
         picture = app.export_screenshot()
         assert picture.count("[rad]") >= 1 and "[N&#160;m]" in picture
+
+
+@pytest.mark.parametrize(("rows", "shown"), [(24, 1), (60, 3)])
+async def test_on_a_small_terminal_the_newest_toast_takes_the_place_of_those_before(
+    rows: int, shown: int, app: ZendspApp, until: Until
+) -> None:
+    async with app.run_test(size=(80, rows), notifications=True) as pilot:
+        for text in ("one is refused", "two is refused", "three is refused"):
+            app.toast(text, "warning")
+
+        def words() -> list[str]:
+            return [str(toast.render()) for toast in app.screen.query(Toast)]
+
+        await until(pilot, lambda: "three" in "".join(words()), "the newest is shown")
+        assert len(words()) == shown, words()
 
 
 async def test_a_dialog_answers_once_however_often_a_key_is_pressed(app: ZendspApp) -> None:
@@ -260,3 +289,27 @@ async def test_a_slider_that_has_no_room_comes_into_sight_and_the_keys_stay(
             "it is seen",
         )
         assert app.focused is list(dialog.query("Slider"))[12]
+
+
+MANY = [Option(f"q{k}", f"q{k}") for k in range(40)]
+
+
+@pytest.mark.parametrize(
+    ("make", "last"),
+    [
+        (lambda: Choose("c", MANY, several=True), "#ok"),
+        (lambda: Choose("c", MANY, text="Which of them? " * 9), "#keys"),
+        (lambda: Message("m", "line\n" * 60), "#close"),
+    ],
+)
+async def test_what_a_dialog_says_below_its_list_is_seen_in_24_rows(
+    app: ZendspApp, until: Until, make: Callable[[], Choose | Message], last: str
+) -> None:
+    async with app.run_test(size=(80, 24)) as pilot:
+        dialog = make()
+        await app.push_screen(dialog)
+        box, below = dialog.query_one(".box"), dialog.query_one(last)
+        await until(pilot, lambda: box.region.contains_region(below.region), last)
+        assert box.region.bottom <= 24 and dialog.query_one(".long").size.height >= 8
+        await pilot.resize_terminal(80, 60)
+        await until(pilot, lambda: dialog.query_one(".long").size.height >= 16, "room is used")

@@ -6,7 +6,7 @@ import pytest
 from textual.app import App, ComposeResult
 
 from zendsp.tui.colours import THEMES
-from zendsp.tui.snapshot import Snapshot
+from zendsp.tui.snapshot import Snapshot, TripView
 from zendsp.tui.statusbar import StatusBar, banner_lines
 from zendsp.tui.stop_process import EMERGENCY
 
@@ -80,3 +80,27 @@ async def test_whose_run_moves_the_machine_is_said_once(
         await pilot.pause()
         line = app.screen._compositor.render_strips()[1].text
         assert said in line and line.count("run ") == said.count("run "), line
+
+
+@pytest.mark.parametrize("width", [80, 200])
+async def test_who_asked_for_stop_and_when_is_said_on_every_width(width: int) -> None:
+    app, when = _Bar(), "anna@lab-pc:17463 at 03:11:00"
+    said = f"STOP was requested by {when} (sample 17389); outputs are safe until acknowledged"
+    seen = Snapshot(
+        link="up", target="imi", machine="imi_planar", state="stopped", drive="stopped", mine=True,
+        trip=TripView("stop", 17389, said),
+    )
+    async with app.run_test(size=(width, 5)) as pilot:
+        app.query_one(StatusBar).show(seen)
+        await pilot.pause()
+        line = app.screen._compositor.render_strips()[1].text
+        assert when in line and "■ stopped" in line and "cmd you" in line, line
+
+
+async def test_why_a_target_is_not_reached_is_said_on_the_bar() -> None:
+    app, why = _Bar(), "imi runs on this computer, but $ZENDSP_CONNECT leads to"
+    async with app.run_test(size=(80, 5)) as pilot:
+        app.query_one(StatusBar).show(Snapshot(link="connecting", target="imi", complaint=why))
+        await pilot.pause()
+        first, second = (s.text for s in app.screen._compositor.render_strips()[1:3])
+        assert "connecting to imi" in first and why in second

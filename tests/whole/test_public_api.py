@@ -14,6 +14,7 @@ import sys
 from collections.abc import Iterator
 from typing import Any
 
+import pytest
 from waiting import PATIENCE_S
 
 ROOMS = (
@@ -148,3 +149,13 @@ def test_the_rooms_need_no_import_of_their_own() -> None:
     assert done.returncode == 0, done.stderr
     for name in done.stdout.split():
         assert importlib.util.find_spec(f"zendsp.{name}"), name
+
+
+def test_a_traceback_names_an_error_as_a_user_imports_it() -> None:
+    import zendsp
+
+    with pytest.raises(zendsp.errors.ZendspError) as refused:
+        zendsp.connect("nobody")
+    kind = type(refused.value)
+    assert getattr(importlib.import_module(kind.__module__), kind.__name__) is kind
+    assert kind.__module__ == "zendsp.errors"

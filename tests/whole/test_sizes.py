@@ -103,3 +103,15 @@ def test_a_function_fits_on_a_screen_or_says_why_not() -> None:
 def test_a_function_is_told_few_things_or_says_why_more() -> None:
     found = {f"{file}:{node.name}" for file, node in functions() if parameters(node) > MOST}
     assert unexcused(found, TOLD) == (set(), set())
+
+
+def test_a_name_of_the_diagnosis_is_one_number() -> None:
+    # who reads `SURE` in one file must not think of the `SURE` of another
+    found: dict[str, dict[str, str]] = {}
+    for path in (ROOT / "host/zendsp/diagnosis").rglob("*.py"):
+        for node in ast.parse(path.read_text()).body:
+            if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
+                name = node.targets[0].id.lstrip("_")
+                if name.isupper():
+                    found.setdefault(name, {})[ast.unparse(node.value)] = path.name
+    assert {name: of for name, of in found.items() if len(of) > 1} == {}

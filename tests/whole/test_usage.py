@@ -32,10 +32,12 @@ def said(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str]:
         (["set"], "missing argument 'NAME=VALUE...'; 'zendsp set --help' says more"),
         (["set", "Kp1"], "'Kp1': expected NAME=VALUE; 'zendsp set --help'"),
         (["set", "Kp1=abc"], "'abc' is not a value; write 3"),
+        (["set", "Kp1=420N"], "'420N' is not a value: values are written without their unit (420)"),
         (["set", "Kp1=1", "Kp1=2"], "'Kp1=2': Kp1 has a value already"),
         (["model", "new"], "missing argument 'RECORDING'; 'zendsp model new --help' says more"),
         (["diagnose"], "which recording? For example: zendsp diagnose run.mat --model arm.toml"),
-        (["diagnose", "a.csv"], "tx40.toml, wam7.toml); 'zendsp model new a.csv' begins one"),
+        (["diagnose", "a.csv"], "tx40.toml, wam7.toml); to begin one: zendsp model new a.csv;"),
+        (["diagnose", "run 1.csv"], "to begin one: zendsp model new 'run 1.csv';"),
         (
             ["diagnose", "a.csv", "--modle", "m.toml"],
             "no such option '--modle'; did you mean '--model'? 'zendsp diagnose --help'",
@@ -228,8 +230,11 @@ def test_prose_is_broken_between_words_where_a_terminal_shows_it(
 
     monkeypatch.setenv("COLUMNS", "30")
     table = "q    1.0   2.0   3.0   4.0   5.0"
-    text = f"note: a sentence that is longer than the terminal is wide\n{table}"
+    prose = "note: a sentence that is longer than the terminal is wide"
+    named = "loop  1000 Hz, real clock; SCHED_RR 80"
+    text = f"{prose}\n{named}\n{table}"
     assert fitted(text, io.StringIO()) == text, "a line of a pipe stays one line"
-    *prose, columns = fitted(text, Terminal()).split("\n")
-    assert len(prose) == 3 and all(len(line) <= 30 for line in prose)
-    assert prose[1].startswith("      ") and columns == table
+    *lines, columns = fitted(text, Terminal()).split("\n")
+    assert len(lines) == 5 and all(len(line) <= 30 for line in lines)
+    assert lines[1].startswith("      ") and columns == table
+    assert lines[3:] == ["loop  1000 Hz, real clock;", "      SCHED_RR 80"]

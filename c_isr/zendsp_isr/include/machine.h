@@ -124,7 +124,8 @@ typedef struct machine_ops {
 
     /* Hardware watchdog (may be NULL): tell it that all is well. Called from the real-time thread
      * at the end of each sample that is healthy, after write() and user code, and about every 0.5
-     * ms while paused; never from elsewhere. Not called once samples overran as often in a row as
+     * ms while paused; never from elsewhere, not while a program is loaded either: a watchdog
+     * begins to count with the first call. Not called once samples overran as often in a row as
      * `overrun.limit` says (100 at most), until one is in time again. A register write: it may not
      * block. */
     void (*keep_alive)(void *handle);

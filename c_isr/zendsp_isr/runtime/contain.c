@@ -2,9 +2,9 @@
  * could reach the machine.
  *
  * A filter of system calls (seccomp) refuses new processes, new threads, other programs, signals to
- * others and their scheduling, with EPERM. Where the system has no filter, what is left: no process may be added for
- * this user (RLIMIT_NPROC), a child of fork() ends at once, has none of the shared memory and none
- * of the open files after an exec, and is not real-time. What is started all the same stays beneath
+ * others, and any change of scheduling, with EPERM. Where the system has no filter, what is left: no
+ * process may be added for this user (RLIMIT_NPROC), a child of fork() ends at once, has none of the
+ * shared memory and none of the open files after an exec, and is not real-time. What is started all the same stays beneath
  * the runner (subreaper), also in a session of its own, and ends with it.
  */
 #define _GNU_SOURCE
@@ -66,11 +66,6 @@ static int refused; /* errno of the filter, 0: it holds */
     BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, (number), 0, 5), ARGUMENT(0),                              \
         BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, (own), 2, 0),                                          \
         BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, 0, 1, 0), DENY(EPERM), ALLOW
-/* The priority of the calling thread, of nothing else. */
-#define OWN_PRIORITY(number)                                                                       \
-    BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, (number), 0, 6), ARGUMENT(0),                              \
-        BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, PRIO_PROCESS, 0, 2), ARGUMENT(1),                      \
-        BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, 0, 1, 0), DENY(EPERM), ALLOW
 /* One command of a call that has many. */
 #define DENY_COMMAND(number, command)                                                     \
     BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, (number), 0, 4), ARGUMENT(1),                      \
@@ -80,6 +75,17 @@ static int refused; /* errno of the filter, 0: it holds */
 #else
 #define CALL_FCNTL __NR_fcntl64
 #endif
+
+/* For all threads at once, since the background runs user code too; and without the mitigation that
+ * older kernels add to a filter, which slows every load after a store. 0 or errno. */
+static int install(struct sock_filter *code, size_t lines) {
+    const struct sock_fprog program = {.len = (unsigned short)lines, .filter = code};
+    if (prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) != 0)
+        return errno;
+    const unsigned long how = SECCOMP_FILTER_FLAG_TSYNC | SECCOMP_FILTER_FLAG_SPEC_ALLOW;
+    const long other = syscall(__NR_seccomp, SECCOMP_SET_MODE_FILTER, how, &program);
+    return other == 0 ? 0 : other > 0 ? EBUSY : errno;
+}
 
 static int filter_calls(void) {
     const uint32_t own = (uint32_t)getpid();
@@ -131,31 +137,27 @@ static int filter_calls(void) {
         DENY_COMMAND(__NR_ioctl, TIOCSTI), /* typed into a shell it starts any program */
         DENY_COMMAND(__NR_ioctl, TIOCLINUX),
         OWN_ONLY(__NR_prlimit64, own), /* a process beyond its limit of CPU time is killed */
-        /* a loop without its priority is late, and a target without time hears no STOP */
-        OWN_ONLY(__NR_sched_setscheduler, own),
-        OWN_ONLY(__NR_sched_setparam, own),
-        OWN_ONLY(__NR_sched_setattr, own),
-        OWN_ONLY(__NR_sched_setaffinity, own),
-        OWN_PRIORITY(__NR_setpriority),
+        /* a loop without its priority is late, and a target without time hears no STOP: a program
+         * more urgent than the loop, that hung, kept the processor from all others. What the loop
+         * may have, the monitor gives it from outside */
+        DENY_CALL(__NR_sched_setscheduler),
+        DENY_CALL(__NR_sched_setparam),
+        DENY_CALL(__NR_sched_setattr),
+        DENY_CALL(__NR_sched_setaffinity),
+        DENY_CALL(__NR_setpriority),
         DENY_CALL(__NR_ioprio_set),
         OWN_ONLY(__NR_kill, own),
         OWN_ONLY(__NR_tgkill, own),
         ALLOW,
     };
-    const struct sock_fprog program = {.len = sizeof code / sizeof code[0], .filter = code};
-    if (prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) != 0)
-        return errno;
-    /* all threads at once, since the background runs user code too; and without the mitigation that
-     * older kernels add to a filter, which slows every load after a store */
-    const unsigned long how = SECCOMP_FILTER_FLAG_TSYNC | SECCOMP_FILTER_FLAG_SPEC_ALLOW;
-    const long other = syscall(__NR_seccomp, SECCOMP_SET_MODE_FILTER, how, &program);
-    return other == 0 ? 0 : other > 0 ? EBUSY : errno;
+    return install(code, sizeof code / sizeof code[0]);
 }
+
 #else
 static int filter_calls(void) { return ENOSYS; }
 #endif
 
-/* The calling thread reaches into no process outside (Landlock), not by /proc either, not as root:
+/* The calling thread, and what it starts, reaches into no process outside (Landlock), not by /proc either, not as root:
  * any ruleset does that, and this one takes nothing else that a program or a driver needs. */
 void contain_thread(void) {
     enum { CREATE = 444, RESTRICT = 446 }; /* system calls, the same on every architecture */
@@ -231,9 +233,9 @@ void contain_enter(control *c) {
     }
     pthread_atfork(NULL, NULL, end_child);
     limit(RLIMIT_NPROC, 0);
+    limit(RLIMIT_RTPRIO, (rlim_t)c->priority); /* without a filter: nothing above the loop */
     limit(RLIMIT_NOFILE, MOST_FILES);
     limit(RLIMIT_DATA, used_memory() + c->memory);
-    contain_thread();
     refused = filter_calls();
     c->contained = refused == 0;
     if (refused)

@@ -21,7 +21,7 @@
 #include "machine.h"
 
 enum {
-    LAYOUT_VERSION = 6,
+    LAYOUT_VERSION = 7,
     LAYOUT_MAGIC = 0x5a445350, /* "ZDSP" */
     STOP_PAGE_VERSION = 3, /* of its own: a host of another zendsp can still stop the loop */
     LAYOUT_VARIABLES = 1024,   /* entries of the dictionary, built-ins and settings included */
@@ -44,7 +44,14 @@ enum { TYPE_DOUBLE = 1, TYPE_FLOAT = 2, TYPE_INT32 = 3, TYPE_BOOL = 4 }; /* as i
 /* 1 … 3 as in isr.h */
 enum { KIND_PARAMETER = 1, KIND_SIGNAL = 2, KIND_TABLE = 3, KIND_BUILTIN = 4, KIND_SETTING = 5 };
 enum { OVERRUN_COUNT = 0, OVERRUN_SKIP = 1, OVERRUN_TRIP = 2 };
-enum { PHASE_STARTING = 0, PHASE_INIT = 1, PHASE_READY = 2, PHASE_ENDED = 3, PHASE_FAILED = 4 };
+enum {
+    PHASE_STARTING = 0,
+    PHASE_INIT = 1,
+    PHASE_LOADED = 2, /* the loop waits for `scheduled` */
+    PHASE_READY = 3,
+    PHASE_ENDED = 4,
+    PHASE_FAILED = 5
+};
 enum { RUN_PAUSED = 0, RUN_ISR = 1, RUN_HOME = 2, RUN_QUIT = 3 };
 enum {
     WITHIN_RUNTIME = 0,
@@ -208,8 +215,7 @@ typedef struct control {
     uint64_t period_ns;
     int32_t clock;
     int32_t realtime; /* 1: ask for SCHED_RR, locked memory and a CPU of its own */
-    int32_t priority;
-    int32_t cpu;      /* -1: choose */
+    int32_t priority; /* of SCHED_RR */
     int32_t monitor;  /* process id of the monitor; when no longer the parent, nobody watches */
     int32_t contained; /* by the runner: 1, a filter of system calls holds user code */
     double spin_us;   /* wait awake at last; only under SCHED_RR, at most 0.6 of the period */
@@ -245,7 +251,7 @@ typedef struct control {
     uint32_t acknowledge; /* increments; the loop answers in `acknowledged` */
     uint32_t acknowledge_trip; /* before it: `trips` that were seen; of others none ends */
     int32_t drive;       /* MACHINE_OFF | MACHINE_TORQUE | MACHINE_VELOCITY */
-    uint32_t pad;
+    uint32_t scheduled;  /* in PHASE_LOADED: 1, the loop has SCHED_RR, or 1 + errno */
     uint64_t run_until;  /* pause when `tick` has come so far; 0: no end */
     uint32_t simulated_din; /* OR-ed into the digital inputs of a simulated machine */
     uint32_t off;           /* increments each time the drives are switched off */
@@ -266,6 +272,8 @@ typedef struct control {
     int32_t homed;
     uint32_t pressed; /* 1 while the machine's STOP input is active */
     uint32_t homings; /* that came to their end */
+    uint32_t faults;  /* of hardware that rests: bit j, the sensor of joint j is not to be trusted */
+    uint32_t unused;
     double gain; /* 0 … 1, soft start */
     uint64_t newest; /* snapshots written */
     trip_latch trip;

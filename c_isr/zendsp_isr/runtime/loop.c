@@ -148,6 +148,7 @@ static void finish_sample(runner *r) {
  * not act after it. */
 static void rest(runner *r) {
     take_in(r);
+    store32(&r->control->faults, r->buffers.sensors.fault);
     safety_anew(r);
     r->state.speed_known = 0;
     memset(r->buffers.now.aout, 0, sizeof r->buffers.now.aout);

@@ -281,6 +281,7 @@ int main(int count, char **arguments) {
     prepare_io(r);
     dictionary_builtins(r);
     safety_reset(r);
+    contain_thread();
     const int failed = service_start(r); /* before user code, which may start none */
     if (failed)
         return fail(r->control, "threads", strerror(failed));

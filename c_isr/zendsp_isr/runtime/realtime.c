@@ -2,15 +2,16 @@
 #define _GNU_SOURCE
 #include <errno.h>      /* errno */
 #include <fcntl.h>      /* open */
-#include <sched.h>      /* sched_setscheduler, CPU_SET */
+#include <sched.h>      /* sched_getaffinity, CPU_SET */
 #include <stdarg.h>     /* va_list */
 #include <stdio.h>      /* vsnprintf */
 #include <string.h>     /* strerror, strlen */
 #include <sys/mman.h>   /* mlockall */
 #include <sys/prctl.h>  /* PR_SET_TIMERSLACK */
-#include <unistd.h>     /* write, close */
+#include <unistd.h>     /* write, close, getppid */
 
 #include "runner.h"
+#include "timing.h"
 
 static bool granted;
 static int awake = -1; /* the open request to keep the processors from sleeping deeply */
@@ -26,33 +27,26 @@ static void say(control *c, const char *format, ...) {
     va_end(arguments);
 }
 
-/* The last CPU that we may use: interrupts and most other work gather on the first. */
-static int choose_cpu(int wanted) {
+/* The CPU on which alone this thread runs; -1 where there are several. */
+static int own_cpu(void) {
     cpu_set_t allowed;
     CPU_ZERO(&allowed);
-    if (sched_getaffinity(0, sizeof allowed, &allowed) != 0 || CPU_COUNT(&allowed) < 2)
-        return -1;
-    if (wanted >= 0 && wanted < CPU_SETSIZE && CPU_ISSET((size_t)wanted, &allowed))
-        return wanted;
-    for (int cpu = CPU_SETSIZE - 1; cpu >= 0; cpu--)
-        if (CPU_ISSET((size_t)cpu, &allowed))
-            return cpu;
+    if (sched_getaffinity(0, sizeof allowed, &allowed) == 0 && CPU_COUNT(&allowed) == 1)
+        for (int cpu = 0; cpu < CPU_SETSIZE; cpu++)
+            if (CPU_ISSET((size_t)cpu, &allowed))
+                return cpu;
     return -1;
 }
 
-static void own_cpu(control *c) {
-    const int cpu = choose_cpu(c->cpu);
-    cpu_set_t one;
-    if (cpu < 0) {
-        say(c, ", no CPU of its own");
-        return;
-    }
-    CPU_ZERO(&one);
-    CPU_SET((size_t)cpu, &one);
-    if (sched_setaffinity(0, sizeof one, &one) == 0)
-        say(c, ", on CPU %d", cpu);
-    else
-        say(c, ", CPU %d refused (%s)", cpu, strerror(errno));
+/* The monitor makes the loop urgent, from outside: user code, which is loaded by now, may not make
+ * anything so. 0, or why it could not. */
+static int wait_for_priority(control *c) {
+    store32(&c->phase, PHASE_LOADED);
+    while (load32(&c->scheduled) == 0 && getppid() == c->monitor)
+        sleep_ns(50000);
+    const uint32_t answer = load32(&c->scheduled); /* 0 where the monitor is gone */
+    granted = answer == 1;
+    return (int)answer - 1;
 }
 
 /* Have the pages of the stack before the loop needs them. */
@@ -76,7 +70,7 @@ void realtime_stay_awake(bool wanted) {
     }
 }
 
-/* Called by the loop's thread, after the other threads have been started with normal scheduling. */
+/* Called by the loop's thread, after the program is loaded. */
 void realtime_enter(runner *r) {
     control *c = r->control;
     c->scheduling[0] = 0;
@@ -89,14 +83,11 @@ void realtime_enter(runner *r) {
         say(c, "normal scheduling as asked, timer slack 1 ns");
         return;
     }
-    const struct sched_param priority = {.sched_priority = c->priority};
-    /* not SCHED_FIFO: there, a program that hangs keeps the CPU from every other target on it until
-     * its watchdog ends it */
-    granted = sched_setscheduler(0, SCHED_RR | SCHED_RESET_ON_FORK, &priority) == 0;
+    const int why = wait_for_priority(c);
     if (granted)
         say(c, "SCHED_RR %d", c->priority);
     else
-        say(c, "normal scheduling (SCHED_RR refused: %s)", strerror(errno));
+        say(c, "normal scheduling (SCHED_RR refused: %s)", strerror(why));
     touch_stack();
     /* not MCL_FUTURE: under a limit, mapping an acquisition later would fail; service.c locks each
      * by itself */
@@ -104,8 +95,11 @@ void realtime_enter(runner *r) {
         say(c, ", memory locked");
     else
         say(c, ", memory not locked (%s)", strerror(errno));
-    if (granted)
-        own_cpu(c);
+    const int cpu = own_cpu();
+    if (cpu >= 0)
+        say(c, ", on CPU %d", cpu);
+    else if (granted)
+        say(c, ", no CPU of its own");
     say(c, prctl(PR_SET_TIMERSLACK, 1ul) == 0 ? ", timer slack 1 ns" : "");
     realtime_stay_awake(true);
     if (granted)

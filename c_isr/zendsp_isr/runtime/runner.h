@@ -138,7 +138,7 @@ int dictionary_finish(
     runner *r); /* lays out and maps the data file; 0, or -1 with control->error set */
 
 /* realtime.c */
-void realtime_enter(runner *r);
+void realtime_enter(runner *r); /* waits for what the monitor gives the loop */
 bool realtime_granted(void);
 void realtime_stay_awake(bool wanted); /* between runs only: opens or closes a file */
 

@@ -121,7 +121,6 @@ static void end_orphan(runner *r) {
 
 static void *service(void *argument) {
     runner *r = argument;
-    contain_thread();
     for (;;) {
         serve_streams(r);
         if (getppid() != r->control->monitor)
@@ -131,14 +130,17 @@ static void *service(void *argument) {
     return NULL;
 }
 
+static uint32_t stepped_back; /* 1 once the background has its low priority */
+
 static void *background(void *argument) {
     runner *r = argument;
     static unsigned char own_stack[65536];
     const stack_t stack = {.ss_sp = own_stack, .ss_size = sizeof own_stack};
     sigaltstack(&stack, NULL);
     this_thread_is = WITHIN_BACKGROUND;
-    contain_thread();
-    setpriority(PRIO_PROCESS, 0, 10); /* of this thread alone */
+    /* of this thread alone, and beneath what the target as a whole was given (nice) */
+    setpriority(PRIO_PROCESS, 0, getpriority(PRIO_PROCESS, 0) + 10);
+    store32(&stepped_back, 1);
     while (load32(&r->control->phase) < PHASE_READY)
         sleep_ns(1000000);
     if (!r->config.background)
@@ -151,11 +153,14 @@ static void *background(void *argument) {
     return NULL;
 }
 
-/* Start the threads, before user code is there; 0, or an errno. */
+/* Start the threads, before user code is there and before no priority can be changed any more; 0, or
+ * an errno. */
 int service_start(runner *r) {
     pthread_t thread;
     int failed = pthread_create(&thread, NULL, service, r);
     if (!failed)
         failed = pthread_create(&thread, NULL, background, r);
+    while (!failed && !load32(&stepped_back))
+        sleep_ns(20000);
     return failed;
 }

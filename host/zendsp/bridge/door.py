@@ -27,6 +27,8 @@ HEAD_S = 5.0  # for it to come
 PART = 1 << 16  # bytes handed on at once
 OWN_PAGES = ("localhost", "127.0.0.1", "::1")
 VIEWER = ".foxglove.dev"  # its pages in the web
+# what Lichtblick and viewers of before 2025 call the protocol; the server knows the new name only
+FORMER, NAMED = b"foxglove.websocket.v1", b"foxglove.sdk.v1"
 _ORIGIN = re.compile(rb"^origin:[ \t]*([^\r\n]*?)[ \t]*\r?$", re.IGNORECASE | re.MULTILINE)
 _REFUSED = b"HTTP/1.1 403 Forbidden\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
 
@@ -115,12 +117,9 @@ class Door:
             if sys.platform.startswith("linux") and not known:
                 return
             link.settimeout(HEAD_S)
-            head = b""
-            while b"\r\n\r\n" not in head:
-                part = link.recv(PART)
-                head += part
-                if not part or len(head) > LONGEST_HEAD:
-                    return
+            head = _head(link)
+            if not head:
+                return
             pages = _ORIGIN.findall(head.partition(b"\r\n\r\n")[0])
             if not all(welcome(page.decode(errors="replace")) for page in pages):
                 link.sendall(_REFUSED)
@@ -138,13 +137,29 @@ class Door:
                 server.connect(self.behind)
                 for end in (link, server):
                     end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, struct.pack("i", 1))
-                server.sendall(head)
+                former = FORMER in head and NAMED not in head
+                server.sendall(head.replace(FORMER, NAMED) if former else head)
+                if former:  # what is said under either name is the same
+                    link.sendall(_head(server).replace(NAMED, FORMER, 1))
                 back = background("bridge-back", _pour, server, link)
                 _pour(link, server)
                 back.join()
             finally:
                 with self._lock:
                     self._inside.discard(own)
+
+
+def _head(source: socket.socket) -> bytes:
+    """The head of a request or of an answer, with what came right behind it; empty where there is
+    none.
+    """
+    head = b""
+    while b"\r\n\r\n" not in head:
+        part = source.recv(PART)
+        head += part
+        if not part or len(head) > LONGEST_HEAD:
+            return b""
+    return head
 
 
 def _pour(source: socket.socket, into: socket.socket) -> None:

@@ -141,12 +141,13 @@ class Bridge:
         return server
 
     def alone(self) -> bool:
-        """Whether all viewers came by the door; one that did not may ask for nothing."""
+        """Whether every viewer was let in by the `Door`; others get no answer."""
         return self._door.alone()
 
     # -- what goes out
 
     def _poll(self) -> None:
+        failed = ""  # why the last look did, said once
         while not self._closing.wait(POLL_S):
             if not self.alone():  # another user, who found the server: all come again by the door
                 self._server.stop()
@@ -156,9 +157,11 @@ class Bridge:
             try:
                 self._watch()
             except ZendspError as error:  # a link that is away comes back by itself
-                if self._known is not None:
+                if str(error) != failed:
                     self._say(f"{error}", ERROR)
-                self._known = None
+                failed, self._known = str(error), None
+            else:
+                failed = ""
 
     def _watch(self) -> None:
         """Look at the state, and say what is new."""

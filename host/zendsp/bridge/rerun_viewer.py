@@ -35,7 +35,7 @@ def rerun(
     rate: float = 100.0,
     save: str | Path | None = None,
 ) -> Iterator[None]:
-    """Show the signals of the program that is loaded in Rerun, as long as the context lasts.
+    """Show the loaded program's signals in Rerun, until the ``with`` block ends.
 
     Parameters
     ----------

@@ -54,6 +54,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "salvage": (
         "zendsp.cli.salvage:command", "Save what a target had recorded before it was killed.",
     ),
+    "cut": ("zendsp.cli.cut:command", "Cut a recording in time, or at its gaps."),
     "sweep": ("zendsp.cli.sweep:command", "Try values of parameters and measure each."),
     "bode": ("zendsp.cli.bode:command", "Measure a frequency response of the machine."),
     "stats": ("zendsp.cli.stats:command", "Show the timing of the loop."),

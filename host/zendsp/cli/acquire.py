@@ -9,6 +9,7 @@ import click
 
 from zendsp.cli.common import emit, open_target, progress, target_options
 from zendsp.cli.completing import variables
+from zendsp.cli.progress import drawing
 
 if TYPE_CHECKING:
     from zendsp.recording import Recording
@@ -62,9 +63,9 @@ def command(
 ) -> None:
     """Record CHANNELS (variables, elements, built-in signals) and save them with their metadata.
 
-    Exit status 1 where the program stopped or crashed before the end, 130 after Ctrl-C; what was
-    recorded until then is saved all the same. Where it cannot be written there, it is written to
-    the folder for temporary files, and exit status 1.
+    A folder that is not there is made. Exit status 1 where the program stopped or crashed before
+    the end, 130 after Ctrl-C; what was recorded until then is saved all the same. Where it cannot
+    be written there, it is written to the folder for temporary files, and exit status 1.
 
     Example:  zendsp acquire q tau -s 2 -o run.mat
     """
@@ -106,6 +107,7 @@ def command(
         late = late_since(before, t.status().timing)
     from zendsp.recording.files import save_anyhow
 
+    made = "" if out.parent.is_dir() else ", in a new folder"
     written, wrong = save_anyhow(recording, out)
     if wrong:
         click.echo(f"zendsp: {wrong}", err=True)
@@ -116,8 +118,8 @@ def command(
     emit(
         body,
         as_json,
-        f"{len(recording)} rows of {len(recording.columns)} signals to {written},"
-        f" {recording.lost} lost" + (f", {late}" if late else ""),
+        f"{len(recording)} rows of {len(recording.columns)} signals to"
+        f" {written}{made}, {recording.lost} lost" + (f", {late}" if late else ""),
     )
     drawn = plot is None or _draw(recording, plot)
     if ended == "interrupted":
@@ -132,7 +134,8 @@ def command(
 def _draw(recording: Recording, path: Path) -> bool:
     """Draw it; where that cannot be written, say so, since the recording is there all the same."""
     try:
-        recording.plot(path=path)
+        with drawing(path, quiet=False):
+            recording.plot(path=path)
     except OSError as error:
         click.echo(f"zendsp: {path}: cannot be drawn ({error.strerror})", err=True)
         return False

@@ -7,8 +7,10 @@ from typing import Literal
 
 import click
 
-from zendsp.cli.common import emit, open_target, progress, table, target_options
+from zendsp.cli.common import emit, open_target, progress, target_options
 from zendsp.cli.completing import variables
+from zendsp.cli.progress import drawing
+from zendsp_protocol.views import text_table
 
 
 @click.command("bode")
@@ -54,7 +56,8 @@ def command(
 
     Example:  zendsp bode --joint 1 --f-max 20 --plot bode.png
     """
-    from zendsp.experiment.frequency import frequency_response, shown_lines
+    from zendsp.experiment.frequency import frequency_response
+    from zendsp.experiment.response import shown_lines
 
     for path, kinds in ((out, (".csv",)), (plot, (".png", ".svg", ".pdf"))):
         if path is not None and path.suffix.lower() not in kinds:
@@ -68,8 +71,10 @@ def command(
             rehearsed=not no_rehearsal, progress=tell,
         )  # fmt: skip
     header = ["f [Hz]", "dB", "deg", "± dB", "± deg", "coherence"]
-    emit(found.rows(), as_json, f"{table(shown_lines(found.rows()), header)}\n{found.summary()}")
+    shown = text_table(header, shown_lines(found.rows()))
+    emit(found.rows(), as_json, f"{shown}\n{found.summary()}")
     if out is not None:  # last: what was measured is seen where it cannot be written
         found.save(out)
     if plot is not None:
-        found.plot(plot)
+        with drawing(plot, quiet=as_json):
+            found.plot(plot)

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from zendsp.link import Target
 
 ENDING = (signal.SIGTERM, signal.SIGHUP)
+_UNIT = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*[^\W\d_]")  # a number, a letter
 F = TypeVar("F", bound=Callable[..., Any])
 
 
@@ -158,20 +159,6 @@ def plain(value: Any) -> Any:
     return value
 
 
-def table(rows: list[list[str]], header: list[str]) -> str:
-    """Set rows in columns, numbers to the right."""
-    cells = [header, *rows]
-    widths = [max(len(row[k]) for row in cells) for k in range(len(header))]
-    right = [bool(rows) and all(_looks_numeric(row[k]) for row in rows) for k in range(len(header))]
-    lines = []
-    for row in cells:
-        parts = [
-            c.rjust(w) if r else c.ljust(w) for c, w, r in zip(row, widths, right, strict=True)
-        ]
-        lines.append("  ".join(parts).rstrip())
-    return "\n".join(lines)
-
-
 def wrapped(text: str, head: str) -> str:
     """Set ``text`` after ``head`` in lines of the terminal's width, 80 where there is none; further
     lines begin below the first.
@@ -181,23 +168,6 @@ def wrapped(text: str, head: str) -> str:
         text, max(width, len(head) + 20), initial_indent=head, subsequent_indent=" " * len(head),
         break_long_words=False, break_on_hyphens=False,
     )
-
-
-def _looks_numeric(text: str) -> bool:
-    return text[:1] in "0123456789-+.–" and text not in ("-", "")
-
-
-def show(value: Any) -> str:
-    """Write a variable's value shortly."""
-    value = plain(value)
-    if value is None:  # a limit that is not there, or no number
-        return "–"
-    if isinstance(value, list):
-        inner = ", ".join(show(item) for item in value[:8])
-        return f"[{inner}{', …' if len(value) > 8 else ''}]"
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def parse_value(text: str) -> Any:
@@ -213,6 +183,11 @@ def parse_value(text: str) -> Any:
         value = json.loads(text)
     except ValueError:
         value = None
+        if unit := _UNIT.match(text):
+            raise click.BadParameter(
+                f"{text!r} is not a value: values are written without their unit ({unit[1]}), in"
+                " the unit that 'zendsp info' shows"
+            ) from None
     if isinstance(value, bool | int | float) or _numbers(value):
         return value
     matrix = isinstance(value, list) and value and all(_numbers(row) for row in value)

@@ -4,7 +4,7 @@ and silent where nothing answers.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -12,6 +12,8 @@ import click
 from click.shell_completion import CompletionItem
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from zendsp.link import Target
 
 
@@ -74,13 +76,24 @@ def assignments(
 
 def programs(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
     """C files here beside the programs that come with zendsp; else any file."""
-    from pathlib import Path
-
     from zendsp_isr.sources import shipped_programs
 
-    shipped = (path.name for path in shipped_programs())
-    here = sorted(path.name for path in Path.cwd().glob("*.c"))
-    fitting = [n for n in dict.fromkeys((*here, *shipped)) if n.startswith(incomplete)]
+    return _files("*.c", shipped_programs(), incomplete)
+
+
+def models(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Model files here beside those that come with zendsp; else any file."""
+    from zendsp.physics.files.shipped import model_folder
+
+    return _files("*.toml", sorted(model_folder().glob("*.toml")), incomplete)
+
+
+def _files(pattern: str, shipped: Iterable[Path], incomplete: str) -> list[CompletionItem]:
+    from pathlib import Path
+
+    here = sorted(Path.cwd().glob(pattern))
+    names = dict.fromkeys(path.name for path in (*here, *shipped))
+    fitting = [name for name in names if name.startswith(incomplete)]
     # a shell that is told to look for files itself shows nothing else
     return [CompletionItem(n) for n in fitting] or [CompletionItem(incomplete, type="file")]
 

@@ -40,4 +40,6 @@ def command(shell: str) -> None:
     elif shell == "zsh":
         text = text.replace("    compdef ", f"    {BEGUN}    compdef ", 1)
         text = text.replace(DESCRIBED, JOINED, 1)
+    else:  # a description may have commas
+        text = text.replace('string split ","', 'string split -m 1 ","')
     click.echo(text)

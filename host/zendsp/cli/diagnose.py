@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING
 import click
 
 from zendsp.cli.common import check_writable
+from zendsp.cli.completing import models
 from zendsp.cli.lines import fitted
 from zendsp_protocol.texts import shown
 
@@ -24,7 +26,7 @@ FILE = click.Path(path_type=Path)
 @click.command("diagnose")
 @click.argument("train", nargs=-1, metavar="RECORDING...", type=FILE)
 @click.option(
-    "--model", "model_path", type=FILE,
+    "--model", "model_path", type=FILE, shell_complete=models,
     help="Given model (TOML), required; 'zendsp model new' begins one.",
 )
 @click.option(
@@ -93,7 +95,7 @@ def command(
         shipped = ", ".join(sorted(path.name for path in model_folder().glob("*.toml")))
         raise click.UsageError(
             f"which model? --model FILE names one of yours, or one that comes with zendsp"
-            f" ({shipped}); 'zendsp model new {train[0]}' begins one"
+            f" ({shipped}); to begin one: zendsp model new {shlex.quote(str(train[0]))}"
         )
     if scheduler is not None and not each:
         raise click.UsageError(

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import click
 
-from zendsp.cli.common import emit, open_target, plain, show, target_options
+from zendsp.cli.common import emit, open_target, target_options
 from zendsp.cli.completing import variables
+from zendsp_protocol.views import short
 
 
 @click.command("get")
@@ -22,7 +23,7 @@ def command(names: tuple[str, ...], target: str, connect: str | None, as_json: b
         # as it came over the wire: only long arrays need NumPy, for which one would wait longer
         # than for the target
         reading = t.request("read", names=chosen) if chosen else None
-        values = {name: plain(value) for name, value in reading.values.items()} if reading else {}
+        values = dict(reading.values) if reading else {}
         units = {
             name: infos[name.partition("[")[0]].unit
             for name in values
@@ -38,6 +39,6 @@ def command(names: tuple[str, ...], target: str, connect: str | None, as_json: b
             body,
             as_json,
             "\n".join(
-                f"{name} = {show(v)} {units.get(name, '')}".rstrip() for name, v in values.items()
+                f"{name} = {short(v)} {units.get(name, '')}".rstrip() for name, v in values.items()
             ),
         )

@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping
 
 import click
 
-from zendsp.cli.common import emit, open_target, show, table, target_options
+from zendsp.cli.common import emit, open_target, target_options
 from zendsp_protocol import messages as m
 
 
@@ -29,12 +29,6 @@ def command(target: str, connect: str | None, as_json: bool) -> None:
             "variables": list(variables.values()),
         }
         emit(body, as_json, lambda: _text(t.info, status, machine, variables, sources))
-
-
-def _sizes(v: m.VariableInfo) -> str:
-    if v.columns > 1 and v.kind != "table":
-        return f"[{v.length // v.columns}][{v.columns}]"
-    return f"[{v.length}]" if v.length > 1 else ""
 
 
 def _program(key: str, sources: Collection[str]) -> str:
@@ -77,17 +71,4 @@ def _text(
     if status.trip is not None:
         lines.append(f"trip       {status.trip.text}")
     lines += [f"note       {sentence}" for sentence in status.own]
-    rows = [
-        [
-            v.name,
-            v.type + _sizes(v),
-            v.kind,
-            v.unit,
-            show(v.minimum),
-            show(v.maximum),
-            v.description,
-        ]
-        for v in variables.values()
-    ]
-    header = ["VARIABLE", "TYPE", "KIND", "UNIT", "MIN", "MAX", ""]
-    return "\n".join(lines) + ("\n\n" + table(rows, header) if rows else "")
+    return "\n".join(lines) + (f"\n\n{variables!r}" if variables else "")

@@ -8,8 +8,9 @@ from typing import Any
 
 import click
 
-from zendsp.cli.common import emit, table
+from zendsp.cli.common import emit
 from zendsp_protocol.verbs import ROLES
+from zendsp_protocol.views import text_table
 
 _folder = click.option(
     "--folder", default="lab", show_default=True, type=click.Path(path_type=Path),
@@ -134,7 +135,7 @@ def list_(folder: Path, as_json: bool) -> None:
         body,
         as_json,
         (
-            table(rows, ["NAME", "KIND", "ROLE", "UNTIL", "CERTIFICATE"])
+            text_table(["NAME", "KIND", "ROLE", "UNTIL", "CERTIFICATE"], rows)
             if rows
             else "no certificates yet"
         ),

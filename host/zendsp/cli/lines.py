@@ -8,11 +8,14 @@ import textwrap
 from typing import TextIO
 
 HEAD = re.compile(r"\s*(?:\w+: |\d+\. |- )?")  # "note: ", "1. ": further lines begin below
+COLUMNS = re.compile(r".*\S\s{2,}(?=\S)")  # what stands before the last one
+LEAST = 16  # characters, for a last column
 
 
 def fitted(text: str, stream: TextIO) -> str:
     """Return text for a stream: broken where that is a terminal, else as it is, so that a line of a
-    pipe or a log stays one line. Columns, which have two blanks between them, are left alone.
+    pipe or a log stays one line. Of columns, which have two blanks between them, only the last is
+    broken.
     """
     if not stream.isatty():
         return text
@@ -21,13 +24,19 @@ def fitted(text: str, stream: TextIO) -> str:
 
 
 def _broken(line: str, width: int) -> str:
-    if len(line) <= width or "  " in line.strip():
+    if len(line) <= width:
         return line
-    head = HEAD.match(line)
+    if columns := COLUMNS.match(line):
+        below = columns.end()
+        if below > width - LEAST:
+            return line
+    else:
+        head = HEAD.match(line)
+        below = min(head.end() if head else 0, width // 4)
     return textwrap.fill(
         line,
         width,
-        subsequent_indent=" " * min(head.end() if head else 0, width // 4),
+        subsequent_indent=" " * below,
         break_long_words=False,
         break_on_hyphens=False,
     )

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import click
 
-from zendsp.cli.common import emit, table
+from zendsp.cli.common import emit
+from zendsp_protocol.views import text_table
 
 
 @click.command("ls")
@@ -22,18 +23,23 @@ def command(pattern: str, connect: str | None, as_json: bool) -> None:
     rows = []
     for one in found:
         info = one.info
+        status = one.status
+        state = str(status.drive if status.trip else status.state) if status else ""
         about = (
-            [info.machine, f"{info.rate_hz:g}", info.clock, str(info.pid)]
+            [info.machine, state, f"{info.rate_hz:g}", info.clock, str(info.pid)]
             if info
-            else [one.problem, "", "", ""]
+            else [one.problem, "", "", "", ""]
         )
         rows.append([one.name, *about, ", ".join(one.endpoints)])
     body = [
-        {"name": f.name, "endpoints": f.endpoints, "problem": f.problem, "info": f.info}
+        {
+            "name": f.name, "endpoints": f.endpoints, "problem": f.problem, "info": f.info,
+            "status": f.status,
+        }
         for f in found
     ]
-    columns = ["NAME", "MACHINE", "HZ", "CLOCK", "PID", "ENDPOINT"]
-    emit(body, as_json, table(rows, columns) if found else _none(pattern, connect))
+    columns = ["NAME", "MACHINE", "STATE", "HZ", "CLOCK", "PID", "ENDPOINT"]
+    emit(body, as_json, text_table(columns, rows) if found else _none(pattern, connect))
     if not found:
         raise click.exceptions.Exit(1)
 

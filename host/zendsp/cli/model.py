@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -62,9 +63,13 @@ def new(recording: Path, out: Path | None, force: bool, as_json: bool) -> None:
         f" {_questions(len(draft.questions))}"
     ]
     lines += [f"  ? {question}" for question in draft.questions]
-    lines += [f"then: zendsp model check {out} --recording {recording}"]
+    if draft.unused:
+        lines += [f"  not used: {', '.join(draft.unused)} (if it has a role, name it in [columns])"]
+    words = ["zendsp", "model", "check", str(out), "--recording", str(recording)]
+    lines += [f"then: {shlex.join(words)}"]
     emit(
-        {"file": str(out), "joints": draft.joints, "questions": draft.questions},
+        {"file": str(out), "joints": draft.joints, "questions": draft.questions,
+         "unused": draft.unused},
         as_json,
         "\n".join(lines),
     )
@@ -91,14 +96,16 @@ def check(file: Path, recording: Path | None, as_json: bool) -> None:
     from zendsp.physics.robots.robot import robot_tree
 
     model = load_model(file)
-    if model.kind in TREES:
-        robot_tree(model)
+    links = [link.name for link in robot_tree(model)[0]] if model.kind in TREES else []
     if model.kind == "fmu":
         from zendsp.diagnosis.external.fmu import Fmu
 
         Fmu(model, 1).close()
     body = _about(model)
     lines = [f"{file}: {body['text']}"]
+    if links:
+        body["links"] = links
+        lines.append(f"  links that joints 1 to {len(links)} move: {', '.join(links)}")
     if recording is not None:
         from zendsp.diagnosis.data.checks import check_signals
         from zendsp.diagnosis.data.reading import read_signals

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import click
 
-from zendsp.cli.common import emit, open_target, show, table, target_options
+from zendsp.cli.common import emit, open_target, target_options
 from zendsp_protocol.texts import counted
+from zendsp_protocol.views import short, text_table
 
 
 @click.group("params")
@@ -28,10 +29,10 @@ def show_(target: str, connect: str | None, as_json: bool) -> None:
     with open_target(target, connect) as t:
         now, infos = t.parameters(), t.variables()
         rows = [
-            [name, show(value), show(infos[name].initial), infos[name].unit]
+            [name, short(value), short(infos[name].initial), infos[name].unit]
             for name, value in now.values.items()
         ]
-        emit(now.values, as_json, table(rows, ["PARAMETER", "VALUE", "INITIAL", "UNIT"]))
+        emit(now.values, as_json, text_table(["PARAMETER", "VALUE", "INITIAL", "UNIT"], rows))
 
 
 @command.command("save")
@@ -76,17 +77,14 @@ def diff(file: Path, other: Path | None, target: str, connect: str | None, as_js
     rows = [
         [
             p.name,
-            show(p.mine) if p.mine is not None else "–",
-            show(p.other) if p.other is not None else "–",
+            short(p.mine) if p.mine is not None else "–",
+            short(p.other) if p.other is not None else "–",
         ]
         for p in pairs
     ]
     body = [{"name": p.name, "file": p.mine, "other": p.other} for p in pairs]
-    emit(
-        body,
-        as_json,
-        table(rows, ["PARAMETER", str(file), str(other or "target")]) if pairs else "no difference",
-    )
+    header = ["PARAMETER", str(file), str(other or "target")]
+    emit(body, as_json, text_table(header, rows) if pairs else "no difference")
     if pairs:
         raise click.exceptions.Exit(1)
 

@@ -37,3 +37,11 @@ def stages(*, quiet: bool = False) -> Iterator[Callable[[str], None]]:
     console = Console(stderr=True)
     with console.status("starting") as status:
         yield lambda text: status.update(text)
+
+
+@contextmanager
+def drawing(path: object, quiet: bool) -> Iterator[None]:
+    """Say that a picture is drawn: the first of a process takes seconds."""
+    with stages(quiet=quiet) as tell:
+        tell(f"drawing {path}")
+        yield

@@ -7,11 +7,12 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+
+from zendsp.extras import installed, need
 
 if TYPE_CHECKING:
     from zendsp.proof.programme import Prepared
@@ -31,14 +32,6 @@ def data_folder(given: Path | None) -> Path:
             " holds emps/, single_pendulum/, tx40/, kuka_kr300/"
         )
     return Path(named)
-
-
-def installed(package: str) -> bool:
-    """Whether a package can be imported; it is not imported."""
-    try:
-        return find_spec(package) is not None
-    except ModuleNotFoundError:
-        return False
 
 
 def realities(words: str) -> tuple[str, ...]:
@@ -196,6 +189,9 @@ def command(
         if judge_only is not None:
             made, words = prepared(judge_only), f"zendsp prove --judge {judge_only.name}"
         else:
+            # some cases are written as such files: better said now than after an hour
+            for module, extra in (("pyarrow", "parquet"), ("h5py", "hdf5")):
+                need(module, extra, "zendsp prove")
             makers = realities(reality)
             if given == "mjcf" and "mujoco" not in makers:
                 raise click.UsageError("--given mjcf needs the reality mujoco: its arms are asked")

@@ -5,6 +5,7 @@ per kind.
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -60,9 +61,28 @@ def _print_table(summary: dict[str, Any]) -> None:
 
 
 def _finish(
-    reference: Any, machine: Any, out: str | None, plot: str | None, as_json: bool, check: bool
+    make: Callable[[], Any], machine: Any, out: str | None, plot: str | None, as_json: bool,
+    check: bool,
 ) -> None:
-    """Check, save, draw, print."""
+    """Make or read it, check, save, draw, print."""
+    from zendsp.cli.progress import stages
+
+    with stages(quiet=as_json) as tell:
+        tell(f"planning within the limits of {machine.name}")
+        summary = _made(make(), machine, out, plot, check, tell)
+    if as_json:
+        click.echo(json.dumps(summary))
+        return
+    _print_table(summary)
+    for key in ("file", "plot"):
+        if key in summary:
+            click.echo(f"wrote {summary[key]}")
+
+
+def _made(
+    reference: Any, machine: Any, out: str | None, plot: str | None, check: bool,
+    tell: Callable[[str], None],
+) -> dict[str, Any]:
     from zendsp.reference import save_reference
 
     if check:
@@ -71,18 +91,13 @@ def _finish(
     if out is not None:
         summary["file"] = str(save_reference(reference, out, machine, check=False))
     if plot is not None:
+        tell(f"drawing {plot}")
         from zendsp.reference import plot_reference
 
         Path(plot).parent.mkdir(parents=True, exist_ok=True)
         plot_reference(reference, machine, plot)
         summary["plot"] = plot
-    if as_json:
-        click.echo(json.dumps(summary))
-        return
-    _print_table(summary)
-    for key in ("file", "plot"):
-        if key in summary:
-            click.echo(f"wrote {summary[key]}")
+    return summary
 
 
 def _common(function: Any) -> Any:
@@ -141,15 +156,19 @@ def _make_command(kind: Any) -> click.Command:
             machine_name = next(name for name in MACHINES if kind.fits(load_machine(name)))
         machine = load_machine(machine_name)
         chosen = {name: value for name, value in given.items() if value is not None}
-        reference = make_reference(kind.name, machine, sample_time=sample_time, **chosen)
-        _finish(reference, machine, out, plot, as_json, not no_check)
+
+        def make() -> Any:
+            return make_reference(kind.name, machine, sample_time=sample_time, **chosen)
+
+        _finish(make, machine, out, plot, as_json, not no_check)
 
     options: list[click.Parameter] = []
     from zendsp.reference.registry import HEADROOM
 
     for parameter in (*kind.parameters, HEADROOM):
         unit = f" [{parameter.unit}]" if parameter.unit else ""
-        default = f"default {_default_text(parameter)}" if _default_text(parameter) else "required"
+        text = _default_text(parameter)
+        default = f"default {text}" if text else "required"
         bounds = (
             ""
             if parameter.choices or not parameter.describe_bounds()
@@ -161,12 +180,17 @@ def _make_command(kind: Any) -> click.Command:
                 type=click.Choice(list(parameter.choices)) if parameter.choices else str,
                 metavar=None if parameter.choices else parameter.type.upper(),
                 help=f"{parameter.description}{unit} ({default}{bounds})",
+                required=not text,
             )
         )
     options.append(
         click.Option(["--sample-time"], type=float, help="Sample time [s] (default of the machine)")
     )
-    example = f"Example:  zendsp reference {kind.name} --out {kind.name}.mat --plot {kind.name}.png"
+    files = "".join(f" --{p.name} motion.csv" for p in kind.parameters if p.type == "path")
+    example = (
+        f"Example:  zendsp reference {kind.name}{files} --out {kind.name}.mat"
+        f" --plot {kind.name}.png"
+    )
     command = click.Command(
         kind.name, callback=run, params=options, help=f"{kind.description}\n\n{example}",
         short_help=kind.title,
@@ -230,4 +254,4 @@ def show(file: str, machine_name: str | None, plot: str | None, as_json: bool) -
     name = machine_name or reference.machine
     if not name:
         raise ReferenceError_(f"{file} names no machine: say which with --machine")
-    _finish(reference, load_machine(name), None, plot, as_json, check=True)
+    _finish(lambda: reference, load_machine(name), None, plot, as_json, check=True)

@@ -81,7 +81,8 @@ def command(
                 except RunnerDied:  # open_target says how
                     status = t.status()
         going = status.state == "running"
-        emit(status, as_json, "running" if going else state_at(status))
+        on = "running" if seconds else "running; it goes on until 'zendsp pause' or 'zendsp stop'"
+        emit(status, as_json, on if going else state_at(status))
         if said := late(status):
             click.echo(f"zendsp: {t.name}: {said}", err=True)
         if status.state == "crashed" or status.trip is not None:

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import click
 
-from zendsp.cli.common import emit, table
+from zendsp.cli.common import emit
+from zendsp_protocol.views import text_table
 
 
 @click.command("salvage")
@@ -81,4 +82,4 @@ def command(target: str, out: Path | None, drop: bool, note: str, as_json: bool)
     said = (
         "\nremoved" if drop else "\nsave the newest with '-o run.mat', or remove all with '--drop'"
     )
-    emit(body, as_json, table(rows, ["TARGET", "MACHINE", "BEGUN", "ROWS", "SIGNALS"]) + said)
+    emit(body, as_json, text_table(["TARGET", "MACHINE", "BEGUN", "ROWS", "SIGNALS"], rows) + said)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from zendsp.cli.common import flag_option, parse_assignments, parse_names
+from zendsp.cli.completing import models
 
 if TYPE_CHECKING:
     from zendsp.recording import Recording
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 @click.command("simulate")
 @click.argument("program")
 @click.option(
-    "--model", "model_path", required=True, type=click.Path(path_type=Path),
+    "--model", "model_path", required=True, type=click.Path(path_type=Path), shell_complete=models,
     help="Model of the machine (TOML).",
 )
 @click.option(
@@ -87,7 +88,7 @@ def command(
     Example:  zendsp simulate inverse_dynamics.c --model imi_planar.toml --reference
     circle.mat --out circle_sim.mat
     """
-    from zendsp.cli.progress import stages
+    from zendsp.cli.progress import drawing, stages
     from zendsp.errors import CompileFailed
     from zendsp.physics import simulate
     from zendsp_isr.sources import find_program
@@ -110,7 +111,8 @@ def command(
     if out is not None:
         files["file"] = str(rec.save(out))
     if plot is not None:
-        rec.plot(wanted, plot)
+        with drawing(plot, quiet=as_json):
+            rec.plot(wanted, plot)
         files["plot"] = str(plot)
     if as_json:
         summary = {

@@ -52,8 +52,8 @@ def command(
     """STOP: outputs are safe from the next sample on, and stay so until acknowledged.
 
     NAME is a target, as with --target. Without one it stops every target of yours on this machine,
-    and all that $ZENDSP_CONNECT leads to; with --connect, all that is there. At the prompt of
-    "zendsp shell" it stops the target of that prompt, and no other.
+    and all that $ZENDSP_CONNECT leads to; with --connect, all that is there. A NAME is stopped at
+    both, too. At the prompt of "zendsp shell" it stops the target of that prompt, and no other.
     Ends with "stopped, at sample N", or with "NOT STOPPED" and a status other than 0.
 
     Example:  zendsp stop
@@ -104,6 +104,12 @@ class _Asked:
     connect: str | Sequence[str] | None
     page: StopPage | None = None
     before: int = 0  # what the page said
+    at: str = ""  # of one of several of this name: where it is
+
+    @property
+    def label(self) -> str:
+        """Its name, for people."""
+        return f"{self.name} at {self.at}" if self.at else self.name
 
     def end(self, tell: _Tell) -> None:
         """Tell the word of the loop as soon as it is there, then that of the target itself."""
@@ -111,7 +117,7 @@ class _Asked:
 
         sample = None if self.page is None else self.page.taken(self.before, TAKEN_S)
         if sample is not None:
-            tell(self.name, stopped_at(sample))
+            tell(self.label, stopped_at(sample))
         if _little_memory():
             if sample is None:
                 raise NotStopped(f"{EMERGENCY} ({TOO_LITTLE})")
@@ -124,19 +130,19 @@ class _Asked:
             if sample is None and self.page is not None:  # of a loop that was late
                 sample = self.page.taken(self.before, 0.0)
                 if sample is not None:
-                    tell(self.name, stopped_at(sample))
+                    tell(self.label, stopped_at(sample))
             if sample is None:
                 raise
             return
         with t:
-            tell(self.name, t.stop())
+            tell(self.label, t.stop())
 
 
 @dataclass(frozen=True)
 class _Place:
     """Where all that answer are to be stopped, except the runs ``but``."""
 
-    name: str  # its endpoint
+    label: str  # its endpoint
     but: frozenset[str]
 
     def end(self, tell: _Tell) -> None:
@@ -146,9 +152,9 @@ class _Place:
         from zendsp.link.find import there
 
         found = [
-            one for one in there([self.name]) if not one.info or one.info.instance not in self.but
+            one for one in there([self.label]) if not one.info or one.info.instance not in self.but
         ]
-        _at_once([_Asked(one.name, self.name) for one in found], tell)
+        _at_once([_Asked(one.name, self.label) for one in found], tell)
 
 
 def _ask_all(names: Sequence[str], connect: str | None) -> list[_Asked | _Place]:
@@ -158,13 +164,17 @@ def _ask_all(names: Sequence[str], connect: str | None) -> list[_Asked | _Place]
     from zendsp.here.registered import own_entries, remote_endpoints
     from zendsp.here.stop_page import find
 
-    def ask(name: str, connect: str | Sequence[str] | None, here: bool) -> _Asked:
+    def ask(name: str, connect: str | Sequence[str] | None, here: bool, at: str = "") -> _Asked:
         page = find(name) if here else None  # it needs neither Zenoh nor the target's own process
-        return _Asked(name, connect, page, 0 if page is None else page.ask())
+        return _Asked(name, connect, page, 0 if page is None else page.ask(), at)
 
-    if names:
-        return [ask(name, connect, bool(own_entries(name, connect))) for name in names]
     endpoints = remote_endpoints(connect)
+    if names:
+        meant = [ask(name, connect, bool(own_entries(name, connect))) for name in names]
+        others = () if connect or not endpoints else (one for one in meant if one.page is None)
+        # where $ZENDSP_CONNECT leads elsewhere, those of this machine too: who names them sees them
+        also = [ask(one.name, (), True, "this machine") for one in others if own_entries(one.name)]
+        return [*meant, *also]
     entries = [one for one in own_entries() if not connect or {*endpoints} & {*one.endpoints}]
     all_asked: list[_Asked | _Place] = [ask(one.name, (), True) for one in entries]
     ours = {endpoint for one in entries for endpoint in one.endpoints}
@@ -197,9 +207,9 @@ def _at_once(asked: Sequence[_Asked | _Place], tell: _Tell) -> None:
         try:
             one.end(tell)
         except NotStopped as error:
-            tell(one.name, error)
+            tell(one.label, error)
         except Exception as error:  # whatever it is: nothing says that it stopped
-            tell(one.name, NotStopped(f"{EMERGENCY} ({error})"))
+            tell(one.label, NotStopped(f"{EMERGENCY} ({error})"))
 
     if _little_memory():
         for one in asked:

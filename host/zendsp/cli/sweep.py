@@ -6,7 +6,8 @@ from pathlib import Path
 
 import click
 
-from zendsp.cli.common import emit, open_target, progress, table, target_options
+from zendsp.cli.common import emit, open_target, progress, target_options
+from zendsp_protocol.views import text_table
 
 
 @click.command("sweep")
@@ -65,7 +66,7 @@ def command(
         found = sweep(t, tried, channels, seconds=seconds, settle=settle, fade=fade,
                       measures=measures, together=together, keep=keep, progress=tell)  # fmt: skip
     header = [*found.parameters, *found.results, "ended"]
-    shown = table(found.cells(), header)
+    shown = text_table(header, found.cells())
     if as_json:
         click.echo(repr(found)[1:-1], err=True)
     emit([dict(row) for row in found.rows], as_json, f"{shown}\n{repr(found)[1:-1]}")

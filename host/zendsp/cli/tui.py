@@ -13,6 +13,7 @@ import click
 from zendsp.cli.common import parse_names
 from zendsp.cli.completing import machines
 from zendsp.errors import LinkError
+from zendsp.here.registered import CONNECT
 from zendsp_isr.parts import is_model, machine_source
 
 
@@ -139,7 +140,7 @@ def command(
     )
     # started with nohup, it would look for keys in a terminal that is gone, for ever
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
-    app.session.stops.guard_keys(target)
+    app.session.stops.guard_keys(target, here=False)
     try:
         app.run()
     finally:
@@ -173,6 +174,8 @@ def _serve(
 
     # one machine for all pages, not one for each
     with local(machine, clock=clock) if machine else contextlib.nullcontext() as started:
+        if started is not None:
+            os.environ.pop(CONNECT, None)  # the pages are to find it here
         name = started.name if started is not None else target
         words = ["tui", *([name] if name else [])]
         for option, value in (("--source", source), ("--folder", folder), ("--channels", channels)):

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from zendsp.cli.common import emit, open_target, show, target_options
+from zendsp.cli.common import emit, open_target, target_options
 from zendsp.cli.completing import variables
 from zendsp.cli.lines import fitted
+from zendsp_protocol.views import short
 
 if TYPE_CHECKING:
     from zendsp.link import LiveView, Target
@@ -64,7 +65,7 @@ def command(
                 newest = _first(t, view)
                 due = time.monotonic() + interval  # from the first rows on
             parts = [
-                f"{name} {show(value):>12} {unit}".rstrip()
+                f"{name} {short(value):>12} {unit}".rstrip()
                 for (name, value), unit in zip(newest.items(), ("s", *view.units), strict=True)
             ]
             if rewrite:

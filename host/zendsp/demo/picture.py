@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 # Okabe and Ito 2008: told apart by readers with any kind of colour vision, and in grey.
 MACHINE, MODEL, FOUND, QUIET = "#0072B2", "#D55E00", "#009E73", "0.55"
 ONE_LINE = 75  # characters of the headline that fit beside one another
-BINS, FEWEST = 80, 5  # of a curve of medians, and rows in one of them
+BINS = 80  # of a curve of means
+BENT = "its own numbers, bent to make up\nfor what it lacks in the other motion"
 LEAD_S = 0.2  # the first moment is the leap from rest and would set the scale
 
 
@@ -119,14 +120,15 @@ def _missing(axis: Axes, told: Told, joint: int) -> None:
     """Torque that the calibrated and the improved model lack, over the variable in which the effect
     lives.
     """
-    from zendsp.diagnosis.measure.curve import samples_of
-    from zendsp.diagnosis.report.figures import axis_of
+    from zendsp.diagnosis.measure.curve import Axis as Over
+    from zendsp.diagnosis.measure.curve import binned, curve_over
+    from zendsp.diagnosis.report.laws import axis_of, drawn
 
     if told.tracking is not None and any(of_body(f) for f in told.diagnosis.findings):
         _joints(axis, told.tracking)
         return
     finding = told.diagnosis.findings[0] if told.diagnosis.findings else None
-    variable = axis_of(finding) if finding else "velocity"
+    over = axis_of(finding) if finding else Over("velocity")
     units = {
         "position": _unit(told),
         "velocity": f"{_unit(told)}/s",
@@ -138,18 +140,22 @@ def _missing(axis: Axes, told: Told, joint: int) -> None:
         ("given model, calibrated", told.diagnosis.missing, MODEL),
         ("with what was found", told.diagnosis.remaining, FOUND),
     )
+    shown: list[Array] = []
     for label, parts, colour in series:
-        x = np.concatenate([samples_of(m, variable) for m in parts[joint]])
-        y = np.concatenate([m.torque for m in parts[joint]])
+        curve = curve_over(parts[joint], over, finding.mechanism if finding else "")
+        seen = (curve.samples.weight > 0) & np.isfinite(np.concatenate(drawn(parts[joint])))
+        x, y = curve.samples.x[seen], curve.samples.torque[seen]
+        shown.append(y)
         every = slice(None, None, max(1, len(x) // 4000))
         axis.plot(x[every], y[every], ".", ms=1.6, alpha=0.35, color=colour, rasterized=True)
         axis.plot([], [], "o", color=colour, label=label)
-        _middle(axis, x, y, colour)
-    _scale(axis, np.concatenate([m.torque for m in told.diagnosis.missing[joint]]), 0.3)
+        at, mean, _ = binned(curve.samples, BINS)
+        axis.plot(at, mean, color=colour, lw=1.8)
+    _scale(axis, shown[0], 0.3)
     axis.axhline(0.0, color=QUIET, lw=0.8)
-    where = variable if " of " in variable else f"{variable} of joint {joint}"
-    axis.set_xlabel(f"{where} ({units[variable.split()[0]]})")
-    axis.set_ylabel("missing torque (N m)")
+    where = over if over.joints else f"{over} of joint {joint}"
+    axis.set_xlabel(f"{where} ({units[over.variable]})")
+    axis.set_ylabel(f"missing torque{' against the motion' if curve.against else ''} (N m)")
     name = finding.effect.replace("_", " ") if finding else told.diagnosis.verdict
     axis.set_title(f"What the model lacks: {name}", loc="left")
     axis.legend(loc="upper left", fontsize=8, frameon=False)
@@ -171,15 +177,6 @@ def _joints(axis: Axes, tracking: Tracking) -> None:
     axis.set_ylabel("tracking error (mrad RMS)")
     axis.set_title("All joints bear what it carries", loc="left")
     axis.legend(loc="upper left", fontsize=8, frameon=False)
-
-
-def _middle(axis: Axes, x: Array, y: Array, colour: str) -> None:
-    """Median over bins of equal width: where the machine stands, many rows share one place."""
-    bins = np.clip(((x - x.min()) / max(float(np.ptp(x)), 1e-12) * BINS).astype(int), 0, BINS - 1)
-    parts = [part for k in range(BINS) if len(part := np.flatnonzero(bins == k)) >= FEWEST]
-    axis.plot(
-        [np.median(x[p]) for p in parts], [np.median(y[p]) for p in parts], color=colour, lw=1.8
-    )
 
 
 def _error(axis: Axes, told: Told, joint: int) -> None:
@@ -244,6 +241,11 @@ def _fit(axis: Axes, told: Told) -> None:
     for k, (_, value, colour) in enumerate(rows):
         axis.barh(k, 1e3 * value, color=colour, height=0.6)
         axis.text(1e3 * value, k, f" {1e3 * value:.3g}", va="center", fontsize=11)
+    if held.calibrated > held.given:
+        axis.text(
+            0.97 * 1e3 * held.calibrated, 1, BENT, fontsize=8, va="center", ha="right",
+            color="white",
+        )
     floor = 1e3 * told.diagnosis.noise_floor
     axis.axvline(floor, color="0.2", lw=1.0, ls="--")
     axis.text(floor, 2.62, " noise floor", fontsize=8, va="center", color="0.2")

@@ -169,10 +169,11 @@ def _diagnose(machine: Machine, recorded: Recorded, out: Path, narrator: Narrato
             _say_findings(told.diagnosis, narrator)
     held = told.diagnosis.heldout
     better = held.improved < held.calibrated
+    bent = " (bent by what it lacks)" if held.calibrated > held.given else ""
     narrator.say(
         f"on the held-out recording the error of free simulation is {1e3 * held.given:.3g} mrad"
-        f" given, {1e3 * held.calibrated:.3g} calibrated, {1e3 * held.improved:.3g} improved (noise"
-        f" floor {1e3 * told.diagnosis.noise_floor:.2g})",
+        f" given, {1e3 * held.calibrated:.3g} calibrated{bent}, {1e3 * held.improved:.3g}"
+        f" improved (noise floor {1e3 * told.diagnosis.noise_floor:.2g})",
         good=better,
     )
     if not told.diagnosis.findings:

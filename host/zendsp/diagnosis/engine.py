@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -18,45 +17,26 @@ from zendsp.diagnosis.data.checks import check_excitation, check_motion
 from zendsp.diagnosis.data.prepare import one_sensor, prepare
 from zendsp.diagnosis.data.reading import Source
 from zendsp.diagnosis.data.signals import Parts, Signals
-from zendsp.diagnosis.data.split import cut_out, halves, read_parts
+from zendsp.diagnosis.data.split import halves, read_parts
 from zendsp.diagnosis.decide.absorbed import moved
-from zendsp.diagnosis.decide.across import across_joints, timing
-from zendsp.diagnosis.decide.assemble import Assembled, calibrated_machine
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.clocks import apart_in_time
 from zendsp.diagnosis.decide.contract import Verdict
-from zendsp.diagnosis.decide.decide_bodies import (
-    BodyClaim,
-    beside_bodies,
-    decide_bodies,
-    rejected_bodies,
-    settled,
-)
+from zendsp.diagnosis.decide.decide_bodies import rejected_bodies
 from zendsp.diagnosis.decide.detectable import detectable
-from zendsp.diagnosis.decide.fast_ripple import FineRipple, fine_ripples, fixed
 from zendsp.diagnosis.decide.naming import name_findings
 from zendsp.diagnosis.decide.notes import bent, left_over, notes_of
+from zendsp.diagnosis.decide.other_load import of_load
 from zendsp.diagnosis.decide.propose import propose
 from zendsp.diagnosis.decide.remember import remembered
 from zendsp.diagnosis.decide.result import Diagnosis, Finding, FitTable, Left, Rejected, Workings
-from zendsp.diagnosis.joints import (
-    Progress,
-    decided_again,
-    explain,
-    plainer,
-    with_bodies,
-    with_their_links,
-)
-from zendsp.diagnosis.measure.bursts import everywhere
-from zendsp.diagnosis.measure.likelihood import calibrate_joint
-from zendsp.diagnosis.measure.where import intervals, mismatch, regions
+from zendsp.diagnosis.joints import Progress
+from zendsp.diagnosis.machine import Found, find
+from zendsp.diagnosis.measure.where import intervals, regions
 from zendsp.diagnosis.measure.windows import model_error, noise_floor
 from zendsp.diagnosis.report.files import left_out
-from zendsp.diagnosis.search.bodies import BodySearch, find_bodies
-from zendsp.diagnosis.search.hypothesis import JointSearch
-from zendsp.diagnosis.transmission.links import divided, with_links
-from zendsp.diagnosis.transmission.measured import Measured, measured_transmissions
-from zendsp.diagnosis.transmission.one_sensor import by_one_sensor, said, shown
+from zendsp.diagnosis.report.sides import clearest, sides
+from zendsp.diagnosis.transmission.one_sensor import by_one_sensor, said
 from zendsp.diagnosis.transmission.torque_sensor import sided
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.files.model_file import load_model, parse_model
@@ -135,17 +115,17 @@ def _diagnose(
             _sources(recordings), given, _sources(heldout), jobs=jobs, progress=tell
         )
     signals, parts, notes = _ready(recordings, heldout, given, tell)
-    found = _found(signals, parts, given, jobs, tell)
+    found = find(signals, parts, given, jobs, tell)
     parts, decisions, whole = found.parts, found.decisions, found.whole
     notes += [note for m in found.measured for note in m.notes]
     findings, refinements, rejected = _name(found, given)
-    kinds = {d.kind for d in decisions}
-    verdict: Verdict = "complete" if kinds == {"complete"} else "unexplained"
-    if findings:
-        verdict = "missing"
-    improved = remembered(whole.improved if findings else whole.calibrated, given, decisions)
+    verdict = _verdict(findings, decisions)
+    better = whole.improved if findings else whole.calibrated
+    improved = remembered(better, given, decisions, findings)
     joints = range(1, given.joints + 1)
-    lacking = {j: mismatch(parts.fit, whole.calibrated, j) for j in joints}
+    shown_on = parts.test if found.load else parts.fit  # where what lacks is to be seen
+    seen_at = {j: clearest(shown_on, sides(findings, given, whole, j), j) for j in joints}
+    lacking = {j: before for j, (_, before, _) in seen_at.items()}
     places, times = _where({j: lacking[j] for j in _lacking(found, findings, joints)})
     tell("proposing the next recording")
     proposal = propose(signals[0], given, found.searches, findings, decisions, seed)
@@ -154,9 +134,9 @@ def _diagnose(
     alone = by_one_sensor(parts, found.bodies.model, decisions)
     seen += (*(d for m in found.measured for d in m.detectable), *alone)
     test = _table(parts.test, given, whole.calibrated, improved)
-    notes += [*said(alone), *notes_of(decisions, given)]
-    notes += apart_in_time(parts, improved)
-    notes += moved(given, found.whole.improved if findings else found.whole.calibrated)
+    notes += [*said(alone), *notes_of(decisions, given), *apart_in_time(parts, improved)]
+    notes += of_load(found.load)
+    notes += moved(given, whole.calibrated if found.load else better)
     if not findings:
         notes += bent(test, noise_floor(parts.test))
     return Diagnosis(
@@ -181,9 +161,15 @@ def _diagnose(
         improved=file_model(improved),
         unexplained=left_over(decisions, given, parts.fit),
         missing=lacking,
-        remaining={j: mismatch(parts.fit, improved, j) for j in joints},
-        workings=Workings(found.searches, decisions, whole, parts.fit, parts.test),
+        remaining={j: after for j, (_, _, after) in seen_at.items()},
+        workings=Workings(found.searches, decisions, whole, shown_on, parts.test),
     )
+
+
+def _verdict(findings: Sequence[Finding], decisions: Sequence[Decision]) -> Verdict:
+    if findings:
+        return "missing"
+    return "complete" if {d.kind for d in decisions} == {"complete"} else "unexplained"
 
 
 def _left(decision: Decision) -> Left:
@@ -217,170 +203,16 @@ def _ready(
     return (fit_signals, choose_signals, test_signals), parts, notes
 
 
-@dataclass(frozen=True)
-class _Found:
-    """What is known of a machine before it is put into words: bodies, transmissions, joints.
-
-    ``bare`` are the recordings without what inverse dynamics says of inertias, ``beneath`` is the
-    given model with the bodies and transmissions that the joints were searched with.
-    """
-
-    parts: Parts
-    bare: Parts
-    beneath: Model
-    bodies: BodySearch
-    measured: list[Measured]
-    searches: list[JointSearch]
-    decisions: list[Decision]
-    whole: Assembled
-    claims: tuple[BodyClaim, ...]
-    fine: tuple[FineRipple, ...] = ()
-
-
-def _find(measured_motion: Parts, given: Model, jobs: int, tell: Progress) -> _Found:
-    """Bodies first, then measured transmissions, then every joint; again where one changes what
-    the others have to explain, and without bodies that make untouched recordings worse.
-    """
-    tell("calibrating the given model")
-    parts = with_links(measured_motion, given, divided(given))
-    bodies = find_bodies(parts.fit, parts.choose, given, jobs, tell)
-    found = _beneath(bodies, measured_motion, parts, given, jobs, tell)
-    late = timing(found.decisions)
-    if late and not found.claims:  # torque that comes at another time hides a body
-        bodies = find_bodies(parts.fit, parts.choose, given, jobs, tell, beside=late)
-        if bodies.found:
-            again = _beneath(bodies, measured_motion, parts, given, jobs, tell)
-            found = again if again.claims else found
-    finished = _finished(found, given, jobs, tell)
-    test, whole = finished.parts.test, finished.whole
-    if finished.claims and model_error(test, whole.improved) > model_error(test, whole.calibrated):
-        none = replace(bodies, model=given, found=())
-        found = _beneath(none, measured_motion, parts, given, jobs, tell)
-        finished = _finished(found, given, jobs, tell)
-    return finished
-
-
-def _beneath(
-    bodies: BodySearch,
-    measured_motion: Parts,
-    parts: Parts,
-    given: Model,
-    jobs: int,
-    tell: Progress,
-) -> _Found:
-    """What is found with some bodies, or with those of them that can be claimed beside it."""
-    measured = measured_transmissions(parts, bodies.model, jobs)
-    known = tuple(t for m in measured for t in m.terms)
-    beneath, bare = bodies.model.with_terms((*bodies.model.terms, *known)), parts
-    explained = explain(with_bodies(bare, beneath), given, beneath, jobs, tell)
-    bare, explained = with_their_links(measured_motion, bare, given, beneath, explained, jobs, tell)
-    parts, decisions = with_bodies(bare, beneath), explained[1]
-    claims = decide_bodies(parts, bodies, decisions, jobs)
-    if len(claims) < len(bodies.found):  # what is no body has to be explained at the joints
-        beneath = given.with_terms((*given.terms, *(c.found.term for c in claims), *known))
-        parts = with_bodies(bare, beneath)
-        explained = explain(parts, given, beneath, jobs, tell)
-    elif claims and any(c.mechanism == "inertia" for d in decisions for c in d.claims):
-        # a body that the joints have to correct may be none: the plainer explanation stands
-        plain = given.with_terms((*given.terms, *known))
-        other = explain(with_bodies(bare, plain), given, plain, jobs, tell)
-        if plainer(bare.test, other, explained, len(claims)):
-            claims, beneath, parts, explained = (), plain, with_bodies(bare, plain), other
-    return _Found(parts, bare, beneath, bodies, measured, *explained, claims)
-
-
-def _finished(found: _Found, given: Model, jobs: int, tell: Progress) -> _Found:
-    """With what passes fast, and bodies and joints settled together."""
-    parts, bare, beneath, claims = found.parts, found.bare, found.beneath, found.claims
-    searches, decisions, whole = found.searches, found.decisions, found.whole
-    tell("looking for what passes fast")
-    fine = [
-        ripple
-        for search, decision in zip(searches, decisions, strict=True)
-        if decision.kind in ("complete", "missing")
-        for ripple in fine_ripples(
-            parts.fit, parts.choose, search, given.joint_kind(search.joint), jobs
-        )
-    ]
-    # a ripple that the model lacks may be taken for other effects: decide again beside it
-    if fine:
-        beneath = beneath.with_terms((*beneath.terms, *(fixed(ripple.term) for ripple in fine)))
-        rippled = {ripple.term.joint for ripple in fine}
-        done = {
-            s.joint: decided_again(parts, beneath, s, jobs, tell) if s.joint in rippled else (s, d)
-            for s, d in zip(searches, decisions, strict=True)
-        }
-        searches, decisions, whole = explain(parts, given, beneath, jobs, tell, done)
-    if claims:
-        claims, improved = settled(parts, claims, whole.improved, jobs)
-        bases = [
-            calibrate_joint(bare.fit, given, joint, jobs) for joint in range(1, given.joints + 1)
-        ]
-        calibrated = calibrated_machine(bare.fit, given, bases, jobs)
-        whole = replace(whole, improved=improved, calibrated=calibrated)
-        decisions = beside_bodies(claims, decisions)
-    return replace(
-        found,
-        searches=searches,
-        decisions=shown(parts, found.bodies.model, across_joints(decisions)),
-        whole=whole,
-        claims=claims,
-        fine=tuple(fine),
-    )
-
-
-def _found(
-    signals: Sequence[Sequence[Signals]], parts: Parts, given: Model, jobs: int, tell: Progress
-) -> _Found:
-    """What is found; where something pushes, in the rest of the recordings (``signals``: to fit to,
-    to choose by, to test on).
-    """
-    found = _find(parts, given, jobs, tell)
-    pushes = _pushes(found.decisions)
-    if not pushes:
-        return found
-    fit, choose, test = (cut_out(part, pushes) for part in signals)
-    if not fit or not (choose or test):
-        return found
-    tell("once more, without what was pushed")
-    left = (fit, choose or test, test or choose)
-    data = [prepare(one_sensor(part), given, 64.0) for part in left]
-    rest = Parts(data[0], data[1], data[2] if choose and test else data[1])
-    return _beside_pushes(found, _find(rest, given, jobs, tell))
-
-
-def _pushes(decisions: Sequence[Decision]) -> list[tuple[str, float, float]]:
-    """Recording, begin and end (s) of each push."""
-    return [
-        (name, *span)
-        for d in decisions
-        if d.kind == "disturbance" and d.bursts is not None
-        for name, span in zip(d.bursts.recordings, d.bursts.intervals, strict=True)
-    ]
-
-
-def _beside_pushes(pushed: _Found, found: _Found) -> _Found:
-    """What was found without the pushes, and the pushes in all recordings, beside it."""
-    every = (pushed.parts.fit, pushed.parts.held)
-    decisions = []
-    for first, again in zip(pushed.decisions, found.decisions, strict=True):
-        if first.kind == "disturbance" and first.bursts is not None:
-            kind = "disturbance" if again.kind == "complete" else again.kind
-            beside = everywhere(first.bursts, every, again.final.model, again.joint)
-            bursts = beside if beside.intervals else first.bursts
-            again = replace(again, kind=kind, bursts=bursts)
-        decisions.append(again)
-    return replace(found, decisions=decisions, parts=pushed.parts)
-
-
 def _name(
-    found: _Found, given: Model
+    found: Found, given: Model
 ) -> tuple[tuple[Finding, ...], tuple[Finding, ...], tuple[Rejected, ...]]:
     """Findings, refinements and what was rejected, of joints, bodies and transmissions."""
     findings, refinements, rejected = name_findings(
         found.parts.test, given, found.decisions, found.whole, found.claims
     )
     rejected = (*rejected_bodies(found.bodies, found.claims), *rejected)
+    if found.load is not None:  # all that differs from the given numbers, there
+        findings = (found.load,)
     findings += tuple(ripple.finding for ripple in found.fine)
     findings += tuple(finding for m in found.measured for finding in m.findings)
     return sided(findings, found.parts, found.bodies.model), refinements, rejected
@@ -407,7 +239,7 @@ def _read(
     return signals, choose, test, [*notes, *how]
 
 
-def _lacking(found: _Found, findings: Sequence[Finding], joints: Sequence[int]) -> set[int]:
+def _lacking(found: Found, findings: Sequence[Finding], joints: Sequence[int]) -> set[int]:
     """Joints at which something is missing; all of them where a body is, which all may bear."""
     if found.claims:
         return set(joints)

@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 import multiprocessing
 import os
+import signal
 from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import replace
@@ -15,7 +16,8 @@ from typing import Any
 
 from zendsp.diagnosis.data.inertia import inertia_ranges
 from zendsp.diagnosis.data.signals import Parts
-from zendsp.diagnosis.decide.across import same_timing
+from zendsp.diagnosis.decide.absorbed import shifted
+from zendsp.diagnosis.decide.across import pushed_alone, same_timing
 from zendsp.diagnosis.decide.assemble import Assembled, assemble
 from zendsp.diagnosis.decide.claims import Decision, unclaimed
 from zendsp.diagnosis.decide.decide import decide, unpushed
@@ -51,11 +53,24 @@ class Acceptance:
         return held.gain > 0 and held.z > 1.0
 
 
-def plainer(test: Data, one: Explained, other: Explained, bodies: int) -> bool:
-    """Whether one explanation claims less than another with its bodies, and predicts as well."""
-    claims = [sum(len(d.claims) for d in decisions) for _, decisions, _ in (one, other)]
+def plainer(test: Data, given: Model, one: Explained, other: Explained, bodies: int) -> bool:
+    """Whether one explanation claims less than another, and predicts as well; ``bodies`` are those
+    of the other less those of the one.
+    """
     errors = [model_error(test, whole.improved) for _, _, whole in (one, other)]
-    return claims[0] < claims[1] + bodies and errors[0] <= errors[1]
+    if errors[0] > errors[1]:
+        return False
+    claims = [findings_at(test, given, explained) for explained in (one, other)]
+    return claims[0] < claims[1] + bodies
+
+
+def findings_at(test: Data, given: Model, explained: Explained) -> int:
+    """How many findings an explanation has at the joints, with stated figures that are wrong."""
+    _, decisions, whole = explained
+    return sum(
+        len(d.claims) + len(shifted(given, d, whole, {c.term.effect for c in d.claims}, test))
+        for d in decisions
+    )
 
 
 def with_their_links(
@@ -126,7 +141,7 @@ def explain(
     searched already.
     """
     searches, decisions = _search(parts, given, beneath, jobs, tell, done)
-    decisions = same_timing(parts, decisions, jobs)
+    decisions = pushed_alone(same_timing(parts, decisions, jobs))
     tell("fitting the improved model")
     decisions, whole = _no_worse(parts, beneath, decisions, jobs)
     added = beneath.terms[len(given.terms) :]  # held, so they come out as they went in
@@ -243,6 +258,7 @@ _inherited: list[tuple[Parts, Model, Progress]] = []
 
 def _inherit(parent: int, parts: Parts, given: Model, tell: Progress) -> None:
     die_with(parent)  # killed, it could not end them
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # a Ctrl-C is the parent's to tell
     _inherited[:] = [(parts, given, tell)]
 
 

@@ -2,12 +2,14 @@
 and write a result.
 """
 
-from zendsp.experiment.frequency import FrequencyResponse, frequency_response
+from zendsp.experiment.frequency import frequency_response
 from zendsp.experiment.lab import Lab
 from zendsp.experiment.model_update import fit_model, put_into
 from zendsp.experiment.registry import EXPERIMENTS, Experiment, run_experiment
+from zendsp.experiment.response import FrequencyResponse
 from zendsp.experiment.result import Estimate, FoundEffect, Result
-from zendsp.experiment.sweep import Sweep, sweep
+from zendsp.experiment.sweep import sweep
+from zendsp.experiment.sweep_result import Sweep
 
 __all__ = [
     "EXPERIMENTS", "Estimate", "Experiment", "FoundEffect", "FrequencyResponse", "Lab", "Result",

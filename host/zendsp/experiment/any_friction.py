@@ -60,9 +60,7 @@ def friction(lab: Lab, speeds: int = 6, joints: tuple[int, ...] = ()) -> Result:
         for joint in joints or driven:
             reference = _moves(all_joints[joint - 1], place, joint, speeds, period)
             sliding = _record(bench, reference, joint)
-            found = fit_friction(sliding, all_joints[joint - 1].unit == "rad", unknown=True)
-            if not _weighs(sliding, found):
-                found = fit_friction(sliding, False, unknown=True)
+            found = _line(sliding, all_joints[joint - 1].unit == "rad")
             if all_joints[joint - 1].unit != "rad":
                 found = _of_slide(found)
             curves[joint] = (sliding.points(found.free), found)
@@ -106,17 +104,39 @@ def _record(bench: Bench, reference: Reference, joint: int) -> Sliding:
     return constant_speed_pieces(rec, reference, joint, gravity=False)
 
 
-def _weighs(sliding: Sliding, found: Friction) -> bool:
-    """Whether the joint moves a weight: two more coefficients, kept where they explain what chance
-    does once in a hundred (F test). What friction does at a place it does at every speed: a part
-    counts as one measurement.
+def _line(sliding: Sliding, may_weigh: bool) -> Friction:
+    """What friction and weight explain a joint's torque: a weight, two more coefficients, where
+    they explain what chance does once in a hundred (F test). What friction does at a place it does
+    at every speed: a part counts as one measurement.
     """
     from scipy.special import fdtri
 
-    plain = fit_friction(sliding, False, unknown=True)
+    plain = _falling(sliding, False)
+    if not may_weigh:
+        return plain
+    found = _falling(sliding, True)
     free = len(np.unique(sliding.part)) - 7
     without, within = plain.squares, found.squares
-    return free > 0 and bool((without - within) / 2 > fdtri(2, free, NO_CHANCE) * within / free)
+    more = free > 0 and (without - within) / 2 > fdtri(2, free, NO_CHANCE) * within / free
+    return found if more else plain
+
+
+def _falling(sliding: Sliding, weighs: bool) -> Friction:
+    """The line of friction over speed, and what it falls from where that explains more than chance.
+    Its shape over speed is the same at every place: here each piece is a measurement.
+    """
+    from scipy.special import fdtri
+
+    found = fit_friction(sliding, weighs, unknown=True)
+    slow = np.geomspace(0.6, SPREAD, 24) * float(np.abs(sliding.speed).min())
+    tried = [fit_friction(sliding, weighs, unknown=True, slow=v) for v in slow]
+    best = min(tried, key=lambda f: f.squares)
+    free = len(sliding.torque) - 9
+    more = (found.squares - best.squares) / 2 > fdtri(2, free, NO_CHANCE) * best.squares / free
+    if not more or best.excess <= 0.0:
+        return found
+    whole = fit_friction(sliding, weighs, unknown=True, slow=best.slow, about=True)
+    return replace(whole, excess=best.excess)
 
 
 def _of_slide(found: Friction) -> Friction:
@@ -144,6 +164,20 @@ def _report(result: Result, joint: int, unit: str, found: Friction) -> None:
                 f"Joint {joint}, direction {word}: the viscous coefficient"
                 f" {viscous:.3g} ± {dv:.2g} is not told from zero at these speeds."
             )
+    if found.excess:
+        result.warnings.append(
+            f"Joint {joint}: friction falls with speed, by {found.excess:.2g} {force} below about"
+            f" {found.slow:.2g} {unit}/s (Stribeck). What is stated is the line that it ends in;"
+            " the effect stribeck holds the rest."
+        )
+        breakaway = found.mean[0] + found.excess
+        result.effects.append(
+            FoundEffect(
+                "stribeck",
+                joint,
+                {"breakaway": Estimate(breakaway, 0.0), "velocity": Estimate(found.slow, 0.0)},
+            )
+        )
     level, viscous, dl, dv = found.mean
     result.values[f"coulomb{joint}"] = Estimate(level, dl / NORMAL, force)
     result.values[f"viscous{joint}"] = Estimate(viscous, dv / NORMAL, f"{force} s/{unit}")

@@ -58,18 +58,40 @@ def mean_of(
     return Estimate(mean, float(np.hypot(half / NORMAL, systematic)), unit)
 
 
-def least_squares(A: Array, b: Array, independent: int | None = None) -> tuple[Array, Array, Array]:
-    """Solution of A x = b, 95 % half widths, and the covariance over the residual's variance.
-
-    ``independent``: how many of the rows are, where not all are.
-    """
+def least_squares(A: Array, b: Array) -> tuple[Array, Array, Array]:
+    """Solution of A x = b, 95 % half widths, and the covariance over the residual's variance."""
     solution = np.asarray(np.linalg.lstsq(A, b, rcond=None)[0], np.float64)
-    free = (independent or len(b)) - A.shape[1]
+    free = len(b) - A.shape[1]
     inverse = np.asarray(np.linalg.inv(A.T @ A), np.float64)
     if free < 1:
         return solution, np.full(A.shape[1], np.inf), inverse
     variance = float(np.sum((b - A @ solution) ** 2)) / free
     return solution, half_width(np.sqrt(variance * np.diag(inverse)), free), inverse
+
+
+def widest(
+    A: Array,
+    left: Array,
+    inverse: Array,
+    ways: Array,
+    alike: Sequence[tuple[npt.NDArray[np.int64], int]],
+) -> Array:
+    """95 % half widths of combinations of a least-squares solution (rows of ``ways``): the widest
+    of those of independent rows, and of rows that are alike in groups (Liang and Zeger 1986).
+
+    ``alike``: for each way to group, the group of each row, and degrees of freedom of as many
+    groups.
+    """
+    free = len(left) - A.shape[1]
+    plain = np.sum(ways @ inverse * ways, axis=1) * float(left @ left) / max(free, 1)
+    out = half_width(np.sqrt(plain), free)
+    scores = A * left[:, None]
+    for group, free in alike:
+        names = np.unique(group)
+        sums = ways @ inverse @ np.stack([scores[group == k].sum(axis=0) for k in names], axis=1)
+        std = np.sqrt(np.sum(sums**2, axis=1) * len(names) / max(free, 1))
+        out = np.maximum(out, half_width(std, free))
+    return np.asarray(out)
 
 
 def line_fit(speed: Array, torque: Array) -> tuple[Array, Array, float]:

@@ -70,8 +70,8 @@ class Lab:
 
     @contextmanager
     def bench(self, machine: str | None, name: str, **options: Any) -> Iterator[Bench]:
-        """A machine to experiment with. Whatever ends the block, it is left standing still, and the
-        program that was loaded before is loaded again, which is not started.
+        """A machine to experiment with. At the end of the block it stands still, and the program of
+        before is loaded again, but not started.
 
         Parameters
         ----------

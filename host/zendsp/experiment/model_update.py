@@ -22,8 +22,7 @@ _SHELL = {"kind": "rotary", "parameters": {"inertia": 1.0}}
 
 
 def fit_model(names: Sequence[str], path: str | Path) -> list[str]:
-    """Which of these experiments find something that this model file holds; asked before a machine
-    moves.
+    """Which of these experiments measure a number of this model file.
 
     Parameters
     ----------

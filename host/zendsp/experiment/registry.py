@@ -14,7 +14,7 @@ from zendsp.experiment.result import Result
 
 @dataclass(frozen=True)
 class Experiment:
-    """An experiment by its name, and what must be known of it before it begins."""
+    """One experiment of the list."""
 
     name: str
     machine: str  # "": any whose command is what the experiment commands
@@ -24,11 +24,11 @@ class Experiment:
     command: str = "torque"  # or voltage
 
     def fits(self, machine: str) -> bool:
-        """Whether it is for this machine; its command is known only when the experiment begins."""
+        """Whether it is for this machine. The kind of command is checked when it begins."""
         return self.machine in ("", machine)
 
     def run(self, lab: Lab) -> Result:
-        """Make it: recordings, figure and ``result.toml`` go to the lab's folder."""
+        """Run it. Recordings, figure and ``result.toml`` go to the lab's folder."""
         module, name = self.function.split(":")
         make: Callable[[Lab], Result] = getattr(
             importlib.import_module(f"zendsp.experiment.{module}"), name

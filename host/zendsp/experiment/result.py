@@ -13,8 +13,14 @@ from typing import Any
 import tomli_w
 
 from zendsp.errors import RecordingError
-from zendsp_protocol import toml
+from zendsp_protocol import written
+from zendsp_protocol.spelling import unknown_keys
 from zendsp_protocol.views import html_table, sentence
+
+_KEYS = (
+    "name", "title", "machine", "target", "figure", "findings", "warnings", "recordings", "values",
+    "mechanism", "effect", "table",
+)
 
 
 @dataclass(frozen=True)
@@ -127,8 +133,10 @@ class Result:
             Not a result file.
         """
         try:
-            data = toml.loads(Path(path).read_text(encoding="utf-8"))
+            data = written.toml(Path(path).read_text(encoding="utf-8"))
             result = cls(data["name"], data["title"], data["machine"])
+            if said := _mistyped(data, str(path)):
+                raise RecordingError(said)
         except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, KeyError) as error:
             raise RecordingError(f"{path}: is not the result of an experiment: {error}") from error
         result.values = {k: _estimate(v) for k, v in data.get("values", {}).items()}
@@ -138,6 +146,24 @@ class Result:
         for key in ("findings", "warnings", "recordings", "figure", "target"):
             setattr(result, key, data.get(key, getattr(result, key)))
         return result
+
+
+def _mistyped(data: Mapping[str, Any], where: str) -> str:
+    """Say which keys nobody reads; those of values, tables and effects are names."""
+    estimates = [
+        (f"{where}: [{table}.{name}]", value)
+        for table in ("values", "mechanism")
+        for name, value in data.get(table, {}).items()
+    ]
+    for row in data.get("effect", []):
+        estimates += [(f"{where}: effect {row.get('kind')}: {k}", v) for k, v in row.items()]
+    said = [unknown_keys(data, _KEYS, f"{where}: the file")]
+    said += [
+        unknown_keys(value, tuple(Estimate.__dataclass_fields__), at)
+        for at, value in estimates
+        if isinstance(value, Mapping)
+    ]
+    return "\n".join(filter(None, said))
 
 
 def _table(e: Estimate) -> dict[str, Any]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +12,13 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.errors import AcquisitionError, VariableError, ZendspError
-from zendsp.experiment.table_file import write_rows
+from zendsp.experiment.sweep_result import Sweep, short
 from zendsp.link import Target
 from zendsp.link.put_back import kept
 from zendsp.prompt import shows_progress
 from zendsp.recording import Recording
 from zendsp_protocol.texts import counted
 from zendsp_protocol.values import Assignable
-from zendsp_protocol.views import html_table, sentence
 
 Floats = npt.NDArray[np.float64]
 MEASURES: dict[str, Callable[[Floats], float]] = {
@@ -35,152 +33,6 @@ FADE_S = 1.0  # back from weak gains the planar arm asks for 123 N m at the most
 AGAIN = 2  # measurements of the first values after the last ones: how well a result repeats
 WATCH_S = 0.2  # of the target's time: what is put back acts at once, and a speed builds up
 PATIENCE_S = 2.0  # for a slow target to come so far
-
-
-# Times the range of three measurements: two others that are alike lie further apart once in twenty
-# (Student's t of two degrees of freedom, 4.30 √2, over the mean range in standard deviations, 1.7).
-APART = 3.6
-
-
-@dataclass(frozen=True, repr=False)
-class Sweep:
-    """What `sweep` measured.
-
-    Attributes
-    ----------
-    parameters : tuple of str
-    results : tuple of str
-        Names of what was measured, for example ``"rms e1"``.
-    rows : tuple of dict
-        One a run: its values, its results, and ``"ended"``: why the program stopped, "" where it
-        ran.
-    again : tuple of dict
-        The results of the first row's values, measured again after the last row. Where the motion
-        is periodic and a window does not last whole periods, they differ as much as the pieces of
-        the motion do.
-    ended : str
-        What ended the program, in a run or when the parameters were put back; "" where it goes on.
-    """
-
-    parameters: tuple[str, ...]
-    results: tuple[str, ...]
-    rows: tuple[Mapping[str, Any], ...]
-    again: tuple[Mapping[str, float], ...] = ()
-    ended: str = ""
-
-    def spread(self, result: str = "") -> float:
-        """Return by how much a result differs where the same values are measured again; NaN where
-        that is not known.
-
-        Parameters
-        ----------
-        result : str
-            Default: the first.
-        """
-        name = result or self.results[0]
-        found = [abs(float(row[name])) for row in (self.rows[0], *self.again) if name in row]
-        return max(found) - min(found) if self.again else float("nan")
-
-    def best_rows(self, result: str = "") -> list[int]:
-        """Return the numbers of all rows that cannot be told from that of `best_row`: equal values
-        are as far apart by chance more than once in twenty.
-
-        Parameters
-        ----------
-        result : str
-            Default: the first.
-        """
-        name, least = result or self.results[0], self.best_row(result)
-        if least is None:
-            return []
-        spread = self.spread(name)
-        most = abs(float(self.rows[least][name])) + (APART * spread if spread > 0.0 else 0.0)
-        return [
-            k
-            for k, row in enumerate(self.rows)
-            if k == least or (not row["ended"] and abs(float(row[name])) <= most)
-        ]
-
-    def best(self, result: str = "") -> Mapping[str, Any]:
-        """Return the run with the smallest result; `best_rows` has those that are as good.
-
-        Parameters
-        ----------
-        result : str
-            Default: the first.
-
-        Raises
-        ------
-        AcquisitionError
-            No such result, or no run came to its end.
-        """
-        name = result or self.results[0]
-        if name not in self.results:
-            raise AcquisitionError(f"no result {name!r}; there are {', '.join(self.results)}")
-        k = self.best_row(name)
-        if k is None:
-            raise AcquisitionError("no run came to its end")
-        return self.rows[k]
-
-    def best_row(self, result: str = "") -> int | None:
-        """Return the number of the row that `best` returns; None where no run came to its
-        end.
-        """
-        name = result or self.results[0]
-        whole = [k for k, row in enumerate(self.rows) if not row["ended"]]
-        return min(whole, key=lambda k: abs(float(self.rows[k][name])), default=None)
-
-    def save(self, path: str | Path) -> Path:
-        """Write the table as CSV.
-
-        Raises
-        ------
-        RecordingError
-            The name ends otherwise, or the file cannot be written.
-        """
-        return write_rows(path, "a sweep", [*self.parameters, *self.results, "ended"], self.rows)
-
-    def cells(self) -> list[list[str]]:
-        """Return the rows as text."""
-        digits = {n: _digits([row[n] for row in self.rows]) for n in self.parameters}
-        return [
-            [
-                *(_short(row[n], digits[n]) for n in self.parameters),
-                *(_short(row.get(n, "")) for n in self.results),
-                str(row["ended"]),
-            ]
-            for row in self.rows
-        ]
-
-    def __repr__(self) -> str:
-        end = f"; the program ended: {self.ended}"
-        return f"<{self._found()}{end if self.ended else ''}>"
-
-    def _found(self) -> str:
-        """What the runs say, in a sentence."""
-        try:
-            best = self.best()
-        except AcquisitionError as error:
-            return f"Sweep of {counted(len(self.rows), 'run')}: {error}"
-        cells = self.cells()[self.best_row() or 0]
-        at = ", ".join(f"{n} = {cells[k]}" for k, n in enumerate(self.parameters))
-        what, spread = self.results[0], self.spread()
-        head = f"Sweep of {counted(len(self.rows), 'run')}: "
-        least = f"{_short(best[what])}, at {at}"
-        if (alike := len(self.best_rows())) > 1:
-            return (
-                f"{head}none is best: {alike} may be alike but for chance, from the least {what},"
-                f" {least}, on; the first values, measured again, differ by {_short(spread)}; of a"
-                " periodic motion, measure whole periods"
-            )
-        known = spread == spread  # not NaN
-        again = f"; the first values measured again differ by {_short(spread)}" if known else ""
-        return f"{head}{what} is least, {least}{again}"
-
-    def _repr_html_(self) -> str:
-        """What a notebook shows: the best run, and all of them."""
-        header = (*self.parameters, *self.results, "ended")
-        return sentence(repr(self)[1:-1]) + html_table(header, self.cells())
 
 
 @shows_progress
@@ -322,7 +174,7 @@ def announced(
     runs = len(_runs(values, together))
     least = (runs + (AGAIN if runs > 1 else 0)) * (fade + settle + seconds)
     tried = ", ".join(
-        f"{name} = {_short(v[0])} … {_short(v[-1])}" if len(v) > 1 else f"{name} = {_short(v[0])}"
+        f"{name} = {short(v[0])} … {short(v[-1])}" if len(v) > 1 else f"{name} = {short(v[0])}"
         for name, v in values.items()
     )
     time = f"{least:.0f} s" if least < 120.0 else f"{least / 60.0:.0f} min"
@@ -402,17 +254,6 @@ def _columns(
         if found:
             return found
     return list(channels)
-
-
-def _short(value: Any, digits: int = 5) -> str:
-    return f"{value:.{digits}g}" if isinstance(value, float) else str(value)
-
-
-def _digits(values: Sequence[Any]) -> int:
-    """So many that different values are written differently."""
-    different = {v for v in values if isinstance(v, float)}
-    enough = (n for n in range(5, 17) if len({f"{v:.{n}g}" for v in different}) == len(different))
-    return next(enough, 17)
 
 
 def tried_of(words: Sequence[str]) -> dict[str, list[float]]:

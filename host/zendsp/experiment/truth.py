@@ -44,3 +44,31 @@ TRUTH: dict[str, dict[str, float]] = {
         for name, value in zip(_NAMES, row, strict=True)
     },
 }
+
+_PLANAR = TRUTH["imi-viscous"]
+
+
+def _both_ways(found: dict[str, float]) -> dict[str, float]:
+    """With the means of both directions."""
+    means = {
+        name[:-4]: 0.5 * (value + found[f"{name[:-4]}_neg"])
+        for name, value in found.items()
+        if name.endswith("_pos")
+    }
+    return found | means
+
+
+# Machine to quantity to value: what `friction` of any machine finds
+FRICTION: dict[str, dict[str, float]] = {
+    "imi_planar": _both_ways({
+        f"{new}{joint}_{end}": _PLANAR[f"{old}{joint}_{way}"]
+        for joint in (1, 2)
+        for old, new in (("level", "coulomb"), ("viscous", "viscous"))
+        for end, way in (("pos", "ccw"), ("neg", "cw"))
+    }),
+    "pendulum": _both_ways({
+        "coulomb1_pos": 0.104, "coulomb1_neg": 0.096,
+        "viscous1_pos": 0.0052, "viscous1_neg": 0.0048,
+    }),
+    "wam7": _both_ways(TRUTH["wam-friction"]),
+}

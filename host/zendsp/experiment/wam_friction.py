@@ -4,13 +4,13 @@ averaged, least squares for each direction.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.experiment.estimates import NORMAL, least_squares, line_fit, smoothed
+from zendsp.experiment.estimates import NORMAL, least_squares, line_fit, smoothed, widest
 from zendsp.experiment.figures import BLUE, GREY, RED, label, make_figure, save
 from zendsp.experiment.lab import Bench, Lab, playing
 from zendsp.experiment.result import Estimate, FoundEffect, Result
@@ -22,15 +22,17 @@ Array = npt.NDArray[np.float64]
 MACHINE = "wam7"
 JOINTS = 7
 SPEEDS = (0.08, 0.12, 0.2, 0.3, 0.45, 0.7, 1.0)  # rad/s
+FEWEST = 4  # speeds: two directions of each, for seven numbers (friction, weight, inertia)
 NARROW = (0.02, 0.03, 0.045)  # rad/s: what a table comes to when only such speeds are used …
 # … shown on two of the joints for which the paper prints negative viscous friction
 NARROW_JOINTS = (2, 4)
 POSE = (0.0, 0.4, 0.0, 1.5, -1.5, 0.0, 0.0)  # rad, where the other joints stay
 TRAVEL = 0.75  # rad: far enough to tell a weight that the model lacks from friction
 DECIMATION = 4
+ACTS = 1.5  # samples after its own, on the mean: a command acts during the next one
 STEADY, MOVING = 1e-6, 1e-3  # rad/s², rad/s, of a plan: its parts at constant speed
 SHORTEST = 20  # rows of such a part: ten pieces of two
-WEIGHS = 1e-3  # N m, of what the program compensates: with less the joint bears no weight
+SMOOTHED = 41  # rows that a speed is read from, at most
 QUIETEST = 0.03  # of the largest scatter: what two others differ by below is rounding
 CHANNELS = ("play_time", "q", "tau", "g")
 # Coulomb N m and viscous N m s/rad, positive and negative direction, of the seven-joint paper
@@ -53,7 +55,17 @@ def friction(
 ) -> Result:
     """Coulomb and viscous friction of every joint and direction, with confidence intervals, beside
     the paper's table; ``narrow``: what slow speeds alone would say, too.
+
+    Raises
+    ------
+    ValueError
+        Fewer than ``FEWEST`` speeds.
     """
+    if len(speeds) < FEWEST:
+        raise ValueError(
+            f"speeds = {speeds}: friction, weight and rotor are seven numbers of a joint; their"
+            f" intervals need {FEWEST} speeds (two directions of each)"
+        )
     result = Result("wam-friction", "Friction maps of the WAM", MACHINE)
     maps: dict[int, Sliding] = {}
     curves: dict[int, Array] = {}
@@ -105,8 +117,10 @@ class Sliding:
     part : ndarray of int
         Which part a piece belongs to.
     q, speed, torque, gravity, acceleration : ndarray
-        Position (rad), mean speed of the part (rad/s), torque less the model's gravity, and that
+        Position (rad), speed (rad/s), torque less the model's gravity, and that
         gravity (N m); what acceleration is left (rad/s^2).
+    others : float
+        By how much the others were displaced, RMS of the joint where that is most, rad.
     """
 
     part: npt.NDArray[np.int64]
@@ -115,6 +129,7 @@ class Sliding:
     torque: Array
     gravity: Array
     acceleration: Array
+    others: float = 0.0
 
     def points(self, friction: Array) -> Array:
         """Mean speed, mean of ``friction`` and its standard error of each part: rows of three."""
@@ -122,17 +137,27 @@ class Sliding:
         for k in np.unique(self.part):
             here = friction[self.part == k]
             rows.append(
-                (self.speed[self.part == k][0], here.mean(), here.std(ddof=1) / len(here) ** 0.5)
+                (
+                    self.speed[self.part == k].mean(),
+                    here.mean(),
+                    here.std(ddof=1) / len(here) ** 0.5,
+                )
             )
         return np.array(rows)
+
+    def places(self) -> npt.NDArray[np.int64]:
+        """Which tenth of the way each piece lies in."""
+        edges = np.linspace(self.q.min(), self.q.max(), 11)[1:-1]
+        return np.digitize(self.q, edges)
 
     def weights(self) -> Array:
         """One over the scatter of pieces of that speed about a parabola along their part, relative
         to the largest: short fast parts scatter ten times as much as long slow ones.
         """
-        left, pace = np.zeros_like(self.torque), np.round(4.0 * np.log2(np.abs(self.speed)))
+        left, pace = np.zeros_like(self.torque), np.zeros_like(self.torque)
         for k in np.unique(self.part):
             here = self.part == k
+            pace[here] = np.round(4.0 * np.log2(np.abs(self.speed[here].mean())))
             x = np.vander(self.q[here] - self.q[here].mean(), 3)
             left[here] = self.torque[here] - x @ np.linalg.lstsq(x, self.torque[here])[0]
         scatter = np.ones_like(left)
@@ -148,7 +173,8 @@ def constant_speed_pieces(
     """The constant-speed parts of a recording, ten pieces each; ``gravity``: the program records as
     ``g`` what it compensates.
 
-    The first 30 % of each part are left out: the controller settles there.
+    The first 30 % of each part are left out: the controller settles there. So is where a speed
+    would be read from the ramp after it, too.
     """
     rows = playing(rec, reference.samples // rec.decimation)
     q, tau = (np.atleast_2d(rec[name].T).T[rows][:, joint - 1] for name in ("q", "tau"))
@@ -158,19 +184,26 @@ def constant_speed_pieces(
     steady = (np.abs(reference.qdd[:: rec.decimation, joint - 1][: len(q)]) < STEADY) & (
         np.abs(wanted) > MOVING
     )
-    qdd = smoothed(q, 41, rec.sample_time, 2)
     edges = np.flatnonzero(np.diff(np.r_[0, steady.astype(int), 0]))
+    beside = min(SMOOTHED, int(np.diff(edges)[::2].min(initial=SMOOTHED)) // 4) // 2
+    window = max(3, 2 * beside + 1)
+    qd, qdd = (smoothed(q, window, rec.sample_time, order) for order in (1, 2))
+    ahead = ACTS * reference.sample_time
+    q, qd = q + ahead * qd, qd + ahead * qdd
+    g = g + ahead * smoothed(g, window, rec.sample_time, 1)
     pieces = []
     for part, (first, last) in enumerate(zip(edges[::2], edges[1::2], strict=True)):
         first += round(0.3 * (last - first))
+        last -= beside
         if last - first < SHORTEST:
             continue
-        speed = (q[last - 1] - q[first]) / ((last - 1 - first) * rec.sample_time)
         for piece in np.array_split(np.arange(first, last), 10):
-            here, torque, gravity, rest = (x[piece].mean() for x in (q, tau - g, g, qdd))
-            pieces.append((part, here, speed, torque, gravity, rest))
+            pieces.append((part, *(x[piece].mean() for x in (q, qd, tau - g, g, qdd))))
     columns = np.array(pieces).T
-    return Sliding(columns[0].astype(np.int64), *columns[1:])
+    away = np.atleast_2d(rec["q"].T).T[rows][: len(steady)][steady]
+    others = np.delete(away.std(axis=0), joint - 1).max(initial=0.0)
+    found = Sliding(columns[0].astype(np.int64), *columns[1:])
+    return replace(found, others=float(others))
 
 
 @dataclass(frozen=True)
@@ -183,18 +216,28 @@ class Friction:
     mean: tuple[float, float, float, float]
     uneven: bool  # whether a direction differs from the other by more than its interval
     lacking: Array
-    free: Array  # the torque without it
+    free: Array  # the torque without it, and without what accelerates
     weight: float  # N m, the most that the joint carries beyond what is compensated
     squares: float  # sum of the squared weighted residuals
+    excess: float = 0.0  # N m more at rest, where friction falls with speed (Stribeck)
+    slow: float = 0.0  # rad/s, at which a third of it is left
 
 
-def fit_friction(sliding: Sliding, weighs: bool, unknown: bool = False) -> Friction:
+def fit_friction(
+    sliding: Sliding,
+    weighs: bool,
+    unknown: bool = False,
+    slow: float = 0.0,
+    about: bool = False,
+) -> Friction:
     """Friction of each direction, and what the gravity compensation lacks, together.
 
     The weight of whatever a joint moves is a cos q + b sin q of its own position, whatever its
     masses; friction is not. ``unknown``: nothing is known of the machine. The inertia is found too,
-    and the pieces of a part count as one measurement: friction may vary with place. A joint that
-    moves no weight (a vertical axis) has neither.
+    and what the pieces of a part, or of a place, have in common widens the intervals: friction may
+    vary with place. A joint that
+    moves no weight (a vertical axis) has neither. ``slow``: friction falls with speed below this
+    one, in rad/s; ``about``: which is not known well itself.
     """
     up = sliding.speed > 0
     columns = [up, up * sliding.speed, -1.0 * ~up, ~up * sliding.speed]
@@ -202,17 +245,31 @@ def fit_friction(sliding: Sliding, weighs: bool, unknown: bool = False) -> Frict
         columns += [np.cos(sliding.q), np.sin(sliding.q)]
     if unknown:
         columns.append(sliding.acceleration)
+    others = len(columns)
+    if slow:
+        ratio = (sliding.speed / slow) ** 2
+        falls = np.sign(sliding.speed) * np.exp(-ratio)
+        columns += [falls, falls * ratio] if about else [falls]
     A = np.stack([np.asarray(c, dtype=np.float64) for c in columns], axis=1)
-    parts = len(np.unique(sliding.part)) if unknown else len(sliding.torque)
     weight = sliding.weights()
-    x, half, inverse = least_squares(weight[:, None] * A, weight * sliding.torque, parts)
+    weighted, torque = weight[:, None] * A, weight * sliding.torque
+    x, _, inverse = least_squares(weighted, torque)
     ways = np.zeros((4, len(x)))  # means of both directions, and half of what they differ by
     ways[0, [0, 2]] = ways[1, [1, 3]] = 0.5
     ways[2, [0, 2]] = ways[3, [1, 3]] = 0.5, -0.5
     both = ways @ x
-    width = half[0] * np.sqrt(np.sum(ways @ inverse * ways, axis=1) / inverse[0, 0])
-    lacking = A[:, 4:] @ x[4:]
+    alike = []
+    if unknown:
+        parts, places = len(np.unique(sliding.part)), sliding.places()
+        alike = [(sliding.part, parts - len(x)), (places, len(np.unique(places)) - 1)]
+    every = np.vstack([np.eye(len(x)), ways])
+    half, width = np.split(
+        widest(weighted, torque - weighted @ x, inverse, every, alike), [len(x)]
+    )
     carried = A[:, 4:6] @ x[4:6] if weighs else 0.0 * sliding.q
+    if unknown:  # the others give way in the direction of the move, and change that weight
+        blur = NORMAL * sliding.others * float(np.hypot(*x[4:6])) if weighs else 0.0
+        half[[0, 2]], width[0] = np.hypot(half[[0, 2]], blur), np.hypot(width[0], blur)
     squares = float(np.sum((weight * (sliding.torque - A @ x)) ** 2))
     value = {
         word: (float(x[k]), float(x[k + 1]), float(half[k]), float(half[k + 1]))
@@ -221,13 +278,16 @@ def fit_friction(sliding: Sliding, weighs: bool, unknown: bool = False) -> Frict
     largest = float(np.abs(carried).max())
     mean = (float(both[0]), float(both[1]), float(width[0]), float(width[1]))
     uneven = bool(np.any(np.abs(both[2:]) > width[2:]))
-    return Friction(value, mean, uneven, lacking, sliding.torque - lacking, largest, squares)
+    excess = float(x[others]) if slow else 0.0
+    free = sliding.torque - A[:, 4:others] @ x[4:others]
+    return Friction(value, mean, uneven, carried, free, largest, squares, excess, slow)
 
 
 def _fit_joint(result: Result, joint: int, sliding: Sliding) -> Array:
     """Put a joint's friction into the result; the points of its curve."""
     row: dict[str, int | float | str] = {"joint": joint}
-    fitted = fit_friction(sliding, weighs=bool(np.abs(sliding.gravity).max() > WEIGHS))
+    # about a vertical axis nothing weighs, and the model says so to the last digit
+    fitted = fit_friction(sliding, weighs=bool(np.any(sliding.gravity)), unknown=True)
     found, points = fitted.value, sliding.points(fitted.free)
     result.values[f"gravity{joint}_lacking"] = Estimate(
         float(np.abs(fitted.lacking).max()), 0.0, "N m"

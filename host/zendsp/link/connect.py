@@ -68,7 +68,6 @@ def connect(
     >>> with zendsp.connect("imi") as target:    # doctest: +SKIP
     ...     target["Kp1"] = 400.0
     """
-    name, endpoints, own = locate(name, connect)
 
     def given(own: Credentials | None) -> Credentials:
         return credentials or own or Credentials.from_environment()
@@ -77,7 +76,26 @@ def connect(
         _, endpoints, own = locate(name, connect)
         return Link(name, endpoints, given(own), timeout, shown)
 
-    return Target(Link(name, endpoints, given(own), timeout, shown), reopen=reopen)
+    asked = name
+    try:
+        name, endpoints, own = locate(name, connect)
+        return Target(Link(name, endpoints, given(own), timeout, shown), reopen=reopen)
+    except LinkError as error:
+        if connect is None and (hint := _not_asked(asked)):
+            raise LinkError(f"{hint}. There: {error}") from error
+        raise
+
+
+def _not_asked(name: str) -> str:
+    """Where ``$ZENDSP_CONNECT`` leads elsewhere: what of this computer was meant, perhaps."""
+    here = [entry.name for entry in own_entries(name)] if remote_endpoints(None) else []
+    if not here:
+        return ""
+    some = f"{', '.join(here[:LISTED])} run{'s' if len(here) == 1 else ''}"
+    return (
+        f"{some} on this computer, but ${CONNECT} leads to {', '.join(remote_endpoints(None))}: to"
+        f" stay here, unset {CONNECT}"
+    )
 
 
 def locate(

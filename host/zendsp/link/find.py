@@ -4,6 +4,7 @@ one names.
 
 from __future__ import annotations
 
+import contextlib
 import fnmatch
 import os
 import threading
@@ -11,12 +12,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
 
-from zendsp.errors import LinkError, VersionMismatch
+import zenoh
+
+from zendsp.errors import LinkError, VersionMismatch, ZendspError
 from zendsp.here.registered import local_entries, remote_endpoints
 from zendsp.link.session import open_session
 from zendsp.link.settings import Credentials
 from zendsp_protocol import codec, keys, registry
 from zendsp_protocol import messages as m
+from zendsp_protocol.verbs import VERBS
 
 SOCKET = "unixsock-stream/"
 
@@ -33,12 +37,19 @@ class Found:
         What it says of itself; None where it speaks another version of the protocol.
     problem : str
         Why it cannot be used, empty where it can.
+    status : Status or None
+        None where it did not say.
     """
 
     name: str
     endpoints: tuple[str, ...]
     info: m.Info | None
     problem: str = ""
+    status: m.Status | None = None
+
+    def __repr__(self) -> str:
+        what = repr(self.info)[1:-1] if self.info else f"Found {self.name}: {self.problem}"
+        return f"<{what}, at {', '.join(self.endpoints)}>"
 
 
 def discover(
@@ -151,7 +162,8 @@ def _ask(
     endpoints: Sequence[str], timeout: float, credentials: Credentials | None = None
 ) -> list[Found]:
     try:
-        session = open_session(endpoints, credentials or Credentials.from_environment(), timeout)
+        credentials = credentials or Credentials.from_environment()
+        session = open_session(endpoints, credentials, timeout)
     except LinkError:
         return []
     found = []
@@ -164,7 +176,8 @@ def _ask(
             try:
                 info = codec.decode(reply.ok.payload.to_bytes(), m.Info)
                 codec.check_version(info.v)
-                found.append(Found(name, tuple(endpoints), info))
+                status = _status(session, name, credentials.identity)
+                found.append(Found(name, tuple(endpoints), info, status=status))
             except VersionMismatch as error:
                 found.append(Found(name, tuple(endpoints), None, str(error)))
             except LinkError as error:
@@ -174,3 +187,14 @@ def _ask(
     finally:
         session.close()  # type: ignore[no-untyped-call]
     return found
+
+
+def _status(session: zenoh.Session, name: str, identity: str) -> m.Status | None:
+    asked = codec.encode_request("status", {}, identity)
+    key, wait = keys.rpc(name, "quick", identity), VERBS["status"].timeout
+    with contextlib.suppress(ZendspError):  # of another role, or it has just ended
+        for reply in session.get(key, payload=asked, timeout=wait):
+            if reply.ok is not None:
+                said: m.Status = codec.decode_reply(reply.ok.payload.to_bytes(), m.Status)
+                return said
+    return None

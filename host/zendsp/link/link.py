@@ -8,7 +8,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any, NoReturn
+from typing import Any
 
 import zenoh
 
@@ -153,34 +153,30 @@ class Link:
         if row.once:
             reply = self._once(row, querier, payload, timeout)
         else:
-            if querier is not None and timeout is None:
-                reply = self._quick(row, querier, payload)
-            else:
-                reply = self._patient(row, payload, timeout or row.timeout)
-        sample = reply.ok
-        return (
-            self._refused(reply, row)
-            if sample is None
-            else codec.decode_reply(sample.payload.to_bytes(), row.result)
-        )
+            reply = self._until_answered(row, querier, payload, timeout)
+        return codec.decode_reply(reply.payload.to_bytes(), row.result)
 
-    def _quick(self, row: Verb, querier: zenoh.Querier, payload: bytes) -> zenoh.Reply:
+    def _until_answered(
+        self, row: Verb, querier: zenoh.Querier | None, payload: bytes, timeout: float | None
+    ) -> zenoh.Sample:
         """Ask until an answer comes: a target that others flood with requests drops some of them,
         unanswered.
         """
-        limit = STOP_S if row.lane == "stop" else row.timeout
+        limit = timeout or (STOP_S if row.lane == "stop" else row.timeout)
         begin = time.monotonic()
         while True:
             try:
-                return _ask(querier, payload)
-            except zenoh.ZError as error:
+                if querier is not None and timeout is None:
+                    return _ask(querier, payload)
+                return self._patient(row, payload, limit)
+            except (zenoh.ZError, LinkError) as error:
                 if self.closed or not self._alive.is_set() or time.monotonic() > begin + limit:
                     raise self.silence(row.name, limit) from error
                 time.sleep(AGAIN_S)
 
     def _once(
         self, row: Verb, querier: zenoh.Querier | None, payload: bytes, timeout: float | None
-    ) -> zenoh.Reply:
+    ) -> zenoh.Sample:
         """Have a change carried out once: where the link breaks, the request is sent again, and the
         target knows it by its stamp.
         """
@@ -231,8 +227,8 @@ class Link:
         with self._replies(row, payload, row.timeout, zenoh.Priority.DATA_LOW) as replies:
             for reply in replies:
                 sample = reply.ok
-                if sample is None:
-                    self._refused(reply, row)
+                if sample is None:  # its time is up
+                    break
                 if sample.attachment is None:
                     codec.decode_reply(sample.payload.to_bytes(), row.result)
                     return
@@ -319,11 +315,12 @@ class Link:
 
     def _patient(
         self, row: Verb, payload: bytes, timeout: float, attachment: bytes | None = None
-    ) -> zenoh.Reply:
+    ) -> zenoh.Sample:
         """Ask and wait so that Ctrl-C is heard and a target that goes away is noticed."""
         with self._replies(row, payload, timeout, zenoh.Priority.DATA, attachment) as replies:
             for reply in replies:
-                return reply
+                if reply.ok is not None:  # else its time is up
+                    return reply.ok
         raise self.silence(row.name, timeout)
 
     @contextlib.contextmanager
@@ -358,11 +355,6 @@ class Link:
             raise self.silence(row.name, timeout) from error
         finally:
             self._waiting.discard(giving_up)
-
-    def _refused(self, reply: zenoh.Reply, row: Verb) -> NoReturn:
-        failed = reply.err
-        text = failed.payload.to_string() if failed is not None else "no reason"
-        raise NoAnswer(f"{row.name!r} was not answered by {self.target!r}: {text}")
 
     def _still_there(self) -> bool:
         """Ask the link once more: the news of a death may be a moment behind the end of its last
@@ -403,18 +395,21 @@ class Link:
                 background("returned", callback)
 
 
-def _ask(querier: zenoh.Querier, payload: bytes, attachment: bytes | None = None) -> zenoh.Reply:
+def _ask(querier: zenoh.Querier, payload: bytes, attachment: bytes | None = None) -> zenoh.Sample:
     """Send a request and wait for its reply.
 
     Raises
     ------
     zenoh.ZError
-        There is none, or another thread closes the link now.
+        There is none, its time is up, or another thread closes the link now.
     """
     try:
-        return querier.get(payload=payload, attachment=attachment).recv()
+        reply = querier.get(payload=payload, attachment=attachment).recv()
     except RuntimeError as error:  # it is being undeclared: "Already mutably borrowed"
         raise zenoh.ZError(str(error)) from error
+    if reply.ok is None:
+        raise zenoh.ZError("its time is up")
+    return reply.ok
 
 
 def _undeclare(querier: zenoh.Querier) -> None:

@@ -12,7 +12,9 @@ from zendsp.errors import VariableError
 from zendsp.link.requests import Part, Requests
 from zendsp.link.variables import Reading, Variables, plain
 from zendsp_protocol import messages as m
+from zendsp_protocol import written
 from zendsp_protocol.lazily import Lazily
+from zendsp_protocol.spelling import unknown_keys
 from zendsp_protocol.values import Assignable, from_wire
 
 if TYPE_CHECKING:
@@ -21,6 +23,7 @@ else:
     np = Lazily("numpy")
 
 FORM = 1
+_KEYS = ("zendsp_parameters", "program", "target", "note", "values")
 LARGEST = 1024  # elements; longer arrays are data, not parameters
 
 
@@ -96,11 +99,13 @@ class ParameterSet:
             The file is missing or not a set of parameters.
         """
         try:
-            body = json.loads(Path(path).read_text(encoding="utf-8"))
+            body = written.json(Path(path).read_text(encoding="utf-8"))
             if body["zendsp_parameters"] != FORM:
                 raise VariableError(
                     f"{path}: is of layout {body['zendsp_parameters']}, this zendsp reads {FORM}"
                 )
+            if said := unknown_keys(body, _KEYS, f"{path}: the file"):
+                raise VariableError(said)
             return cls(
                 dict(body["values"]),
                 body.get("program", ""),

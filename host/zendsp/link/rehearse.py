@@ -79,7 +79,7 @@ class Rehearsal:
 
     @property
     def good(self) -> bool:
-        """Whether it was simulated, and no limit was passed."""
+        """Whether the run was simulated and stayed within all limits."""
         return self.simulated and self.trip is None
 
 

@@ -48,6 +48,8 @@ def open_session(
         doubt = (
             ", or it refuses the certificate or password given"
             if secured or credentials.user
+            else ", or it asks for a password"
+            if any(endpoint.startswith("tcp/") for endpoint in endpoints)
             else ""
         )
         raise LinkError(

@@ -18,7 +18,7 @@ from zendsp.link.tables import Tables
 from zendsp.link.variables import Variables
 from zendsp_protocol import messages as m
 from zendsp_protocol.values import Assignable
-from zendsp_protocol.views import html_table, sentence
+from zendsp_protocol.views import html_table, sentence, short
 
 _PARTS = (
     "variables", "parameter_sets", "programs", "recorder", "views", "tables", "drives",
@@ -45,14 +45,6 @@ class _of(Generic[Given, Result]):
             return self._method
         bound: Callable[..., Result] = getattr(getattr(target, self._part), self._method.__name__)
         return bound
-
-
-def _short(value: Any) -> str:
-    """A value in a few digits; of an array, the first elements."""
-    items = value.tolist() if hasattr(value, "tolist") else value
-    if isinstance(items, list):
-        return " ".join(_short(item) for item in items[:4]) + (" …" if len(items) > 4 else "")
-    return f"{items:.6g}" if isinstance(items, float) else str(items)
 
 
 def _quoted(name: str) -> str:
@@ -150,6 +142,8 @@ class Target:
 
     __getitem__ = _of("variables", Variables.__getitem__)
     __setitem__ = _of("variables", Variables.__setitem__)
+    __iter__ = _of("variables", Variables.__iter__)
+    __contains__ = _of("variables", Variables.__contains__)
     read = _of("variables", Variables.read)
     write = _of("variables", Variables.write)
     stage = _of("variables", Variables.stage)
@@ -290,7 +284,7 @@ class Target:
         if not infos:
             return shown
         values = self.read([v.name for v in infos]).values
-        rows = [(v.name, _short(values[v.name]), v.unit, v.description) for v in infos]
+        rows = [(v.name, short(values[v.name]), v.unit, v.description) for v in infos]
         return shown + html_table(("variable", "value", "unit", "description"), rows)
 
     def __repr__(self) -> str:

@@ -5,15 +5,17 @@ dictionary, the log.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, cast
 
 import msgspec
 
 from zendsp.errors import EndedWarning, VariableError
+from zendsp.link.listings import Dictionary, Log
 from zendsp.link.requests import Part, Requests
 from zendsp_protocol import messages as m
 from zendsp_protocol.values import Assignable, Packed, Value, WireValue, from_wire, to_wire
+from zendsp_protocol.views import html_table, sentence, short
 
 _FLOATS = frozenset((float,))
 
@@ -31,6 +33,20 @@ class Reading(msgspec.Struct, frozen=True):
 
     def __getitem__(self, name: str) -> Value:
         return self.values[name]
+
+    def __repr__(self) -> str:
+        values = ", ".join(f"{name} {short(value)}" for name, value in self.values.items())
+        return f"<Reading of sample {self.tick}: {values}{_after(self.ended)}>"
+
+    def _repr_html_(self) -> str:
+        rows = [(name, short(value)) for name, value in self.values.items()]
+        return sentence(f"sample {self.tick}{_after(self.ended)}") + html_table(
+            ("variable", "value"), rows
+        )
+
+
+def _after(ended: str) -> str:
+    return f"; the program has ended: {ended}" if ended else ""
 
 
 class Variables(Part):
@@ -67,6 +83,14 @@ class Variables(Part):
             said = f"the program has ended, {name} is {last}: {reading.ended}"
             warnings.warn(said, EndedWarning, stacklevel=2)
         return reading.values[name]
+
+    def __iter__(self) -> Iterator[str]:
+        """Names of the variables."""
+        return iter(self())
+
+    def __contains__(self, name: object) -> bool:
+        """Whether there is such a variable."""
+        return name in self()
 
     def _is_set(self, name: str) -> bool:
         """Whether a host sets this variable."""
@@ -226,17 +250,17 @@ class Variables(Part):
         finally:
             self._staged = staged
 
-    def __call__(self) -> dict[str, m.VariableInfo]:
+    def __call__(self) -> Dictionary:
         """The dictionary of the running code: name to type, length, kind, unit, limits, initial
         value, description.
         """
-        return {info.name: info for info in self.request("variables")}
+        return Dictionary({info.name: info for info in self.request("variables")})
 
-    def builtins(self) -> dict[str, m.VariableInfo]:
+    def builtins(self) -> Dictionary:
         """Signals that exist undeclared and can be recorded: tick, t, exec_us, enc, aout, …"""
-        return {info.name: info for info in self.request("builtins")}
+        return Dictionary({info.name: info for info in self.request("builtins")})
 
-    def log(self, since: int = 0) -> tuple[m.Change, ...]:
+    def log(self, since: int = 0) -> Log:
         """Changes of parameters: sample, time, old and new value, and who made them.
 
         Parameters
@@ -244,8 +268,7 @@ class Variables(Part):
         since : int
             Leave out this many of the oldest entries.
         """
-        changes: tuple[m.Change, ...] = self.request("log", since=since)
-        return changes
+        return Log(self.request("log", since=since))
 
 
 def plain(value: Any) -> Any:

@@ -76,6 +76,11 @@ class Term:
         """Value of one parameter, ``default`` where the term has none of that name."""
         return self.parameters[name].value if name in self.parameters else default
 
+    def held(self) -> Term:
+        """The term with no free parameter."""
+        held = {name: replace(q, free=False) for name, q in self.parameters.items()}
+        return replace(self, parameters=held)
+
 
 @dataclass(frozen=True)
 class Actuator:
@@ -198,6 +203,7 @@ class Model:
             [
                 moving,
                 len(self.joint_kinds),
+                len(self.fmu.outputs),
                 len(self.sensor.matrix),
                 len(self.actuator.matrix),
                 len(self.actuator.gain),

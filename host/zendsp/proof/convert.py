@@ -12,8 +12,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import urlsplit
+from xml.etree import ElementTree
 
 import numpy as np
+
+from zendsp.physics.files.shipped import model_folder
 
 # below the data folder: file -> SHA-256 of what this project was measured on; of what is in it
 # where it is compressed
@@ -58,6 +61,7 @@ SOURCES = {
         " torque_joint and q_ref of the two recordings as arrays, the table of bodies as a URDF"
     ),
 }
+OF = {"kuka_unloaded": "kuka_kr300"}  # machines of the recordings of another
 _EMPS = "https://drive.google.com/uc?export=download&id=1zwoXYa9-3f8NQ0ohzmjpF7UxbNgRTHkS"
 _TX40 = "https://raw.githubusercontent.com/thanhndv212/figaroh-examples/541a2ec01529eef2dfbdd65bb768d2cfe5af1962/examples/staubli_tx40/data/"
 # what is published as a file, or as a member of a zip archive
@@ -83,14 +87,14 @@ class Recordings:
 
 def missing(machine: str, data: Path) -> list[str]:
     """Files of a machine that are not below `data`."""
-    return [name for name in FILES[machine] if not (data / name).exists()]
+    return [name for name in FILES[OF.get(machine, machine)] if not (data / name).exists()]
 
 
 def altered(machine: str, data: Path) -> list[str]:
     """Files of a machine whose content is not what this project's figures were measured on."""
     return [
         name
-        for name, known in FILES[machine].items()
+        for name, known in FILES[OF.get(machine, machine)].items()
         if (data / name).exists() and content_hash(data / name) != known
     ]
 
@@ -161,7 +165,8 @@ def convert(machine: str, data: Path, out: Path) -> Recordings:
     absent = missing(machine, data)
     if absent:
         raise FileNotFoundError(
-            f"{machine}: {', '.join(absent)} absent below {data}; get it from {SOURCES[machine]}"
+            f"{machine}: {', '.join(absent)} absent below {data}; get it from"
+            f" {SOURCES[OF.get(machine, machine)]}"
         )
     out.mkdir(parents=True, exist_ok=True)
     if machine == "emps":  # its files are recordings already
@@ -169,6 +174,8 @@ def convert(machine: str, data: Path, out: Path) -> Recordings:
         return Recordings((train,), (held,))
     if machine == "kuka_kr300":
         return kuka(data, out)
+    if machine == "kuka_unloaded":
+        return unloaded(data, out)
     return pendulum(data, out) if machine == "single_pendulum" else tx40(data, out)
 
 
@@ -218,4 +225,43 @@ def kuka(data: Path, out: Path) -> Recordings:
         np.savez_compressed(path, **kept, q_link=link)
         made.append(path)
     shutil.copyfile(data / "kuka_kr300" / "kr300.urdf", out / "kr300.urdf")
+    return Recordings((made[0],), (made[1],))
+
+
+LOAD = 150.0  # kg, 0.1 m before the flange, which is 0.24 m from the last link's origin
+RATE, JITTER = 100.0, 0.2  # Hz, and of the sample time: a logger beside the drives
+
+
+def unloaded(data: Path, out: Path) -> Recordings:
+    """The motors' side as a slow logger has it, a URDF of the robot without what it carries, and a
+    model of both.
+    """
+    rng, made = np.random.default_rng(0), []
+    for name in ("A", "B"):
+        table = np.load(data / "kuka_kr300" / f"{name}.npz")
+        t = table["t"]
+        wanted = np.arange(t[0] + 1.0 / RATE, t[-1] - 1.0 / RATE, 1.0 / RATE)
+        wanted += rng.uniform(-JITTER, JITTER, len(wanted)) / RATE
+        rows = np.searchsorted(t, wanted)
+        path = out / f"kuka_{name}.npz"
+        kept = {key: table[key][rows] for key in ("t", "q_motor", "q_ref", "torque_joint")}
+        np.savez_compressed(path, **kept)
+        made.append(path)
+    text = (data / "kuka_kr300" / "kr300.urdf").read_text(encoding="utf-8")
+    tree = ElementTree.fromstring(text)
+    last = tree.find("link[@name='link6']/inertial")
+    assert last is not None
+    mass, origin = last.find("mass"), last.find("origin")
+    assert mass is not None and origin is not None
+    x, y, z = map(float, origin.attrib["xyz"].split())
+    whole = float(mass.attrib["value"])
+    own = whole - LOAD
+    origin.attrib["xyz"] = f"{x * whole / own} {y * whole / own} {(z * whole + 0.34 * LOAD) / own}"
+    mass.attrib["value"] = str(own)
+    (out / "kr300.urdf").write_text(ElementTree.tostring(tree, encoding="unicode"))
+    model = (model_folder() / "kuka_kr300.toml").read_text(encoding="utf-8")
+    for key in ("sample_time", "hold"):
+        model = model.replace(f"{key} = 0.004", f"{key} = {1.0 / RATE}")
+    model = model.replace('position_load = "q_link"\n', "")
+    (out / "kuka_unloaded.toml").write_text(model, encoding="utf-8")
     return Recordings((made[0],), (made[1],))

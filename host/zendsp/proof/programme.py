@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+import shlex
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -169,6 +170,7 @@ def found(folder: Path) -> Prepared:
     stamp = str(json.loads(note.read_text(encoding="utf-8"))["stamp"]) if note.exists() else ""
     if not stamp:
         raise FileNotFoundError(
-            f"{folder} holds no finished cases: make them with zendsp prove --make {folder}"
+            f"{folder} holds no finished cases: make them with zendsp prove --make"
+            f" {shlex.quote(str(folder))}"
         )
     return Prepared(folder, stamp)

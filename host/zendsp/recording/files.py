@@ -17,7 +17,7 @@ import numpy as np
 from zendsp.errors import RecordingError
 from zendsp.recording.formats import Raw
 from zendsp.recording.names import gather_vectors, listing
-from zendsp.recording.own import CHECK, FORM, bad_description, checked, checksum
+from zendsp.recording.own import CHECK, FORM, TIME_NAME, bad_description, checked, checksum
 from zendsp.recording.roles import Role, role_of
 from zendsp.recording.samples import ParameterChange, Samples
 from zendsp.recording.table import READERS, _upright, read_raw
@@ -131,10 +131,10 @@ def _plain(value: Any) -> Any:
     raise TypeError(f"a recording cannot keep a {type(value).__name__}")
 
 
-def load(path: Path, kind: type[Kind]) -> Kind:
-    """See `Recording.load`."""
+def load(path: Path, kind: type[Kind], time: str | None = None) -> Kind:
+    """See `Recording.load`. ``time`` is the column of time of other people's data."""
     raw = read_raw(path)
-    return _own(path, raw, kind) if raw.metadata else _foreign(path, raw, kind)
+    return _own(path, raw, kind) if raw.metadata else _foreign(path, raw, kind, time)
 
 
 def _own(path: Path, raw: Raw, kind: type[Kind]) -> Kind:
@@ -150,25 +150,22 @@ def _own(path: Path, raw: Raw, kind: type[Kind]) -> Kind:
         raise bad_description(path, error) from error
 
 
-def _foreign(path: Path, raw: Raw, kind: type[Kind]) -> Kind:
+def _foreign(path: Path, raw: Raw, kind: type[Kind], asked: str | None) -> Kind:
     columns, units, notes = in_si({n: _upright(v) for n, v in raw.columns.items()}, raw.units)
     columns, units = gather_vectors(columns, units)
-    time = next(
-        (
-            n
-            for n in (*TIMES, *columns)
-            if n in columns and (n in TIMES or role_of(n, units[n]) is Role.TIME)
-        ),
-        None,
+    times = (
+        n
+        for n in (*TIMES, *columns)
+        if n in columns and (n in TIMES or role_of(n, units[n]) is Role.TIME)
     )
-    if time is None:
+    time = asked or next(times, None)
+    if time is None or time not in columns:
         raise RecordingError(
-            f"{path}: has no time column ({' or '.join(TIMES[:2])}); it has"
+            f"{path}: has no time column ({asked or ' or '.join(TIMES[:2])}); it has"
             f" {listing(list(columns))}. Use zendsp.recording.read_table for a table without a time"
             " base"
         )
     t = columns.pop(time)
     units.pop(time, None)
-    return kind.from_columns(
-        columns, t=t, units=units, extra={"constants": raw.constants, "notes": [*raw.notes, *notes]}
-    )
+    extra = {"constants": raw.constants, "notes": [*raw.notes, *notes], TIME_NAME: time}
+    return kind.from_columns(columns, t=t, units=units, extra=extra)

@@ -14,8 +14,10 @@ from zendsp.errors import RecordingError
 from zendsp.recording.formats import Raw
 from zendsp.recording.names import FloatArray, element_names
 from zendsp.recording.samples import Channel
+from zendsp_protocol import written
 
 CHECK = "checksum"
+TIME_NAME = "time_column"  # in `extra`: what `t` was called in the foreign file it comes from
 FORM = 1  # version of the layout below; readers refuse what is newer
 
 
@@ -30,7 +32,7 @@ def checked(
         Its numbers do not match its checksum, its description is damaged, or newer than this.
     """
     try:
-        body = json.loads(raw.metadata)
+        body = written.json(raw.metadata)
         expected = body.pop(CHECK, None)
         form = body["form"]
         if form > FORM:

@@ -91,7 +91,9 @@ class Recording(Samples):
         """Write the recording; the suffix chooses: ``.mat`` (v5), ``.npz``, ``.parquet``, ``.csv``,
         ``.mcap`` or ``.mf4``.
 
-        The file appears complete or not at all (written beside, then renamed).
+        The file appears complete or not at all (written beside, then renamed). A folder that is
+        not there is made. In MATLAB a ``.mat`` has ``data``, a column per signal with the time
+        first, and ``names`` and ``units``, a cell per column.
         """
         from zendsp.recording.files import save
 

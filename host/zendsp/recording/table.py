@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
 
@@ -12,7 +12,7 @@ import numpy as np
 from zendsp.errors import RecordingError
 from zendsp.recording.formats import Raw
 from zendsp.recording.names import FloatArray, gather_vectors, listing, pick, split_unit
-from zendsp.recording.own import checked
+from zendsp.recording.own import TIME_NAME, checked
 from zendsp.recording.units import in_si
 from zendsp_protocol.texts import counted
 
@@ -156,7 +156,12 @@ def read_table(path: str | Path, columns: Sequence[str] | None = None) -> Table:
     path = Path(path)
     raw = read_raw(path)
     if raw.metadata:
-        checked(path, raw)
+        body, *_ = checked(path, raw)
+        time = body["extra"].get(TIME_NAME, "t")  # by which a model file knows it
+        raw = replace(
+            raw, columns={time if n == "t" else n: v for n, v in raw.columns.items()},
+            units={time if n == "t" else n: v for n, v in raw.units.items()},
+        )  # fmt: skip
     return _checked(path, raw, columns)
 
 

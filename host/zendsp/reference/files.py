@@ -13,6 +13,7 @@ import numpy as np
 from zendsp.errors import ReferenceError_
 from zendsp.reference.core import Reference
 from zendsp.reference.machine import MACHINES, Machine, load_machine
+from zendsp_protocol import written
 
 FORMAT = "zendsp-reference-1"
 
@@ -129,7 +130,7 @@ def load_reference(path: str | Path) -> Reference:
         return Reference(
             data["q"], float(data["sample_time"]), data["qd"], data["qdd"],
             None if tau.size == 0 else tau, kind=str(data["kind"]),
-            parameters=json.loads(data["parameters"]), machine=str(data["machine"]),
+            parameters=written.json(data["parameters"]), machine=str(data["machine"]),
             mode=data["mode"], cyclic=bool(data["cyclic"]), unit=str(data["unit"]),
         )
     except (KeyError, ValueError) as error:

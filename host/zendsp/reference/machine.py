@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.errors import ReferenceError_
+from zendsp.errors import ReferenceError_, did_you_mean
 from zendsp.reference.core import Array, Reference
 from zendsp.reference.dynamics import Dynamics, make_dynamics
 from zendsp.reference.limits import Limits, Violation, find_violations, raise_violations
-from zendsp.spelling import unknown_keys
-from zendsp_protocol import toml
+from zendsp_protocol import written
+from zendsp_protocol.spelling import unknown_keys
 from zendsp_protocol.texts import counted
 from zendsp_protocol.views import html_table, sentence
 
@@ -240,11 +240,14 @@ _PARAMETERS = {
 
 def _refuse_unknown(data: Mapping[str, Any], origin: str) -> None:
     parameters = data.get("parameters", {})
-    tables = [(data, _KEYS, "the file"), (data.get("limits", {}), _LIMITS, "[limits]")]
-    if data.get("kind") in _PARAMETERS:
-        tables.append(
-            (parameters, _PARAMETERS[data["kind"]], f"[parameters] of kind {data['kind']!r}")
-        )
+    kind = data["kind"]
+    if kind not in (*_PARAMETERS, LIMITS_ONLY):
+        known = did_you_mean(str(kind), (*_PARAMETERS, LIMITS_ONLY))
+        raise ReferenceError_(f"{origin}: kind {kind!r}; {known}")
+    keys = [key for key in _KEYS if key != "parameters" or kind in _PARAMETERS]
+    tables = [(data, keys, "the file"), (data.get("limits", {}), _LIMITS, "[limits]")]
+    if kind in _PARAMETERS:
+        tables.append((parameters, _PARAMETERS[kind], f"[parameters] of kind {kind!r}"))
         tables += [(link, _LINK, "[[parameters.link]]") for link in parameters.get("link", [])]
     said = [
         line
@@ -300,7 +303,7 @@ def load_machine(name: str) -> Machine:
     """
     if name in MACHINES:
         text = resources.files("zendsp.reference").joinpath("machines", f"{name}.toml").read_text()
-        return _parse(toml.loads(text), name)
+        return _parse(written.toml(text), name)
     path = Path(name)
     if path.suffix != ".toml" or not path.is_file():
         raise ReferenceError_(
@@ -308,6 +311,6 @@ def load_machine(name: str) -> Machine:
             " description"
         )
     try:
-        return _parse(toml.loads(path.read_text()), str(path))
+        return _parse(written.toml(path.read_text()), str(path))
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ReferenceError_(f"{path}: not TOML: {error}") from error

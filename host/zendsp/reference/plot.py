@@ -4,6 +4,7 @@ the tip's path.
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
 # Okabe and Ito's palette: told apart by colour-blind readers as well.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+TITLE = 110  # columns that fit above a plot
 
 
 def _draw(ax: Axes, reference: Reference, x: np.ndarray, low: np.ndarray, high: np.ndarray,
@@ -27,11 +29,17 @@ def _draw(ax: Axes, reference: Reference, x: np.ndarray, low: np.ndarray, high: 
         ax.plot(reference.t, x[:, j], color=COLOURS[j % 7], lw=1.3, label=f"joint {j + 1}")
     span = max(float(np.ptp(x)), 1e-9)
     bottom, top = float(x.min()) - 0.1 * span, float(x.max()) + 0.1 * span
+    beyond = []
     for j in range(reference.joints):
-        for limit in (low[j], high[j]):
-            # a limit is drawn where it is near the motion: far away it would squash the curves
-            if bottom - span < limit < top + span:
-                ax.axhline(float(limit), color=COLOURS[j % 7], lw=0.9, ls="--", alpha=0.6)
+        near = [limit for limit in (low[j], high[j]) if bottom - span < limit < top + span]
+        for limit in near:
+            ax.axhline(float(limit), color=COLOURS[j % 7], lw=0.9, ls="--", alpha=0.6)
+        if len(near) < 2:
+            both = f"±{high[j]:.4g}" if low[j] == -high[j] else f"{low[j]:.4g} to {high[j]:.4g}"
+            beyond.append(f"joint {j + 1} {both}")
+    if beyond:  # far from the motion, a line would squash the curves
+        told = textwrap.fill(f"limits: {', '.join(beyond)}", TITLE)
+        ax.set_title(told, loc="right", fontsize="x-small")
     ax.set_ylabel(label)
     ax.grid(alpha=0.3)
 
@@ -63,6 +71,7 @@ def plot_reference(
     5
     """
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
 
     planar = machine.kind == "planar2r"
     figure = Figure(figsize=(11 if planar else 8, 8), layout="constrained")
@@ -80,14 +89,15 @@ def plot_reference(
     for i, (x, low, high, label) in enumerate(rows):
         ax = figure.add_subplot(grid[i, 0])
         _draw(ax, reference, x, low, high, label)
-        if i == 0:
-            ax.set_title(
-                f"{reference.kind} on {machine.name}, {reference.duration:g} s, sample time"
-                f" {reference.sample_time:g} s"
-            )
-            if reference.joints > 1:
-                ax.legend(ncols=4, fontsize="small")
     ax.set_xlabel("t [s]")
+    figure.suptitle(
+        f"{reference.kind} on {machine.name}, {reference.duration:g} s, sample time"
+        f" {reference.sample_time:g} s"
+    )
+    limit = Line2D([], [], color="#777777", lw=0.9, ls="--", label="limit")
+    joints = ax.lines[: reference.joints]
+    # beside the plots, where it covers no curve
+    figure.legend(handles=[*joints, limit], loc="outside lower center", ncols=8, fontsize="small")
     if planar:
         tip = forward_kinematics(machine, reference.q)
         reach = float(machine.parameters["l1"]) + float(machine.parameters["l2"])

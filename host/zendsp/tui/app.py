@@ -20,7 +20,7 @@ from zendsp.tui.dialogs import Message
 from zendsp.tui.dialogs.leave import Leave, becomes, moves
 from zendsp.tui.port import Port
 from zendsp.tui.runs import Outcome, Run
-from zendsp.tui.screens.base import LabScreen
+from zendsp.tui.screens.base import TALL, LabScreen
 from zendsp.tui.session import Session
 from zendsp.tui.stopper import with_stop
 from zendsp.tui.targets import Targets
@@ -258,7 +258,8 @@ class ZendspApp(TypeAhead):
                 self.toast("nothing is latched, so there is nothing to acknowledge")
             raise SkipAction
         if self.session.stops.unseen(self._typed):
-            self.toast("it was typed before the STOP: acknowledge once more", "warning")
+            said = "the STOP was not shown yet when it was typed: acknowledge once more"
+            self.toast(said, "warning")
             return
         self.session.stops.acknowledged()
         self.drive("acknowledge", "acknowledge", trip=now.trip)
@@ -327,7 +328,11 @@ class ZendspApp(TypeAhead):
         return shipped_programs()
 
     def toast(self, text: str, level: str = "information") -> None:
-        """Show a short message over the screen; brackets of units survive."""
+        """Show a short message over the screen; brackets of units survive. On a small terminal the
+        newest takes the place of those before: they would cover the values.
+        """
+        if self.size.height < TALL:
+            self.call_later(self.clear_notifications)  # also of those on their way
         severity = (
             "error" if level == "error" else "warning" if level == "warning" else "information"
         )

@@ -22,6 +22,7 @@ from zendsp.diagnosis.decide.contract import LeftReport, Report
 from zendsp.diagnosis.report.chart import SUFFIX, Chart, load_chart
 from zendsp.diagnosis.report.summary import percent
 from zendsp.tui.workspace import file_name
+from zendsp_protocol import written
 
 CARD = "diagnosis.json"
 NEXT = "next_reference.mat"
@@ -96,11 +97,11 @@ def list_diagnoses(root: Path) -> list[Diagnosed]:
     found = []
     for path in root.glob(f"*/{CARD}"):
         try:
-            card = json.loads(path.read_text("utf-8"))
+            card = written.json(path.read_text("utf-8"))
             for key in ("recordings", "heldout"):
                 card[key] = tuple(card[key])
             one = Diagnosed(folder=path.parent, **card)
-        except (OSError, TypeError, KeyError, json.JSONDecodeError):
+        except (OSError, TypeError, KeyError, ValueError):
             continue
         if (one.folder / "report.json").is_file():
             found.append(one)

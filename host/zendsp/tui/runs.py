@@ -25,6 +25,7 @@ from zendsp.errors import RecordingError
 from zendsp.recording import Recording
 from zendsp.recording.files import rescue
 from zendsp.tui.workspace import file_name
+from zendsp_protocol import written
 
 DATA, CARD = "recording.mat", "run.json"
 
@@ -167,7 +168,7 @@ def _write_card(folder: Path, run: Run) -> None:
 def load_card(folder: Path) -> Run:
     """Read the card of one run; raises ValueError where it is none."""
     try:
-        card = json.loads((folder / CARD).read_text())
+        card = written.json((folder / CARD).read_text())
         card["references"] = tuple(card.get("references", ()))
         outcome, _, why = card.pop("outcome", Outcome.COMPLETE).partition(": ")
         return Run(folder=folder, outcome=Outcome(outcome), why=why, **card)

@@ -84,7 +84,7 @@ class Session:
         with self._lock:
             self._name = name
         self.snapshot = Snapshot(link="connecting", target=name)
-        self.stops.aim(name)
+        self.stops.aim(name, here=False)
         self._wake.set()
 
     def tell_found(self, names: Sequence[str]) -> None:
@@ -103,7 +103,7 @@ class Session:
         self._drop()
         with self._lock:
             self._name, self._port = name, port
-        self.stops.aim(name)
+        self.stops.aim(name, port.here)
         self._live_wanted = bool(self.channels)
         self._wake.set()
 
@@ -229,6 +229,7 @@ class Session:
         except ZendspError as error:
             if not lost and self.snapshot.link != "connecting":
                 self.snapshot = Snapshot(link="connecting", target=name)
+            self.snapshot = replace(self.snapshot, complaint=str(error))
             self._complain(str(error))
             return
         with self._lock:
@@ -237,7 +238,7 @@ class Session:
                 return
             self._port = port
         self._complaint = ""
-        self.stops.aim(name)
+        self.stops.aim(name, here=False)
         self._live_wanted = bool(self.channels)
         if not lost:  # else its first snapshot says so
             self.events.add(f"link to {name} is up", "good")

@@ -61,6 +61,7 @@ class Snapshot:
 
     link: str = "none"  # "none" | "starting" | "connecting" | "up" | "lost" | "ended"
     target: str = ""
+    complaint: str = ""  # why it is not connected yet
     here: tuple[str, ...] | None = None  # targets that answer while none is connected, once known
     machine: str = ""
     joints: int = 0

@@ -238,6 +238,8 @@ class StatusBar(Widget):
             line.append(f"run {s.moved_by}  ", Style(color=c["warning"]))
         if s.trip is not None or s.crash:
             words = s.crash if s.trip is None or s.unsafe else s.trip.text
+            if len(s.target) + line.cell_len + len(words) > self._line1.size.width:
+                words = words.replace("STOP was requested by", "STOP by")
             line.append(words, Style(color=c["error"], bold=True))
         return line
 
@@ -245,6 +247,8 @@ class StatusBar(Widget):
         """Return the line that says how the loop and the link do."""
         bad = Style(color=self.app.theme_variables["error"], bold=True)
         line = Text(" ", no_wrap=True, overflow="ellipsis")
+        if s.link == "connecting" and s.complaint:
+            return line.append(s.complaint, bad)
         if s.link in ("none", "connecting"):
             return line.append("Reference and Diagnose work without a target", Style(dim=True))
         if s.link in ("lost", "ended"):

@@ -56,10 +56,10 @@ class StopLane:
         self._asked: queue.SimpleQueue[Future[str] | None] = queue.SimpleQueue()
         self.threads = [background(f"tui-stop-{number}", self._run) for number in range(STOPPERS)]
 
-    def guard_keys(self, target: str) -> None:
+    def guard_keys(self, target: str, here: bool) -> None:
         """From now on a process of its own reads the keys first and does STOP, of this target."""
         self.stopper = Stopper(self.tell)
-        self.aim(target)
+        self.aim(target, here)
 
     def release_keys(self) -> None:
         """End the process that reads the keys."""
@@ -71,12 +71,14 @@ class StopLane:
         if self.stopper is not None:
             self.stopper.place(field)
 
-    def aim(self, target: str) -> None:
-        """STOP is for this target from now on."""
+    def aim(self, target: str, here: bool) -> None:
+        """STOP is for this target from now on; ``here``: on this computer, for it was started
+        here.
+        """
         if target != self._target:  # the word of how STOP ended was another target's
             self._target, self.verdict = target, None
         if self.stopper is not None:
-            self.stopper.want(target)
+            self.stopper.want(target, here)
 
     def stop(self) -> Future[str]:
         """STOP: at once, from any thread, past everything that waits; the verdict tells how it

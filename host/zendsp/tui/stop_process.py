@@ -6,7 +6,8 @@ can hold that right for seconds: a thread of the application's own could not pro
 
     stdin     in: the terminal (or, in a browser, the packets of the page)
     stdout    out: what was read, for the application
-    CONTROL   in, a line each: the name of the target to be ready for;
+    CONTROL   in, a line each: the name of the target to be ready for, with "= " before it where it
+              runs on this computer, whatever $ZENDSP_CONNECT says;
               "@ x y width height", where the red field is; "!", which is STOP (by the palette of
               commands); "?", which is answered by "here"; "^": the first picture is there, and the
               key PICTURE follows what was typed before
@@ -89,13 +90,19 @@ class Links:
 
     def __init__(self) -> None:
         self.target: Target | None = None
-        self.name = ""
+        self.name, self._here = "", False
         self._wanted = threading.Event()
         background("links", self._keep)
 
-    def want(self, name: str) -> None:
-        """Be ready for this target from now on; the same name once more: look it up again."""
-        self.name = name
+    def want(self, name: str, here: bool) -> None:
+        """Be ready for this target from now on; the same name once more: look it up again.
+
+        Parameters
+        ----------
+        here : bool
+            It runs on this computer, wherever ``$ZENDSP_CONNECT`` leads to.
+        """
+        self.name, self._here = name, here
         self._wanted.set()
 
     def page(self) -> StopPage | None:
@@ -105,7 +112,10 @@ class Links:
             page = target.stop_page()
             if page is not None:
                 return page
-        return find(self.name) if own_entries(self.name, None) else None
+        return find(self.name) if own_entries(self.name, self._where()) else None
+
+    def _where(self) -> tuple[str, ...] | None:
+        return () if self._here else None
 
     def _keep(self) -> None:
         while True:
@@ -118,7 +128,7 @@ class Links:
             while name and self.target is None and not self._wanted.is_set():
                 try:
                     # the terminal itself stands there already
-                    self.target = connect(name, shown=False)
+                    self.target = connect(name, self._where(), shown=False)
                 except ZendspError:
                     self._wanted.wait(RETRY_S)
 
@@ -307,7 +317,8 @@ class Keys:
             elif line.startswith(b"@"):
                 self._field = Field(*map(int, line[1:].split()))
             elif line != b"^":
-                self._links.want(line.decode())
+                here, name = line.startswith(b"= "), line.removeprefix(b"= ")
+                self._links.want(name.decode(), here)
         return lines.count(b"^")
 
     def _look(self, data: bytes) -> None:

@@ -73,9 +73,9 @@ class Stopper:
         threading.Thread(target=self._listen, name="tui-verdicts", daemon=True).start()
         threading.Thread(target=self._watch, name="tui-keys-watch", daemon=True).start()
 
-    def want(self, name: str) -> None:
-        """Have a link to this target ready."""
-        self._write(name)
+    def want(self, name: str, here: bool) -> None:
+        """Have a link to this target ready, which runs on this computer or is looked for."""
+        self._write(f"= {name}" if here else name)
 
     def place(self, field: Field) -> None:
         """Tell where the red field is: a click there is STOP."""

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Callable
+from pathlib import Path
 
 import zenoh
 
 from zendsp_protocol import keys
 from zendsp_protocol.codec import MOST_NAME
+from zendsp_target.access.endpoints import LEASE_MS
 
 MOST_HOSTS = 256  # of one user that are told of: the status names them all, to everybody
+LOOK_S = 0.25  # between questions to the routers
 
 
 class Hosts:
@@ -18,10 +22,12 @@ class Hosts:
 
     def __init__(self, session: zenoh.Session, target: str, on_gone: Callable[[str], None]) -> None:
         self._present: set[str] = set()
+        self._hidden: set[str] = set()  # behind a router that is silent
         self._lock = threading.Lock()
         self._on_gone = on_gone
+        self._session, self._key = session, keys.host(target)
         self._subscriber = session.liveliness().declare_subscriber(
-            keys.host(target), self._changed, history=True
+            self._key, self._changed, history=True
         )
 
     def __contains__(self, host: str) -> bool:
@@ -36,9 +42,32 @@ class Hosts:
     def _count(self, user: str) -> int:
         return sum(host.partition("@")[0] == user for host in self._present)
 
+    def ask_routers(self, end: threading.Event) -> None:
+        """Ask, until the ``end``, which hosts there are. A router that does not answer within our
+        own lease hides that a host is lost, for as long as its own: the hosts of other computers
+        are lost then, and are back when it answers.
+        """
+        while not end.wait(LOOK_S):
+            try:
+                answers = list(self._session.liveliness().get(self._key, timeout=LEASE_MS / 1000.0))
+            except zenoh.ZError:  # the session was closed
+                continue
+            if any(answer.ok is None for answer in answers):
+                hidden = {host for host in self.names() if not _runs_here(host)}
+                self._hidden |= hidden
+                for host in hidden:
+                    self._change(host, gone=True)
+                continue
+            there = {keys.host_of(str(answer.ok.key_expr)) for answer in answers if answer.ok}
+            for host in there & self._hidden:
+                self._change(host, gone=False)
+            self._hidden.clear()
+
     def _changed(self, sample: zenoh.Sample) -> None:
-        host = keys.host_of(str(sample.key_expr))
         gone = sample.kind == zenoh.SampleKind.DELETE
+        self._change(keys.host_of(str(sample.key_expr)), gone)
+
+    def _change(self, host: str, gone: bool) -> None:
         user = host.partition("@")[0]
         with self._lock:
             known = host in self._present
@@ -49,3 +78,13 @@ class Hosts:
         if gone and known:
             # Not in this thread: it belongs to Zenoh and must not wait for the runtime.
             threading.Thread(target=self._on_gone, args=(host,), daemon=True).start()
+
+
+def _runs_here(host: str) -> bool:
+    """Whether a host is a process of this computer, by its name, and goes on."""
+    machine, _, process = host.partition("@")[2].rpartition(":")
+    try:
+        state = Path(f"/proc/{int(process.partition('.')[0])}/stat").read_text(errors="replace")
+    except (OSError, ValueError):
+        return False
+    return machine == os.uname().nodename and state.rpartition(")")[2].split()[0] not in "TtXZ"

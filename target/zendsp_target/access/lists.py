@@ -5,12 +5,14 @@ from __future__ import annotations
 import logging
 import os
 import re
+import stat
 import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from zendsp_protocol import toml
+from zendsp_protocol import written
 from zendsp_protocol.errors import Refused, did_you_mean
+from zendsp_protocol.spelling import unknown_keys
 from zendsp_protocol.verbs import ROLES
 
 log = logging.getLogger(__name__)
@@ -34,6 +36,13 @@ def check_secret(option: str, path: str) -> None:
         )
 
 
+def _text(path: str) -> str:
+    """The text of a regular file; a pipe, or a device, would never end."""
+    if not stat.S_ISREG(os.stat(path).st_mode):
+        raise OSError("it is a pipe, a device or a folder; expected a regular file")
+    return Path(path).read_text(encoding="utf-8")
+
+
 def read_users(path: str) -> dict[str, str]:
     """Users and passwords of a file of lines ``user:password``.
 
@@ -44,7 +53,7 @@ def read_users(path: str) -> dict[str, str]:
         key; or others may read it. Zenoh would let everybody in on an empty file.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = _text(path)
     except (OSError, UnicodeDecodeError) as error:
         raise Refused(
             f"--users {path}: cannot be read ({error}); nobody is let in without it"
@@ -77,15 +86,17 @@ def read_users(path: str) -> dict[str, str]:
 
 
 def read_roles(path: str) -> dict[str, str]:
-    """Roles by name of user or certificate, from a TOML file with a table ``[roles]``.
+    """Roles by name of user or certificate, from a TOML file with a table ``[roles]``; those whom
+    `zendsp keys revoke` took theirs stand in a table ``[revoked]``.
 
     Raises
     ------
     Refused
-        The file cannot be read, others may write it, or a role is none of `ROLES`.
+        The file cannot be read, others may write it, a role is none of `ROLES`, or somebody has one
+        who was revoked.
     """
     try:
-        data = toml.loads(Path(path).read_text(encoding="utf-8"))
+        data = written.toml(_text(path))
         writable = Path(path).stat().st_mode & 0o022
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise Refused(
@@ -96,13 +107,23 @@ def read_roles(path: str) -> dict[str, str]:
             f"--roles {path}: others may write it, and so give themselves any role: chmod go-w"
             f" {path}"
         )
+    if said := unknown_keys(data, ("roles", "revoked"), f"--roles {path}: the file"):
+        raise Refused(said)
     roles = data.get("roles")
     if not isinstance(roles, dict) or not roles:
         raise Refused(
             f'--roles {path}: expected a table [roles] with lines like anna = "tune"'
             f' ({", ".join(ROLES)})'
         )
+    revoked = data.get("revoked", {})
+    if not isinstance(revoked, dict):
+        raise Refused(f"--roles {path}: expected a table [revoked], as 'keys revoke' writes it")
     for name, role in roles.items():
+        if name in revoked:
+            raise Refused(
+                f"--roles {path}: {name!r} has a role and was revoked as well; a certificate that"
+                " leaked would be let in again: give the person another name"
+            )
         if not _USER.fullmatch(name) or name == OWNER:
             raise Refused(
                 f"--roles {path}: {name!r}: use letters, digits, '_', '-' or '.', and not {OWNER!r}"

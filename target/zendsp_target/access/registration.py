@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -84,11 +85,13 @@ class Registration:
         )
         check_free(name)
         self._write()
+        remove_left()
 
     def _write(self) -> None:
         self._path = own_folder() / registry.file_name(self._entry.name)
         temporary = self._path.with_suffix(f".{os.getpid()}.part")
         try:
+            temporary.touch(0o600)  # it may hold a token
             temporary.write_bytes(msgspec.json.encode(self._entry))
             os.replace(temporary, self._path)
         except OSError as error:
@@ -109,6 +112,23 @@ class Registration:
             found = msgspec.json.decode(self._path.read_bytes(), type=registry.Entry)
             if found.pid == os.getpid():
                 self._path.unlink()
+
+
+def remove_left() -> None:
+    """Remove what killed targets left in the folder: sockets that nobody holds, and entries of
+    processes that are gone.
+    """
+    folder = own_folder()
+    for path in filter(Path.is_file, folder.glob("*.sock.lock")):
+        with contextlib.suppress(OSError), open(path, "rb") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # Zenoh holds it while it listens
+            path.with_suffix("").unlink(missing_ok=True)
+            path.unlink()
+    for path in filter(Path.is_file, folder.glob("*.json")):  # a pipe would never end
+        with contextlib.suppress(OSError, msgspec.MsgspecError, RecursionError):
+            entry = msgspec.json.decode(path.read_bytes(), type=registry.Entry)
+            if registry.born(entry.pid) != entry.born:
+                path.unlink()
 
 
 def check_free(name: str) -> None:

@@ -12,7 +12,7 @@ import random
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from zendsp_protocol.errors import Refused
+from zendsp_protocol.errors import Refused, did_you_mean
 from zendsp_target.concealed.sealed import Concealed, ConcealedEffect
 
 
@@ -314,8 +314,10 @@ def draw(
     )
     for name in pool:
         if name not in DRAWS or name in usual.excluded:
-            choice = ", ".join(name for name in DRAWS if name not in usual.excluded)
-            raise Refused(f"concealed: {machine} cannot carry {name!r}; choose one of {choice}")
+            choice = [name for name in DRAWS if name not in usual.excluded]
+            raise Refused(
+                f"concealed: {machine} cannot carry {name!r}; {did_you_mean(name, choice)}"
+            )
     if not 0 <= count <= len(pool):
         raise Refused(f"concealed: count {count}; 0 to {len(pool)} different effects can be drawn")
     chosen = r.sample(pool, count)

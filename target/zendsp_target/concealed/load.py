@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from zendsp_protocol import toml
+from zendsp_protocol import written
 from zendsp_protocol.errors import Refused
+from zendsp_protocol.spelling import unknown_keys
 from zendsp_target.concealed.draw import draw_from_text
-from zendsp_target.concealed.sealed import LAWS, Concealed, ConcealedEffect
+from zendsp_target.concealed.sealed import EFFECTS, LAWS, Concealed, ConcealedEffect
 
 
 def load_concealed(
@@ -61,26 +61,37 @@ def _from_file(path: Path, machine: str) -> Concealed:
         raise Refused(f"concealed: no file {path}; give a TOML or JSON file, or seed:17")
     try:
         text = path.read_text()
-        data = json.loads(text) if path.suffix == ".json" else toml.loads(text)
+        data = written.json(text) if path.suffix == ".json" else written.toml(text)
     except (ValueError, OSError) as error:
         raise Refused(f"concealed: {path}: {error}") from error
+    _only(data, ("effect", "friction"), f"concealed: {path}: the file")
     effects = []
     for number, table in enumerate(data.get("effect", []), start=1):
         if not isinstance(table, dict) or "kind" not in table:
             raise Refused(f"concealed: {path}: effect {number} has no kind")
+        kind, where = str(table["kind"]), f"concealed: {path}: effect {number}"
+        if kind in EFFECTS:
+            _only(table, ("kind", "joint", *EFFECTS[kind]), where)
         numbers = {
-            k: _number(path, number, k, v) for k, v in table.items() if k not in ("kind", "joint")
+            k: _number(where, k, v) for k, v in table.items() if k not in ("kind", "joint")
         }
-        effects.append(ConcealedEffect(str(table["kind"]), int(table.get("joint", 1)), numbers))
+        effects.append(ConcealedEffect(kind, int(table.get("joint", 1)), numbers))
     return Concealed(machine, tuple(effects), path.name, str(data.get("friction", "full")))
 
 
-def _number(path: Path, effect: int, key: str, value: Any) -> float:
+def _only(table: Mapping[str, Any], allowed: Collection[str], where: str) -> None:
+    """Refuse keys that nobody would read."""
+    if said := unknown_keys(table, allowed, where):
+        raise Refused(said)
+
+
+def _number(where: str, key: str, value: Any) -> float:
     """A number, or a table { value = … } as in model files, or the name of a coupling's law."""
     if isinstance(value, dict) and "value" in value:
+        _only(value, ("value", "free", "unit", "std"), f"{where}: {key}")
         value = value["value"]
     if key == "law" and value in LAWS:
         return float(LAWS.index(value))
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise Refused(f"concealed: {path}: effect {effect}: {key} is {value!r}; expected a number")
+        raise Refused(f"{where}: {key} is {value!r}; expected a number")
     return float(value)

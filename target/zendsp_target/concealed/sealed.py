@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from zendsp_protocol.errors import Refused
+from zendsp_protocol.errors import Refused, did_you_mean
 
 # Parameters of each effect in the order of concealed_spec.h, with the units of the truth that is
 # told. "N m" stands for the command's unit where the command is a voltage.
@@ -63,7 +63,9 @@ class ConcealedEffect:
 
     def __post_init__(self) -> None:
         if self.effect not in EFFECTS:
-            raise Refused(f"concealed: no effect {self.effect!r}; there are {', '.join(EFFECTS)}")
+            raise Refused(
+                f"concealed: no effect {self.effect!r}; {did_you_mean(self.effect, EFFECTS)}"
+            )
         wanted, given = set(EFFECTS[self.effect]), set(self.parameters)
         if wanted != given:
             raise Refused(

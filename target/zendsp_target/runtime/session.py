@@ -7,6 +7,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -79,6 +80,9 @@ class Session:
         # shall steer a copy
         self.machine = machine_of(self.control)
         self._newest = ffi_address(self.control, "newest")
+        # every reading asks whether a trip is latched
+        load = layout()[1].monitor_load32
+        self._tripped = partial(load, ffi_address(self.control.trip, "reason"))
         self._slots_at = int(self.control.snapshot_offset)
         self._slots = data.pointer("unsigned char", self._slots_at)
         self._stride = int(self.control.snapshot_stride)
@@ -115,7 +119,7 @@ class Session:
         """
         if not self.alive():
             return f"the program crashed: {self.crash or 'the runner ended'}"
-        trip = safety.trip_of(self.control, self.machine)
+        trip = safety.trip_of(self.control, self.machine) if self._tripped() else None
         return "" if trip is None else trip.text
 
     def alive(self) -> bool:
@@ -241,12 +245,10 @@ class Session:
         """Sleep until the sample of a STOP or trip that is latched can be read; not at all where
         there is none.
         """
-        _, lib = layout()
-        trip = self.control.trip
-        if lib.monitor_load32(ffi_address(trip, "reason")):
+        if self._tripped():
+            shown, newest = self.control.trip, layout()[1].monitor_load64
             self.until(
-                lambda: bool(lib.monitor_load64(self._newest) >= trip.shown) or not self.alive(),
-                "reading",
+                lambda: bool(newest(self._newest) >= shown.shown) or not self.alive(), "reading"
             )
 
     def repeat_read(self, names: Sequence[str], reply: Blank) -> Callable[[], int] | None:

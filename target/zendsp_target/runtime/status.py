@@ -105,6 +105,8 @@ def _io(session: Session) -> dict[str, WireValue]:
         _, values = session.read(names)
     except (RunnerDied, Refused):
         return {}
+    faults, joints = int(session.control.faults), len(session.machine.joints)
+    values["fault"] = np.array([faults >> j & 1 for j in range(joints)])
     return {
         name: np.atleast_1d(np.asarray(value, dtype=np.float64)) for name, value in values.items()
     }

@@ -19,11 +19,9 @@ STOP never are. If its holder disappears, the host-lost policy decides.
 from __future__ import annotations
 
 import logging
-import math
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 from zendsp_protocol import messages as m
@@ -31,7 +29,8 @@ from zendsp_protocol import verbs
 from zendsp_protocol.errors import Refused, ZendspError
 from zendsp_protocol.messages import Status
 from zendsp_protocol.states import DriveState, ProgramState, RecorderState
-from zendsp_target.api import PRESSED, RECORDER, RuntimeApi
+from zendsp_target.api import RECORDER, RuntimeApi
+from zendsp_target.serving.enabling import conditions, loaded, refusal
 
 log = logging.getLogger(__name__)
 
@@ -53,15 +52,6 @@ COMMANDING = (
 # of these, what changes values only
 CHANGES = ("write", "update", "table_commit", "run_begin", "run_end")
 HOLD_VARIABLE = "hold"  # a bool parameter of programs that can hold their reference
-
-
-@dataclass(frozen=True)
-class Condition:
-    """One thing that enabling needs."""
-
-    name: str
-    met: bool
-    advice: str  # what to do where it is not met
 
 
 class Drives:
@@ -101,7 +91,7 @@ class Drives:
         if status.state == ProgramState.CRASHED:  # the machine was made safe
             self._enabled = False
         running = status.state == ProgramState.RUNNING
-        resting = DriveState.HOMED if status.homed and _loaded(status) else DriveState.READY
+        resting = DriveState.HOMED if status.homed and loaded(status) else DriveState.READY
         if not self._explicit:
             return DriveState.RUNNING if running else resting
         if not self._powered:
@@ -110,61 +100,9 @@ class Drives:
             return DriveState.RUNNING if running else DriveState.ENABLED
         return resting
 
-    def conditions(self, status: Status) -> tuple[Condition, ...]:
+    def conditions(self, status: Status) -> tuple[m.Condition, ...]:
         """Return everything that enabling needs."""
-        loaded = _loaded(status)
-        alive = loaded and _finite(status.io.get("enc"))
-        trip = status.trip
-
-        def once_loaded(advice: str) -> str:
-            return advice if loaded else "known once a program is loaded"
-
-        return (
-            Condition(
-                "power",
-                self._powered or not self._explicit,
-                "switch the drives' power on (zendsp drive on)",
-            ),
-            Condition(
-                "program", loaded,
-                f"no code is loaded (the program is {status.state}): download a program",
-            ),
-            Condition(
-                "homed",
-                status.homed and loaded,
-                once_loaded("the position is unknown: home the machine (zendsp drive home)"),
-            ),
-            Condition(
-                "limits",
-                self._limits_set(),
-                once_loaded("torque, speed and position limits must be finite: set them"),
-            ),
-            Condition(
-                "sensors",
-                alive,
-                once_loaded(
-                    "no position comes from the machine: check its sensors, load the program again"
-                ),
-            ),
-            Condition("stop input", loaded and not status.pressed, once_loaded(PRESSED)),
-            Condition(
-                "no trip",
-                trip is None,
-                (
-                    f"{trip.text or trip.reason}: acknowledge it (zendsp drive acknowledge)"
-                    if trip is not None
-                    else ""
-                ),
-            ),
-        )
-
-    def _limits_set(self) -> bool:
-        try:
-            limits = self._runtime.limits()
-        except ZendspError:
-            return False
-        rows = (limits.position_min, limits.position_max, limits.speed_max, limits.torque_max)
-        return all(len(row) > 0 and all(math.isfinite(x) for x in row) for row in rows)
+        return conditions(status, self._powered or not self._explicit, self._runtime)
 
     def status(self) -> m.DriveStatus:
         """Return state, conditions, commander and policy."""
@@ -180,10 +118,7 @@ class Drives:
                 commander=self.commander,
                 moved_by=self._mover(status),
                 host_lost=self._policy,
-                conditions=tuple(
-                    m.Condition(name=c.name, met=c.met, advice="" if c.met else c.advice)
-                    for c in self.conditions(status)
-                ),
+                conditions=self.conditions(status),
             )
 
     def _mover(self, status: Status) -> str:
@@ -333,7 +268,7 @@ class Drives:
             if not c.met and c.name in ("power", "program", "stop input", "no trip")
         ]
         if failing:
-            raise Refused(_refusal("homing", failing))
+            raise Refused(refusal("homing", failing))
         if status.state == ProgramState.RUNNING:
             raise Refused("homing is refused: the program runs; pause it first")
         self._explicit = self._powered = True
@@ -349,7 +284,7 @@ class Drives:
             raise Refused(f"drive mode {mode!r}: expected 'torque' or 'velocity'")
         failing = [c for c in self.conditions(self._runtime.status()) if not c.met]
         if failing:
-            raise Refused(_refusal("enabling", failing))
+            raise Refused(refusal("enabling", failing))
         self._refuse_to_move("enabling")
         if not self._explicit:
             self._explicit = self._powered = True
@@ -394,7 +329,7 @@ class Drives:
         if again is not None:
             raise Refused(f"acknowledged, and latched again since: {again.text or again.reason}")
         first = "enable the drives" if self._explicit else "start the program"
-        if not _loaded(self._runtime.status()):
+        if not loaded(self._runtime.status()):
             first = "load a program"
         was = f" (it was: {status.trip.cause}, sample {status.trip.tick})" if status.trip else ""
         return f"acknowledged; {first} before anything moves{was}"
@@ -489,29 +424,17 @@ class Drives:
             if self._enabled:
                 return
             status = self._runtime.status()
-            known = status.homed or not _loaded(status)
+            known = status.homed or not loaded(status)
             # automatic drives: only where the position is unknown, since its limits would not hold
             if not self._explicit and known and not status.pressed:
                 return
             failing = [c for c in self.conditions(status) if not c.met]
             failing = failing or [
-                Condition(
-                    "enabled",
-                    False,
-                    "the drives are not enabled: enable them (zendsp drive enable), then start"
-                    " (zendsp run without a file: loading one disables them)",
+                m.Condition(
+                    name="enabled",
+                    met=False,
+                    advice="the drives are not enabled: enable them (zendsp drive enable), then"
+                    " start (zendsp run without a file: loading one disables them)",
                 )
             ]
-            raise Refused(_refusal("starting", failing))
-
-
-def _loaded(status: Status) -> bool:
-    return status.state not in (ProgramState.EMPTY, ProgramState.CRASHED)
-
-
-def _finite(values: Any) -> bool:
-    return values is not None and len(values) > 0 and all(math.isfinite(float(v)) for v in values)
-
-
-def _refusal(what: str, failing: list[Condition]) -> str:
-    return f"{what} is refused: " + "; ".join(f"{c.name}: {c.advice}" for c in failing)
+            raise Refused(refusal("starting", failing))

@@ -22,7 +22,7 @@ log = logging.getLogger(__name__)
 
 GONE = (ProgramState.CRASHED, ProgramState.EMPTY)
 FOLLOW = "use_table"  # parameter of programs that follow a table only where it is set
-MOST = 64  # runs that may be open
+MOST = 64  # runs of one host that may be open
 STANDS_S = 1.0  # for the host-lost policy to act
 
 
@@ -63,8 +63,8 @@ class Runs:
         fade_of(self._runtime, args.fade)  # refuses one that is too long
         run = Run(by, args.moves, values, tables, self._runtime.status(), follows, args.fade)
         with self._lock:
-            if len(self._open) >= MOST:
-                raise Refused(f"{MOST} runs are open: end one")
+            if sum(other.host == by for other in self._open.values()) >= MOST:
+                raise Refused(f"{MOST} of your runs are open: end one")
             number = next(self._numbers)
             self._open[number] = run
             self._tell()
@@ -72,7 +72,10 @@ class Runs:
 
     def do_run_end(self, args: verbs.RunEnd, by: str) -> m.Applied:
         with self._lock:
-            run = self._open.pop(args.run, None)
+            run = self._open.get(args.run)
+            if run is not None and run.host != by:
+                raise Refused(f"run {args.run} is ended by its own host, {run.host}")
+            self._open.pop(args.run, None)
             self._tell()
         sequence = self._put_back(run, by) if run is not None else 0
         return applied(self._runtime, sequence) if sequence else m.Applied(sequence=0, tick=0)

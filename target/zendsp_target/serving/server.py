@@ -8,7 +8,6 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any
 
@@ -16,18 +15,19 @@ import msgspec
 import zenoh
 
 from zendsp_protocol import codec, keys, verbs
-from zendsp_protocol.errors import LinkError, ZendspError
+from zendsp_protocol.errors import LinkError, Refused, ZendspError
 from zendsp_protocol.version import PROTOCOL
 from zendsp_target.access.admission import Doors, check_role, may
 from zendsp_target.access.hosts import Hosts
 from zendsp_target.access.lingering import close_at_once
 from zendsp_target.api import RECORDER, RuntimeApi
 from zendsp_target.serving.bulk_transfer import send_rows
-from zendsp_target.serving.deferred import Later
+from zendsp_target.serving.deferred import Later, Waiters
 from zendsp_target.serving.live_streams import LiveStreams
 from zendsp_target.serving.repeated_requests import Repeats
 from zendsp_target.serving.request_log import Ticket
 from zendsp_target.serving.service import Identity, Service
+from zendsp_target.serving.turns import WAITING, Turns
 from zendsp_target.threads import start_thread
 
 log = logging.getLogger(__name__)
@@ -36,7 +36,6 @@ log = logging.getLogger(__name__)
 # a wait for a sample or a large transfer must neither hold these up nor each other.
 THREADS = {"quick": 3, "sync": 2, "stop": 1, "slow": 2, "bulk": 3}
 WRITE = verbs.VERBS["write"]
-WAITING = 1024  # requests that may wait in a lane
 JOIN_S = 1.0  # a thread that is busy with a compile is not waited for any longer
 COMMAND = verbs.VERBS["drive"]
 MOST_HOSTS = 1000  # that have commanded, by name
@@ -65,7 +64,7 @@ class Server:
         self.service = Service(runtime, identity, self.live, managed)
         self._hosts = Hosts(session, self.name, self._host_gone)
         self.service.present = self._hosts.names
-        self._waiters = ThreadPoolExecutor(8, "waiter")
+        self._waiters = Waiters()
         self._threads: list[threading.Thread] = []
         self._queryables: list[Any] = []
         for lane, count in THREADS.items():
@@ -79,6 +78,9 @@ class Server:
         for user in ("", "*"):
             self._serve(keys.variable(self.name, user=user), [self._variable])
         self._threads.append(start_thread("pulse", self._pulse))
+        if self._doors.routed:
+            ask = partial(self._hosts.ask_routers, self._end)
+            self._threads.append(start_thread("routers", ask))
         # Last, so that whoever sees the token finds everything in place.
         self._token = session.liveliness().declare_token(keys.alive(self.name))
 
@@ -91,29 +93,24 @@ class Server:
         self.live.close()
         for queryable in self._queryables:
             queryable.undeclare()
-        self._waiters.shutdown(wait=False, cancel_futures=True)
+        self._waiters.close()
         for thread in self._threads:
             thread.join(JOIN_S)
 
     # requests
 
     def _serve(self, key: str, answers: Sequence[Callable[[zenoh.Query], None]]) -> None:
-        """Answer what comes for a key, in as many threads.
-
-        A queue that is full lets go of its oldest request, whose sender asks again. One that held
-        back the sender would hold back others too: the few threads in which Zenoh receives would
-        all wait there, and STOP with them.
-        """
+        """Answer what comes for a key, in as many threads."""
         queryable = self._session.declare_queryable(
             key, zenoh.handlers.RingChannel(WAITING), complete=True
         )
         self._queryables.append(queryable)
-        waiting = queryable.handler
+        turns = Turns(queryable.handler)
 
         def work(answer: Callable[[zenoh.Query], None]) -> None:
             while not self._end.is_set():
                 try:
-                    query = waiting.recv()
+                    query = turns.next()
                 except zenoh.ZError:  # closed
                     return
                 answer(query)
@@ -188,8 +185,11 @@ class Server:
                 if repeats is not None:
                     repeats.learn(request, verb, args, said, by)
         except Later as later:
-            self._waiters.submit(self._finish, query, ticket, later.rest)
-            return
+            try:
+                self._waiters.submit(user, partial(self._finish, query, ticket, later.rest))
+                return
+            except Refused as error:
+                reply = codec.encode_error(error)
         except ZendspError as error:
             reply = codec.encode_error(error)
         except Exception as error:

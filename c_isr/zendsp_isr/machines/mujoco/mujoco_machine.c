@@ -29,7 +29,8 @@
 #include <setjmp.h> /* MuJoCo's errors while it loads */
 #include <stdio.h>  /* snprintf */
 #include <stdlib.h> /* calloc, free */
-#include <string.h> /* strcmp, strstr */
+#include <string.h> /* strcmp, strrchr, strstr */
+#include <strings.h> /* strcasecmp */
 #include <time.h>   /* clock_gettime */
 
 #include <mujoco/mujoco.h>
@@ -94,10 +95,11 @@ static int check_time(robot *r, const char *config, double period, char *error, 
         takes = time_sample(r, period);
     }
     snprintf(r->info.text, sizeof r->info.text,
-             "MuJoCo model %.60s, %d of its %d joints, %d with a drive (simulated): steps of %.3g us, "
+             "MuJoCo model %.60s, %d of its %d joints, %d with a drive (simulated%s): steps of %.3g us, "
              "%.3g us for a sample of %.4g us.",
-             r->info.name, r->plant.joints, (int)r->model->njnt, drives, 1e6 * r->plant.substep,
-             1e6 * takes, 1e6 * period);
+             r->info.name, r->plant.joints, (int)r->model->njnt, drives,
+             r->shapeless ? ", without shapes: files of meshes are missing" : "",
+             1e6 * r->plant.substep, 1e6 * takes, 1e6 * period);
     if (strcmp(clock, "real") != 0 || takes < 0.9 * period)
         return 0;
     snprintf(text, sizeof text,
@@ -121,10 +123,33 @@ static void robot_close(void *handle) {
     free(r);
 }
 
+/* A URDF without its shapes, whose files are often named by packages that are not here: it states
+ * the inertias of its links. */
+static mjModel *without_shapes(const char *file) {
+    char why[64];
+    mjSpec *spec = mj_parseXML(file, NULL, why, sizeof why);
+    if (!spec)
+        return NULL;
+    const mjtObj kinds[] = {mjOBJ_GEOM, mjOBJ_MESH};
+    for (size_t k = 0; k < sizeof kinds / sizeof kinds[0]; k++)
+        for (mjsElement *e = mjs_firstElement(spec, kinds[k]); e;
+             e = mjs_firstElement(spec, kinds[k]))
+            if (mjs_delete(spec, e) != 0)
+                break;
+    mjModel *model = mj_compile(spec, NULL);
+    mj_deleteSpec(spec);
+    return model;
+}
+
 static int load(robot *r, const char *config, double period, char *error, size_t size,
                 const char *file) {
     char why[512] = "";
     r->model = mj_loadXML(file, NULL, why, sizeof why);
+    const char *kind = strrchr(file, '.');
+    if (!r->model && strstr(why, "opening file") && kind && strcasecmp(kind, ".urdf") == 0) {
+        r->model = without_shapes(file);
+        r->shapeless = r->model != NULL;
+    }
     if (!r->model && strstr(why, "'mujocoinclude'"))
         return refuse(error, size, file, "a part that another file includes: give that file");
     if (!r->model)

@@ -19,6 +19,7 @@
 typedef struct robot {
     plant plant;
     machine_info info;
+    int shapeless; /* a URDF whose meshes are not here: without geoms */
     concealed concealed;
     mjModel *model;
     mjData *data;

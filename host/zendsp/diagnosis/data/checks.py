@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from zendsp.diagnosis.data.columns import cutting
 from zendsp.diagnosis.data.plausibility import check_driven, check_free
 from zendsp.diagnosis.data.signals import Signals, unused_effects
 from zendsp.errors import RecordingError
@@ -22,14 +23,14 @@ MIN_SECONDS = 2.0  # eight blocks of the held-out statistics
 MIN_COUNTS = 8
 
 # What refuses a recording: tests/diagnosis/test_bad_input.py has recordings on either side.
-STILL = 1e-9  # of the largest position: a span below is a constant
+CONSTANT = 1e-9  # of the largest position: a span below is a constant
 NOISE_SPANS = 15  # standard deviations: 20 000 samples of white noise span 8
 FOLLOWED = 0.8  # R^2 of position on reference from which the slope says unit and sign
 MOSTLY = 0.5  # of the samples
 OPPOSITE = -0.5  # slope
-NEAR = (0.7, 1.4)  # of a factor between units
+UNIT_FACTOR = (0.7, 1.4)  # of a factor between units
 OTHER_UNITS = 10  # times the actuator's limit, and most of the time beyond it
-OVER = 1.001  # of the actuator's limit: more than a rounding
+TOO_LARGE = 1.001  # of the actuator's limit: more than a rounding
 AT_TOP = 0.999  # of the largest command: there
 STUCK = 0.03  # of the time at the largest command
 VALUES = 20  # that a command has at least which is no relay's, of six digits
@@ -80,7 +81,7 @@ def check_signals(signals: Sequence[Signals], model: Model) -> list[str]:
 
 def _moves(where: str, y: Array, resolution: float) -> None:
     span = float(np.ptp(y))
-    if span <= STILL * max(STILL, float(np.max(np.abs(y)))):
+    if span <= CONSTANT * max(CONSTANT, float(np.max(np.abs(y)))):
         raise RecordingError(
             f"{where}: the position is constant; what does not move cannot be diagnosed: let every"
             " joint of the model move, or make this one fixed in the model (in a URDF:"
@@ -123,7 +124,7 @@ def _follows(where: str, y: Array, r: Array, kind: str) -> None:
     )
     for factor, units in factors:
         for value, first in ((factor, "position"), (1 / factor, "reference")):
-            if NEAR[0] < slope / value < NEAR[1]:
+            if UNIT_FACTOR[0] < slope / value < UNIT_FACTOR[1]:
                 raise RecordingError(
                     f"{where}: the position is {slope:.3g} times its reference: {units} are mixed"
                     f" (the {first} has the larger numbers)"
@@ -137,7 +138,7 @@ def _limits(where: str, u: Array, limit: float) -> list[str]:
             f"{where}: the command reaches {top:.4g} and is most of the time beyond the actuator's"
             f" limit of {limit:.4g}: is it in other units than the model's [actuator]?"
         )
-    if limit > 0 and top > OVER * limit:
+    if limit > 0 and top > TOO_LARGE * limit:
         return [
             f"{where}: the command reaches {top:.4g}, beyond the actuator's limit of {limit:.4g};"
             " it is clipped in the model"
@@ -169,10 +170,12 @@ def _glued(where: str, y: Array, s: Signals) -> None:
         and jump > JUMP_NEAR * max(before, after, TINY)
         and jump > JUMP_SPAN * float(np.ptp(y))
     ):
+        between = float(s.time[k] + s.time[k + 1]) / 2.0 - float(s.time[0])
         raise RecordingError(
-            f"{where}: the position jumps by {jump:.4g} after row {k + 1},"
-            f" {s.time[k] - s.time[0]:.4g} s from the beginning: are two runs glued together, or"
-            " were samples dropped? Give them as two files"
+            f"{where}: the position jumps by {jump:.4g} after row {k + 1}, {between:.4f} s from the"
+            " beginning: are two runs glued together, or were samples dropped? Give them as two"
+            f" files, made by {cutting(s.name, '-o', 'part.csv')} with --to {between:.4f} and with"
+            f" --from {between:.4f}"
         )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import numpy.typing as npt
 
 from zendsp.errors import RecordingError
 from zendsp.recording import Recording, Table, read_table
+from zendsp.recording.own import TIME_NAME
 from zendsp.recording.units import to_si
 from zendsp_protocol.texts import counted
 
@@ -19,6 +21,7 @@ Getter = Callable[[str], Array]  # from a column's name to its numbers in SI
 Columns = Mapping[str, str | list[str]]  # a model's [columns]: a name, or a list of them, by role
 
 
+IN_MEMORY = "recording"  # the name of one that is no file
 LARGEST = 1e100  # of a value: its square is a number yet
 
 
@@ -38,21 +41,28 @@ def optional(name: str, role: str, get: Getter, spec: Any, n: int, joints: int) 
             f"{name}: {role} {spec!r} has shape {values.shape}; expected {n} rows and 1 or {joints}"
             " columns"
         )
-    refuse_no_number(f"{name}: {role} {spec!r}", values)
+    refuse_no_number(name, f"{role} {spec!r}", column_name(spec, 0), values)
     return np.array(np.broadcast_to(values, (n, joints)))
 
 
-def refuse_no_number(what: str, values: Array) -> None:
+def cutting(name: str, *options: str) -> str:
+    """The command that cuts the recording of this name, in quotes."""
+    file = "RECORDING" if name == IN_MEMORY else name  # to be saved first
+    return f"'{shlex.join(['zendsp', 'cut', file, *options])}'"
+
+
+def refuse_no_number(name: str, what: str, column: str, values: Array) -> None:
     """Refuse what holds values that are no numbers, and say where and what to do."""
     bad = no_number(values)
     if not bad.any():
         return
-    row, column = (int(i[0]) for i in np.nonzero(bad))
+    row, k = (int(i[0]) for i in np.nonzero(bad))
     count = int(bad.sum())
     words = "values that are not finite numbers" if count > 1 else "value that is no finite number"
     raise RecordingError(
-        f"{what} has {count} {words} below {LARGEST:g} (first in row {row + 1}:"
-        f" {values[row, column]:g}). Delete the rows, time and all: a short gap is bridged"
+        f"{name}: {what} has {count} {words} below {LARGEST:g} (first in row {row + 1}:"
+        f" {values[row, k]:g}). Leave the rows out"
+        f" ({cutting(name, '--finite', column, '-o', 'cut.csv')}): a short gap is bridged"
     )
 
 
@@ -64,7 +74,7 @@ def getter(source: str | Path | Recording | Table) -> tuple[str, Getter, tuple[s
         names = set(source.names)
 
         def from_recording(column: str) -> Array:
-            if column in ("t", "time") and column not in names:
+            if column in ("t", "time", source.extra.get(TIME_NAME)) and column not in names:
                 return np.asarray(source.t, float)
             try:
                 known = to_si(source.units.get(column.partition("[")[0], ""))
@@ -74,7 +84,7 @@ def getter(source: str | Path | Recording | Table) -> tuple[str, Getter, tuple[s
                     f"the recording has no channel {column!r}; it has {', '.join(source.names)}"
                 ) from None
 
-        return "recording", from_recording, ()
+        return IN_MEMORY, from_recording, ()
     table = source if isinstance(source, Table) else read_table(source)
     return str(table.path), lambda column: table[column], table.notes
 

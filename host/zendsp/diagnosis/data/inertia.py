@@ -26,10 +26,10 @@ from zendsp.physics.term_numbers import added_inertia
 Array = npt.NDArray[np.float64]
 
 WINDOWS = 0.02, 0.06  # s, applied twice: about 20 Hz, and 7 Hz
-AROUND = 1.12  # the calibration may move by this factor around the estimate
+INERTIA_RANGE = 1.12  # the calibration may move by this factor around the estimate
 SLIDING = 0.15  # of the RMS speed
-ENOUGH = 60  # rows, of two windows each
-SURE = 5.0  # t value from which the estimate is used
+LEAST_ROWS = 60  # rows, of two windows each
+T_VALUE = 5.0  # t value from which the estimate is used
 
 OWN = {"rotary": ("inertia",), "linear": ("mass",), "planar2r": ("p1", "p2")}
 
@@ -46,8 +46,9 @@ def inertia_ranges(
     records: Sequence[Sequence[JointRecord]], model: Model
 ) -> dict[tuple[str, int], tuple[float, float]]:
     """Range of each joint's own inertia, kg m² or kg, by ``own_key`` and the 0-based place of its
-    number: where the recordings determine it, out to ``AROUND`` what is given; and of a given rotor
-    about what is given. A number that joints share has the range that holds those of all.
+    number: where the recordings determine it, out to ``INERTIA_RANGE`` what is given; and of a
+    given rotor about what is given. A number that joints share has the range that holds those of
+    all.
     """
     ranges: dict[tuple[str, int], tuple[float, float]] = {}
     for joint in range(1, model.joints + 1):
@@ -63,11 +64,12 @@ def inertia_ranges(
             for coupled in (True, False)
             for window in WINDOWS
         ]
-        if around[0]:
+        # of bodies without a rotor any of them is better than none
+        if around[0] or (not own_mechanism and not given and any(around)):
             lows, highs = zip(*filter(None, around), strict=True)
             # what is missing may bend it away from what is given, which errs too
-            low = min(*lows, given / AROUND or lows[0])
-            high = max(*highs, given * AROUND)
+            low = min(*lows, given / INERTIA_RANGE or lows[0])
+            high = max(*highs, given * INERTIA_RANGE)
             others = ranges.get(place, (low, high))
             ranges[place] = min(low, others[0]), max(high, others[1])
         elif not own_mechanism and given > 0:
@@ -78,9 +80,9 @@ def inertia_ranges(
 
 def _around(value: float, t: float) -> tuple[float, float] | None:
     """What the calibration may move in; None where the recordings do not determine it."""
-    if t <= SURE or value <= 0:
+    if t <= T_VALUE or value <= 0:
         return None
-    spread = AROUND * (1.0 + 1.0 / t)
+    spread = INERTIA_RANGE * (1.0 + 1.0 / t)
     return value / spread, value * spread
 
 
@@ -94,7 +96,7 @@ def _estimate(
         rows.append(a)
         targets.append(y)
     a, y = np.concatenate(rows), np.concatenate(targets)
-    if len(y) < ENOUGH:
+    if len(y) < LEAST_ROWS:
         return 0.0, 0.0
     scale = np.linalg.norm(a, axis=0)
     scale[scale == 0] = 1.0

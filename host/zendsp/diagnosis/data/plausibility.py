@@ -22,14 +22,14 @@ from zendsp.errors import RecordingError
 from zendsp.physics.calibration.joint import JointRecord, mechanism_value
 from zendsp.physics.kernel.smooth import gaussian
 from zendsp.physics.model import TREES, Model, per_joint
-from zendsp.physics.robots.bodies import Links, machine_tree
+from zendsp.physics.robots.bodies import NUMBERS, Links, machine_tree
 from zendsp.physics.robots.rigid import bases
 from zendsp.physics.term_numbers import added_inertia
 
 Array = npt.NDArray[np.float64]
 
 DEGREE = 180.0 / np.pi
-BAND = (20.0, 10.0, 5.0, 2.5)  # Hz
+CUTOFFS_HZ = (20.0, 10.0, 5.0, 2.5)  # Hz
 EDGE = 0.999  # of the largest command: at it
 SHOWS = 0.25  # of the command: a rigid body's torque below is no ground to accuse a column
 # of the torque: friction that drives by more is two columns of the regression against each other
@@ -37,7 +37,7 @@ FULL = 1.5
 
 # What accuses a recording: tests/diagnosis/test_bad_input.py has recordings on either side.
 QUIET = 0.1  # of the acceleration: so much noise does not matter
-SWINGS = 0.2  # rad: over less, sine and cosine of the angle are lines
+ANGLE_SPAN = 0.2  # rad: over less, sine and cosine of the angle are lines
 PER_COLUMN = 4  # samples at least for each column of a regression
 AT_EDGE = 12  # samples at the largest command: fewer tell nothing
 ERRORS = 4  # standard errors by which a factor has to lie beyond a limit
@@ -46,15 +46,17 @@ SURE_ERRORS = 8  # the same, for the factor once a mistake is undone
 LITTLE, MUCH = 0.3, 5.0  # of the model's inertia: outside, columns may have wrong units
 GEARED = 7.0  # of all joints' inertias: a model of a real KR 300 is off by 4, a gear by 10 and more
 NONE = 0.2  # of the model's inertia: below, it does not show
-SHARE = 0.3  # of the command: a rigid body that should take so much of it, and does not show
+# of the command: a rigid body that should take so much of it, and does not show
+INERTIAL_SHARE = 0.3
 VISIBLE = 0.05  # of the command: a rigid body below cannot show its sign
 SOUND = 0.6  # R^2 of a regression that may accuse a column
 HALF = 0.5  # R^2 of one that explains the motion by half
+PULLS_BACK = 0.95  # R^2 of a command by position and speed alone: it holds the joint where it is
 GOOD = 0.8  # R^2 of one that may call a column clipped
-NO_WORSE = 0.05  # R^2 by which it may fall when a mistake is undone
+R2_NO_WORSE = 0.05  # R^2 by which it may fall when a mistake is undone
 BEYOND, BEYOND_ERRORS = 0.15, 4.5  # of the command at its edge, and in standard errors: clipped
 SATURATED = 0.98  # of the stated limit: from there on the actuator clips as well
-NEAR = (0.4, 2.5)  # of the model's inertia: so near it a column may be called clipped
+CLIPPED_INERTIA = (0.4, 2.5)  # of the model's inertia: so near it a column may be called clipped
 RIGHT = (0.5, 2.0)  # of the model's inertia: so near it a mistake is undone
 DRIVES = 0.3  # of the torque: friction that gives so much drives
 TURNS = 0.1  # of the RMS speed: below, a joint turns round
@@ -82,7 +84,8 @@ class Regression:
 
     ``share``: RMS of the model's rigid-body torque over that of the command; ``excess``: torque
     missing at the largest commands over that command. ``alike``: so many samples of what is left
-    over are one fact.
+    over are one fact. ``held``: the command is that of a controller which holds the joint where it
+    is while others move it, and friction's columns show that controller.
     """
 
     slope: float
@@ -93,6 +96,7 @@ class Regression:
     excess: float
     excess_t: float
     alike: float
+    held: bool
 
 
 def look(positions: Array, commands: Array, sample_time: float, noise: Array) -> Slow:
@@ -109,7 +113,7 @@ def look(positions: Array, commands: Array, sample_time: float, noise: Array) ->
         the acceleration does not matter.
     """
     nyquist = 0.5 / sample_time
-    for cutoff in BAND:
+    for cutoff in CUTOFFS_HZ:
         cutoff = min(cutoff, 0.4 * nyquist)
         # samples: half the amplitude is left at the cutoff
         width = math.sqrt(2 * math.log(2)) / (2 * np.pi * cutoff * sample_time)
@@ -171,7 +175,7 @@ def regress(slow: Slow, model: Model, joint: int, body: tuple[Array, Array]) -> 
     q, qd = slow.q[i], slow.qd[i]
     speed = float(np.sqrt(np.mean(qd**2)))
     columns = [rigid, qd, np.tanh(qd / (TURNS * speed + 1e-300)), np.ones_like(q), q - np.mean(q)]
-    if model.joint_kind(joint) == "rotary" and np.ptp(q) > SWINGS:
+    if model.joint_kind(joint) == "rotary" and np.ptp(q) > ANGLE_SPAN:
         columns += [np.sin(q), np.cos(q)]
     if np.any(weight):
         columns.append(weight)
@@ -209,7 +213,15 @@ def regress(slow: Slow, model: Model, joint: int, body: tuple[Array, Array]) -> 
         excess=excess,
         excess_t=excess_t,
         alike=repeats(left, slow.sample_time),
+        held=_held(q[use], qd[use], torque[use], spread),
     )
+
+
+def _held(q: Array, qd: Array, torque: Array, spread: float) -> bool:
+    """Whether the torque pulls back in proportion to position and speed, and does nothing else."""
+    a = np.stack([q, qd, np.ones_like(q)], axis=1)
+    theta, left, *_ = np.linalg.lstsq(a, torque)
+    return bool(theta[0] < 0 and theta[1] < 0 and left.sum() < (1.0 - PULLS_BACK) * spread)
 
 
 def _excess(
@@ -279,14 +291,15 @@ def check_driven(
             and found.excess > BEYOND
             and found.excess_t > BEYOND_ERRORS
             and found.r2 > GOOD
-            and NEAR[0] < found.slope < NEAR[1]
+            and CLIPPED_INERTIA[0] < found.slope < CLIPPED_INERTIA[1]
         ):
             raise RecordingError(
                 f"{name}: while the command column stands at its largest value {top:.4g} the joint"
                 f" moves as if by {100 * found.excess:.0f} % more: the column is clipped; record it"
                 " with a wider range"
             )
-    scaled(where[0].removesuffix(": joint 1"), slopes)
+    if not _tool(plain, model, body):
+        scaled(where[0].removesuffix(": joint 1"), slopes)
 
 
 def scaled(name: str, slopes: Sequence[float]) -> None:
@@ -317,7 +330,7 @@ def _sign(name: str, found: Regression) -> None:
         )
     # the other way round its inertia would be below nothing, where it shows at all
     drives = -FULL < found.friction < -DRIVES and found.slope < ERRORS * error
-    if sure and drives and found.slope + ERRORS * error < LITTLE:
+    if sure and drives and not found.held and found.slope + ERRORS * error < LITTLE:
         raise RecordingError(
             f"{name}: friction would have to drive the joint ({100 * found.friction:.0f} % of the"
             " torque along the motion): the sign of the command or of the position is flipped"
@@ -356,7 +369,7 @@ def _undo(
             # all: no explanation
             continue
         if (
-            again.r2 > max(SOUND, found.r2 - NO_WORSE)
+            again.r2 > max(SOUND, found.r2 - R2_NO_WORSE)
             and RIGHT[0] < again.slope < RIGHT[1]
             and again.slope > SURE_ERRORS * again.error
         ):
@@ -367,7 +380,7 @@ def _undo(
     # inertia dominates a motion that the model's inertia cannot come from: not physics that could
     # be added
     hidden = found.slope + ERRORS * found.error < NONE
-    if hidden and found.share > SHARE and found.r2 < HALF:
+    if hidden and found.share > INERTIAL_SHARE and found.r2 < HALF:
         raise RecordingError(
             f"{name}: the command does not produce this motion (it explains"
             f" {100 * max(found.r2, 0.0):.0f} % of it, and the model's inertia does not show): are"
@@ -379,23 +392,81 @@ def _carried(slow: Slow, model: Model, joint: int, body: tuple[Array, Array]) ->
     """Whether a body that the model lacks, on a joint's own link, explains its torque (1-based).
     Where all joints swing, its pull may be larger than the link's own inertia, and against it.
     """
-    tree, i = machine_tree(model), joint - 1
-    if tree is None:
+    links = _links(slow, model)
+    if links is None:
         return False
-    links = Links(tuple(tree[0]), tree[1], np.stack([slow.q, slow.qd, slow.qdd], axis=1))
-    felt, borne = links.columns(i, i)
-    torque = per_joint(model.actuator.gain, joint, 1.0) * slow.command[i]
+    felt, a, lacking = _borne(slow, model, body, links, joint - 1, joint - 1)
+    if len(a) < PER_COLUMN * a.shape[1]:
+        return False
+    theta, right = _solved(a, lacking, _variance(slow, model, joint - 1))
+    inertia = float(np.mean(theta[: len(felt)] @ felt))  # less than none: a flipped sign
+    return inertia > 0 and right
+
+
+def _tool(slow: Slow, model: Model, body: tuple[Array, Array]) -> bool:
+    """Whether one body on the last link, no heavier than the robot, explains what all joints
+    lack.
+    """
+    links = _links(slow, model)
+    if links is None:
+        return False
+    blocks, lacking, rows = [], [], []
+    for i in range(len(links.bodies)):
+        _, a, left = _borne(slow, model, body, links, i, len(links.bodies) - 1)
+        unit = math.sqrt(_variance(slow, model, i)) or 1.0
+        blocks.append(a / unit)
+        lacking.append(left / unit)
+        rows.append(len(left))
+    shared, own = len(NUMBERS), blocks[0].shape[1] - len(NUMBERS)  # columns
+    whole = np.zeros((sum(rows), shared + own * len(rows)))
+    ends = np.cumsum(rows)
+    for i, (a, end) in enumerate(zip(blocks, ends, strict=True)):
+        whole[end - rows[i] : end, :shared] = a[:, :shared]
+        whole[end - rows[i] : end, shared + own * i : shared + own * (i + 1)] = a[:, shared:]
+    if len(whole) < PER_COLUMN * whole.shape[1]:
+        return False
+    theta, _ = _solved(whole, np.concatenate(lacking), 1.0)
+    rest = np.split(np.concatenate(lacking) - whole @ theta, ends[:-1])
+    explained = all(float(x @ x) < (1 - GOOD) * len(x) for x in rest)
+    return explained and 0.0 < theta[0] < sum(b.mass for b in links.bodies)
+
+
+def _links(slow: Slow, model: Model) -> Links | None:
+    """The machine's links along the motion; None where its kind has none."""
+    tree = machine_tree(model)
+    states = np.stack([slow.q, slow.qd, slow.qdd], axis=1)
+    return Links(tuple(tree[0]), tree[1], states) if tree is not None else None
+
+
+def _borne(
+    slow: Slow, model: Model, body: tuple[Array, Array], links: Links, i: int, link: int
+) -> tuple[Array, Array, Array]:
+    """Of joint ``i``: the inertia that each number of a link gives it; columns of the numbers,
+    friction and a constant; and the torque that the model's body lacks (both from 0).
+    """
+    if links.moves(i, link):
+        felt, borne = links.columns(i, link)
+    else:
+        felt, borne = np.zeros((2, len(NUMBERS), slow.q.shape[1]))
     qd, use = slow.qd[i], ~slow.at_edge[i]
     dry = np.tanh(qd / (0.1 * float(np.sqrt(np.mean(qd**2))) + 1e-300))
     a = np.stack([*borne, qd, dry, np.ones_like(qd)], axis=1)
-    if use.sum() < PER_COLUMN * a.shape[1]:
-        return False
-    scale = np.maximum(np.linalg.norm(a[use], axis=0), 1e-300)
-    lacking = torque - body[0][i] - body[1][i]
-    theta = np.linalg.lstsq(a[use] / scale, lacking[use], rcond=1e-9)[0] / scale
-    left = lacking[use] - a[use] @ theta
-    inertia = float(np.mean(theta[: len(felt)] @ felt))  # less than none: a flipped sign
-    return inertia > 0 and float(left @ left) < (1 - GOOD) * len(left) * float(np.var(torque[use]))
+    torque = per_joint(model.actuator.gain, i + 1, 1.0) * slow.command[i]
+    return felt, a[use], (torque - body[0][i] - body[1][i])[use]
+
+
+def _variance(slow: Slow, model: Model, i: int) -> float:
+    """Of the torque of joint ``i`` (from 0)."""
+    use = ~slow.at_edge[i]
+    return float(np.var(per_joint(model.actuator.gain, i + 1, 1.0) * slow.command[i][use]))
+
+
+def _solved(a: Array, lacking: Array, variance: float) -> tuple[Array, bool]:
+    """Least squares, and whether it leaves little of a torque of that variance."""
+    scale = np.maximum(np.linalg.norm(a, axis=0), 1e-300)
+    theta = np.linalg.lstsq(a / scale, lacking, rcond=1e-9)[0] / scale
+    left = lacking - a @ theta
+    return theta, float(left @ left) < (1 - GOOD) * len(left) * variance
 
 
 def check_free(where: Sequence[str], records: Sequence[JointRecord], model: Model) -> None:

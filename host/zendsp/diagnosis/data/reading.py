@@ -25,6 +25,7 @@ from zendsp.diagnosis.data.sampling import (
     between_rows,
     clock,
     decimated,
+    evenly_read,
     left_by_lines,
     on_counts,
     read_anew,
@@ -85,7 +86,13 @@ def read_signals(source: Source, model: Model) -> Signals:
             f"{name}: {held} positions repeat the one before in the midst of a motion, so the"
             " sensor was not read; the line between their neighbours stands there"
         )
+    rows = position
+    if grid is not None and evenly_read(grid, time, position):
+        notes.append(f"{name}: the motion does not jitter: its rows are taken as evenly spaced")
+        sample_time = float(time[-1] - time[0]) / (len(time) - 1)
+        time, grid = time[0] + sample_time * np.arange(len(time)), None
     if grid is not None:
+        notes.append(f"{name}: resampled uniformly, by the time stamps")
         position = on_counts(resample(grid, time, position), position[0], resolution)
         command = resample_held(grid, time, command)
         reference = None if reference is None else resample(grid, time, reference)
@@ -100,16 +107,27 @@ def read_signals(source: Source, model: Model) -> Signals:
     signals = decimated(between_rows(signals, model.actuator.hold or sample_time))
     if grid is None or signals.raw is not None:  # of means, neighbours share no row
         return signals
-    return _as_noisy_as_read(signals, left_by_lines(grid, stamps))
+    if model.sensor.matrix:
+        rows = rows @ np.array(model.sensor.matrix).T
+    return _as_noisy_as_read(signals, rows, left_by_lines(grid, stamps))
 
 
-def _as_noisy_as_read(s: Signals, left: float) -> Signals:
+def _as_noisy_as_read(s: Signals, rows: Array, left: float) -> Signals:
     """A recording with at least the sensor's noise that was there before straight lines between
-    its rows left so much of its variance: at the frequencies of a motion all of it is there still.
+    its ``rows`` (n, joints) left so much of its variance: at the frequencies of a motion all of it
+    is there still. Where the rows themselves show less (of a fast motion they show their jitter
+    too), it is theirs, and what the lines are rounded by where the joint moves by half a count.
     """
-    both = zip(s.position.T, s.resolution, strict=True)
-    noise = [noise_beside_quantisation(y, float(step)) for y, step in both]
-    least = np.array(noise) / np.sqrt(left)
+    steps = s.resolution
+
+    def variance(position: Array) -> Array:
+        both = zip(position.T, steps, strict=True)
+        return np.array([noise_beside_quantisation(y, float(step)) ** 2 for y, step in both])
+
+    before, after = variance(rows), variance(s.position) / left
+    moves = np.mean(np.abs(np.diff(s.position, axis=0)) >= 0.5 * steps, axis=0)
+    rounded = before + moves * steps**2 / 12
+    least = np.sqrt(np.maximum(after, np.where(before <= after, rounded, 0.0)))
     return replace(s, least_noise=least if s.least_noise is None else np.fmax(s.least_noise, least))
 
 
@@ -128,8 +146,8 @@ def _main_columns(
             raise RecordingError(f"{name}: {label} has {len(values)} rows, position {n}")
         bad = no_number(values)
         if bad.any():
-            column = int(np.nonzero(bad)[1][0])
-            refuse_no_number(f"{name}: {label} {column_name(columns[label], column)!r}", values)
+            column = column_name(columns[label], int(np.nonzero(bad)[1][0]))
+            refuse_no_number(name, f"{label} {column!r}", column, values)
     if n < MIN_SAMPLES:
         raise RecordingError(
             f"{name}: has {n} rows; a diagnosis needs at least {MIN_SAMPLES} samples"

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.data.columns import Columns, Getter, column_name, has
+from zendsp.diagnosis.data.columns import Columns, Getter, column_name, cutting, has
 from zendsp.diagnosis.data.signals import Signals
 from zendsp.errors import RecordingError
-from zendsp.physics.kernel.signals import FOURTH, find_resolution
+from zendsp.physics.kernel.signals import FOURTH, MEDIAN, find_resolution
 from zendsp.physics.model import Model, per_joint
 from zendsp_protocol.texts import counted
 
@@ -22,12 +22,17 @@ BUDGET = 150_000
 SLOWEST_RATE = 250.0  # Hz
 
 TURN = 2 * np.pi  # rad
+STEPS_AROUND = 3  # steps before and after one, whose median is what the joint moves in a row there
 REPEATED_COUNTS = 4.0  # of the sensor: a step that a logger's repeated row may have left out
 SLOWEST_CLOCK = 0.1  # s between samples
 UNIT = 50  # a factor between sample times above: seconds, milliseconds, minutes
-STATED = 0.2  # of the stated sample time: further off, the unit is another
+OTHER_UNIT = 0.2  # of the stated sample time: further off, the unit is another
 EXACT, ROUNDED = 1e-3, 0.05  # of it: mean and median so near are it, printed with few digits
 JITTER = 0.02  # of the sample time: below, stamps are as good as even
+MOST_OF_TWO = 2  # samples that a late stamp and its neighbour span; a missing row makes three
+# of the roughness over stamps: rows that are smoother than this were read evenly. Stamps that are
+# true make it 1 and more, however slow the motion
+SMOOTHER = 0.8
 UNSEEN = 0.05  # of the time between rows: less is the rounding of stamps
 GAP = 50  # samples, and SLOWEST_CLOCK at least
 UNITS = 0.02  # of a factor between units
@@ -35,7 +40,13 @@ UNITS = 0.02  # of a factor between units
 LATTICE = (0.02, 300)
 OFF, ON = 0.05, 0.95  # of a count off a whole one at most, in so many of the steps
 STEPS = 10  # that must be there to tell
+STAMPS = 1e6  # s: a time beyond is a calendar's stamp
 MANY = 1.5  # times TARGET_RATE: above, means of counts are better than one of them
+
+
+def whole_second(time: float) -> float:
+    """Of a calendar's time stamp the whole second, which a label is read better without; else 0."""
+    return float(np.floor(time)) if time > STAMPS else 0.0
 
 
 def turned_on(
@@ -58,15 +69,19 @@ def read_anew(position: Array, resolution: Array) -> tuple[Array, int]:
     """Positions (n, joints) without those that a logger only repeated, and how many there were.
 
     A joint does not stand still for one sample and make up for it in the next: the value before
-    stands there again, the step before it is several counts, and the step after it is two.
+    stands there again, where the steps around are several counts, and the step after it is two.
     """
     out, count = position.copy(), 0
     step = np.diff(position, axis=0)
     for j in range(position.shape[1]):
-        before, none, after = step[:-2, j], step[1:-1, j], step[2:, j]
-        fast = 0.1 * float(np.abs(step[:, j]).max())  # slower, such a row is next to no error
-        several = np.abs(before) > max(REPEATED_COUNTS * resolution[j], fast)
-        double = np.abs(after - 2.0 * before) < 0.5 * np.abs(before)
+        padded = np.pad(step[:, j], STEPS_AROUND, mode="edge")
+        around = np.lib.stride_tricks.sliding_window_view(padded, 2 * STEPS_AROUND + 1)
+        usual = np.median(around, axis=1)
+        usual, none, after = usual[1:-1], step[1:-1, j], step[2:, j]
+        # of a smooth motion two steps differ by the sensor's noise
+        noisy = 2.0 * float(np.median(np.abs(np.diff(step[:, j])))) / MEDIAN
+        several = np.abs(usual) > max(REPEATED_COUNTS * resolution[j], noisy)
+        double = np.abs(after - 2.0 * usual) < 0.5 * np.abs(usual)
         rows = 2 + np.flatnonzero((none == 0) & several & double)
         out[rows, j] = 0.5 * (position[rows - 1, j] + position[rows + 1, j])
         count += len(rows)
@@ -83,6 +98,10 @@ def _of_another_rate(name: str, period: float, stated: float) -> RecordingError:
     )
 
 
+def _apart(name: str) -> str:
+    return f" Give them as two files: {cutting(name, '-o', 'part.csv')} makes them"
+
+
 def _forwards(name: str, column: str, time: Array, step: Array) -> None:
     """Refuse a time that runs backwards, or stands still."""
     if (step <= 0).any():
@@ -94,8 +113,7 @@ def _forwards(name: str, column: str, time: Array, step: Array) -> None:
                 " twice?"
             )
         raise RecordingError(
-            f"{name}: time runs backwards at row {row}: are two runs glued together?"
-            " Give them as two files"
+            f"{name}: time runs backwards at row {row}: are two runs glued together?{_apart(name)}"
         )
 
 
@@ -123,7 +141,7 @@ def clock(
             f"{name}: samples are {period:.4g} s apart; a diagnosis needs at least 10 a second: is"
             f" the time column {columns['time']!r} in seconds?"
         )
-    if model.sample_time and abs(period / model.sample_time - 1) > STATED:
+    if model.sample_time and abs(period / model.sample_time - 1) > OTHER_UNIT:
         raise _of_another_rate(name, period, model.sample_time)
     if (
         model.sample_time
@@ -138,17 +156,35 @@ def clock(
         k = int(np.argmax(step))
         raise RecordingError(
             f"{name}: a gap of {step[k]:.3g} s after row {k + 1}, {time[k] - time[0]:.4g} s from"
-            " the beginning: are two runs glued together? Give them as two files"
+            f" the beginning: are two runs glued together?{_apart(name)}"
         )
     whole = np.round(step / period)  # samples from one row to the next
-    spread = float(np.std(step[whole < 2])) / period
-    missing = int(np.sum(whole - 1, where=whole > 1, initial=0.0))
+    # a late stamp is no missing row: the step before it or after it is the shorter
+    padded = np.concatenate([[np.inf], step, [np.inf]])
+    beside = step + np.minimum(padded[:-2], padded[2:])
+    lacks = (whole > 1) & (np.round(beside / period) > MOST_OF_TWO)
+    spread = float(np.std(step[~lacks])) / period
+    missing = int(np.sum(whole - 1, where=lacks, initial=0.0))
     notes.append(
-        f"{name}: time stamps jitter by {100 * spread:.1f} % of the sample time, and"
-        f" {counted(missing, 'row')} missing (largest step {np.max(step) / period:.1f} samples);"
-        " resampled uniformly"
+        f"{name}: the time from row to row jitters by {100 * spread:.1f} % of the sample time, and"
+        f" {counted(missing, 'row')} missing (largest step {np.max(step) / period:.1f} samples)"
     )
     return time, period, notes, np.arange(time[0], time[-1], period)
+
+
+def evenly_read(grid: Array, time: Array, position: Array) -> bool:
+    """Whether rows whose stamps jitter were read evenly: the motion is smoother over their number
+    than over their stamps, and none is missing.
+    """
+    if abs(len(grid) - len(time)) > 1:
+        return False
+    by_row, by_stamp = (
+        np.mean(np.diff(q, 4, axis=0) ** 2, axis=0)
+        for q in (position, resample(grid, time, position))
+    )
+    moves = by_stamp > 0
+    ratio = left_by_lines(grid, time) * by_row[moves] / by_stamp[moves]
+    return bool(moves.any() and np.exp(np.mean(np.log(np.maximum(ratio, 1e-12)))) < SMOOTHER)
 
 
 def resolution_of(

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.data.checks import check_signals
 from zendsp.diagnosis.data.reading import Source, read_signals
+from zendsp.diagnosis.data.sampling import whole_second
 from zendsp.diagnosis.data.signals import MIN_SAMPLES, Signals, with_same_columns
 from zendsp.errors import RecordingError
 from zendsp.physics.kernel.smooth import moving_mean
@@ -17,7 +18,8 @@ from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
 
-AROUND = 0.25  # s before and after what is cut out: an observer comes late, and a joint swings on
+# s before and after what is cut out: an observer comes late, and a joint swings on
+PUSH_MARGIN_S = 0.25
 LEFT = 0.5  # of the rows that cutting leaves at least
 
 
@@ -76,7 +78,9 @@ def split(signals: Sequence[Signals]) -> tuple[list[Signals], list[Signals], lis
                 n - min(MIN_SAMPLES, n // 3),
             )
         )
-        cuts.append(f"{s.name} from {s.time[cut] - s.time[0]:.3g} s on")
+        begin = whole_second(float(s.time[0]))
+        after = f" after {begin:.0f} s" if begin else ""
+        cuts.append(f"{s.name} from {s.time[cut] - begin:.2f} s{after} on")
         train.append(s.part(0, cut, f"{s.name} (first part)"))
         test.append(s.part(cut, len(s.time), f"{s.name} (last part)"))
     each = "its motion" if len(cuts) == 1 else "the motion of each"
@@ -91,6 +95,7 @@ def halves(held: Sequence[Signals]) -> tuple[list[Signals], list[Signals], list[
     Returns
     -------
     choose, test, notes
+        One list, where it is too short to be divided.
     """
     if len(held) > 1:
         middle = len(held) // 2
@@ -102,7 +107,7 @@ def halves(held: Sequence[Signals]) -> tuple[list[Signals], list[Signals], list[
             f"{s.name}: too short to be divided: what was chosen by it is tested on it too, so the"
             " tested figures flatter"
         )
-        return [s], [s], [note]
+        return (both := [s]), both, [note]
     way = _way(s)
     cut = int(np.clip(np.searchsorted(way, 0.5), MIN_SAMPLES, n - MIN_SAMPLES))
     return (
@@ -121,7 +126,7 @@ def cut_out(signals: Sequence[Signals], spans: Sequence[tuple[str, float, float]
         name, n = s.whole or s.name, len(s.time)
         bad = np.zeros(n, bool)
         for of, begin, end in spans:
-            bad |= (of == name) & (s.time > begin - AROUND) & (s.time < end + AROUND)
+            bad |= (of == name) & (s.time > begin - PUSH_MARGIN_S) & (s.time < end + PUSH_MARGIN_S)
         edges = np.flatnonzero(np.diff(np.r_[True, bad, True].astype(int)))
         pieces = list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
         if pieces == [(0, n)]:

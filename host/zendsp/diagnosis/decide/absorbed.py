@@ -1,6 +1,6 @@
 """Physics that a free parameter of the mechanism has absorbed: a payload, a wrong gain.
 
-Calibration moves inertia and gravity freely. A few percent are the tolerance of any given figure; a
+Calibration moves inertia and gravity freely. A few percent are the tolerance of any given number; a
 shift far beyond is a finding. A gain error scales inertia, gravity and friction alike, exactly:
 where all of them have moved by one factor, it is named with them.
 """
@@ -15,19 +15,21 @@ import numpy as np
 
 from zendsp.diagnosis.decide.assemble import Assembled
 from zendsp.diagnosis.decide.claims import Decision
-from zendsp.diagnosis.decide.findings import NUMERIC
 from zendsp.diagnosis.decide.result import Estimate, Finding
 from zendsp.diagnosis.measure.discrepancy import difference
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import fit_scored
+from zendsp.diagnosis.measure.significance import INTEGRATION_ERROR
 from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.effects import get_effect, library, mechanism_of
-from zendsp.physics.model import CALLED, TREES, Model, Quantity, Term
+from zendsp.physics.model import CALLED, TREES, Model, Quantity
 from zendsp.physics.term_numbers import file_model
 
-# relative standard deviation of a given inertia, mass or gravity figure; more where its std says so
+# relative standard deviation of a given inertia, mass or gravity; more where its std says so
 TOLERANCE = 0.045
 FAR = 3.0  # standard deviations
+WEIGHT_ALONE = 2.0  # times FAR, of a weight that moves without its inertia
+ONE_GAIN = 0.5  # of the inertia's change: numbers that move within it may be one torque gain
 INSISTS = 100.0  # deviance on the recordings of the fit that the given value costs at least
 PAYS, SURELY = 50.0, 3.0  # the same on untouched ones, and in standard deviations over blocks
 ROTOR = "inertia amount"  # what a joint of a tree adds to its bodies
@@ -72,7 +74,7 @@ def shifted(
         ratio = after.value / before.value - 1.0
         known = max(TOLERANCE, before.std / abs(before.value))
         spread = math.hypot(known, after.std / abs(before.value))
-        std = math.hypot(after.std, NUMERIC * after.value)
+        std = math.hypot(after.std, INTEGRATION_ERROR * after.value)
         moves[key] = (ratio, ratio / spread, after.value - before.value, std)
     main = "inertia" if given.kind == "rotary" else "mass"
     if main not in moves or abs(moves[main][1]) < FAR:
@@ -82,17 +84,18 @@ def shifted(
     if size is None:
         return []
     unit = "kg m²" if given.kind == "rotary" else "kg"
-    what = "a payload, or a wrong figure" if amount > 0 else "a wrong figure"
+    wrong = "the given number is wrong"
+    what = f"the joint bears a payload, or {wrong}" if amount > 0 else wrong
     same = []
     others = [m for key, m in moves.items() if key != main]
-    if all(abs(m[0] - ratio) < 0.5 * abs(ratio) for m in others):
+    if all(abs(m[0] - ratio) < ONE_GAIN * abs(ratio) for m in others):
         same.append("torque_gain")
     if others and any(abs(m[1]) > FAR for m in others):
         same.append("gravity")
     values = {"amount": Estimate(amount, std, unit)}
     text = (
-        f"Calibration moves the {main} of joint {joint} by {100 * ratio:+.0f} % ({amount:+.3g}"
-        f" {unit}), far beyond the tolerance of a given figure: {what}."
+        f"Calibration moves the {main} of joint {joint} by {_by(amount, ratio, unit)}, far beyond"
+        f" the tolerance of a given number: {what}."
     )
     if same:
         text += f" This recording cannot tell it from {', '.join(same)}."
@@ -102,7 +105,7 @@ def shifted(
 
 def moved(given: Model, calibrated: Model) -> list[str]:
     """What calibration made of the given numbers, joint by joint, where that is beyond the
-    tolerance of a figure: it is no finding, and may be what a user looks for.
+    tolerance of a number: it is no finding, and may be what a user looks for.
     """
     out = []
     given, calibrated = file_model(given), file_model(calibrated)
@@ -166,7 +169,7 @@ def _rotor(
         return []
     amount = after.value - before.value
     z = amount / math.hypot(max(TOLERANCE * before.value, before.std), after.std)
-    fixed = Term("inertia", joint, {"amount": replace(before, free=False)})
+    fixed = stated.held()
     terms = tuple(fixed if t is fitted else t for t in search.final.model.terms)
     size = _size(search.final.model.with_terms(terms), search, test) if abs(z) >= FAR else None
     if size is None:
@@ -174,9 +177,9 @@ def _rotor(
     unit = "kg" if given.joint_kind(joint) == "linear" else "kg m²"
     text = (
         f"Calibration moves the rotor inertia of joint {joint} by"
-        f" {100 * amount / before.value:+.0f} % ({amount:+.3g} {unit}), far beyond the tolerance of"
-        " a given figure: a wrong one. Where only its own acceleration shows it, a link or a"
-        " payload of another mass is the same."
+        f" {_by(amount, amount / before.value, unit)}, far beyond the tolerance of a given"
+        " number: it is wrong. Where only its own acceleration shows it, a link or a payload of"
+        " another mass is the same."
     )
     values = {"amount": Estimate(amount, after.std, unit)}
     sure = min(0.9, 0.5 + 0.05 * abs(z))
@@ -213,7 +216,7 @@ def _gravity_only(
     moves: dict[str, tuple[float, float, float, float]],
     test: Data,
 ) -> list[tuple[float, float, Finding]]:
-    if "gravity" not in moves or abs(moves["gravity"][1]) < 2 * FAR:
+    if "gravity" not in moves or abs(moves["gravity"][1]) < WEIGHT_ALONE * FAR:
         return []
     joint, size = search.joint, _size(_held(given, search, "gravity"), search, test)
     if size is None:
@@ -224,11 +227,17 @@ def _gravity_only(
         "angle": Estimate(0.0 if amount > 0 else math.pi, 0.0, "rad"),
     }
     text = (
-        f"Calibration moves the gravity torque of joint {joint} by {100 * ratio:+.0f} %"
-        f" ({amount:+.3g} {given.torque_unit(joint)}), far beyond the tolerance of a given figure:"
-        " an unbalance, or a wrong figure."
+        f"Calibration moves the gravity torque of joint {joint} by"
+        f" {_by(amount, ratio, given.torque_unit(joint))}, far beyond the tolerance of a given"
+        " number: there is an unbalance, or the given number is wrong."
     )
     return [(z, size, _finding("gravity", joint, values, 0.7, ("stiffness",), text))]
+
+
+def _by(amount: float, ratio: float, unit: str) -> str:
+    """A change of a given number, with what it becomes."""
+    given = amount / ratio
+    return f"{100 * ratio:+.0f} % (from {given:.3g} to {given + amount:.3g} {unit})"
 
 
 def _finding(

@@ -7,7 +7,9 @@ from dataclasses import replace
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Claim, Decision
+from zendsp.diagnosis.decide.decide import unpushed
 from zendsp.diagnosis.decide.laws import without_law
+from zendsp.diagnosis.decide.thresholds import OF_STATE, PREDICTED, SURE
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
 from zendsp.diagnosis.measure.significance import counterpart
 from zendsp.diagnosis.measure.windows import rms, window_error
@@ -59,6 +61,28 @@ def _may_be_one(claim: Claim) -> bool:
 
 def _section(claim: Claim, decision: Decision) -> Claim:
     return replace(without_law(claim, decision), mechanism=PLACE)
+
+
+def pushed_alone(decisions: Sequence[Decision]) -> list[Decision]:
+    """The decisions, without pushes at joints beside one at which as much depends on the state and
+    nothing explains it: of what pulls at both the one joint may show the states, the other only
+    that they come and go.
+
+    Parameters
+    ----------
+    decisions : sequence of Decision
+        One a joint.
+    """
+    pulled = [
+        d.state.size * d.scale
+        for d in decisions
+        if d.kind == "unexplained" and d.state.size > OF_STATE and d.state.z > SURE
+    ]
+    most = max(pulled, default=0.0) / PREDICTED
+    return [
+        unpushed(d) if d.kind == "disturbance" and d.before.value * d.scale < most else d
+        for d in decisions
+    ]
 
 
 def same_timing(parts: Parts, decisions: Sequence[Decision], jobs: int) -> list[Decision]:
@@ -118,6 +142,16 @@ def timing(decisions: Sequence[Decision]) -> tuple[Term, ...]:
         return ()
     like = next(iter(terms.values()))
     return tuple(terms.get(d.joint, replace(like, joint=d.joint)) for d in decisions)
+
+
+def friction_beside_weight(decisions: Sequence[Decision]) -> tuple[Term, ...]:
+    """The friction that joints lack, where one claims what a body may be: a torque over position,
+    an inertia, a constant. Before it was known, such a body was small beside it.
+    """
+    claims = [c for d in decisions for c in d.claims if c.effect != "unknown"]
+    if not any(c.mechanism in (PLACE, "inertia") or get_effect(c.effect).constant for c in claims):
+        return ()
+    return tuple(c.term for c in claims if c.mechanism in ("dry_friction", "fluid_friction"))
 
 
 def _is_late(claim: Claim) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -56,6 +57,8 @@ class Claim:
     lost: tuple[tuple[str, str, float], ...]
     left: Structure | None = None  # what the law leaves in its own variables
     instead: Scored | None = None  # with a law of the same mechanism that is likelier
+    # of its neighbours, in standard deviations; infinite where it has none, or was not asked
+    ahead: float = math.inf
 
 
 @dataclass(frozen=True)

@@ -21,9 +21,9 @@ Shift = tuple[float, float]
 """By how much a command is late, s, and its variance, s²."""
 
 # Measured with 48 recordings of foreign simulators without a shift: none is told.
-SURE = 6.0  # standard deviations
+SHIFT_SURE = 6.0  # standard deviations
 ALL_BUT = 0.98  # of the samples count as they are: where a joint lets go, a shift does the most
-BLOCK = 0.5  # s: longer than a slow observer remembers
+CLOCK_BLOCK = 0.5  # s: longer than a slow observer remembers
 
 
 def apart_in_time(parts: Parts, model: Model) -> list[str]:
@@ -65,7 +65,7 @@ def _shift(record: JointRecord, model: Model) -> Shift | None:
     if whole <= 0.0:
         return None
     at = -float(slope @ left) / whole
-    starts = np.arange(0, len(left), max(1, round(BLOCK / record.sample_time)))
+    starts = np.arange(0, len(left), max(1, round(CLOCK_BLOCK / record.sample_time)))
     pulls = np.add.reduceat(slope * (left + at * slope), starts)
     variance = float(pulls @ pulls) / whole**2
     return (at, variance) if 0.0 < variance < math.inf else None
@@ -88,7 +88,7 @@ def _said(joint: int, found: dict[str, Shift], least: float) -> list[str]:
     late = {
         name: at - usual
         for name, (at, var) in found.items()
-        if abs(at - usual) > max(least, SURE * math.sqrt(var + known))
+        if abs(at - usual) > max(least, SHIFT_SURE * math.sqrt(var + known))
     }
     others = ", ".join(name for name in found if name not in late)
     return [

@@ -10,19 +10,20 @@ benchmarks/confidence.py`.
 from __future__ import annotations
 
 import math
+from statistics import NormalDist
 
 import numpy as np
 
 from zendsp.diagnosis.decide.claims import Claim, Decision
-from zendsp.diagnosis.decide.thresholds import ALONE, NUMERIC, STATED
+from zendsp.diagnosis.decide.thresholds import SIMULATORS_DIFFER, STATED_ALONE, STATED_BESIDE
 from zendsp.diagnosis.measure.discrepancy import beyond
 from zendsp.diagnosis.measure.structure import STRUCTURED
 from zendsp.physics.effects import get_effect, mechanism_of
 
 NAMES = ("constant", "unknown", "left", "free", "small")
 WEIGHTS = (-0.52, 2.27, 2.40, -0.69, -2.02)
-MOST = 0.97  # of 114 stated at 0.9 and more, on makers left out, 97 of 100 were right
-FINE = 1e-4  # of the RMS torque: nothing is known better
+SUREST = 0.97  # of 114 stated at 0.9 and more, on makers left out, 97 of 100 were right
+FINEST_KNOWN = 1e-4  # of the RMS torque: nothing is known better
 
 
 def stated(claim: Claim, decision: Decision) -> bool:
@@ -37,7 +38,7 @@ def stated(claim: Claim, decision: Decision) -> bool:
 def _needed(name: str, decision: Decision) -> float:
     """Probability above which an effect's law is named."""
     bends = mechanism_of(name) in STRUCTURED and get_effect(name).over != "time"
-    return STATED if bends and _left(decision) > NUMERIC else ALONE
+    return STATED_BESIDE if bends and _left(decision) > SIMULATORS_DIFFER else STATED_ALONE
 
 
 def least_stated(name: str, decision: Decision) -> float:
@@ -51,7 +52,7 @@ def least_stated(name: str, decision: Decision) -> float:
     needed = _needed(name, decision)
     others = min(max(sum(p.fitted for p in effect.parameters), 1), 3) - 1.0
     decades = (math.log(needed / (1.0 - needed)) - constant - free * others) / left
-    return float(10.0 ** max(decades, 0.0) * max(_left(decision), FINE))
+    return float(10.0 ** max(decades, 0.0) * max(_left(decision), FINEST_KNOWN))
 
 
 def _left(decision: Decision) -> float:
@@ -72,10 +73,10 @@ def features(claim: Claim, decision: Decision) -> tuple[float, ...]:
     """
     if claim.effect == "unknown":
         return (1.0, 1.0, 0.0, 0.0, 0.0)
-    left = max(_left(decision), FINE)
-    size = max(claim.size, FINE)
+    left = max(_left(decision), FINEST_KNOWN)
+    size = max(claim.size, FINEST_KNOWN)
     larger = sum(c.size**2 for c in decision.claims if c.size > claim.size)
-    lacking = math.sqrt(max(decision.before.value**2 - larger, FINE**2))
+    lacking = math.sqrt(max(decision.before.value**2 - larger, FINEST_KNOWN**2))
     free = sum(q.free for q in claim.term.parameters.values())
     return (
         1.0,
@@ -97,7 +98,9 @@ def confidence(claim: Claim, decision: Decision) -> float:
     Returns
     -------
     float
-        Between 0.05 and ``MOST``.
+        Between 0.05 and ``SUREST``.
     """
     value = float(np.dot(WEIGHTS, features(claim, decision)))
-    return float(min(MOST, max(0.05, 1.0 / (1.0 + math.exp(-value)))))
+    # it can be no surer than that it predicts better than the next law of its kind
+    most = min(SUREST, NormalDist().cdf(claim.ahead))
+    return float(max(0.05, min(most, 1.0 / (1.0 + math.exp(-value)))))

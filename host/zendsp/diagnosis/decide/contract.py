@@ -137,3 +137,8 @@ def dark(left: Iterable[tuple[int, Sequence[float]]]) -> tuple[int, ...]:
         What nothing named explains, as a part of the RMS torque: of ``discrepancy``.
     """
     return tuple(joint for joint, (_, high) in left if high >= 1.0)
+
+
+def two_digits(value: float) -> str:
+    """Two digits, and all before the point: 1e+02 is nobody's hundred."""
+    return f"{value:.2g}" if value < 99.5 else f"{value:.0f}"

@@ -9,6 +9,7 @@ decides.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 
@@ -39,8 +40,8 @@ from zendsp.diagnosis.decide.thresholds import (
     CLAIMED,
     LAWFUL,
     MACHINE,
-    MOST,
     OF_STATE,
+    PREDICTED,
     RIVAL,
     RUN_AWAY,
     SURE,
@@ -110,7 +111,7 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
                     return replace(decision, beside=_beside(decision, parts))
                 # which mechanism, if any, is for the lacking torque itself to say
                 plain = _nothing_named(parts, given, search, before, pieces, jobs)
-                most = decision.after.value**2 < (1.0 - MOST) * before.value**2
+                most = decision.after.value**2 < (1.0 - PREDICTED) * before.value**2
                 kind = kind_of(decision.claims[0].mechanism)
                 same = any(c.mechanism in kind for c in plain.claims)
                 stands = plain.kind == "complete" or (most and not plain.claims) or same
@@ -259,7 +260,7 @@ def _half_a_row(out: Decision, parts: Parts, jobs: int) -> bool:
         )
         fitted = _fitted_to(parts.fit, shifted, joint, jobs)
         left = discrepancy(parts.test, fitted.model, joint)
-        if left.value**2 < (1.0 - MOST) * out.before.value**2:
+        if left.value**2 < (1.0 - PREDICTED) * out.before.value**2:
             return True
     return False
 
@@ -284,7 +285,10 @@ def _asked(out: Decision, parts: Parts, turning: bool) -> Decision:
             return replace(out, kind="missing", claims=(claim,))
         return replace(out, kind="unexplained")
     lawful = lacks > LAWFUL and _lawful(parts, out.base, out.joint, turning)
-    if lawful or (lacks > MACHINE and _surely(out, parts.test)):
+    off = _off(out, parts.test)
+    if lawful or (lacks > MACHINE and (out.before.low > 0.0 or off)):
+        return replace(out, kind="unexplained")
+    if off and out.before.high > AMISS:  # a recording too short to say how much torque that is
         return replace(out, kind="unexplained")
     if parts.choose is not parts.test:  # held out too: what acts there only is no less missing
         chosen = discrepancy(parts.choose, out.base.model, out.joint)
@@ -293,12 +297,10 @@ def _asked(out: Decision, parts: Parts, turning: bool) -> Decision:
     return out
 
 
-def _surely(out: Decision, test: Data) -> bool:
-    """Whether something lacks beyond doubt: torque, or a position far beyond what the sensor errs
-    by, where a recording is too short to say how much torque that is.
-    """
+def _off(out: Decision, test: Data) -> bool:
+    """Whether the position is off by far more than the sensor errs by."""
     error = rms(window_error(test, out.base.model, out.joint))
-    return out.before.low > 0.0 or error > BEYOND_SENSOR * noise_floor(test, out.joint)
+    return error > BEYOND_SENSOR * noise_floor(test, out.joint)
 
 
 def _pushed(out: Decision, parts: Parts, jobs: int) -> Decision | None:
@@ -315,7 +317,7 @@ def _pushed(out: Decision, parts: Parts, jobs: int) -> Decision | None:
     # there what comes when the joint turns round may be its friction, however seldom
     often = OFTEN if beyond(out.before.value, known) > LAWFUL else 0.0
     held = here = None
-    if out.state.share < MOST:
+    if out.state.share < PREDICTED:
         held = _in_held(parts, base, joint, often)
         here = held or _in_fit(parts, base, joint)
     bent = held is None or bool(
@@ -327,7 +329,7 @@ def _pushed(out: Decision, parts: Parts, jobs: int) -> Decision | None:
         after = discrepancy(parts.test, other.model, joint)
         if held is None and beyond(after.value, known) < LAWFUL:
             here = _in_fit(parts, other.model, joint, MANY) or here
-        elif here is None and out.state.share < MOST:
+        elif here is None and out.state.share < PREDICTED:
             here = _in_held(parts, other.model, joint, often)
         if here is not None and after.value <= out.before.value:
             out = replace(out, final=other, after=after)
@@ -336,7 +338,7 @@ def _pushed(out: Decision, parts: Parts, jobs: int) -> Decision | None:
     both = everywhere(here, (parts.fit, parts.held), out.final.model, joint)
     if both.spread > FEW * sum(len(part.records) for part in (parts.fit, parts.held)):
         return None  # what comes so often comes with the motion
-    if both.share < MOST:
+    if both.share < PREDICTED:
         return None
     if _by_own_numbers(out, parts, jobs, both.recordings):
         return None
@@ -364,18 +366,24 @@ def _by_own_numbers(
     """The recordings that lack something, where each is explained by numbers of its own: they are
     of a machine with another load. ``among``: of these alone; else of all.
     """
-    joint, found = out.joint, []
+    joint, rows, usual = out.joint, [], math.inf
     for part in (parts.fit, parts.held):
         for rec in part.records:
             alone, name = replace(part, records=(rec,)), rec[joint - 1].recording
-            lacks = discrepancy(alone, out.final.model, joint).value
+            lacks, left = discrepancy(alone, out.final.model, joint).value, 0.0
             if lacks > LAWFUL and (name in among or not among):
-                fitted = _fitted_to(alone, out.final, joint, jobs)
-                left = discrepancy(alone, fitted.model, joint).value
-                if left > LAWFUL or left**2 > (1.0 - MOST) * lacks**2:
-                    return ()
-                found.append(name)
-    return tuple(dict.fromkeys(found))
+                own = discrepancy(alone, _fitted_to(alone, out.final, joint, jobs).model, joint)
+                left = own.value
+                rows.append((name, lacks, left))
+            if part is parts.fit:  # what the machine leaves with any numbers is no load
+                usual = min(usual, own.high if left else LAWFUL)
+    found = [row for row in rows if row[1] > max(LAWFUL, usual)]
+    if any(
+        left > max(LAWFUL, usual) or left**2 > (1.0 - PREDICTED) * lacks**2
+        for _, lacks, left in found
+    ):
+        return ()
+    return tuple(dict.fromkeys(name for name, _, _ in found))
 
 
 def _fitted_to(data: Data, base: Scored, joint: int, jobs: int) -> Scored:
@@ -423,11 +431,11 @@ def _without_law(parts: Parts, out: Decision, turning: bool) -> Claim | None:
     alone = {m: structure(parts.each, base.model, joint, [m], turning) for m in STRUCTURED}
     order = sorted(alone, key=lambda m: -alone[m].size)
     best = alone[order[0]]
-    least = MOST * max(out.state.size, out.before.value) ** 2
-    if best.z < SURE or best.size**2 < least or best.share < MOST:
+    least = PREDICTED * max(out.state.size, out.before.value) ** 2
+    if best.z < SURE or best.size**2 < least or best.share < PREDICTED:
         return None
     # in a loop the command follows what the joint has to bear: of any torque, so large a part
-    if order[0] == "actuator" and out.before.value**2 > MOST:
+    if order[0] == "actuator" and out.before.value**2 > PREDICTED:
         return None
     other = next(alone[m] for m in order[1:] if m not in kind_of(order[0]))
     if other.size**2 > RIVAL * best.size**2:

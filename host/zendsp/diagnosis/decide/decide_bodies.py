@@ -10,21 +10,21 @@ miss it more than anything that stays unexplained there.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import LAWS_OF, Decision
-from zendsp.diagnosis.decide.confidence import MOST as SUREST
-from zendsp.diagnosis.decide.findings import NUMERIC
-from zendsp.diagnosis.decide.pieces import dependence
+from zendsp.diagnosis.decide.confidence import SUREST
+from zendsp.diagnosis.decide.pieces import log_e_value
 from zendsp.diagnosis.decide.result import Estimate, Finding, Rejected, number
 from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES, LAW_ERROR, OWN_SHARE, PLAIN, SURE
 from zendsp.diagnosis.measure.discrepancy import difference
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import fit_scored
+from zendsp.diagnosis.measure.significance import INTEGRATION_ERROR
 from zendsp.diagnosis.search.bodies import BodySearch, FoundBody, refined, stated
 from zendsp.diagnosis.search.body_columns import Layout
 from zendsp.diagnosis.search.body_explain import Explained
@@ -35,7 +35,7 @@ from zendsp.physics.model import Model
 from zendsp.physics.robots.bodies import Links
 
 # of a body's squared torque, over the joints: at so much it has to be larger than what is left
-MOST = 0.5
+LARGER_THAN_LEFT = 0.5
 REJECTED = 4  # of its rivals are reported
 
 
@@ -105,7 +105,7 @@ def borne(heard: Sequence[Heard], needed: float) -> float | None:
     """
     bear = [h for h in heard if h.log_e > 0.0 and h.z > PLAIN and h.size > h.left]
     total, here = (sum(h.size**2 for h in part) for part in (heard, bear))
-    if here <= MOST * total or sum(h.log_e for h in heard) <= needed:
+    if here <= LARGER_THAN_LEFT * total or sum(h.log_e for h in heard) <= needed:
         return None
     return math.sqrt(here / max(sum(h.left**2 for h in bear), 1e-18))
 
@@ -115,25 +115,62 @@ def _decided(
 ) -> BodyClaim | None:
     if unsure(found.explained):
         return None
+    heard, gain = _heard(parts, found, decisions, links, jobs)
+    needed = math.log(len(decisions) * len(LAWS_OF) / FALSE_DISCOVERIES)
+    ratio = borne(list(heard.values()), needed)
+    return None if ratio is None else _claim(found, heard, gain, ratio)
+
+
+def plainest(
+    parts: Parts, found: FoundBody, decisions: Sequence[Decision], jobs: int
+) -> BodyClaim:
+    """The claim of a body that stands in the place of several findings at the joints.
+
+    What its removal costs is asked with the rotor inertias that the model states as they are beside
+    it: a body is not to be calibrated away.
+    """
+    links = parts.fit.records[0][0].links
+    heard, gain = _heard(parts, found, decisions, links, jobs, hold=("inertia",))
+    left = sum(h.left**2 for h in heard.values())
+    ratio = math.sqrt(sum(h.size**2 for h in heard.values()) / max(left, 1e-18))
+    return _claim(found, heard, gain, ratio)
+
+
+def _heard(
+    parts: Parts,
+    found: FoundBody,
+    decisions: Sequence[Decision],
+    links: Links | None,
+    jobs: int,
+    hold: Collection[str] = (),
+) -> tuple[dict[int, Heard], float]:
+    """What the joints that feel a body say of it, and the deviance that its removal costs; terms of
+    the effects to ``hold`` stay as they are.
+    """
     heard: dict[int, Heard] = {}
     gain = 0.0
     for decision in decisions:
         joint, final = decision.joint, decision.final
         if not feels(found, joint, links):
             continue
-        model = final.model.with_terms(tuple(t for t in final.model.terms if t != found.term))
+        model = final.model.with_terms(
+            tuple(
+                t.held() if t.effect in hold else t for t in final.model.terms if t != found.term
+            )
+        )
         data = replace(final.data, records=parts.fit.records)
         handles = joint_handles(data, model, joint)
         without = fit_scored(data, model, handles, (joint,), jobs=jobs, rounds=2, iterations=8)
         held = compare(without, final, parts.test, joint)
         size = difference(parts.test, without.model, final.model, joint)
-        log_e = 0.5 * held.gain / dependence(without, parts.test, joint)
+        log_e = log_e_value(held, without, final, parts.test, joint)
         heard[joint] = Heard(size, decision.after.value, log_e, held.z)
         gain += held.gain
-    needed = math.log(len(decisions) * len(LAWS_OF) / FALSE_DISCOVERIES)
-    ratio = borne(list(heard.values()), needed)
-    if ratio is None:
-        return None
+    return heard, gain
+
+
+def _claim(found: FoundBody, heard: dict[int, Heard], gain: float, ratio: float) -> BodyClaim:
+    """The claim of a body that is so much larger than what stays unexplained."""
     sure = ratio**1.5 / (0.5 + ratio**1.5)
     if found.indistinguishable:
         sure *= 0.5 + 0.5 / (1 + len(found.indistinguishable))
@@ -228,7 +265,7 @@ def body_finding(claim: BodyClaim, everything: float) -> Finding:
             else "rad" if key.startswith("angle") else "kg m^2" if key == "inertia" else "m"
         )
         scale = abs(value) if key in ("mass", "inertia") else max(abs(value), 0.1)
-        values[key] = Estimate(float(value), float(np.hypot(std, NUMERIC * scale)), unit)
+        values[key] = Estimate(float(value), float(np.hypot(std, INTEGRATION_ERROR * scale)), unit)
     text = _sentence(found, values)
     if found.indistinguishable:
         text += f" This recording cannot tell it from {', '.join(found.indistinguishable)}."

@@ -46,11 +46,11 @@ from zendsp.physics.model import Model, Term
 Array = npt.NDArray[np.float64]
 
 POWER = 1.28  # standard deviations: nine in ten
-HELD = 0.3  # of the RMS torque: an effect that is larger is not small
+NOT_SMALL = 0.3  # of the RMS torque: an effect that is larger is not small
 IMPLANTS = 8  # of growing size, until one is seen
 AMPLE = 1.05  # by which one is larger than the last seems to need
 LARGER, FARTHER = 2.0, 10.0  # times the last at least, and at most
-BESIDE = 15  # iterations of the fit beside it
+BESIDE_ITERATIONS = 15  # iterations of the fit beside it
 GRID = 12  # points of an effect's grid at most; of them the one that is seen worst is stated
 
 
@@ -158,7 +158,7 @@ def _implanted(
     for _ in range(IMPLANTS):
         number = term.parameters[key]
         model = base.model.with_terms((*base.model.terms, term))
-        if difference(test, model, base.model, joint) > HELD:
+        if difference(test, model, base.model, joint) > NOT_SMALL:
             return None
         result = _beside(test, model, base.handles, joint, jobs)
         left = math.sqrt(max(_squares(test, result, joint) - _squares(test, base, joint), 0.0))
@@ -180,7 +180,9 @@ def _error(test: Data, model: Model, joint: int) -> float:
 def _beside(
     test: Data, model: Model, handles: Sequence[Handle], joint: int, jobs: int
 ) -> Fit:
-    return fit(test, model, handles, joints=(joint,), iterations=BESIDE, jobs=jobs, brief=True)
+    return fit(
+        test, model, handles, joints=(joint,), iterations=BESIDE_ITERATIONS, jobs=jobs, brief=True
+    )
 
 
 def _squares(test: Data, result: Fit, joint: int) -> float:

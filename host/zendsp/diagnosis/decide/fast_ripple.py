@@ -28,11 +28,11 @@ from zendsp.physics.model import Model, Term
 
 # rad/s: 64 Hz; a tenth of the usual first resonance of a stiff drive train is below, its multiples
 # are not
-BAND = 400.0
-SHARE = 0.03  # of the fast innovations' energy that a ripple has to explain
-GAIN = 60.0  # deviance beyond the price, on the training and on the held-out recordings
+RIPPLE_BAND = 400.0
+RIPPLE_SHARE = 0.03  # of the fast innovations' energy that a ripple has to explain
+RIPPLE_GAIN = 60.0  # deviance beyond the price, on the training and on the held-out recordings
 Z = 4.0
-MOST = 2
+MOST_RIPPLES = 2
 
 
 @dataclass(frozen=True)
@@ -64,24 +64,25 @@ def fine_ripples(
         recordings.
     """
     joint, record = search.joint, train.records[0][search.joint - 1]
-    band = min(BAND, 0.4 / record.sample_time)
+    band = min(RIPPLE_BAND, 0.4 / record.sample_time)
     if band < 2 * FASTEST:
         return []
     data, held = train.at_bandwidth(joint, band), test.at_bandwidth(joint, band)
     current = _fitted(data, _undisplaced(search), joint, 4, jobs)
     found: list[FineRipple] = []
-    while len(found) < MOST:
+    while len(found) < MOST_RIPPLES:
         screen = Screen(data, current.fit, joint, (joint,))
         best = screen.candidates(frozenset({"ripple"}))
-        if not best or best[0].gain < SHARE * screen.cost or not _fast(best[0], record.scale.speed):
+        least = RIPPLE_SHARE * screen.cost
+        if not best or best[0].gain < least or not _fast(best[0], record.scale.speed):
             break
         after = _fitted(data, with_candidate(current.model, best[0]), joint, 8, jobs)
         index = len(after.model.terms) - 1
         cost = price(best[0].terms, informative(data, joint))
-        if current.deviance - after.deviance < cost + GAIN:
+        if current.deviance - after.deviance < cost + RIPPLE_GAIN:
             break
         evidence = compare(current, _rephased(after, held, joint, index, jobs), test, joint)
-        if evidence.gain < GAIN or evidence.z < Z:
+        if evidence.gain < RIPPLE_GAIN or evidence.z < Z:
             break
         found.append(_reported(search, current, after, kind))
         current = after
@@ -101,15 +102,6 @@ def _undisplaced(search: JointSearch) -> Model:
             or (effect := get_effect(t.effect)).over != "position"
             or effect.mechanism not in ("measurement", "transmission")
         )
-    )
-
-
-def fixed(term: Term) -> Term:
-    """The term with every parameter held: slower observers know less of it than the fast one that
-    found it.
-    """
-    return Term(
-        term.effect, term.joint, {n: replace(q, free=False) for n, q in term.parameters.items()}
     )
 
 

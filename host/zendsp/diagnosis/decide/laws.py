@@ -26,16 +26,16 @@ from zendsp.diagnosis.decide.pieces import (
 from zendsp.diagnosis.decide.rivals import law_of, together
 from zendsp.diagnosis.decide.thresholds import (
     A_PART,
-    ALONE,
     BEHIND,
     CURVE,
     HARMONIC,
     LAW_ERROR,
-    MOST,
-    NUMERIC,
     OF_STATE,
     OWN_SHARE,
     PLAIN,
+    PREDICTED,
+    SIMULATORS_DIFFER,
+    STATED_ALONE,
     SURE,
 )
 from zendsp.diagnosis.measure.discrepancy import Size, at_reversals, discrepancy
@@ -89,8 +89,7 @@ def named(
         own = [first]
         for other in ranked[1:]:
             large = other.size**2 >= OWN_SHARE * piece.size**2
-            beneath = set(other.effects) & set(get_effect(first.terms[0].effect).needs)
-            if large and not beneath and _counts(other, first, after.value):
+            if large and not _one_with(first, other) and _counts(other, first, after.value):
                 own.append(other)
             else:
                 refinements += _plain(other)
@@ -100,13 +99,13 @@ def named(
         # what the law by itself leaves to itself
         again = [p.size for p in ranked[1:] if _repeats(p, first)]
         poor = math.hypot(*again) > allowed or (
-            left is not None and _surely_more(left, max(allowed, NUMERIC))
+            left is not None and _surely_more(left, max(allowed, SIMULATORS_DIFFER))
         )
         # a constant beside several laws of the position is a part of the curve that they draw
         of_position = piece.mechanism == "position_torque"
         level = sum(all(get_effect(t.effect).constant for t in p.terms) for p in claimed)
         drawn = of_position and _is_curve(ranked, travel)
-        part = _part_of_a_wave(first.terms[0], level, travel)
+        part = _part_of_a_wave(first.terms[0], level + len(own) - 1, travel)
         pieces = len(own) + (level if of_position and len(own) > 1 else 0)
         if poor or drawn or part or pieces >= CURVE:
             refinements += [c for p in own[1:] for c in _plain(p)]
@@ -151,7 +150,7 @@ def _turns_a_known_one(
         piece.mechanism == DRY
         and piece.size**2 < OWN_SHARE * before.value**2
         and bool(kept_laws(given, final.model, joint, DRY))
-        and at_reversals(parts.test, piece.without.model, final.model, joint) >= MOST
+        and at_reversals(parts.test, piece.without.model, final.model, joint) >= PREDICTED
     )
 
 
@@ -162,7 +161,12 @@ def _alone(
     of the claims describes.
     """
     needed = any(get_effect(c.term.effect).needs for c in claims)
-    terms = [c.term for c in more if not (needed and c.mechanism == DRY)]
+    rubs = any(c.mechanism == DRY and c.effect != "unknown" for c in claims)
+
+    def stays(c: Claim) -> bool:  # Coulomb friction beside another law of it: every machine has it
+        return c.mechanism == DRY and (needed or (rubs and get_effect(c.term.effect).common))
+
+    terms = [c.term for c in more if not stays(c)]
     kept = tuple(t for t in final.model.terms if not any(t is x for x in terms))
     if not claims or len(kept) == len(final.model.terms):
         return final
@@ -181,7 +185,10 @@ def believed(decision: Decision, parts: Parts, jobs: int) -> Decision:
         for c in decision.claims
         if c.effect == "unknown"
         or stated(c, decision)
-        or (confidence(c, decision) > ALONE and SURE < _ahead(c, decision.alone, parts) < math.inf)
+        or (
+            confidence(c, decision) > STATED_ALONE
+            and SURE < _ahead(c, decision.alone, parts) < math.inf
+        )
         or _behind_a_transmission(c, decision, parts)
     ]
     rest = [c for c in decision.claims if not any(c is k for k in likely)]
@@ -197,9 +204,9 @@ def believed(decision: Decision, parts: Parts, jobs: int) -> Decision:
         elif (
             claim.mechanism not in doubted
             and any(claim is k for k in likely)
-            and _goes_on(claim, alone, parts)
+            and (ahead := _goes_on(claim, alone, parts)) is not None
         ):
-            keep.append(claim)
+            keep.append(replace(claim, ahead=ahead))
         elif (
             claim is decision.claims[0]
             and claim.mechanism in STRUCTURED
@@ -222,9 +229,9 @@ def _behind_a_transmission(claim: Claim, decision: Decision, parts: Parts) -> bo
     """
     if get_effect(claim.effect).family != "transmission":
         return False
-    most = decision.after.value**2 < (1.0 - MOST) * decision.before.value**2
+    most = decision.after.value**2 < (1.0 - PREDICTED) * decision.before.value**2
     return most and (
-        structure(parts.each, decision.base.model, decision.joint, STRUCTURED).share < MOST
+        structure(parts.each, decision.base.model, decision.joint, STRUCTURED).share < PREDICTED
     )
 
 
@@ -232,35 +239,39 @@ def without_law(claim: Claim, decision: Decision) -> Claim:
     """A claim of the mechanism alone, with its laws as likely as the one that is doubted; one that
     leaves too much in its own variables is hardly.
     """
-    most = ALONE if claim.effect == "unknown" else 0.5
+    most = STATED_ALONE if claim.effect == "unknown" else 0.5
     sure = min(confidence(replace(claim, effect=claim.term.effect), decision), most)
     laws = {name: sure * weight for name, weight in claim.laws.items()}
     return replace(claim, effect="unknown", laws={**laws, "unknown": 1.0 - sure})
 
 
 def _told_apart(claim: Claim, decision: Decision, parts: Parts) -> bool:
-    """Whether no other mechanism's variables predict more of what lacks: a mechanism without a law
-    is known by its variables alone, where its laws together leave anything. (A constant is a
-    function of any.)
+    """Whether no other mechanism's variables predict more of what lacks, or not much more where
+    its laws together leave nothing that depends on the state: a mechanism without a law is known by
+    its variables alone, where anything is left. (A constant is a function of any.)
     """
     if claim.mechanism not in STRUCTURED or get_effect(claim.term.effect).constant:
         return True
-    if decision.after.value < NUMERIC:
+    if decision.after.value < SIMULATORS_DIFFER:
         return True
     model, joint = decision.base.model, decision.joint
     of = {m: structure(parts.each, model, joint, [m]).size ** 2 for m in STRUCTURED}
     others = max(of[m] for m in STRUCTURED if m not in kind_of(claim.mechanism))
-    return others <= of[claim.mechanism]
+    more = A_PART if decision.state.size < SIMULATORS_DIFFER else 0.0
+    return others <= (1.0 + more) * of[claim.mechanism]
 
 
-def _goes_on(claim: Claim, alone: Scored, parts: Parts) -> bool:
-    """Whether a law goes on as the torque does: none of its neighbours predicts better, or surely
-    better where every machine has it.
+def _goes_on(claim: Claim, alone: Scored, parts: Parts) -> float | None:
+    """By how much a law predicts better than its neighbours, in standard deviations; None where
+    one of them predicts better, or surely better where every machine has the law.
     """
+    effect = get_effect(claim.effect)
     if claim.mechanism not in STRUCTURED:
-        return True
+        return math.inf
     ahead = _ahead(claim, alone, parts)
-    return ahead > -(PLAIN if get_effect(claim.effect).common else BEHIND)
+    if ahead <= -(PLAIN if effect.common else BEHIND):
+        return None
+    return math.inf if effect.common or effect.constant else ahead
 
 
 def _ahead(claim: Claim, alone: Scored, parts: Parts) -> float:
@@ -298,7 +309,8 @@ def _beside_unknown(claims: Sequence[Claim], left: float) -> tuple[list[Claim], 
     curve = any(draws_a_curve(c) for c in claims)
 
     def large(claim: Claim) -> bool:
-        apart = left < NUMERIC and claim.mechanism in STRUCTURED and claim.mechanism not in kinds
+        tells = claim.mechanism in STRUCTURED and claim.mechanism not in kinds
+        apart = left < SIMULATORS_DIFFER and tells
         return claim.size > (LAW_ERROR if apart else A_PART) * unknown
 
     def of_position(claim: Claim) -> bool:
@@ -356,16 +368,16 @@ def _is_curve(ranked: Sequence[Piece], travel: float) -> bool:
     return bool(np.any(np.abs(ratios - np.round(ratios)) > HARMONIC))
 
 
-def _part_of_a_wave(term: Term, level: int, travel: float) -> bool:
+def _part_of_a_wave(term: Term, beside: int, travel: float) -> bool:
     """Whether a law that repeats along the position does not do so within the ``travel``: any curve
-    is as good. One wave a turn and a constant (there are ``level`` of them) draw one too, over less
-    than a turn, in rad; not where the wave is balanced at a quarter of a turn, where an axis has
-    its zero.
+    is as good. One wave a turn and a constant or another law of the position (there are so many
+    ``beside`` it) draw one too, over less than a turn, in rad; not where the wave is balanced at a
+    quarter of a turn, where an axis has its zero.
     """
     names = get_effect(term.effect).names
     if "period" in names:
         return term.value("period") > travel
-    if get_effect(term.effect).shape != "angle" or not level or travel >= 2 * math.pi:
+    if get_effect(term.effect).shape != "angle" or not beside or travel >= 2 * math.pi:
         return False
     angle = term.parameters["angle"]
     off = math.remainder(angle.value, math.pi / 2)
@@ -398,6 +410,14 @@ def _upon(ranked: Sequence[Piece], after: float) -> list[Piece]:
             whole = replace(other, size=largest.size, evidence=largest.evidence)
             return [whole, *[p for p in ranked if p is not other]]
     return list(ranked)
+
+
+def _one_with(first: Piece, other: Piece) -> bool:
+    """Whether a second law is no finding of its own: the first stands upon it, or both are how one
+    joint's motion acts on another, which is one thing between the two.
+    """
+    effect = get_effect(first.terms[0].effect)
+    return effect.coupled or not set(other.effects).isdisjoint(effect.needs)
 
 
 def _counts(other: Piece, first: Piece, after: float) -> bool:

@@ -16,13 +16,13 @@ from zendsp.diagnosis.decide.decide_bodies import BodyClaim, body_finding
 from zendsp.diagnosis.decide.findings import estimates, new_terms, percent, sentence
 from zendsp.diagnosis.decide.laws import draws_a_curve
 from zendsp.diagnosis.decide.notes import spans
-from zendsp.diagnosis.decide.pieces import weight_of_payload
+from zendsp.diagnosis.decide.pieces import beside_unknown, weight_of_payload
 from zendsp.diagnosis.decide.result import Estimate, Finding, Rejected, number
-from zendsp.diagnosis.decide.thresholds import ALONE, CLAIMED, PLAIN
+from zendsp.diagnosis.decide.thresholds import CLAIMED, PLAIN, STATED_ALONE
 from zendsp.diagnosis.measure.curve import curve_of
 from zendsp.diagnosis.measure.likelihood import fit_scored
 from zendsp.diagnosis.measure.significance import counterpart, essence_of, essential_deviation
-from zendsp.diagnosis.measure.where import mismatch, units
+from zendsp.diagnosis.measure.where import Missing, mismatch, units
 from zendsp.physics.calibration.fit import Data, Fit, joint_handles
 from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model, Term
@@ -49,15 +49,21 @@ def name_findings(
     ranked: list[tuple[float, Finding]] = []
     refinements: list[Finding] = []
     rejected: list[Rejected] = []
-    everything = sum(d.before.value**2 for d in decisions) + sum(b.square for b in bodies) or 1.0
+    lacks = (min(1.0, d.before.value) for d in decisions)  # more: the model does not follow at all
+    everything = sum(x**2 for x in lacks) + sum(b.square for b in bodies) or 1.0
     ranked += [(b.gain, body_finding(b, everything)) for b in bodies]
     for decision in decisions:
         if decision.bursts is not None:
             ranked.append((math.inf, _disturbance(decision, given)))
+        joint = decision.joint
         for claim in decision.claims:
             share = min(1.0, claim.size**2 / everything)
             if claim.effect == "unknown":
-                finding = _unknown(given, decision, claim, share, test)
+                stated = {c.effect for c in decision.claims}
+                beside = beside_unknown(
+                    whole.calibrated, whole.improved, joint, claim.mechanism, stated
+                )
+                finding = _unknown(given, decision, claim, share, mismatch(test, beside, joint))
             else:
                 finding = _finding(given, decision, whole, claim, share)
             # by these recordings alone: on another day a machine's friction may be half of it, but
@@ -91,21 +97,23 @@ def name_findings(
     return tuple(f for _, f in ranked), tuple(refinements), tuple(worst_first[:12])
 
 
-def _unknown(given: Model, decision: Decision, claim: Claim, share: float, test: Data) -> Finding:
-    """A mechanism without a law: its size, and the curve of what the calibrated model lacks over
-    the variable on which it depends, on untouched recordings.
+def _unknown(
+    given: Model, decision: Decision, claim: Claim, share: float, lacks: Sequence[Missing]
+) -> Finding:
+    """A mechanism without a law: its size, and the curve over the variable on which it depends of
+    what ``lacks`` on untouched recordings beside all that is named.
     """
-    joint, model = decision.joint, decision.base.model
-    found = curve_of(mismatch(test, model, joint), claim.mechanism)
+    joint = decision.joint
+    found = curve_of(lacks, claim.mechanism)
     numbers: dict[str, object] = {}
     what = "state"
     if found is not None:
-        what = "speed" if found.variable == "velocity" else found.variable
+        what = "speed" if found.axis.variable == "velocity" else found.axis.variable
         if claim.mechanism == "dry_friction":
             what = f"direction of motion and {what}"
         numbers["curve"] = {
-            "variable": found.variable,
-            "unit": units(model, joint)[found.variable],
+            "variable": found.axis.variable,
+            "unit": units(given, joint)[found.axis.variable],
             "at": [float(f"{x:.5g}") for x in found.at],
             "torque": [float(f"{y:.4g}") for y in found.mean],
             "std": [float(f"{s:.2g}") for s in found.spread],
@@ -189,7 +197,7 @@ def _held_otherwise(given: Model, term: Term, values: Mapping[str, Estimate]) ->
 def _nearest(claim: Claim) -> str:
     """What can be said of the laws of a mechanism that is claimed without one."""
     law = claim.term.effect
-    if law == "unknown" or claim.laws.get(law, 0.0) <= ALONE:
+    if law == "unknown" or claim.laws.get(law, 0.0) <= STATED_ALONE:
         return "none of the known laws describes it"
     return f"it is most like {law}, not surely enough to be called that"
 
@@ -249,15 +257,18 @@ def may_be_nothing(effect: str, values: Mapping[str, Estimate]) -> bool:
 
 def _unrefined(decision: Decision, claim: Claim) -> Fit | None:
     """The law as it is claimed: fitted without the refinements of its own mechanism, which may have
-    taken a part of its numbers; None where it has none, or needs them.
+    taken a part of its numbers; not without what every machine has. None where it has none, needs
+    them, or acts beside them as one joint's motion does upon another.
     """
     final, joint = decision.final, decision.joint
-    if not any(claim is c for c in decision.claims) or get_effect(claim.effect).needs:
+    effect = get_effect(claim.effect)
+    if effect.needs or effect.coupled or not any(claim is c for c in decision.claims):
         return None
     beside = [
         counterpart(final.model.terms, r.term)
         for r in decision.refinements
-        if r.mechanism == claim.mechanism and not get_effect(r.effect).needs
+        if r.mechanism == claim.mechanism
+        and not (get_effect(r.effect).needs or get_effect(r.effect).common)
     ]
     if not beside:
         return None

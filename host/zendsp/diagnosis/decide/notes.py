@@ -9,9 +9,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.contract import two_digits
 from zendsp.diagnosis.decide.findings import percent
 from zendsp.diagnosis.decide.result import FitTable
-from zendsp.diagnosis.decide.thresholds import OF_STATE
+from zendsp.diagnosis.decide.thresholds import AMISS, LAWFUL, OF_STATE
 from zendsp.diagnosis.measure.bursts import Bursts
 from zendsp.diagnosis.measure.where import units
 from zendsp.physics.calibration.fit import Data
@@ -19,7 +20,7 @@ from zendsp.physics.model import Model
 
 # ratio of the errors, calibrated over given, from which on calibration made it worse: reached by 3
 # of 240 cases (seed 109), each with something missing, and by none of 99 complete models
-BENT = 1.5
+MADE_WORSE = 1.5
 # of a travel: a joint that goes less of it back goes one way; and s of motion below which a
 # recording is short (what no law follows is told, so that a user knows what else to do)
 ONE_WAY, SHORT = 0.05, 5.0
@@ -85,7 +86,7 @@ def _creeping(decisions: Sequence[Decision], given: Model) -> list[str]:
 
 def bent(test: FitTable, floor: float) -> list[str]:
     """Where calibration makes it worse, in rad or m: what the model has not bends its numbers."""
-    if test.calibrated < BENT * test.given or test.calibrated < BENT * floor:
+    if test.calibrated < MADE_WORSE * test.given or test.calibrated < MADE_WORSE * floor:
         return []
     return [
         "calibrated, the model predicts the untouched recordings worse than as given"
@@ -139,25 +140,40 @@ def left_over(decisions: Sequence[Decision], given: Model, fit: Data) -> str:
             )
         elif d.kind == "unexplained" and d.state.size > OF_STATE:
             words.append(
-                f"Joint {d.joint}: a torque of {d.state.size * d.scale:.2g} {unit} RMS"
+                f"Joint {d.joint}: a torque of {two_digits(d.state.size * d.scale)} {unit} RMS"
                 f" ({percent(d.state.size)} % of the torque) depends on the state of the joint and"
                 " is none of the known effects"
             )
+        elif d.kind == "unexplained" and d.after.value < LAWFUL and d.after.high > AMISS:
+            words.append(
+                f"Joint {d.joint}: the position is off by far more than the sensor errs by, and the"
+                " recordings held out are too short to say by what: up to"
+                f" {percent(min(1.0, d.after.high))} % of the torque may be missing. Hold a"
+                " longer recording out"
+            )
+        elif d.kind == "unexplained" and d.after.value < OF_STATE:
+            words.append(
+                f"Joint {d.joint}: recordings are surely likelier with what was tried, and none of"
+                f" it is what acts: at most {percent(min(1.0, d.after.high))} % of the torque is"
+                " missing. Larger and faster motion would show more of it"
+            )
         elif d.kind == "unexplained":
             words.append(
-                f"Joint {d.joint}: a torque of {d.after.value * d.scale:.2g} {unit} RMS"
+                f"Joint {d.joint}: a torque of {two_digits(d.after.value * d.scale)} {unit} RMS"
                 f" ({percent(d.after.value)} % of the torque) is missing that neither a known"
                 " effect nor any function of the joint's state predicts" + _held(fit, d.joint)
             )
         elif d.kind == "missing" and d.after.low > OF_STATE:
             words.append(
-                f"Joint {d.joint}: beside what was found, {d.after.value * d.scale:.2g} {unit} RMS "
+                f"Joint {d.joint}: beside what was found,"
+                f" {two_digits(d.after.value * d.scale)} {unit} RMS "
                 f"({percent(d.after.value)} % of the torque) stays unexplained"
             )
         if d.beside is not None:
             words.append(
                 f"Joint {d.joint}: in the recordings of the fit a torque of up to"
-                f" {d.beside.peak:.2g} {unit} acts at {spans(d.beside)} that no state explains:"
+                f" {two_digits(d.beside.peak)} {unit} acts at {spans(d.beside)}"
+                " that no state explains:"
                 " a push bends the numbers of what was found"
             )
     return ". ".join(words)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -19,10 +19,12 @@ from zendsp.diagnosis.decide.thresholds import (
     FALSE_DISCOVERIES,
     FINEST,
     HANGING,
+    LACKED,
     LAW_ERROR,
     LEFT_BY_A_LAW,
-    MOST,
+    PREDICTED,
     STEPPED,
+    SURE,
 )
 from zendsp.diagnosis.measure.discrepancy import (
     at_reversals,
@@ -31,7 +33,7 @@ from zendsp.diagnosis.measure.discrepancy import (
     discrepancy,
     mean_square,
 )
-from zendsp.diagnosis.measure.evidence import compare
+from zendsp.diagnosis.measure.evidence import Evidence, compare
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
 from zendsp.diagnosis.measure.structure import STRUCTURED, structure
 from zendsp.diagnosis.search.hypothesis import JointSearch
@@ -77,12 +79,10 @@ def weight_of_payload(given: Model, final: Model, term: Term) -> bool:
     )
 
 
-def _without(given: Model, final: Scored, joint: int, terms: Sequence[Term], jobs: int) -> Scored:
-    """The model without some terms, with those of the given model that they had replaced, fitted
-    again.
-    """
+def taken_away(given: Model, final: Model, joint: int, terms: Sequence[Term]) -> Model:
+    """The final model without some terms, with those of the given model that they had replaced."""
     gone = {id(t) for t in terms}
-    kept = tuple(t for t in final.model.terms if id(t) not in gone)
+    kept = tuple(t for t in final.terms if id(t) not in gone)
     wanted = {m for t in terms for m in kind_of(mechanism_of(t.effect))}
     have = [t.effect for t in kept if t.joint == joint]
     back = []
@@ -91,7 +91,26 @@ def _without(given: Model, final: Scored, joint: int, terms: Sequence[Term], job
             have.remove(term.effect)
         elif mechanism_of(term.effect) in wanted:
             back.append(term)
-    model = final.model.with_terms((*kept, *back))
+    return final.with_terms((*kept, *back))
+
+
+def beside_unknown(
+    given: Model, improved: Model, joint: int, mechanism: str, named: Collection[str]
+) -> Model:
+    """The improved model without what it has of a mechanism that has no law: what refines it there;
+    what is ``named`` stays. What it lacks is that mechanism's torque, free of the others'.
+    """
+    nameless = [
+        t
+        for t in new_terms(given, improved, joint)
+        if mechanism_of(t.effect) in kind_of(mechanism) and t.effect not in named
+    ]
+    return taken_away(given, improved, joint, nameless)
+
+
+def _without(given: Model, final: Scored, joint: int, terms: Sequence[Term], jobs: int) -> Scored:
+    """The same, fitted again."""
+    model = taken_away(given, final.model, joint, terms)
     return fit_scored(
         final.data, model, joint_handles(final.data, model, joint), (joint,), jobs=jobs, rounds=3
     )
@@ -138,9 +157,20 @@ def piece_of(
     without = min(without, base, key=lambda scored: scored.deviance)
     held = compare(without, final, test, joint)
     size = difference(test, without.model, final.model, joint)
-    return Piece(
-        mechanism, terms, without, size, held, 0.5 * held.gain / dependence(without, test, joint)
-    )
+    log_e = log_e_value(held, without, final, test, joint)
+    return Piece(mechanism, terms, without, size, held, log_e)
+
+
+def log_e_value(
+    held: Evidence, without: Scored, final: Scored, test: Data, joint: int
+) -> float:
+    """Logarithm of the e-value of a gain: half of it, divided by how many samples make one.
+
+    The noise repeats itself no more than the innovations of either model do: those of a wrong one
+    are alike because of what it lacks, and that is what is asked.
+    """
+    alike = min(dependence(s, test, joint) for s in (without, final))
+    return 0.5 * held.gain / alike
 
 
 def dependence(scored: Scored, test: Data, joint: int) -> float:
@@ -195,10 +225,22 @@ def held_apart(
 
 def sure(test: Data, piece: Piece) -> bool:
     """Whether untouched recordings are surely less likely without a mechanism, by chance among all
-    of them at all joints.
+    of them at all joints, and its torque lacks there: what is likelier and no torque that lacked is
+    another colour of the sensor's noise.
     """
     needed = math.log(test.joints * len(LAWS_OF) / FALSE_DISCOVERIES)
-    return piece.log_e > needed and piece.evidence.z > CLAIMED
+    even = piece.evidence.z > CLAIMED or _often(piece.evidence.blocks) > SURE
+    if piece.log_e <= needed or not even:
+        return False
+    lacks = discrepancy(test, piece.without.model, piece.terms[0].joint)
+    return lacks.high > LACKED * piece.size
+
+
+def _often(gains: Array) -> float:
+    """By how many standard deviations more blocks gain than by chance: an effect that acts most in
+    a few of them gains everywhere, a few that were lucky do not.
+    """
+    return float(np.sum(np.sign(gains)) / math.sqrt(len(gains)))
 
 
 def finest(effect: str) -> float:
@@ -213,7 +255,7 @@ def _rubbing(parts: Parts, search: JointSearch, final: Scored, piece: Piece) -> 
     """
     joint = search.joint
     dry = [t for t in final.model.at(joint) if mechanism_of(t.effect) == DRY]
-    if not dry or at_reversals(parts.test, piece.without.model, final.model, joint) < MOST:
+    if not dry or at_reversals(parts.test, piece.without.model, final.model, joint) < PREDICTED:
         return []
     laws = [search.base.deviance - r.value for r in search.tried if mechanism_of(r.effect) == DRY]
     if laws and max(laws) < EXPLAINS * (piece.without.deviance - final.deviance):
@@ -234,11 +276,13 @@ def kept_laws(given: Model, final: Model, joint: int, mechanism: str) -> list[Te
 
 
 def torque_of(test: Data, terms: Sequence[Term], model: Model, joint: int) -> float:
-    """RMS torque of some terms of a model along recordings, as a part of the RMS torque."""
+    """RMS torque of some terms of a model along recordings, as a part of the RMS torque; 1 where
+    the model does not follow them without.
+    """
     if not terms:
         return 0.0
     apart = model.with_terms(tuple(t for t in model.terms if t not in terms))
-    return difference(test, apart, model, joint)
+    return min(1.0, difference(test, apart, model, joint))
 
 
 def dry_torque(data: Data, model: Model, joint: int) -> float:

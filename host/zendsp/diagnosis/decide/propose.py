@@ -150,18 +150,20 @@ def _without_rival(
 ) -> Next | None:
     again = [d.joint for d in decisions if d.kind == "unexplained"]
     unseen = dark((d.joint, (d.after.low, d.after.high)) for d in decisions if d.kind == "complete")
-    joint = next(iter((*again, *unseen)), 0)
-    if joint and not findings:
+    lawless = [f.joint for f in findings if f.effect == "unknown"]
+    joint = next(iter(lawless if findings else (*again, *unseen)), 0)
+    if joint:
         record = searches[joint - 1].final.data.records[0][joint - 1]
         motion = motions(record, _limits(given), np.random.default_rng(seed))[OTHER]
         why = (
             f"again through the same states in another order and at other speeds, as {OTHER} does"
             " ({}): what repeats with the state is physics."
-            if again
+            if lawless or again
             else f"for longer, there and back, as {OTHER} does ({{}}): all of its torque could be"
             " unexplained, and these recordings would not show it."
         )
-        return _played(signals, given, joint, motion, f"Record joint {joint} {why}")
+        what = "Of the torque without a law, record" if lawless else "Record"
+        return _played(signals, given, joint, motion, f"{what} joint {joint} {why}")
     weak = [
         f for f in findings if f.confidence < WEAK and f.effect not in ("disturbance", "unknown")
     ]

@@ -7,14 +7,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from zendsp.diagnosis.decide.claims import Decision
-from zendsp.diagnosis.decide.fast_ripple import fixed
+from zendsp.diagnosis.decide.result import Finding
 from zendsp.diagnosis.decide.rivals import replaced
 from zendsp.physics.model import Discrepancy, Model, Term
 
 
-def remembered(model: Model, given: Model, decisions: Sequence[Decision]) -> Model:
+def remembered(
+    model: Model, given: Model, decisions: Sequence[Decision], findings: Sequence[Finding]
+) -> Model:
     """The improved model as the next diagnosis should get it: with the torque that stayed
-    unexplained at each joint, and the numbers of what only refined the fit held.
+    unexplained at each joint, the uncertainties that the findings state, and the numbers of what
+    only refined the fit held.
 
     A refinement is no physics that is claimed: free, it would be bent to what the next recording
     lacks.
@@ -36,7 +39,7 @@ def remembered(model: Model, given: Model, decisions: Sequence[Decision]) -> Mod
             if id(c.term) in numbers and not replaced(given, final, c.term)
         }
     terms = (
-        fixed(term) if number in hold else term
+        term.held() if number in hold else _stated(term, findings)
         for term, number in zip(model.terms, _numbered(model.terms), strict=True)
     )
     left = Discrepancy(
@@ -44,6 +47,23 @@ def remembered(model: Model, given: Model, decisions: Sequence[Decision]) -> Mod
         tuple(d.state.size * d.scale for d in decisions),
     )
     return replace(model, terms=tuple(terms), discrepancy=left)
+
+
+def _stated(term: Term, findings: Sequence[Finding]) -> Term:
+    """A term with the standard deviations of the finding that states its values."""
+    stds = {
+        (name, e.value): e.std
+        for f in findings
+        if (f.effect, f.joint) == (term.effect, term.joint)
+        for name, e in f.parameters.items()
+    }
+    return replace(
+        term,
+        parameters={
+            name: replace(q, std=stds.get((name, q.value), q.std))
+            for name, q in term.parameters.items()
+        },
+    )
 
 
 def _numbered(terms: Sequence[Term]) -> list[tuple[str, int, int]]:

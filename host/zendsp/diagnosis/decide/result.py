@@ -45,7 +45,8 @@ def number(estimate: Estimate) -> str:
     unit = "" if estimate.unit == "1" else f" {estimate.unit}"
     if not std > 0 or not math.isfinite(std):
         return f"{value:.4g}{unit}"
-    digits = max(0, min(9, 1 - math.floor(math.log10(std)))) if std < 1e6 else 0
+    place = 1 - math.floor(math.log10(std))
+    value, std, digits = round(value, place), round(std, place), max(0, min(9, place))
     if abs(value) < 1e-4 or digits > 6:
         return f"{value:.3g} ± {std:.2g}{unit}"
     return f"{value:.{digits}f} ± {std:.{digits}f}{unit}"

@@ -14,7 +14,13 @@ from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import LAWS_OF, Claim, Piece
 from zendsp.diagnosis.decide.findings import new_terms
 from zendsp.diagnosis.decide.pieces import kind_of
-from zendsp.diagnosis.decide.thresholds import DRAWS, EXPLAINS, STATED_LAW, TIED
+from zendsp.diagnosis.decide.thresholds import (
+    BOOTSTRAP_DRAWS,
+    EXPLAINS,
+    INSEPARABLE,
+    STATED_LAW,
+    TIED,
+)
 from zendsp.diagnosis.measure.discrepancy import difference, discrepancy
 from zendsp.diagnosis.measure.evidence import block_scores, settling
 from zendsp.diagnosis.measure.likelihood import Scored, informative
@@ -68,7 +74,7 @@ def law_of(
     for rival, weight, score in zip(rivals, weights[1:], scores[1:], strict=True):
         behind = float(score.sum() - scores[0].sum())
         near = (
-            behind < 0.5 * first.evidence.gain
+            behind < INSEPARABLE * first.evidence.gain
             and difference(parts.choose, rival.scored.model, final.model, joint) < after
         )
         if weight > TIED or near or rival.effect in get_effect(term.effect).aliases:
@@ -160,7 +166,7 @@ def _weights(scores: Array) -> Array:
     bootstrap (pseudo-BMA+, Yao et al. 2018).
     """
     n = scores.shape[1]
-    draws = np.random.default_rng(0).dirichlet(np.ones(n), DRAWS) * n
+    draws = np.random.default_rng(0).dirichlet(np.ones(n), BOOTSTRAP_DRAWS) * n
     totals = -0.5 * draws @ scores.T
     totals -= totals.max(axis=1, keepdims=True)
     weight = np.exp(totals)

@@ -28,7 +28,7 @@ from zendsp.diagnosis.decide.absorbed import moved
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.result import Diagnosis, FitTable, Rejected, SimulatorErrors
 from zendsp.diagnosis.external.hunt import (
-    ROUNDS,
+    SHORT_WAYS,
     Hunt,
     findings_of,
     indistinct,
@@ -58,7 +58,7 @@ Progress = Callable[[str], None]
 # row
 WINDOW = 0.25
 # rounds, each of one effect a joint; a joint may have to wait until its neighbours' are in
-MOST = 6
+EFFECT_ROUNDS = 6
 LAST = 3  # simulated steps of the last fit, from where guessed slopes end
 OVER_NOISE = 3  # times the sensor's noise: what is left below is no mismatch
 RESTARTS = 0.02  # of the span, and START_NOISE times the noise: so near a simulation must begin
@@ -231,7 +231,7 @@ def _hunted(
     which nothing is then left; each step with its rivals and what stood before it.
     """
     current, steps = base, []
-    for _ in range(MOST):
+    for _ in range(EFFECT_ROUNDS):
         fitted, taken = hunt.step(current)
         if not taken:
             break
@@ -239,7 +239,7 @@ def _hunted(
         current = fitted
     while steps:
         hunt.tell("fitting all together")
-        current = settled(train, current, ROUNDS, base.error)
+        current = settled(train, current, SHORT_WAYS, base.error)
         # slopes that are simulated, for the uncertainties
         current = fit_output(train, current.model, current.fit.handles, current.error, LAST)
         gone = [t for claim, _, _ in steps for t in indistinct(current, claim.term)]

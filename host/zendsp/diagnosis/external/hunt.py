@@ -36,13 +36,14 @@ Progress = Callable[[str], None]
 # of log-likelihood ratio with the effective number of samples, beyond the price of the parameters
 MIN_GAIN = 20.0
 MIN_Z = 2.5
-SUFFICIENT = 0.85  # share of the best gain with which a special case goes first
-SHORTLIST = 5  # of a joint: fitted to first order
+SPECIAL_ENOUGH = 0.85  # share of the best gain with which a special case goes first
+SHORTLISTED = 5  # of a joint: fitted to first order
 SIMULATED = 3  # of these
-ROUNDS = 4  # short ways of a joint's best, where its guess does not hold
+SHORT_WAYS = 4  # short ways of a joint's best, where its guess does not hold
 NEARLY = 0.5  # of the gain that is asked for: what is below to first order is not simulated
-BESIDE = 0.25  # times what stays unexplained on its joint: an effect that explains less has no name
-PROMISING = 0.01  # share of the cost that a screen must promise
+# times what stays unexplained on its joint: an effect that explains less has no name
+EXPLAINS_OF_LEFT = 0.25
+LEAST_PROMISE = 0.01  # share of the cost that a screen must promise
 SAME, SAME_SHARE = 5.0, 0.1  # cost, and of the gain: rivals nearer cannot be told apart
 
 
@@ -98,10 +99,10 @@ def _with_terms(model: Model, terms: Sequence[Term]) -> Model:
 
 def _shortlist(options: Sequence[tuple[float, Term]]) -> list[Term]:
     """The best of the options of a joint, and the special cases of these."""
-    best = [term for _, term in options[:SHORTLIST]]
+    best = [term for _, term in options[:SHORTLISTED]]
     return best + [
         term
-        for _, term in options[SHORTLIST:]
+        for _, term in options[SHORTLISTED:]
         if any(term.effect in get_effect(b.effect).replaces for b in best)
     ]
 
@@ -130,7 +131,7 @@ class Hunt:
                 taken.append((best, claims))
         whole, taken = self._together(near, sorted(taken, key=lambda item: -item[0].gain))
         if taken:
-            whole = settled(self.train, whole, ROUNDS, current.error)
+            whole = settled(self.train, whole, SHORT_WAYS, current.error)
         return whole, taken
 
     def _fitted(self, near: Near, joint: int) -> list[Output]:
@@ -149,7 +150,7 @@ class Hunt:
                 (0.0, 0.0, f"promises only {100 * promise:.1f} % of the error"),
             )
         begun = []
-        for term in _shortlist([item for item in options if item[0] > PROMISING]):
+        for term in _shortlist([item for item in options if item[0] > LEAST_PROMISE]):
             model = with_term(current.model, term)
             begin = near.begin(model)
             reach = gain(self.train, current.error, begin[1], _price(term), begin[1])
@@ -159,7 +160,7 @@ class Hunt:
         out = []
         for rank, (_, effect, model, begin) in enumerate(begun[:SIMULATED]):
             self.tell(f"joint {joint}: fitting {effect}")
-            out.append(near.fit(model, begin, 0 if rank else ROUNDS))
+            out.append(near.fit(model, begin, 0 if rank else SHORT_WAYS))
         return out
 
     def _best(self, claims: Sequence[Claim], current: Output) -> Claim | None:
@@ -174,7 +175,7 @@ class Hunt:
             c
             for c in passed
             if c.term.effect in get_effect(best.term.effect).replaces
-            and c.gain > SUFFICIENT * best.gain
+            and c.gain > SPECIAL_ENOUGH * best.gain
         ]
         return special[0] if special else best
 
@@ -190,7 +191,7 @@ class Hunt:
             terms = [claim.term for claim, _ in taken]
             model = _with_terms(current.model, terms)
             begin = near.begin(model)
-            whole, error = near.fit(model, begin, ROUNDS), begin[1]
+            whole, error = near.fit(model, begin, SHORT_WAYS), begin[1]
             left = [t for t in taken if indistinct(whole, t[0].term)]
             for item in taken:
                 others = [t for t in terms if t is not item[0].term]
@@ -240,7 +241,7 @@ class Hunt:
         if c.z <= MIN_Z:
             return f"does not hold on the held-out recording (z = {c.z:.1f})"
         explained, left, found = self._parts(c, current)
-        if explained < BESIDE * left:
+        if explained < EXPLAINS_OF_LEFT * left:
             return "too small beside what stays unexplained"
         if explained < LAW_ERROR**2 * found:
             return "no larger than what the laws of the others may be wrong by"

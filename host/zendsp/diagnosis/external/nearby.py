@@ -33,12 +33,12 @@ from zendsp.physics.model import Model, per_joint
 Array = npt.NDArray[np.float64]
 
 PUSH = 0.01  # of the RMS torque
-STEP = 1e-4  # of a parameter of the simulator
+PARAMETER_STEP = 1e-4  # of a parameter of the simulator
 KEPT = 0.5  # of what a guess promises: what a fit comes to at least, if the guess holds
 SMALL = 0.02  # of an effect: where a fit begins that goes a short way at a time
 # of the cost: what such a way gains at least. A fit that ends earlier leaves an evidence of some
 # tens to whatever comes next, if it only takes the fit further
-WORTH = 1e-3
+SHORT_WAY_GAIN = 1e-3
 FEW, MANY = 5, 12  # simulations of a fit that begins where a guess ends, and of another
 
 
@@ -99,7 +99,7 @@ def spread_over(final: Output, others: Sequence[Bench]) -> Output:
         return final
     near = Near(others, fit_output(others, fit.model, (), errors(others, fit.model), 1))
     at, weight = near.current.error, weights(others, near.current.error)
-    steps = STEP * np.maximum(np.abs(fit.x), fit.std)
+    steps = PARAMETER_STEP * np.maximum(np.abs(fit.x), fit.std)
     moved = (set_values(fit.model, fit.handles, fit.x + row) for row in np.diag(steps))
     slopes = weight[:, None] * np.stack([near.errors(m) - at for m in moved], axis=1) / steps
     off = np.linalg.lstsq(slopes * steps, weight * at, rcond=1e-9)[0] * steps
@@ -132,7 +132,7 @@ class Near:
         """What a free number does: one of the simulator's own is simulated."""
         model = self.current.model
         value = float(get_values(model, [handle])[0])
-        step = STEP * (abs(value) or 1.0)
+        step = PARAMETER_STEP * (abs(value) or 1.0)
         moved = set_values(model, [handle], np.array([value + step]))
         if handle.place == "mechanism":
             return (errors(self.true, moved) - self.current.error) / step
@@ -237,6 +237,6 @@ def settled(benches: Sequence[Bench], output: Output, rounds: int, before: Array
         gained = cost - further.fit.cost
         if gained > 0:
             output, cost = further, further.fit.cost
-        if gained < WORTH * cost:
+        if gained < SHORT_WAY_GAIN * cost:
             break
     return output

@@ -32,7 +32,7 @@ LONGEST = 10  # times two samples: as late as a screen begins a delay
 # gravity and friction of a simulated pendulum came out up to 0.5 % off, whatever the noise
 BEGINS = 0.005
 BLURRED = 2.0  # times the speed below which the direction is not known: another guess of it
-FIRST = 25  # guesses before the first simulation of a fit
+GUESSED_FIRST = 25  # guesses before the first simulation of a fit
 FEWEST = 4  # blocks: of fewer no scatter is known
 SCREENED = 400  # trials that one screen may take
 
@@ -165,7 +165,7 @@ def guess_output(
     if not handles:
         return model, line.errors(model)
     problem = _Problem(benches, model, handles, before)
-    done = problem.solve(line.errors, FIRST, line)
+    done = problem.solve(line.errors, GUESSED_FIRST, line)
     return problem.at(done.x), np.asarray(done.fun / problem.weight, dtype=np.float64)
 
 

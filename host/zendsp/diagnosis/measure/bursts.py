@@ -22,15 +22,15 @@ from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
 
-BAND = 32.0  # rad/s, of the observer that says what is lacking
+LACKING_BAND = 32.0  # rad/s, of the observer that says what is lacking
 BRIEF = 0.4  # of the time at most: what acts for longer is no disturbance that comes and goes
 # of the energy outside of that time, against what a random torque that is normally distributed has
 # there
-CONCENTRATED = 0.4
+BURST_SHARE = 0.4
 BURST, OF_PEAK = 10.0, 0.05  # times the median of the energy, and of its largest: a burst
 REVISITED = 0.3  # of that time, in states that the joint is in at other times too, without it
 CHANCE = 1e-3  # that the largest of a noise's spectral lines stands out so far
-AROUND = 20  # neighbours on either side, whose median says how large noise is there
+NEIGHBOUR_LINES = 20  # neighbours on either side, whose median says how large noise is there
 # Of the energy at reversals, and of the reversals: above both it is how the joint's friction turns
 # round. Soft friction came at 11 of 16 reversals and more, two pushes at 1 of 16 and 5 of 32.
 MOSTLY, OFTEN = 0.5, 0.3
@@ -174,7 +174,7 @@ def _scattered(share: float, part: float) -> bool:
     z = -normal.inv_cdf(0.5 * part)
     # of a random torque's energy, in its largest values for so long
     by_chance = 2.0 * (z * normal.pdf(z) + normal.cdf(-z))
-    return 1.0 - share > CONCENTRATED * (1.0 - by_chance)
+    return 1.0 - share > BURST_SHARE * (1.0 - by_chance)
 
 
 def _turns(acting: _Acting, joint: int, often: float) -> bool:
@@ -187,7 +187,7 @@ def _turns(acting: _Acting, joint: int, often: float) -> bool:
         acting.masks, acting.of.lacks, acting.of.used, acting.of.data.records, strict=True
     ):
         record = rec[joint - 1]
-        turns = reversals(record, band_of(record, BAND))[use]
+        turns = reversals(record, band_of(record, LACKING_BAND))[use]
         energy = lack**2 * high
         there += float(energy[turns].sum())
         total += float(energy.sum())
@@ -216,10 +216,10 @@ def _lacking(data: Data, model: Model, joint: int) -> _Lacking:
     lacks: list[Array] = []
     smooth: list[Array] = []
     used = []
-    for lack, rec in zip(lacking(data, model, joint, BAND), data.records, strict=True):
+    for lack, rec in zip(lacking(data, model, joint, LACKING_BAND), data.records, strict=True):
         record = rec[joint - 1]
-        use = kept(record, BAND)
-        width = max(3, round(3.0 / BAND / record.sample_time))
+        use = kept(record, LACKING_BAND)
+        width = max(3, round(3.0 / LACKING_BAND / record.sample_time))
         window = np.ones(width) / width
         levels.append(np.asarray(np.convolve(lack**2, window, mode="same")[use], float))
         lacks.append(lack[use])
@@ -316,7 +316,7 @@ def periodic(data: Data, model: Model, joint: int, band: float = 64.0) -> float:
         here = lack[kept(record, band)]
         window, seconds = np.hanning(len(here)), len(here) * record.sample_time
         power = np.abs(np.fft.rfft((here - here.mean()) * window)) ** 2
-        level = median_filter(power, 2 * AROUND + 1, mode="nearest") / np.log(2)
+        level = median_filter(power, 2 * NEIGHBOUR_LINES + 1, mode="nearest") / np.log(2)
         out = power[2:] / np.maximum(level[2:], 1e-300)
         peak = int(np.argmax(out))
         if len(out) * np.exp(-float(out[peak])) > CHANCE:

@@ -1,5 +1,8 @@
 """The curve of a torque over a variable: means over its range, of both directions of travel where
 friction would hide itself.
+
+Each sample counts by its inverse variance. The samples of a pass resemble each other, so that a
+mean's standard error is taken from passes: blocks of time, of which a bin holds a few samples each.
 """
 
 from __future__ import annotations
@@ -10,12 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from zendsp.diagnosis.measure.discrepancy import ENERGY_BLOCK
 from zendsp.diagnosis.measure.where import Missing
 
 Array = npt.NDArray[np.float64]
 SLOW = 0.02  # of a joint's speed: below, it has no direction
 IN_A_BIN = 5  # samples: a mean of fewer is not drawn
 BINS = 40
+COMMON = 4.0  # passes: so much counts what all bins say of how far passes are apart
 # of these a mechanism's torque is a function
 OVER = {
     "position_torque": ("position",),
@@ -26,14 +31,39 @@ OVER = {
 
 
 @dataclass(frozen=True)
-class Curve:
-    """Samples of a torque over a variable, (n,), and the means in bins of it, (m,) each, with their
-    standard deviations. ``against``: the torque is that against the motion.
+class Axis:
+    """What a torque is drawn over: position, velocity, acceleration, command or time of its joint,
+    or a motion of the joints that are named (1-based; of several their sum).
     """
 
     variable: str
+    joints: tuple[int, ...] = ()
+
+    def __str__(self) -> str:
+        if not self.joints:
+            return self.variable
+        which = " + ".join(map(str, self.joints))
+        return f"{self.variable} of joint{'s' if len(self.joints) > 1 else ''} {which}"
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Torque over a variable, (n,) each: inverse variances, and the block of time of each."""
+
     x: Array
     torque: Array
+    weight: Array
+    block: npt.NDArray[np.int_]
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Samples of a torque over a variable, and the means in bins of it, (m,) each, with their
+    standard errors. ``against``: the torque is that against the motion.
+    """
+
+    axis: Axis
+    samples: Samples
     at: Array
     mean: Array
     spread: Array
@@ -42,58 +72,81 @@ class Curve:
     @property
     def explained(self) -> float:
         """Part of the energy of the samples that the curve explains."""
-        level = np.interp(self.x, self.at, self.mean) if len(self.at) else np.zeros(len(self.x))
-        return 1.0 - float(np.sum((self.torque - level) ** 2) / max(np.sum(self.torque**2), 1e-300))
+        s = self.samples
+        level = np.interp(s.x, self.at, self.mean) if len(self.at) else np.zeros(len(s.x))
+        total = float(np.sum(s.weight * s.torque**2))
+        return 1.0 - float(np.sum(s.weight * (s.torque - level) ** 2)) / max(total, 1e-300)
 
 
-def samples_of(missing: Missing, variable: str) -> Array:
-    """Samples of a variable along a recording, (n,); ``variable`` may be ``"time"``, and
-    ``"velocity of joint 2"`` or ``"velocity of joints 1 + 2"`` (their sum), as of other joints.
-    """
-    kind, _, joints = variable.partition(" of ")
-    if not joints or missing.others is None:
-        return missing.time if kind == "time" else missing.variables[kind]
-    numbers = [int(word) for word in joints.split() if word.isdigit()]
-    row = ("position", "velocity", "acceleration").index(kind)
-    total: Array = missing.others[[j - 1 for j in numbers], row].sum(axis=0)
+def samples_of(missing: Missing, axis: Axis) -> Array:
+    """Samples along a recording of what a torque is drawn over, (n,)."""
+    if not axis.joints or missing.others is None:
+        return missing.time if axis.variable == "time" else missing.variables[axis.variable]
+    row = ("position", "velocity", "acceleration").index(axis.variable)
+    total: Array = missing.others[[j - 1 for j in axis.joints], row].sum(axis=0)
     return total
 
 
-def curve_over(lacks: Sequence[Missing], variable: str, mechanism: str) -> Curve:
-    """What is lacking over one variable of ``samples_of``.
+def curve_over(lacks: Sequence[Missing], axis: Axis, mechanism: str) -> Curve:
+    """What is lacking over an axis.
 
     Dry friction over anything but velocity is turned over where the joint moves backwards: the mean
     of both directions would hide it.
     """
-    x = np.concatenate([samples_of(m, variable) for m in lacks])
-    torque = np.concatenate([m.torque for m in lacks])
-    against = mechanism == "dry_friction" and variable != "velocity"
+    samples = samples_over(lacks, axis)
+    against = mechanism == "dry_friction" and axis.variable != "velocity"
     if against:
         v = np.concatenate([m.variables["velocity"] for m in lacks])
         moves = np.abs(v) > SLOW * np.quantile(np.abs(v), 0.98)
-        x, torque = x[moves], np.sign(v[moves]) * torque[moves]
-    return Curve(variable, x, torque, *binned(x, torque), against)
+        s = samples
+        samples = Samples(s.x, np.sign(v) * s.torque, moves * s.weight, s.block)
+    return Curve(axis, samples, *binned(samples), against)
+
+
+def samples_over(lacks: Sequence[Missing], axis: Axis) -> Samples:
+    """What is lacking over an axis, all recordings one after the other."""
+    blocks, first = [], 0
+    for m in lacks:
+        blocks.append(first + ((m.time - m.time[0]) / ENERGY_BLOCK).astype(int))
+        first = int(blocks[-1][-1]) + 1
+    return Samples(
+        np.concatenate([samples_of(m, axis) for m in lacks]),
+        np.concatenate([m.torque for m in lacks]),
+        np.concatenate([m.weight for m in lacks]),
+        np.concatenate(blocks),
+    )
 
 
 def curve_of(lacks: Sequence[Missing], mechanism: str) -> Curve | None:
     """What is lacking over the variable on which it depends, of those that are a mechanism's own;
     None where it has none.
     """
-    found = [curve_over(lacks, variable, mechanism) for variable in OVER.get(mechanism, ())]
+    found = [curve_over(lacks, Axis(variable), mechanism) for variable in OVER.get(mechanism, ())]
     return max(found, key=lambda curve: curve.explained, default=None)
 
 
-def binned(x: Array, y: Array, count: int = BINS) -> tuple[Array, Array, Array]:
-    """Centres of bins of ``x`` that hold enough samples, means of ``y`` there, and their standard
-    deviations.
+def binned(samples: Samples, count: int = BINS) -> tuple[Array, Array, Array]:
+    """Centres of bins of the variable in which enough is seen, means of the torque there, and their
+    standard errors.
     """
+    x, weight = samples.x, samples.weight
     edges = np.linspace(float(np.quantile(x, 0.001)), float(np.quantile(x, 0.999)), count + 1)
     bins = np.searchsorted(edges, x, side="right") - 1
-    good = (bins >= 0) & (bins < count)
-    bins, y = bins[good], y[good]
-    n = np.bincount(bins, minlength=count)
-    use = n >= IN_A_BIN
-    mean = np.bincount(bins, y, count)[use] / n[use]
-    square = np.bincount(bins, y**2, count)[use] / n[use]
-    spread = np.sqrt(np.maximum(square - mean**2, 0) / n[use])
-    return (0.5 * (edges[1:] + edges[:-1]))[use], mean, spread
+    good = (bins >= 0) & (bins < count) & (weight > 0)
+    bins, weight, y, block = bins[good], weight[good], samples.torque[good], samples.block[good]
+    total = np.bincount(bins, weight, count)
+    per = 1.0 / np.where(total > 0, total, np.inf)
+    mean = np.bincount(bins, weight * y, count) * per
+    # by how much passes part from the mean, in each bin and, as a multiple of what the weights
+    # say, in all of them: two passes may agree by chance
+    blocks = int(block.max(initial=0)) + 1
+    apart = np.bincount(bins * blocks + block, weight * (y - mean[bins]), count * blocks)
+    passes = np.bincount(np.unique(bins * blocks + block) // blocks, minlength=count)
+    free = np.maximum(passes - 1, 0)
+    own = np.sum(apart.reshape(count, blocks) ** 2, axis=1) * per**2
+    own *= passes / np.maximum(free, 1)
+    several = free > 0
+    common = float(np.mean((own * total)[several])) if several.any() else 1.0
+    variance = (free * own + COMMON * common * per) / (free + COMMON)
+    use = np.bincount(bins, minlength=count) >= IN_A_BIN
+    return (0.5 * (edges[1:] + edges[:-1]))[use], mean[use], np.sqrt(variance[use])

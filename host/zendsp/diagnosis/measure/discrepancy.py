@@ -8,6 +8,7 @@ that variance the same way. What is larger is the discrepancy (Kennedy and O'Hag
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -16,7 +17,7 @@ import numpy.typing as npt
 
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.calibration.joint import JointRecord, effective_inertia
-from zendsp.physics.calibration.predict import response, run
+from zendsp.physics.calibration.predict import damping_along, response, run
 from zendsp.physics.kernel.smooth import widened
 from zendsp.physics.model import Model
 
@@ -25,10 +26,10 @@ Array = npt.NDArray[np.float64]
 # rad/s of the observers; slower ones see less of a torque, and far less noise
 BANDS = (64.0, 32.0, 16.0, 8.0)
 # s, over which energies are summed before their variance is taken; less where there would be
-BLOCK = 0.5
+ENERGY_BLOCK = 0.5
 BLOCKS = 12  # fewer, but never less than an observer remembers
 SETTLE = 0.4  # s, of the observers, at most a tenth of a recording
-DRAWS = 4  # of sensor noise
+NOISE_DRAWS = 4  # of sensor noise
 TURNING = 0.1  # of a joint's speed: below, it turns round
 FASTEST = 0.98  # quantile that stands for a joint's speed: a few samples may be spikes
 
@@ -53,7 +54,7 @@ def as_torque(record: JointRecord, model: Model, innovations: Array, band: float
     """Torque by which an observer with such weighted innovations corrects a model, (..., n), N m or
     N; its own delay taken out.
     """
-    factor, lag = correction(record, effective_inertia(record, model), band)
+    factor, lag = correction(record, model, band)
     n = innovations.shape[-1]
     moved = np.empty_like(innovations)
     np.multiply(innovations[..., lag:], factor[lag:], out=moved[..., : n - lag])
@@ -61,13 +62,21 @@ def as_torque(record: JointRecord, model: Model, innovations: Array, band: float
     return moved
 
 
-def correction(record: JointRecord, inertia: Array, band: float) -> tuple[Array, int]:
+def correction(record: JointRecord, model: Model, band: float) -> tuple[Array, int]:
     """Torque by which an observer corrects a model for a unit of weighted innovation, (n,), and
     the samples by which it is late.
+
+    An error of speed that lasts is corrected in the position too: the model's damping resists it.
     """
     _, k2, w = record.gains(band)
-    factor = np.where(w > 0, k2 / np.maximum(w, 1e-300), 0.0) * inertia / record.sample_time
-    return -factor, min(record.n, round(np.sqrt(2) / band / record.sample_time))
+    resists = effective_inertia(record, model) + np.sqrt(2.0) * damping_along(record, model) / band
+    factor = np.where(w > 0, k2 / np.maximum(w, 1e-300), 0.0) * resists / record.sample_time
+    return -factor, correction_lag(record, band)
+
+
+def correction_lag(record: JointRecord, band: float) -> int:
+    """Samples by which an observer's correction is late."""
+    return min(record.n, round(math.sqrt(2.0) / band / record.sample_time))
 
 
 def as_seen(
@@ -77,8 +86,8 @@ def as_seen(
     for torques of what the sensor adds to the position.
     """
     here, inertia = band_of(record, band), effective_inertia(record, model)
-    then, still = correction(record, inertia, here), np.zeros(record.n)
-    return response(record, here, inertia, still, raw, on_sensor=on_sensor, then=then)
+    then, damping = correction(record, model, here), damping_along(record, model)
+    return response(record, here, inertia, damping, raw, on_sensor=on_sensor, then=then)
 
 
 def lacking(data: Data, model: Model, joint: int, band: float) -> list[Array]:
@@ -92,6 +101,23 @@ def lacking(data: Data, model: Model, joint: int, band: float) -> list[Array]:
     return out
 
 
+def lasting(record: JointRecord, torque: Array, band: float) -> Array:
+    """What an observer takes for torques, (..., n), each correction as the torque that lasted since
+    the one before. On a plateau of the encoder there is none, and the change of the code makes up
+    for all of it at once: its square says nothing of the torque.
+    """
+    said = record.counted
+    if bool(said.all()):
+        return torque
+    lag = correction_lag(record, band)
+    since = np.r_[0, np.cumsum(said)[:-1]]  # samples up to a correction, and it, are of one kind
+    since = np.r_[since[lag:], np.arange(lag) + since[-1] + 1]
+    length = np.bincount(since)[since]
+    rows = torque.reshape(-1, record.n)
+    even = [np.bincount(since, row)[since] / length for row in rows]
+    return np.asarray(even).reshape(torque.shape)
+
+
 def kept(record: JointRecord, band: float) -> slice:
     """Samples of a recording after its observer has settled."""
     lag = round(np.sqrt(2) / band_of(record, band) / record.sample_time)
@@ -99,18 +125,18 @@ def kept(record: JointRecord, band: float) -> slice:
     return slice(skip, max(skip + 1, record.n - lag))
 
 
-def noise(record: JointRecord, model: Model, band: float) -> float:
+def noise(record: JointRecord, model: Model, band: float, *, even: bool = False) -> float:
     """Mean square of the torque that the sensor's noise alone makes, (N m)² or N²; and what the
-    command does between rows.
+    command does between rows. ``even``: as ``lasting`` sees it.
     """
-    draws = np.random.default_rng(0).standard_normal((2, DRAWS, record.n))
+    draws = np.random.default_rng(0).standard_normal((2, NOISE_DRAWS, record.n))
     draws[0] *= np.sqrt(np.maximum(record.measurement.variance, 0.0))
     seen = as_seen(record, model, band, draws[0], on_sensor=True)
-    total = float(np.mean(seen[:, kept(record, band)] ** 2))
     if record.between > 0.0:
-        seen = as_seen(record, model, band, record.between * draws[1])
-        total += float(np.mean(seen[:, kept(record, band)] ** 2))
-    return total
+        seen = np.stack([seen, as_seen(record, model, band, record.between * draws[1])])
+    seen = lasting(record, seen, band_of(record, band)) if even else seen
+    squares = np.asarray(seen[..., kept(record, band)] ** 2)
+    return float(np.mean(squares)) * (2.0 if record.between > 0.0 else 1.0)
 
 
 def energy_blocks(
@@ -121,7 +147,7 @@ def energy_blocks(
     """
     sums, counts = [], []
     seconds = sum(rec[joint - 1].n * rec[joint - 1].sample_time for rec in data.records)
-    block = max(min(BLOCK, seconds / BLOCKS), 8.0 / band)
+    block = max(min(ENERGY_BLOCK, seconds / BLOCKS), 8.0 / band)
     for series, rec in zip(squares, data.records, strict=True):
         record = rec[joint - 1]
         use = series[kept(record, band)]
@@ -167,8 +193,8 @@ def discrepancy(data: Data, model: Model, joint: int) -> Size:
     scale = mean_square(data, joint)
     best = Size(0.0, 0.0, 0.0)
     for band in BANDS:
-        found = lacking(data, model, joint, band)
-        of_sensor = [noise(rec[joint - 1], model, band) for rec in data.records]
+        found = _lasting(data, model, joint, band)
+        of_sensor = [noise(rec[joint - 1], model, band, even=True) for rec in data.records]
         excess = [d**2 - v for d, v in zip(found, of_sensor, strict=True)]
         sums, counts = energy_blocks(data, excess, joint, band)
         total, error = float(sums.sum()), deviation(sums)
@@ -179,6 +205,14 @@ def discrepancy(data: Data, model: Model, joint: int) -> Size:
         most = high if band == BANDS[0] else best.high
         best = Size(max(best.value, value), max(best.low, low), most)
     return Size(best.value, best.low, max(best.high, best.value))
+
+
+def _lasting(data: Data, model: Model, joint: int, band: float) -> list[Array]:
+    """``lacking``, as ``lasting`` sees it."""
+    return [
+        lasting(rec[joint - 1], lack, band_of(rec[joint - 1], band))
+        for lack, rec in zip(lacking(data, model, joint, band), data.records, strict=True)
+    ]
 
 
 def beyond(size: float, known: float) -> float:
@@ -192,8 +226,8 @@ def difference(data: Data, one: Model, other: Model, joint: int, band: float = B
     """
     total = count = 0.0
     pairs = zip(
-        lacking(data, one, joint, band),
-        lacking(data, other, joint, band),
+        _lasting(data, one, joint, band),
+        _lasting(data, other, joint, band),
         data.records,
         strict=True,
     )

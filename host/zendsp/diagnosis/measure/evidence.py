@@ -19,9 +19,9 @@ from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
 
-LOST = 1e4  # medians: an innovation beyond says only that the prediction has left the track
+OFF_TRACK = 1e4  # medians: an innovation beyond says only that the prediction has left the track
 BLOCK = 0.25  # s; shorter where the recordings would give fewer than 40 blocks, never below 0.05 s
-SETTLED = 0.1  # of a recording: who settles within it loses a block at the start, no more
+SETTLED_SHARE = 0.1  # of a recording: who settles within it loses a block at the start, no more
 # median deviations: a few blocks where either model loses the track must not decide
 DRAWN_IN = 10.0
 # share of a recording in which a load behind a spring, whose own state nobody measured, settles
@@ -97,7 +97,7 @@ def block_scores(scored: Scored, data: Data, joint: int, settle: float = 0.1) ->
     out = []
     for d, rec in zip(best, data.records, strict=True):
         size = max(10, round(block / rec[0].sample_time))
-        skip = min(size, len(d) // 10) if settle <= SETTLED else round(settle * len(d))
+        skip = min(size, len(d) // 10) if settle <= SETTLED_SHARE else round(settle * len(d))
         usable = d[skip:]
         count = len(usable) // size
         if count:
@@ -131,4 +131,4 @@ def _sizes(data: Data, record: JointRecord, model: Model) -> Array:
     """Absolute innovations, drawn in where the prediction has left the track, (n,)."""
     r = np.abs(run(record, model, data.bandwidth[record.joint - 1], inner=data.inner).innovations)
     usual = float(np.median(r[record.counted])) if record.counted.any() else 1.0
-    return np.asarray(np.minimum(r, LOST * max(1.0, usual)))
+    return np.asarray(np.minimum(r, OFF_TRACK * max(1.0, usual)))

@@ -35,11 +35,14 @@ Array = npt.NDArray[np.float64]
 
 # by how much a neighbour differs at the ends of the travel, or of the speeds; other values were not
 # tried
-BENT = 0.7
-STEP = 1e-3  # of a number's natural size, for slopes
-SLOW = 0.02  # of the speed: below, dry friction turns round
-LEAST = 0.1  # of a law's energy: if less counts, how it goes on is not seen
+BENT_BY = 0.7
+SLOPE_STEP = 1e-3  # of a number's natural size, for slopes
+TURNS_ROUND = 0.02  # of the speed: below, dry friction turns round
+LEAST_COUNTED = 0.1  # of a law's energy: if less counts, how it goes on is not seen
 RIDGE = 1e-9  # of the mean square of a column
+# times a neighbour's torque, at most, to fit: others that had to be larger (11 to 75 times) were
+# drag that fades into the viscous friction of the model, right ones 1.2 at most
+LARGER = 3.0
 
 
 @dataclass(frozen=True)
@@ -86,7 +89,7 @@ def against_neighbours(
     rms = float(np.sqrt(np.mean(np.concatenate([law[0] for law in slopes]) ** 2)))
     moving = [counted(rec[joint - 1], BANDS[0], turning) for rec in data.records]
     there = sum(float(law[0] ** 2 @ use) for law, use in zip(slopes, moving, strict=True))
-    if there < LEAST * sum(float(law[0] @ law[0]) for law in slopes) or rms == 0.0:
+    if there < LEAST_COUNTED * sum(float(law[0] @ law[0]) for law in slopes) or rms == 0.0:
         return float("inf")
     common = get_effect(term.effect).common
     bent = [
@@ -126,20 +129,25 @@ def _ahead(
     others = _others(law, handles, sizes, band, lacks)
     wanted = [lack + made[0] for lack, made in zip(lacks, own, strict=True)]
     use = [_used(rec[joint - 1], band, turning) for rec in data.records]
-    left = _left_by(own, others, wanted, use)
+    left, _ = _left_by(own, others, wanted, use)
 
-    def behind(shapes: Sequence[Array]) -> tuple[float, float]:
-        """How much more than the law some shapes leave: standard deviations, and the energy."""
-        more = [b - a for a, b in zip(left, _left_by(shapes, others, wanted, use), strict=True)]
+    def behind(shapes: Sequence[Array]) -> tuple[float, float, float]:
+        """How much more than the law some shapes leave: standard deviations, and the energy; and
+        how often the first of them is needed.
+        """
+        other, times = _left_by(shapes, others, wanted, use)
+        more = [b - a for a, b in zip(left, other, strict=True)]
         sums, _ = energy_blocks(data, more, joint, band)
         total, spread = float(sums.sum()), deviation(sums)
-        return (total / spread if spread > 0 else 0.0), total
+        return (total / spread if spread > 0 else 0.0), total, times
 
     energy = sum(float(made[0] ** 2 @ there) for made, there in zip(own, use, strict=True))
     worst = float("inf")
     for k in range(len(law.bent[0])):
-        z, more = behind(seen([s * by[k] for s, by in zip(law.slopes, law.bent, strict=True)]))
-        worst = min(worst, 0.0 if -(error**2) * energy < more < 0.0 else z)
+        bent = seen([s * by[k] for s, by in zip(law.slopes, law.bent, strict=True)])
+        z, more, times = behind(bent)
+        if times < LARGER:  # else it is next to another number of the model, and no bent law
+            worst = min(worst, 0.0 if -(error**2) * energy < more < 0.0 else z)
     return behind([made[:0] for made in own])[0], worst
 
 
@@ -154,12 +162,12 @@ def _slopes(record: JointRecord, model: Model, term: Term) -> Array:
     """Torque of a law along the measured motion, and how it changes with each of its free numbers,
     (1 + numbers, n).
     """
-    floor = SLOW * float(np.abs(record.motion.states[1]).max())
+    floor = TURNS_ROUND * float(np.abs(record.motion.states[1]).max())
     law = -trace(record, model, (term,), floor)
     rows = [law]
     for name, q in term.parameters.items():
         if q.free:
-            step = STEP * max(abs(q.value), STEP)
+            step = SLOPE_STEP * max(abs(q.value), SLOPE_STEP)
             moved = {**term.parameters, name: replace(q, value=q.value + step)}
             there = replace(term, parameters=moved)
             rows.append((-trace(record, model, (there,), floor) - law) / step)
@@ -178,7 +186,8 @@ def _bent(record: JointRecord, law: Array, ranges: Ranges, common: bool) -> list
     q, v, _ = record.motion.states
     place = 2.0 * np.clip(unit(q, ranges.position), 0.0, 1.0) - 1.0
     speed = 2.0 * np.clip(np.abs(v) / ranges.speed, 0.0, 1.0) - 1.0
-    return power + [1.0 + sign * BENT * along for along in (place, speed) for sign in (1.0, -1.0)]
+    ways = (BENT_BY, -BENT_BY)
+    return power + [1.0 + bent * along for along in (place, speed) for bent in ways]
 
 
 def _others(
@@ -189,10 +198,10 @@ def _others(
     columns: list[list[Array]] = [[] for _ in lacks]
     for k, size in enumerate(sizes):
         there = x.copy()
-        there[k] += STEP * size
+        there[k] += SLOPE_STEP * size
         moved = lacking(law.data, set_values(law.model, handles, there), law.joint, band)
         for column, a, b in zip(columns, moved, lacks, strict=True):
-            column.append((a - b) / STEP)
+            column.append((a - b) / SLOPE_STEP)
     return [
         np.array(c).reshape(len(handles), len(lack)) for c, lack in zip(columns, lacks, strict=True)
     ]
@@ -203,9 +212,9 @@ def _left_by(
     others: Sequence[Array],
     wanted: Sequence[Array],
     use: Sequence[npt.NDArray[np.bool_]],
-) -> list[Array]:
+) -> tuple[list[Array], float]:
     """Squares, (n,) a recording, of what stays of the ``wanted`` torque once ``shapes`` and all
-    other numbers are fitted to it; 0 where it does not count.
+    other numbers are fitted to it, 0 where it does not count; and how often the first is needed.
     """
     rows = [np.concatenate(pair) for pair in zip(shapes, others, strict=True)]
     count = len(rows[0])
@@ -214,10 +223,7 @@ def _left_by(
         square, product = square + (a * there) @ a.T, product + a @ (y * there)
     scale = np.sqrt(np.diag(square))
     scale[scale == 0.0] = 1.0
-    theta = np.linalg.solve(
-        square / np.outer(scale, scale) + RIDGE * np.eye(count), product / scale
-    )
-    return [
-        (y - (theta / scale) @ a) ** 2 * there
-        for a, y, there in zip(rows, wanted, use, strict=True)
-    ]
+    scaled = square / np.outer(scale, scale) + RIDGE * np.eye(count)
+    theta = np.linalg.solve(scaled, product / scale) / scale
+    left = [(y - theta @ a) ** 2 * there for a, y, there in zip(rows, wanted, use, strict=True)]
+    return left, float(abs(theta[0])) if count else 0.0

@@ -10,6 +10,8 @@ from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Term
 
 SIGNIFICANT = 3.0  # standard deviations: a score of hypotheses is tried in every round
+# of a number, rad for angles: what any two simulators' equations do differently
+INTEGRATION_ERROR = 2e-3
 
 
 def essence_of(effect: str) -> tuple[str, ...]:
@@ -77,3 +79,14 @@ def _numbers_of(fitted: Fit, term: Term) -> dict[str, int]:
         for i, handle in enumerate(fitted.handles)
         if handle.place == "term" and fitted.model.terms[handle.index] is same
     }
+
+
+def whole(name: str, value: float, travel: float) -> float:
+    """What a relative error refers to; of how often a pattern repeats, a phase that drifts by it
+    over the ``travel``: the positions themselves are measured.
+    """
+    if name == "order":
+        return 1.0 / travel
+    if name == "period":
+        return value * value / (2 * math.pi * travel)
+    return 1.0 if name in ("phase", "angle") else abs(value)

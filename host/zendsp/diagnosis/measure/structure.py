@@ -33,7 +33,7 @@ ROWS = 8000  # rows of a regression
 DETAILS = (1, 3)
 MEMORY = "memory"  # not a mechanism: any of them may remember
 SWINGING = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0)  # Hz
-SWINGS = 0.15  # damping ratio: neighbours among these overlap
+DAMPING = 0.15  # damping ratio: neighbours among these overlap
 SHIFTED = 0.5  # s: a torque that is moved by more comes at another time
 SLOWER = 0.1  # of the sampling: a swing that the recording shows
 
@@ -138,7 +138,7 @@ def _swung(record: JointRecord) -> Array:
     for hertz in SWINGING:
         if hertz * h < SLOWER:
             w = 2 * np.pi * hertz
-            decay, turn = np.exp(-SWINGS * w * h), np.cos(w * np.sqrt(1 - SWINGS**2) * h)
+            decay, turn = np.exp(-DAMPING * w * h), np.cos(w * np.sqrt(1 - DAMPING**2) * h)
             place = swung(a, h, 2 * decay * turn, -(decay**2))
             columns += [w**2 * place, w * np.gradient(place, h)]
     return np.array(columns).reshape(-1, record.n)

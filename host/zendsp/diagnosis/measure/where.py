@@ -2,7 +2,10 @@
 command.
 
 The torque that a model lacks is what corrects an observer that keeps the model on the motion
-(discrepancy.py); its energy above that of the sensor's noise is the mismatch.
+(discrepancy.py). One correction says little of it: on a plateau of the encoder there is none, at
+the next change of the code a large one. So the torque of a sample is the one that fits the
+corrections around it best, and is as uncertain as what a torque does to them is small. Its energy
+above that of the sensor's noise is the mismatch.
 """
 
 from __future__ import annotations
@@ -12,10 +15,17 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.measure.discrepancy import BANDS, band_of, kept, lacking, noise
+from zendsp.diagnosis.measure.discrepancy import (
+    BANDS,
+    ENERGY_BLOCK,
+    NOISE_DRAWS,
+    band_of,
+    deviation,
+    kept,
+)
 from zendsp.physics.calibration.fit import Data
-from zendsp.physics.calibration.joint import effective_inertia
-from zendsp.physics.calibration.predict import damping_along
+from zendsp.physics.calibration.joint import JointRecord, effective_inertia
+from zendsp.physics.calibration.predict import damping_along, response, run
 from zendsp.physics.kernel.smooth import moving_mean
 from zendsp.physics.model import Model, per_joint
 
@@ -25,6 +35,10 @@ VARIABLES = ("velocity", "position", "acceleration", "command")
 SAMPLES = 20  # fewer have no intervals
 EDGES = 5  # different ones: a variable with fewer is as good as constant
 CONCENTRATED = 3.0  # times the mean of the energy: there the mismatch concentrates
+STANDS_OUT = 3.0  # standard deviations of what an interval holds beyond its part of the time
+AROUND = 2.0  # times an observer's memory, within which a torque is taken as constant
+PROBE = 1e-3  # of a joint's torque: a torque whose trace shows what would be seen
+UNSHOWN = 1e-6  # of the mean of what is seen of a torque: less is rounding
 
 
 @dataclass(frozen=True)
@@ -48,7 +62,7 @@ class Region:
 @dataclass(frozen=True)
 class Missing:
     """The torque that a model lacks along a recording, (n,), N m or N, and the standard deviation
-    of the estimate.
+    of the estimate: infinite where the recording shows nothing of it.
     """
 
     time: Array
@@ -58,27 +72,75 @@ class Missing:
     units: dict[str, str] = field(default_factory=dict)
     others: Array | None = None  # (joints, 3, n): position, velocity, acceleration of all joints
 
+    @property
+    def weight(self) -> Array:
+        """Inverse variance of each sample, (n,); all alike where the estimate has none."""
+        if not self.std.any():
+            return np.ones(len(self.std))
+        value: Array = 1.0 / np.maximum(self.std, 1e-150) ** 2
+        return value
 
-def mismatch(data: Data, model: Model, joint: int) -> list[Missing]:
+
+def mismatch(data: Data, model: Model, joint: int, band: float = BANDS[0]) -> list[Missing]:
     """Torque that a model lacks at one joint, along each recording: how an observer that keeps it
-    on the motion corrects it, with what the model's own damping takes of a correction.
+    on the motion corrects it.
+
+    Parameters
+    ----------
+    band : float
+        Of the observer, rad/s.
     """
-    found = lacking(data, model, joint, BANDS[0])
     out = []
-    for torque, rec in zip(found, data.records, strict=True):
+    for rec in data.records:
         record = rec[joint - 1]
         q, qd, qdd = record.motion.states
-        use = kept(record, BANDS[0])
+        use = kept(record, band)
+        torque, std = _seen(record, model, band_of(record, band), data.inner)
         time = record.t0 + np.arange(record.n, dtype=np.float64) * record.sample_time
-        stiff = effective_inertia(record, model) * band_of(record, BANDS[0])
-        taken = 1.0 + np.sqrt(2.0) * damping_along(record, model) / stiff
-        torque, std = torque * taken, taken * np.sqrt(noise(record, model, BANDS[0]))
         variables = {"velocity": qd, "position": q, "acceleration": qdd, "command": record.command}
         within = {n: v[use] for n, v in variables.items()}
         named = units(model, joint)
         all_joints = record.others[:, :, use]
         out.append(Missing(time[use], torque[use], std[use], within, named, all_joints))
     return out
+
+
+def _seen(record: JointRecord, model: Model, band: float, inner: int) -> tuple[Array, Array]:
+    """Torque that a model lacks and its standard deviation, (n,) each: least squares over the
+    innovations around each sample, by what a torque of ``PROBE`` does to them. It does nothing
+    where dry friction holds the joint, or where the position stays on a plateau of the encoder.
+    Where the torque found makes the innovations larger (it tears off what friction holds), it is
+    no better than none, and as much less certain.
+    """
+    probe = PROBE * max(record.scale.torque, 1e-300)
+    plain = np.clip(run(record, model, band, inner=inner).innovations, -1e6, 1e6)
+    pushed = run(record, model, band, inner=inner, extra=np.full(record.n, probe)).innovations
+    shown = (np.clip(pushed, -1e6, 1e6) - plain) / probe
+    width = max(1, round(AROUND / band / record.sample_time))
+    lag = min(record.n, round(np.sqrt(2) / band / record.sample_time))
+
+    def around(product: Array) -> Array:
+        """Its sum around each sample, the observer's own delay taken out."""
+        value: Array = np.r_[moving_mean(product, width)[lag:], np.zeros(lag)] * width
+        return value
+
+    seen = around(shown**2)
+    clear = seen > UNSHOWN * float(np.mean(seen))
+    per = np.divide(1.0, seen, out=np.zeros(record.n), where=clear)
+    torque = -around(plain * shown) * per
+    # the innovations of a sensor's noise are not white: how much more its torque varies
+    draws = np.random.default_rng(0).standard_normal((2, NOISE_DRAWS, record.n))
+    inertia, damping = effective_inertia(record, model), damping_along(record, model)
+    noise = draws[0] * np.sqrt(np.maximum(record.measurement.variance, 0.0))
+    noise = response(record, band, inertia, damping, noise, on_sensor=True)
+    if record.between > 0.0:
+        noise += response(record, band, inertia, damping, record.between * draws[1])
+    of_noise = [around(row * shown)[clear] ** 2 * per[clear] for row in noise]
+    std = np.sqrt(np.mean(of_noise) * per) if clear.any() else per
+    tried = run(record, model, band, inner=inner, extra=torque).innovations
+    left = around(np.clip(tried, -1e6, 1e6) ** 2) / np.maximum(around(plain**2), 1e-300)
+    wrong = np.sqrt(np.maximum(left, 0.0)) * np.maximum(std, np.abs(torque))
+    return torque, np.where(clear, np.where(left > 1.0, wrong, std), np.inf)
 
 
 def units(model: Model, joint: int) -> dict[str, str]:
@@ -94,21 +156,40 @@ def units(model: Model, joint: int) -> dict[str, str]:
     }
 
 
-def energy(missing: Missing) -> Array:
-    """Square of the missing torque above the variance of its estimate, (n,)."""
-    value: Array = np.maximum(missing.torque**2 - missing.std**2, 0.0)
+def energy(missing: Missing) -> tuple[Array, Array]:
+    """Square of the missing torque less the variance of its estimate, on average 0 where nothing is
+    missing; and how much each sample counts, at most 1: less where it is less certain than usual.
+    Shapes (n,).
+    """
+    weight = missing.weight
+    counts = np.minimum(1.0, weight / max(float(np.median(weight)), 1e-300))
+    variance = np.where(counts > 0, missing.std, 0.0) ** 2
+    return np.where(counts > 0, missing.torque**2 - variance, 0.0), counts
+
+
+def shares(e: Array, counts: Array, bins: npt.NDArray[np.int_], count: int) -> Array:
+    """Part of the mismatch that each bin holds, (count,): the mean energy of what is seen there,
+    for as long as it lasts; zeros where there is none.
+
+    Parameters
+    ----------
+    e, counts : ndarray, shape (n,)
+        As ``energy`` returns them.
+    """
+    seen = np.maximum(np.bincount(bins, counts, count), 1e-300)
+    mean = np.maximum(np.bincount(bins, counts * e, count) / seen, 0.0)
+    held = mean * np.bincount(bins, minlength=count)
+    total = float(held.sum())
+    value: Array = held / max(total, 1e-300)
     return value
 
 
 def regions(missing: Missing, joint: int) -> list[Region]:
     """For each variable, the interval in which the mismatch is most concentrated, most telling
-    first.
+    first; none where it might be chance.
     """
-    e = energy(missing)
-    total = float(e.sum())
-    if total <= 0:
-        return []
     found = []
+    e, counts = energy(missing)
     for name in VARIABLES:
         v = missing.variables[name]
         if float(np.ptp(v)) <= 0:
@@ -117,41 +198,56 @@ def regions(missing: Missing, joint: int) -> list[Region]:
         if len(edges) < EDGES:
             continue
         bins = np.clip(np.searchsorted(edges, v, side="right") - 1, 0, len(edges) - 2)
-        share = np.bincount(bins, e, len(edges) - 1) / total
+        share = shares(e, counts, bins, len(edges) - 1)
         time = np.bincount(bins, minlength=len(edges) - 1) / len(v)
         gain = share - time  # the interval whose share exceeds its time most (maximum subarray)
-        best, start, run, at = 0.0, 0, 0.0, (0, 0)
+        best, start, run_, at = 0.0, 0, 0.0, (0, 0)
         for i, g in enumerate(gain):
-            if run <= 0:
-                run, start = 0.0, i
-            run += g
-            if run > best:
-                best, at = run, (start, i)
+            if run_ <= 0:
+                run_, start = 0.0, i
+            run_ += g
+            if run_ > best:
+                best, at = run_, (start, i)
         a, b = at
+        of_time = float(time[a : b + 1].sum())
+        if not _stands_out(missing, (bins >= a) & (bins <= b), of_time):
+            continue
         found.append(
             Region(
                 joint,
                 name,
                 (float(edges[a]), float(edges[b + 1])),
                 float(share[a : b + 1].sum()),
-                float(time[a : b + 1].sum()),
+                of_time,
                 missing.units.get(name, ""),
             )
         )
     return sorted(found, key=lambda r: r.time_share - r.share)
 
 
+def _stands_out(missing: Missing, within: npt.NDArray[np.bool_], of_time: float) -> bool:
+    """Whether an interval holds more of the mismatch than its part of the time, beyond chance."""
+    e, counts = energy(missing)
+    excess = (within - of_time) * counts * e
+    period = float(missing.time[1] - missing.time[0]) if len(excess) > 1 else 1.0
+    blocks = np.array_split(excess, max(1, round(len(excess) * period / ENERGY_BLOCK)))
+    sums = np.array([block.sum() for block in blocks])
+    return bool(sums.sum() > STANDS_OUT * deviation(sums))
+
+
 def intervals(missing: Missing, most: int = 5) -> list[tuple[float, float, float]]:
     """Time intervals where the mismatch concentrates: (start s, end s, share), largest share first.
     """
-    e = energy(missing)
+    e, counts = energy(missing)
+    e = counts * e
     total = float(e.sum())
     if total <= 0 or len(e) < SAMPLES:
         return []
     period = float(missing.time[1] - missing.time[0])
     width = max(3, round(0.1 / period))
     level = moving_mean(e, width)
-    high = level > CONCENTRATED * float(np.mean(e))
+    of_noise = float(np.median(missing.std) ** 2)
+    high = level > CONCENTRATED * max(float(np.mean(e)), of_noise)
     change = np.flatnonzero(np.diff(np.r_[0, high.astype(int), 0]))
     spans: list[tuple[int, int]] = []
     for a, b in zip(change[::2].tolist(), change[1::2].tolist(), strict=True):

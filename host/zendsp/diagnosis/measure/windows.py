@@ -24,12 +24,16 @@ AWAY = 100.0  # rad or m: no joint goes that far within a window
 
 
 def window_error(data: Data, model: Model, joint: int) -> Array:
-    """Position error within windows, all recordings one after the other, rad or m."""
+    """Position error within windows, all recordings one after the other, rad or m; of a simulation
+    that ran away, the joint's travel.
+    """
     parts = []
     for rec in data.records:
         record = rec[joint - 1]
         size = max(16, round(WINDOW / record.sample_time))
         r = _free(record, model, data.bandwidth[joint - 1], max(data.inner, 4), size)
+        travel = float(np.ptp(record.motion.states[0]))
+        r = np.nan_to_num(np.clip(r, -travel, travel), nan=travel)
         count = record.n // size
         if not count:
             continue

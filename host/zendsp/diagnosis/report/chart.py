@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from zendsp_protocol import written
+
 Array = npt.NDArray[np.floating[Any]]
 SUFFIX = ".chart.json"
 DIGITS = 6  # of each number in a file: finer than any screen or page
@@ -69,11 +71,12 @@ class Chart:
     panels: tuple[Panel, ...]
     title: str = ""
     beside: bool = False  # panels stand side by side, else over one another
-    same: bool = False  # panels have the same axes
+    same: bool = False  # panels have the same axes; of those over one another, x is the same anyway
     ratio: tuple[float, ...] = ()  # of the panels' heights or widths
     size: tuple[float, float] = (7.2, 3.0)  # inch
     finding: int = -1  # index of the finding that it shows, -1: of none
     joint: int = 0
+    note: str = ""  # a sentence below it
 
 
 def save_chart(chart: Chart, folder: Path) -> Path:
@@ -92,12 +95,12 @@ def load_chart(path: Path) -> Chart:
         The file holds no chart.
     """
     try:
-        raw = json.loads(path.read_text(encoding="utf-8"))
+        raw = written.json(path.read_text(encoding="utf-8"))
         panels = tuple(_panel(p) for p in raw.pop("panels"))
         for name in ("ratio", "size"):
             raw[name] = tuple(raw[name])
         return Chart(panels=panels, **raw)
-    except (OSError, KeyError, TypeError, AttributeError, json.JSONDecodeError) as error:
+    except (OSError, KeyError, TypeError, AttributeError, ValueError) as error:
         raise ValueError(f"{path.name} holds no chart: {error}") from error
 
 

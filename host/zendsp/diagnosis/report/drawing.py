@@ -6,9 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
 from zendsp.diagnosis.report.chart import Chart, Panel, Series
 
@@ -38,13 +40,15 @@ def draw(chart: Chart) -> Figure:
             ncols=n if chart.beside else 1,
             width_ratios=ratio if chart.beside else None,
             height_ratios=None if chart.beside else ratio,
-            sharex=chart.same,
+            sharex=chart.same or not chart.beside,
             sharey=chart.same,
             squeeze=False,
         )
         axes: list[Axes] = list(grid.ravel())
         for k, (axis, panel) in enumerate(zip(axes, chart.panels, strict=True)):
             _fill(figure, axis, panel, inner=chart.same and k > 0)
+            if not chart.beside and k < n - 1:
+                axis.set_xlabel("")  # that of the last one
         if chart.title:
             figure.suptitle(chart.title, fontsize=10)
         _legend(figure, axes)
@@ -67,9 +71,23 @@ def _fill(figure: Figure, axis: Axes, panel: Panel, *, inner: bool) -> None:
         axis.axhline(value, color=COLOURS["floor"], ls="--", lw=1, label=label)
     if panel.log:
         axis.set_yscale("log")
+        axis.yaxis.set_major_locator(FixedLocator(_places(*axis.get_ylim())))
+        axis.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.yaxis.set_minor_formatter(NullFormatter())
     if panel.limits is not None:
         axis.set_ylim(*panel.limits)
     axis.set(xlabel=panel.xlabel, ylabel="" if inner else panel.ylabel, title=panel.title)
+
+
+def _places(low: float, high: float) -> list[float]:
+    """Where a logarithmic axis has numbers, some six of them: at powers of 10, or closer."""
+    powers = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1)
+    places: list[float] = []
+    for steps in ((1,), (1, 2, 5), range(1, 10), np.arange(10, 100) / 10):
+        places = [float(p * s) for p in powers for s in steps if low <= p * s <= high]
+        if len(places) > 2:
+            break
+    return places[:: max(1, len(places) // 5)]
 
 
 def _series(axis: Axes, s: Series) -> None:
@@ -108,17 +126,11 @@ def _legend(figure: Figure, axes: Sequence[Axes]) -> None:
     )
 
 
-def draw_all(charts: Sequence[Chart], folder: Path) -> list[tuple[str, str, Path]]:
-    """Write a PNG for each chart.
-
-    Returns
-    -------
-    list of (section, caption, path)
-    """
+def draw_all(charts: Sequence[Chart], folder: Path) -> list[tuple[Chart, Path]]:
+    """Write a PNG for each chart, and return both."""
     done = []
     for chart in charts:
-        figure = draw(chart)
         path = folder / f"{chart.name}.png"
-        figure.savefig(path)
-        done.append((chart.section, chart.caption, path))
+        draw(chart).savefig(path)
+        done.append((chart, path))
     return done

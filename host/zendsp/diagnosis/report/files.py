@@ -32,6 +32,7 @@ def write_report(d: Diagnosis, out: str | Path, *, pictures: bool = True) -> Pat
     """
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
+    _clear(folder)
     (folder / "report.json").write_text(report_text(d), encoding="utf-8")
     (folder / "model.toml").write_text(_improved_text(d.improved, folder), encoding="utf-8")
     (folder / "calibrated.toml").write_text(model_text(d.calibrated), encoding="utf-8")
@@ -48,13 +49,20 @@ def write_report(d: Diagnosis, out: str | Path, *, pictures: bool = True) -> Pat
         from zendsp.diagnosis.report.html import page
 
         drawn = charts(d)
-        for old in folder.glob(f"*{SUFFIX}"):  # of another diagnosis
-            old.unlink()
         for chart in drawn:
             save_chart(chart, folder)
         figures = draw_all(drawn, folder)
         (folder / "report.html").write_text(page(d, figures), encoding="utf-8")
     return folder
+
+
+def _clear(folder: Path) -> None:
+    """Take away what an earlier diagnosis wrote into the folder and this one may not write."""
+    for chart in folder.glob(f"*{SUFFIX}"):
+        chart.with_name(chart.name.removesuffix(SUFFIX) + ".png").unlink(missing_ok=True)
+        chart.unlink()
+    for name in ("report.html", "next_reference.mat"):
+        (folder / name).unlink(missing_ok=True)
 
 
 def left_out(model: Model) -> list[str]:

@@ -7,13 +7,25 @@ from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
+from zendsp.diagnosis.data.sampling import whole_second
 from zendsp.diagnosis.decide.contract import dark
 from zendsp.diagnosis.decide.result import Diagnosis, Finding, FitTable, number
-from zendsp.diagnosis.report.figures import whole_second
-from zendsp.diagnosis.report.summary import headline, unnamed, word_of
+from zendsp.diagnosis.report.chart import Chart
+from zendsp.diagnosis.report.summary import (
+    SMALLER,
+    before,
+    by_joint,
+    headline,
+    unnamed,
+    word_of,
+)
 
-SMALLER = 1.05  # times: a smaller fall of the error is not told as one
-STYLE = """
+SAID = 4  # findings on the first sheet, the most telling first
+SHARE = (
+    "Share: the mean square of the torque that is found, as a part of that of all the torque that"
+    " the calibrated model lacks. Shares that overlap add up to more than 100 %."
+)
+CSS = """
 body{font:15px/1.5 system-ui,sans-serif;color:#222;max-width:54rem;margin:2rem auto;padding:0 1rem}
 h1{font-size:1.5rem;margin:0}h2{font-size:1.1rem;margin:2rem 0 .5rem;border-bottom:1px solid #ccc}
 .verdict{padding:.8rem 1rem;border-left:6px solid #888;background:#f4f4f2;margin:1rem 0;font-size:1.05rem}
@@ -23,17 +35,17 @@ td.n,th.n{text-align:right;font-variant-numeric:tabular-nums}img{max-width:100%;
 .small{color:#666;font-size:.85rem}figure{margin:.6rem 0;break-inside:avoid}@media print{body{margin:0;max-width:none}h2{break-after:avoid}.more{break-before:page}}
 """  # noqa: E501
 
-def page(d: Diagnosis, figures: list[tuple[str, str, Path]]) -> str:
+def page(d: Diagnosis, figures: list[tuple[Chart, Path]]) -> str:
     """HTML of the whole report, pictures inside: first what matters on one sheet, then everything
     else.
 
     Parameters
     ----------
-    figures : list of (section, caption, path)
+    figures : list of (chart, path of its picture)
     """
-    first = next((f for f in figures if f[0] == "law"), None) or next(
-        (f for f in figures if f[0] in ("where", "fit")), None
-    )
+    shows = "fit" if d.verdict == "complete" else "where"  # in the order of their pictures
+    order = [f for section in ("law", shows, "fit") for f in figures if f[0].section == section]
+    first = next(iter(order), None)
     rest = [f for f in figures if f is not first]
     title = f"Diagnosis of the model “{escape(d.given.name)}”"
     parts = [
@@ -41,9 +53,9 @@ def page(d: Diagnosis, figures: list[tuple[str, str, Path]]) -> str:
             "<!doctype html><html lang=en><meta charset=utf-8><meta name=viewport"
             f" content='width=device-width'><title>{title}</title>"
         ),
-        f"<style>{STYLE}</style><h1>{title}</h1>",
+        f"<style>{CSS}</style><h1>{title}</h1>",
         f"<div class='verdict {_colour(d)}'><b>{escape(headline(d))}</b>{_sentences(d)}</div>",
-        _pictures([first] if first else [], first[0] if first else ""),
+        _pictures([first] if first else [], first[0].section if first else ""),
         _untouched(d),
         _left(d),
         _could_not(d),
@@ -52,7 +64,8 @@ def page(d: Diagnosis, figures: list[tuple[str, str, Path]]) -> str:
         parts.append(f"<p><b>Record next:</b> {escape(d.next_recording.sentence)}</p>")
     parts += ["<div class=more><h2>The fit</h2>", _fit_table(d), _pictures(rest, "fit")]
     if d.findings:
-        parts += ["<h2>Findings</h2>", _findings_table(d.findings), _pictures(rest, "law")]
+        parts += ["<h2>Findings</h2>", _findings_table(d.findings)]
+        parts.append(_pictures(rest, "law", named=True))
     if d.refinements:
         words = "What improves the fit further, and is not claimed as physics of its own."
         parts += ["<h2>Refinements</h2>", f"<p>{words}</p>", _findings_table(d.refinements)]
@@ -64,19 +77,22 @@ def page(d: Diagnosis, figures: list[tuple[str, str, Path]]) -> str:
         parts += ["<h2>About the data</h2><ul>", *[f"<li>{escape(n)}" for n in d.notes], "</ul>"]
     parts.append(
         f"<p class=small>{d.seconds:.1f} s. Calibrated: the given model with its free parameters"
-        " fitted again. Untouched: recordings that neither the fit nor any choice has"
-        " seen.</p></div></html>"
+        " fitted again. Untouched: what neither the fit nor any choice has seen; of a single"
+        " held-out recording, the second half of its motion. Errors are drawn of it.</p></div>"
+        "</html>"
     )
     return "\n".join(parts)
 
 
 def _sentences(d: Diagnosis) -> str:
+    said = d.findings if len(d.findings) <= SAID else d.findings[: SAID - 1]
     items = [
         f"<li>{escape(f.sentence)} <span class=small>confidence {100 * f.confidence:.0f} %</span>"
-        for f in d.findings
+        for f in said
     ]
-    if d.unexplained:
-        items.append(f"<li>{escape(d.unexplained)}")
+    if len(said) < len(d.findings):
+        items.append(f"<li>and {len(d.findings) - len(said)} more, under <i>Findings</i>")
+    items += [f"<li>{escape(words)}" for words in by_joint(d.unexplained)]
     return f"<ul>{''.join(items)}</ul>" if items else ""
 
 
@@ -87,17 +103,19 @@ def _untouched(d: Diagnosis) -> str:
             f"<p><b>Untouched recordings:</b> RMS position error {t.calibrated:.3g} {d.unit}; the"
             f" sensor alone {d.noise_floor:.2g} {d.unit}.</p>"
         )
-    times = t.calibrated / t.improved if t.improved > 0 else float("inf")
+    of, error = before(t.given, t.calibrated, t.improved)
+    times = error / t.improved if t.improved > 0 else float("inf")
     smaller = f"{times:.0f}" if times >= 10.0 else f"{times:.2g}"
     told = f" ({smaller} times smaller)" if times >= SMALLER else ""
     return (
-        f"<p><b>Untouched recordings:</b> RMS position error {t.calibrated:.3g} → {t.improved:.3g}"
-        f" {d.unit}{told}; the sensor alone {d.noise_floor:.2g} {d.unit}.</p>"
+        f"<p><b>Untouched recordings:</b> RMS position error {error:.3g} {d.unit} {of},"
+        f" {t.improved:.3g} {d.unit} with what was found{told}; the sensor alone"
+        f" {d.noise_floor:.2g} {d.unit}.</p>"
     )
 
 
 def _left(d: Diagnosis) -> str:
-    items = [f"joint {x.joint}: {unnamed(x)}" for x in d.discrepancy]
+    items = [f"joint {x.joint}: {unnamed(x.share, x.interval[1])}" for x in d.discrepancy]
     return f"<p><b>What nothing named explains:</b> {'; '.join(items)}.</p>" if items else ""
 
 
@@ -113,8 +131,8 @@ def _could_not(d: Diagnosis) -> str:
         )
         rows.append(f"<li>joint {joint}: {sizes}")
     return (
-        "<p><b>What would not have been seen</b> (90 of 100 times),"
-        f" below:</p><ul>{''.join(rows)}</ul>"
+        "<p><b>What would not have been seen:</b> what is smaller than this (of what is as large,"
+        f" nine of ten would have been found).</p><ul>{''.join(rows)}</ul>"
         if rows
         else ""
     )
@@ -153,7 +171,7 @@ def _findings_table(findings: Sequence[Finding]) -> str:
             f"<td class=n>{_percent(f.share)}<td class=n>{100 * f.confidence:.0f} %"
             f"<td>{escape(', '.join(f.indistinguishable)) or '—'}<td>{escape(', '.join(f.replaces)) or '—'}"  # noqa: E501
         )
-    return f"<table>{''.join(rows)}</table>"
+    return f"<table>{''.join(rows)}</table><p class=small>{SHARE}</p>"
 
 
 def _percent(share: float) -> str:
@@ -188,13 +206,18 @@ def _rejected(d: Diagnosis) -> str:
     return f"<table>{''.join(rows)}</table>"
 
 
-def _pictures(figures: list[tuple[str, str, Path]], section: str) -> str:
+def _pictures(
+    figures: list[tuple[Chart, Path]], section: str, *, named: bool = False
+) -> str:
+    """``named``: each law with its sentence above it."""
     out = []
-    for place, caption, path in figures:
-        if place == section:
+    for chart, path in figures:
+        if chart.section == section:
             data = base64.b64encode(path.read_bytes()).decode()
+            note = f"<figcaption class=small>{escape(chart.note)}</figcaption>"
+            said = f"<p>{escape(chart.caption)}</p>" if section == "law" else ""
             out.append(
-                f"<figure><img alt='{escape(caption, quote=True)}'"
-                f" src='data:image/png;base64,{data}'></figure>"
+                f"<figure>{said if named else ''}<img alt='{escape(chart.caption, quote=True)}'"
+                f" src='data:image/png;base64,{data}'>{note if chart.note else ''}</figure>"
             )
     return "".join(out)

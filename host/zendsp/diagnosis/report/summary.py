@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from zendsp.diagnosis.decide.contract import dark
+from zendsp.diagnosis.decide.contract import dark, two_digits
 
 if TYPE_CHECKING:
     from zendsp.diagnosis.decide.contract import Verdict
-    from zendsp.diagnosis.decide.result import Detectable, Diagnosis, Left
+    from zendsp.diagnosis.decide.result import Detectable, Diagnosis
 
-LEAST = 1e-4  # of a torque: less is not told from nothing
-MOST = 9.99
+SMALLEST_SHARE = 1e-4  # of a torque: less is not told from nothing
+LARGEST_SHARE = 9.99
+SMALLER = 1.05  # times: a smaller fall of the error is not told as one
 OFF = 3.0  # times the calibrated model's error: what is given is not what the machine has
 
 WORDS = {
@@ -38,6 +40,17 @@ def word_of(mechanism: str, effects: Sequence[str]) -> str:
     if set(effects) == {"coupling"}:
         return "the other joints' motion"
     return WORDS.get(mechanism, effects[0])
+
+
+def by_joint(unexplained: str) -> list[str]:
+    """What is said of each joint.
+
+    Examples
+    --------
+    >>> by_joint("Joint 1: 2 N m stay. Record longer. Joint 2: 3 N m stay"), by_joint("")
+    (['Joint 1: 2 N m stay. Record longer', 'Joint 2: 3 N m stay'], [])
+    """
+    return re.split(r"\. (?=Joint \d+: )", unexplained) if unexplained else []
 
 
 def headline(d: Diagnosis) -> str:
@@ -73,6 +86,8 @@ def verdict_sentence(
     >>> same = [("dry_friction", ("coulomb",), joint) for joint in (1, 2, 3)]
     >>> verdict_sentence("missing", same)
     'Missing physics: dry friction (coulomb) at joints 1, 2 and 3.'
+    >>> verdict_sentence("missing", [("inertia", ("payload",), 2)])
+    'Other than the model says: a mass or an inertia (payload) at joint 2.'
     """
     if verdict == "complete" and unseen:
         return (
@@ -97,7 +112,9 @@ def verdict_sentence(
     for joint, words in at.items():
         joints.setdefault(" and ".join(words), []).append(joint)
     where = [f"{what} at {_listed(numbers)}" for what, numbers in joints.items()]
-    return f"Missing physics: {'; '.join(where)}."
+    masses = all(word_of(mechanism, effects) == WORDS["inertia"] for mechanism, effects, _ in found)
+    begin = "Other than the model says" if masses else "Missing physics"
+    return f"{begin}: {'; '.join(where)}."
 
 
 def _listed(joints: Sequence[int]) -> str:
@@ -111,12 +128,11 @@ def summary(d: Diagnosis) -> str:
     for k, f in enumerate(d.findings, 1):
         lines.append(f"{k}. {f.effect}, joint {f.joint} (confidence {100 * f.confidence:.0f} %)")
         lines.append(f"   {f.sentence}")
-    if d.unexplained:
-        lines.append(d.unexplained)
+    lines += by_joint(d.unexplained)
     if d.findings or d.unexplained:
         lines.append("")
     lines.append(
-        f"{f'RMS position error over 0.25 s [{d.unit}]':<38}given     calibrated  improved  noise"
+        f"{f'RMS position error over 0.25 s [{d.unit}]':<37}given    calibrated improved noise"
         " floor"
     )
     for name, table in (
@@ -124,7 +140,7 @@ def summary(d: Diagnosis) -> str:
         ("  untouched recordings", d.test or d.heldout),
     ):
         lines.append(
-            f"{name:<38}{table.given:<10.3g}{table.calibrated:<12.3g}{table.improved:<10.3g}"
+            f"{name:<37}{table.given:<9.3g}{table.calibrated:<11.3g}{table.improved:<9.3g}"
             f"{d.noise_floor:.3g}"
         )
     for r in d.regions[:2]:
@@ -138,7 +154,8 @@ def summary(d: Diagnosis) -> str:
         )
     for x in d.discrepancy[:7]:
         if d.verdict != "complete" or x.interval[1] < 1.0:
-            lines.append(f"nothing named explains: joint {x.joint}, {unnamed(x)}")
+            left = unnamed(x.share, x.interval[1])
+            lines.append(f"nothing named explains: joint {x.joint}, {left}")
     if d.verdict == "complete" and d.detectable:
         small = sorted(d.detectable, key=lambda x: -x.share)[:3]
         lines.append(
@@ -157,16 +174,26 @@ def _sized(x: Detectable) -> str:
     return f"{x.size:.2g} {x.unit}".removesuffix(" 1")  # a pure number has no unit to be read
 
 
-def unnamed(left: Left) -> str:
+def unnamed(share: float, high: float) -> str:
     """What of a joint's torque nothing named explains, and at most where that says anything."""
-    high = left.interval[1]
-    most = f" (at most {percent(high)})" if LEAST < high < 1.0 else ""
-    return f"{percent(left.share)} of its torque{most}"
+    says = SMALLEST_SHARE < high < 1.0
+    if says and share < SMALLEST_SHARE:
+        return f"at most {percent(high)} of its torque, and perhaps nothing"
+    return f"{percent(share)} of its torque{f' (at most {percent(high)})' if says else ''}"
 
 
-def two_digits(value: float) -> str:
-    """Two digits, and all before the point: 1e+02 is nobody's hundred."""
-    return f"{value:.2g}" if value < 99.5 else f"{value:.0f}"
+def before(given: float, calibrated: float, improved: float) -> tuple[str, float]:
+    """The model with which the improved one is compared, and its error: the calibrated one, or the
+    given one where all that was wrong were given numbers.
+
+    Examples
+    --------
+    >>> before(4e-3, 3e-3, 1e-3), before(4e-3, 1e-3, 1e-3)
+    (('of the calibrated model', 0.003), ('of the model as given', 0.004))
+    """
+    if calibrated < SMALLER * improved and given > SMALLER * calibrated:
+        return "of the model as given", given
+    return "of the calibrated model", calibrated
 
 
 def percent(share: float) -> str:
@@ -177,6 +204,6 @@ def percent(share: float) -> str:
     >>> percent(0.0), percent(0.0351), percent(0.996)
     ('below 0.01 %', '3.5 %', '100 %')
     """
-    if share < LEAST:
-        return f"below {100 * LEAST:g} %"
-    return f"{two_digits(100 * min(share, MOST))} %"
+    if share < SMALLEST_SHARE:
+        return f"below {100 * SMALLEST_SHARE:g} %"
+    return f"{two_digits(100 * min(share, LARGEST_SHARE))} %"

@@ -31,7 +31,7 @@ from zendsp.physics.model import Model
 
 LOSSY = 0.2  # of critical damping
 DAMPED = (0.05, 0.5)  # of critical damping: a contact outside begins again at LOSSY
-ROUNDS = 3
+GAP_ROUNDS = 3
 PROGRESS = 50.0  # deviance below which a round has led nowhere
 GAPS = (0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15, 1.2)
 STIFFNESSES = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0)
@@ -59,7 +59,7 @@ def refine(scored: Scored, joint: int, before: float, worth: float, jobs: int) -
         Threads.
     """
     best = min(scored, descend(lossy(scored, joint, jobs), joint, jobs), key=lambda s: s.deviance)
-    for _ in range(ROUNDS):
+    for _ in range(GAP_ROUNDS):
         if before - best.deviance < worth:
             break
         softer = lossy(best, joint, jobs)

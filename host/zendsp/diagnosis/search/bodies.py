@@ -162,7 +162,9 @@ def _round(
     aside: set[int] = set()
     while True:
         solver = Solver(fit, choose, layout, limits, aside=aside)
-        tried = explain(solver, [h for h in everything if h.of_bodies or h.joint not in aside])
+        rigid = Solver(fit, choose, layout, limits, aside=aside, rotors=False)
+        left = [h for h in everything if h.of_bodies or h.joint not in aside]
+        tried = explain(solver, left, rigid)
         best = tried[0]
         if best.hypothesis.of_bodies or not best.hypothesis.joint or not seen(best, limits):
             return tried, frozenset(aside)
@@ -180,7 +182,7 @@ def own_mass(
     known = dict(zip(h.free, best.values.tolist(), strict=True))
     mass, com = known["mass"], np.array([known.get(key, 0.0) for key in COM])
     away = com - body.com if h.effect == "payload" else com * (body.mass + mass) / (mass or 1e-12)
-    if abs(mass) > 0.5 * body.mass or float(np.linalg.norm(away)) > limits.same:
+    if abs(mass) > limits.own_mass * body.mass or float(np.linalg.norm(away)) > limits.same:
         return best
     plain = [
         e
@@ -223,7 +225,8 @@ def refined(
             more = solver.estimate(wider, np.append(new, 0.0))
             spread = solver.std(wider, more)
             told_apart = spread[0] < max(limits.blurred * std[0], limits.of_mass * abs(more[0]))
-            if abs(more[-1]) > 2.0 * spread[-1] and told_apart and solver.plausible(wider, more):
+            shown = abs(more[-1]) > limits.shown * spread[-1]
+            if shown and told_apart and solver.plausible(wider, more):
                 h, new, std = wider, more, spread
         known = len(values)
         stands = (

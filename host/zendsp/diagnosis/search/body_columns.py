@@ -11,7 +11,13 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.search.body_hypotheses import LIMITS, OWN, BodyLimits, Hypothesis, calibrated
+from zendsp.diagnosis.search.body_hypotheses import (
+    LIMITS,
+    OWN_COLUMNS,
+    BodyLimits,
+    Hypothesis,
+    calibrated,
+)
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.calibration.joint import JointRecord, effective_inertia
 from zendsp.physics.calibration.predict import damping_along, response, run
@@ -144,7 +150,7 @@ class Layout:
         self.scale = self.tilt + 2
         self.mechanism = self.scale + 1
         self.own = self.mechanism + len(self.keys)
-        self.width = self.own + OWN
+        self.width = self.own + OWN_COLUMNS
 
     def term(self, h: Hypothesis, values: Array) -> Term:
         """The hypothesis as a term of a model."""

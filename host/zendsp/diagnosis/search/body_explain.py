@@ -59,11 +59,12 @@ class Explained:
         )
 
 
-def explain(solver: Solver, tried: Sequence[Hypothesis]) -> list[Explained]:
+def explain(solver: Solver, tried: Sequence[Hypothesis], rigid: Solver) -> list[Explained]:
     """All hypotheses after their linear fits, the best first.
 
-    Those that predict as well as the best one that is seen are ordered by what they cost; then all
-    others by their gain.
+    Those that predict as well as the best one that is seen are ordered by what they cost, a rotor
+    that they need as well included, then by what they explain with the model's rotors (``rigid``):
+    a weight at one joint with a rotor of its own is any body there. All others are ordered by gain.
     """
     nothing = solver.at(Hypothesis("nothing"), np.zeros(0))
     none, before = solver.points(nothing), solver.squares(nothing)
@@ -100,15 +101,24 @@ def explain(solver: Solver, tried: Sequence[Hypothesis]) -> list[Explained]:
         for e in out
     ]
     ties = [e for e in out if tied(e, top, solver.limits)]
-    ties.sort(key=lambda e: (price_of(e, solver), -e.gain))
+    stiff = {id(e): float(none.sum()) - deviance_of(e.hypothesis, rigid) for e in ties}
+    short = {id(e): stiff[id(e)] < (1.0 - solver.limits.share) * e.gain for e in ties}
+    ties.sort(key=lambda e: (price_of(e, solver) + short[id(e)], -stiff[id(e)]))
     first = first_of(ties, solver.limits)
     ties.sort(key=lambda e: e is not first)
     others = sorted((e for e in out if not any(e is t for t in ties)), key=lambda e: -e.gain)
     return ties + others
 
 
+def deviance_of(h: Hypothesis, solver: Solver) -> float:
+    """Of the recordings that choose, with the most likely numbers of a hypothesis."""
+    return float(solver.points(solver.at(h, solver.estimate(h))).sum())
+
+
 def first_of(ties: Sequence[Explained], limits: BodyLimits) -> Explained:
-    """The first of some ties, or one with other numbers of the same link that predicts better."""
+    """The first of some ties, or one with other numbers of the same link that predicts better, if
+    any of them is known.
+    """
     first = ties[0].hypothesis
     near = (
         e
@@ -116,6 +126,7 @@ def first_of(ties: Sequence[Explained], limits: BodyLimits) -> Explained:
         if (e.hypothesis.effect, e.hypothesis.joint) == (first.effect, first.joint)
         and first.of_bodies
         and e.behind < limits.same_link
+        and np.any(np.abs(e.values) >= e.std)
     )
     return next(near, ties[0])
 

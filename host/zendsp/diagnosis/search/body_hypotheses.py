@@ -36,8 +36,10 @@ class BodyLimits:
     least: float = 0.01  # of some joint's RMS torque: less is no body that anybody would look for
     bodies: int = 3  # at most so many wrong bodies
     same: float = 0.02  # m from a link's centre of mass: what it carries there is its own
+    own_mass: float = 0.5  # of a link's mass: by less it may be wrong itself, by more it carries
+    shown: float = 2.0  # standard deviations from which a mass has an inertia of its own
     spread: float = 0.3  # m: no payload's radius of gyration is larger
-    reach: float = 1.0  # m: farther from its link's origin nothing is carried
+    reach: float = 1.0  # m: farther from its link's centre of mass nothing is carried
     gain: float = 0.5  # no actuator gives half as much again, or half
     constant: float = 0.05  # relative standard deviation of the torque constants that makers state
     halvings: int = 6  # of what that does to a body, until the body is one
@@ -58,7 +60,8 @@ class BodyLimits:
 
 
 LIMITS = BodyLimits()
-OWN = 6  # further columns of one joint, its rivals to a body: gain, sin q, cos q, q, sin 2q, cos 2q
+# further columns of one joint, its rivals to a body: gain, sin q, cos q, q, sin 2q, cos 2q
+OWN_COLUMNS = 6
 COM = ("com_x", "com_y", "com_z")
 # what an explanation costs where several are as good: the fewest numbers, and the most frequent
 # cause first
@@ -67,7 +70,7 @@ COST = {
     "body": 1.0,
     "base_tilt": 1.0,
     "torque_gain": 1.0,
-    "gravity": 2.0,
+    "gravity": 3.0,
     "stiffness": 3.0,
     "unknown": 8.0,
 }
@@ -186,7 +189,7 @@ def hypotheses(model: Model, links: Links) -> list[Hypothesis]:
             ("torque_gain", ("ratio",)),
             ("gravity", ("sine", "cosine")),
             ("stiffness", ("coefficient",)),
-            ("unknown", tuple(f"c{i}" for i in range(OWN))),
+            ("unknown", tuple(f"c{i}" for i in range(OWN_COLUMNS))),
         ):
             out.append(Hypothesis(effect, j, "", free, COST[effect]))
     return out

@@ -21,7 +21,7 @@ class Solver:
 
     ``origin`` are the coefficients of what the model behind the sums has already of the hypothesis;
     ``aside`` are the joints (1-based) whose own gain and functions of position are nuisance too,
-    since they have a fault of their own.
+    since they have a fault of their own; without ``rotors`` each motor's inertia is the model's.
     """
 
     def __init__(
@@ -32,11 +32,13 @@ class Solver:
         limits: BodyLimits = LIMITS,
         origin: Array | None = None,
         aside: Collection[int] = (),
+        rotors: bool = True,
     ) -> None:
         self.fit, self.choose, self.layout, self.limits = fit, choose, layout, limits
         self.origin = np.zeros((layout.joints, layout.width)) if origin is None else origin
         whole, n = fit.whole, NUISANCE
-        free, own = list(range(n)), list(range(layout.own, layout.width))
+        free = list(range(n) if rotors else range(n - 1))  # the last is the rotor's
+        own = list(range(layout.own, layout.width))
         # (x, 1) with the best nuisance
         self.complete = np.zeros((layout.joints, layout.width + 1, layout.width + 1 - n))
         self.complete[:, n:] = np.eye(layout.width + 1 - n)
@@ -136,8 +138,8 @@ class Solver:
         mass, *moment = -solve(normal + 1e-9 * np.diag(np.diag(normal)), slope)
         size = max(float(np.linalg.norm(moment)), 1e-6)
         heavy = [max(abs(float(mass)), 1e-3), *(size / distance for distance in self.limits.starts)]
-        far = self.limits.reach
         link = self.layout.links.bodies[h.joint - 1]
+        far = self.limits.reach + float(np.max(np.abs(link.com)))
         inside = {"mass": 0.1 * link.mass or 1e-3, **dict(zip(COM, link.com.tolist(), strict=True))}
         starts = [[m, *np.clip(np.array(moment) / m, -far, far)] for m in heavy]
         return [np.array(s) for s in (*starts, [inside.get(key, 0.0) for key in h.free])]
@@ -148,7 +150,8 @@ class Solver:
         bodies = self.layout.links.bodies
         if h.effect == "payload":
             robot = sum(b.mass for b in bodies) or np.inf
-            far = max(abs(known.get(key, 0.0)) for key in COM)
+            centre = dict(zip(COM, bodies[h.joint - 1].com.tolist(), strict=True))
+            far = max(abs(known[key] - centre[key]) for key in COM if key in known)
             wide = 0.0 <= known.get("inertia", 0.0) < known["mass"] * self.limits.spread**2
             return bool(0.0 < known["mass"] < robot and far < self.limits.reach and wide)
         if h.effect == "body":

@@ -16,7 +16,7 @@ from zendsp.diagnosis.measure.likelihood import (
     informative,
     tune_bandwidth,
 )
-from zendsp.diagnosis.measure.significance import SIGNIFICANT, vanishes
+from zendsp.diagnosis.measure.significance import INTEGRATION_ERROR, SIGNIFICANT, vanishes, whole
 from zendsp.diagnosis.search.hypothesis import SUFFICIENT, JointSearch, price
 from zendsp.physics.calibration.convergence import step_error, with_step_error
 from zendsp.physics.calibration.fit import Data, fit, joint_handles, residual
@@ -26,7 +26,7 @@ from zendsp.physics.model import Model, Term
 
 # deviance a sample, a tenth of the innovations' energy: a term whose absence costs so much is not
 # fitted away any more
-PLAIN = 0.1
+SIMPLER_COST = 0.1
 NO_WORSE = 10.0  # deviance that a simpler law may cost
 # share of what two laws gain together that one in their place has to gain; a true spring of a
 # pendulum gained 98 % with a coarse encoder (seed 144, case 28), and did better on untouched data
@@ -89,21 +89,22 @@ def straightened(found: JointSearch, current: Scored, jobs: int) -> Scored:
 
 def _resolved(best: Scored, joint: int, jobs: int) -> Scored:
     """The same model refitted at ever smaller steps, until halving them moves its numbers less than
-    the recording leaves open.
+    the recording leaves open, or any two simulators.
 
     Otherwise an effect may be found that is only what the integration gets wrong.
     """
     if len(best.fit.residual) != len(residual(best.data, best.model, (joint,))):
         # what only a first look fitted, on thinned recordings
         best = _refitted(best.data, best.model, joint, jobs, 1)
+    travel = max(rec[joint - 1].scale.position for rec in best.data.records)
     for _ in range(HALVINGS):
-        error = step_error(best.data, best.fit, (joint,))
-        ours = [h.place == "term" for h in best.fit.handles]
-        if not any(
-            abs(e) > SIGNIFICANT * s
-            for e, s, own in zip(error, best.fit.std, ours, strict=True)
-            if own
-        ):
+        error, fitted = step_error(best.data, best.fit, (joint,)), best.fit
+        least = [
+            INTEGRATION_ERROR * whole(h.key, float(x), travel)
+            for h, x in zip(fitted.handles, fitted.x, strict=True)
+        ]
+        ours = np.array([h.place == "term" for h in fitted.handles], bool)
+        if not np.any(ours & (np.abs(error) > SIGNIFICANT * np.hypot(fitted.std, least))):
             break
         data = replace(best.data, inner=2 * best.data.inner)
         best = fit_scored(data, best.model, best.fit.handles, (joint,), jobs=jobs, rounds=1)
@@ -306,7 +307,7 @@ def _hopeless(best: Scored, model: Model, joint: int, jobs: int) -> bool:
         brief=True,
     )
     value = tune_bandwidth(best.data, short.model, (joint,))[1]
-    return value > best.deviance + PLAIN * informative(best.data, joint)
+    return value > best.deviance + SIMPLER_COST * informative(best.data, joint)
 
 
 def _needed_by(model: Model, term: Term) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.absorbed import TOLERANCE
-from zendsp.diagnosis.decide.confidence import MOST
+from zendsp.diagnosis.decide.confidence import SUREST
 from zendsp.diagnosis.decide.findings import sentence
 from zendsp.diagnosis.decide.result import Estimate, Finding, number
 from zendsp.diagnosis.decide.thresholds import PLAIN
@@ -38,7 +38,7 @@ def load_behind(model: Model, inertia: float, motor: Motor) -> tuple[float, floa
 
 def _sure(claim: Claim) -> float:
     size, left = claim.size**1.5, claim.left**1.5
-    return float(min(MOST, size / (size + 0.5 * left)))
+    return float(min(SUREST, size / (size + 0.5 * left)))
 
 
 def findings_of(
@@ -104,11 +104,11 @@ def _gap(claim: Claim) -> tuple[float, float]:
 def _term(
     model: Model, parts: Parts, name: str, joint: int, numbers: dict[str, tuple[float, float]]
 ) -> Term | None:
-    """A held term: the motor's position says less of it than the two sensors. None where the
-    kernel has no such law.
+    """A term, what was measured of it held: the motor's position says less of it than the two
+    sensors. None where the kernel has no such law.
 
     What was not measured: all that the bodies are is the load, and the spring loses a twentieth of
-    critical.
+    critical, to begin with: how a load rings the motor's position does say.
     """
     if name == "hysteresis" or (name == "backlash" and "stiffness" not in numbers):
         return None
@@ -119,7 +119,9 @@ def _term(
         damping = 0.1 * math.sqrt(known["stiffness"][0] * min(load, inertia))
         known.setdefault("damping", (damping, 0.0))
     values = {
-        p.name: Quantity(max(known[p.name][0], p.lower), False, "", known[p.name][1])
+        p.name: Quantity(
+            max(known[p.name][0], p.lower), p.name not in numbers, "", known[p.name][1]
+        )
         for p in get_effect(name).parameters
     }
     return Term(name, joint, values)

@@ -53,6 +53,8 @@ def by_one_sensor(
             continue
         hidden = max(decision.after.value, finest("elasticity")) * decision.scale
         least = hidden / math.sqrt(squares / count)
+        if least * decision.scale > max(r.scale.position for r in records):
+            continue  # a spring that its load bends by more than the travel is no figure
         unit = compliance_unit(model, joint)
         out.append(Detectable(joint, "transmission", "elasticity", least, unit, 0.0))
     return tuple(out)

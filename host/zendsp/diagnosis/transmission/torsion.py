@@ -32,12 +32,12 @@ Array = npt.NDArray[np.float64]
 OF_BODIES = 10.0
 OF_MOTOR = 32.0  # the same, where the motor's own torque is taken and no stiffness is assumed
 STILL = 0.02  # of the highest speed: slower, friction and the side of a gap are not determined
-BENT = 0.1  # of the RMS torque: over so much of it a gap is crossed
+GAP_CROSSED = 0.1  # of the RMS torque: over so much of it a gap is crossed
 RATE = 8.0  # rows kept for each period of the low-pass
 ORDERS = 4000  # of an error over the angle, at most so many are tried
-ROUNDS = 2  # of the motor's own inertia and its dry friction by turns
-STEP = 0.1  # of the joint's inertia: first tries of what is the motor's
-SHARES = tuple(STEP * (i + 0.5) for i in range(10))
+FRICTION_ROUNDS = 2  # of the motor's own inertia and its dry friction by turns
+SHARE_STEP = 0.1  # of the joint's inertia: first tries of what is the motor's
+SHARES = tuple(SHARE_STEP * (i + 0.5) for i in range(10))
 
 
 @dataclass(frozen=True)
@@ -203,7 +203,7 @@ def nuisance(twist: Twist, off_centre: bool) -> Array:
 def gap_shape(torque: Array) -> Array:
     """-1 … 1: the side on which a gap is closed."""
     size = float(np.sqrt(np.mean(torque**2)))
-    return np.asarray(np.tanh(torque / (BENT * max(size, 1e-300))))
+    return np.asarray(np.tanh(torque / (GAP_CROSSED * max(size, 1e-300))))
 
 
 def columns_of(twist: Twist, terms: Sequence[str], scale: float) -> Array:
@@ -335,13 +335,13 @@ def with_motor_torque(
         return out
 
     dry, best = 0.0, 0.5
-    for _ in range(ROUNDS):
+    for _ in range(FRICTION_ROUNDS):
 
         def cost(share: float, dry: float = dry) -> float:
             return rms(regress(fit, columns(share, dry), off_centre).residual)
 
         first = min(SHARES, key=cost)
-        bounds = (max(0.0, first - STEP), min(1.0, first + STEP))
+        bounds = (max(0.0, first - SHARE_STEP), min(1.0, first + SHARE_STEP))
         best = float(minimize_scalar(cost, bounds=bounds, method="bounded").x)
         found = regress(fit, columns(best, dry), off_centre)
         dry = max(0.0, -float(found.x[1] / found.x[0])) if found.x[0] < 0 else 0.0

@@ -14,6 +14,7 @@ from zendsp.physics.calibration.fit import Data, Fit, residual
 Array = npt.NDArray[np.float64]
 
 SECOND_ORDER = 4.0 / 3.0  # the change from one step to its half, extrapolated to none
+UNFELT = 1e-30  # of what the most felt number does to the innovations: less is nothing
 
 
 def step_error(data: Data, fitted: Fit, joints: Sequence[int]) -> Array:
@@ -44,9 +45,12 @@ def step_error(data: Data, fitted: Fit, joints: Sequence[int]) -> Array:
     jacobian[rows:] *= np.sqrt(np.mean(fitted.residual[:rows] ** 2))
     if not np.all(np.isfinite(change)):
         return np.zeros(len(fitted.handles))
-    unit = np.sqrt(np.maximum(np.sum(jacobian**2, axis=0), 1e-300))
-    step = np.linalg.lstsq(jacobian / unit, -change, rcond=1e-8)[0] / unit
-    return np.asarray(SECOND_ORDER * step)
+    unit = np.sqrt(np.sum(jacobian**2, axis=0))
+    felt = unit > UNFELT * unit.max()  # not the phase of a ripple of no size
+    step = np.zeros(len(unit))
+    step[felt] = np.linalg.lstsq(jacobian[:, felt] / unit[felt], -change, rcond=1e-8)[0]
+    step[felt] /= unit[felt]
+    return SECOND_ORDER * step
 
 
 def with_step_error(data: Data, fitted: Fit, joints: Sequence[int]) -> Fit:

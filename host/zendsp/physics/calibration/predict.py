@@ -326,6 +326,9 @@ def trace(record: JointRecord, model: Model, terms: tuple[Term, ...], speed_floo
     m.gain, m.limit = per_joint(model.actuator.gain, record.joint, 1.0), 0.0
     m.other, m.nfx, m.temperature = p(record.others), len(own_terms(terms)), p(_felt(record, terms))
     m.kind, m.p = ffi.cast("int *", ffi.from_buffer(kinds)), p(table)
+    inertia, bias = record.inertia_and_bias(model)
+    inertia += added_inertia(model, record.joint)
+    fill_rigid(m, record, model, inertia, bias)
     motion = np.ascontiguousarray(record.motion.states)
     out = np.empty(n)
     lib.lib.zk_trace(m, p(motion), p(record.command), speed_floor, p(out))

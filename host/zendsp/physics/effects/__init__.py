@@ -79,7 +79,7 @@ def get_effect(name: str) -> Effect:
 
 
 def mechanism_of(name: str) -> str:
-    """The mechanism of a machine that an effect is a law of.
+    """The mechanism that an effect describes.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def laws_of(mechanism: str) -> tuple[str, ...]:
 
 
 def is_supported(effect: Effect, present: Collection[str]) -> bool:
-    """Whether a joint has what an effect means nothing without.
+    """Whether a joint has what an effect needs, such as a column.
 
     Parameters
     ----------

@@ -399,7 +399,7 @@ class Effect:
 
     @property
     def constant(self) -> bool:
-        """Whether its torque never changes: a part of any function of state."""
+        """Whether its torque is constant."""
         return self.site == "torque" and "s->" not in self.c
 
     @property

@@ -26,8 +26,8 @@ EFFECT = Effect(
     ),
     c="",
     sentence=(
-        "The link of joint {joint} is not what the model's file says: its mass differs by {mass},"
-        " its centre of mass by {com_x}, {com_y}, {com_z}."
+        "The link of joint {joint} is not what the model's file says: add {mass} to its"
+        " mass, and move its centre of mass by {com_x}, {com_y}, {com_z}."
     ),
     experiment="Weigh the link and find its balance, or look up its maker's figures.",
     equation="m, c, J of a link: Y(q, q̇, q̈) Δφ at every joint that moves it",

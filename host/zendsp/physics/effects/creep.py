@@ -28,5 +28,5 @@ EFFECT = Effect(
     essence=("speed",),
     needs=("creep",),
     family="presliding",
-    why_not="a sign is smoothed in any compensation",
+    why_not="how friction turns round at rest is smoothed in every compensation",
 )

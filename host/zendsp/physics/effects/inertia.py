@@ -1,4 +1,4 @@
-"""More or less inertia than the model has: a payload, or a wrong figure."""
+"""More or less inertia than the model has: a payload, or a wrong number in it."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ EFFECT = Effect(
     parameters=(Parameter("amount", "inertia"),),
     c="j_extra += p[0];",
     sentence=(
-        "The inertia of joint {joint} differs from the model's by {amount} (a payload where it is"
-        " more, or a wrong figure)."
+        "The inertia of joint {joint} is {compared} than the model's: a rotor that it lacks or a"
+        " payload where it is larger, or a wrong number in the model."
     ),
     experiment="Fast accelerations with and without the suspected payload.",
     equation="ΔJ q̈",

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+import shlex
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,9 +20,11 @@ from zendsp.physics.files.draft_data import (
     finite,
     first_idea,
     groups_of,
+    in_order,
     is_behind,
     like_degrees,
     sliding,
+    unbroken,
 )
 from zendsp.physics.files.shipped import model_folder
 from zendsp.physics.kernel.signals import find_resolution
@@ -35,17 +38,19 @@ SATURATED = 20  # samples at the largest command: it was cut off there
 
 @dataclass(frozen=True)
 class Draft:
-    """The text of a model file, and the questions in it."""
+    """The text of a model file, the questions in it, and the recording's columns that it leaves."""
 
     text: str
     joints: int
     questions: tuple[str, ...]
+    unused: tuple[str, ...] = ()
 
 
 class _Page:
     def __init__(self) -> None:
         self.lines: list[str] = []
         self.questions: list[str] = []
+        self.unused: tuple[str, ...] = ()
 
     def line(self, text: str = "", comment: str = "", ask: str = "") -> None:
         if ask:
@@ -57,6 +62,10 @@ class _Page:
             self.lines.append(f"# {comment}")
         else:
             self.lines.append(f"{text:<38} # {comment}")
+
+    def choice(self, text: str, comment: str = "", ask: str = "") -> None:
+        """A line that holds where its ``#``, which no space follows, is taken away."""
+        self.line(f"#{text}", comment, ask)
 
 
 def draft_model(table: Table, machine: Machine | None = None) -> Draft:
@@ -94,19 +103,9 @@ def draft_model(table: Table, machine: Machine | None = None) -> Draft:
         groups = sliding(groups)
         position = best_group(groups, Role.POSITION) or position
     command = best_group(groups, Role.COMMAND, joints) or best_group(groups, Role.CURRENT, joints)
+    command = command and in_order(command, position)
     page = _Page()
-    page.line(
-        comment=f"Model of the machine in {table.path.name}, begun by: zendsp model new"
-        f" {table.path.name}"
-    )
-    page.line(
-        comment="What the recording cannot tell is asked with a question mark, above its line."
-        " docs/models.md explains every key."
-    )
-    for note in table.notes:
-        page.line(comment=note)
-    if bare:
-        page.line(ask=f"{nothing}: why?")
+    _head(page, table, f"{nothing}: why?" if bare else "")
     for group in (position, command):
         bad = 0 if group is None else int(np.sum(~np.isfinite(group.values)))
         if group is not None and bad:
@@ -122,7 +121,10 @@ def draft_model(table: Table, machine: Machine | None = None) -> Draft:
     if known is not None and known.model:
         _mujoco(page, known)
     else:
-        _mechanism(page, position, command, step, linear, known)
+        part = unbroken(clock, len(position.values))
+        shown = replace(position, values=position.values[part])
+        driven = command and replace(command, values=command.values[part])
+        _mechanism(page, shown, driven, step, linear, known)
     _actuator(page, command, step, known)
     _sensor(page, position, linear, known)
     page.line()
@@ -131,9 +133,26 @@ def draft_model(table: Table, machine: Machine | None = None) -> Draft:
         " velocity."
     )
     for text in ("[controller]", 'kind = "pd"', "kp = 0.0", "kd = 0.0"):
-        page.line(comment=text)
+        page.choice(text)
     _columns(page, table, groups, clock, position, command, joints)
-    return Draft("\n".join(page.lines) + "\n", joints, tuple(page.questions))
+    return Draft("\n".join(page.lines) + "\n", joints, tuple(page.questions), page.unused)
+
+
+def _head(page: _Page, table: Table, ask: str) -> None:
+    """Where the file comes from, and how it is read."""
+    page.line(
+        comment=f"Model of the machine in {table.path.name}, begun by: zendsp model new"
+        f" {shlex.quote(table.path.name)}"
+    )
+    page.line(
+        comment="What the recording cannot tell is asked with a question mark, above its line."
+        " docs/models.md explains every key."
+    )
+    page.line(comment="To make use of a line such as #kp = 0.0, take its # away.")
+    for note in table.notes:
+        page.line(comment=note)
+    if ask:
+        page.line(ask=ask)
 
 
 def _sample_time(page: _Page, clock: Group | None, file: str) -> float:
@@ -238,11 +257,9 @@ def _mechanism(
         comment="Physics that you know already; names and parameters as in docs/effects.md. What is"
         " missing is for zendsp diagnose to find."
     )
-    for text in (
-        "[[effect]]", 'kind = "viscous"', "joint = 1",
-        f"coefficient = {{ value = 0.01 }}  # {'N s/m' if linear else 'N m s/rad'}",
-    ):
-        page.line(comment=text)
+    for text in ("[[effect]]", 'kind = "viscous"', "joint = 1"):
+        page.choice(text)
+    page.choice("coefficient = { value = 0.01 }", "N s/m" if linear else "N m s/rad")
 
 
 def _unit_asked(position: Group) -> str:
@@ -289,9 +306,9 @@ def _numbers(
             ask="is q = 0 where it hangs down?",
         )
     elif not linear:
-        page.line(
-            comment="gravity = { value = 0.1 }: N m, times sin(q), q = 0 hanging down;"
-            " none of this form is seen"
+        page.choice(
+            "gravity = { value = 0.1 }",
+            "N m, times sin(q), q = 0 hanging down; none of this form is seen",
         )
 
 
@@ -350,9 +367,8 @@ def _limit(page: _Page, command: Group) -> None:
         )
     else:
         seen = _list([float(f"{p:.3g}") for p in peaks])
-        page.line(
-            comment=f"limit = {seen}: the largest command seen",
-            ask="where does the drive cut off?",
+        page.choice(
+            f"limit = {seen}", "the largest command seen", "where does the drive cut off?"
         )
 
 
@@ -395,9 +411,9 @@ def _sensor(page: _Page, position: Group, linear: bool, machine: Machine | None)
             )
         page.line(f"position_resolution = {_list([float(f'{s:.8g}') for s in steps])}", said)
     else:
-        page.line(
-            comment=f"position_resolution = 0.001: {unit} per count",
-            ask="no steps are seen: what does the encoder resolve?",
+        page.choice(
+            "position_resolution = 0.001", f"{unit} per count",
+            "no steps are seen: what does the encoder resolve?",
         )
     if machine is not None and machine.model:
         return
@@ -428,22 +444,22 @@ def _columns(
     ):
         group = best_group(groups, role, joints)
         if group is not None and group is not command:
-            chosen[role.value] = group
+            chosen[role.value] = in_order(group, position)
     behind = [
         g
         for g in groups.get(Role.POSITION, [])
         if g is not position and g.values.shape[1] == joints and is_behind(g)
     ]
     if behind:
-        chosen["position_load"] = behind[0]
+        chosen["position_load"] = in_order(behind[0], position)
     for key, group in chosen.items():
         page.line(f"{key} = {group.spec}", group.unit)
     if command is None:
-        page.line(comment='command = "…"')
+        page.choice('command = "…"')
     used = {name for group in chosen.values() for name in group.names}
-    rest = [name for name in table.columns if name not in used]
-    if rest:
-        page.line(comment=f"not used: {', '.join(rest)}")
+    page.unused = tuple(name for name in table.columns if name not in used)
+    if page.unused:
+        page.line(comment=f"not used: {', '.join(page.unused)}")
     for name, value in list(table.constants.items())[:12]:
         page.line(comment=f"also in the file: {name} = {value:g}")
 

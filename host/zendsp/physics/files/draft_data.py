@@ -107,6 +107,32 @@ def best_group(groups: dict[Role, list[Group]], role: Role, joints: int = 0) -> 
     return min(some, key=unlikely, default=None)
 
 
+def in_order(group: Group, position: Group) -> Group:
+    """The columns of a group in the order of the position's joints, where names of both say which
+    joint they are of: JointStates name theirs in any order.
+    """
+    wanted, there = ([_joint(name) for name in g.names] for g in (position, group))
+    if wanted == there or sorted(wanted) != sorted(there) or len(set(there)) < len(there):
+        return group
+    order = [there.index(joint) for joint in wanted]
+    return Group(tuple(group.names[k] for k in order), group.values[:, order], group.unit)
+
+
+def _joint(name: str) -> str:
+    return ".".join(name.split(".")[1:-1])
+
+
+def unbroken(clock: Group | None, rows: int) -> slice:
+    """The longest stretch of a recording in which no row is missing."""
+    if clock is None:
+        return slice(rows)
+    steps = np.diff(clock.values[:, 0])
+    ends = np.flatnonzero(np.append(steps > 1.5 * np.median(steps), True)) + 1
+    begins = np.concatenate([[0], ends[:-1]])
+    longest = int(np.argmax(ends - begins))
+    return slice(int(begins[longest]), int(ends[longest]))
+
+
 def is_behind(group: Group) -> bool:
     return bool({*LOAD} & set(re.findall(r"[a-z]+", group.names[0].lower())))
 

@@ -28,8 +28,8 @@ from zendsp.physics.model import (
     Term,
 )
 from zendsp.physics.robots.robot import joint_kinds, stated
-from zendsp.spelling import unknown_keys
-from zendsp_protocol import toml
+from zendsp_protocol import written
+from zendsp_protocol.spelling import unknown_keys
 
 OF_MJCF = ("joints", "take")
 OF_FMU = ("inputs", "outputs", "start_position", "start_velocity", "time_limit")
@@ -137,7 +137,7 @@ def load_model(path: str | Path) -> Model:
     """
     path = find_model(path)
     try:
-        data = toml.loads(path.read_text(encoding="utf-8"))
+        data = written.toml(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
         raise ModelError(f"{path}: cannot be read: {error}") from error
     except tomllib.TOMLDecodeError as error:

@@ -14,7 +14,7 @@ typedef struct {
     double k_cubic[LANES], w_amp[LANES], w_order[LANES], w_phase[LANES], filter[LANES];
     double creep[LANES];
     int two_mass, lag_on, gapped, bristled, bent, creeps, pulled, hung, late, drives, senses, wavy,
-        filtered, hidden; /* whether any lane has it */
+        filtered, hidden, loaded; /* whether any lane has it */
 } OF(numbers);
 
 #if LANES > 1 /* a vector, which stays in a register where an array would not */
@@ -26,6 +26,7 @@ typedef double OF(lane)[LANES];
 typedef struct { /* what an effect may look at */
     OF(lane) q, qd, qdd; /* of the joint; qdd only where a trace is asked for */
     OF(lane) u, tau;     /* command (its own unit) and actuator torque */
+    OF(lane) load;       /* what of it reaches the load: in the step before */
     /* time, degrees C; motion of the other joint, for couplings */
     OF(lane) t, temp, oq, oqd, oqdd;
 } OF(state);
@@ -40,7 +41,7 @@ static void OF(set_up)(const zk_model *M, OF(numbers) *N)
         double s0 = 0, s1 = 0, bw_force = 0, bw_a = 0, bw_n = 1, j_extra = 0;
         double k_cubic = 0, w_amp = 0, w_order = 0, w_phase = 0, filter = 0, column_late = 0;
         double creep = 0;
-        int two_mass = 0, lag_on = 0, drives = 0, senses = 0, hung = 0;
+        int two_mass = 0, lag_on = 0, drives = 0, senses = 0, hung = 0, loaded = 0;
         for (int i = 0; i < M->nfx; i++) {
             const double *p = M[l].p + i * MAXP;
             for (int j = 0; j < MAXP; j++) N->p[i][j * LANES + l] = p[j];
@@ -83,6 +84,7 @@ static void OF(set_up)(const zk_model *M, OF(numbers) *N)
         N->drives |= drives;
         N->senses |= senses;
         N->hung |= hung;
+        N->loaded |= loaded;
         N->two_mass |= two_mass;
         N->lag_on |= lag_on;
         N->gapped |= gap > 0;

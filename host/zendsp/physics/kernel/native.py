@@ -23,7 +23,9 @@ from zendsp_isr.compiler import find_compiler
 Array = npt.NDArray[np.float64]
 
 FAST = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC")
-FLAGS = (*FAST, "-std=c11", "-fopenmp-simd")
+# all lanes in one register, where there is one so wide
+WIDE = ("-mprefer-vector-width=512",) if platform.machine() == "x86_64" else ()
+FLAGS = (*FAST, *WIDE, "-std=c11", "-fopenmp-simd")
 
 CDEF = """
 typedef struct {
@@ -102,6 +104,8 @@ def source_text(effects: dict[str, Effect]) -> str:
             cases[mark].append(f"case {i}: {looked}{text} break;")
         if effect.site == "setup":
             continue
+        if re.search(r"\bload\b", effect.c):
+            cases["SETUP"].append(f"case {i}: loaded = 1; break;")
         head = f"(const double *p, const OF(state) *s, int l{_MORE.get(effect.site, '')})"
         functions.append(
             f"static inline double OF(fx_{effect.name}){head} {{ {_of_lane(effect)} }}"
@@ -121,10 +125,10 @@ def _of_lane(effect: Effect) -> str:
     if other:
         raise ZendspError(
             f"effect {effect.name!r}: {other[0]!r} stands alone in {effect.c!r}; write p[0], p[1],"
-            " … and s->q, s->qd, s->qdd, s->t, s->temp, s->u, s->tau"
+            " … and s->q, s->qd, s->qdd, s->t, s->temp, s->u, s->tau, s->load"
         )
     body = re.sub(r"\bp\s*\[([^\]]+)\]", r"p[(\1) * LANES + l]", effect.c)
-    return re.sub(r"\bs\s*->\s*(q|qd|qdd|u|tau|t|temp|oq|oqd|oqdd)\b", r"s->\1[l]", body)
+    return re.sub(r"\bs\s*->\s*(q|qd|qdd|u|tau|load|t|temp|oq|oqd|oqdd)\b", r"s->\1[l]", body)
 
 
 def _machine() -> str:

@@ -353,21 +353,21 @@ INLINE void OF(remember)(const OF(task) *O, OF(motion) *X, OF(lane) *free)
     }
 }
 
-/* Dry friction that creeps: v + most tanh(v / slow) = vfree, by Newton's method from below. */
+/* Dry friction that creeps: v + most tanh(v / slow) = vfree. In units of slow, u + a tanh u = f, by
+ * Newton's method from below: with e = exp(2 u), one division a step. */
 INLINE void OF(creep)(const OF(task) *O, const OF(motion) *X, const OF(lane) *level,
                       const OF(lane) *vfree, OF(lane) *vn)
 {
     EACH {
         double most = O->h * (*level)[l] * X->per_jm[l], slow = O->N->creep[l];
         int on = (slow > 0) & (most > 0);
-        slow = on ? slow : 1.0;
-        double free = (*vfree)[l],
-               v = fabs(free) < most + slow ? free * slow / (most + slow) : (*vn)[l];
+        double per = 1.0 / (on ? slow : 1.0), f = (*vfree)[l] * per, a = most * per,
+               u = fabs(f) < a + 1 ? f / (a + 1) : (*vn)[l] * per;
         for (int turn = 0; turn < CREEP_STEPS; turn++) {
-            double sign = tanh(v / slow);
-            v -= (v + most * sign - free) / (1 + most / slow * (1 - sign * sign));
+            double e = exp(clip(2 * u, 40.0)), sum = e + 1;
+            u -= ((u - f) * sum * sum + a * (e - 1) * sum) / (sum * sum + 4 * a * e);
         }
-        (*vn)[l] = on ? v : (*vn)[l];
+        (*vn)[l] = on ? u * slow : (*vn)[l];
     }
 }
 
@@ -402,6 +402,11 @@ INLINE void OF(slide)(const OF(task) *O, OF(motion) *X, const OF(lane) *f, const
     }
     if (O->hidden && O->N->creeps) OF(creep)(O, X, &level, &vfree, &vn);
     if (O->hidden && O->N->bristled) OF(bristle)(O, X, &level, &vfree, &vn);
+    if (O->N->loaded)
+        EACH O->S->load[l] =
+            O->two_mass ? X->spring[l]
+                        : X->jm[l] * (vn[l] - X->qd[l]) * O->per_h + X->bias[l] +
+                              O->N->gravity[l] * sin(O->S->q[l]);
     EACH {
         X->rub[l] = (vfree[l] - vn[l]) * X->jm[l] * O->per_h;
         X->q[l] += 0.5 * O->h * (X->qd[l] + vn[l]);

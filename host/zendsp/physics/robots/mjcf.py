@@ -110,7 +110,28 @@ def compiled(path: str) -> Any:
         return mj.MjModel.from_xml_path(path)
     except (ValueError, RuntimeError, OSError) as error:
         said = " ".join(str(error).split())
+        if Path(path).suffix.lower() == ".urdf" and "opening file" in said:
+            return spec_of(path).compile()
         raise ModelError(f"{path}: MuJoCo does not compile it: {said}") from error
+
+
+def spec_of(path: str) -> Any:
+    """The model as it can be changed. A URDF loses its shapes where their files are missing, which
+    it often names by packages: it states the inertias of its links.
+    """
+    mj, kind = library(), Path(path).suffix.lower()
+    # MuJoCo takes a file for XML by its name only, and a model.mjcf of ours includes no other
+    named = kind in (".xml", ".urdf")
+    spec = mj.MjSpec.from_file(path) if named else mj.MjSpec.from_string(Path(path).read_text())
+    try:
+        spec.compile()
+    except ValueError as error:
+        if kind != ".urdf" or "opening file" not in str(error):
+            raise
+        for shape in [*spec.geoms, *spec.meshes]:
+            spec.delete(shape)
+        spec.compile()
+    return spec
 
 
 def name_of(model: Any, what: str, index: int) -> str:

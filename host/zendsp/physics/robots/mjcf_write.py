@@ -16,7 +16,7 @@ from zendsp.errors import ModelError
 from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model, Term
 from zendsp.physics.robots.bodies import changed, numbers_of, turned_gravity
-from zendsp.physics.robots.mjcf import Mjcf, actuators_of, armature_of, library, turned
+from zendsp.physics.robots.mjcf import Mjcf, actuators_of, armature_of, spec_of, turned
 from zendsp.physics.robots.robot import mjcf_of, robot_path, robot_tree, stated
 from zendsp.tree import Body
 
@@ -285,10 +285,8 @@ def _name(m: Any, what: str, index: int) -> str:
 
 def _text(model: Model, split: Split) -> str:
     """The MJCF in one file: includes resolved, assets by absolute paths."""
-    mj, source = library(), robot_path(model)
-    # MuJoCo takes a file for XML by its name only, and a model.mjcf of ours includes no other
-    xml = Path(source).suffix == ".xml"
-    spec = mj.MjSpec.from_file(source) if xml else mj.MjSpec.from_string(Path(source).read_text())
+    source = robot_path(model)
+    spec = spec_of(source)
     folder = Path(source).resolve().parent
     for key in ("meshdir", "texturedir"):
         setattr(spec, key, str((folder / getattr(spec, key)).resolve()))

@@ -84,8 +84,10 @@ def recorded_tree(model: Model, joints: int) -> tuple[list[Body], Array]:
     """
     bodies, gravity = robot_tree(model)
     if len(bodies) != joints:
+        leave = 'type="fixed" in that file' if model.kind == "urdf" else "joints = […]"
         raise ModelError(
-            f"{model.file}: has {counted(len(bodies), 'joint')}, the recording {joints}"
+            f"{model.file}: has {counted(len(bodies), 'joint')}, the recording {joints}:"
+            f" {leave} leaves one out"
         )
     return bodies, gravity
 

@@ -37,7 +37,7 @@ typedef struct sim_config {
 
 typedef struct { /* what an effect may look at (the names that the effects' C uses) */
     double q, qd, qdd, t;
-    double u, tau;
+    double u, tau, load;
     double oq, oqd, oqdd;
     double lag_t;
     double temp;        /* degrees C */
@@ -54,6 +54,7 @@ typedef struct sim_joint { /* what the effects of site "setup" set, and states *
     double j_motor;     /* inertia on the motor side of an elastic joint */
     double z, hyst, a;  /* bristle, hysteresis, lagged command */
     double u, tau;      /* command and torque in this step */
+    double load;        /* what of it reached the load in the step before */
 } sim_joint;
 
 typedef struct sim {

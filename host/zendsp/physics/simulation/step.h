@@ -119,6 +119,7 @@ static void stage(sim *S, double H, double t, const double *M, const tree_pose *
                 .t = t,
                 .u = j->u,
                 .tau = j->tau,
+                .load = j->load,
                 .lag_t = H,
                 .temp = warmth(S)};
         sim_force f;
@@ -180,6 +181,9 @@ static void stage(sim *S, double H, double t, const double *M, const tree_pose *
     for (int i = 0; i < n; i++) {
         sim_joint *j = &S->j[i];
         const double mean = 0.5 * (v[j->motor] + out[j->motor]);
+        j->load = g[i];
+        for (int k = 0; k < n; k++)
+            j->load += M[i * n + k] * (out[k] - v[k]) / H;
         if (j->bw_force > 0)
             j->hyst = zh[i];
         if (j->s0 > 0)

@@ -14,6 +14,7 @@ from zendsp.errors import RecordingError
 from zendsp.recording.formats.raw import Raw
 from zendsp.recording.names import FloatArray
 from zendsp.recording.roles import Role, role_of
+from zendsp_protocol.texts import counted
 
 # of the rows of the clock: a series with so many bounds the time that is read; others are held over
 # it
@@ -88,7 +89,8 @@ def on_one_clock(
             f"{path.name}: rows are those of {master.name}; the newest value is held of {others}"
         )
     if (left := len(master.t) - len(t)) > 0:
-        notes.append(f"{path.name}: {left} rows left out in which not everything was recorded")
+        rows = counted(left, "row")
+        notes.append(f"{path.name}: {rows} left out in which not everything was recorded")
     return Raw(columns, units, {}, "", refused, tuple(notes))
 
 

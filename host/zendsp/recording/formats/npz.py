@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import zipfile
 import zlib
@@ -13,6 +12,7 @@ import numpy as np
 
 from zendsp.errors import RecordingError
 from zendsp.recording.formats.raw import Raw, check_room
+from zendsp_protocol import written
 
 if TYPE_CHECKING:
     from zendsp.recording.recording import Recording
@@ -76,7 +76,7 @@ def _size(archive: Any, name: str) -> int:
 def _units(metadata: str) -> dict[str, str]:
     """Units of the channels of a recording of zendsp; none of any other file."""
     try:
-        channels = json.loads(metadata)["channels"]
+        channels = written.json(metadata)["channels"]
         return {"t": "s", **{str(c["name"]): str(c["unit"]) for c in channels}}
     except (ValueError, KeyError, TypeError):
         return {}

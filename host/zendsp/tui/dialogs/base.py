@@ -8,10 +8,12 @@ from textual import events, on
 from textual.await_complete import AwaitComplete
 from textual.binding import Binding
 from textual.screen import ModalScreen
+from textual.widget import Widget
 from textual.widgets import Button
 
 from zendsp.tui.statusbar import StopButton
 
+LEAST = 3  # rows of what scrolls
 Result = TypeVar("Result")
 
 
@@ -29,6 +31,7 @@ class Dialog(ModalScreen[Result | None]):
     """  # noqa: E501
     BINDINGS = [Binding("escape", "cancel", "Cancel", priority=True)]  # noqa: RUF012
 
+    long = 16  # rows of a list, or another part that scrolls, at most
     opened = False  # whether it takes keys already
     closed = False  # whether it has its answer
 
@@ -46,6 +49,19 @@ class Dialog(ModalScreen[Result | None]):
         """Keep in sight that STOP works here too."""
         for box in self.query(".box"):
             box.border_subtitle = box.border_subtitle or "F9 STOP"
+
+    def on_resize(self) -> None:
+        """Let what is long give way, so that the lines and buttons below it stay in sight."""
+        self.call_after_refresh(self._fit)
+
+    def _fit(self) -> None:
+        for long in self.query(".long"):
+            box = long.query_ancestor(".box", Widget)
+            rest = sum(
+                part.outer_size.height + part.styles.margin.height
+                for part in (box, *box.children) if part is not long
+            ) - box.size.height  # margins and frame of the box remain
+            long.styles.max_height = max(LEAST, min(self.long, self.size.height - rest))
 
     def on_click(self, event: events.Click) -> None:
         """A click on the red field stops, although the field belongs to the screen below."""

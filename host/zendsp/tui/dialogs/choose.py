@@ -57,7 +57,7 @@ class Choose(Dialog[list[str]]):
             if self._text:
                 yield Static(self._text, classes="hint", markup=False)
             yield Input(placeholder="type to filter", compact=True)
-            yield OptionList(markup=False, compact=True)
+            yield OptionList(markup=False, compact=True, classes="long")
             keys = (
                 "space marks, ⏎ takes the marked ones (or this one)"
                 if self._several

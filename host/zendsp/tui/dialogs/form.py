@@ -49,6 +49,16 @@ class Line(Input):
         await self.action_submit()
 
 
+class Label(Static):
+    """What stands before or behind an input; a click on it is for the input."""
+
+    def on_click(self) -> None:
+        """Give the input in the same line the focus."""
+        beside = (w for w in self.parent.children if w.focusable) if self.parent else iter(())
+        if (widget := next(beside, None)) is not None:
+            self.screen.set_focus(widget)
+
+
 class Form(Dialog[Mapping[str, Any]]):
     """Ask for some values; the result maps each key to its checked value."""
 
@@ -72,9 +82,9 @@ class Form(Dialog[Mapping[str, Any]]):
                 yield Static(self._text, classes="hint", markup=False)
             for field in self._fields:
                 with Horizontal(classes="field"):
-                    yield Static(field.label, classes="label", markup=False)
+                    yield Label(field.label, classes="label", markup=False)
                     yield self._widget(field)
-                    yield Static(field.unit, classes="unit", markup=False)
+                    yield Label(field.unit, classes="unit", markup=False)
             yield Static("", classes="problem", id="problem", markup=False)
             with Horizontal(classes="buttons"):
                 yield Button(self._ok, variant="primary", id="ok", compact=True)

@@ -34,6 +34,8 @@ class Message(Dialog[bool]):
         *(Binding(key, f"scroll_text('{key}')", show=False) for key in WAYS),
     ]
 
+    long = 36
+
     def __init__(self, title: str, body: RenderableType, agree: str = "") -> None:
         super().__init__()
         self._title, self._body, self._agree = title, body, agree
@@ -41,7 +43,7 @@ class Message(Dialog[bool]):
     def compose(self) -> ComposeResult:
         with Vertical(classes="box") as box:
             box.border_title = self._title
-            with VerticalScroll(can_focus=True):
+            with VerticalScroll(can_focus=True, classes="long"):
                 yield Static(self._body, classes="words", markup=False)
             with Horizontal(classes="buttons"):
                 if self._agree:

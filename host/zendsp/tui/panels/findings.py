@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -10,7 +11,7 @@ from rich.text import Text
 
 from zendsp.diagnosis.decide.contract import FindingReport, Report, dark
 from zendsp.diagnosis.report.chart import Chart
-from zendsp.diagnosis.report.summary import percent, verdict_sentence
+from zendsp.diagnosis.report.summary import before, by_joint, unnamed, verdict_sentence
 from zendsp.tui.diagnoses import Diagnosed
 from zendsp_protocol.texts import counted
 
@@ -66,12 +67,12 @@ def entries(d: Diagnosed, theme: Mapping[str, str]) -> list[Entry]:
     """
     r, charts = d.report, d.charts
     out = [_finding(k, f, charts, theme) for k, f in enumerate(r["findings"])]
-    if r["unexplained"]:
-        line = Text("left".ljust(LABEL) + r["unexplained"], theme["warning"])
-        out.append(Entry("unexplained", line))
+    for k, words in enumerate(by_joint(r["unexplained"] or "")):
+        line = Text("left".ljust(LABEL) + words, theme["warning"])
+        out.append(Entry(f"unexplained-{k}" if k else "unexplained", line))
     out += _errors(r, charts)
     for c in _of("where", charts):
-        out.append(Entry(c.name, _plain("where", f"{c.caption}, over time"), c, _where(r)))
+        out.append(Entry(c.name, _plain("where", c.caption), c, _where(r)))
     out += _left(r, charts)
     out.append(Entry("unseen", _plain("unseen", _unseen_line(r)), None, _unseen(r)))
     if r["next_recording"]:
@@ -106,20 +107,22 @@ def _finding(k: int, f: FindingReport, charts: Sequence[Chart], theme: Mapping[s
         words += ["", f"cannot be told from: {', '.join(f['indistinguishable'])}"]
     if f["replaces"]:
         words += ["", f"replaces: {', '.join(f['replaces'])}"]
-    chart = next((c for c in charts if c.finding == k), None)
+    own = (c for c in charts if c.finding == k)
+    chart = next(own, None) or next((c for c in charts if c.joint == f["joint"]), None)
+    words += ["", chart.note] if chart and chart.note else []
     return Entry(f"finding-{k}", text, chart, "\n".join(words))
 
 
 def _errors(r: Report, charts: Sequence[Chart]) -> list[Entry]:
     fit = r["fit"]
-    t = fit["test"]
-    fell = (
-        f"error on untouched recordings {t['calibrated']:.3g} → {t['improved']:.3g}"
-        f" {fit['unit']}; the sensor alone {fit['noise_floor']:.2g}"
-        if r["findings"]
-        else f"error on untouched recordings {t['calibrated']:.3g} {fit['unit']};"
-        f" the sensor alone {fit['noise_floor']:.2g}"
+    t, alone = fit["test"], f"the sensor alone {fit['noise_floor']:.2g}"
+    # null: a simulation that ran away
+    given, calibrated, improved = (
+        math.inf if x is None else x for x in (t["given"], t["calibrated"], t["improved"])
     )
+    _, error = before(given, calibrated, improved)
+    fell = f"{error:.3g} → {improved:.3g}" if r["findings"] else f"{calibrated:.3g}"
+    fell = f"error on untouched recordings {fell} {fit['unit']}; {alone}"
     drawn = _of("fit", charts)
     said = [fell, *(f"joint {c.joint}: its error over time" for c in drawn[1:])]  # of all joints
     made = [Entry(c.name, _plain("fit", text), c) for c, text in zip(drawn, said, strict=False)]
@@ -143,10 +146,7 @@ def _left(r: Report, charts: Sequence[Chart]) -> list[Entry]:
         joint, share, between = item["joint"], item["share"], item["interval"]
         if share is None or None in between:
             continue
-        line = (
-            f"joint {joint}: nothing named explains {percent(share)} of its torque (at most"
-            f" {percent(between[1])})"
-        )
+        line = f"joint {joint}: nothing named explains {unnamed(share, between[1])}"
         words = "\n".join([line, "", *refined])
         made.append(Entry(f"left-{joint}", _plain("left", line), white.get(joint), words))
     return made

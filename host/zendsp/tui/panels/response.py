@@ -16,7 +16,7 @@ from textual.widgets import Static
 from zendsp.tui.scope.path import Axes, Curve, PathPlot
 
 if TYPE_CHECKING:
-    from zendsp.experiment.frequency import FrequencyResponse
+    from zendsp.experiment.response import FrequencyResponse
 
 LEAST_ROWS = 14  # for two plots over one another
 

@@ -12,7 +12,7 @@ from textual.widgets import DataTable, Static
 from zendsp.tui.panels.table import ListTable
 
 if TYPE_CHECKING:
-    from zendsp.experiment.sweep import Sweep
+    from zendsp.experiment.sweep_result import Sweep
 
 
 class SweepView(Vertical):

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
 from zendsp.errors import ZendspError
 from zendsp.tui.scope.formula import Formula
-from zendsp.tui.scope.settings import LANES, MOST_CHANNELS, VIEWS, Channel, ScopeSettings
+from zendsp.tui.scope.settings import LANES, MOST_CHANNELS, VIEWS, Channel, Scale, ScopeSettings
+from zendsp_protocol import written
+from zendsp_protocol.spelling import unknown_keys
 
 FORM = 1
 
@@ -50,15 +53,33 @@ def load_layout(path: Path) -> Layout:
         The file is no layout, or one of its values is impossible.
     """
     try:
-        body = json.loads(path.read_text(encoding="utf-8"))
+        body = written.json(path.read_text(encoding="utf-8"))
         if body["zendsp_layout"] != FORM:
             raise ValueError(f"layout {body['zendsp_layout']}, this zendsp reads {FORM}")
+        if said := _mistyped(body, str(path)):
+            raise ZendspError(said)
         layout = msgspec.convert(body, Layout)
         _check(layout.channels, layout.settings)
         return layout
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         words = f"{type(error).__name__}: {error}"
         raise ZendspError(f"{path}: is not a layout of the scope ({words})") from error
+
+
+def _mistyped(body: Any, where: str) -> str:
+    """Say which keys of a layout nobody reads."""
+    settings, scales = body["settings"], body["settings"].get("scales", {})
+    tables = [
+        (body, ("zendsp_layout", *_names(Layout)), f"{where}: the file"),
+        *((c, _names(Channel), f"{where}: curve {n}") for n, c in enumerate(body["channels"], 1)),
+        (settings, _names(ScopeSettings), f"{where}: settings"),
+        *((scale, _names(Scale), f"{where}: scale of {name}") for name, scale in scales.items()),
+    ]
+    return "\n".join(filter(None, (unknown_keys(*table) for table in tables)))
+
+
+def _names(kind: Any) -> tuple[str, ...]:
+    return tuple(field.name for field in fields(kind))
 
 
 def _check(channels: tuple[Channel, ...], s: ScopeSettings) -> None:

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 import time
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +25,7 @@ from zendsp.tui.dialogs.base import Dialog
 from zendsp.tui.runs import Outcome, Run, list_runs, store_run
 from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.workspace import Workspace
+from zendsp_protocol import written
 
 
 class ProcessView(Dialog[bool]):
@@ -236,7 +236,7 @@ def fits(path: Path, machine: str) -> bool:
     if path.stem == machine:
         return True
     try:
-        return bool(tomllib.loads(path.read_text("utf-8")).get("name") == machine)
+        return bool(written.toml(path.read_text("utf-8")).get("name") == machine)
     except (OSError, ValueError):
         return False
 

@@ -434,7 +434,7 @@ class DiagnoseScreen(LoopActions):
         text = Text("model  ", "dim", no_wrap=True, overflow="ellipsis")
         path = Path(self.model)
         text.append(path.name or "none: m chooses or begins one", Style(dim=False, bold=True))
-        if path.name and path.parent != Path("."):
+        if path.name and path.parent not in (Path("."), self.lab.workspace.root):
             text.append(f"  in {path.parent}", Style(dim=True))
         given = self.query_one("#given-model", Static)
         given.update(text)

@@ -39,7 +39,9 @@ from zendsp_protocol.messages import Program
 if TYPE_CHECKING:
     from zendsp.tui.runs import Run
 
-LOOK_S = 2.0  # over which the tracking error is measured
+LOOK_S = 2.0  # over which the tracking error is measured, where no turn is known
+TURN = "turn_time"  # s: what comes again in every turn is measured over one
+LONGEST_S = 10.0  # that the picture holds
 ERRORS = ("e", "err", "error")
 
 
@@ -113,22 +115,29 @@ class LoopActions(LabScreen):
 
     def _figures(self, state: str) -> str:
         now = self._rms()
-        parts = []
-        for channel in self._errors:
+        parts, units = [], [channel.unit for channel in self._errors]
+        for channel, following in zip(self._errors, [*units[1:], ""], strict=True):
             name, value = channel.name, now.get(channel.name)
             if value is None:
                 continue
             was = self.before.get(name)
             before = f"{was:.3g} → " if was is not None and state == "on" else ""
-            parts.append(f"{name} {before}{value:.3g} {channel.unit}")
+            unit = f" {channel.unit}" if channel.unit != following else ""
+            parts.append(f"{name} {before}{value:.3g}{unit}")
         rms = "  ".join(parts) or "no program runs"
         state = {"other": "on"}.get(state, state)
-        return f"compensation {state}   rms over {LOOK_S:g} s:  {rms}"
+        return f"compensation {state}: rms over {self._look_s():g} s  {rms}"  # 80 columns
+
+    def _look_s(self) -> float:
+        """The time over which the tracking error is measured: one turn of the program's circle."""
+        values = self.lab.session.snapshot.values
+        turn = float(values.get(TURN, 0.0))
+        return turn if 0.0 < turn <= LONGEST_S and not values.get("use_table") else LOOK_S
 
     def _rms(self) -> dict[str, float]:
         if self._followed is None or self.lab.session.snapshot.state != "running":
             return {}
-        t, y = self._followed.since(self._followed.latest - LOOK_S)
+        t, y = self._followed.since(self._followed.latest - self._look_s())
         if len(t) < 2:
             return {}
         with np.errstate(invalid="ignore"):
@@ -194,7 +203,7 @@ class LoopActions(LabScreen):
 
         self._measuring = True
         if self.lab.session.snapshot.state == "running" and not self._rms():
-            self.set_timer(LOOK_S, measured)
+            self.set_timer(self._look_s(), measured)
         else:
             measured()
 

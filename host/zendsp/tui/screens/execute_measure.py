@@ -23,8 +23,8 @@ from zendsp.tui.screens.execute_runs import RunActions
 from zendsp.tui.snapshot import Snapshot
 
 if TYPE_CHECKING:
-    from zendsp.experiment.frequency import FrequencyResponse
-    from zendsp.experiment.sweep import Sweep
+    from zendsp.experiment.response import FrequencyResponse
+    from zendsp.experiment.sweep_result import Sweep
 
 MOVES = "Moves the machine; b ends it, F9 stops."
 BODE = (
@@ -101,7 +101,7 @@ class MeasureActions(RunActions):
 
     def show_responses(self, runs: Sequence[Run]) -> None:
         """Draw the responses of these runs over one another."""
-        from zendsp.experiment.frequency import FrequencyResponse
+        from zendsp.experiment.response import FrequencyResponse
 
         found = []
         for run in runs:

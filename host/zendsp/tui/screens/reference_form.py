@@ -15,6 +15,7 @@ from textual.widgets import Button, Input, Select, Static, Switch
 
 from zendsp.reference import KINDS, MACHINES, Machine, Parameter, load_machine
 from zendsp.reference.registry import HEADROOM
+from zendsp.tui.dialogs.form import Label
 from zendsp.tui.preflight import machine_of
 from zendsp.tui.scope import Scope
 from zendsp.tui.scope.path import PathPlot
@@ -49,13 +50,13 @@ class ReferenceForm(LabScreen):
         with Horizontal(id="reference-body"):
             with Vertical(id="form"):
                 with Horizontal(classes="line"):
-                    yield Static("Machine", classes="label")
+                    yield Label("Machine", classes="label")
                     yield Select(
                         self._machines(), value=self.machine.name, allow_blank=False, compact=True,
                         id="machine",
                     )
                 with Horizontal(classes="line"):
-                    yield Static("Motion", classes="label")
+                    yield Label("Motion", classes="label")
                     yield Select(
                         self._kinds(), value=self.kind, allow_blank=False, compact=True, id="kind"
                     )
@@ -151,10 +152,9 @@ class ReferenceForm(LabScreen):
             widget = Input(words(value), compact=True, name=p.name)
         bounds = f"  ({p.describe_bounds()})" if p.describe_bounds() and not p.choices else ""
         widget.tooltip = f"{p.description}{bounds}".replace("[", "(").replace("]", ")")
-        unit = Static(p.unit, classes="unit", markup=False)
-        return Horizontal(
-            Static(p.name, classes="label", markup=False), widget, unit, classes="line parameter"
-        )
+        unit = Label(p.unit, classes="unit", markup=False)
+        name = Label(p.name, classes="label", markup=False)
+        return Horizontal(name, widget, unit, classes="line parameter")
 
     def on_descendant_focus(self, event: events.DescendantFocus) -> None:
         """Say what the field means that is being edited."""

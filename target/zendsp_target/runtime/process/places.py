@@ -5,6 +5,7 @@ a CPU of its own while there are enough, and where CPUs are shared only the firs
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import os
 from dataclasses import replace
@@ -48,6 +49,33 @@ class Place:
         if self._file >= 0:
             os.close(self._file)
             self._file = -1
+
+
+def make_urgent(loop: int, settings: Settings) -> int:
+    """Give a loop SCHED_RR and a CPU of its own, where the system lets us.
+
+    Parameters
+    ----------
+    loop : int
+        Its thread.
+
+    Returns
+    -------
+    int
+        0, or the errno with which SCHED_RR was refused.
+    """
+    # not SCHED_FIFO: there, a program that hangs keeps the CPU from every other target on it until
+    # its watchdog ends it
+    policy, priority = os.SCHED_RR | os.SCHED_RESET_ON_FORK, os.sched_param(settings.priority)
+    try:
+        os.sched_setscheduler(loop, policy, priority)
+    except OSError as error:
+        return error.errno or errno.EPERM
+    with contextlib.suppress(OSError):
+        allowed = os.sched_getaffinity(loop)
+        if len(allowed) > 1:
+            os.sched_setaffinity(loop, {settings.cpu if settings.cpu in allowed else max(allowed)})
+    return 0
 
 
 def placed(settings: Settings, place: Place) -> Settings:

@@ -20,6 +20,7 @@ from zendsp_protocol import stop_page
 from zendsp_protocol.errors import Refused, RunnerDied, ZendspError
 from zendsp_target.runtime.memory.layout import layout, set_text, text_of
 from zendsp_target.runtime.memory.shm import SharedFile
+from zendsp_target.runtime.process.places import make_urgent
 from zendsp_target.runtime.process.rescue import Rescue
 from zendsp_target.runtime.process.settings import Settings
 from zendsp_target.runtime.process.strays import MARK, Strays
@@ -46,7 +47,7 @@ def _fill(control: Any, settings: Settings, program: Path, data: Path, number: i
     control.period_ns = round(1e9 / settings.rate_hz)
     control.clock = lib.CLOCK_REAL if settings.clock == "real" else lib.CLOCK_FAST
     control.realtime = settings.realtime
-    control.priority, control.cpu = settings.priority, settings.cpu
+    control.priority = settings.priority
     control.monitor = os.getpid()
     control.spin_us, control.speed = max(settings.spin_us, 0.0), settings.speed
     control.memory = round(settings.memory_mb * 1e6)
@@ -212,6 +213,8 @@ class RunnerProcess:
         while lib.monitor_load32(phase) not in (lib.PHASE_READY, lib.PHASE_FAILED):
             if self._process.poll() is not None:
                 break
+            if lib.monitor_load32(phase) == lib.PHASE_LOADED and not self.control.scheduled:
+                self.control.scheduled = 1 + make_urgent(self.pid, self.settings)
             if time.monotonic() > deadline:
                 where = _WITHIN.get(int(self.control.within), "while it was being loaded")
                 self.kill()

@@ -31,6 +31,7 @@ class Flight(msgspec.Struct, frozen=True):
     author: str
     host_time: float
     fade: int = 0  # samples
+    late: bool = False  # it may wait for longer than until the next sample
 
 
 class ChangeLog:

@@ -148,8 +148,9 @@ class Updates:
             if plan.scalar and _NUMBERS.issuperset(map(type, given))
             else self._numbers(values, settings)
         )
+        late = at_tick is not None or fade > 0
         with self._lock:
-            slot = self._take_slot(plan.tables)
+            slot = self._take_slot(plan.tables, late)
             try:
                 if numbers is None:
                     plan.fill(*given)
@@ -168,7 +169,9 @@ class Updates:
                 if isinstance(error, VariableError | OverflowError):
                     self._numbers(values, settings)  # has the words
                 raise
-            flight = Flight(slot, plan.places, plan.size, plan.given(), author, time.time(), fade)
+            flight = Flight(
+                slot, plan.places, plan.size, plan.given(), author, time.time(), fade, late
+            )
             return self._committed(flight, done == 1)
 
     def _plan(self, values: Mapping[str, object], settings: bool) -> WritePlan:
@@ -244,16 +247,20 @@ class Updates:
 
         return write
 
-    def _take_slot(self, tables: bool) -> int:
+    def _take_slot(self, tables: bool, late: bool) -> int:
         if self._handle < 0 and not self._alive():
             raise RunnerDied(_GONE)
         # the last download of a table may be in effect by now
         if tables or len(self._flights) >= _TOGETHER or not self._free:
             self._harvest()
+        most = self._lib.LAYOUT_BATCHES
         if not self._free:
+            raise Refused(f"{most} updates wait already: wait until some of them are applied")
+        # the other half is for updates of the next sample: none of them is kept waiting by these
+        if late and sum(flight.late for flight in self._flights.values()) >= most // 2:
             raise Refused(
-                f"{self._lib.LAYOUT_BATCHES} updates wait already: wait until some of them are"
-                " applied"
+                f"{most // 2} updates wait for a later sample, or fade, already: wait until some of"
+                " them are applied"
             )
         return self._free.pop()
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from typing import Any
 
-from zendsp.errors import did_you_mean
+from zendsp_protocol.errors import did_you_mean
 
 
 def unknown_keys(data: Mapping[str, Any], allowed: Collection[str], where: str) -> str:

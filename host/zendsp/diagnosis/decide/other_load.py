@@ -1,0 +1,136 @@
+"""Another load in the held-out recordings: inertia and gravity that are others there, together.
+
+The numbers of a body that was put on between two recordings are found on those to choose by, and
+judged on those to test on. Of one joint only: an arm's bodies are looked for by all its joints.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from zendsp.diagnosis.data.signals import Parts
+from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.result import Estimate, Finding, number
+from zendsp.diagnosis.decide.thresholds import LAWFUL, PREDICTED, SURE
+from zendsp.diagnosis.measure.discrepancy import discrepancy
+from zendsp.diagnosis.measure.evidence import compare
+from zendsp.diagnosis.measure.likelihood import fit_scored
+from zendsp.diagnosis.measure.significance import INTEGRATION_ERROR
+from zendsp.diagnosis.measure.windows import rms, window_error
+from zendsp.physics.calibration.fit import Fit
+from zendsp.physics.calibration.handles import Handle
+from zendsp.physics.effects import unit_of
+from zendsp.physics.model import Model
+
+G = 9.81  # m/s²
+CONFIDENCE = 0.9  # stated of a load: as of a fast ripple; the eight so far were right
+
+
+@dataclass(frozen=True)
+class OtherLoad:
+    """What is reported of it, and the joint's decision with the held-out recordings' numbers."""
+
+    finding: Finding
+    decision: Decision
+
+
+def other_load(parts: Parts, given: Model, decision: Decision, jobs: int) -> OtherLoad | None:
+    """The load that all held-out recordings have and those of the fit have not; None where they
+    have the same, or more than inertia and gravity differs.
+    """
+    joint, base = decision.joint, decision.base
+    held = {rec[joint - 1].recording for rec in parts.held.records}
+    fitted = {rec[joint - 1].recording for rec in parts.fit.records}
+    loaded = set(decision.loads)
+    apart = held <= loaded and not fitted & loaded and parts.choose is not parts.test
+    if given.joints > 1 or not apart:
+        return None
+    keys = [key for key, items in base.model.mechanism.items() if items[0].value != 0.0]
+    handles = [Handle("mechanism", 0, key) for key in keys]
+    choose = parts.choose.at_bandwidth(joint, base.data.bandwidth[joint - 1])
+    own = fit_scored(choose, base.model, handles, (joint,), jobs=jobs, rounds=2)
+    after = discrepancy(parts.test, own.model, joint)
+    more = after.value > LAWFUL and after.value**2 > (1.0 - PREDICTED) * decision.before.value**2
+    errors = [rms(window_error(parts.test, m, joint)) for m in (base.model, own.model)]
+    evidence = compare(base, own, parts.test, joint)
+    if more or errors[1] > errors[0] or evidence.z < SURE:
+        return None
+    body, text = _body(given, *(_numbers(keys, scored.fit, given) for scored in (base, own)))
+    where = " and ".join(sorted(loaded))
+    effect = "payload" if "mass" in body else "inertia"
+    finding = Finding(
+        effect,
+        joint,
+        body,
+        CONFIDENCE,
+        1.0,
+        (),
+        (),
+        f"{where} is of a machine with another load: {text}.",
+        {"recordings": sorted(loaded)},
+        "inertia",
+        {effect: 1.0},
+    )
+    there = replace(
+        decision, kind="missing", final=own, after=after, bare=after, alone=own, loads=()
+    )
+    return OtherLoad(finding, there)
+
+
+def of_load(finding: Finding | None) -> list[str]:
+    """What is to be known of the improved model where it has such a load."""
+    if finding is None:
+        return []
+    loaded = " and ".join(finding.numbers["recordings"])
+    return [
+        f"the improved model carries the load of {loaded}: it does not describe the recordings of"
+        " the fit, which the calibrated one does"
+    ]
+
+
+def _numbers(keys: Sequence[str], fit: Fit, given: Model) -> dict[str, Estimate]:
+    """The mechanism's numbers as fitted, with their standard deviations."""
+    at = {h.key: i for i, h in enumerate(fit.handles) if h.place == "mechanism"}
+    out = {}
+    for key in keys:
+        value = fit.model.mechanism[key][0].value
+        std = fit.std[at[key]] if key in at else 0.0
+        unit = unit_of(
+            "torque" if key == "gravity" else "inertia",
+            given.joint_kind(1),
+            given.actuator.unit,
+            given.torque_unit(1),
+        )
+        out[key] = Estimate(value, math.hypot(float(std), INTEGRATION_ERROR * value), unit)
+    return out
+
+
+def _body(
+    given: Model, before: dict[str, Estimate], now: dict[str, Estimate]
+) -> tuple[dict[str, Estimate], str]:
+    """The load as a body, where its weight shows and is of one sign with its inertia; else what it
+    adds to the inertia. In words, with the numbers that it changes.
+    """
+    more = {key: now[key].value - before[key].value for key in now}
+    std = {key: math.hypot(now[key].std, before[key].std) for key in now}
+    text = " and ".join(
+        f"{key} {number(now[key])} instead of {number(before[key])}" for key in now
+    )
+    (inertia,) = (key for key in now if key != "gravity")
+    amount = Estimate(more[inertia], std[inertia], now[inertia].unit)
+    weight = more.get("gravity", 0.0)
+    shows = abs(weight) > SURE * std.get("gravity", math.inf) and weight * amount.value > 0.0
+    if given.joint_kind(1) == "linear" or not shows or amount.unit != "kg m²":
+        return {"amount": amount}, text
+    of_weight, of_inertia = std["gravity"] / weight, amount.std / amount.value
+    mass = weight**2 / (G**2 * amount.value)
+    reach = G * amount.value / weight
+    body = {
+        "mass": Estimate(mass, abs(mass) * math.hypot(2.0 * of_weight, of_inertia), "kg"),
+        "com_x": Estimate(reach, reach * math.hypot(of_weight, of_inertia), "m"),
+    }
+    size = replace(body["mass"], value=abs(mass))
+    of = f"{'a payload' if mass > 0.0 else 'a loss'} of {number(size)}"
+    return body, f"{text}, as by {of} at {number(body['com_x'])} from the axis"

@@ -1,0 +1,272 @@
+"""What is found of a whole machine: bodies, transmissions, then every joint; and once more in the
+rest of the recordings where something pushes or another load hangs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from zendsp.diagnosis.data.prepare import one_sensor, prepare
+from zendsp.diagnosis.data.signals import Parts, Signals
+from zendsp.diagnosis.data.split import cut_out
+from zendsp.diagnosis.decide.across import across_joints, friction_beside_weight, timing
+from zendsp.diagnosis.decide.assemble import Assembled, assemble, calibrated_machine
+from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.decide import unpushed
+from zendsp.diagnosis.decide.decide_bodies import (
+    BodyClaim,
+    beside_bodies,
+    decide_bodies,
+    plainest,
+    settled,
+)
+from zendsp.diagnosis.decide.fast_ripple import FineRipple, fine_ripples
+from zendsp.diagnosis.decide.other_load import other_load
+from zendsp.diagnosis.decide.result import Finding
+from zendsp.diagnosis.joints import (
+    Explained,
+    Progress,
+    decided_again,
+    explain,
+    findings_at,
+    plainer,
+    with_bodies,
+    with_their_links,
+)
+from zendsp.diagnosis.measure.bursts import everywhere
+from zendsp.diagnosis.measure.discrepancy import beyond
+from zendsp.diagnosis.measure.likelihood import calibrate_joint
+from zendsp.diagnosis.measure.windows import model_error, noise_floor, rms, window_error
+from zendsp.diagnosis.search.bodies import BodySearch, find_bodies
+from zendsp.diagnosis.search.body_hypotheses import LIMITS
+from zendsp.diagnosis.search.hypothesis import JointSearch
+from zendsp.diagnosis.transmission.links import divided, with_links
+from zendsp.diagnosis.transmission.measured import Measured, measured_transmissions
+from zendsp.diagnosis.transmission.one_sensor import shown
+from zendsp.physics.calibration.fit import Data
+from zendsp.physics.model import Model
+
+# where joints claim what a body may be, a small one is asked for too
+BESIDE = replace(LIMITS, little=0.0, least=0.0)
+
+
+@dataclass(frozen=True)
+class Found:
+    """What is known of a machine before it is put into words: bodies, transmissions, joints.
+
+    ``bare`` are the recordings without what inverse dynamics says of inertias, ``beneath`` is the
+    given model with the bodies and transmissions that the joints were searched with.
+    """
+
+    parts: Parts
+    bare: Parts
+    beneath: Model
+    bodies: BodySearch
+    measured: list[Measured]
+    searches: list[JointSearch]
+    decisions: list[Decision]
+    whole: Assembled
+    claims: tuple[BodyClaim, ...]
+    fine: tuple[FineRipple, ...] = ()
+    load: Finding | None = None  # that only the held-out recordings have
+
+
+def find(
+    signals: Sequence[Sequence[Signals]], parts: Parts, given: Model, jobs: int, tell: Progress
+) -> Found:
+    """What is found; where something pushes, in the rest of the recordings (``signals``: to fit to,
+    to choose by, to test on).
+    """
+    found = _once(parts, given, jobs, tell)
+    pushes = _pushes(found.decisions)
+    if not pushes:
+        return _loaded(found, given, jobs)
+    fit, choose, test = (cut_out(part, pushes) for part in signals)
+    if not (choose or test):
+        return found
+    untouched = prepare(one_sensor(test or choose), given, 64.0)
+    chosen = untouched
+    if choose and test and signals[1] is not signals[2]:
+        chosen = prepare(one_sensor(choose), given, 64.0)
+    calibrated = found.whole.calibrated
+    if fit:
+        tell("once more, without what was pushed")
+        rest = Parts(prepare(one_sensor(fit), given, 64.0), chosen, untouched)
+        beside = _beside_pushes(found, _once(rest, given, jobs, tell))
+        if not _misled(beside, calibrated, untouched):
+            return beside
+    if not _misled(found, calibrated, untouched):
+        return found
+    # what acts all the time was taken for a push
+    decisions = [unpushed(d) if d.kind == "disturbance" else d for d in found.decisions]
+    whole = assemble(found.parts, found.beneath, decisions, jobs)
+    return replace(found, decisions=decisions, whole=replace(whole, calibrated=calibrated))
+
+
+def _once(measured_motion: Parts, given: Model, jobs: int, tell: Progress) -> Found:
+    """Bodies first, then measured transmissions, then every joint; again where one changes what
+    the others have to explain, and without bodies that make untouched recordings worse.
+    """
+    tell("calibrating the given model")
+    parts = with_links(measured_motion, given, divided(given))
+    bodies = find_bodies(parts.fit, parts.choose, given, jobs, tell)
+    found = _beneath(bodies, measured_motion, parts, given, jobs, tell)
+    # torque that comes at another time hides a body, and so does much friction
+    beside = timing(found.decisions) or friction_beside_weight(found.decisions)
+    if beside and not found.claims:
+        bodies = find_bodies(parts.fit, parts.choose, given, jobs, tell, BESIDE, beside)
+        if bodies.found:
+            again = _beneath(bodies, measured_motion, parts, given, jobs, tell)
+            found = again if again.claims else found
+    finished = _finished(found, given, jobs, tell)
+    test, whole = finished.parts.test, finished.whole
+    if finished.claims and model_error(test, whole.improved) > model_error(test, whole.calibrated):
+        none = replace(bodies, model=given, found=())
+        found = _beneath(none, measured_motion, parts, given, jobs, tell)
+        finished = _finished(found, given, jobs, tell)
+    return finished
+
+
+def _beneath(
+    bodies: BodySearch,
+    measured_motion: Parts,
+    parts: Parts,
+    given: Model,
+    jobs: int,
+    tell: Progress,
+) -> Found:
+    """What is found with some bodies, or with those of them that can be claimed beside it."""
+    measured = measured_transmissions(parts, bodies.model, jobs)
+    known = tuple(t for m in measured for t in m.terms)
+    beneath, bare = bodies.model.with_terms((*bodies.model.terms, *known)), parts
+    explained = explain(with_bodies(bare, beneath), given, beneath, jobs, tell)
+    bare, explained = with_their_links(measured_motion, bare, given, beneath, explained, jobs, tell)
+    parts, decisions = with_bodies(bare, beneath), explained[1]
+    claims = decide_bodies(parts, bodies, decisions, jobs)
+    if len(claims) < len(bodies.found):  # what is no body has to be explained at the joints
+        beneath = given.with_terms((*given.terms, *(c.found.term for c in claims), *known))
+        parts = with_bodies(bare, beneath)
+        with_all, explained = explained, explain(parts, given, beneath, jobs, tell)
+        if not claims:
+            apart = Found(parts, bare, beneath, bodies, measured, *explained, ())
+            return _one_body(apart, with_all, given, jobs, tell)
+    elif claims and any(c.mechanism == "inertia" for d in decisions for c in d.claims):
+        # a body that the joints have to correct may be none: the plainer explanation stands
+        plain = given.with_terms((*given.terms, *known))
+        other = explain(with_bodies(bare, plain), given, plain, jobs, tell)
+        if plainer(bare.test, given, other, explained, len(claims)):
+            claims, beneath, parts, explained = (), plain, with_bodies(bare, plain), other
+    return Found(parts, bare, beneath, bodies, measured, *explained, claims)
+
+
+def _one_body(
+    apart: Found, explained: Explained, given: Model, jobs: int, tell: Progress
+) -> Found:
+    """What is found with the body that explains most, where the joints ``apart`` have more findings
+    without it and predict no better: each can take its part of a body for a wrong figure or a
+    function of the position, so that none misses it. ``explained`` has all bodies proposed.
+    """
+    test, proposed = apart.bare.test, apart.bodies.found
+    without: Explained = (apart.searches, apart.decisions, apart.whole)
+    if findings_at(test, given, without) < 2:  # a body is one, too
+        return apart
+    beneath = apart.beneath.with_terms((*apart.beneath.terms, proposed[0].term))
+    parts = with_bodies(apart.bare, beneath)
+    if len(proposed) > 1:
+        explained = explain(parts, given, beneath, jobs, tell)
+    if not plainer(test, given, explained, without, -1):
+        return apart
+    claim = plainest(parts, proposed[0], explained[1], jobs)
+    return Found(
+        parts, apart.bare, beneath, apart.bodies, apart.measured, *explained, (claim,)
+    )
+
+
+def _finished(found: Found, given: Model, jobs: int, tell: Progress) -> Found:
+    """With what passes fast, and bodies and joints settled together."""
+    parts, bare, beneath, claims = found.parts, found.bare, found.beneath, found.claims
+    searches, decisions, whole = found.searches, found.decisions, found.whole
+    tell("looking for what passes fast")
+    fine = [
+        ripple
+        for search, decision in zip(searches, decisions, strict=True)
+        if decision.kind in ("complete", "missing")
+        for ripple in fine_ripples(
+            parts.fit, parts.choose, search, given.joint_kind(search.joint), jobs
+        )
+    ]
+    # a ripple that the model lacks may be taken for other effects: decide again beside it
+    if fine:  # slower observers know less of it than the fast one that found it
+        beneath = beneath.with_terms((*beneath.terms, *(ripple.term.held() for ripple in fine)))
+        rippled = {ripple.term.joint for ripple in fine}
+        done = {
+            s.joint: decided_again(parts, beneath, s, jobs, tell) if s.joint in rippled else (s, d)
+            for s, d in zip(searches, decisions, strict=True)
+        }
+        searches, decisions, whole = explain(parts, given, beneath, jobs, tell, done)
+    if claims:
+        claims, improved = settled(parts, claims, whole.improved, jobs)
+        bases = [
+            calibrate_joint(bare.fit, given, joint, jobs) for joint in range(1, given.joints + 1)
+        ]
+        calibrated = calibrated_machine(bare.fit, given, bases, jobs)
+        whole = replace(whole, improved=improved, calibrated=calibrated)
+        decisions = beside_bodies(claims, decisions)
+    return replace(
+        found,
+        searches=searches,
+        decisions=shown(parts, found.bodies.model, across_joints(decisions)),
+        whole=whole,
+        claims=claims,
+        fine=tuple(fine),
+    )
+
+
+def _loaded(found: Found, given: Model, jobs: int) -> Found:
+    """With the load that only the held-out recordings have."""
+    (first, *_), whole = found.decisions, found.whole
+    other = other_load(found.parts, given, first, jobs) if first.loads else None
+    if other is None:
+        return found
+    mechanism = other.decision.final.model.mechanism
+    whole = replace(whole, improved=replace(whole.improved, mechanism=mechanism))
+    return replace(found, load=other.finding, decisions=[other.decision], whole=whole)
+
+
+def _misled(found: Found, calibrated: Model, rest: Data) -> bool:
+    """Whether a joint that is pushed is predicted worse, by more than its sensor errs, where
+    nothing pushes it (``rest``: of the untouched recordings).
+    """
+    for d in found.decisions:
+        if d.kind == "disturbance":
+            with_it, without = (
+                rms(window_error(rest, m, d.joint)) for m in (found.whole.improved, calibrated)
+            )
+            if beyond(with_it, without) > noise_floor(rest, d.joint):
+                return True
+    return False
+
+
+def _pushes(decisions: Sequence[Decision]) -> list[tuple[str, float, float]]:
+    """Recording, begin and end (s) of each push."""
+    return [
+        (name, *span)
+        for d in decisions
+        if d.kind == "disturbance" and d.bursts is not None
+        for name, span in zip(d.bursts.recordings, d.bursts.intervals, strict=True)
+    ]
+
+
+def _beside_pushes(pushed: Found, found: Found) -> Found:
+    """What was found without the pushes, and the pushes in all recordings, beside it."""
+    every = (pushed.parts.fit, pushed.parts.held)
+    decisions = []
+    for first, again in zip(pushed.decisions, found.decisions, strict=True):
+        if first.kind == "disturbance" and first.bursts is not None:
+            kind = "disturbance" if again.kind == "complete" else again.kind
+            beside = everywhere(first.bursts, every, again.final.model, again.joint)
+            bursts = beside if beside.intervals else first.bursts
+            again = replace(again, kind=kind, bursts=bursts)
+        decisions.append(again)
+    return replace(found, decisions=decisions, parts=pushed.parts)

@@ -1,0 +1,361 @@
+"""The figure of each finding as numbers: the torque over the variable on which it depends, or over
+time, without the law and with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.diagnosis.decide.fast_ripple import RIPPLE_BAND
+from zendsp.diagnosis.decide.pieces import beside_unknown
+from zendsp.diagnosis.decide.result import Diagnosis, Finding, Workings
+from zendsp.diagnosis.measure.curve import (
+    Axis,
+    Curve,
+    Samples,
+    binned,
+    curve_of,
+    curve_over,
+)
+from zendsp.diagnosis.measure.discrepancy import band_of
+from zendsp.diagnosis.measure.where import AROUND, VARIABLES, Missing, mismatch
+from zendsp.diagnosis.report.chart import Chart, Panel, Series
+from zendsp.diagnosis.report.sides import (
+    Sides,
+    between,
+    clearest,
+    torque_label,
+    units_at,
+)
+from zendsp.physics.calibration.fit import Data
+from zendsp.physics.effects import get_effect, library, mechanism_of
+from zendsp.physics.model import Term
+from zendsp.physics.term_numbers import kernel_model
+
+Array = npt.NDArray[np.float64]
+FAST_PATTERN = 40  # repetitions over the travel: a pattern with more is seen by a faster observer
+FOLDED = 6  # repetitions over the travel: a pattern with more is drawn over one of them
+# of the observer's bandwidth: a pattern that passes faster is flatter in what it says
+FLATTENED = 0.5
+MAY_STICK = 0.2  # of that speed: slower, dry friction may hold the joint
+CURVE_SAMPLES = 300  # samples of a curve
+DOTS = 4000  # of a panel
+SHOWN = 0.5  # of a law's energy that its curve must explain, or it is drawn over time
+SHOWN_S = 2.0  # of such a figure
+CONTRADICTS = 4.0  # standard errors: means that are further from the law contradict it
+LARGEST_BAR = 0.99  # quantile that stands for it
+LITTLE = 0.1  # of a law: what lies beside it and is less is told of no law
+
+
+def axis_of(finding: Finding) -> Axis:
+    """The axis over which a finding is best seen: of a coupling, the other joint's motion.
+
+    Examples
+    --------
+    >>> said = {"from_joint": 2, "law": "coulomb"}
+    >>> str(axis_of(Finding("coupling", 1, {}, 0.9, 1.0, (), (), "", said)))
+    'velocity of joints 1 + 2'
+    """
+    effect, other = finding.effect, finding.numbers.get("from_joint")
+    if effect == "coupling" and other is not None:
+        law = finding.numbers.get("law")
+        if law == "coulomb":
+            return Axis("velocity", tuple(sorted((finding.joint, other))))
+        return Axis("acceleration" if law == "inertia" else "velocity", (other,))
+    if effect in library():
+        return Axis(library()[effect].over)
+    return Axis("time" if effect == "disturbance" else "velocity")
+
+
+def law_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Chart:
+    """What does the law that was found look like over the data, and what stays when it is there?
+    Of a given number that calibration moves: what lacks with the given one.
+    """
+    whole, joint = w.whole, finding.joint
+    terms = _told_of(d, w, finding)
+    replaced = [t for t in whole.calibrated.at(joint) if t.effect in finding.replaces]
+    kept = [t for t in whole.improved.terms if t not in terms]
+    less, more = f"without {finding.effect}", f"with {finding.effect}"
+    two = Sides(kernel_model(d.given), whole.improved, "as given", "calibrated")
+    if "recordings" in finding.numbers:  # a load that others have not
+        two = Sides(whole.calibrated, whole.improved, less, more)
+    elif terms:
+        two = Sides(whole.improved.with_terms((*kept, *replaced)), whole.improved, less, more)
+    period = _period(finding)
+    if _too_fine(w.train, finding):
+        band = RIPPLE_BAND
+        before, after = (mismatch(w.train, m, joint, RIPPLE_BAND) for m in (two.before, two.after))
+    else:
+        band, before, after = clearest(w.train, two, joint)
+    band = band_of(w.train.records[0][joint - 1], band)
+    before, after = (_passing_slowly(m, period, band) for m in (before, after))
+    axis, mechanism = axis_of(finding), mechanism_of(finding.effect)
+    law, *curves = (
+        curve_over(m, axis, mechanism) for m in (between(before, after), before, after)
+    )
+    along, unit = "", units_at(d, joint)["position"]
+    if period and float(np.ptp(law.samples.x)) > FOLDED * period:
+        law, *curves = (_folded(curve, period) for curve in (law, *curves))
+        along = f"position within a period of {period:.4g} {unit} [{unit}]"
+    # a body acts by the motion of all joints; a pattern that passes fast is one all the same
+    if (law.explained < SHOWN and not period) or get_effect(finding.effect).site == "body":
+        return _over_time(d, finding, index, two, before, after)
+    chart = two_panels(d, finding, index, [law, *curves], (two.was, two.now))
+    panels = tuple(replace(p, xlabel=along or p.xlabel) for p in chart.panels)
+    flat = f" What lasts less than {1e3 * AROUND / band:.0f} ms is flatter here than it is."
+    return replace(chart, panels=panels, note=chart.note + flat)
+
+
+def two_panels(
+    d: Diagnosis,
+    finding: Finding,
+    index: int,
+    curves: Sequence[Curve],
+    titles: tuple[str, str],
+    unit: str = "",
+) -> Chart:
+    """The chart of three curves: the law, what lacks without it, and with it.
+
+    Parameters
+    ----------
+    unit : str
+        Of what is drawn; that of the joint's torque where empty.
+    """
+    joint, law = finding.joint, curves[0]
+    line = Series("line", "law", law.at, law.mean, f"{finding.effect}, as found")
+    panels = [
+        _curve_panel(d, joint, curve, role, title, *lines)
+        for curve, role, title, lines in zip(
+            curves[1:], ("before", "after"), titles, ((line,), ()), strict=True
+        )
+    ]
+    limits = _common_limits(panels)
+    unit = unit or units_at(d, joint)["torque"]
+    return Chart(
+        "law",
+        finding.sentence,
+        _name(finding, index),
+        tuple(replace(p, limits=limits) for p in panels),
+        title=f"Joint {joint}: torque that the model lacks",
+        beside=True,
+        same=True,
+        size=(7.2, 3.2),
+        finding=index,
+        joint=joint,
+        note=beside_the_law(law, curves[2], panels[0].xlabel, unit),
+    )
+
+
+def _told_of(d: Diagnosis, w: Workings, finding: Finding) -> list[Term]:
+    """The terms that a finding's sentence speaks of: its own, and the level on which a number of it
+    stands (of a Stribeck curve, Coulomb friction), where that is neither given nor a finding.
+    """
+    here, known = w.whole.improved.at(finding.joint), w.whole.calibrated.at(finding.joint)
+    own = [t for t in here if t.effect == finding.effect]
+    below = {p.above for p in get_effect(finding.effect).parameters}
+    below -= {f.effect for f in d.findings if f.joint == finding.joint}
+    below -= {t.effect for t in known}
+    return own and [*own, *(t for t in here if t.effect in below)]
+
+
+def beside_the_law(law: Curve, after: Curve, xlabel: str, unit: str) -> str:
+    """Whether the means lie on the law, in a sentence: bars are their standard errors."""
+    size = np.sqrt(np.mean(law.mean**2)) if len(law.mean) else 0.0
+    apart = np.abs(after.mean) / np.maximum(after.spread, 1e-300)
+    beside = (apart > CONTRADICTS) & (np.abs(after.mean) > LITTLE * size)
+    if not beside.any():
+        return "Bars are standard errors: the means lie on the law within them."
+    k = int(np.argmax(np.where(beside, np.abs(after.mean), 0.0)))
+    what, _, of = xlabel.rstrip("]").partition(" [")
+    at = f"{what} {after.at[k]:.2g} {of}".rstrip()
+    return (
+        f"Beside the law something is left: {abs(after.mean[k]):.2g} {unit} at {at},"
+        f" {apart[k]:.0f} standard errors (the bars)."
+    )
+
+
+def _name(finding: Finding, index: int) -> str:
+    return f"law_{index + 1}_{finding.effect}_joint{finding.joint}"
+
+
+def _over_time(
+    d: Diagnosis,
+    finding: Finding,
+    index: int,
+    two: Sides,
+    before: Sequence[Missing],
+    after: Sequence[Missing],
+) -> Chart:
+    """A law that is no function of one variable, in the seconds in which it acts most."""
+    law, joint = between(before, after), finding.joint
+    size = [max(1, round(SHOWN_S / float(m.time[1] - m.time[0]))) for m in law]
+    sums = [
+        np.convolve(m.weight * m.torque**2, np.ones(min(n, len(m.time))), "valid")
+        for m, n in zip(law, size, strict=True)
+    ]
+    k = int(np.argmax([float(s.max()) for s in sums]))
+    first = int(np.argmax(sums[k]))
+    cut = slice(first, first + size[k])
+    lines = [
+        Series("line", role, m[k].time[cut], drawn(m)[k][cut], label)
+        for m, role, label in (
+            (before, "before", two.was),
+            (law, "law", f"{finding.effect}, as found"),
+            (after, "after", two.now),
+        )
+    ]
+    unit = units_at(d, joint)["torque"]
+    return Chart(
+        "law",
+        finding.sentence,
+        _name(finding, index),
+        (Panel("time [s]", torque_label(unit), tuple(lines)),),
+        title=f"Joint {joint}: torque that the model lacks, where {finding.effect} acts most",
+        size=(7.2, 3.2),
+        finding=index,
+        joint=joint,
+    )
+
+
+def drawn(lacks: Sequence[Missing]) -> list[Array]:
+    """Torques for lines over time, NaN where they are known to no better than the largest is
+    large.
+    """
+    known = np.concatenate([np.abs(m.torque[np.isfinite(m.std)]) for m in lacks])
+    weight = np.concatenate([m.weight[np.isfinite(m.std)] for m in lacks])
+    order = np.argsort(known)
+    up_to = np.cumsum(weight[order])
+    most = known[order][np.searchsorted(up_to, LARGEST_BAR * up_to[-1])] if len(known) else np.inf
+    return [np.where(m.std < most, m.torque, np.nan) for m in lacks]
+
+
+def _period(finding: Finding) -> float:
+    """Of what a law repeats along the position, rad or m; 0 where it does not."""
+    if "order" in finding.parameters:
+        return 2 * np.pi / max(finding.parameters["order"].value, 1e-300)
+    return finding.parameters["period"].value if "period" in finding.parameters else 0.0
+
+
+def _passing_slowly(lacks: list[Missing], period: float, band: float) -> list[Missing]:
+    """The samples in which a pattern passes so slowly that what is lacking shows it in full, and
+    not in dry friction's stead; all, where these are few.
+    """
+    fastest = FLATTENED * band * period / (2 * np.pi) or np.inf
+    speeds = [np.abs(m.variables["velocity"]) for m in lacks]
+    slow = [(v < fastest) & (v > MAY_STICK * fastest) for v in speeds]
+    if not period or sum(map(np.count_nonzero, slow)) < CURVE_SAMPLES:
+        return lacks
+    return [
+        replace(m, std=np.where(use, m.std, np.inf)) for m, use in zip(lacks, slow, strict=True)
+    ]
+
+
+def _folded(curve: Curve, period: float) -> Curve:
+    """A curve over the position, all its periods laid over one another."""
+    s = replace(curve.samples, x=np.mod(curve.samples.x, period))
+    return Curve(curve.axis, s, *binned(s), curve.against)
+
+
+def unknown_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Chart | None:
+    """What does the torque look like that no law describes?"""
+    joint, whole = finding.joint, w.whole
+    named = {f.effect for f in d.findings if f.joint == joint}
+    beside = beside_unknown(whole.calibrated, whole.improved, joint, finding.mechanism, named)
+    curve = curve_of(mismatch(w.train, beside, joint), finding.mechanism)
+    if curve is None:
+        return None
+    chart = _without_a_law(d, joint, curve)
+    return replace(chart, caption=finding.sentence, name=_name(finding, index), finding=index)
+
+
+def unclaimed_chart(d: Diagnosis, joint: int) -> Chart | None:
+    """What does a torque look like that is not claimed? None where it is no curve over one
+    variable of the joint's state.
+    """
+    ways = [(Axis(v), "") for v in VARIABLES] + [(Axis("position"), "dry_friction")]
+    curves = [curve_over(d.missing[joint], *way) for way in ways]
+    best = max(curves, key=lambda curve: curve.explained)
+    if best.explained < SHOWN:
+        return None
+    caption = f"Joint {joint}: the torque that the calibrated model lacks, over its {best.axis}"
+    chart = _without_a_law(d, joint, best)
+    return replace(chart, section="where", caption=caption, name=f"lack_joint{joint}")
+
+
+def _without_a_law(d: Diagnosis, joint: int, curve: Curve) -> Chart:
+    panel = _curve_panel(d, joint, curve, "before", "without a law")
+    return Chart(
+        "law",
+        "",
+        "",
+        (replace(panel, limits=_common_limits([panel])),),
+        title=f"Joint {joint}: torque that the model lacks",
+        size=(7.2, 3.2),
+        joint=joint,
+        note="Bars are standard errors of the means.",
+    )
+
+
+def _curve_panel(
+    d: Diagnosis, joint: int, curve: Curve, role: str, title: str, *lines: Series
+) -> Panel:
+    """Samples and means of a curve."""
+    units = units_at(d, joint)
+    label = torque_label(units["torque"])
+    dots = _as_they_count(curve.samples)
+    series = (
+        Series("dots", "data", dots.x, dots.torque),
+        Series("means", role, curve.at, curve.mean, f"{title}: means", curve.spread),
+        *lines,
+    )
+    return Panel(
+        f"{curve.axis} [{units[curve.axis.variable]}]",
+        label.replace(" [", " against the motion [") if curve.against else label,
+        series,
+        title,
+    )
+
+
+def _as_they_count(samples: Samples) -> Samples:
+    """Some samples of all, the more of them the more they say."""
+    order = np.cumsum(samples.weight)
+    at = np.linspace(0.0, order[-1], DOTS, endpoint=False)
+    some = np.unique(np.searchsorted(order, at, side="right"))
+    some = some[some < len(order)]
+    s = samples
+    return Samples(s.x[some], s.torque[some], s.weight[some], s.block[some])
+
+
+def _common_limits(panels: Sequence[Panel]) -> tuple[float, float]:
+    """Of panels with the same axes: all means with bars of the usual length, all of the law, and
+    the dots but for a few.
+    """
+    shown: list[npt.NDArray[np.floating[Any]]] = []
+    for panel in panels:
+        for s in panel.series:
+            if s.kind == "dots":
+                shown += [np.quantile(s.y, [0.01, 0.99])] if len(s.y) else []
+            elif s.spread is None or not len(s.y):
+                shown.append(s.y)
+            else:
+                bar = np.minimum(s.spread, 3.0 * np.median(s.spread))
+                shown += [s.y - bar, s.y + bar]
+    values = np.concatenate(shown)
+    values = values[np.isfinite(values)]
+    low, high = (float(values.min()), float(values.max())) if len(values) else (-1.0, 1.0)
+    room = 0.08 * (high - low) or 1.0
+    return low - room, high + room
+
+
+def _too_fine(train: Data, finding: Finding) -> bool:
+    """Whether a pattern repeats so often over the travel that it passes faster than the observer of
+    the other figures sees.
+    """
+    order = finding.parameters.get("order")
+    travel = max(rec[finding.joint - 1].scale.position for rec in train.records)
+    return order is not None and order.value * travel > FAST_PATTERN * 2 * np.pi

@@ -1,0 +1,109 @@
+"""What a figure compares: the model before and after, and the observer that shows best what parts
+them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from zendsp.diagnosis.decide.assemble import Assembled
+from zendsp.diagnosis.decide.result import Diagnosis, Finding
+from zendsp.diagnosis.measure.discrepancy import BANDS
+from zendsp.diagnosis.measure.where import Missing, mismatch
+from zendsp.physics.calibration.fit import Data
+from zendsp.physics.effects import library
+from zendsp.physics.model import Model
+
+
+@dataclass(frozen=True)
+class Sides:
+    """Two models of a joint that a figure compares, in kernel form; the same where nothing was
+    found.
+    """
+
+    before: Model
+    after: Model
+    was: str
+    now: str
+
+
+def sides(findings: Sequence[Finding], given: Model, whole: Assembled, joint: int) -> Sides:
+    """The calibrated and the improved model; of a joint at which only given numbers were wrong, the
+    given and the calibrated one; where no physics is claimed, the calibrated one.
+
+    Parameters
+    ----------
+    given : Model
+        In kernel form, as those of ``whole``.
+    """
+    if all(f.effect == "disturbance" for f in findings):  # which no model predicts
+        return Sides(whole.calibrated, whole.calibrated, "calibrated", "calibrated")
+    here = [f for f in findings if f.joint == joint]
+    if here and all(_absorbed(whole.improved, f) for f in here):
+        return Sides(given, whole.improved, "as given", "calibrated")
+    return Sides(whole.calibrated, whole.improved, "calibrated", "improved")
+
+
+def _absorbed(improved: Model, finding: Finding) -> bool:
+    """Whether calibration took a finding up: it has a law, and no term of it stands in the improved
+    model. What two sensors on a transmission show moves no torque; a load that other recordings
+    have not is none of the given numbers.
+    """
+    terms = [t for t in improved.at(finding.joint) if t.effect == finding.effect]
+    elsewhere = measured(finding) or "recordings" in finding.numbers
+    return finding.effect in library() and not terms and not elsewhere
+
+
+def measured(finding: Finding) -> bool:
+    """Whether a finding is one of the sensors on both sides of a transmission."""
+    details = finding.numbers.get("details")
+    return isinstance(details, dict) and details.get("sensors") == "both sides"
+
+
+def units_at(d: Diagnosis, joint: int) -> dict[str, str]:
+    """Unit of each variable at a joint."""
+    q = "m" if d.given.joint_kind(joint) == "linear" else "rad"
+    force = d.given.torque_unit(joint)
+    return {
+        "position": q,
+        "velocity": f"{q}/s",
+        "acceleration": f"{q}/s²",
+        "command": d.given.actuator.unit or force,
+        "time": "s",
+        "torque": force,
+    }
+
+
+def torque_label(unit: str) -> str:
+    """Of an axis: a force where it is in N."""
+    return f"{'force' if unit == 'N' else 'torque'} [{unit}]"
+
+
+def clearest(data: Data, two: Sides, joint: int) -> tuple[float, list[Missing], list[Missing]]:
+    """The fastest observer to which what parts two models (of one: what it lacks) stands out of the
+    noise, or the one to which it stands out most: its band, rad/s, and what each of the two lacks.
+    """
+    best = -1.0
+    for band in BANDS:
+        before, after = (mismatch(data, model, joint, band) for model in (two.before, two.after))
+        alone = two.before is two.after
+        law = before if alone else between(before, after)
+        energy = sum(float(np.sum(m.weight * m.torque**2)) for m in law)
+        count = sum(np.count_nonzero(m.weight) for m in law)
+        clear = energy / max(count, 1) - alone  # to that of the noise, which two models share
+        if clear > best:
+            best, found = clear, (band, before, after)
+        if clear > 1.0:
+            break
+    return found
+
+
+def between(before: Sequence[Missing], after: Sequence[Missing]) -> list[Missing]:
+    """The torque between two models, and by how much both are uncertain."""
+    return [
+        replace(a, torque=a.torque - b.torque, std=np.hypot(a.std, b.std))
+        for a, b in zip(before, after, strict=True)
+    ]

@@ -1,0 +1,108 @@
+"""The figure of what two sensors on the sides of a transmission show: its torsion over the torque,
+the position or the speed, without the law and with it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.diagnosis.decide.result import Diagnosis, Finding, Workings
+from zendsp.diagnosis.measure.curve import Axis, Curve, Samples, binned
+from zendsp.diagnosis.measure.discrepancy import ENERGY_BLOCK
+from zendsp.diagnosis.report.chart import Chart
+from zendsp.diagnosis.report.laws import two_panels
+from zendsp.diagnosis.report.sides import units_at
+from zendsp.diagnosis.transmission.torsion import (
+    OF_BODIES,
+    OF_MOTOR,
+    Twist,
+    columns_of,
+    has_bodies,
+    joint_inertia,
+    lowpass,
+    regress,
+    twists,
+    wave,
+    with_motor_torque,
+)
+
+Array = npt.NDArray[np.float64]
+TERMS = {  # of each law: what of the torsion it explains
+    "elasticity": ("spring",),
+    "stiffening": ("spring", "cubic"),
+    "backlash": ("gap",),
+    "hysteresis": ("step",),
+}
+
+
+def torsion_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Chart | None:
+    """What does the torsion look like, and what stays of it? None where no recording of the fit
+    shows it.
+    """
+    joint, model = finding.joint, w.whole.calibrated
+    if any("position_load" not in rec[joint - 1].columns for rec in w.train.records):
+        return None
+    period = 2 * np.pi / _order(finding) if finding.effect == "transmission_error" else 0.0
+    parts = twists(w.train, model, joint)
+    if not period:  # which passes faster than a load follows its motor stiffly
+        parts = [lowpass(t, OF_BODIES if has_bodies(model) else OF_MOTOR) for t in parts]
+    columns_there = w.train.records[0][joint - 1].columns
+    if not period and not has_bodies(model) and "torque_measured" not in columns_there:
+        parts, _, _ = with_motor_torque(parts, (), joint_inertia(w.train, model, joint), False)
+    scale = float(np.sqrt(np.mean(np.concatenate([t.torque for t in parts]) ** 2)))
+    named = {f.effect: f for f in d.findings if f.joint == joint}
+    others = [f for f in named.values() if f.effect != finding.effect]
+    columns, own = [], 0
+    for t in parts:
+        first = _columns(t, finding, scale)
+        own = first.shape[1]
+        columns.append(np.hstack([first, *(_columns(t, f, scale) for f in others)]))
+    fit = regress(parts, columns, off_centre=False)
+    laws = [matrix[:, :own] @ fit.x[:own] for matrix in columns]
+    variable = "position" if period else "velocity" if finding.effect == "hysteresis" else "torque"
+    x = np.concatenate([_over(t, variable) for t in parts])
+    x = np.mod(x, period) if period else x
+    block, first_block = [], 0
+    for t in parts:
+        seconds = np.flatnonzero(t.kept) * t.sample_time
+        block.append(first_block + (seconds / ENERGY_BLOCK).astype(int))
+        first_block = int(block[-1][-1]) + 1
+    law, left = np.concatenate(laws), np.concatenate(fit.residual)
+    curves = [
+        _curve(variable, Samples(x, y, np.ones(len(x)), np.concatenate(block)))
+        for y in (law, law + left, left)
+    ]
+    units = units_at(d, joint)
+    unit = units["position"]
+    along = f"position within a period of {period:.4g} {unit} [{unit}]" if period else ""
+    chart = two_panels(d, finding, index, curves, (f"without {finding.effect}", "with it"), unit)
+    return replace(
+        chart,
+        title=f"Joint {joint}: torsion, the load's sensor less the motor's",
+        panels=tuple(
+            replace(p, ylabel=f"torsion [{unit}]", xlabel=along or p.xlabel) for p in chart.panels
+        ),
+    )
+
+
+def _curve(variable: str, samples: Samples) -> Curve:
+    return Curve(Axis(variable), samples, *binned(samples), against=False)
+
+
+def _order(finding: Finding) -> float:
+    return max(finding.parameters["order"].value, 1e-300)
+
+
+def _columns(t: Twist, finding: Finding, scale: float) -> Array:
+    if finding.effect == "transmission_error":
+        return wave(t, _order(finding))
+    matrix = columns_of(t, TERMS.get(finding.effect, ()), scale)
+    return matrix[:, :1] if finding.effect == "elasticity" else matrix
+
+
+def _over(t: Twist, variable: str) -> Array:
+    """The rows of a variable that tell something."""
+    return {"torque": t.torque, "position": t.q, "velocity": t.qd}[variable][t.kept]

@@ -1,0 +1,169 @@
+"""What a sweep measured, and which of its runs is best."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from zendsp.errors import AcquisitionError
+from zendsp.experiment.table_file import write_rows
+from zendsp_protocol.texts import counted
+from zendsp_protocol.views import html_table, sentence
+
+# Times the range of three measurements: two others that are alike lie further apart once in twenty
+# (Student's t of two degrees of freedom, 4.30 √2, over the mean range in standard deviations, 1.7).
+APART = 3.6
+
+
+@dataclass(frozen=True, repr=False)
+class Sweep:
+    """What `sweep` measured.
+
+    Attributes
+    ----------
+    parameters : tuple of str
+    results : tuple of str
+        Names of what was measured, for example ``"rms e1"``.
+    rows : tuple of dict
+        One a run: its values, its results, and ``"ended"``: why the program stopped, "" where it
+        ran.
+    again : tuple of dict
+        The results of the first row's values, measured again after the last row. Where the motion
+        is periodic and a window does not last whole periods, they differ as much as the pieces of
+        the motion do.
+    ended : str
+        What ended the program, in a run or when the parameters were put back; "" where it goes on.
+    """
+
+    parameters: tuple[str, ...]
+    results: tuple[str, ...]
+    rows: tuple[Mapping[str, Any], ...]
+    again: tuple[Mapping[str, float], ...] = ()
+    ended: str = ""
+
+    def spread(self, result: str = "") -> float:
+        """Return by how much a result differs where the same values are measured again; NaN where
+        that is not known.
+
+        Parameters
+        ----------
+        result : str
+            Default: the first.
+        """
+        name = result or self.results[0]
+        found = [abs(float(row[name])) for row in (self.rows[0], *self.again) if name in row]
+        return max(found) - min(found) if self.again else float("nan")
+
+    def best_rows(self, result: str = "") -> list[int]:
+        """Return the numbers of the rows that are as good as `best_row`, at a level of 5 %.
+
+        Parameters
+        ----------
+        result : str
+            Default: the first.
+        """
+        name, least = result or self.results[0], self.best_row(result)
+        if least is None:
+            return []
+        spread = self.spread(name)
+        most = abs(float(self.rows[least][name])) + (APART * spread if spread > 0.0 else 0.0)
+        return [
+            k
+            for k, row in enumerate(self.rows)
+            if k == least or (not row["ended"] and abs(float(row[name])) <= most)
+        ]
+
+    def best(self, result: str = "") -> Mapping[str, Any]:
+        """Return the run with the smallest result; `best_rows` has those that are as good.
+
+        Parameters
+        ----------
+        result : str
+            Default: the first.
+
+        Raises
+        ------
+        AcquisitionError
+            No such result, or no run came to its end.
+        """
+        name = result or self.results[0]
+        if name not in self.results:
+            raise AcquisitionError(f"no result {name!r}; there are {', '.join(self.results)}")
+        k = self.best_row(name)
+        if k is None:
+            raise AcquisitionError("no run came to its end")
+        return self.rows[k]
+
+    def best_row(self, result: str = "") -> int | None:
+        """Return the number of the row that `best` returns; None where no run came to its
+        end.
+        """
+        name = result or self.results[0]
+        whole = [k for k, row in enumerate(self.rows) if not row["ended"]]
+        return min(whole, key=lambda k: abs(float(self.rows[k][name])), default=None)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the table as CSV.
+
+        Raises
+        ------
+        RecordingError
+            The name ends otherwise, or the file cannot be written.
+        """
+        return write_rows(path, "a sweep", [*self.parameters, *self.results, "ended"], self.rows)
+
+    def cells(self) -> list[list[str]]:
+        """Return the rows as text."""
+        digits = {n: digits_of([row[n] for row in self.rows]) for n in self.parameters}
+        return [
+            [
+                *(short(row[n], digits[n]) for n in self.parameters),
+                *(short(row.get(n, "")) for n in self.results),
+                str(row["ended"]),
+            ]
+            for row in self.rows
+        ]
+
+    def __repr__(self) -> str:
+        end = f"; the program ended: {self.ended}"
+        return f"<{self._found()}{end if self.ended else ''}>"
+
+    def _found(self) -> str:
+        """What the runs say, in a sentence."""
+        try:
+            best = self.best()
+        except AcquisitionError as error:
+            return f"Sweep of {counted(len(self.rows), 'run')}: {error}"
+        cells = self.cells()[self.best_row() or 0]
+        at = ", ".join(f"{n} = {cells[k]}" for k, n in enumerate(self.parameters))
+        what, spread = self.results[0], self.spread()
+        head = f"Sweep of {counted(len(self.rows), 'run')}: "
+        least = f"{short(best[what])}, at {at}"
+        if (alike := len(self.best_rows())) > 1:
+            return (
+                f"{head}none is best: {alike} may be alike but for chance, from the least {what},"
+                f" {least}, on; the first values, measured again, differ by {short(spread)}; of a"
+                " periodic motion, measure whole periods"
+            )
+        known = spread == spread  # not NaN
+        again = f"; the first values measured again differ by {short(spread)}" if known else ""
+        return f"{head}{what} is least, {least}{again}"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the best run, and all of them."""
+        header = (*self.parameters, *self.results, "ended")
+        return sentence(repr(self)[1:-1]) + html_table(header, self.cells())
+
+
+def short(value: Any, digits: int = 5) -> str:
+    """Return a value as it stands in a table."""
+    return f"{value:.{digits}g}" if isinstance(value, float) else str(value)
+
+
+def digits_of(values: Sequence[Any]) -> int:
+    """Return so many that different values are written differently."""
+    different = {v for v in values if isinstance(v, float)}
+    enough = (n for n in range(5, 17) if len({f"{v:.{n}g}" for v in different}) == len(different))
+    return next(enough, 17)

@@ -1,0 +1,58 @@
+"""What a target lists: its variables, its log; readable at a prompt and in a notebook."""
+
+from __future__ import annotations
+
+import math
+
+from zendsp_protocol import messages as m
+from zendsp_protocol.views import html_table, short, text_table
+
+
+class _Listing:
+    """A table at a prompt, and one in a notebook."""
+
+    header: tuple[str, ...]
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """A row for each entry, as it is shown."""
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        return text_table(self.header, self.rows()) if self else "none"
+
+    def _repr_html_(self) -> str:
+        return html_table([name.lower() for name in self.header], self.rows())
+
+
+class Dictionary(_Listing, dict[str, m.VariableInfo]):
+    """Variables by their names."""
+
+    header = ("VARIABLE", "TYPE", "KIND", "UNIT", "MIN", "MAX", "")
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """Name, type with its size, kind, unit, limits, description."""
+        return [
+            (v.name, v.type + _sizes(v), v.kind, v.unit, _limit(v.minimum), _limit(v.maximum),
+             v.description)
+            for v in self.values()
+        ]  # fmt: skip
+
+
+class Log(_Listing, tuple[m.Change, ...]):
+    """Changes of parameters, the oldest first."""
+
+    header = ("SAMPLE", "PARAMETER", "OLD", "NEW", "BY")
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """Sample, name, value before and after, author."""
+        return [(str(c.tick), c.name, short(c.old), short(c.new), c.author) for c in self]
+
+
+def _limit(value: float) -> str:
+    return short(value if math.isfinite(value) else None)
+
+
+def _sizes(v: m.VariableInfo) -> str:
+    if v.columns > 1 and v.kind != "table":
+        return f"[{v.length // v.columns}][{v.columns}]"
+    return f"[{v.length}]" if v.length > 1 else ""

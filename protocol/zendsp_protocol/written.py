@@ -1,0 +1,41 @@
+"""TOML and JSON as people write them, or somebody hostile does: all that is wrong is one error."""
+
+from __future__ import annotations
+
+import json as _json
+import tomllib
+from typing import Any
+
+_DEEP = "it is nested too deeply to be read"
+
+
+def toml(text: str) -> dict[str, Any]:
+    """Return what a TOML text holds.
+
+    Raises
+    ------
+    tomllib.TOMLDecodeError
+        It is not TOML, nested without end, or a number has thousands of digits.
+    """
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise tomllib.TOMLDecodeError(_DEEP) from None
+    except tomllib.TOMLDecodeError:
+        raise
+    except ValueError as error:
+        raise tomllib.TOMLDecodeError(str(error).split(";")[0]) from None
+
+
+def json(text: str) -> Any:
+    """Return what a JSON text holds.
+
+    Raises
+    ------
+    ValueError
+        It is not JSON, nested without end, or a number has thousands of digits.
+    """
+    try:
+        return _json.loads(text)
+    except RecursionError:
+        raise ValueError(_DEEP) from None

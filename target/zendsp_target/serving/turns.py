@@ -1,0 +1,88 @@
+"""Requests that wait: those who asked take turns, however many requests one of them sends."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from zendsp_protocol import keys
+
+WAITING = 1024  # requests that may wait in a lane, and of them
+SHARE = 256  # of one who asks
+
+
+def asker(query: Any) -> str | bytes:
+    """Who asks: a user who is known by name; of the target's own user, a connection, where the
+    request says which.
+    """
+    user = keys.user_of(str(query.key_expr))
+    if user or query.attachment is None:
+        return user
+    connection: bytes = query.attachment.to_bytes()[:8]
+    return connection
+
+
+class Turns:
+    """What a lane has still to answer; safe from any thread.
+
+    What overflows is let go of, and its sender asks again: one that held back the sender would hold
+    back others too, for the few threads in which Zenoh receives would all wait there, and STOP with
+    them. Of one who has too many the oldest goes; where all together have, of the one who has most.
+
+    Parameters
+    ----------
+    waiting : zenoh.handlers.Handler
+        Where they come in, all in one row.
+    """
+
+    def __init__(self, waiting: Any, who: Callable[[Any], str | bytes] = asker) -> None:
+        self._waiting, self._who = waiting, who
+        self._lock = threading.Lock()
+        self._of: dict[str | bytes, deque[Any]] = {}  # whose turn it is, first
+        self._count = 0
+        self._asleep = 0  # threads to which what comes in is handed by itself
+
+    def next(self) -> Any:
+        """Return the next request; waits for one.
+
+        Raises
+        ------
+        zenoh.ZError
+            There will be none any more.
+        """
+        with self._lock:
+            for _ in range(0 if self._asleep else SHARE):  # more may come in all the while
+                query = self._waiting.try_recv()
+                if query is None:
+                    break
+                self._enter(query)
+            for who, queue in self._of.items():
+                query = queue.popleft()
+                del self._of[who]
+                if queue:
+                    self._of[who] = queue  # its next turn comes last
+                self._count -= 1
+                return query
+            self._asleep += 1
+        try:
+            return self._waiting.recv()
+        finally:
+            with self._lock:
+                self._asleep -= 1
+
+    def _enter(self, query: Any) -> None:
+        who = self._who(query)
+        queue = self._of.get(who)
+        if queue is not None and len(queue) >= SHARE:
+            queue.popleft().drop()
+        elif self._count >= WAITING:  # whoever has most gives way
+            longest = max(self._of.values(), key=len)
+            if len(longest) == 1:
+                query.drop()
+                return
+            longest.popleft().drop()
+        else:
+            self._count += 1
+        self._of.setdefault(who, deque()).append(query)

@@ -1,0 +1,235 @@
+"""A figure shows what its sentence says: on coarse encoders, before and after, over the variable of
+which the words speak.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import reality
+from reality import KNOWN, RATE
+
+from zendsp.diagnosis import Diagnosis, diagnose
+from zendsp.diagnosis.data.prepare import prepare
+from zendsp.diagnosis.data.reading import read_signals
+from zendsp.diagnosis.decide.result import Workings
+from zendsp.diagnosis.measure.curve import Curve, Samples
+from zendsp.diagnosis.measure.discrepancy import difference, discrepancy, mean_square
+from zendsp.diagnosis.measure.where import Missing, mismatch
+from zendsp.diagnosis.report import figures
+from zendsp.diagnosis.report.chart import Chart, Series
+from zendsp.diagnosis.report.drawing import draw
+from zendsp.diagnosis.report.figures import charts
+from zendsp.diagnosis.report.laws import beside_the_law, unclaimed_chart
+from zendsp.physics.files.model_file import load_model, parse_model
+
+MODEL = """
+sample_time = 0.002
+mechanism = { kind = "rotary", parameters = { inertia = { value = 0.01 } } }
+columns = { time = "t", position = "q", command = "u" }
+"""
+Decided = Callable[..., Diagnosis]
+COARSE = 2 * np.pi / 500  # rad a count: at 0.8 rad/s it changes once an observer's memory
+FINE = 2 * np.pi / 2**20  # rad: an absolute encoder of 20 bits
+LEVEL = 0.03  # N m of Coulomb friction
+
+
+@pytest.fixture(scope="module")
+def coarse(tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
+    """Coulomb friction is missing, behind an encoder of 500 counts."""
+    folder = tmp_path_factory.mktemp("coarse")
+    machine = reality.Machine(coulomb=LEVEL, resolution=COARSE)
+    files = []
+    for seconds, seed in ((12.0, 1), (12.0, 2)):
+        reference = reality.multisine(seconds, RATE, seed, high=1.0)
+        rows = reality.simulate(machine, reference, RATE, seed)
+        files.append(reality.save(folder / f"run{seed}.csv", rows))
+    model = reality.model_file(folder / "model.toml", RATE, KNOWN[0], resolution=COARSE)
+    return diagnose(files[0], model, files[1], jobs=1)
+
+
+def _series(chart: Chart, panel: int, kind: str) -> Series:
+    return next(s for s in chart.panels[panel].series if s.kind == kind)
+
+
+def _of(d: Diagnosis, section: str, finding: int = -1) -> Chart:
+    return next(c for c in charts(d) if c.section == section and c.finding == finding)
+
+
+def test_means_of_a_figure_are_the_true_torque_within_their_standard_errors(
+    coarse: Diagnosis,
+) -> None:
+    """An observer that remembers 30 ms sees a reversal smeared over 0.5 rad/s: outside of it the
+    torque is the level. Of 30 means one is 3 standard errors off in every tenth figure.
+    """
+    assert [f.effect for f in coarse.findings] == ["coulomb"]
+    chart = _of(coarse, "law", 0)
+    means = _series(chart, 0, "means")
+    away = np.abs(means.x) > 0.5
+    assert means.spread is not None and np.count_nonzero(away) > 15
+    off = (means.y - LEVEL * np.sign(means.x))[away] / means.spread[away]
+    assert np.mean(np.abs(off) < 3.0) > 0.9
+    assert np.median(means.spread[away]) < 0.1 * LEVEL, "errors that say something"
+
+
+def test_no_spike_of_a_coarse_encoder_is_drawn_beside_the_law(coarse: Diagnosis) -> None:
+    """A change of the code corrects the observer at once for what had summed up since the last."""
+    law, where = _of(coarse, "law", 0), _of(coarse, "where")
+    assert np.quantile(np.abs(_series(law, 0, "dots").y), 0.99) < 3.0 * LEVEL
+    for line in where.panels[0].series:
+        assert np.nanmax(np.abs(line.y)) < 3.0 * LEVEL, line.label
+
+
+def test_before_and_after_have_the_same_axes(coarse: Diagnosis) -> None:
+    for section, finding in (("fit", -1), ("law", 0)):
+        chart = _of(coarse, section, finding)
+        one, other = draw(chart).axes
+        assert one.get_xlim() == other.get_xlim()
+        if section == "fit":  # as the terminal draws it, each panel by its own data
+            spans = [[(s.x[0], s.x[-1]) for s in p.series] for p in chart.panels]
+            assert spans[0] == spans[1]
+        else:
+            assert one.get_ylim() == other.get_ylim()
+
+
+def test_the_map_of_a_mismatch_shows_no_more_than_the_law(coarse: Diagnosis) -> None:
+    """Not where the code changes, which is where the joint is slow."""
+    (chart,) = (c for c in charts(coarse) if c.name.startswith("map"))
+    mesh = chart.panels[0].mesh
+    assert mesh is not None and chart.panels[0].xlabel == "velocity [rad/s]"
+    assert np.nanmax(mesh.values) < 2.0 * LEVEL
+
+
+def test_what_lacks_of_a_torque_is_not_inflated_by_a_coarse_encoder(coarse: Diagnosis) -> None:
+    """Three times the torque was said to be missing: the squares of corrections that make up for a
+    plateau at once. Of 0.03 N m a reversal hides some.
+    """
+    w = coarse.workings
+    assert isinstance(w, Workings)
+    calibrated, (record,) = w.whole.calibrated, w.train.records[0]
+    speed = record.motion.states[1]
+    (viscous,) = (t for t in calibrated.at(1) if t.effect == "viscous")
+    lacks = LEVEL * np.sign(speed) + (0.004 - viscous.value("coefficient")) * speed
+    truth = np.sqrt(np.mean(lacks**2) / mean_square(w.train, 1))
+    assert discrepancy(w.train, calibrated, 1).value == pytest.approx(truth, rel=0.35)
+    found = difference(w.train, calibrated, w.whole.improved, 1)
+    assert found == pytest.approx(truth, rel=0.35)
+
+
+def test_a_torque_that_the_model_holds_by_dry_friction_is_not_known(tmp_path: Path) -> None:
+    """Given three times its friction, a model stands where the joint moves: what would tear it off
+    is 55 N m to first order. What is told as known is 0.22 N m at most, as it is.
+    """
+    machine = reality.Machine(coulomb=0.1, creep=1e-5, ripple=0.02)
+    rows = reality.simulate(machine, reality.multisine(9.0, RATE, 1, high=1.0), RATE)
+    path = reality.save(tmp_path / "run.csv", rows)
+    friction = reality.effect("coulomb", level=0.3)
+    model = load_model(reality.model_file(tmp_path / "model.toml", RATE, KNOWN[0], friction))
+    data = prepare([read_signals(path, model)], model, 64.0)
+    (lacks,) = mismatch(data, model, 1)
+    known = np.abs(lacks.torque) > 2.0 * lacks.std
+    assert np.mean(known) > 0.5
+    assert np.max(np.abs(lacks.torque[known])) < 1.5 * (0.3 - 0.1 + 0.02)
+
+
+@pytest.mark.parametrize(("left", "said"), [(0.004, False), (0.02, True)])
+def test_a_law_beside_which_something_is_left_says_so(left: float, said: bool) -> None:
+    """Bars of 0.001 N m; what is less than a tenth of the law is no other law."""
+    x, zero = np.linspace(-1.0, 1.0, 9), np.zeros(9)
+    none = Samples(zero, zero, zero, zero.astype(int))
+    law = Curve("velocity", none, x, 0.05 * np.sign(x), zero + 0.001, against=False)
+    after = Curve("velocity", none, x, left * (x == 0.5), zero + 0.001, against=False)
+    text = beside_the_law(law, after, "velocity [rad/s]", "N m")
+    assert text == (
+        "Beside the law something is left: 0.02 N m at velocity 0.5 rad/s, 20 standard errors (the"
+        " bars)."
+        if said
+        else "Bars are standard errors: the means lie on the law within them."
+    )
+
+
+def test_a_stribeck_curve_is_drawn_with_the_level_on_which_it_stands(decided: Decided) -> None:
+    """The sentence names the breakaway torque, so the figure shows it."""
+    d = decided(reality.Machine(coulomb=0.02, breakaway=0.06, stribeck=0.3), None, KNOWN[0])
+    (k,) = (k for k, f in enumerate(d.findings) if f.effect == "stribeck")
+    assert all(f.effect == "stribeck" for f in d.findings)
+    means = _series(_of(d, "law", k), 0, "means")
+    fast = np.abs(means.x) > 1.5
+    assert np.allclose(np.abs(means.y[fast]), 0.02, atol=0.002)
+    assert np.max(np.abs(means.y)) > 0.025, "passed in less than an observer remembers"
+
+
+def test_a_law_with_a_memory_is_drawn_over_time(decided: Decided) -> None:
+    """Over no variable is the torque that a delay brings at another time a curve."""
+    d = decided(reality.Machine(delay=0.006))
+    (found,) = d.findings
+    assert found.effect in ("delay", "lag")
+    (panel,) = _of(d, "law", 0).panels
+    assert panel.xlabel == "time [s]"
+    before, law, after = panel.series
+    assert np.nanstd(after.y) < 0.2 * np.nanstd(before.y)
+    assert np.nanstd(before.y - law.y) < 0.2 * np.nanstd(before.y)
+
+
+def test_nothing_claimed_is_one_model_in_every_figure(decided: Decided) -> None:
+    """What only improves the fit is in no figure: the words compare with no improved model."""
+    d = decided(reality.Machine(wave=0.02))
+    assert d.verdict == "unexplained"
+    for chart in charts(d):
+        for panel in chart.panels:
+            assert "improved" not in [s.label for s in panel.series]
+
+
+def test_a_joint_at_rest_does_not_stretch_the_axis_of_errors(
+    coarse: Diagnosis, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A window in which nothing moves is predicted to the last digit."""
+    monkeypatch.setattr(figures, "window_error", lambda *_: np.zeros(3000))
+    rms = _of(coarse, "fit").panels[1]
+    assert rms.level is not None
+    assert all(np.min(s.y) > 0.1 * rms.level[0] for s in rms.series)
+
+
+def test_what_two_sensors_show_of_a_spring_is_drawn_as_its_torsion(tmp_path: Path) -> None:
+    """Over the torque that it transmits: the slope of the line is the compliance of the words."""
+    machine = reality.Machine(both_sides=True, load=0.006, soft=60.0, resolution=FINE)
+    files = []
+    for seed in (1, 2):
+        rows = reality.simulate(machine, reality.multisine(9.0, RATE, seed, high=8.0), RATE)
+        files.append(reality.save(tmp_path / f"run{seed}.csv", rows))
+    model = reality.model_file(tmp_path / "model.toml", RATE, *KNOWN, resolution=FINE)
+    text = model.read_text()
+    assert 'position = "q"' in text
+    model.write_text(text.replace('position = "q"', 'position = "q"\nposition_load = "ql"'))
+    d = diagnose(files[0], model, files[1], jobs=1)
+    (k,) = (k for k, f in enumerate(d.findings) if f.effect == "elasticity")
+    chart = _of(d, "law", k)
+    line, left = _series(chart, 0, "line"), _series(chart, 1, "means")
+    assert chart.panels[0].ylabel == "torsion [rad]" and "torque" in chart.panels[0].xlabel
+    stiffness = d.findings[k].parameters["stiffness"].value
+    slope = float(np.polyfit(line.x, line.y, 1)[0])
+    assert abs(slope) == pytest.approx(1.0 / stiffness, rel=0.05)
+    assert np.max(np.abs(left.y)) < 0.1 * np.max(np.abs(line.y))
+
+
+def test_a_torque_that_is_not_claimed_is_drawn_over_what_it_depends_on() -> None:
+    """Where it is a curve; over time alone where it is none."""
+    rng = np.random.default_rng(0)
+    t = np.arange(4000) / 500.0
+    q, v = np.sin(t), np.cos(t)
+    variables = {"position": q, "velocity": v, "acceleration": -q, "command": rng.normal(size=4000)}
+    drawn = {}
+    for name, torque in (("wave", np.sin(5 * q)), ("noise", rng.normal(size=4000))):
+        lacks = Missing(t, torque + 0.1 * rng.normal(size=4000), np.full(4000, 0.1), variables)
+        given = parse_model(tomllib.loads(MODEL))
+        drawn[name] = unclaimed_chart(SimpleNamespace(missing={1: [lacks]}, given=given), 1)  # type: ignore[arg-type]
+    assert drawn["noise"] is None and drawn["wave"] is not None
+    means = _series(drawn["wave"], 0, "means")
+    assert means.spread is not None and drawn["wave"].panels[0].xlabel == "position [rad]"
+    off = (means.y - np.sin(5 * means.x)) / np.hypot(means.spread, 0.02)  # bins of 0.05 rad
+    assert np.mean(np.abs(off) < 3.0) > 0.9

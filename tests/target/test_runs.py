@@ -1,0 +1,44 @@
+"""What a run has set is put back by its own host, or when that is lost."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from samples import run
+
+from zendsp_protocol import verbs
+from zendsp_protocol.errors import Refused
+from zendsp_target.runtime import Runtime
+from zendsp_target.serving.drives import Drives
+from zendsp_target.serving.runs import MOST, Runs
+
+PROGRAM = """
+#include "isr.h"
+static double k;
+void UserInit(void) { PARAMETER(k, 1.0, "", NO_MIN, NO_MAX, ""); }
+void UserISR_INT2(void) { }
+"""
+
+
+def test_nobody_ends_the_run_of_another_or_keeps_others_from_theirs(
+    make_runtime: Callable[..., Runtime]
+) -> None:
+    """Who may tune put back what somebody else's sweep had set, and used up all runs."""
+    runtime = make_runtime(PROGRAM)
+    runs = Runs(runtime, Drives(runtime))
+    begin = verbs.RunBegin(names=("k",), moves=False, fade=0.0)
+    number = runs.do_run_begin(begin, "anna").run
+    runtime.write({"k": 5.0}, "anna")
+    run(runtime, 3)
+    with pytest.raises(Refused, match="own host, anna"):
+        runs.do_run_end(verbs.RunEnd(run=number), "mallory")
+    for _ in range(MOST):
+        runs.do_run_begin(begin, "mallory")
+    with pytest.raises(Refused, match="of your runs"):
+        runs.do_run_begin(begin, "mallory")
+    assert runs.do_run_begin(begin, "bob").run
+    assert runtime.read(["k"])[1] == {"k": 5.0}
+    runs.do_run_end(verbs.RunEnd(run=number), "anna")
+    run(runtime, 3)
+    assert runtime.read(["k"])[1] == {"k": 1.0}
