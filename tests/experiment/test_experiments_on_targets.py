@@ -111,8 +111,8 @@ def test_friction_of_any_machine_that_takes_torques_is_found(tmp_path: Path) -> 
         assert abs(mean.value - 0.8) < 3 * mean.std < 0.3
         for end in ("pos", "neg"):
             slope = found.values[f"viscous{joint}_{end}"]
-            # the shoulder, which carries the elbow, is a tenth low: more than it states
-            assert abs(slope.value - 0.5) < (4 if joint == 2 else 3) * slope.std < 0.4
+            # 4: in 35 runs the shoulder had 0.494 ± 0.013, and stated 0.013 to 0.03
+            assert abs(slope.value - 0.5) < 4 * slope.std < 0.4
     assert found.values["weight1"].value == 0.0, "its axis is vertical"
     assert found.values["weight2"].value > 2.0
     assert len(found.effects) == 6 and found.machine == target.info.machine
