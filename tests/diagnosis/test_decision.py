@@ -89,6 +89,16 @@ def test_a_mechanism_without_a_law_has_the_curve_of_its_torque_and_a_figure(
     assert [c.name for c in charts(d) if c.section == "law"] == ["law_1_unknown_joint1"]
 
 
+def test_viscous_friction_that_depends_on_the_position_is_called_no_dry_friction(
+    decided: Decided,
+) -> None:
+    """blend * q * q̇: its only law in the library is one of dry friction."""
+    (found,) = decided(reality.Machine(blend=0.015)).findings
+    assert (found.effect, found.mechanism) == ("unknown", "fluid_friction")
+    assert "depends on the speed and position of joint 1" in found.sentence
+    assert found.as_dict()["curve"]["against_motion"]  # type: ignore[typeddict-item]
+
+
 def test_several_mechanisms_without_any_law_are_one_torque(
     decided: Decided, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -103,9 +103,12 @@ def test_a_mechanism_without_a_law_is_one_whose_variables_alone_predict_what_lac
 ) -> None:
     claim = replace(claim_of(Term(effect, 1, {}), 0.02), effect="unknown")
     sizes = {claim.mechanism: 0.02, **dict([other])}
-    predicted = lambda *to: Structure(sizes.get(to[-1][0], 0.0), 0.9, 5.0)  # noqa: E731
+
+    def predicted(*to: Any, turning: bool = True) -> Structure:
+        return Structure(sizes.get(to[-1][0], 0.0), 0.9, 5.0)
+
     monkeypatch.setattr(laws, "structure", predicted)
-    model: Any = SimpleNamespace(model=None)
+    model: Any = SimpleNamespace(model=SimpleNamespace(at=lambda _: ()))
     found = replace(of_one_claim(claim, 0.03, 0.01, model), state=Structure(left, 0.9, 5.0))
     outcome = laws.believed(found, SimpleNamespace(each=()), 1)  # type: ignore[arg-type]
     assert [c.effect for c in outcome.claims] == (["unknown"] if stands else [])

@@ -10,6 +10,7 @@ from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.decide import unpushed
 from zendsp.diagnosis.decide.laws import without_law
 from zendsp.diagnosis.decide.thresholds import OF_STATE, PREDICTED, SURE
+from zendsp.diagnosis.measure.curve import FRICTION
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
 from zendsp.diagnosis.measure.significance import counterpart
 from zendsp.diagnosis.measure.windows import rms, window_error
@@ -151,7 +152,7 @@ def friction_beside_weight(decisions: Sequence[Decision]) -> tuple[Term, ...]:
     claims = [c for d in decisions for c in d.claims if c.effect != "unknown"]
     if not any(c.mechanism in (PLACE, "inertia") or get_effect(c.effect).constant for c in claims):
         return ()
-    return tuple(c.term for c in claims if c.mechanism in ("dry_friction", "fluid_friction"))
+    return tuple(c.term for c in claims if c.mechanism in FRICTION)
 
 
 def _is_late(claim: Claim) -> bool:

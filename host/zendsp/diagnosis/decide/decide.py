@@ -19,7 +19,7 @@ import numpy.typing as npt
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Claim, Decision, Piece
 from zendsp.diagnosis.decide.findings import new_terms, percent
-from zendsp.diagnosis.decide.laws import believed, named
+from zendsp.diagnosis.decide.laws import believed, by_its_variables, named
 from zendsp.diagnosis.decide.pieces import (
     dry_torque,
     finest,
@@ -442,6 +442,7 @@ def _without_law(parts: Parts, out: Decision, turning: bool) -> Claim | None:
         return None
     evidence = Evidence(0.0, best.z, np.zeros(1))
     term = Term("unknown", joint, {})
-    return Claim(
+    claim = Claim(
         "unknown", order[0], term, best.size, evidence, 0.0, {"unknown": 1.0}, (), (), (), best
     )
+    return by_its_variables(claim, out, parts)

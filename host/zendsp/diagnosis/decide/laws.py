@@ -14,7 +14,6 @@ from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Claim, Decision, Piece
 from zendsp.diagnosis.decide.confidence import confidence, stated
 from zendsp.diagnosis.decide.pieces import (
-    DRY,
     kept_laws,
     kind_of,
     known_discrepancy,
@@ -38,11 +37,12 @@ from zendsp.diagnosis.decide.thresholds import (
     STATED_ALONE,
     SURE,
 )
+from zendsp.diagnosis.measure.curve import DRY, FLUID, FRICTION
 from zendsp.diagnosis.measure.discrepancy import Size, at_reversals, discrepancy
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
 from zendsp.diagnosis.measure.neighbours import against_neighbours
 from zendsp.diagnosis.measure.significance import counterpart
-from zendsp.diagnosis.measure.structure import STRUCTURED, Structure, structure
+from zendsp.diagnosis.measure.structure import STRUCTURED, TAKEN, Structure, structure
 from zendsp.diagnosis.search.hypothesis import JointSearch
 from zendsp.diagnosis.search.rounds import Rounds
 from zendsp.physics.calibration.fit import Data, joint_handles
@@ -220,6 +220,7 @@ def believed(decision: Decision, parts: Parts, jobs: int) -> Decision:
             more.append(claim)
             doubted.add(claim.mechanism)
     keep, parts_of_it = _beside_unknown(keep, decision.after.value)
+    keep = [by_its_variables(c, decision, parts) for c in keep]
     return replace(decision, claims=tuple(keep), refinements=tuple(more + parts_of_it))
 
 
@@ -243,6 +244,24 @@ def without_law(claim: Claim, decision: Decision) -> Claim:
     sure = min(confidence(replace(claim, effect=claim.term.effect), decision), most)
     laws = {name: sure * weight for name, weight in claim.laws.items()}
     return replace(claim, effect="unknown", laws={**laws, "unknown": 1.0 - sure})
+
+
+def by_its_variables(claim: Claim, decision: Decision, parts: Parts) -> Claim:
+    """Friction without a law under the name whose variables predict it, beside what calibration
+    took up: fluid, where it needs no step at standstill.
+    """
+    if claim.effect != "unknown" or claim.mechanism not in FRICTION:
+        return claim
+    model, joint = decision.base.model, decision.joint
+    turning = not rubs(model, joint)
+    of = {
+        m: structure(parts.each, model, joint, [m, TAKEN], turning=turning).size for m in FRICTION
+    }
+    steps = of[FLUID] < (1.0 - LAW_ERROR) * of[DRY]
+    name = DRY if steps else FLUID
+    if name == claim.mechanism:
+        return claim
+    return replace(claim, mechanism=name, laws={"unknown": 1.0})
 
 
 def _told_apart(claim: Claim, decision: Decision, parts: Parts) -> bool:

@@ -19,7 +19,7 @@ from zendsp.diagnosis.decide.notes import spans
 from zendsp.diagnosis.decide.pieces import beside_unknown, weight_of_payload
 from zendsp.diagnosis.decide.result import Estimate, Finding, Rejected, number
 from zendsp.diagnosis.decide.thresholds import CLAIMED, PLAIN, STATED_ALONE
-from zendsp.diagnosis.measure.curve import curve_of
+from zendsp.diagnosis.measure.curve import DRY, FLUID, curve_of
 from zendsp.diagnosis.measure.likelihood import fit_scored
 from zendsp.diagnosis.measure.significance import counterpart, essence_of, essential_deviation
 from zendsp.diagnosis.measure.where import Missing, mismatch, units
@@ -109,8 +109,10 @@ def _unknown(
     what = "state"
     if found is not None:
         what = "speed" if found.axis.variable == "velocity" else found.axis.variable
-        if claim.mechanism == "dry_friction":
+        if claim.mechanism == DRY:
             what = f"direction of motion and {what}"
+        elif claim.mechanism == FLUID and found.against:
+            what = f"speed and {what}"
         numbers["curve"] = {
             "variable": found.axis.variable,
             "unit": units(given, joint)[found.axis.variable],

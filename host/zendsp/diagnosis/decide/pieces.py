@@ -26,6 +26,7 @@ from zendsp.diagnosis.decide.thresholds import (
     STEPPED,
     SURE,
 )
+from zendsp.diagnosis.measure.curve import DRY, FRICTION
 from zendsp.diagnosis.measure.discrepancy import (
     at_reversals,
     beyond,
@@ -44,8 +45,6 @@ from zendsp.physics.model import Model, Term, per_joint
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[str], None]
-
-DRY = "dry_friction"
 
 
 def grouped(
@@ -300,8 +299,7 @@ def rubs(model: Model, joint: int) -> bool:
 
 def kind_of(mechanism: str) -> frozenset[str]:
     """Mechanisms that are functions of the same variables."""
-    friction = frozenset({"dry_friction", "fluid_friction"})
-    return friction if mechanism in friction else frozenset({mechanism})
+    return frozenset(FRICTION) if mechanism in FRICTION else frozenset({mechanism})
 
 
 def may_leave(piece: Piece) -> float:

@@ -21,11 +21,12 @@ SLOW = 0.02  # of a joint's speed: below, it has no direction
 IN_A_BIN = 5  # samples: a mean of fewer is not drawn
 BINS = 40
 COMMON = 4.0  # passes: so much counts what all bins say of how far passes are apart
+DRY, FLUID = FRICTION = ("dry_friction", "fluid_friction")
 # of these a mechanism's torque is a function
 OVER = {
     "position_torque": ("position",),
-    "dry_friction": ("velocity", "position"),
-    "fluid_friction": ("velocity",),
+    DRY: ("velocity", "position"),
+    FLUID: ("velocity", "position"),
     "actuator": ("command",),
 }
 
@@ -90,11 +91,11 @@ def samples_of(missing: Missing, axis: Axis) -> Array:
 def curve_over(lacks: Sequence[Missing], axis: Axis, mechanism: str) -> Curve:
     """What is lacking over an axis.
 
-    Dry friction over anything but velocity is turned over where the joint moves backwards: the mean
-    of both directions would hide it.
+    Friction over anything but velocity is turned over where the joint moves backwards: the mean of
+    both directions would hide it.
     """
     samples = samples_over(lacks, axis)
-    against = mechanism == "dry_friction" and axis.variable != "velocity"
+    against = mechanism in FRICTION and axis.variable != "velocity"
     if against:
         v = np.concatenate([m.variables["velocity"] for m in lacks])
         moves = np.abs(v) > SLOW * np.quantile(np.abs(v), 0.98)

@@ -32,6 +32,8 @@ ROWS = 8000  # rows of a regression
 # pieces of a function of state, as multiples: broad shapes, and narrow ones
 DETAILS = (1, 3)
 MEMORY = "memory"  # not a mechanism: any of them may remember
+# nor this: what the numbers of almost any model may have taken up of a torque when they were fitted
+TAKEN = "taken"
 SWINGING = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0)  # Hz
 DAMPING = 0.15  # damping ratio: neighbours among these overlap
 SHIFTED = 0.5  # s: a torque that is moved by more comes at another time
@@ -124,6 +126,12 @@ def shapes(
     if mechanism == "actuator":
         command = unit(record.command, ranges.command)
         return np.concatenate([_splines(command, 10 * detail), command * _splines(place, 6)])
+    if mechanism == TAKEN:
+        a = record.motion.states[2]
+        inertia = a / max(float(np.std(a)), 1e-300)
+        return np.stack(
+            [inertia, v / ranges.speed, sign, np.sin(q), np.cos(q), np.ones_like(q)]
+        )
     if mechanism == MEMORY:
         return _swung(record)
     return np.zeros((0, record.n))

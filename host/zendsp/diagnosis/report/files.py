@@ -104,8 +104,14 @@ def _compensation(d: Diagnosis, folder: Path) -> None:
         return
     found = {(f.effect, f.joint) for f in d.findings}
     terms = [t for t in d.improved.terms if (t.effect, t.joint) in found]
+    sentences = [f.sentence for f in d.findings] + [
+        f"Not compensated: the torque without a law of joint {f.joint}; its curve stands in"
+        " report.json."
+        for f in d.findings
+        if f.effect == "unknown"
+    ]
     (folder / "compensation.c").write_text(
-        compensation(terms, model=d.improved, sentences=[f.sentence for f in d.findings]),
+        compensation(terms, model=d.improved, sentences=sentences),
         encoding="utf-8",
     )
 

@@ -16,13 +16,12 @@ from zendsp.diagnosis.data.series import repeats
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.result import Finding
 from zendsp.diagnosis.decide.thresholds import PLAIN, SURE
+from zendsp.diagnosis.measure.curve import FLUID, FRICTION
 from zendsp.diagnosis.transmission.torsion import OF_MOTOR, Array, has_bodies, held_drive
 from zendsp.diagnosis.transmission.torsion import STILL as STANDING
 from zendsp.physics.calibration.joint import JointRecord
 from zendsp.physics.model import Model
 
-FLUID = "fluid_friction"
-FRICTION = ("dry_friction", FLUID)
 ONE_SIDE = 0.2  # of the other side's: less is not said to be there
 GAIN = 0.05  # standard deviation of a gain beyond which nothing is said of it
 
