@@ -314,6 +314,7 @@ def test_claims_that_are_dropped_leave_no_law_that_the_model_lacks() -> None:
         # something in the recordings of the fit, a stall perhaps, bends the numbers
         ("backlash", {"given": 1.0, "calibrated": 3.0, "improved": 2.0}, False),
         ("unknown", {"given": 1.0, "calibrated": 3.0, "improved": 3.0}, False),
+        ("unknown", {"given": 1.0, "calibrated": 1.2, "improved": 1.2}, True),
         ("unknown", {"given": 9.0, "calibrated": 3.0, "improved": 3.0}, True),
     ],
 )

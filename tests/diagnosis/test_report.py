@@ -9,6 +9,7 @@ import sys
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -24,13 +25,15 @@ from zendsp.diagnosis.decide.contract import dark
 from zendsp.diagnosis.decide.result import Detectable, Finding
 from zendsp.diagnosis.measure.curve import Axis, samples_of
 from zendsp.diagnosis.measure.where import Missing
+from zendsp.diagnosis.report import files
 from zendsp.diagnosis.report.chart import Panel, Series
 from zendsp.diagnosis.report.figures import charts, from_a_whole_second
-from zendsp.diagnosis.report.files import write_report
+from zendsp.diagnosis.report.files import stands_for, write_report
 from zendsp.diagnosis.report.laws import axis_of
 from zendsp.diagnosis.report.summary import _sized, headline, percent, verdict_sentence
-from zendsp.physics.effects import library
+from zendsp.physics.effects import get_effect, library, mechanism_of
 from zendsp.physics.files.model_file import load_model
+from zendsp.physics.model import Model, Quantity, Term
 
 
 @pytest.fixture(scope="module")
@@ -224,6 +227,30 @@ def test_compensation_compiles_for_the_isr(folder: Path, tmp_path: Path) -> None
         check=False,
     )
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("refines", "stands", "says"),
+    [
+        ("ripple", {("unknown", 1), ("ripple", 1)}, "as far as was recorded"),
+        ("viscous", {("unknown", 1)}, "Not compensated: the torque without a law at joint 1"),
+    ],
+)
+def test_a_torque_without_a_law_is_compensated_by_what_draws_its_curve(
+    refines: str, stands: set[tuple[str, int]], says: str, tmp_path: Path
+) -> None:
+    found = {"effect": "unknown", "joint": 1, "mechanism": "position_torque"}
+    drawn = {"effect": refines, "joint": 1, "mechanism": mechanism_of(refines)}
+    report: Any = {"findings": [found], "refinements": [drawn]}
+    numbers = {p.name: Quantity(0.5) for p in get_effect(refines).parameters}
+    model = Model("bench", None, "rotary", {}, terms=(Term(refines, 1, numbers),))
+    d: Any = SimpleNamespace(
+        report=lambda: report, improved=model, findings=[SimpleNamespace(sentence="A torque …")]
+    )
+    assert stands_for(report) == stands
+    files._compensation(d, tmp_path)
+    code = " ".join((tmp_path / "compensation.c").read_text().split())
+    assert says in code and (f"comp_{refines}1" in code) == (refines == "ripple")
 
 
 def test_json_on_the_terminal_is_the_report(

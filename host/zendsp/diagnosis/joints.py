@@ -21,6 +21,7 @@ from zendsp.diagnosis.decide.across import pushed_alone, same_timing
 from zendsp.diagnosis.decide.assemble import Assembled, assemble
 from zendsp.diagnosis.decide.claims import Decision, unclaimed
 from zendsp.diagnosis.decide.decide import decide, unpushed
+from zendsp.diagnosis.decide.notes import MADE_WORSE
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import Scored, calibrate_joint
 from zendsp.diagnosis.measure.windows import model_error, noise_floor, rms, window_error
@@ -166,7 +167,9 @@ def _no_worse(
                 *errors, after = (
                     rms(window_error(parts.test, m, d.joint)) for m in (*before, whole.improved)
                 )
-                worse[d.joint] = after / min(errors)
+                # a curve that is in no model may bend its numbers, as far as is not said of them
+                most = 1.0 if named or d.refinements else MADE_WORSE
+                worse[d.joint] = after / (most * min(errors))
         joint = max(worse, key=lambda j: worse[j], default=0)
         if not joint or worse[joint] <= 1.0:
             return decisions, whole

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from zendsp.diagnosis.report.files import stands_for
 from zendsp.errors import ZendspError
 from zendsp.physics import load_model
 from zendsp.physics.codegen.compensation import SETTINGS, SHARE, compensation_values
@@ -49,7 +50,7 @@ def compensation_of(d: Diagnosed) -> Compensation:
         The improved model is not one that has C.
     """
     model = load_model(d.folder / "model.toml")
-    found = {(f["effect"], f["joint"]) for f in d.report["findings"]}
+    found = stands_for(d.report)
     terms = [t for t in model.terms if (t.effect, t.joint) in found]
     left_out = tuple(
         f"Not compensated: {t.effect} of joint {t.joint} ({why_not(t.effect)})."

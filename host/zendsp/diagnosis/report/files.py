@@ -9,8 +9,10 @@ import math
 from pathlib import Path
 from typing import Any
 
+from zendsp.diagnosis.decide.contract import Report
 from zendsp.diagnosis.decide.result import Diagnosis
 from zendsp.diagnosis.report.chart import SUFFIX, save_chart
+from zendsp.physics.effects import mechanism_of
 from zendsp.physics.files.model_write import model_text
 from zendsp.physics.model import Model
 
@@ -102,18 +104,37 @@ def _compensation(d: Diagnosis, folder: Path) -> None:
         from zendsp.physics.codegen.compensation import compensation
     except ImportError:
         return
-    found = {(f.effect, f.joint) for f in d.findings}
+    report = d.report()
+    found = stands_for(report)
     terms = [t for t in d.improved.terms if (t.effect, t.joint) in found]
-    sentences = [f.sentence for f in d.findings] + [
-        f"Not compensated: the torque without a law of joint {f.joint}; its curve stands in"
-        " report.json."
-        for f in d.findings
-        if f.effect == "unknown"
-    ]
+    sentences = [f.sentence for f in d.findings]
+    for joint, mechanism in _without_law(report):
+        drawn = any(t.joint == joint and mechanism_of(t.effect) == mechanism for t in terms)
+        sentences.append(
+            f"Of the torque without a law at joint {joint}, what refines the fit stands for its"
+            " curve: as far as was recorded, and no further."
+            if drawn
+            else f"Not compensated: the torque without a law at joint {joint}. Its curve is in"
+            " report.json."
+        )
     (folder / "compensation.c").write_text(
         compensation(terms, model=d.improved, sentences=sentences),
         encoding="utf-8",
     )
+
+
+def _without_law(report: Report) -> set[tuple[int, str]]:
+    """Joint and mechanism of what was found without a law."""
+    return {(f["joint"], f["mechanism"]) for f in report["findings"] if f["effect"] == "unknown"}
+
+
+def stands_for(report: Report) -> set[tuple[str, int]]:
+    """Effect and joint of the terms of the improved model that stand for what was found: of a
+    mechanism without a law, its laws among the refinements.
+    """
+    curves = _without_law(report)
+    drawn = [r for r in report["refinements"] if (r["joint"], r["mechanism"]) in curves]
+    return {(f["effect"], f["joint"]) for f in (*report["findings"], *drawn)}
 
 
 def _finite(value: Any) -> Any:
