@@ -14,7 +14,7 @@ from zendsp.diagnosis.data.inertia import inertia_ranges
 from zendsp.diagnosis.data.signals import Signals, joint_columns
 from zendsp.errors import ModelError
 from zendsp.physics.calibration.fit import Data
-from zendsp.physics.calibration.joint import JointRecord, mechanism_value
+from zendsp.physics.calibration.joint import JointRecord, mechanism_value, share_facts
 from zendsp.physics.effects.base import Scale
 from zendsp.physics.kernel.signals import (
     Measurement,
@@ -44,6 +44,7 @@ def prepare(signals: Sequence[Signals], model: Model, bandwidth: float = 32.0) -
         First guess of the observers, rad/s.
     """
     records = tuple(_records(s, model) for s in signals)
+    share_facts(records)
     return Data(records, (bandwidth,) * model.joints, ranges=inertia_ranges(records, model))
 
 

@@ -47,6 +47,7 @@ from zendsp.diagnosis.external.simulator import Bench, Simulator, bench, on_inpu
 from zendsp.diagnosis.measure.where import Missing, Region, intervals, regions, units
 from zendsp.physics.calibration.fit import Fit
 from zendsp.physics.calibration.handles import free_handles
+from zendsp.physics.calibration.joint import share_facts
 from zendsp.physics.effects import library
 from zendsp.physics.model import Model, Term
 from zendsp.physics.term_numbers import file_model
@@ -289,6 +290,8 @@ def _recordings(
     signals, held, notes = read_parts(sources, heldout, model)
     train = [bench(s, model, simulator) for s in signals]
     test = [bench(s, model, simulator) for s in held]
+    for benches in (train, test):
+        share_facts([b.records for b in benches])
     if _restarts(train[0], model):
         for b in (*train, *test):
             b.size = max(16, round(WINDOW / b.signals.sample_time))

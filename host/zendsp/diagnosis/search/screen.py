@@ -288,10 +288,11 @@ class Screen:
     def _least(self, effect: Effect, name: str) -> float:
         """A number so small that it hardly acts."""
         size, record = effect.parameter(name).size, self.records[0]
-        return facts(record).sample_time if size == "time" else 1e-3 * record.scale.of(size)
+        known = facts(record)
+        return known.sample_time if size == "time" else 1e-3 * known.scale.of(size)
 
     def _add_replaced(self, effect: Effect, values: dict[str, float]) -> dict[str, float]:
-        size = self.records[0].scale
+        size = facts(self.records[0]).scale
         for term in self.model.at(self.joint):
             if term.effect in effect.replaces:
                 base = next(iter(term.parameters.values())).value

@@ -20,6 +20,7 @@ from zendsp.diagnosis.measure.significance import INTEGRATION_ERROR, SIGNIFICANT
 from zendsp.diagnosis.search.hypothesis import SUFFICIENT, JointSearch, price
 from zendsp.physics.calibration.convergence import step_error, with_step_error
 from zendsp.physics.calibration.fit import Data, fit, joint_handles, residual
+from zendsp.physics.calibration.joint import facts
 from zendsp.physics.calibration.terms import make_term
 from zendsp.physics.effects import get_effect, library
 from zendsp.physics.model import Model, Term
@@ -75,7 +76,7 @@ def straightened(found: JointSearch, current: Scored, jobs: int) -> Scored:
     if term is None or had & {"hysteresis", "stiffness"}:
         return current
     record = max((rec[found.joint - 1] for rec in current.data.records), key=lambda r: r.n)
-    if term.value("force") < STRAIGHT * term.value("stiffness") * record.scale.position:
+    if term.value("force") < STRAIGHT * term.value("stiffness") * facts(record).scale.position:
         return current
     begin = float(record.motion.states[0][0])  # where its bristle is straight
     numbers = {"coefficient": term.value("stiffness"), "neutral": begin}
@@ -119,7 +120,7 @@ def _as_coulomb(best: Scored, joint: int, jobs: int) -> Scored:
     record = best.data.records[0][joint - 1]
     if term is None:
         return best
-    if term.value("force") > BENDS * term.value("stiffness") * record.scale.position:
+    if term.value("force") > BENDS * term.value("stiffness") * facts(record).scale.position:
         return best
     others = tuple(t for t in best.model.terms if t is not term)
     handles = joint_handles(best.data, best.model.with_terms(others), joint)

@@ -17,7 +17,7 @@ def parameter_bounds(effect_name: str, name: str, record: JointRecord) -> tuple[
     effect_name, name : str
         Effect and parameter.
     record : JointRecord
-        The longest recording of the joint.
+        Any recording of the joint.
     """
     parameter = get_effect(effect_name).parameter(name)
     if parameter.limits is None:

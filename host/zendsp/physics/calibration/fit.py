@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from zendsp.physics.calibration.bounds import parameter_bounds
 from zendsp.physics.calibration.handles import Handle, free_handles, get_values, set_values
-from zendsp.physics.calibration.joint import JointRecord
+from zendsp.physics.calibration.joint import JointRecord, facts
 from zendsp.physics.calibration.points import Points
 from zendsp.physics.calibration.predict import ran_away, run, run_many
 from zendsp.physics.effects import get_effect
@@ -169,7 +169,7 @@ def bounds_and_steps(
             term = model.terms[h.index]
             parameter = get_effect(term.effect).parameter(h.key)
             record = max((rec[term.joint - 1] for rec in data.records), key=lambda r: r.n)
-            s = record.scale.of(parameter.size)
+            s = facts(record).scale.of(parameter.size)
             lower, upper = parameter_bounds(term.effect, h.key, record)
             if get_effect(term.effect).same_as:
                 lower, upper = data.ranges.get((f"inertia {term.joint}", 0), (lower, upper))

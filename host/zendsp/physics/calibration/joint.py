@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -230,7 +230,8 @@ def _sum(parts: list[Array], n: int) -> Array:
 def facts(
     record: JointRecord, model: Model | None = None, replaced: Mapping[str, float] | None = None
 ) -> Facts:
-    """What a recording and, where given, a model say to the effects of a joint.
+    """What a recording, with the others of its joint (``share_facts``), and, where given, a model
+    say to the effects of a joint.
 
     Parameters
     ----------
@@ -274,6 +275,35 @@ def facts(
         inertia=float(np.mean(effective_inertia(record, model))),
         replaced=dict(replaced or {}),
     )
+
+
+def share_facts(records: Sequence[Sequence[JointRecord]]) -> None:
+    """Let all recordings of a joint say the same to its effects: how far, how fast and how hard any
+    of them goes. ``records`` are a sequence of joints for each recording.
+    """
+    for joint in zip(*records, strict=True):
+        each = [facts(record) for record in joint]
+        longest = facts(max(joint, key=lambda r: r.n))
+        low, high = (
+            [f.centre + half * f.scale.position for f in each] for half in (-0.5, 0.5)
+        )
+        way = max(high) - min(low)
+        most = {
+            name: max(getattr(f.scale, name) for f in each)
+            for name in ("torque", "speed", "command", "seconds")
+        }
+        turn = longest.scale.turn * (way / longest.scale.position if longest.slides else 1.0)
+        shared = replace(
+            longest,
+            scale=replace(longest.scale, position=way, turn=turn, **most),
+            centre=0.5 * (min(low) + max(high)),
+            **{
+                name: max(getattr(f, name) for f in each)
+                for name in ("fast", "fastest", "strong", "strongest")
+            },
+        )
+        for record in joint:
+            record._facts = shared
 
 
 def along(record: JointRecord, model: Model) -> Along:

@@ -27,7 +27,7 @@ def grid_of(effect: Effect, record: JointRecord, model: Model) -> list[dict[str,
     axes: dict[str, list[float]] = {}
     for name, axis in effect.grid.items():
         if name not in ("phase", "angle"):
-            unit = record.scale.of(effect.parameter(name).size)
+            unit = known.scale.of(effect.parameter(name).size)
             axes[name] = list(axis(known)) if callable(axis) else [value * unit for value in axis]
     return [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
 
