@@ -243,13 +243,16 @@ def facts(
     if record._facts is None:
         q, qd = record.motion.states[:2]
         command = np.abs(record.command)
-        fast, fastest = (float(x) for x in np.quantile(np.abs(qd), (0.95, 0.99)))
+        # what rests most of the time moves as fast as its mean square says
+        fast, fastest = (
+            max(float(x), record.scale.speed) for x in np.quantile(np.abs(qd), (0.95, 0.99))
+        )
         record._facts = Facts(
             scale=record.scale,
             centre=0.5 * (float(q.max()) + float(q.min())),
             fast=fast,
             fastest=fastest,
-            strong=float(np.quantile(command, 0.999)),
+            strong=max(float(np.quantile(command, 0.999)), record.scale.command),
             strongest=float(command.max()),
             sample_time=record.sample_time,
             slides=record.slides,

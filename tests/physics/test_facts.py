@@ -1,0 +1,57 @@
+"""What recordings say to effects: values to screen, starts and bounds follow from it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from zendsp.diagnosis.data.prepare import prepare
+from zendsp.diagnosis.data.signals import Signals
+from zendsp.physics.calibration.joint import facts
+from zendsp.physics.calibration.terms import grid_of
+from zendsp.physics.effects import library
+from zendsp.physics.files.model_file import parse_model
+
+T, COUNT = 0.002, 1e-4
+MODEL = parse_model(
+    {
+        "sample_time": T,
+        "mechanism": {"kind": "rotary", "parameters": {"inertia": {"value": 0.01}}},
+        "effect": [{"kind": "coulomb", "joint": 1, "level": {"value": 0.01}}],
+    }
+)
+
+
+def recording(seconds: float, size: float, middle: float = 0.0, moving: float = 1.0) -> Signals:
+    """A sine about ``middle``, and rest behind it."""
+    t = np.arange(round(seconds / T)) * T
+    swing = np.where(t < moving * t[-1], np.sin(9.0 * t), 0.0)
+    q = COUNT * np.round((middle + size * swing) / COUNT)
+    return Signals(f"{size}", t, T, q[:, None], size * swing[:, None], None, np.array([COUNT]))
+
+
+def test_all_recordings_of_a_joint_say_the_same_and_none_says_less_than_one() -> None:
+    hard = facts(prepare([recording(4.0, 0.9, 1.0)], MODEL).records[0][0])
+    data = prepare([recording(20.0, 0.1), recording(4.0, 0.9, 1.0)], MODEL)
+    one, other = (facts(record[0]) for record in data.records)
+    assert one == other
+    for name in ("fast", "fastest", "strong", "strongest"):
+        assert getattr(one, name) == pytest.approx(getattr(hard, name))
+    # from -0.1 to 1.9
+    assert one.centre == pytest.approx(0.9, abs=0.01)
+    assert one.scale.position == pytest.approx(2.0, abs=0.01)
+    assert facts(data.records[0][0].thinned(4)) == one
+
+
+def test_a_joint_that_rests_nearly_always_has_a_speed_and_a_command() -> None:
+    record = prepare([recording(20.0, 0.5, moving=0.03)], MODEL).records[0][0]
+    record.motion.states[1][1000:] = 0.0
+    record._facts = None
+    known = facts(record)
+    assert known.fast > 0.0 and known.fastest >= known.fast and known.strong > 0.0
+    for effect in (e for e in library().values() if not e.reads):
+        for point in grid_of(effect, record, MODEL):
+            assert all(map(math.isfinite, point.values())), effect.name
+            assert point.get("velocity", 1.0) > 0.0
