@@ -45,6 +45,18 @@ def test_torques_of_position_at_two_joints_have_no_law_each() -> None:
     assert across.across_joints(other) == other
 
 
+@pytest.mark.parametrize(("size", "law"), [(0.6, "unknown"), (0.4, "stiffness")])
+def test_a_law_of_position_is_none_beside_a_joint_that_lacks_as_much_without_a_law(
+    size: float, law: str
+) -> None:
+    pulled = lacking(1, "stiffness", coefficient=2.0)
+    pulled = replace(pulled, claims=(replace(pulled.claims[0], size=1.0),))
+    nobody = replace(lacking(2, "coulomb", level=1.0), kind="unexplained", claims=())
+    nobody = replace(nobody, state=Structure(size, 0.9, 5.0))
+    found = across.across_joints([pulled, nobody])
+    assert named(found)[0] == [(law, "position_torque", ())]
+
+
 @pytest.mark.parametrize(
     ("kind", "size", "stays"),
     [("unexplained", 0.3, False), ("unexplained", 0.01, True), ("missing", 0.3, True)],

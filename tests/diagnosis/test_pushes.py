@@ -16,6 +16,8 @@ from reality import KNOWN
 from zendsp.diagnosis import Diagnosis, diagnose
 from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.naming import _disturbance, at_once
+from zendsp.diagnosis.measure.bursts import Bursts
 from zendsp.diagnosis.report.figures import charts
 
 Decided = Callable[..., Diagnosis]
@@ -27,6 +29,24 @@ def test_what_acts_in_the_recordings_to_choose_by_alone_is_not_complete(
     monkeypatch.setattr(decision, "_pushed", lambda *_: None)  # nothing of it comes again
     pushed = reality.Machine(push=(0.3, 2.0, 3.0))
     assert decided(reality.Machine(), pushed).verdict == "unexplained"
+
+
+def test_joints_that_are_pushed_at_the_same_times_are_one_finding() -> None:
+    def pushed(joint: int, name: str, *spans: tuple[float, float]) -> Any:
+        found = Bursts(spans, (name,) * len(spans), 0.9, 5.0 * joint, 2.0, 0.1, 1.0, 10.0)
+        before = SimpleNamespace(value=0.1 * joint)
+        return SimpleNamespace(joint=joint, bursts=found, before=before)
+
+    one, other = pushed(1, "a", (1.0, 2.0), (4.0, 5.0)), pushed(2, "a", (1.4, 2.1), (4.0, 4.4))
+    later, elsewhere = pushed(3, "a", (5.2, 6.0)), pushed(4, "b", (1.0, 2.0))
+    still = SimpleNamespace(joint=5, bursts=None, before=SimpleNamespace(value=0.0))
+    groups = at_once([one, other, later, elsewhere, still])
+    assert [[d.joint for d in g] for g in groups] == [[4], [3], [2, 1]]
+    given: Any = SimpleNamespace(torque_unit=lambda _: "N m")
+    found = _disturbance(groups[-1], given)
+    assert (found.joint, found.effect) == (2, "disturbance")
+    assert "on joint 1 at the same times" in found.sentence
+    assert found.as_dict()["details"] == {"also_on": [{"joint": 1, "rms": 2.0, "peak": 5.0}]}
 
 
 def test_a_push_is_a_disturbance_with_its_times(decided: Decided) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from zendsp.diagnosis.data.prepare import prepare
@@ -27,8 +28,8 @@ MODEL = parse_model(
 def recording(seconds: float, size: float, middle: float = 0.0, moving: float = 1.0) -> Signals:
     """A sine about ``middle``, and rest behind it."""
     t = np.arange(round(seconds / T)) * T
-    swing = np.where(t < moving * t[-1], np.sin(9.0 * t), 0.0)
-    q = COUNT * np.round((middle + size * swing) / COUNT)
+    swing: npt.NDArray[np.float64] = np.where(t < moving * t[-1], np.sin(9.0 * t), 0.0)
+    q = np.asarray(COUNT * np.round((middle + size * swing) / COUNT))
     return Signals(f"{size}", t, T, q[:, None], size * swing[:, None], None, np.array([COUNT]))
 
 

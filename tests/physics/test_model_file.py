@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,7 @@ from zendsp.errors import ModelError
 from zendsp.physics.effects import library
 from zendsp.physics.files.model_file import load_model, parse_model
 from zendsp.physics.files.model_write import model_text
+from zendsp.physics.model import Model, position_limits
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "examples" / "models").glob("*.toml"))
 GOOD: dict[str, Any] = {
@@ -199,3 +202,27 @@ def test_a_shipped_model_is_found_by_its_name_from_any_folder(
     (tmp_path / "wam7.toml").write_text("oops")
     with pytest.raises(ModelError, match="is not TOML"):
         load_model("wam7.toml")  # the user's own goes first
+
+
+def _limited(position: object) -> Model:
+    arm = {"kind": "planar2r", "parameters": {"p1": 2.0, "p2": 0.5, "p3": 0.3}}
+    return parse_model({"mechanism": arm, "limits": {"position": position}})
+
+
+@pytest.mark.parametrize(
+    ("position", "second"),
+    [([-1, 2.0], (-1.0, 2.0)), ([[-1.0, 2.0]], (-1.0, 2.0)), ([[-1, 2], [-3, 0.5]], (-3.0, 0.5))],
+)
+def test_position_limits_are_one_pair_or_a_pair_a_joint(
+    position: object, second: tuple[float, float]
+) -> None:
+    model = _limited(position)
+    assert position_limits(model, 1) == (-1.0, 2.0) and position_limits(model, 2) == second
+    assert parse_model(tomllib.loads(model_text(model))).limits == model.limits
+    assert position_limits(replace(model, limits={}), 1) == (-math.inf, math.inf)
+
+
+@pytest.mark.parametrize("position", [2.0, [1.0], [2.0, 1.0], [[-1, 1], [0, 1, 2]], [[-1, 1], 3.0]])
+def test_position_limits_that_are_no_pairs_are_refused(position: object) -> None:
+    with pytest.raises(ModelError, match=r"\[limits\] position .*one such pair a joint"):
+        _limited(position)

@@ -6,6 +6,7 @@ A parameter that has several joints is a tuple of one number per joint. All SI.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -233,6 +234,16 @@ class Model:
     def at(self, joint: int) -> tuple[Term, ...]:
         """Effects of one joint (1-based)."""
         return tuple(term for term in self.terms if term.joint == joint)
+
+
+def position_limits(model: Model, joint: int) -> tuple[float, float]:
+    """Lowest and highest position of joint 1, 2, … that ``[limits]`` allows, rad or m: infinite
+    where it says nothing.
+    """
+    pairs = model.limits.get("position") or (-math.inf, math.inf)
+    if isinstance(pairs[0], list | tuple):
+        pairs = pairs[joint - 1] if joint - 1 < len(pairs) else pairs[0]
+    return float(pairs[0]), float(pairs[1])
 
 
 def per_joint(values: tuple[float, ...], joint: int, default: float) -> float:

@@ -9,7 +9,7 @@ from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.decide import unpushed
 from zendsp.diagnosis.decide.laws import without_law
-from zendsp.diagnosis.decide.thresholds import OF_STATE, PREDICTED, SURE
+from zendsp.diagnosis.decide.thresholds import A_PART, OF_STATE, PREDICTED, SURE
 from zendsp.diagnosis.measure.curve import FRICTION
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
 from zendsp.diagnosis.measure.significance import counterpart
@@ -30,7 +30,7 @@ def across_joints(decisions: Sequence[Decision]) -> list[Decision]:
 
     What pulls at several joints (a hose, a strap, a spring between links) has a potential over all
     of them, of which a law at each joint is a section. A ripple is its own motor's, and a body has
-    been asked for before.
+    been asked for before. At one of the joints it may depend on the state and be none of the laws.
 
     Parameters
     ----------
@@ -43,12 +43,26 @@ def across_joints(decisions: Sequence[Decision]) -> list[Decision]:
         With the mechanism alone where two joints or more are pulled at; a constant torque at
         another joint is a part of it.
     """
-    if sum(any(_pulls(c) for c in d.claims) for d in decisions) < 2:
-        return list(decisions)
+    several = sum(any(_pulls(c) for c in d.claims) for d in decisions) > 1
+    beside = _of_state(decisions) / A_PART
+
+    def section(c: Claim, d: Decision) -> bool:
+        return _may_be_one(c) and (several or (_pulls(c) and c.size * d.scale < beside))
+
     return [
-        replace(d, claims=tuple(_section(c, d) if _may_be_one(c) else c for c in d.claims))
+        replace(d, claims=tuple(_section(c, d) if section(c, d) else c for c in d.claims))
         for d in decisions
     ]
+
+
+def _of_state(decisions: Sequence[Decision]) -> float:
+    """The largest torque, RMS, that depends on the state of its joint and that nothing explains."""
+    lacking = [
+        d.state.size * d.scale
+        for d in decisions
+        if d.kind == "unexplained" and d.state.size > OF_STATE and d.state.z > SURE
+    ]
+    return max(lacking, default=0.0)
 
 
 def _pulls(claim: Claim) -> bool:
@@ -74,12 +88,7 @@ def pushed_alone(decisions: Sequence[Decision]) -> list[Decision]:
     decisions : sequence of Decision
         One a joint.
     """
-    pulled = [
-        d.state.size * d.scale
-        for d in decisions
-        if d.kind == "unexplained" and d.state.size > OF_STATE and d.state.z > SURE
-    ]
-    most = max(pulled, default=0.0) / PREDICTED
+    most = _of_state(decisions) / PREDICTED
     return [
         unpushed(d) if d.kind == "disturbance" and d.before.value * d.scale < most else d
         for d in decisions

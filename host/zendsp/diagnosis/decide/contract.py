@@ -139,6 +139,18 @@ def dark(left: Iterable[tuple[int, Sequence[float]]]) -> tuple[int, ...]:
     return tuple(joint for joint, (_, high) in left if high >= 1.0)
 
 
+def listed(joints: Iterable[int]) -> str:
+    """Joints in words.
+
+    Examples
+    --------
+    >>> listed([3]), listed([3, 1, 2])
+    ('joint 3', 'joints 1, 2 and 3')
+    """
+    *first, last = map(str, sorted(joints))
+    return f"joints {', '.join(first)} and {last}" if first else f"joint {last}"
+
+
 def two_digits(value: float) -> str:
     """Two digits, and all before the point: 1e+02 is nobody's hundred."""
     return f"{value:.2g}" if value < 99.5 else f"{value:.0f}"

@@ -12,13 +12,15 @@ from zendsp.diagnosis.decide.absorbed import shifted
 from zendsp.diagnosis.decide.assemble import Assembled
 from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.confidence import confidence
+from zendsp.diagnosis.decide.contract import listed
 from zendsp.diagnosis.decide.decide_bodies import BodyClaim, body_finding
 from zendsp.diagnosis.decide.findings import estimates, new_terms, percent, sentence
 from zendsp.diagnosis.decide.laws import draws_a_curve
 from zendsp.diagnosis.decide.notes import spans
 from zendsp.diagnosis.decide.pieces import beside_unknown, weight_of_payload
 from zendsp.diagnosis.decide.result import Estimate, Finding, Rejected, number
-from zendsp.diagnosis.decide.thresholds import CLAIMED, PLAIN, STATED_ALONE
+from zendsp.diagnosis.decide.thresholds import CLAIMED, PLAIN, PREDICTED, STATED_ALONE
+from zendsp.diagnosis.measure.bursts import Bursts
 from zendsp.diagnosis.measure.curve import DRY, FLUID, curve_of
 from zendsp.diagnosis.measure.likelihood import fit_scored
 from zendsp.diagnosis.measure.significance import counterpart, essence_of, essential_deviation
@@ -52,9 +54,8 @@ def name_findings(
     lacks = (min(1.0, d.before.value) for d in decisions)  # more: the model does not follow at all
     everything = sum(x**2 for x in lacks) + sum(b.square for b in bodies) or 1.0
     ranked += [(b.gain, body_finding(b, everything)) for b in bodies]
+    ranked += [(math.inf, _disturbance(pushed, given)) for pushed in at_once(decisions)]
     for decision in decisions:
-        if decision.bursts is not None:
-            ranked.append((math.inf, _disturbance(decision, given)))
         joint = decision.joint
         for claim in decision.claims:
             share = min(1.0, claim.size**2 / everything)
@@ -295,14 +296,46 @@ def between(refined: dict[str, Estimate], alone: dict[str, Estimate]) -> dict[st
     return out
 
 
-def _disturbance(decision: Decision, given: Model) -> Finding:
-    joint, found = decision.joint, decision.bursts
+def at_once(decisions: Sequence[Decision]) -> list[list[Decision]]:
+    """Joints that are pushed, those together that are pushed at the same times for half of the
+    shorter push and more; first the one that feels most of its own torque.
+    """
+    groups: list[list[Decision]] = []
+    for d in sorted(decisions, key=lambda d: -d.before.value):
+        if d.bursts is not None:
+            mine = next((g for g in groups if _overlap(g[0].bursts, d.bursts) >= PREDICTED), [])
+            if not mine:
+                groups.append(mine)
+            mine.append(d)
+    return groups
+
+
+def _overlap(one: Bursts | None, other: Bursts | None) -> float:
+    """Time that two pushes have in common, as a part of the shorter one's."""
+    assert one is not None and other is not None
+    both = sum(
+        max(0.0, min(b, d) - max(a, c))
+        for (a, b), name in zip(one.intervals, one.recordings, strict=True)
+        for (c, d), of in zip(other.intervals, other.recordings, strict=True)
+        if name == of
+    )
+    return both / max(min(sum(b - a for a, b in x.intervals) for x in (one, other)), 1e-300)
+
+
+def _disturbance(pushed: Sequence[Decision], given: Model) -> Finding:
+    """A push at one joint, or at several at once: what moves the whole machine."""
+    joint, found = pushed[0].joint, pushed[0].bursts
     assert found is not None
     unit = given.torque_unit(joint)
     text = (
         f"A torque over time that no state explains acts on joint {joint} at {spans(found)}, up to"
         f" {found.peak:.3g} {unit}."
     )
+    if others := pushed[1:]:
+        text += (
+            f" It acts on {listed(d.joint for d in others)} at the same times: something pushes the"
+            " machine, or its base moves."
+        )
     values = {
         "rms": Estimate(found.rms, found.beside, unit),
         # the largest twentieth of an interval is left out, for an observer rings at its edges; of a
@@ -313,6 +346,14 @@ def _disturbance(decision: Decision, given: Model) -> Finding:
         "intervals": [[round(a, 4), round(b, 4)] for a, b in found.intervals],
         "recordings": list(found.recordings),
     }
+    if others:
+        numbers["details"] = {
+            "also_on": [
+                {"joint": d.joint, "rms": d.bursts.rms, "peak": d.bursts.peak}
+                for d in others
+                if d.bursts is not None
+            ]
+        }
     return Finding(
         "disturbance",
         joint,

@@ -24,7 +24,7 @@ from zendsp.physics.calibration.fit import Data, fit, joint_handles
 from zendsp.physics.calibration.joint import JointRecord
 from zendsp.physics.calibration.loop import ROOM, mean_inertia, simulate_joint_loop
 from zendsp.physics.effects import get_effect
-from zendsp.physics.model import Model, per_joint
+from zendsp.physics.model import Model, per_joint, position_limits
 
 Array = npt.NDArray[np.float64]
 
@@ -154,7 +154,7 @@ def _without_rival(
     joint = next(iter(lawless if findings else (*again, *unseen)), 0)
     if joint:
         record = searches[joint - 1].final.data.records[0][joint - 1]
-        motion = motions(record, _limits(given), np.random.default_rng(seed))[OTHER]
+        motion = motions(record, position_limits(given, joint), np.random.default_rng(seed))[OTHER]
         why = (
             f"again through the same states in another order and at other speeds, as {OTHER} does"
             " ({}): what repeats with the state is physics."
@@ -193,7 +193,7 @@ def _best_motion(
     best: tuple[str, Array, float] | None = None
     truth = next(step.chosen.scored.model for step in search.steps if rival in step.rivals)
     for name, motion in motions(
-        record, _limits(given), np.random.default_rng(seed)
+        record, position_limits(given, joint), np.random.default_rng(seed)
     ).items():
         resolution = record.measurement.resolution
         loop = simulate_joint_loop(
@@ -217,11 +217,6 @@ def _best_motion(
         if best is None or value > best[2]:
             best = (name, motion, value)
     return best if best is not None and best[2] > SEPARATES else None
-
-
-def _limits(given: Model) -> tuple[float, float]:
-    low, high = given.limits.get("position", (-np.inf, np.inf))
-    return float(low), float(high)
 
 
 def _separation(

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from zendsp.diagnosis.decide.contract import dark, two_digits
+from zendsp.diagnosis.decide.contract import dark, listed, two_digits
 
 if TYPE_CHECKING:
     from zendsp.diagnosis.decide.contract import Verdict
@@ -92,7 +92,7 @@ def verdict_sentence(
     if verdict == "complete" and unseen:
         return (
             "Cannot tell: nothing is seen to be missing, but these recordings show next to nothing"
-            f" of {_listed(unseen)}."
+            f" of {listed(unseen)}."
         )
     if verdict == "complete":
         return "Complete: nothing is missing that these recordings could show."
@@ -111,15 +111,10 @@ def verdict_sentence(
     joints: dict[str, list[int]] = {}
     for joint, words in at.items():
         joints.setdefault(" and ".join(words), []).append(joint)
-    where = [f"{what} at {_listed(numbers)}" for what, numbers in joints.items()]
+    where = [f"{what} at {listed(numbers)}" for what, numbers in joints.items()]
     masses = all(word_of(mechanism, effects) == WORDS["inertia"] for mechanism, effects, _ in found)
     begin = "Other than the model says" if masses else "Missing physics"
     return f"{begin}: {'; '.join(where)}."
-
-
-def _listed(joints: Sequence[int]) -> str:
-    *first, last = map(str, sorted(joints))
-    return f"joints {', '.join(first)} and {last}" if first else f"joint {last}"
 
 
 def summary(d: Diagnosis) -> str:

@@ -182,6 +182,9 @@ class Screen:
                 inner, outer = b @ b.T, b @ self.left
             norm = np.sqrt(np.diag(inner))
             norm[norm == 0] = 1.0
+            if not np.isfinite(norm).all():  # numbers at which the effect is none
+                yield 0.0, np.zeros(len(norm))
+                continue
             outer = outer / norm
             theta = -_least_squares(inner / np.outer(norm, norm), outer)
             yield float(-theta @ outer), theta / norm

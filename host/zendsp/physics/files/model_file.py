@@ -185,7 +185,7 @@ def parse_model(data: Mapping[str, Any], path: str = "model") -> Model:
         columns=dict(read.table(data, "columns")),
         file=str(mechanism.get("file", "")),
         entry=str(mechanism.get("entry", "")),
-        limits=dict(read.table(data, "limits")),
+        limits=_limits(read, read.table(data, "limits")),
         discrepancy=_discrepancy(read, read.table(data, "discrepancy")),
         folder=folder,
         fmu=_fmu(read, mechanism),
@@ -283,6 +283,17 @@ def _robot(read: _Reader, mechanism: Mapping[str, Any], commands: bool) -> Robot
     if take not in TAKE:
         raise read.fail("[mechanism] take", " | ".join(TAKE), take)
     return Robot(tuple(names), take, commands)
+
+
+def _limits(read: _Reader, table: Mapping[str, Any]) -> dict[str, Any]:
+    """``position``: [low, high] for every joint, or a pair a joint."""
+    if "position" in table:
+        value = table["position"]
+        several = isinstance(value, list) and bool(value) and isinstance(value[0], list)
+        for pair in value if several else [value]:
+            if len(read.numbers("[limits] position", pair)) != 2 or not pair[0] < pair[1]:
+                raise read.fail("[limits] position", "[low, high], or one such pair a joint", value)
+    return dict(table)
 
 
 def _actuator(read: _Reader, data: Mapping[str, Any]) -> Actuator:

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from zendsp.errors import ModelError, RecordingError
 from zendsp.physics.files.model_file import load_model
 from zendsp.physics.files.model_write import model_text
-from zendsp.physics.model import Model, per_joint
+from zendsp.physics.model import Model, per_joint, position_limits
 from zendsp.physics.simulation.loaded import Job, Outcome
 from zendsp.physics.simulation.plant import INNER, Plant, joint_count
 from zendsp.physics.simulation.program import compile_program, run_program
@@ -173,9 +173,9 @@ def beyond(model: Model, outcome: Outcome) -> list[str]:
     n, period = joint_count(model), model.sample_time or 0.0
     linear = model.joint_kind(1) == "linear"
     unit, torque = ("m", "N") if linear else ("rad", "N m")
-    low, high = model.limits.get("position", (-np.inf, np.inf))
     said = []
     for j, r in enumerate(outcome.reached[:n], 1):
+        low, high = position_limits(model, j)
         far = max(r.low, r.high, key=abs)
         if outcome.ticks < outcome.wanted and abs(far) == max(
             abs(v) for q in outcome.reached[:n] for v in (q.low, q.high)
