@@ -117,7 +117,7 @@ def _cell(text: str) -> str:
 
 def _section(effect: Effect) -> str:
     rows = "".join(
-        f"| {p.name} | {unit_of(p.size, 'rotary', 'command units')} | {_bounds(p.lower, p.upper)} |"
+        f"| {p.name} | {_unit(p.size)} | {_bounds(p.lower, p.upper)} |"
         f" {'' if p.default is None else format(p.default, 'g')} | {_cell(p.meaning) or p.size} |\n"
         for p in effect.parameters
     )
@@ -141,6 +141,11 @@ def _section(effect: Effect) -> str:
     if effect.needs and effect.needs != (effect.name,):
         words.append(f"- *Needs:* {', '.join(effect.needs)}.\n")
     return "".join(words)
+
+
+def _unit(size: str) -> str:
+    unit = unit_of(size, "rotary", "command units")
+    return "" if unit == "1" else unit
 
 
 def _bounds(low: float, high: float) -> str:

@@ -12,7 +12,7 @@ from waiting import PATIENCE_S, until
 
 import zendsp
 from zendsp.errors import AcquisitionError, RecordingError, Refused, VariableError
-from zendsp.experiment.frequency import choose_lines, estimate, make_period
+from zendsp.experiment.frequency import choose_lines, distortion, estimate, make_period
 from zendsp.experiment.response import FrequencyResponse
 from zendsp.experiment.sweep import announced, tried_of, values_of
 from zendsp.experiment.sweep_result import Sweep
@@ -56,9 +56,38 @@ def test_in_a_closed_loop_noise_does_not_bend_the_response() -> None:
     assert (np.abs(gain - plant / (1.0 - 0.5 / z)) < 5.0 * std).all()
 
 
+def test_the_uncertainty_of_a_nonlinear_machine_is_how_far_other_phases_move_the_response() -> None:
+    """A motor held by a spring, with dry friction: without noise every period is the same."""
+    rng = np.random.default_rng(7)
+    samples, periods = 1000, 2
+    lines = choose_lines(samples, 30.0, 20, RATE)
+    turns = 2 * np.pi * np.outer(np.arange(samples * (periods + 1)) / samples, lines)
+
+    def measured(friction: float) -> tuple[list[complex], list[float]]:
+        u = 5.0 / len(lines) ** 0.5 * np.cos(turns + rng.uniform(0, 2 * np.pi, len(lines))).sum(1)
+        q, qd, y = 0.0, 0.0, np.zeros_like(u)
+        for k in range(1, len(u)):
+            force = u[k - 1] - 800.0 * q - 20.0 * qd - friction * np.tanh(qd / 1e-3)
+            qd += force / RATE
+            q += qd / RATE
+            y[k] = q
+        u, y = u[samples:], y[samples:]
+        gain, _, _ = estimate(u, y, periods, lines)
+        return gain, distortion(u, y, periods, lines, gain)
+
+    gains, told = (np.array(x) for x in zip(*(measured(2.0) for _ in range(12)), strict=True))
+    apart = np.std(gains, axis=0)
+    ratio = np.sqrt((told**2).mean(axis=0)) / apart
+    assert 0.6 < np.median(ratio) < 1.6 and ratio.min() > 0.3 and ratio.max() < 3.5
+    gain, none = measured(0.0)
+    assert (none < 0.01 * np.abs(gain)).all(), "what is left of the first period"
+
+
 def test_the_lines_of_a_band_are_even_in_log_f_and_a_band_that_cannot_be_is_refused() -> None:
     lines = choose_lines(2000, 60.0, 25, RATE)
     assert lines[0] == 1 and lines[-1] == 60 and len(set(lines)) == len(lines) <= 25
+    assert lines[:4].tolist() == [1, 2, 4, 5], "distortion shows at the third"
+    assert choose_lines(2000, 3.0, 9, RATE).tolist() == [1, 2, 3], "the band's end is measured"
     with pytest.raises(AcquisitionError, match="at most 400 Hz"):
         choose_lines(1000, 450.0, 30, RATE)
     with pytest.raises(AcquisitionError, match="f_min below f_max"):
@@ -92,18 +121,18 @@ def test_the_closed_loop_is_one_at_low_and_falls_at_high_frequencies(
 ) -> None:
     fast.download("pd.c")
     found = zendsp.frequency_response(
-        fast, f_min=1.0, f_max=60.0, lines=20, amplitude=0.05, periods=3
+        fast, f_min=1.0, f_max=60.0, lines=20, amplitude=0.04, periods=3
     )
-    assert (found.input, found.output, found.unit) == ("r1", "q[0]", "1")
+    assert (found.input, found.output, found.unit) == ("r1", "q[0]", "")
     assert abs(found.magnitude_db[0]) < 0.5 and abs(found.phase_deg[0]) < 10.0
     assert 5.0 < found.bandwidth() < 60.0 and found.phase_deg[-1] < -45.0
     assert (found.coherence > 0.99).all()
     # the machine itself, by two ways: closed loop T and controller C say what it must be
     machine = zendsp.frequency_response(
-        fast, f_min=1.0, f_max=60.0, lines=20, amplitude=0.05, periods=3, input="tau[0]"
+        fast, f_min=1.0, f_max=60.0, lines=20, amplitude=0.04, periods=3, input="tau[0]"
     )
     again = zendsp.frequency_response(
-        fast, f_min=1.0, f_max=60.0, lines=20, amplitude=0.05, periods=3, input="r1",
+        fast, f_min=1.0, f_max=60.0, lines=20, amplitude=0.04, periods=3, input="r1",
         output="tau1",
     )  # fmt: skip
     assert np.allclose(machine.gain, found.gain / again.gain, rtol=0.02), "G = (q/r) / (tau/r)"
@@ -113,6 +142,21 @@ def test_the_closed_loop_is_one_at_low_and_falls_at_high_frequencies(
     assert "−3 dB at" in repr(found) and "<svg" in found._repr_html_()
     with pytest.raises(RecordingError, match=r"\.csv"):
         found.save(tmp_path / "b.txt")
+
+
+def test_where_friction_bends_the_response_the_interval_holds_how_neighbours_scatter(
+    fast: Target,
+) -> None:
+    fast.download("pd.c")
+    found = zendsp.frequency_response(fast, f_min=1.0, f_max=30.0, amplitude=0.02, periods=3)
+    std = np.array([row["std_db"] for row in found.rows()])
+    line = found.magnitude_db[1:-1] - np.interp(
+        np.log(found.f[1:-1]), np.log(found.f[::2]), found.magnitude_db[::2]
+    )
+    apart = np.abs(line[::2])  # every second line from between its neighbours
+    assert apart.max() > 0.5, "a linear loop has no such steps"
+    assert (apart < 3.0 * std[1:-1:2]).mean() > 0.8
+    assert "not linear" in found.summary() and "measure with two" in found.summary()
 
 
 def test_a_program_without_tables_is_refused_with_what_to_do(fast: Target) -> None:
@@ -219,6 +263,7 @@ def test_a_response_travels_in_its_recording(fast: Target, tmp_path: Path) -> No
     again = FrequencyResponse.of(zendsp.Recording.load(found.recording.save(tmp_path / "r.mat")))
     assert again is not None and again.rows() == found.rows()
     assert again.summary() == found.summary() and again.unit == found.unit
+    assert (again.distortion == found.distortion).all() and found.distortion.all()
     assert FrequencyResponse.of(fast.acquire(["q"], 0.1, start=True)) is None
 
 

@@ -4,8 +4,9 @@ target's own clock.
 Estimator: the spectra of P whole periods of input u and output y, G = mean(Y) / mean(U) at each
 excited line. Averages over periods tend to what the excitation causes. So G is right in a closed
 loop too, where Y U* / U U* is not (Pintelon and Schoukens 2012, chapter 2). Coherence is the part
-of both signals' power that repeats from period to period; the standard deviation of G comes from
-what does not repeat.
+of both signals' power that repeats from period to period. The standard deviation of G is the
+larger of two: what does not repeat, and what a nonlinear machine adds in every period alike. The
+latter shows at harmonics that were not excited (the same, chapter 4).
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -25,10 +26,8 @@ from zendsp.link import Target
 from zendsp.prompt import shows_progress
 from zendsp.reference.crest import low_crest_phases
 
-if TYPE_CHECKING:
-    pass
-
 REACH = 0.4  # of the sample rate: a line above is too near to half of it
+BESIDE = 2  # harmonics on either side of a line that tell its distortion
 
 
 @shows_progress
@@ -65,7 +64,8 @@ def frequency_response(
     f_min, f_max : float
         Hz. The period is 1 / ``f_min``.
     lines : int
-        Frequencies at the most.
+        Frequencies at the most. Of neighbouring multiples every third is left out: what shows there
+        is distortion.
     amplitude : float
         Peak of the multisine, rad (m), or N m (N). Of a position, line k has amplitude ~ 1/k.
     quantity : {"position", "torque"}
@@ -123,23 +123,23 @@ def frequency_response(
     used = slice(begin, begin + periods * samples)
     f = harmonics * rate / samples
     gain, std, coherence = estimate(u[used], y[used], periods, harmonics)
-    units = {n: _unit(infos, n) for n in (given, found)}
-    unit = f"{units[found] or '1'} / ({units[given] or '1'})"
-    if units[found] == units[given]:
-        unit = "1"
+    bent = distortion(u[used], y[used], periods, harmonics, gain)
+    std = np.fmax(std, bent)
+    unit = _ratio(_unit(infos, found), _unit(infos, given))
     kept = {
         "f": f, "real": gain.real, "imaginary": gain.imag, "std": std, "coherence": coherence,
+        "distortion": bent,
     }  # fmt: skip
     words = {"input": given, "output": found, "unit": unit, "periods": periods}
     extra = {KEPT: {**{name: v.tolist() for name, v in kept.items()}, **words}}
     recording = replace(recording, extra={**recording.extra, **extra})
     return FrequencyResponse(
-        f, gain, std, coherence, given, found, unit, periods, recording
+        f, gain, std, coherence, bent, given, found, unit, periods, recording
     )  # fmt: skip
 
 
 def choose_lines(samples: int, ratio: float, most: int, rate: float) -> npt.NDArray[np.int64]:
-    """Return harmonics of a period, nearly evenly spaced in log f.
+    """Return harmonics of a period, nearly evenly spaced in log f, with gaps among the low ones.
 
     Parameters
     ----------
@@ -162,7 +162,12 @@ def choose_lines(samples: int, ratio: float, most: int, rate: float) -> npt.NDAr
             f" {REACH * rate:g} Hz"
         )
     spaced = np.geomspace(1.0, math.floor(ratio + 1e-9), most)
-    return np.unique(np.rint(spaced).astype(np.int64))
+    chosen: list[int] = []
+    wanted = np.unique(np.rint(spaced).astype(np.int64)).tolist()
+    for k in wanted:
+        if chosen[-2:] != [k - 2, k - 1] or k == wanted[-1]:
+            chosen.append(k)
+    return np.array(chosen, dtype=np.int64)
 
 
 def make_period(
@@ -217,6 +222,47 @@ def estimate(
     return gain, std, np.minimum(*parts)
 
 
+def distortion(
+    u: Floats, y: Floats, periods: int, harmonics: npt.NDArray[np.int64], gain: Complex
+) -> Floats:
+    """Return the standard deviation of the response that a nonlinear machine causes.
+
+    Parameters
+    ----------
+    u, y : ndarray, shape (periods * samples,)
+        Whole periods of input and output.
+    harmonics : ndarray of int, shape (n,)
+        The excited ones, ascending.
+    gain : ndarray of complex, shape (n,)
+        The response at them.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        In the unit of ``gain``; it contains the noise at the same harmonics. NaN where nothing was
+        excited.
+
+    Notes
+    -----
+    A linear machine answers at excited harmonics only. At the others Y - G U, with G in between, is
+    what friction, a gap or a limit adds. It adds as much at the excited ones (Pintelon and
+    Schoukens 2012, section 4.3).
+    """
+    mean_u, mean_y = (np.fft.rfft(x.reshape(periods, -1).mean(axis=0)) for x in (u, y))
+    known = np.isfinite(gain)
+    if not known.any():
+        return np.full(len(harmonics), np.nan)
+    others = np.setdiff1d(np.arange(1, len(mean_u)), harmonics)
+    f, known_f = np.log(others), np.log(harmonics[known])
+    size = np.interp(f, known_f, np.log(np.maximum(np.abs(gain[known]), 1e-300)))
+    turn = np.interp(f, known_f, np.unwrap(np.angle(gain[known])))
+    left = np.abs(mean_y[others] - np.exp(size + 1j * turn) * mean_u[others]) ** 2
+    at = np.searchsorted(others, harmonics)
+    beside = [left[max(0, k - BESIDE) : k + BESIDE].mean() for k in at]
+    given = np.where(known, np.abs(mean_u[harmonics]), np.nan)
+    return np.asarray(np.sqrt(beside) / given)
+
+
 def _among(name: str, channels: Sequence[str]) -> bool:
     return name in channels or name.partition("[")[0] in channels
 
@@ -237,3 +283,10 @@ def _first(infos: Mapping[str, Any], joint: int, name: str) -> str:
 def _unit(infos: Mapping[str, Any], name: str) -> str:
     info = infos.get(name) or infos.get(name.partition("[")[0])
     return str(info.unit) if info is not None else ""
+
+
+def _ratio(above: str, below: str) -> str:
+    """Unit of a ratio; empty where both have the same."""
+    if above == below or not below:
+        return "" if above == below else above
+    return f"{above or '1'} / ({below})"

@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 Floats = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
 KEPT = "frequency_response"  # where a recording carries it
+DB = 20.0 / math.log(10.0)  # dB of a small relative change
 SURE = 0.9  # coherence below which a line is shown, and not believed
+BENT_DB = 0.1  # distortion from which on the summary tells it
 
 
 @dataclass(frozen=True, repr=False)
@@ -36,11 +38,19 @@ class FrequencyResponse:
     gain : ndarray of complex, shape (n,)
         Output over input, in ``unit``.
     std : ndarray, shape (n,)
-        Standard deviation of ``gain``, in ``unit``.
+        Standard deviation of ``gain``, in ``unit``: of what does not repeat, or ``distortion``
+        where that is more.
     coherence : ndarray, shape (n,)
         0 … 1: the part of the power that repeats from period to period, of the weaker signal.
-    input, output, unit : str
+    distortion : ndarray, shape (n,)
+        What friction, a gap or a limit adds in every period alike, in ``unit``. It holds at this
+        amplitude; at another one the response is another.
+    input, output : str
+        Names of the signals.
+    unit : str
+        Empty where input and output have the same.
     periods : int
+        That were used.
     recording : Recording
         Input and output, all of it; it carries the response with it, see `of`.
     """
@@ -49,6 +59,7 @@ class FrequencyResponse:
     gain: Complex
     std: Floats
     coherence: Floats
+    distortion: Floats
     input: str
     output: str
     unit: str
@@ -98,9 +109,10 @@ class FrequencyResponse:
             np.asarray(kept[name], dtype=np.float64)
             for name in ("f", "real", "imaginary", "std", "coherence")
         )
+        bent = np.asarray(kept.get("distortion", np.zeros_like(f)), dtype=np.float64)
         words = {name: str(kept[name]) for name in ("input", "output", "unit")}
         return cls(
-            f, real + 1j * imaginary, std, coherence,
+            f, real + 1j * imaginary, std, coherence, bent,
             periods=int(kept["periods"]), recording=recording, **words,
         )  # fmt: skip
 
@@ -112,7 +124,7 @@ class FrequencyResponse:
                 "f": float(self.f[k]),
                 "magnitude_db": float(self.magnitude_db[k]),
                 "phase_deg": float(self.phase_deg[k]),
-                "std_db": float(20.0 / math.log(10.0) * spread[k]),
+                "std_db": float(DB * spread[k]),
                 "std_deg": float(np.degrees(spread[k])),
                 "coherence": float(self.coherence[k]),
             }
@@ -130,7 +142,15 @@ class FrequencyResponse:
         text += f"; highest {self.magnitude_db[k]:.1f} dB at {self.f[k]:.3g} Hz"
         if math.isfinite(width := self.bandwidth()):
             text += f", −3 dB at {width:.3g} Hz"
-        return f"{text}; coherence below {SURE:g} at {unsure}" if unsure else text
+        text += f"; coherence below {SURE:g} at {unsure}" if unsure else ""
+        bent = DB * self.distortion / np.abs(self.gain)
+        k = int(np.argmax(np.where(self.sure, bent, 0.0)))
+        if self.sure[k] and bent[k] >= BENT_DB:
+            text += (
+                f"; not linear (dry friction, a gap, a limit): ± up to {bent[k]:.1f} dB. Another"
+                " amplitude gives another response: measure with two"
+            )
+        return text
 
     def save(self, path: str | Path) -> Path:
         """Write the rows as CSV, for any tool.
@@ -157,9 +177,8 @@ class FrequencyResponse:
         figure = Figure((7.0, 6.5), layout="constrained")
         axes = figure.subplots(3, 1, sharex=True, height_ratios=(3, 3, 1))
         spread = self.std / np.abs(self.gain)
-        axes[0].errorbar(self.f, self.magnitude_db, 2 * 8.686 * spread, fmt=".-", lw=1.0)
-        pure = self.unit in ("", "1")
-        axes[0].set_ylabel("magnitude [dB]" if pure else f"magnitude [dB of {self.unit}]")
+        axes[0].errorbar(self.f, self.magnitude_db, 2 * DB * spread, fmt=".-", lw=1.0)
+        axes[0].set_ylabel(f"magnitude [dB of {self.unit}]" if self.unit else "magnitude [dB]")
         axes[1].errorbar(self.f, self.phase_deg, 2 * np.degrees(spread), fmt=".-", lw=1.0)
         axes[1].set_ylabel("phase [deg]")
         axes[2].plot(self.f, self.coherence, ".-", lw=1.0)

@@ -25,7 +25,7 @@ class ResponseView(Vertical):
     """Up to four frequency responses: dB and deg over f."""
 
     DEFAULT_CSS = """
-    ResponseView #response-words { height: auto; max-height: 2; }
+    ResponseView #response-words { height: auto; max-height: 3; }
     ResponseView #response-plots { height: 1fr; layout: vertical; }
     ResponseView.-beside #response-plots { layout: horizontal; }
     ResponseView PathPlot { width: 1fr; height: 1fr; min-height: 4; }
@@ -46,7 +46,7 @@ class ResponseView(Vertical):
         self._words = "".join(r.summary() for _, _, r in responses[-1:])
         self._say()
         units = {r.unit for _, _, r in responses}
-        above = "dB" if units <= {"", "1"} else f"dB of {', '.join(sorted(units))}"
+        above = f"dB of {', '.join(sorted(u or '1' for u in units))}" if any(units) else "dB"
         several = len(responses) > 1
         for plot, name in (("#magnitude", above), ("#phase", "deg")):
             curves = []
@@ -63,8 +63,8 @@ class ResponseView(Vertical):
         self._say()
 
     def _say(self) -> None:
-        """Two lines of words, and a mark where there were more."""
+        """Three lines of words, and a mark where there were more."""
         words, width = self._words, self.size.width
         if width:
-            words = "\n".join(wrap(words, width, max_lines=2, placeholder=" …"))
+            words = "\n".join(wrap(words, width, max_lines=3, placeholder=" …"))
         self.query_one("#response-words", Static).update(Text(words))

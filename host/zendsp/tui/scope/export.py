@@ -118,7 +118,7 @@ def _over_time(channels: Sequence[Channel], t: Floats, y: Floats) -> Figure:
         for k, c in enumerate(channels):
             if c.unit == unit:
                 panel.plot(t, y[:, k], label=c.name, linewidth=0.9)
-        panel.set_ylabel(unit or "1")
+        panel.set_ylabel(unit)
     return figure
 
 
