@@ -17,7 +17,8 @@ _TEXT = re.compile(
 _NO_TYPE = re.compile(
     r"(?:'_Generic' selector of|controlling expression) type '([^']+?)(?: \*)?'.*not compatible"
 )
-_TYPES = "PARAMETER and SIGNAL take double, float, int32_t, bool, and arrays of them, no '{}'"
+_TYPES = "PARAMETER and SIGNAL take double, float, int32_t, bool, and arrays of them, {}"
+_DEEP = "(*)["  # in the type of a row of three dimensions or more
 
 _SEMICOLON = "expected ';'"
 _COMMENT = re.compile(r"""("(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*')|/\*.*?\*/|//[^\n]*""", re.DOTALL)
@@ -91,7 +92,12 @@ def parse_messages(text: str) -> tuple[Message, ...]:
 
 def _in_our_words(message: Message) -> Message:
     found = _NO_TYPE.search(message.message)
-    return replace(message, message=_TYPES.format(found[1])) if found else message
+    if found is None:
+        return message
+    deep = "of one or two dimensions: this one has more"
+    return replace(
+        message, message=_TYPES.format(deep if _DEEP in found[1] else f"no '{found[1]}'")
+    )
 
 
 def where_it_lacks(message: Message, sources: Mapping[str, bytes]) -> Message:

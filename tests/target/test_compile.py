@@ -103,6 +103,18 @@ def test_several_files_and_headers_make_one_program() -> None:
             + 'void f(void) { SIGNAL(l, "", ""); }\n',
             "take double, float, int32_t, bool, and arrays of them, no 'long int'",
         ),
+        (
+            HEAD
+            + "static float k[2][3][4];\nvoid UserISR_INT2(void) { (void)k; }\n"
+            + 'void f(void) { SIGNAL(k, "", ""); }\n',
+            "arrays of them, of one or two dimensions: this one has more",
+        ),
+        (
+            HEAD
+            + "static double *k;\nvoid UserISR_INT2(void) { (void)k; }\n"
+            + 'void f(void) { SIGNAL(k, "", ""); }\n',
+            "a pointer is no variable: declare the array itself",
+        ),
     ],
 )
 def test_what_cannot_run_is_an_error_of_the_compilation(source: str, says: str) -> None:

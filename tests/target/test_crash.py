@@ -191,6 +191,7 @@ def test_a_crash_in_the_background_is_told_as_such(make_runtime: Make, wait_for:
         ),
         ('SIGNAL(x, "", ""); SIGNAL(x, "", "");', Refused, "'x': declared twice"),
         ('static double t; SIGNAL(t, "", "");', Refused, "taken by a built-in"),
+        ('static double k[3][0]; SIGNAL(k, "", "");', Refused, "'k': it has no element"),
         (
             'PARAMETER(x, 5.0, "", 0.0, 1.0, "");', Refused,
             "'x': initial value 5 is outside its limits 0 and 1: change one of them in UserInit",

@@ -29,8 +29,9 @@ void UserISR_INT2(void);   /* every sample: the control law */
 void UserBackground(void); /* again and again beneath the loop, which interrupts it; optional */
 
 /* ---- Declaring variables, in UserInit -----------------------------------------------------------
- * A variable is a static or global double, float, int32_t or bool, or a one-dimensional array of
- * them. In a unit {q} is rad, or m where the joint slides; {tau} N m, or N; {J} kg m^2, or kg. */
+ * A variable is a static or global double, float, int32_t or bool, or an array of them of one or
+ * two dimensions. In a unit {q} is rad, or m where the joint slides; {tau} N m, or N; {J} kg m^2,
+ * or kg. */
 
 /* The host may write it, within min … max (NO_MIN, NO_MAX). Every element starts at `initial`. */
 #define PARAMETER(variable, initial, unit, min, max, text)                                         \
@@ -221,6 +222,16 @@ __attribute__((error("channels and joints are 0 to 7"))) int32_t zendsp_no_such_
         int32_t: 1u,                                                                               \
         bool: 1u,                                                                                  \
         default: sizeof(ZENDSP_ROW(variable)) / ZENDSP_SIZE(variable))
+/* 0; a pointer, whose own bytes are no number, does not compile. */
+#define ZENDSP_NO_POINTER(variable)                                                                \
+    _Generic(&(variable),                                                                          \
+        double **: zendsp_pointer_declared(),                                                      \
+        float **: zendsp_pointer_declared(),                                                       \
+        int32_t **: zendsp_pointer_declared(),                                                     \
+        bool **: zendsp_pointer_declared(),                                                        \
+        default: 0)
+__attribute__((error("a pointer is no variable: declare the array itself, static or global")))
+int32_t zendsp_pointer_declared(void);
 #define ZENDSP_DECLARE(variable, kind, set, initial, unit, min, max, text)                         \
     ZENDSP_DECLARE_BYTES(variable, sizeof(variable), kind, set, initial, unit, min, max, text)
 #define ZENDSP_DECLARE_FIRST(variable, count, kind, set, initial, unit, min, max, text)            \
@@ -232,7 +243,8 @@ __attribute__((error("channels and joints are 0 to 7"))) int32_t zendsp_no_such_
          : sizeof(variable) / sizeof((variable)[0]))
 #define ZENDSP_DECLARE_BYTES(variable, bytes_, kind_, set_, initial_, unit_, min_, max_, text_)    \
     zendsp_declare(#variable, (unit_), (text_), (void *)&(variable), (initial_), (min_), (max_),   \
-                   (kind_), ZENDSP_TYPE(variable), (int32_t)(bytes_),                              \
+                   (kind_), ZENDSP_TYPE(variable),                                                 \
+                   (int32_t)(bytes_) + ZENDSP_NO_POINTER(variable),                                \
                    (int32_t)ZENDSP_COLUMNS(variable), (set_))
 
 /* Never inline: UserInit would fill in a structure for each variable, and compilers take eight

@@ -83,6 +83,8 @@ static const char *objection(const zendsp_declaration *d) {
         return "a table needs at least one row and one column";
     if (d->kind == KIND_TABLE && (double)d->rows * d->columns > 67108864.0)
         return "a table holds at most 64 million values";
+    if (d->kind != KIND_TABLE && d->bytes < size_of_type[d->type])
+        return "it has no element";
     if (d->kind != KIND_TABLE && d->bytes / size_of_type[d->type] > LAYOUT_ELEMENTS)
         return "more than 4096 elements: declare it as a TABLE";
     if (!(d->minimum <= d->maximum))

@@ -85,7 +85,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "zendsp.cli.diagnose:command",
         "Find the physics that a model left out of real recordings.",
     ),
-    "bridge": ("zendsp.cli.bridge:command", "Show a target in Foxglove or PlotJuggler."),
+    "bridge": ("zendsp.cli.bridge:command", "Show a target in Foxglove, PlotJuggler or Rerun."),
     "shell": ("zendsp.cli.shell:command", "Type commands over one link; Tab completes."),
     "completion": ("zendsp.cli.completion:command", "Let bash, zsh or fish complete commands."),
     "keys": ("zendsp.cli.keys:command", "Make a lab's certificates, and say who may do what."),
