@@ -114,8 +114,8 @@ async def test_a_file_is_diagnosed_and_the_finding_is_drawn(tmp_path: Path, unti
         await pilot.press("s")
         assert screen.busy
         await until(pilot, lambda: len(screen.said) > 2, "stages are shown as they begin")
-        await until(pilot, lambda: screen.shown is not None, "diagnosed")
-        assert screen.shown is not None and not screen.busy
+        await until(pilot, lambda: screen.shown and not screen.busy, "diagnosed")
+        assert screen.shown is not None
         assert screen.shown.report["findings"][0]["effect"] == "coulomb"
         assert "Missing physics: dry friction (coulomb) at joint 1" in _text(screen, "#verdict")
         assert {"finding-0", "error_joint1", "torque_joint1", "unseen", "loop"} <= set(
@@ -129,6 +129,50 @@ async def test_a_file_is_diagnosed_and_the_finding_is_drawn(tmp_path: Path, unti
         _drawn(screen)
         assert [d.folder for d in list_diagnoses(tmp_path / "diagnoses")] == [screen.shown.folder]
         assert not list((tmp_path / "diagnoses").glob(".*")), "nothing half is left"
+
+
+async def test_findings_are_shown_while_the_report_is_still_drawn(
+    tmp_path: Path, until: Until, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run, model = cases.bench(tmp_path)
+    drawn = tmp_path / "drawn"
+    monkeypatch.setattr(
+        command,
+        "call",
+        lambda parent: (
+            f"from zendsp.parent import die_with; die_with({parent})\n"
+            "import pathlib, time, zendsp.cli\n"
+            "import zendsp.diagnosis.report.drawing as drawing\n"
+            "real = drawing.draw_all\n"
+            "def slow(charts, folder):\n"
+            f"    while not pathlib.Path({str(drawn)!r}).exists(): time.sleep(0.05)\n"
+            "    return real(charts, folder)\n"
+            "drawing.draw_all = slow\n"
+            "zendsp.cli.main()"
+        ),
+    )
+    async with _alone(tmp_path, until) as (pilot, screen):
+        screen.added, screen.roles, screen.model = [str(run)], {str(run): "fit"}, str(model)
+        await pilot.press("s")
+        await until(pilot, lambda: screen.shown is not None, "what is found, before it is drawn")
+        assert screen.busy and screen.shown is not None and not screen.shown.page.exists()
+        await until(pilot, lambda: screen.query_one(FigureView).chart is not None, "its figure")
+        await pilot.press("down", "v")
+        log = screen.lab.session.events
+        await until(
+            pilot, lambda: any("being drawn" in e.text for e in log.since(0)[1]), "no report yet"
+        )
+        chosen = screen.query_one("#findings", OptionList).highlighted
+        drawn.touch()
+        await until(pilot, lambda: not screen.busy, "the report is whole")
+        assert screen.shown.page.exists() and screen.shown.folder.name[0] != "."
+        assert chosen == screen.query_one("#findings", OptionList).highlighted == 1
+        drawn.unlink()
+        await pilot.press("s")
+        await until(pilot, lambda: screen.shown is not None, "once more")
+        await pilot.press("ctrl+c")
+        await until(pilot, lambda: not screen.busy, "cancelled")
+        assert screen.shown is None and not screen.entries, "nothing half is left, nor shown"
 
 
 def test_the_numbers_of_a_figure_come_back_as_they_were_written(tmp_path: Path) -> None:

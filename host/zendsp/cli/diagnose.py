@@ -6,6 +6,7 @@ import json
 import os
 import shlex
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -159,7 +160,7 @@ def _together(asked: _Asked, run_on: str | None) -> None:
             )
         if out is not None:
             tell("writing the report")
-            written, wrong = _write(result, out, asked.pictures)
+            written, wrong = _write(result, out, asked.pictures, tell)
     if asked.as_json:
         click.echo(report_text(result))
     else:
@@ -174,7 +175,9 @@ def _together(asked: _Asked, run_on: str | None) -> None:
         raise click.exceptions.Exit(1)
 
 
-def _write(result: Diagnosis, out: Path, pictures: bool) -> tuple[Path, str]:
+def _write(
+    result: Diagnosis, out: Path, pictures: bool, tell: Callable[[str], None]
+) -> tuple[Path, str]:
     """Write the report, in a new folder for what is temporary where the disk took no more of it;
     where it is, and what was wrong.
     """
@@ -183,7 +186,7 @@ def _write(result: Diagnosis, out: Path, pictures: bool) -> tuple[Path, str]:
     from zendsp.diagnosis.report.files import write_report
 
     try:
-        return write_report(result, out, pictures=pictures), ""
+        return write_report(result, out, pictures=pictures, progress=tell), ""
     except OSError as error:
         folder = Path(tempfile.mkdtemp(prefix="zendsp-report-"))
         elsewhere = write_report(result, folder, pictures=pictures)

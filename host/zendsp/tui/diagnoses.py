@@ -11,8 +11,7 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from itertools import zip_longest
 from pathlib import Path
@@ -34,7 +33,7 @@ class Diagnosed:
 
     folder: Path
     name: str
-    created: float  # Unix s
+    created: float  # when it was begun, Unix s
     model: str
     recordings: tuple[str, ...]
     heldout: tuple[str, ...] = ()
@@ -49,6 +48,11 @@ class Diagnosed:
     def charts(self) -> tuple[Chart, ...]:
         """Its figures as numbers, in the order of their names."""
         return tuple(load_chart(p) for p in sorted(self.folder.glob(f"*{SUFFIX}")))
+
+    @property
+    def written(self) -> bool:
+        """Whether its report is there; report.html comes later, after the figures."""
+        return (self.folder / "report.json").is_file()
 
     @property
     def when(self) -> str:
@@ -76,19 +80,12 @@ def begin(root: Path, name: str) -> tuple[Path, Path]:
     return root / f".{folder.name}.part", folder
 
 
-def keep(
-    made: Path,
-    folder: Path,
-    name: str,
-    model: str,
-    recordings: Sequence[str],
-    heldout: Sequence[str],
-) -> Diagnosed:
+def keep(made: Diagnosed, folder: Path) -> Diagnosed:
     """Put the card beside a report and the folder in its place."""
-    card = Diagnosed(folder, name, time.time(), model, tuple(recordings), tuple(heldout))
+    card = replace(made, folder=folder)
     values = {key: value for key, value in asdict(card).items() if key != "folder"}
-    (made / CARD).write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
-    os.replace(made, folder)
+    (made.folder / CARD).write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
+    os.replace(made.folder, folder)
     return card
 
 
@@ -103,7 +100,7 @@ def list_diagnoses(root: Path) -> list[Diagnosed]:
             one = Diagnosed(folder=path.parent, **card)
         except (OSError, TypeError, KeyError, ValueError):
             continue
-        if (one.folder / "report.json").is_file():
+        if one.written:
             found.append(one)
     return sorted(found, key=lambda d: d.created, reverse=True)
 

@@ -189,7 +189,7 @@ async def _diagnose(folder: Path, work: Path) -> list[Path]:
         screen.added, screen.roles, screen.model = [str(run)], {str(run): "fit"}, str(model)
         screen.fill()
         await pilot.press("s")
-        await _until(pilot, lambda: screen.shown is not None)
+        await _until(pilot, lambda: screen.shown is not None and not screen.busy)
         await pilot.pause(1.0)
         return [_write(app, folder / "diagnose.svg")]
 

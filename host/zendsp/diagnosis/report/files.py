@@ -6,18 +6,27 @@ from __future__ import annotations
 
 import json
 import math
+import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from zendsp.diagnosis.decide.contract import Report
 from zendsp.diagnosis.decide.result import Diagnosis
 from zendsp.diagnosis.report.chart import SUFFIX, save_chart
+from zendsp.diagnosis.report.figures import charts
 from zendsp.physics.effects import mechanism_of
 from zendsp.physics.files.model_write import model_text
 from zendsp.physics.model import Model
 
 
-def write_report(d: Diagnosis, out: str | Path, *, pictures: bool = True) -> Path:
+def write_report(
+    d: Diagnosis,
+    out: str | Path,
+    *,
+    pictures: bool = True,
+    progress: Callable[[str], None] | None = None,
+) -> Path:
     """Write everything that ``zendsp diagnose --out`` promises.
 
     Parameters
@@ -26,6 +35,9 @@ def write_report(d: Diagnosis, out: str | Path, *, pictures: bool = True) -> Pat
         Folder, made where it does not exist.
     pictures : bool
         Also report.html, its figures and their numbers (matplotlib is imported only then).
+    progress : callable, optional
+        Called with a sentence before the pictures are drawn, which takes seconds. All else is
+        written by then, report.json last.
 
     Returns
     -------
@@ -35,7 +47,6 @@ def write_report(d: Diagnosis, out: str | Path, *, pictures: bool = True) -> Pat
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     _clear(folder)
-    (folder / "report.json").write_text(report_text(d), encoding="utf-8")
     (folder / "model.toml").write_text(_improved_text(d.improved, folder), encoding="utf-8")
     (folder / "calibrated.toml").write_text(model_text(d.calibrated), encoding="utf-8")
     _compensation(d, folder)
@@ -45,14 +56,18 @@ def write_report(d: Diagnosis, out: str | Path, *, pictures: bool = True) -> Pat
         q, period = d.next_recording.reference
         reference = Reference(q, period, kind="separating", unit=d.unit)
         save_reference(reference, folder / "next_reference.mat", check=False)
+    drawn = charts(d) if pictures else []
+    for chart in drawn:
+        save_chart(chart, folder)
+    half = folder / ".report.json"
+    half.write_text(report_text(d), encoding="utf-8")
+    os.replace(half, folder / "report.json")
     if pictures:
+        if progress is not None:
+            progress("drawing the figures")
         from zendsp.diagnosis.report.drawing import draw_all
-        from zendsp.diagnosis.report.figures import charts
         from zendsp.diagnosis.report.html import page
 
-        drawn = charts(d)
-        for chart in drawn:
-            save_chart(chart, folder)
         figures = draw_all(drawn, folder)
         (folder / "report.html").write_text(page(d, figures), encoding="utf-8")
     return folder
@@ -63,7 +78,7 @@ def _clear(folder: Path) -> None:
     for chart in folder.glob(f"*{SUFFIX}"):
         chart.with_name(chart.name.removesuffix(SUFFIX) + ".png").unlink(missing_ok=True)
         chart.unlink()
-    for name in ("report.html", "next_reference.mat"):
+    for name in ("report.json", "report.html", "next_reference.mat"):
         (folder / name).unlink(missing_ok=True)
 
 

@@ -255,18 +255,17 @@ class DiagnoseScreen(LoopActions):
             self.begin_model()
         else:
             self._cancelled, self.said, self._began = False, [], time.monotonic()
-            self.shown, self.entries = None, []
-            self.query_one("#findings", OptionList).clear_options()
-            self.query_one("#verdict", Static).update("")
-            self._detail("words-box")
+            self._show_nothing()
             name = recording_name(fit[0])
             made, folder = begin(self.lab.workspace.diagnoses, name)
+            self.coming = coming = Diagnosed(
+                made, name, time.time(), self.model, tuple(fit), tuple(held)
+            )
             words = ["diagnose", *fit, "--model", self.model, "--out", str(made)]
             for path in held:
                 words += ["--heldout", path]
             self.command = Command(words, self.lab.workspace.root, self._hear)
-            work = self._diagnose(self.command, made, folder, fit, held)
-            self.run_worker(work, group="diagnosis")
+            self.run_worker(self._diagnose(self.command, coming, folder), group="diagnosis")
 
     def begin_model(self) -> None:
         """Write a model file from the first recording of the fit; diagnose where nothing in it is
@@ -305,28 +304,32 @@ class DiagnoseScreen(LoopActions):
 
     def _hear(self, line: str) -> None:
         self.said.append(line)
+        coming = self.coming
+        if self.shown is None and coming is not None and coming.written:
+            self.open(coming)
+            seconds = time.monotonic() - self._began
+            self.say(f"diagnosis: {headline(coming.report)} ({seconds:.0f} s)", "good")
         if self.shown is None:
             self.query_one("#words", Static).update("\n".join(self.said[-200:]))
             self.query_one("#words-box", VerticalScroll).scroll_end(animate=False)
 
-    async def _diagnose(
-        self, command: Command, made: Path, folder: Path, fit: list[str], held: list[str]
-    ) -> None:
-        model = self.model
+    async def _diagnose(self, command: Command, coming: Diagnosed, folder: Path) -> None:
         try:
             status = await command.run()
+            self.coming = None
             if status == 0 and not self._cancelled:
-                self.open(keep(made, folder, recording_name(fit[0]), model, fit, held))
-                seconds = time.monotonic() - self._began
-                self.say(f"diagnosis: {headline(self.shown.report)} ({seconds:.0f} s)", "good")  # type: ignore[union-attr]
-            elif self._cancelled:
+                self.open(keep(coming, folder))
+                return
+            if self.shown is coming:
+                self._show_nothing()
+            if self._cancelled:
                 self._hear("— cancelled —")
             else:
                 last = next((line for line in reversed(self.said) if line.strip()), "")
                 self.say(f"diagnosis failed: {last}", "error")
         finally:
-            self.command = None
-            shutil.rmtree(made, ignore_errors=True)
+            self.command = self.coming = None
+            shutil.rmtree(coming.folder, ignore_errors=True)
             if self.is_mounted:
                 self._paint(0.0)
 
@@ -343,8 +346,19 @@ class DiagnoseScreen(LoopActions):
 
     # -- what was found
 
+    def _show_nothing(self) -> None:
+        self.shown, self.entries = None, []
+        self.query_one("#findings", OptionList).clear_options()
+        self.query_one("#verdict", Static).update("")
+        self._detail("words-box")
+
     def open(self, d: Diagnosed) -> None:
-        """Show a diagnosis."""
+        """Show a diagnosis. Its report is perhaps still being drawn: opened again then, the line
+        that is marked stays.
+        """
+        lines = self.query_one("#findings", OptionList)
+        same = self.shown is not None and self.shown.created == d.created
+        at = lines.highlighted if same else 0
         self.shown = d
         theme = self.app.theme_variables
         colour = {"complete": "success", "missing": "error"}.get(d.report["verdict"], "warning")
@@ -354,11 +368,11 @@ class DiagnoseScreen(LoopActions):
             Text(headline(d.report), Style(color=theme[colour], bold=True))
         )
         self.entries = [*entries(d, theme), self.loop_entry(d)]
-        lines = self.query_one("#findings", OptionList)
         lines.clear_options()
         lines.add_options([Option(Hanging(e.text), id=e.key) for e in self.entries])
-        lines.highlighted = 0
-        lines.focus()
+        lines.highlighted = at
+        if not same:
+            lines.focus()
 
     @on(OptionList.OptionHighlighted, "#findings")
     def _highlighted(self, event: OptionList.OptionHighlighted) -> None:
@@ -442,7 +456,7 @@ class DiagnoseScreen(LoopActions):
         self.query_one("#do-start", Button).disabled = self.busy
         self.query_one("#do-cancel", Button).disabled = not self.busy
         for name in ("report", "compensate", "next", "save", "compare"):
-            self.query_one(f"#do-{name}", Button).disabled = self.shown is None
+            self.query_one(f"#do-{name}", Button).disabled = self.shown in (None, self.coming)
         stage = Text(" ", no_wrap=True, overflow="ellipsis")
         if self.busy:
             stage.append(SPINNER[int(4 * seconds) % len(SPINNER)], Style(color=c["accent"]))

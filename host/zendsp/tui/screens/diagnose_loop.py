@@ -53,6 +53,7 @@ class LoopActions(LabScreen):
     def __init__(self) -> None:
         super().__init__()
         self.entries: list[Entry] = []  # lines that are shown
+        self.coming: Diagnosed | None = None  # that is being made
         self.compensation: Compensation | None = None
         self.before: dict[str, float] = {}  # tracking errors before it was last switched on
         self._errors: tuple[Channel, ...] = ()
@@ -63,6 +64,9 @@ class LoopActions(LabScreen):
     def _need(self) -> Diagnosed | None:
         if self.shown is None:
             self.say("diagnose first (s), or open an earlier one (o)", "warning")
+        elif self.shown is self.coming:
+            self.say("its figures are being drawn: in a moment", "warning")
+            return None
         return self.shown
 
     # -- compensation in the running program
