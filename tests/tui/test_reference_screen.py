@@ -121,6 +121,23 @@ async def test_a_saved_reference_is_what_was_planned_and_goes_to_execute(
         await until(pilot, lambda: app.screen.is_mounted, "Execute is there")
 
 
+async def test_what_is_saved_goes_to_execute_without_a_second_file(
+    app: ZendspApp, until: Until, tmp_path: Path
+) -> None:
+    async with app.run_test(size=(160, 48)) as pilot:
+        screen = _screen(app)
+        await until(pilot, lambda: screen.plan is not None, "planned")
+        await pilot.press("ctrl+s")
+        await pilot.pause()
+        await pilot.press("enter")
+        folder = tmp_path / "references"
+        await until(pilot, lambda: len(list(folder.glob("*.mat"))) == 1, "saved")
+        screen.query_one("#curves", Scope).focus()
+        await pilot.press("x")
+        await until(pilot, lambda: app.current_mode == "execute", "on Execute, nothing asked")
+        assert [str(p) for p in app.chosen] == [str(p) for p in folder.glob("*.mat")]
+
+
 async def test_a_motion_beyond_a_limit_is_named_and_cannot_be_saved(
     app: ZendspApp, until: Until
 ) -> None:

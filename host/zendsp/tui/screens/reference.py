@@ -56,6 +56,7 @@ class ReferenceScreen(ReferenceForm):
         super().__init__()
         self.plan: Plan | None = None
         self._planned: Wanted | None = None  # what ``plan`` was made of, or could not be made of
+        self._saved: tuple[Wanted, Path] | None = None  # last: what was planned, and its file
         self._to_save: tuple[Wanted, str, str | None] | None = None  # once it is planned
         self.view = "all"
 
@@ -194,8 +195,12 @@ class ReferenceScreen(ReferenceForm):
 
     @on(Button.Pressed, "#to-execute")
     def action_execute(self) -> None:
-        """Save and open on Execute."""
-        self._save("execute")
+        """Open on Execute; save first what is not saved yet."""
+        wanted, path = self._saved or (None, Path())
+        if wanted == self._wanted() and path.is_file():
+            self.lab.play(path)
+        else:
+            self._save("execute")
 
     def _save(self, then: str | None) -> None:
         if self._planned == self._wanted() and self._savable() is None:
@@ -247,6 +252,7 @@ class ReferenceScreen(ReferenceForm):
         except (ZendspError, OSError) as error:
             self.say(f"save {path.name}: {error}", "error")
             return
+        self._saved = self._wanted(), path
         self.say(f"saved {path}", "good")
         self.lab.toast(f"saved {path}")
         if then == "execute":
