@@ -81,7 +81,7 @@ def test_what_the_recording_cannot_say_is_asked() -> None:
     )
     asked = "\n".join(draft.questions)
     for words in (
-        "no time column", "does it turn (rad) or slide (m)",
+        "no time column", "is it rad, degrees or m?",
         "how many N m (N) does one A of iq make", "how long until",
     ):
         assert words.lower() in asked.lower()
@@ -153,13 +153,38 @@ def test_degrees_and_milliseconds_end_as_si(tmp_path: Path) -> None:
     assert "angle: deg converted to rad" in draft.text
 
 
-def test_degrees_without_a_unit_are_suspected() -> None:
+def asked_of(**columns: np.ndarray) -> str:
+    return "\n".join(draft_model(Table(columns, {}, {}, Path("run.csv"))).questions)
+
+
+def test_degrees_without_a_unit_are_suspected_by_their_counts() -> None:
     columns = recording()
-    columns["q"] = np.degrees(columns["q"])
-    draft = draft_model(Table(columns, {}, {}, Path("run.csv")))
-    assert any("looks like degrees: write 'q [deg]'" in question for question in draft.questions)
-    draft = draft_model(Table(recording(), {}, {}, Path("run.csv")))
-    assert not any("degrees" in question for question in draft.questions)
+    asked = asked_of(**columns | {"q": np.degrees(columns["q"])})
+    assert "q has no known unit and looks like degrees (its steps are 360/4096): write" in asked
+    assert "looks like degrees" not in asked_of(**columns)
+
+
+@pytest.mark.parametrize("digits", [3, 4, 6])
+@pytest.mark.parametrize("swing", [1.5, 20.0])
+def test_radians_written_with_few_digits_are_not_taken_for_degrees(
+    digits: int, swing: float
+) -> None:
+    columns = recording()
+    asked = asked_of(**columns | {"q": np.round(swing * np.sin(3.0 * T), digits)})
+    assert "looks like" not in asked and "is it rad, degrees or m?" in asked
+
+
+def test_a_velocity_in_rad_per_second_tells_degrees_from_radians() -> None:
+    columns = recording()
+    columns["qd"] = np.gradient(columns["r"], STEP)
+    fine = columns | {"q": np.degrees(columns["r"])}  # no counts
+    assert "looks like degrees (it moves 57.3 times as fast as qd says)" in asked_of(**fine)
+    assert "looks like" not in asked_of(**columns | {"q": columns["r"]})
+    # by chance its counts are those of an encoder in degrees
+    counted = columns | {"q": np.round(columns["r"] / 0.087890625) * 0.087890625}
+    assert "looks like" in asked_of(**counted)
+    table = Table(counted, {"qd": "rad/s"}, {}, Path("run.csv"))
+    assert "looks like" not in "\n".join(draft_model(table).questions)
 
 
 def test_an_unknown_unit_is_asked_about_and_time_backwards_names_the_file(tmp_path: Path) -> None:

@@ -238,3 +238,11 @@ def test_prose_is_broken_between_words_where_a_terminal_shows_it(
     assert len(lines) == 5 and all(len(line) <= 30 for line in lines)
     assert lines[1].startswith("      ") and columns == table
     assert lines[3:] == ["loop  1000 Hz, real clock;", "      SCHED_RR 80"]
+
+
+def test_the_line_of_help_names_every_viewer_of_the_bridge() -> None:
+    from zendsp.cli.bridge import command
+
+    said = COMMANDS["bridge"][1].lower()
+    assert set(command.commands) == {"foxglove", "rerun"}
+    assert all(viewer in said for viewer in (*command.commands, "plotjuggler"))

@@ -191,7 +191,8 @@ ACTIONS = (
            "Write the MAT file that Execute plays.", footer=True),
     Action("reference", "load", "l", "Load",
            "Open a saved reference, with its parameters where they are known."),
-    Action("reference", "execute", "x", "Execute", "Open it on Execute; save it first, if it is not yet.", footer=True),
+    Action("reference", "execute", "x", "Execute",
+           "Open it on Execute; save it first, where it is not yet.", footer=True),
     # -- diagnose
     Action("diagnose", "start", "s", "Start",
            "Compare the marked recordings with the model and name what it lacks.", footer=True),

@@ -22,9 +22,9 @@ from zendsp.physics.files.draft_data import (
     groups_of,
     in_order,
     is_behind,
-    like_degrees,
     sliding,
     unbroken,
+    why_degrees,
 )
 from zendsp.physics.files.shipped import model_folder
 from zendsp.physics.kernel.signals import find_resolution
@@ -124,7 +124,8 @@ def draft_model(table: Table, machine: Machine | None = None) -> Draft:
         part = unbroken(clock, len(position.values))
         shown = replace(position, values=position.values[part])
         driven = command and replace(command, values=command.values[part])
-        _mechanism(page, shown, driven, step, linear, known)
+        degrees = why_degrees(position, best_group(groups, Role.VELOCITY, joints), clock)
+        _mechanism(page, shown, driven, step, linear, known, degrees)
     _actuator(page, command, step, known)
     _sensor(page, position, linear, known)
     page.line()
@@ -226,6 +227,7 @@ def _mechanism(
     step: float,
     linear: bool,
     machine: Machine | None,
+    degrees: str,
 ) -> None:
     joints = position.values.shape[1]
     if machine is not None and (model_folder() / f"{machine.name}.toml").is_file():
@@ -234,7 +236,7 @@ def _mechanism(
         )
     page.line("[mechanism]")
     kinds = "rotary | linear | planar2r | urdf | mjcf | fmu | python"
-    page.line(f'kind = "{"linear" if linear else "rotary"}"', kinds, _unit_asked(position))
+    page.line(f'kind = "{"linear" if linear else "rotary"}"', kinds, _unit_asked(position, degrees))
     if machine is not None and len(set(machine.slides)) > 1:
         names = (
             f"{joint['name']} {'slides' if slides else 'turns'}"
@@ -262,22 +264,27 @@ def _mechanism(
     page.choice("coefficient = { value = 0.01 }", "N s/m" if linear else "N m s/rad")
 
 
-def _unit_asked(position: Group) -> str:
-    """The question after the unit of the position, empty where it has one."""
+def _unit_asked(position: Group, degrees: str) -> str:
+    """The question after the unit of the position, empty where it has one. ``degrees`` is why it
+    looks like degrees.
+    """
     name = position.names[0]
     if position.unit in ("rad", "m"):
         return ""
-    if like_degrees(position):
+    if degrees:
         return (
-            f"{name} has no known unit and looks like degrees: write '{name} [deg]' in its head,"
-            " and begin anew"
+            f"{name} has no known unit and looks like degrees ({degrees}): write '{name} [deg]' in"
+            " its head, and begin anew"
         )
     if position.unit:
         return (
             f"{name}: the unit {position.unit!r} is not known: write a known one in its head,"
             f" such as '{name} [deg]' or '{name} [mm]', and begin anew"
         )
-    return f"{name} has no unit: does it turn (rad) or slide (m)?"
+    return (
+        f"{name} has no unit: is it rad, degrees or m? rad is taken; of another write the unit in"
+        f" its head, such as '{name} [deg]', and begin anew"
+    )
 
 
 def _numbers(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 from collections.abc import Mapping
@@ -26,6 +27,8 @@ WINDOW_S = 0.05  # over which position is smoothed for a first idea of speed and
 EXPLAINS = 0.3  # share of the command's variance: below that no first idea is given
 MATTERS = 0.02  # share that gravity must add
 WHOLE = 0.02  # of a count: so near to a whole number of counts a turn is one
+FINE = 0.1  # of a count: where the count is known no better, any number would be whole
+ALIKE = 0.05  # two speeds that differ by less are the same in two units
 LOAD = ("load", "link", "output", "arm")  # words of a position behind a spring
 # of several columns that could be the command
 PREFERRED = ("tau", "torque", "effort", "force", "u")
@@ -137,16 +140,57 @@ def is_behind(group: Group) -> bool:
     return bool({*LOAD} & set(re.findall(r"[a-z]+", group.names[0].lower())))
 
 
-def like_degrees(position: Group) -> bool:
-    """Whether one turn is a whole number of steps where it has 360 units, and none where it has
-    2 pi.
+def why_degrees(position: Group, velocity: Group | None, clock: Group | None) -> str:
+    """Return what shows that a position without a unit is in degrees; empty where nothing does.
+
+    Its size does not: a joint that swings by 1.5 may swing by rad or by degrees. A velocity in
+    rad/s does. So do counts, where one turn is a whole number of them if it has 360 units, and none
+    if it has 2 pi, unless the steps are only those of the digits that were written.
     """
-
-    def whole(turn: float) -> bool:
-        return abs(turn - round(turn)) < WHOLE * max(1.0, turn / 1e4)
-
+    if velocity is not None and clock is not None:
+        ratio = _moves(position, velocity, clock)
+        if abs(ratio * np.pi / 180.0 - 1.0) < ALIKE:
+            return f"it moves {ratio:.1f} times as fast as {velocity.names[0]} says"
+        if velocity.unit == "rad/s" and abs(ratio - 1.0) < ALIKE:
+            return ""
     steps = [find_resolution(finite(column)) for column in position.values.T]
-    return all(s and whole(360.0 / s) and not whole(2 * np.pi / s) for s in steps)
+    counted = (
+        s and _whole(360.0 / s) and not _whole(2 * np.pi / s) and not _digits(finite(column), s)
+        for s, column in zip(steps, position.values.T, strict=True)
+    )
+    return f"its steps are 360/{round(360.0 / steps[0])}" if all(counted) else ""
+
+
+def _whole(turn: float) -> bool:
+    """Whether a turn is a whole number of counts; of too many the step is not known well enough."""
+    near = WHOLE * max(1.0, turn / 1e4)
+    return near < FINE and abs(turn - round(turn)) < near
+
+
+def _digits(column: Array, step: float) -> bool:
+    """Whether a column is as it is because it was written with so many digits."""
+    rounded = np.round(column, max(0, math.ceil(-math.log10(step) - 0.01)))
+    return bool(np.abs(column - rounded).max() < 0.01 * step)
+
+
+def _moves(position: Group, velocity: Group, clock: Group) -> float:
+    """How many times as fast positions move as the velocities beside them say; NaN where they do
+    not move together.
+    """
+    steps = np.diff(clock.values[:, 0])[:, None]
+    moved, said = np.diff(position.values, axis=0), velocity.values[:-1] * steps
+    good = np.isfinite(moved + said) & (steps > 0) & (steps < 1.5 * np.median(steps))
+    moved, said = (np.where(good, x, 0.0) for x in (moved, said))
+    # as sums over a tenth of a second: single steps are those of the encoder
+    over = max(1, round(2 * WINDOW_S / max(float(np.median(steps)), 1e-9)))
+    rows = len(moved) // over * over
+    if rows < 10 * over:
+        return math.nan
+    moved, said = (x[:rows].reshape(-1, over, x.shape[1]).sum(axis=1) for x in (moved, said))
+    product = float((moved * said).sum())
+    sizes = float((moved**2).sum()), float((said**2).sum())
+    together = product > 0.9 * math.sqrt(sizes[0] * sizes[1])
+    return product / sizes[1] if together and sizes[1] > 0 else math.nan
 
 
 def finite(column: Array) -> Array:
