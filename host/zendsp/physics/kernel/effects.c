@@ -1,5 +1,6 @@
-/* What the effects of a model do, for LANES parameter sets at once (see kernel.c, which takes this
- * and observer.c in twice: for one and for many). native.py writes each effect's C into its place.
+/* What the effects of a model do, for LANES parameter sets at once (see kernel.c, which takes this,
+ * motion.c, step.c and observer.c in twice: for one and for many). native.py writes each effect's C
+ * into its place.
  *
  * The lanes have the recording, the observer and the kinds of effects in common and differ in
  * numbers only, so every loop over them is arithmetic without branches: a step is a long chain of

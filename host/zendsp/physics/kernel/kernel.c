@@ -1,9 +1,9 @@
 /* One joint seen through an observer: predicts every position sample, returns the normalised
  * innovations.
  *
- * The file is completed at build time: the lines OBSERVER are replaced by effects.c and observer.c,
- * the line EFFECT_FUNCTIONS therein by one small function per physical effect (see effects/), the
- * lines EFFECT_CASES_* by the cases of the switches that call them. Scheme per inner step h: half
+ * The file is completed at build time: the lines OBSERVER are replaced by effects.c, motion.c,
+ * step.c and observer.c, the line EFFECT_FUNCTIONS therein by one small function per physical effect
+ * (see effects/), the lines EFFECT_CASES_* by the cases of the switches that call them. Scheme per inner step h: half
  * drift, two evaluations of the smooth torque at mid position (second order), dry friction as a
  * set-valued law (exact sticking at any step), bristle and hysteresis states implicitly. Units: rad
  * or m, s, N m or N.

@@ -52,6 +52,8 @@ void zf_swing(int n, double T, double first, double second, const double *a, dou
 
 LANES = 8  # parameter sets that ``zk_run_lanes`` takes at once
 
+_PARTS = ("effects.c", "motion.c", "step.c", "observer.c")  # each stands on those before it
+
 _PLACES = {  # of an effect: the mark in effects.c, and what is done there for each lane
     "torque": ("FORCE", "EACH (*torque)[l] += OF(fx_{name})(p, S, l);"),
     "load": (
@@ -111,7 +113,7 @@ def source_text(effects: dict[str, Effect]) -> str:
             f"static inline double OF(fx_{effect.name}){head} {{ {_of_lane(effect)} }}"
         )
     folder = resources.files("zendsp.physics.kernel")
-    observer = "".join((folder / name).read_text() for name in ("effects.c", "observer.c"))
+    observer = "".join((folder / name).read_text() for name in _PARTS)
     for mark, lines in cases.items():
         observer = observer.replace(f"/* EFFECT_CASES_{mark} */", "\n".join(lines))
     observer = observer.replace("/* EFFECT_FUNCTIONS */", "\n".join(functions))

@@ -1,0 +1,250 @@
+/* One sample's way from state to state: command, rigid body, transmission, friction. */
+
+/* What the rigid body does at sample k. rigid: BLOCK samples of its inertia and torque, written
+ * long before they are read: a lane at a time, read all at once. */
+INLINE void OF(rigid_body)(const OF(task) *O, OF(motion) *X, int k, double rigid[][BLOCK][LANES])
+{
+    const zk_model *M = O->M;
+    const OF(numbers) *N = O->N;
+    const int ahead = k % BLOCK;
+    if (ahead == 0)
+        for (int l = 0; l < LANES; l++)
+            for (int i = 0; i < BLOCK && k + i < M->n; i++) {
+                rigid[0][i][l] = M[l].inertia[k + i];
+                rigid[1][i][l] = M[l].bias[k + i];
+            }
+    EACH { X->jm[l] = rigid[0][ahead][l] + N->j_extra[l]; X->bias[l] = rigid[1][ahead][l]; }
+    if (O->geared) EACH X->load[l] = X->jm[l] - N->j_extra[l];
+    if (O->two_mass && M->bias_slope) /* the load is not where the motor was measured */
+        for (int l = 0; l < LANES; l++)
+            X->bias[l] += M[l].bias_slope[k] * (X->ql[l] - M[l].rq[k] - M[l].shift);
+    if (O->two_mass)
+        for (int l = 0; l < LANES; l++) {
+            double motor, beyond;
+            share_inertia(&M[l], X->jm[l], N->j_extra[l], N->j_load[l], &motor, &beyond);
+            X->jm[l] = motor;
+            X->per_jl[l] = 1.0 / beyond;
+        }
+    EACH X->per_jm[l] = 1.0 / X->jm[l];
+}
+
+/* The command, held over sample k, and what the actuator makes of it: at once, or step by step. */
+INLINE void OF(hold)(const OF(task) *O, OF(motion) *X, int k)
+{
+    const zk_model *M = O->M;
+    if (!O->steady) {
+        EACH X->past[l] = cum(M, k * M->T - O->N->delay[l], O->per_T);
+        return;
+    }
+    const double held = (M->ucum[k + 1] - M->ucum[k]) / M->T, now = M->t0 + (k + 0.5) * M->T;
+    EACH { X->u[l] = held; O->S->t[l] = now; }
+    OF(act)(M, O->N, O->S, LANES_OF(u), (OF(lane) *)X->tau);
+}
+
+/* The same over a step that begins at tl, for a command that lags or is late. */
+INLINE void OF(drive)(const OF(task) *O, OF(motion) *X, double tl, int first)
+{
+    const OF(numbers) *N = O->N;
+    EACH {
+        const double next = cum(O->M, tl + O->h - N->delay[l], O->per_T);
+        X->u[l] = (next - X->past[l]) * O->per_h;
+        X->past[l] = next;
+    }
+    if (O->hidden && N->lag_on)
+        EACH {
+            double before = first ? X->u[l] : X->a[l], held = X->u[l];
+            X->u[l] = held + (before - held) * X->mean[l];
+            X->a[l] = held + (before - held) * X->ex[l];
+        }
+    OF(act)(O->M, N, O->S, LANES_OF(u), (OF(lane) *)X->tau);
+}
+
+/* The error of a transmission: the load turns by slope for each turn of the motor. */
+INLINE void OF(gear)(const OF(task) *O, OF(motion) *X, double added)
+{
+    const OF(numbers) *N = O->N;
+    const OF(state) *S = O->S;
+    EACH {
+        double at = N->w_order[l] * S->q[l] + N->w_phase[l];
+        X->slope[l] = 1 + N->w_amp[l] * N->w_order[l] * cosine(at);
+        X->wave[l] =
+            N->w_amp[l] * sin(O->two_mass ? N->w_order[l] * X->q[l] + N->w_phase[l] : at);
+        X->bend[l] = -N->w_amp[l] * N->w_order[l] * N->w_order[l] * sin(at) * X->slope[l] *
+                     X->load[l]; /* times the speed squared */
+    }
+    if (O->geared)
+        EACH {
+            X->jm[l] = X->load[l] * X->slope[l] * X->slope[l] + N->j_extra[l];
+            X->per_jm[l] = 1.0 / X->jm[l];
+            X->push[l] = X->tau[l] - added - X->slope[l] * X->bias[l];
+        }
+    if (O->geared && N->pulled)
+        EACH X->push[l] =
+            X->tau[l] - added -
+            X->slope[l] * (X->bias[l] + N->gravity[l] * sin(S->q[l] + X->wave[l]));
+}
+
+/* The spring between motor and load, and the load's step. */
+INLINE void OF(stretch)(const OF(task) *O, OF(motion) *X)
+{
+    const OF(numbers) *N = O->N;
+    const double h = O->h;
+    OF(lane) fall, at, motor;
+    EACH { fall[l] = X->bias[l]; at[l] = X->ql[l] + 0.5 * h * X->qdl[l]; }
+    if (N->pulled) EACH fall[l] += N->gravity[l] * sin(at[l]);
+    if (N->hung) {
+        EACH { motor[l] = O->S->q[l]; O->S->q[l] = at[l]; }
+        OF(hang)(O->M, N, O->S, &fall);
+        EACH O->S->q[l] = motor[l];
+    }
+    EACH {
+        double dv = (O->wavy ? X->slope[l] * X->qd[l] : X->qd[l]) - X->qdl[l],
+               d = X->q[l] - X->ql[l] + (O->wavy ? X->wave[l] : 0.0), gap = N->gap[l],
+               moved = h * dv;
+        double e0 = soft(d, 0.5 * gap), e1 = soft(d + moved, 0.5 * gap),
+               g = 0.5 * (e0 + e1); /* mean deflection */
+        int moves = fabs(moved) > 1e-12 * gap;
+        double per = 1.0 / (moves ? moved : 1.0),
+               on = moves ? (e1 - e0) * per : e0 != 0.0 ? 1.0 : 0.0; /* part of it in contact */
+        on = gap > 0 ? on : 1.0;
+        g = (on < 1.0) & (on > 0.0) & (gap > 0) ? 0.5 * (e1 * e1 - e0 * e0) * per : g;
+        double c = N->c_spring[l] * on,
+               pull = (O->wavy ? N->k_spring[l] + N->k_cubic[l] * g * g : N->k_spring[l]) * g +
+                      c * dv;
+        pull /= 1.0 + 0.5 * h * c * (X->per_jm[l] + X->per_jl[l]); /* damped by its mean speed */
+        X->spring[l] = (gap > 0) & (pull * g < 0) ? 0.0 : pull; /* a contact pushes only */
+        double vl = X->qdl[l] + h * (X->spring[l] - fall[l]) * X->per_jl[l];
+        X->ql[l] += 0.5 * h * (X->qdl[l] + vl);
+        X->qdl[l] = vl;
+    }
+}
+
+/* The step's torques on the motor but friction and effects, at its middle. */
+INLINE void OF(pushes)(const OF(task) *O, OF(motion) *X, double added)
+{
+    OF(state) *S = O->S;
+    const OF(numbers) *N = O->N;
+    EACH {
+        S->u[l] = X->u[l]; S->tau[l] = X->tau[l];
+        S->q[l] = X->q[l] + 0.5 * O->h * X->qd[l];
+        S->qd[l] = X->qd[l];
+        X->push[l] = X->tau[l] - added - (O->two_mass ? 0.0 : X->bias[l]);
+        X->spring[l] = 0;
+    }
+    if (O->wavy) OF(gear)(O, X, added);
+    if (O->two_mass) OF(stretch)(O, X);
+    else if (N->pulled && !O->geared) EACH X->push[l] -= N->gravity[l] * sin(S->q[l]);
+    EACH X->push[l] -= O->wavy ? X->slope[l] * X->spring[l] : X->spring[l];
+}
+
+/* What effects resist at the middle of the step, by the speed there. */
+INLINE void OF(resist)(const OF(task) *O, const OF(motion) *X, int k, OF(lane) *f, OF(lane) *scale)
+{
+    OF(gather)(O->M, O->N, O->S, k, 0, f, scale);
+    if (O->geared) EACH (*f)[l] += X->bend[l] * O->S->qd[l] * O->S->qd[l];
+}
+
+/* Hysteresis by Bouc and Wen, |z| <= 1. */
+INLINE void OF(remember)(const OF(task) *O, OF(motion) *X, OF(lane) *free)
+{
+    const OF(numbers) *N = O->N;
+    EACH {
+        double az = pow(fabs(X->zh[l]), N->bw_n[l]), v = O->S->qd[l];
+        double zn = X->zh[l] + O->h * N->bw_a[l] *
+                                   (v - 0.5 * fabs(v) * az * sgn(X->zh[l]) - 0.5 * v * az);
+        zn = zn > 1 ? 1 : zn < -1 ? -1 : zn;
+        (*free)[l] -= N->bw_force[l] * 0.5 * (X->zh[l] + zn);
+        X->zh[l] = zn;
+    }
+}
+
+/* Dry friction that creeps: v + most tanh(v / slow) = vfree. In units of slow, u + a tanh u = f, by
+ * Newton's method from below: with e = exp(2 u), one division a step. */
+INLINE void OF(creep)(const OF(task) *O, const OF(motion) *X, const OF(lane) *level,
+                      const OF(lane) *vfree, OF(lane) *vn)
+{
+    EACH {
+        double most = O->h * (*level)[l] * X->per_jm[l], slow = O->N->creep[l];
+        int on = (slow > 0) & (most > 0);
+        double per = 1.0 / (on ? slow : 1.0), f = (*vfree)[l] * per, a = most * per,
+               u = fabs(f) < a + 1 ? f / (a + 1) : (*vn)[l] * per;
+        for (int turn = 0; turn < CREEP_STEPS; turn++) {
+            double e = exp(clip(2 * u, 40.0)), sum = e + 1;
+            u -= ((u - f) * sum * sum + a * (e - 1) * sum) / (sum * sum + 4 * a * e);
+        }
+        (*vn)[l] = on ? u * slow : (*vn)[l];
+    }
+}
+
+/* Bristles: z' = qd - s0 |qd| z / level, implicit in z and qd. */
+INLINE void OF(bristle)(const OF(task) *O, OF(motion) *X, const OF(lane) *level,
+                        const OF(lane) *vfree, OF(lane) *vn)
+{
+    const OF(numbers) *N = O->N;
+    const double h = O->h, per_h = O->per_h;
+    EACH {
+        int on = (N->s0[l] > 0) & ((*level)[l] > 0);
+        double D = 1 + h * N->s0[l] * fabs(O->S->qd[l]) / (on ? (*level)[l] : 1.0),
+               st = N->s0[l] + N->s1[l] * per_h, w = h * X->per_jm[l];
+        double v = ((*vfree)[l] + w * (N->s1[l] * per_h * X->z[l] - st * X->z[l] / D)) /
+                   (1 + w * st * h / D);
+        (*vn)[l] = on ? v : (*vn)[l];
+        X->z[l] = on ? (X->z[l] + h * v) / D : X->z[l];
+    }
+}
+
+/* The motor's step, of which all but dry friction and its kin are known. */
+INLINE void OF(slide)(const OF(task) *O, OF(motion) *X, const OF(lane) *f, const OF(lane) *scale)
+{
+    OF(lane) free, vfree, level, vn;
+    EACH free[l] = X->push[l] - (*f)[l];
+    if (O->hidden && O->N->bent) OF(remember)(O, X, &free);
+    EACH vfree[l] = X->qd[l] + O->h * free[l] * X->per_jm[l];
+    OF(dry)(O->M, O->N, O->S, &vfree, scale, &level);
+    EACH {
+        level[l] = level[l] > 0 ? level[l] : 0.0;
+        vn[l] = soft(vfree[l], O->h * level[l] * X->per_jm[l]);
+    }
+    if (O->hidden && O->N->creeps) OF(creep)(O, X, &level, &vfree, &vn);
+    if (O->hidden && O->N->bristled) OF(bristle)(O, X, &level, &vfree, &vn);
+    if (O->N->loaded)
+        EACH O->S->load[l] =
+            O->two_mass ? X->spring[l]
+                        : X->jm[l] * (vn[l] - X->qd[l]) * O->per_h + X->bias[l] +
+                              O->N->gravity[l] * sin(O->S->q[l]);
+    EACH {
+        X->rub[l] = (vfree[l] - vn[l]) * X->jm[l] * O->per_h;
+        X->q[l] += 0.5 * O->h * (X->qd[l] + vn[l]);
+        X->qd[l] = vn[l];
+    }
+}
+
+/* One step of sample k, which begins tl s after the first sample. */
+INLINE void OF(step)(const OF(task) *O, OF(motion) *X, int k, double tl, double added)
+{
+    const zk_model *M = O->M;
+    const OF(numbers) *N = O->N;
+    OF(state) *S = O->S;
+    OF(lane) from, f, scale;
+    EACH S->t[l] = M->t0 + tl + 0.5 * O->h; /* absolute, for effects */
+    if (!O->steady) OF(drive)(O, X, tl, k == 0 && tl == 0);
+    if (O->filtered) EACH from[l] = SIDE_Q;
+    OF(pushes)(O, X, added);
+    OF(resist)(O, X, k, &f, &scale);
+    EACH S->qd[l] =
+        X->qd[l] + 0.5 * O->h * (X->push[l] - f[l] - X->rub[l]) * X->per_jm[l];
+    if (O->drives) EACH S->tau[l] = X->tau[l];
+    OF(resist)(O, X, k, &f, &scale);
+    OF(slide)(O, X, &f, &scale);
+    if (!O->two_mass) EACH { X->ql[l] = X->q[l]; X->qdl[l] = X->qd[l]; }
+    if (O->geared && (O->side || M->beyond)) /* or else nobody looks at it */
+        EACH {
+            X->ql[l] += N->w_amp[l] * sin(N->w_order[l] * X->q[l] + N->w_phase[l]);
+            X->qdl[l] *= X->slope[l];
+        }
+    if (O->filtered) /* exact for a position that moves evenly within the step */
+        EACH {
+            double to = SIDE_Q, lag = (to - from[l]) * O->per_h * N->filter[l];
+            X->seen[l] = to - lag + (X->seen[l] - from[l] + lag) * X->fade[l];
+        }
+}
