@@ -43,9 +43,18 @@ EFFECT = Effect(
     site="setup",
     mechanism="transmission",
     parameters=(
-        Parameter("gap", "position", lower=1e-09, limits=lambda f: (1e-9, 0.5 * f.scale.position)),
-        Parameter("stiffness", "torque/position", lower=1e-09, limits=transmission_limits),
-        Parameter("load_inertia", "inertia", lower=1e-12, limits=load_limits),
+        Parameter(
+            "gap", "position", lower=1e-09, limits=lambda f: (1e-9, 0.5 * f.scale.position),
+            meaning="width of the gap",
+        ),
+        Parameter(
+            "stiffness", "torque/position", lower=1e-09, limits=transmission_limits,
+            meaning="k, of the contact",
+        ),
+        Parameter(
+            "load_inertia", "inertia", lower=1e-12, limits=load_limits,
+            meaning="part of the joint's inertia that is behind the gap",
+        ),
         Parameter(
             "damping", "torque/speed", lower=0, default=0.0, limits=transmission_damping_limits,
             meaning="of the contact; 0: a tenth of critical",

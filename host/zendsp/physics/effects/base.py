@@ -148,6 +148,8 @@ class Parameter:
         Value where a model file leaves the key out; None: the key is required.
     fitted : bool
         False for numbers that are chosen, not estimated (a joint index).
+    meaning : str
+        Its symbol in the equation, and what that does not say: for docs/effects.md.
     limits : callable or None
         Bounds in a given recording: physics outside them cannot be seen in it. None: ``lower`` and
         ``upper``.

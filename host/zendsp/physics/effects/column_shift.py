@@ -42,7 +42,7 @@ EFFECT = Effect(
     parameters=(
         Parameter(
             "time", "time", lower=-0.2, upper=0.2, limits=_limits,
-            meaning="late; early where negative",
+            meaning="s; late, early where negative",
         ),
     ),
     c="column_late += p[0];",

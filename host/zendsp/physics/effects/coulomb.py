@@ -8,7 +8,7 @@ EFFECT = Effect(
     name="coulomb",
     site="dry",
     mechanism="dry_friction",
-    parameters=(Parameter("level", "torque", lower=0),),
+    parameters=(Parameter("level", "torque", lower=0, meaning="Fc"),),
     c="return p[0];",
     sentence=(
         "Joint {joint} lacks Coulomb friction of {level}: the torque opposes the motion whatever"

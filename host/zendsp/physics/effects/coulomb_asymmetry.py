@@ -9,8 +9,8 @@ EFFECT = Effect(
     site="dry",
     mechanism="dry_friction",
     parameters=(
-        Parameter("level_pos", "torque", lower=0),
-        Parameter("level_neg", "torque", lower=0),
+        Parameter("level_pos", "torque", lower=0, meaning="Fc+, for positive speed"),
+        Parameter("level_neg", "torque", lower=0, meaning="Fc−, for negative speed"),
     ),
     c="return dir > 0 ? p[0] : p[1];",
     sentence=(

@@ -12,8 +12,11 @@ EFFECT = Effect(
     site="viscous",
     mechanism="dry_friction",
     parameters=(
-        Parameter("level", "torque", lower=0),
-        Parameter("speed", "speed", lower=1e-6, default=0.01),
+        Parameter("level", "torque", lower=0, meaning="Fc"),
+        Parameter(
+            "speed", "speed", lower=1e-6, default=0.01,
+            meaning="v, over which the step at zero speed is spread",
+        ),
     ),
     c="return p[0] * tanh(s->qd / p[1]);",
     sentence=(

@@ -9,22 +9,32 @@ EFFECT = Effect(
     site="torque",
     mechanism="inertia",
     parameters=(
-        Parameter("from_joint", "joint", lower=0, upper=8, fitted=False),
+        Parameter(
+            "from_joint", "joint", lower=0, upper=8, fitted=False,
+            meaning="the joint whose motion acts",
+        ),
         Parameter(
             "law",
             "number",
             lower=0,
             upper=3,
             fitted=False,
-            meaning="0 inertia, 1 coriolis, 2 viscous, 3 coulomb",
+            meaning=(
+                "which motion acts: its acceleration, its speed squared, its speed, the direction"
+                " of the two together"
+            ),
             choices=("inertia", "coriolis", "viscous", "coulomb"),
         ),
         Parameter(
             "coefficient",
             "torque",
             sizes=("inertia", "torque/speed2", "torque/speed", "torque"),
+            meaning="c",
         ),
-        Parameter("smooth", "speed", lower=1e-09, default=0.01, fitted=False),
+        Parameter(
+            "smooth", "speed", lower=1e-09, default=0.01, fitted=False,
+            meaning="of the law coulomb: speed over which its step is spread",
+        ),
     ),
     c=(
         "int law = (int)p[1]; return p[2] * (law == 0 ? s->oqdd : law == 1 ? s->oqd * s->oqd : law"

@@ -14,7 +14,8 @@ EFFECT = Effect(
     parameters=(
         # of the fastest 1 % of the motion: below, it holds for any sensor; above, it is viscous
         Parameter(
-            "speed", "speed", lower=0, limits=lambda f: (1e-5 * f.fastest, 0.3 * f.fastest)
+            "speed", "speed", lower=0, limits=lambda f: (1e-5 * f.fastest, 0.3 * f.fastest),
+            meaning="v; F is the model's dry friction",
         ),
     ),
     c="creep = p[0];",

@@ -10,8 +10,8 @@ EFFECT = Effect(
     site="load",
     mechanism="position_torque",
     parameters=(
-        Parameter("coefficient", "torque/position3"),
-        Parameter("neutral", "position", default=0.0, limits=neutral_limits),
+        Parameter("coefficient", "torque/position3", meaning="k3"),
+        Parameter("neutral", "position", default=0.0, limits=neutral_limits, meaning="q0"),
     ),
     c="double x = s->q - p[1]; return p[0] * x * x * x;",
     sentence=("A hardening spring of {coefficient} around {neutral} acts on joint {joint}."),

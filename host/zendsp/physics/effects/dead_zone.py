@@ -9,7 +9,7 @@ EFFECT = Effect(
     name="dead_zone",
     site="actuator",
     mechanism="actuator",
-    parameters=(Parameter("width", "command", lower=0, limits=command_limits),),
+    parameters=(Parameter("width", "command", lower=0, limits=command_limits, meaning="d"),),
     c="return u > p[0] ? u - p[0] : u < -p[0] ? u + p[0] : 0.0;",
     sentence=("The actuator of joint {joint} gives no torque for commands below {width}."),
     experiment=("Slow torque ramps through zero."),

@@ -19,7 +19,7 @@ EFFECT = Effect(
     name="delay",
     site="setup",
     mechanism="actuator",
-    parameters=(Parameter("time", "time", lower=0, upper=0.2),),
+    parameters=(Parameter("time", "time", lower=0, upper=0.2, meaning="d"),),
     c="delay += p[0];",
     sentence=("The command reaches joint {joint} {time} late."),
     experiment=("Torque at high frequency: chirp or PRBS."),

@@ -41,9 +41,18 @@ EFFECT = Effect(
     site="setup",
     mechanism="transmission",
     parameters=(
-        Parameter("stiffness", "torque/position", lower=1e-09, limits=transmission_limits),
-        Parameter("damping", "torque/speed", lower=0, limits=transmission_damping_limits),
-        Parameter("load_inertia", "inertia", lower=1e-12, limits=load_limits),
+        Parameter(
+            "stiffness", "torque/position", lower=1e-09, limits=transmission_limits,
+            meaning="k",
+        ),
+        Parameter(
+            "damping", "torque/speed", lower=0, limits=transmission_damping_limits,
+            meaning="c",
+        ),
+        Parameter(
+            "load_inertia", "inertia", lower=1e-12, limits=load_limits,
+            meaning="part of the joint's inertia that is behind the spring",
+        ),
     ),
     c="two_mass = 1; k_spring = p[0]; c_spring = p[1]; j_load = p[2];",
     sentence=(

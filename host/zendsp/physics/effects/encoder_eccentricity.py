@@ -10,8 +10,8 @@ EFFECT = Effect(
     site="sensor",
     mechanism="measurement",
     parameters=(
-        Parameter("amplitude", "position", lower=0, limits=off_centre),
-        Parameter("phase", "angle", lower=-6.5, upper=6.5),
+        Parameter("amplitude", "position", lower=0, limits=off_centre, meaning="e"),
+        Parameter("phase", "angle", lower=-6.5, upper=6.5, meaning="φ"),
     ),
     c="return p[0] * sin(s->q + p[1]);",
     sentence=("The encoder of joint {joint} is eccentric: {amplitude} once per turn."),

@@ -19,12 +19,15 @@ EFFECT = Effect(
     site="dry",
     mechanism="dry_friction",
     parameters=(
-        Parameter("level", "torque", lower=0, default=0.0),
-        Parameter("slope", "torque/speed", default=0.0),
-        Parameter("curve", "torque/speed2", default=0.0),
-        Parameter("cubic", "torque/speed2", default=0.0, meaning="times speed³ / split"),
-        Parameter("split", "speed", lower=1e-6, default=1.0),
-        Parameter("high_curve", "torque/speed2", default=0.0),
+        Parameter("level", "torque", lower=0, default=0.0, meaning="c0"),
+        Parameter("slope", "torque/speed", default=0.0, meaning="c1"),
+        Parameter("curve", "torque/speed2", default=0.0, meaning="c2"),
+        Parameter("cubic", "torque/speed2", default=0.0, meaning="c3"),
+        Parameter(
+            "split", "speed", lower=1e-6, default=1.0,
+            meaning="s, the speed at which the two meet",
+        ),
+        Parameter("high_curve", "torque/speed2", default=0.0, meaning="h2"),
     ),
     c=(
         f"double v = fabs(s->qd); double w = v - p[4]; return w <= 0 ? {_LOW.format(v='v')} :"

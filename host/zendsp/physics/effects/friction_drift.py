@@ -10,8 +10,11 @@ EFFECT = Effect(
     site="scale",
     mechanism="dry_friction",
     parameters=(
-        Parameter("ratio", "ratio", lower=-0.95, upper=20.0),
-        Parameter("time_constant", "time", lower=0.05, upper=10000.0, limits=slow_limits),
+        Parameter("ratio", "ratio", lower=-0.95, upper=20.0, meaning="r, the change in the end"),
+        Parameter(
+            "time_constant", "time", lower=0.05, upper=10000.0, limits=slow_limits,
+            meaning="T",
+        ),
     ),
     c="return 1.0 + p[0] * (1.0 - exp(-s->t / p[1]));",
     sentence=(

@@ -9,10 +9,10 @@ EFFECT = Effect(
     site="dry_scale",
     mechanism="dry_friction",
     parameters=(
-        Parameter("coefficient", "1/temperature", lower=-1.0, upper=1.0),
+        Parameter("coefficient", "1/temperature", lower=-1.0, upper=1.0, meaning="c"),
         Parameter(
             "reference", "temperature", default=20.0, fitted=False,
-            meaning="at which the level holds",
+            meaning="T0, at which F, the model's dry friction, holds",
         ),
     ),
     c="return 1.0 + p[0] * (s->temp - p[1]);",

@@ -10,8 +10,11 @@ EFFECT = Effect(
     site="actuator",
     mechanism="actuator",
     parameters=(
-        Parameter("ratio", "ratio", lower=-0.9, upper=5.0),
-        Parameter("time_constant", "time", lower=0.05, upper=10000.0, limits=slow_limits),
+        Parameter("ratio", "ratio", lower=-0.9, upper=5.0, meaning="r, the change in the end"),
+        Parameter(
+            "time_constant", "time", lower=0.05, upper=10000.0, limits=slow_limits,
+            meaning="T",
+        ),
     ),
     c="return u * (1.0 + p[0] * (1.0 - exp(-s->t / p[1])));",
     sentence=(

@@ -9,8 +9,8 @@ EFFECT = Effect(
     site="load",
     mechanism="position_torque",
     parameters=(
-        Parameter("torque", "torque", lower=0),
-        Parameter("angle", "angle", lower=-6.5, upper=6.5),
+        Parameter("torque", "torque", lower=0, meaning="G"),
+        Parameter("angle", "angle", lower=-6.5, upper=6.5, meaning="φ, where it hangs"),
     ),
     c="return p[0] * sin(s->q - p[1]);",
     sentence=("A gravity torque of {torque} acts on joint {joint}, balanced at {angle}."),

@@ -23,9 +23,12 @@ EFFECT = Effect(
     site="setup",
     mechanism="dry_friction",
     parameters=(
-        Parameter("force", "torque", lower=0),
-        Parameter("stiffness", "torque/position", lower=1e-09, limits=bristle_limits),
-        Parameter("exponent", "number", lower=0.5, upper=6, default=1.0, fitted=False),
+        Parameter("force", "torque", lower=0, meaning="F"),
+        Parameter(
+            "stiffness", "torque/position", lower=1e-09, limits=bristle_limits,
+            meaning="A F, for small deflections; β = γ = A/2",
+        ),
+        Parameter("exponent", "number", lower=0.5, upper=6, default=1.0, fitted=False, meaning="n"),
     ),
     c="bw_force = p[0]; bw_a = p[0] > 0 ? p[1] / p[0] : 0; bw_n = p[2];",
     sentence=(

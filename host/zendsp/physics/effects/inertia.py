@@ -8,7 +8,7 @@ EFFECT = Effect(
     name="inertia",
     site="setup",
     mechanism="inertia",
-    parameters=(Parameter("amount", "inertia"),),
+    parameters=(Parameter("amount", "inertia", meaning="ΔJ"),),
     c="j_extra += p[0];",
     sentence=(
         "The inertia of joint {joint} is {compared} than the model's: a rotor that it lacks or a"

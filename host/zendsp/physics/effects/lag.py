@@ -22,7 +22,7 @@ EFFECT = Effect(
     name="lag",
     site="setup",
     mechanism="actuator",
-    parameters=(Parameter("time_constant", "time", lower=1e-05, upper=0.2),),
+    parameters=(Parameter("time_constant", "time", lower=1e-05, upper=0.2, meaning="T"),),
     c="lag_on = 1; lag = p[0];",
     sentence=(
         "The actuator of joint {joint} lags the command with a time constant of {time_constant}."

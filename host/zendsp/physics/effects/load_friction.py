@@ -11,10 +11,10 @@ EFFECT = Effect(
     site="dry",
     mechanism="dry_friction",
     parameters=(
-        Parameter("coefficient", "ratio", lower=0, upper=0.9),
+        Parameter("coefficient", "ratio", lower=0, upper=0.9, meaning="μ"),
         Parameter(
             "of", "number", lower=0, upper=1, default=0.0, fitted=False,
-            meaning="torque of the drive, or what of it reaches the load: without friction",
+            meaning="which torque τ is: the drive's, or what of it reaches the load, less friction",
             choices=("drive", "load"),
         ),
     ),

@@ -9,17 +9,17 @@ EFFECT = Effect(
     site="body",
     mechanism="inertia",
     parameters=(
-        Parameter("mass", "mass", lower=0.0),
+        Parameter("mass", "mass", lower=0.0, meaning="m"),
         *(
             Parameter(
                 f"com_{axis}", "length", lower=-3, upper=3, default=0.0,
-                meaning="centre of mass, link's frame",
+                meaning="c, centre of mass in the link's frame",
             )
             for axis in "xyz"
         ),
         Parameter(
             "inertia", "body_inertia", lower=0.0, default=0.0,
-            meaning="about its centre of mass, the same about every axis",
+            meaning="J, about its centre of mass, the same about every axis",
         ),
     ),
     c="",

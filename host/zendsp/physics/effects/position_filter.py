@@ -12,6 +12,7 @@ EFFECT = Effect(
         Parameter(
             "time_constant", "time", lower=1e-5, upper=0.2,
             limits=lambda f: (0.1 * f.sample_time, 0.2),
+            meaning="T",
         ),
     ),
     c="filter = p[0];",

@@ -26,14 +26,15 @@ EFFECT = Effect(
     site="dry",
     mechanism="dry_friction",
     parameters=(
-        Parameter("amplitude", "torque", lower=0),
+        Parameter("amplitude", "torque", lower=0, meaning="A"),
         Parameter(
             "period",
             "position",
             lower=1e-09,
             limits=lambda f: (0.02 * f.scale.position, 2.0 * f.scale.position),
+            meaning="P",
         ),
-        Parameter("phase", "angle", lower=-6.5, upper=6.5),
+        Parameter("phase", "angle", lower=-6.5, upper=6.5, meaning="φ"),
     ),
     c="return p[0] * sin(6.283185307179586 * s->q / p[1] + p[2]);",
     sentence=(

@@ -24,8 +24,11 @@ EFFECT = Effect(
     site="setup",
     mechanism="dry_friction",
     parameters=(
-        Parameter("stiffness", "torque/position", lower=1e-09, limits=bristle_limits),
-        Parameter("damping", "torque/speed", lower=0, default=0.0),
+        Parameter(
+            "stiffness", "torque/position", lower=1e-09, limits=bristle_limits,
+            meaning="σ0, of the bristles",
+        ),
+        Parameter("damping", "torque/speed", lower=0, default=0.0, meaning="σ1"),
     ),
     c="s0 = p[0]; s1 = p[1];",
     sentence=(

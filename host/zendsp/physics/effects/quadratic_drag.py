@@ -8,7 +8,7 @@ EFFECT = Effect(
     name="quadratic_drag",
     site="torque",
     mechanism="fluid_friction",
-    parameters=(Parameter("coefficient", "torque/speed2", lower=0),),
+    parameters=(Parameter("coefficient", "torque/speed2", lower=0, meaning="c"),),
     c="return p[0] * s->qd * fabs(s->qd);",
     sentence=("Joint {joint} lacks quadratic drag of {coefficient}."),
     experiment=("Two clearly different speed levels, both ways."),

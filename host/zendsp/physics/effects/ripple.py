@@ -10,9 +10,12 @@ EFFECT = Effect(
     site="torque",
     mechanism="position_torque",
     parameters=(
-        Parameter("order", "order", lower=0, limits=order_limits(1.5)),
-        Parameter("amplitude", "torque", lower=0),
-        Parameter("phase", "angle", lower=-6.5, upper=6.5),
+        Parameter(
+            "order", "order", lower=0, limits=order_limits(1.5),
+            meaning="n, periods a turn; on a linear axis 2π over the period",
+        ),
+        Parameter("amplitude", "torque", lower=0, meaning="A"),
+        Parameter("phase", "angle", lower=-6.5, upper=6.5, meaning="φ"),
     ),
     c="return p[1] * sin(p[0] * s->q + p[2]);",
     sentence=("A torque ripple of {amplitude} acts on joint {joint}, {repeats}."),

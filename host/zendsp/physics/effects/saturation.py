@@ -9,7 +9,10 @@ EFFECT = Effect(
     name="saturation",
     site="actuator",
     mechanism="actuator",
-    parameters=(Parameter("level", "command", lower=1e-09, limits=command_limits),),
+    parameters=(Parameter(
+        "level", "command", lower=1e-09, limits=command_limits,
+        meaning="largest command that acts",
+    ),),
     c="return u > p[0] ? p[0] : u < -p[0] ? -p[0] : u;",
     sentence=("The actuator of joint {joint} saturates at {level}."),
     experiment=("Fast accelerations to the stated limit."),

@@ -13,9 +13,12 @@ EFFECT = Effect(
     site="sensor",
     mechanism="measurement",
     parameters=(
-        Parameter("order", "order", lower=2, limits=order_limits(0.0)),
-        Parameter("amplitude", "position", lower=0, limits=off_centre),
-        Parameter("phase", "angle", lower=-6.5, upper=6.5),
+        Parameter(
+            "order", "order", lower=2, limits=order_limits(0.0),
+            meaning="n, periods a turn; on a linear axis 2π over the period",
+        ),
+        Parameter("amplitude", "position", lower=0, limits=off_centre, meaning="e"),
+        Parameter("phase", "angle", lower=-6.5, upper=6.5, meaning="φ"),
     ),
     c="return p[1] * sin(p[0] * s->q + p[2]);",
     sentence="The position sensor of joint {joint} errs by {amplitude}, {repeats}.",

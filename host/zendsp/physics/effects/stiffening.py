@@ -49,11 +49,17 @@ EFFECT = Effect(
     site="setup",
     mechanism="transmission",
     parameters=(
-        Parameter("stiffness", "torque/position", lower=1e-9, limits=transmission_limits),
-        Parameter("stiffness3", "torque/position3", lower=0, limits=stiffening_limits),
+        Parameter(
+            "stiffness", "torque/position", lower=1e-9, limits=transmission_limits,
+            meaning="k",
+        ),
+        Parameter(
+            "stiffness3", "torque/position3", lower=0, limits=stiffening_limits,
+            meaning="k₃",
+        ),
         Parameter(
             "load_inertia", "inertia", lower=0, default=0.0, limits=load_limits,
-            meaning="0: half of the joint's",
+            meaning="part of the joint's inertia that is behind the spring; 0: half of it",
         ),
         Parameter(
             "damping", "torque/speed", lower=0, default=0.0, limits=transmission_damping_limits,

@@ -10,8 +10,8 @@ EFFECT = Effect(
     site="load",
     mechanism="position_torque",
     parameters=(
-        Parameter("coefficient", "torque/position", lower=0),
-        Parameter("neutral", "position", default=0.0, limits=neutral_limits),
+        Parameter("coefficient", "torque/position", lower=0, meaning="k"),
+        Parameter("neutral", "position", default=0.0, limits=neutral_limits, meaning="q0"),
     ),
     c="return p[0] * (s->q - p[1]);",
     sentence=(

@@ -12,11 +12,15 @@ EFFECT = Effect(
     site="dry",
     mechanism="dry_friction",
     parameters=(
-        Parameter("breakaway", "torque", lower=0, above="coulomb"),
         Parameter(
-            "velocity", "speed", lower=1e-06, limits=lambda f: (2e-3 * f.fastest, 2.0 * f.fastest)
+            "breakaway", "torque", lower=0, above="coulomb",
+            meaning="Fs, at rest; contains Fc, the level of the model's coulomb",
         ),
-        Parameter("exponent", "number", lower=0.3, upper=4, default=2.0, fitted=False),
+        Parameter(
+            "velocity", "speed", lower=1e-06, limits=lambda f: (2e-3 * f.fastest, 2.0 * f.fastest),
+            meaning="vs",
+        ),
+        Parameter("exponent", "number", lower=0.3, upper=4, default=2.0, fitted=False, meaning="δ"),
     ),
     c="return p[0] * exp(-pow(fabs(s->qd) / p[1], p[2]));",
     sentence=(

@@ -8,7 +8,7 @@ EFFECT = Effect(
     name="torque_gain",
     site="actuator",
     mechanism="actuator",
-    parameters=(Parameter("ratio", "ratio", lower=-0.9, upper=5.0),),
+    parameters=(Parameter("ratio", "ratio", lower=-0.9, upper=5.0, meaning="ε"),),
     c="return u * (1.0 + p[0]);",
     sentence=(
         "The actuator of joint {joint} gives {ratio} more (or less) torque than the command says."

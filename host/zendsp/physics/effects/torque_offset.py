@@ -8,7 +8,7 @@ EFFECT = Effect(
     name="torque_offset",
     site="torque",
     mechanism="actuator",
-    parameters=(Parameter("level", "torque"),),
+    parameters=(Parameter("level", "torque", meaning="τ0"),),
     c="return p[0];",
     sentence=("A constant torque of {level} acts on joint {joint}."),
     experiment=("The same poses reached from both sides."),

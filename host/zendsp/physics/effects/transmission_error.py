@@ -29,9 +29,12 @@ EFFECT = Effect(
     site="setup",
     mechanism="transmission",
     parameters=(
-        Parameter("order", "order", lower=0, limits=lambda f: (0.8, 1e9)),
-        Parameter("amplitude", "position", lower=0, limits=off_centre),
-        Parameter("phase", "angle", lower=-6.5, upper=6.5),
+        Parameter(
+            "order", "order", lower=0, limits=lambda f: (0.8, 1e9),
+            meaning="n, periods a turn; on a linear axis 2π over the period",
+        ),
+        Parameter("amplitude", "position", lower=0, limits=off_centre, meaning="A"),
+        Parameter("phase", "angle", lower=-6.5, upper=6.5, meaning="φ"),
     ),
     c="w_order = p[0]; w_amp = p[1]; w_phase = p[2];",
     sentence=(

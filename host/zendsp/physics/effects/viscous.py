@@ -9,7 +9,10 @@ EFFECT = Effect(
     name="viscous",
     site="viscous",
     mechanism="fluid_friction",
-    parameters=(Parameter("coefficient", "torque/speed", lower=0, limits=viscous_limits),),
+    parameters=(Parameter(
+        "coefficient", "torque/speed", lower=0, limits=viscous_limits,
+        meaning="b",
+    ),),
     c="return p[0] * s->qd;",
     sentence=("Joint {joint} lacks viscous friction of {coefficient}."),
     experiment=("Constant-speed moves at several speeds over a decade, both ways."),

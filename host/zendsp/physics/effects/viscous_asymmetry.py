@@ -10,8 +10,14 @@ EFFECT = Effect(
     site="viscous",
     mechanism="fluid_friction",
     parameters=(
-        Parameter("coefficient_pos", "torque/speed", lower=0, limits=viscous_limits),
-        Parameter("coefficient_neg", "torque/speed", lower=0, limits=viscous_limits),
+        Parameter(
+            "coefficient_pos", "torque/speed", lower=0, limits=viscous_limits,
+            meaning="b+, for positive speed",
+        ),
+        Parameter(
+            "coefficient_neg", "torque/speed", lower=0, limits=viscous_limits,
+            meaning="b−, for negative speed",
+        ),
     ),
     c="return s->qd > 0 ? p[0] * s->qd : p[1] * s->qd;",
     sentence=(
