@@ -68,8 +68,8 @@ def electrical(
         ]
         result.warnings.append(
             "The bar stays on the shaft (the paper takes the load off): its weight makes the"
-            " current swing about its mean, which spreads it over many steps of the 10-bit sensor,"
-            " and the means over whole turns are used."
+            " current swing over many steps of the 10-bit sensor, and means over whole turns are"
+            " used."
         )
         figure, axes = make_figure(1, 1, width=6.0, height=3.6)
         x = speed / current
@@ -185,8 +185,8 @@ def _say(result: Result, spins: float) -> None:
         " shaft spins, and three parameters can match the position for about the first second"
         f" only ({EARLY:g} s are fitted, from the four-parameter result). With the viscous term"
         f" the position is matched from {spins:.1f} s on, where the shaft"
-        " no longer rocks: before, it turns back within the bristles of friction, which the law"
-        " has not, and which would take 3 to 5 % of every number."
+        " no longer rocks: before, it turns back within the bristles of friction. The law has none;"
+        " they would bend every number by 3 to 5 %."
     )
     t = result.values
     result.mechanism = {

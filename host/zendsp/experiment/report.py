@@ -76,18 +76,28 @@ def wrapped(page: str) -> str:
 
 _HEAD = """# Results of the experiments
 
-Written by one command, which makes every experiment again and takes some minutes. Tables, and the
-sentences that judge them, are computed; typed by hand are the papers' numbers and those of the
-machines' sources:
-
     zendsp experiment all --report docs/results.md
 
-The machines are the simulated ones that ship with zendsp (`docs/machines_simulated.md`) with their
-noise and imperfections, driven through the link like real ones. The host's simulation is another
-program, with the model that the experiments found. *Paper* is what the publication reports;
-*machine* what the simulated machine has. ± is one standard deviation. An interval is of
-95 %: 1.96 of them to either side. It holds the machine's value or does not;
-`docs/measurements/experiments.md` counts that over many repetitions.
+makes every experiment again, in some minutes, and writes this page. Tables, and the sentences that
+judge them, are computed; typed by hand are the papers' numbers and those of the machines' sources.
+
+The machines are the [simulated ones](machines_simulated.md) that come with zendsp, with their noise
+and imperfections, driven through the link like real ones. Their experiments are those of three
+publications:
+
+- imi_planar: Bona, Indri and Smaldone (Politecnico di Torino), fast prototyping of the control of a
+  planar arm with two direct drives;
+- pendulum: "Experimental Platform for Analyzing Friction Models Applied to Mechanical Systems with
+  Revolute Joints", Hardware 2025, 3(3), 11;
+- wam7: "Dynamic Model of a 7-DOF Whole Arm Manipulator and Validation from Experimental Data".
+
+*Paper* is what the publication reports, *machine* what the simulated machine has, *ours* what the
+experiment found. The *simulation* is the host's: another program, with the model that the
+experiments found. A digit in a name is the joint; *ccw* and *+* are the positive direction, *cw*
+and *-* the negative one; *level* is Coulomb friction.
+
+± is one standard deviation. An interval is of 95 %: 1.96 of them to either side. It holds the
+machine's value or does not; [the same over many repetitions](measurements/experiments.md).
 
 **What is recovered by construction, and what is not.** The machines are built from laws that the
 experiments assume: friction with a level for each direction, a viscous part, bristles that bend as
@@ -273,9 +283,11 @@ def _mechanical(r: Result) -> str:
     better = v["rms_held_out_viscous"].value < v["rms_held_out_paper"].value
     return (
         f"{text}\nWith viscous friction: {_judge(r)}"
-        f"On the torque that was held out it is {'better' if better else 'no better'} than without."
-        " The paper prints no values that could be compared. The law turns the shaft one way only,"
-        " and the machine's friction is that of this direction.\n"
+        "theta1 is the inertia, theta2 times 9.81 m/s^2 the torque of the weight, theta3 the Coulomb"
+        " friction. Under the torque that was held out the position is predicted"
+        f" {'better' if better else 'no better'} with viscous friction than without. The paper"
+        " prints no values that could be compared. Its torque turns the shaft one way only, and the"
+        " machine's friction is that of this direction.\n"
     )
 
 
@@ -325,7 +337,7 @@ def _wam(r: Result) -> str:
         "\nThe program compensates the weight of the data sheet, and the arm weighs something else:"
         f" beside friction the maps find what is lacking, at most {lacks} N m along each joint's"
         " way. It is what makes the Coulomb levels of heavy joints uncertain: a constant weight and"
-        " a difference of the two directions are nearly one, half their sum is known far"
+        " a difference between the directions look alike; the mean of the two levels is known far"
         " better. The machine has 2.80 (joint 2, -), 0.50 and 0.45 (joint 4) and 0.30 N m s/rad"
         " (joint 5, +) where the paper prints negative coefficients, which no friction can have."
         " With slow speeds only, where friction falls with speed (Stribeck):\n\n"
