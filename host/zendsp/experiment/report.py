@@ -283,8 +283,8 @@ def _mechanical(r: Result) -> str:
     better = v["rms_held_out_viscous"].value < v["rms_held_out_paper"].value
     return (
         f"{text}\nWith viscous friction: {_judge(r)}"
-        "theta1 is the inertia, theta2 times 9.81 m/s^2 the torque of the weight, theta3 the Coulomb"
-        " friction. Under the torque that was held out the position is predicted"
+        "theta1 is the inertia, theta2 times 9.81 m/s^2 the torque of the weight, theta3 the"
+        " Coulomb friction. Under the torque that was held out the position is predicted"
         f" {'better' if better else 'no better'} with viscous friction than without. The paper"
         " prints no values that could be compared. Its torque turns the shaft one way only, and the"
         " machine's friction is that of this direction.\n"
