@@ -57,23 +57,29 @@ def comments(struct: type) -> dict[str, str]:
 def default(field: msgspec.structs.FieldInfo) -> str:
     """Write the default of a field, empty where it is required."""
     if field.default is not msgspec.NODEFAULT:
-        return f" = {field.default!r}".replace("'", '"').replace("None", "nil")
-    return "" if field.default_factory is msgspec.NODEFAULT else " = empty"
+        return repr(field.default).replace("'", '"').replace("None", "nil")
+    return "" if field.default_factory is msgspec.NODEFAULT else "empty"
 
 
 def verb_table() -> str:
-    """One row for each verb."""
-    lines = ["| verb | role | lane | once | arguments | result | limit, s |", "|---" * 7 + "|"]
+    """One row for each verb, and one for each argument."""
+    lines = ["| verb | does | role | lane | once | result | limit, s |", "|---" * 7 + "|"]
+    rows: dict[type, list[str]] = {}
     for verb in verbs.VERBS.values():
-        fields = msgspec.structs.fields(verb.arguments)
-        arguments = ", ".join(f"`{f.name}`: {kind(f.type)}{default(f)}" for f in fields).replace(
-            "|", "\\|"
-        )
         once, result = "✓" * verb.once, f"{kind(verb.result)} | {verb.timeout:g}"
         lines.append(
-            f"| `{verb.name}` | {verb.role} | {verb.lane} | {once} |"
-            f" {arguments or '–'} | {result} |"
+            f"| `{verb.name}` | {verb.does} | {verb.role} | {verb.lane} | {once} | {result} |"
         )
+        rows.setdefault(verb.arguments, []).append(f"`{verb.name}`")
+    lines += ["", "Their arguments; those with a default may be left out:", ""]
+    lines += ["| verb | argument | type | default | meaning |", "|---" * 5 + "|"]
+    for arguments, names in rows.items():
+        said = comments(arguments)
+        lines += [
+            f"| {', '.join(names)} | `{f.name}` | {kind(f.type)} | {default(f)} |"
+            f" {said.get(f.name, '').replace('|', chr(92) + '|')} |"
+            for f in msgspec.structs.fields(arguments)
+        ]
     return "\n".join(lines)
 
 
