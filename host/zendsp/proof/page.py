@@ -12,13 +12,14 @@ from zendsp.proof.scoreboard import by_given, by_reality, failures, headline, re
 
 WIDTH = 100  # columns of the page's prose
 JUDGED = (
-    "The mechanism is right when the first finding's mechanism acts on the joint, or the body, that"
-    " it names. A law is right when it is the concealed effect's, on the right joint. It is also"
-    " right when the first finding lists that effect among those it cannot tell apart, or when the"
-    " recording itself cannot tell the two apart (by algebra, or measured by an oracle that sees"
-    " the true motion)."
-    " Detectable: the best refit of the incomplete model leaves at least 60 of log-likelihood in"
-    " the innovations of a steady observer."
+    "What the rows count: [how an answer is judged](prove.md#how-an-answer-is-judged). Of the"
+    " mechanism and the law only what is detectable counts: the best refit of the incomplete model"
+    " leaves at least 60 of log-likelihood in the innovations, the errors of prediction, of a"
+    " steady observer."
+)
+SIZES = (
+    "The law first, of how many; x1, x0.3, … are the [sizes](prove.md#realities) of what is"
+    " concealed."
 )
 
 
@@ -74,9 +75,11 @@ def proof_page(
         *markdown_table(["", "wanted", *parts(ours), *peers], beside(ours, peers)),
         *[fill(f"- {note}", WIDTH, subsequent_indent="  ") for note in notes],
         "",
-        fill(JUDGED, WIDTH),
+        fill(JUDGED, WIDTH, break_on_hyphens=False),
         "",
         "## By effect and size",
+        "",
+        fill(SIZES, WIDTH),
         "",
     ]
     sizes = sorted({j.size for j in ours if j.named is not None}, reverse=True)
