@@ -148,7 +148,7 @@ def local(
     options: Sequence[str] = (),
     timeout: float = START_S,
 ) -> Target:
-    """Start a target process here, on a free port of the loopback, and connect to it.
+    """Start a target process here, which only this user can reach, and connect to it.
 
     It ends when the returned target is closed, and also when this process dies in any way.
 
