@@ -14,14 +14,28 @@ from zendsp.experiment.result import Result
 
 @dataclass(frozen=True)
 class Experiment:
-    """One experiment of the list."""
+    """One experiment of the list.
+
+    Attributes
+    ----------
+    name : str
+    machine : str
+        That it is for; empty: any whose command is ``command``.
+    title : str
+        One line for people.
+    function : str
+        Where it is: "module:function".
+    models : bool
+        Whether its result has something that a model file holds.
+    command : {"torque", "voltage"}
+    """
 
     name: str
-    machine: str  # "": any whose command is what the experiment commands
-    title: str  # one line for people
-    function: str  # where it is: "module:function"
-    models: bool = False  # whether its result has something that a model file holds
-    command: str = "torque"  # or voltage
+    machine: str
+    title: str
+    function: str
+    models: bool = False
+    command: str = "torque"
 
     def fits(self, machine: str) -> bool:
         """Whether it is for this machine. The kind of command is checked when it begins."""

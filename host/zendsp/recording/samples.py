@@ -21,8 +21,15 @@ from zendsp_protocol.values import Assignable
 
 @dataclass(frozen=True)
 class Channel:
-    """One recorded signal: a scalar (width 1) or a vector of ``width`` columns. Its unit is that of
-    all columns, or names one for each: ``"A, V"``.
+    """One recorded signal.
+
+    Attributes
+    ----------
+    name : str
+    unit : str
+        Of all columns, or one for each: ``"A, V"``. Empty where it has none.
+    width : int
+        Columns; 1 for a scalar.
     """
 
     name: str
@@ -32,17 +39,29 @@ class Channel:
 
 @dataclass(frozen=True)
 class ParameterChange:
-    """One line of the parameter log: what changed, at which sample, when by the clock of the
-    target, and by whom.
+    """One line of the parameter log: what changed, when, and by whom.
+
+    Attributes
+    ----------
+    tick : int
+        Sample at which it took effect.
+    host_time : float, Unix s
+        By the clock of the target.
+    name : str
+    old, new : bool, int, float, or list of these
+    author : str
+        Who asked.
+    fade : int
+        Samples over which it came; ``tick`` is then that of its end.
     """
 
     tick: int
-    host_time: float  # Unix s
+    host_time: float
     name: str
-    old: Any  # bool, int, float, or a list of these
+    old: Any
     new: Any
     author: str
-    fade: int = 0  # samples over which it came; `tick` is then that of its end
+    fade: int = 0
 
 
 @dataclass(frozen=True, eq=False)

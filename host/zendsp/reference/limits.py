@@ -24,9 +24,9 @@ class Limits:
     Parameters
     ----------
     position_min, position_max : array_like, shape (joints,)
-        rad.
+        rad (m where a joint slides).
     speed, acceleration, torque : array_like, shape (joints,)
-        Largest magnitudes: rad/s, rad/s^2, N m.
+        Largest magnitudes: rad/s, rad/s^2, N m (m/s, m/s^2, N).
 
     Examples
     --------
@@ -75,15 +75,28 @@ class Limits:
 
 @dataclass(frozen=True)
 class Violation:
-    """The worst sample at which one joint breaks one limit."""
+    """The worst sample at which one joint breaks one limit.
 
-    quantity: str  # "position" | "speed" | "acceleration" | "torque"
-    joint: int  # 1-based
-    t: float  # s
+    Attributes
+    ----------
+    quantity : {"position", "speed", "acceleration", "torque"}
+    joint : int
+        From 1.
+    t : float, s
+    value, limit : float
+        In ``unit``.
+    unit : str
+    headroom : float
+        Share of the machine's limit that ``limit`` is.
+    """
+
+    quantity: str
+    joint: int
+    t: float
     value: float
     limit: float
     unit: str
-    headroom: float = 1.0  # share of the machine's limit that `limit` is
+    headroom: float = 1.0
 
     def __str__(self) -> str:
         return (

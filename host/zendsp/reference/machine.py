@@ -47,7 +47,7 @@ class Machine:
     sample_time : float
         Period of its control loop, s.
     home : ndarray, shape (joints,)
-        Position after homing, rad.
+        Position after homing, rad (m).
     limits : Limits
         What a reference may ask.
     parameters : mapping

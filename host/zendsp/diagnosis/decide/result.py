@@ -55,6 +55,28 @@ def number(estimate: Estimate) -> str:
 @dataclass(frozen=True)
 class Finding:
     """One missing effect: where, how large, how sure, and what the recording cannot tell from it.
+
+    Attributes
+    ----------
+    effect : str
+        Name of the law (docs/effects.md); ``"unknown"`` where a mechanism acts without one.
+    joint : int
+        From 1.
+    parameters : dict of str to Estimate
+    confidence : float
+        0 … 1: probability that this is the right effect.
+    share : float
+        0 … 1: of the torque, squared and averaged, that the calibrated model lacks.
+    indistinguishable : tuple of str
+        Effects that explain the recording as well.
+    replaces : tuple of str
+        Terms of the given model that it makes unnecessary.
+    sentence : str
+    numbers : mapping
+        Further keys of the finding in report.json.
+    mechanism : str
+    laws : mapping of str to float
+        Probabilities of the mechanism's laws.
     """
 
     effect: str
@@ -116,7 +138,8 @@ class Rejected:
 
 @dataclass(frozen=True)
 class FitTable:
-    """RMS position error of short free simulations: given, calibrated and improved model."""
+    """RMS position error of short free simulations, rad or m: given, calibrated and improved model.
+    """
 
     given: float
     calibrated: float
@@ -184,7 +207,34 @@ class SimulatorErrors:
 
 @dataclass(repr=False)
 class Diagnosis:
-    """The outcome of a diagnosis."""
+    """The outcome of a diagnosis; docs/diagnosis.md says how to read it.
+
+    Attributes
+    ----------
+    verdict : {"complete", "missing", "unexplained"}
+    findings, refinements : tuple of Finding
+        What is claimed, the most important first; what only improves the fit.
+    regions, times
+        Where the model lacks something: intervals of a joint's state, and of time, s.
+    unit : str
+        Of positions, rad or m.
+    estimation, heldout, test : FitTable
+        Errors on the recordings of the fit, on those held out, and on the part of these that
+        nothing has touched.
+    noise_floor : float
+        Error that the sensor alone leaves, in ``unit``.
+    rejected : tuple of Rejected
+    next_recording : Next or None
+    seconds : float
+        That it took.
+    notes : tuple of str
+    given, calibrated, improved : Model
+        As it came, with its free parameters refitted, with what was found.
+    unexplained : str
+        A sentence; empty where nothing is.
+    discrepancy : tuple of Left
+    detectable : tuple of Detectable
+    """
 
     verdict: Verdict
     findings: tuple[Finding, ...]

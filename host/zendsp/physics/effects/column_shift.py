@@ -31,7 +31,7 @@ def _moved(command: Array, sample_time: float, p: Numbers) -> Array:
     """What acted in each sample, (n,), where the column holds it late."""
     edges = np.arange(len(command) + 1) * sample_time
     total = np.r_[0.0, np.cumsum(command)] * sample_time
-    ahead = np.interp(edges + p["time"], edges, total, left=0.0)
+    ahead: Array = np.interp(edges + p["time"], edges, total, left=0.0)
     return np.diff(ahead) / sample_time
 
 

@@ -12,7 +12,8 @@ def _moved(command: Array, sample_time: float, p: Numbers) -> Array:
     """The mean of the delayed command over each sample, (n,)."""
     edges = np.arange(len(command) + 1) * sample_time
     total = np.r_[0.0, np.cumsum(command)] * sample_time
-    return np.diff(np.interp(edges - p["time"], edges, total, left=0.0)) / sample_time
+    late: Array = np.interp(edges - p["time"], edges, total, left=0.0)
+    return np.diff(late) / sample_time
 
 
 EFFECT = Effect(

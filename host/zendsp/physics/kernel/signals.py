@@ -375,7 +375,7 @@ def _coloured(y: Array) -> float:
     return best
 
 
-def _dither(steps: Array, still: Array) -> float:
+def _dither(steps: Array, still: npt.NDArray[np.bool_]) -> float:
     """Noise in counts that makes the codes of a joint that hardly moves go back and forth; 0 where
     they do not.
 
