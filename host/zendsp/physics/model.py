@@ -157,8 +157,27 @@ class FmuPorts:
 
 @dataclass(frozen=True)
 class Model:
-    """A model file. ``mechanism`` holds one tuple of Quantity (a number a joint, or one) for each
-    parameter.
+    """A model file; docs/models.md describes each key.
+
+    Attributes
+    ----------
+    name : str
+    sample_time : float or None
+        s; None where each recording's own counts.
+    kind : str
+        Of the mechanism: rotary, linear, planar2r, urdf, mjcf, fmu or python.
+    mechanism : mapping of str to tuple of Quantity
+        Each parameter: a number a joint, or one.
+    terms : tuple of Term
+        Its effects.
+    actuator, sensor, controller, columns, limits, discrepancy, robot, fmu
+        The tables of the file.
+    file, entry : str
+        Of a URDF, MJCF or FMU; of a simulator in Python, ``module:function``.
+    joint_kinds : tuple of str
+        "rotary" or "linear" a joint; empty where ``kind`` says it.
+    folder : Path
+        From which ``file`` and ``entry`` are looked for.
     """
 
     name: str
@@ -170,8 +189,8 @@ class Model:
     sensor: Sensor = Sensor()
     controller: Mapping[str, Any] = field(default_factory=dict)
     columns: Mapping[str, str | list[str]] = field(default_factory=dict)
-    file: str = ""  # urdf, mjcf, fmu
-    entry: str = ""  # python
+    file: str = ""
+    entry: str = ""
     joint_kinds: tuple[str, ...] = ()
     limits: Mapping[str, Any] = field(default_factory=dict)
     discrepancy: Discrepancy = Discrepancy()
