@@ -280,7 +280,7 @@ def test_json_on_the_terminal_is_the_report(
 def test_a_report_that_the_disk_takes_no_more_of_is_written_elsewhere(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, typed: Callable[..., tuple[object, str, str]]
 ) -> None:
-    def write(result: object, out: Path, *, pictures: bool, progress: object) -> Path:
+    def write(result: object, out: Path, *, pictures: bool, progress: object = None) -> Path:
         if out == tmp_path / "out":
             raise OSError(28, "No space left on device", str(out / "report.html"))
         (out / "report.html").write_text("written")
