@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 from typing import Any
 
@@ -82,7 +83,8 @@ def stored(
     if motion is not None:
         save_reference(motion, made / "next_reference.mat", check=False)
     model = model_folder() / "imi_planar.toml"
-    return keep(made, folder, name, str(model), [str(root / "first.csv")], [])
+    recordings = (str(root / "first.csv"),)
+    return keep(Diagnosed(made, name, time.time(), str(model), recordings), folder)
 
 
 def _report(
