@@ -12,28 +12,23 @@ import numpy as np
 
 from zendsp.errors import RecordingError
 from zendsp.physics.files.draft_data import (
-    PREFERRED,
-    WHOLE,
     Group,
     Machine,
     best_group,
-    finite,
     first_idea,
     groups_of,
     in_order,
-    is_behind,
     sliding,
     unbroken,
     why_degrees,
 )
+from zendsp.physics.files.draft_tables import Page, listed, put_actuator, put_columns, put_sensor
 from zendsp.physics.files.shipped import model_folder
-from zendsp.physics.kernel.signals import find_resolution
 from zendsp.recording import Table
 from zendsp.recording.roles import Role
 from zendsp_protocol.texts import counted
 
 ROUGH = 0.15  # relative standard deviation of a first idea: what is missing bends it
-SATURATED = 20  # samples at the largest command: it was cut off there
 
 
 @dataclass(frozen=True)
@@ -44,28 +39,6 @@ class Draft:
     joints: int
     questions: tuple[str, ...]
     unused: tuple[str, ...] = ()
-
-
-class _Page:
-    def __init__(self) -> None:
-        self.lines: list[str] = []
-        self.questions: list[str] = []
-        self.unused: tuple[str, ...] = ()
-
-    def line(self, text: str = "", comment: str = "", ask: str = "") -> None:
-        if ask:
-            self.questions.append(ask)
-            self.lines.append(f"# ? {ask}")
-        if not comment:
-            self.lines += [text] if text or not ask else []
-        elif not text:
-            self.lines.append(f"# {comment}")
-        else:
-            self.lines.append(f"{text:<38} # {comment}")
-
-    def choice(self, text: str, comment: str = "", ask: str = "") -> None:
-        """A line that holds where its ``#``, which no space follows, is taken away."""
-        self.line(f"#{text}", comment, ask)
 
 
 def draft_model(table: Table, machine: Machine | None = None) -> Draft:
@@ -104,7 +77,7 @@ def draft_model(table: Table, machine: Machine | None = None) -> Draft:
         position = best_group(groups, Role.POSITION) or position
     command = best_group(groups, Role.COMMAND, joints) or best_group(groups, Role.CURRENT, joints)
     command = command and in_order(command, position)
-    page = _Page()
+    page = Page()
     _head(page, table, f"{nothing}: why?" if bare else "")
     for group in (position, command):
         bad = 0 if group is None else int(np.sum(~np.isfinite(group.values)))
@@ -126,8 +99,8 @@ def draft_model(table: Table, machine: Machine | None = None) -> Draft:
         driven = command and replace(command, values=command.values[part])
         degrees = why_degrees(position, best_group(groups, Role.VELOCITY, joints), clock)
         _mechanism(page, shown, driven, step, linear, known, degrees)
-    _actuator(page, command, step, known)
-    _sensor(page, position, linear, known)
+    put_actuator(page, command, step, known)
+    put_sensor(page, position, linear, known)
     page.line()
     page.line(
         comment="The feedback law, where it is known: command = kp (reference - position) - kd"
@@ -135,11 +108,11 @@ def draft_model(table: Table, machine: Machine | None = None) -> Draft:
     )
     for text in ("[controller]", 'kind = "pd"', "kp = 0.0", "kd = 0.0"):
         page.choice(text)
-    _columns(page, table, groups, clock, position, command, joints)
+    put_columns(page, table, groups, clock, position, command, joints)
     return Draft("\n".join(page.lines) + "\n", joints, tuple(page.questions), page.unused)
 
 
-def _head(page: _Page, table: Table, ask: str) -> None:
+def _head(page: Page, table: Table, ask: str) -> None:
     """Where the file comes from, and how it is read."""
     page.line(
         comment=f"Model of the machine in {table.path.name}, begun by: zendsp model new"
@@ -156,7 +129,7 @@ def _head(page: _Page, table: Table, ask: str) -> None:
         page.line(ask=ask)
 
 
-def _sample_time(page: _Page, clock: Group | None, file: str) -> float:
+def _sample_time(page: Page, clock: Group | None, file: str) -> float:
     if clock is None:
         page.line(
             "sample_time = 0.001", "s", ask="there is no time column: how far are two rows apart?"
@@ -212,7 +185,7 @@ def _others(machine: Machine, position: Group) -> str:
     )
 
 
-def _mujoco(page: _Page, machine: Machine) -> None:
+def _mujoco(page: Page, machine: Machine) -> None:
     """The mechanism of a target that simulates a MuJoCo model."""
     page.line("[mechanism]")
     page.line('kind = "mjcf"')
@@ -221,7 +194,7 @@ def _mujoco(page: _Page, machine: Machine) -> None:
 
 
 def _mechanism(
-    page: _Page,
+    page: Page,
     position: Group,
     command: Group | None,
     step: float,
@@ -288,7 +261,7 @@ def _unit_asked(position: Group, degrees: str) -> str:
 
 
 def _numbers(
-    page: _Page, position: Group, command: Group | None, step: float, linear: bool
+    page: Page, position: Group, command: Group | None, step: float, linear: bool
 ) -> None:
     """Inertia and gravity, as the recording suggests them."""
     key, unit = ("mass", "kg") if linear else ("inertia", "kg m^2")
@@ -322,158 +295,7 @@ def _numbers(
 def _rough(values: list[float], share: float) -> str:
     """Numbers, and how well they are known: a calibration that moves them by less is no finding."""
     stds = [float(f"{share * abs(value):.2g}") for value in values]
-    return f"value = {_list(values)}, std = {_list(stds)}"
-
-
-def _actuator(page: _Page, command: Group | None, step: float, machine: Machine | None) -> None:
-    page.line()
-    page.line("[actuator]")
-    if command is None:
-        page.line(
-            "gain = { value = 1.0, free = false }",
-            ask="no column looks like the command: which one is it? (see [columns])",
-        )
-        return
-    if command.unit in ("N m", "Nm", "N"):
-        page.line(
-            "gain = { value = 1.0, free = false }", f"{command.unit} per {command.unit} of command"
-        )
-    elif _named_torque(command):
-        page.line("gain = { value = 1.0, free = false }", ask=f"is {command.names[0]} in N m (N)?")
-    else:
-        unit = command.unit or "unit"
-        page.line(
-            "gain = { value = 1.0, free = false }",
-            ask=f"how many N m (N) does one {unit} of {command.names[0]} make?",
-        )
-    if command.unit:
-        page.line(f"unit = {json.dumps(command.unit, ensure_ascii=False)}")
-    torque = command.unit in ("N m", "Nm", "N") or _named_torque(command)
-    if machine is not None and torque and machine.limits:
-        unit = command.unit or "N m (N)"
-        page.line(f"limit = {_list(machine.limits)}", f"{unit}: the machine's own")
-    else:
-        _limit(page, command)
-    _delay(page, step, machine)
-
-
-def _named_torque(command: Group) -> bool:
-    """Whether a command without a unit is called as a torque is."""
-    return not command.unit and any(word in command.names[0].lower() for word in PREFERRED[:4])
-
-
-def _limit(page: _Page, command: Group) -> None:
-    """Where the drive cuts off, if the recording shows it."""
-    peaks = np.max(np.abs(command.values), axis=0)
-    cut = np.sum(np.abs(command.values) > 0.9995 * peaks, axis=0) >= SATURATED
-    if np.any(cut & (peaks > 0)):
-        limits = [float(f"{p:.4g}") if c else 0.0 for p, c in zip(peaks, cut, strict=True)]
-        page.line(
-            f"limit = {_list(limits)}",
-            "the command stayed at this value again and again; 0: none seen",
-        )
-    else:
-        seen = _list([float(f"{p:.3g}") for p in peaks])
-        page.choice(
-            f"limit = {seen}", "the largest command seen", "where does the drive cut off?"
-        )
-
-
-def _delay(page: _Page, step: float, machine: Machine | None) -> None:
-    """How long a command acts, and when it begins to."""
-    if machine is not None:
-        lag = " and the drive's current loop" if machine.lag else "; add the drive's own, if known"
-        page.line(f"hold = {machine.period:.6g}", "s: a sample of the loop")
-        page.line(f"delay = {machine.period + machine.lag:.6g}", f"s: one sample{lag}")
-        return
-    page.line(
-        f"hold = {float(f'{step:.6g}'):g}",
-        "s: how long a command acts; the sample time, unless the drive is faster",
-    )
-    page.line(
-        "delay = 0.0",
-        "s",
-        ask="how long until a command acts? One sample is common; on a zendsp target it is one"
-        f" ({step:.6g} s where every sample was recorded) and the drive's current loop",
-    )
-
-
-def _sensor(page: _Page, position: Group, linear: bool, machine: Machine | None) -> None:
-    page.line()
-    page.line("[sensor]")
-    steps = [find_resolution(finite(column)) for column in position.values.T]
-    units, told = {"m" if linear else "rad"}, "as the numbers are spaced"
-    if machine is not None:
-        steps = [1.0 / abs(float(joint["counts_per_unit"])) for joint in machine.joints]
-        units, told = {str(joint["unit"]) for joint in machine.joints}, "as the machine says"
-    unit = " or ".join(sorted(units))
-    if all(steps):
-        said = f"{unit} per count, {told}"
-        turns = [2 * np.pi / s for s in steps]
-        if unit == "rad" and all(
-            abs(turn - round(turn)) < WHOLE * max(1.0, turn / 1e4) for turn in turns
-        ):
-            said += (
-                f": {', '.join(str(round(turn)) for turn in dict.fromkeys(turns))} counts a turn"
-            )
-        page.line(f"position_resolution = {_list([float(f'{s:.8g}') for s in steps])}", said)
-    else:
-        page.choice(
-            "position_resolution = 0.001", f"{unit} per count",
-            "no steps are seen: what does the encoder resolve?",
-        )
-    if machine is not None and machine.model:
-        return
-    page.line(
-        'side = "motor"', ask='is the encoder on the motor, or behind gear and spring ("load")?'
-    )
-
-
-def _columns(
-    page: _Page,
-    table: Table,
-    groups: dict[Role, list[Group]],
-    clock: Group | None,
-    position: Group,
-    command: Group | None,
-    joints: int,
-) -> None:
-    page.line()
-    page.line("[columns]")
-    chosen: dict[str, Group] = {}
-    if clock is not None:
-        chosen["time"] = clock
-    chosen["position"] = position
-    if command is not None:
-        chosen["command"] = command
-    for role in (
-        Role.REFERENCE, Role.VELOCITY, Role.CURRENT, Role.TEMPERATURE, Role.TORQUE_MEASURED,
-    ):
-        group = best_group(groups, role, joints)
-        if group is not None and group is not command:
-            chosen[role.value] = in_order(group, position)
-    behind = [
-        g
-        for g in groups.get(Role.POSITION, [])
-        if g is not position and g.values.shape[1] == joints and is_behind(g)
-    ]
-    if behind:
-        chosen["position_load"] = in_order(behind[0], position)
-    for key, group in chosen.items():
-        page.line(f"{key} = {group.spec}", group.unit)
-    if command is None:
-        page.choice('command = "…"')
-    used = {name for group in chosen.values() for name in group.names}
-    page.unused = tuple(name for name in table.columns if name not in used)
-    if page.unused:
-        page.line(comment=f"not used: {', '.join(page.unused)}")
-    for name, value in list(table.constants.items())[:12]:
-        page.line(comment=f"also in the file: {name} = {value:g}")
-
-
-def _list(values: list[float]) -> str:
-    same = values[0] if len(values) == 1 else values
-    return json.dumps(same)
+    return f"value = {listed(values)}, std = {listed(stds)}"
 
 
 def model_name(path: Path) -> Path:

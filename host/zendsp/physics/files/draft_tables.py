@@ -1,0 +1,211 @@
+"""The tables of a first model file that tell how the machine is driven and measured."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+
+from zendsp.physics.files.draft_data import (
+    PREFERRED,
+    WHOLE,
+    Group,
+    Machine,
+    best_group,
+    finite,
+    in_order,
+    is_behind,
+)
+from zendsp.physics.kernel.signals import find_resolution
+from zendsp.recording import Table
+from zendsp.recording.roles import Role
+
+SATURATED = 20  # samples at the largest command: it was cut off there
+
+
+class Page:
+    """The file as it is written.
+
+    Attributes
+    ----------
+    lines : list of str
+    questions : list of str
+        What the recording does not tell; each stands above its line too.
+    unused : tuple of str
+        Columns that the file leaves.
+    """
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self.questions: list[str] = []
+        self.unused: tuple[str, ...] = ()
+
+    def line(self, text: str = "", comment: str = "", ask: str = "") -> None:
+        """Write a line, with a comment beside it and a question above."""
+        if ask:
+            self.questions.append(ask)
+            self.lines.append(f"# ? {ask}")
+        if not comment:
+            self.lines += [text] if text or not ask else []
+        elif not text:
+            self.lines.append(f"# {comment}")
+        else:
+            self.lines.append(f"{text:<38} # {comment}")
+
+    def choice(self, text: str, comment: str = "", ask: str = "") -> None:
+        """A line that holds where its ``#``, which no space follows, is taken away."""
+        self.line(f"#{text}", comment, ask)
+
+
+def put_actuator(page: Page, command: Group | None, step: float, machine: Machine | None) -> None:
+    """Write ``[actuator]``; ``step`` is the sample time, s."""
+    page.line()
+    page.line("[actuator]")
+    if command is None:
+        page.line(
+            "gain = { value = 1.0, free = false }",
+            ask="no column looks like the command: which one is it? (see [columns])",
+        )
+        return
+    if command.unit in ("N m", "Nm", "N"):
+        page.line(
+            "gain = { value = 1.0, free = false }", f"{command.unit} per {command.unit} of command"
+        )
+    elif _named_torque(command):
+        page.line("gain = { value = 1.0, free = false }", ask=f"is {command.names[0]} in N m (N)?")
+    else:
+        unit = command.unit or "unit"
+        page.line(
+            "gain = { value = 1.0, free = false }",
+            ask=f"how many N m (N) does one {unit} of {command.names[0]} make?",
+        )
+    if command.unit:
+        page.line(f"unit = {json.dumps(command.unit, ensure_ascii=False)}")
+    torque = command.unit in ("N m", "Nm", "N") or _named_torque(command)
+    if machine is not None and torque and machine.limits:
+        unit = command.unit or "N m (N)"
+        page.line(f"limit = {listed(machine.limits)}", f"{unit}: the machine's own")
+    else:
+        _limit(page, command)
+    _delay(page, step, machine)
+
+
+def _named_torque(command: Group) -> bool:
+    """Whether a command without a unit is called as a torque is."""
+    return not command.unit and any(word in command.names[0].lower() for word in PREFERRED[:4])
+
+
+def _limit(page: Page, command: Group) -> None:
+    """Where the drive cuts off, if the recording shows it."""
+    peaks = np.max(np.abs(command.values), axis=0)
+    cut = np.sum(np.abs(command.values) > 0.9995 * peaks, axis=0) >= SATURATED
+    if np.any(cut & (peaks > 0)):
+        limits = [float(f"{p:.4g}") if c else 0.0 for p, c in zip(peaks, cut, strict=True)]
+        page.line(
+            f"limit = {listed(limits)}",
+            "the command stayed at this value again and again; 0: none seen",
+        )
+    else:
+        seen = listed([float(f"{p:.3g}") for p in peaks])
+        page.choice(
+            f"limit = {seen}", "the largest command seen", "where does the drive cut off?"
+        )
+
+
+def _delay(page: Page, step: float, machine: Machine | None) -> None:
+    """How long a command acts, and when it begins to."""
+    if machine is not None:
+        lag = " and the drive's current loop" if machine.lag else "; add the drive's own, if known"
+        page.line(f"hold = {machine.period:.6g}", "s: a sample of the loop")
+        page.line(f"delay = {machine.period + machine.lag:.6g}", f"s: one sample{lag}")
+        return
+    page.line(
+        f"hold = {float(f'{step:.6g}'):g}",
+        "s: how long a command acts; the sample time, unless the drive is faster",
+    )
+    page.line(
+        "delay = 0.0",
+        "s",
+        ask="how long until a command acts? One sample is common; on a zendsp target it is one"
+        f" ({step:.6g} s where every sample was recorded) and the drive's current loop",
+    )
+
+
+def put_sensor(page: Page, position: Group, linear: bool, machine: Machine | None) -> None:
+    """Write ``[sensor]``."""
+    page.line()
+    page.line("[sensor]")
+    steps = [find_resolution(finite(column)) for column in position.values.T]
+    units, told = {"m" if linear else "rad"}, "as the numbers are spaced"
+    if machine is not None:
+        steps = [1.0 / abs(float(joint["counts_per_unit"])) for joint in machine.joints]
+        units, told = {str(joint["unit"]) for joint in machine.joints}, "as the machine says"
+    unit = " or ".join(sorted(units))
+    if all(steps):
+        said = f"{unit} per count, {told}"
+        turns = [2 * np.pi / s for s in steps]
+        if unit == "rad" and all(
+            abs(turn - round(turn)) < WHOLE * max(1.0, turn / 1e4) for turn in turns
+        ):
+            said += (
+                f": {', '.join(str(round(turn)) for turn in dict.fromkeys(turns))} counts a turn"
+            )
+        page.line(f"position_resolution = {listed([float(f'{s:.8g}') for s in steps])}", said)
+    else:
+        page.choice(
+            "position_resolution = 0.001", f"{unit} per count",
+            "no steps are seen: what does the encoder resolve?",
+        )
+    if machine is not None and machine.model:
+        return
+    page.line(
+        'side = "motor"', ask='is the encoder on the motor, or behind gear and spring ("load")?'
+    )
+
+
+def put_columns(
+    page: Page,
+    table: Table,
+    groups: dict[Role, list[Group]],
+    clock: Group | None,
+    position: Group,
+    command: Group | None,
+    joints: int,
+) -> None:
+    """Write ``[columns]``, and what of the recording is not used."""
+    page.line()
+    page.line("[columns]")
+    chosen: dict[str, Group] = {}
+    if clock is not None:
+        chosen["time"] = clock
+    chosen["position"] = position
+    if command is not None:
+        chosen["command"] = command
+    for role in (
+        Role.REFERENCE, Role.VELOCITY, Role.CURRENT, Role.TEMPERATURE, Role.TORQUE_MEASURED,
+    ):
+        group = best_group(groups, role, joints)
+        if group is not None and group is not command:
+            chosen[role.value] = in_order(group, position)
+    behind = [
+        g
+        for g in groups.get(Role.POSITION, [])
+        if g is not position and g.values.shape[1] == joints and is_behind(g)
+    ]
+    if behind:
+        chosen["position_load"] = in_order(behind[0], position)
+    for key, group in chosen.items():
+        page.line(f"{key} = {group.spec}", group.unit)
+    if command is None:
+        page.choice('command = "…"')
+    used = {name for group in chosen.values() for name in group.names}
+    page.unused = tuple(name for name in table.columns if name not in used)
+    if page.unused:
+        page.line(comment=f"not used: {', '.join(page.unused)}")
+    for name, value in list(table.constants.items())[:12]:
+        page.line(comment=f"also in the file: {name} = {value:g}")
+
+
+def listed(values: list[float]) -> str:
+    same = values[0] if len(values) == 1 else values
+    return json.dumps(same)
