@@ -49,10 +49,11 @@ def command(
 ) -> None:
     """Swing one joint by many sines at once and show output over input: dB, deg, coherence.
 
-    Moves the machine. The loaded program must play tables, as pd.c and joint_pd.c do; the sines
-    come from its table, on the target's own clock. Afterwards the program does what it did
-    before. Ended early, the machine is held where it is; a program with a motion of its own is
-    paused.
+    Moves the machine. Where friction, a gap or a limit acts, ± is larger and another --amplitude
+    gives another response: measure with two. The loaded program must play tables, as pd.c and
+    joint_pd.c do; the sines come from its table, on the target's own clock. Afterwards the
+    program does what it did before. Ended early, the machine is held where it is; a program with a
+    motion of its own is paused.
 
     Example:  zendsp bode --joint 1 --f-max 20 --plot bode.png
     """
