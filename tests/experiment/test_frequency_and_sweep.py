@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from waiting import PATIENCE_S, until
 import zendsp
 from zendsp.errors import AcquisitionError, RecordingError, Refused, VariableError
 from zendsp.experiment.frequency import choose_lines, distortion, estimate, make_period
-from zendsp.experiment.response import FrequencyResponse
+from zendsp.experiment.response import KEPT, FrequencyResponse
 from zendsp.experiment.sweep import announced, tried_of, values_of
 from zendsp.experiment.sweep_result import Sweep
 from zendsp.link import Target, local
@@ -264,6 +265,10 @@ def test_a_response_travels_in_its_recording(fast: Target, tmp_path: Path) -> No
     assert again is not None and again.rows() == found.rows()
     assert again.summary() == found.summary() and again.unit == found.unit
     assert (again.distortion == found.distortion).all() and found.distortion.all()
+    kept = {**found.recording.extra[KEPT], "unit": "1"}
+    del kept["distortion"]
+    old = FrequencyResponse.of(replace(found.recording, extra={KEPT: kept}))
+    assert old is not None and old.unit == "" and not old.distortion.any(), "of an older zendsp"
     assert FrequencyResponse.of(fast.acquire(["q"], 0.1, start=True)) is None
 
 

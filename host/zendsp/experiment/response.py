@@ -111,6 +111,8 @@ class FrequencyResponse:
         )
         bent = np.asarray(kept.get("distortion", np.zeros_like(f)), dtype=np.float64)
         words = {name: str(kept[name]) for name in ("input", "output", "unit")}
+        if words["unit"] == "1":  # of an older zendsp
+            words["unit"] = ""
         return cls(
             f, real + 1j * imaginary, std, coherence, bent,
             periods=int(kept["periods"]), recording=recording, **words,
