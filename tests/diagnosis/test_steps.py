@@ -15,6 +15,7 @@ from reality import RATE
 
 from zendsp.diagnosis.data.prepare import one_sensor, prepare
 from zendsp.diagnosis.data.signals import Parts, Signals
+from zendsp.diagnosis.decide import clocks
 from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide.assemble import with_disagreement
 from zendsp.diagnosis.decide.clocks import apart_in_time
@@ -330,12 +331,14 @@ def test_what_acted_before_the_recording_began_bends_no_number() -> None:
     assert found.at(1)[-1].value("time_constant") == pytest.approx(lag, rel=0.02)
 
 
-def test_a_recording_whose_rows_are_shifted_is_told_from_the_others() -> None:
+def test_a_recording_whose_rows_are_shifted_is_told_from_the_others(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     reference = reality.multisine(8.0, RATE, 3)
     model = model_of(VISCOUS, COULOMB)
 
-    def read(name: str, late: int, viscous: float = 0.004) -> Data:
-        machine = reality.Machine(late=late, viscous=viscous)
+    def read(name: str, late: int, viscous: float = 0.004, ripple: float = 0.0) -> Data:
+        machine = reality.Machine(late=late, viscous=viscous, ripple=ripple)
         data = data_of(reality.simulate(machine, reference, RATE), model)
         record = replace(data.records[0][0], recording=name)
         return replace(data, records=((record,),))
@@ -345,6 +348,11 @@ def test_a_recording_whose_rows_are_shifted_is_told_from_the_others() -> None:
     (said,) = apart_in_time(Parts(same, read("b.csv", 2), other), model)
     assert said.startswith("joint 1: in b.csv the command column stands")
     assert "ms later against the position than in a.csv, c.csv" in said
+    # most of what lacks in it is something else
+    besides = Parts(same, read("b.csv", 2, ripple=0.05), other)
+    assert apart_in_time(besides, model) == []
+    monkeypatch.setattr(clocks, "_explains", lambda *_: True)
+    assert apart_in_time(besides, model) != []
 
 
 @pytest.mark.parametrize("rows", [60, 120])

@@ -7,10 +7,13 @@ cannot have them all.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from zendsp.diagnosis.data.signals import Parts
+from zendsp.diagnosis.decide.thresholds import PREDICTED
+from zendsp.diagnosis.measure.discrepancy import discrepancy
 from zendsp.diagnosis.search.rounds import SETTLED
 from zendsp.physics.calibration.joint import JointRecord
 from zendsp.physics.calibration.predict import ran_away, run
@@ -44,8 +47,29 @@ def apart_in_time(parts: Parts, model: Model) -> list[str]:
                 if (shift := _shift(record, model)) is not None:
                     shifts.setdefault(record.recording, []).append(shift)
         found = {name: _mean(each) for name, each in shifts.items()}
-        said += _said(joint, found, ROW * parts.fit.records[0][joint - 1].sample_time)
+        late, others = _late(found, ROW * parts.fit.records[0][joint - 1].sample_time)
+        said += [
+            f"joint {joint}: in {name} the command column stands {abs(1e3 * at):.2g} ms"
+            f" {'later' if at > 0 else 'earlier'} against the position than in {others}. Write"
+            " command and position of one sample into one row, in all recordings alike, and"
+            " diagnose again"
+            for name, at in late.items()
+            if _explains(parts, model, joint, name, found[name][0])
+        ]
     return said
+
+
+def _explains(parts: Parts, model: Model, joint: int, name: str, at: float) -> bool:
+    """Whether most of what the model lacks in a recording is gone with the command shifted: what
+    else lacks there may resemble a little of a shift.
+    """
+    records = tuple(r for part in parts.each for r in part.records if r[0].recording == name)
+    own = replace(parts.test, records=records)
+    moved = Term("column_shift", joint, {"time": Quantity(at)})
+    before, after = (
+        discrepancy(own, m, joint).value for m in (model, model.with_terms((*model.terms, moved)))
+    )
+    return after**2 < (1.0 - PREDICTED) * before**2
 
 
 def _shift(record: JointRecord, model: Model) -> Shift | None:
@@ -76,10 +100,12 @@ def _mean(shifts: list[Shift]) -> Shift:
     return float(np.average([at for at, _ in shifts], weights=weights)), 1.0 / sum(weights)
 
 
-def _said(joint: int, found: dict[str, Shift], least: float) -> list[str]:
-    """Those that surely stand apart, by ``least`` s at least, from the one nearest to all."""
+def _late(found: dict[str, Shift], least: float) -> tuple[dict[str, float], str]:
+    """Those that surely stand apart, by ``least`` s at least, from the one nearest to all, and by
+    how much; the names of the others.
+    """
     if len(found) < 2:
-        return []
+        return {}, ""
 
     def away(one: Shift) -> float:
         return sum(abs(one[0] - at) / math.sqrt(var) for at, var in found.values())
@@ -90,10 +116,4 @@ def _said(joint: int, found: dict[str, Shift], least: float) -> list[str]:
         for name, (at, var) in found.items()
         if abs(at - usual) > max(least, SHIFT_SURE * math.sqrt(var + known))
     }
-    others = ", ".join(name for name in found if name not in late)
-    return [
-        f"joint {joint}: in {name} the command column stands {abs(1e3 * at):.2g} ms"
-        f" {'later' if at > 0 else 'earlier'} against the position than in {others}. Write command"
-        " and position of one sample into one row, in all recordings alike, and diagnose again"
-        for name, at in late.items()
-    ]
+    return late, ", ".join(name for name in found if name not in late)
