@@ -19,6 +19,7 @@ from zendsp.diagnosis.decide import clocks
 from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide.assemble import with_disagreement
 from zendsp.diagnosis.decide.clocks import apart_in_time
+from zendsp.diagnosis.decide.propose import OTHER, motions
 from zendsp.diagnosis.decide.thresholds import BY_CHANCE, LAWFUL, OF_STATE, SURE
 from zendsp.diagnosis.measure.bursts import bursts, periodic
 from zendsp.diagnosis.measure.discrepancy import at_reversals, deviation, discrepancy
@@ -31,7 +32,7 @@ from zendsp.diagnosis.measure.likelihood import (
     informative,
 )
 from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, Structure, structure
-from zendsp.diagnosis.measure.where import mismatch
+from zendsp.diagnosis.measure.where import Missing, mismatch, regions
 from zendsp.diagnosis.search import rounds
 from zendsp.diagnosis.search.candidates import as_given, simulated
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival, Step
@@ -40,12 +41,13 @@ from zendsp.diagnosis.search.screen import Candidate, with_candidate
 from zendsp.diagnosis.search.simplify import simplify
 from zendsp.physics.calibration import convergence
 from zendsp.physics.calibration.fit import Data, fit, joint_handles
+from zendsp.physics.calibration.joint import facts
 from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.model import Model
 
 
-def data_of(columns: dict[str, np.ndarray], model: Model) -> Data:
-    signals = Signals(
+def signals_of(columns: dict[str, np.ndarray]) -> Signals:
+    return Signals(
         "run",
         columns["t"],
         1.0 / RATE,
@@ -54,7 +56,10 @@ def data_of(columns: dict[str, np.ndarray], model: Model) -> Data:
         None,
         np.array([reality.RESOLUTION]),
     )
-    return prepare([signals], model, 64.0)
+
+
+def data_of(columns: dict[str, np.ndarray], model: Model) -> Data:
+    return prepare([signals_of(columns)], model, 64.0)
 
 
 def model_of(*terms: dict[str, object], inertia: float = 0.010) -> Model:
@@ -498,3 +503,35 @@ def test_a_simulator_of_first_order_is_half_a_row_off_and_lacks_nothing(
     parts: Any = SimpleNamespace(fit=data, test=data)
     assert out.before.value > OF_STATE
     assert decision._half_a_row(out, parts, 1) is numeric
+
+
+def test_where_it_lacks_is_said_of_all_recordings_together() -> None:
+    """A torque at 0.5 rad that the second recording alone comes to, and a smaller one at -0.5."""
+    t = np.arange(5000) * 0.002
+
+    def one(low: float, high: float) -> Missing:
+        q = low + (high - low) * (0.5 - 0.5 * np.cos(3.0 * t))
+        pull = np.exp(-(((q - 0.5) / 0.1) ** 2)) + 0.4 * np.exp(-(((q + 0.5) / 0.1) ** 2))
+        plain = {"velocity": np.gradient(q, t), "acceleration": t, "command": t}
+        return Missing(t, pull, np.full(len(t), 0.01), {"position": q, **plain})
+
+    for both in ([one(-1.0, 0.0), one(-1.0, 1.0)], [one(-1.0, 1.0), one(-1.0, 0.0)]):
+        region = next(r for r in regions(both, 1) if r.variable == "position")
+        low, high = region.interval
+        assert low < 0.45 and high > 0.55 and region.share < 0.9
+    assert regions([], 1) == []
+
+
+def test_a_proposed_motion_covers_the_whole_range_of_all_recordings() -> None:
+    model = model_of(VISCOUS, COULOMB)
+    slow = reality.simulate(reality.Machine(), reality.multisine(8.0, RATE, 3, size=0.3), RATE)
+    wide = reality.simulate(
+        reality.Machine(), 1.4 * np.sin(1.2 * np.arange(4000) / RATE) + 0.4, RATE
+    )
+    both = [signals_of(columns) for columns in (slow, wide)]
+    record = prepare(both, model).records[0][0]
+    motion = motions(record, (-np.inf, np.inf), np.random.default_rng(0))[OTHER]
+    assert motion.min() < -0.6 and motion.max() > 1.4
+    assert np.abs(np.gradient(motion, record.sample_time)).max() < 1.25 * facts(record).fastest
+    narrow = motions(record, (-0.5, 0.5), np.random.default_rng(0))[OTHER]
+    assert -0.5 <= narrow.min() < -0.35 and 0.35 < narrow.max() <= 0.5

@@ -250,15 +250,9 @@ def _where(lacking: dict[int, Any]) -> tuple[Any, Any]:
     places: list[Any] = []
     times: list[tuple[float, float, float]] = []
     for joint, parts in lacking.items():
-        for part in parts:
-            places += regions(part, joint)[:2]
-            times += intervals(part)
+        places += regions(parts, joint)[:2]
+        times += [span for part in parts for span in intervals(part)]
     places.sort(key=lambda r: r.time_share - r.share)
-    # of several recordings the one that shows it best
-    seen: dict[tuple[int, str], Any] = {}
-    for place in places:
-        seen.setdefault((place.joint, place.variable), place)
-    places = list(seen.values())
     times.sort(key=lambda s: -s[2])
     return tuple(places[:6]), tuple((a, b) for a, b, _ in times[:6])
 

@@ -165,9 +165,10 @@ def clock(
     lacks = (whole > 1) & (np.round(beside / period) > MOST_OF_TWO)
     spread = float(np.std(step[~lacks])) / period
     missing = int(np.sum(whole - 1, where=lacks, initial=0.0))
+    rows = f", and {counted(missing, 'row')} missing" if missing else ", no row is missing"
     notes.append(
-        f"{name}: the time from row to row jitters by {100 * spread:.1f} % of the sample time, and"
-        f" {counted(missing, 'row')} missing (largest step {np.max(step) / period:.1f} samples)"
+        f"{name}: the time from row to row jitters by {100 * spread:.1f} % of the sample time{rows}"
+        f" (largest step {np.max(step) / period:.1f} samples)"
     )
     return time, period, notes, np.arange(time[0], time[-1], period)
 

@@ -78,6 +78,7 @@ def _creeping(decisions: Sequence[Decision], given: Model) -> list[str]:
         f" sign within {t.value('speed'):.2g} {unit}. The improved model does too; that is no"
         " missing physics"
         for d in decisions
+        if d.kind != "unexplained"  # then how it turns round may be what nobody explains
         for unit in [units(given, d.joint)["velocity"]]
         for t in d.final.model.at(d.joint)
         if t.effect == "creep" and not any(g.effect == "creep" for g in given.at(d.joint))

@@ -21,7 +21,7 @@ from zendsp.diagnosis.decide.result import Finding, Next
 from zendsp.diagnosis.measure.likelihood import deviance
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
 from zendsp.physics.calibration.fit import Data, fit, joint_handles
-from zendsp.physics.calibration.joint import JointRecord
+from zendsp.physics.calibration.joint import JointRecord, facts
 from zendsp.physics.calibration.loop import ROOM, mean_inertia, simulate_joint_loop
 from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model, per_joint, position_limits
@@ -33,6 +33,8 @@ ROUND_S = 0.1
 WEAK = 0.8  # confidence below which a finding is to be confirmed
 COUNTS = 8  # of the sensor that a proposed motion spans at least
 OTHER = "a multisine over the whole range"  # where no rival is known
+LINES = (24, 16, 10, 6, 4, 2)  # of the multisine, 0.1 Hz apart
+WHOLE = 1.6  # of a reach to both sides
 SEPARATES = 20.0  # deviance by which it tells two hypotheses apart at least
 
 
@@ -42,16 +44,17 @@ def motions(
     """Candidate references of 10 s within position limits and the speeds already seen, rad or m."""
     period = record.sample_time
     t = np.arange(round(SECONDS / period)) * period
-    q, qd, _ = record.motion.states
-    low, high = max(limits[0], float(q.min())), min(limits[1], float(q.max()))
+    known = facts(record)  # of all recordings
+    half = 0.5 * known.scale.position
+    low, high = max(limits[0], known.centre - half), min(limits[1], known.centre + half)
     centre, reach = 0.5 * (low + high), 0.45 * (high - low)
-    top = float(np.quantile(np.abs(qd), 0.99))
+    top = known.fastest
     fade = np.clip(t / 0.5, 0, 1) * np.clip((SECONDS - t) / 0.5, 0, 1)
 
     def limited(shape: Array, span: float, speed: float) -> Array:
-        shape = shape / max(float(np.max(np.abs(shape))), 1e-12)
+        shape = fade * shape / max(float(np.max(np.abs(shape))), 1e-12)
         fastest = float(np.max(np.abs(np.gradient(shape, period))))
-        moved = min(span, speed / max(fastest, 1e-12)) * shape * fade
+        moved = min(span, speed / max(fastest, 1e-12)) * shape
         # Corners of triangles, fades and joints are steps of the speed, which no machine follows:
         # rounded over ROUND_S.
         window = np.hanning(max(3, round(ROUND_S / period) | 1))
@@ -61,10 +64,18 @@ def motions(
         out: Array = centre + rounded
         return out
 
-    lines = np.arange(1, 25)
-    multisine = sum(
-        np.cos(2 * np.pi * k * 0.1 * t - np.pi * k * (k - 1) / 24 + rng.uniform(0, 0.5)) / k
-        for k in lines
+    phases = rng.uniform(0, 0.5, LINES[0])
+
+    def lines(count: int) -> Array:
+        k = np.arange(1, count + 1)
+        phase = phases[:count] - np.pi * k * (k - 1) / count
+        wave: Array = (np.cos(2 * np.pi * 0.1 * np.outer(t, k) + phase) / k).sum(axis=1)
+        return wave
+
+    # as many lines as the speeds leave room for over the whole range
+    multisine = next(
+        (m for m in map(lines, LINES) if np.ptp(limited(m, reach, 1.2 * top)) > WHOLE * reach),
+        lines(LINES[-1]),
     )
     slow = sum(np.sin(2 * np.pi * f * t + rng.uniform(0, 6.28)) for f in (0.07, 0.13, 0.23))
     triangle = 2 * np.abs(2 * ((0.2 * t) % 1) - 1) - 1
@@ -73,7 +84,7 @@ def motions(
         t < SECONDS / 2, np.sin(2 * np.pi * 0.2 * t), np.sin(2 * np.pi * 0.8 * (t - SECONDS / 2))
     )
     return {
-        OTHER: limited(np.asarray(multisine), reach, 1.2 * top),
+        OTHER: limited(multisine, reach, 1.2 * top),
         "a slow multisine with many reversals": limited(np.asarray(slow), 0.6 * reach, 0.25 * top),
         "slow triangles over the whole range": limited(triangle, reach, 0.3 * top),
         "small slow reversals": limited(np.sin(2 * np.pi * 0.5 * t), 0.05 * reach, 0.05 * top),

@@ -342,7 +342,7 @@ def _left(missing: dict[int, list[Missing]], benches: Sequence[Bench]) -> float:
 def _where(
     missing: dict[int, list[Missing]],
 ) -> tuple[tuple[Region, ...], tuple[tuple[float, float], ...]]:
-    places = [r for joint, parts in missing.items() for m in parts for r in regions(m, joint)[:2]]
+    places = [r for joint, parts in missing.items() for r in regions(parts, joint)[:2]]
     spans = sorted(
         (s for parts in missing.values() for m in parts for s in intervals(m)), key=lambda s: -s[2]
     )

@@ -10,6 +10,7 @@ above that of the sensor's noise is the mismatch.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -184,14 +185,17 @@ def shares(e: Array, counts: Array, bins: npt.NDArray[np.int_], count: int) -> A
     return value
 
 
-def regions(missing: Missing, joint: int) -> list[Region]:
-    """For each variable, the interval in which the mismatch is most concentrated, most telling
-    first; none where it might be chance.
+def regions(missing: Sequence[Missing], joint: int) -> list[Region]:
+    """For each variable, the interval in which the mismatch of all recordings is most concentrated,
+    most telling first; none where it might be chance.
     """
     found = []
-    e, counts = energy(missing)
+    if not missing:
+        return []
+    each = [energy(m) for m in missing]
+    e, counts = (np.concatenate(x) for x in zip(*each, strict=True))
     for name in VARIABLES:
-        v = missing.variables[name]
+        v = np.concatenate([m.variables[name] for m in missing])
         if float(np.ptp(v)) <= 0:
             continue
         edges = np.unique(np.quantile(v, np.linspace(0, 1, 41)))
@@ -210,7 +214,8 @@ def regions(missing: Missing, joint: int) -> list[Region]:
                 best, at = run_, (start, i)
         a, b = at
         of_time = float(time[a : b + 1].sum())
-        if not _stands_out(missing, (bins >= a) & (bins <= b), of_time):
+        within = (bins >= a) & (bins <= b)
+        if not _stands_out(missing, (within - of_time) * counts * e):
             continue
         found.append(
             Region(
@@ -219,20 +224,23 @@ def regions(missing: Missing, joint: int) -> list[Region]:
                 (float(edges[a]), float(edges[b + 1])),
                 float(share[a : b + 1].sum()),
                 of_time,
-                missing.units.get(name, ""),
+                missing[0].units.get(name, ""),
             )
         )
     return sorted(found, key=lambda r: r.time_share - r.share)
 
 
-def _stands_out(missing: Missing, within: npt.NDArray[np.bool_], of_time: float) -> bool:
-    """Whether an interval holds more of the mismatch than its part of the time, beyond chance."""
-    e, counts = energy(missing)
-    excess = (within - of_time) * counts * e
-    period = float(missing.time[1] - missing.time[0]) if len(excess) > 1 else 1.0
-    blocks = np.array_split(excess, max(1, round(len(excess) * period / ENERGY_BLOCK)))
-    sums = np.array([block.sum() for block in blocks])
-    return bool(sums.sum() > STANDS_OUT * deviation(sums))
+def _stands_out(missing: Sequence[Missing], excess: Array) -> bool:
+    """Whether an interval holds more of the mismatch than its part of the time, beyond chance:
+    ``excess`` is that of each sample of all recordings.
+    """
+    sums: list[float] = []
+    parts = np.split(excess, np.cumsum([len(m.time) for m in missing])[:-1])
+    for m, part in zip(missing, parts, strict=True):
+        period = float(m.time[1] - m.time[0]) if len(part) > 1 else 1.0
+        blocks = np.array_split(part, max(1, round(len(part) * period / ENERGY_BLOCK)))
+        sums += [float(block.sum()) for block in blocks]
+    return bool(sum(sums) > STANDS_OUT * deviation(np.array(sums)))
 
 
 def intervals(missing: Missing, most: int = 5) -> list[tuple[float, float, float]]:
