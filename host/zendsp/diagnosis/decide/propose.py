@@ -52,7 +52,8 @@ def motions(
     fade = np.clip(t / 0.5, 0, 1) * np.clip((SECONDS - t) / 0.5, 0, 1)
 
     def limited(shape: Array, span: float, speed: float) -> Array:
-        shape = fade * shape / max(float(np.max(np.abs(shape))), 1e-12)
+        shape = fade * (shape - 0.5 * (shape.max() + shape.min()))
+        shape = shape / max(float(np.max(np.abs(shape))), 1e-12)
         fastest = float(np.max(np.abs(np.gradient(shape, period))))
         moved = min(span, speed / max(fastest, 1e-12)) * shape
         # Corners of triangles, fades and joints are steps of the speed, which no machine follows:
