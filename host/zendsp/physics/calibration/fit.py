@@ -168,9 +168,11 @@ def bounds_and_steps(
         if h.place == "term":
             term = model.terms[h.index]
             parameter = get_effect(term.effect).parameter(h.key)
-            record = max((rec[term.joint - 1] for rec in data.records), key=lambda r: r.n)
-            s = facts(record).scale.of(parameter.size)
-            lower, upper = parameter_bounds(term.effect, h.key, record)
+            # parts of the data that were prepared apart say each its own
+            records = {id(facts(r)): r for r in (rec[term.joint - 1] for rec in data.records)}
+            s = max(facts(r).scale.of(parameter.size) for r in records.values())
+            pairs = [parameter_bounds(term.effect, h.key, r) for r in records.values()]
+            lower, upper = min(pairs)[0], max(b for _, b in pairs)
             if get_effect(term.effect).same_as:
                 lower, upper = data.ranges.get((f"inertia {term.joint}", 0), (lower, upper))
             low.append(lower)
