@@ -21,7 +21,7 @@
 #include "machine.h"
 
 enum {
-    LAYOUT_VERSION = 7,
+    LAYOUT_VERSION = 8,
     LAYOUT_MAGIC = 0x5a445350, /* "ZDSP" */
     STOP_PAGE_VERSION = 3, /* of its own: a host of another zendsp can still stop the loop */
     LAYOUT_VARIABLES = 1024,   /* entries of the dictionary, built-ins and settings included */
@@ -77,7 +77,9 @@ enum {
     TRIP_NAN = 8,
     TRIP_OVERRUN = 9, /* samples in a row */
     TRIP_SENSOR = 10,
-    TRIP_HOMING = 11
+    TRIP_HOMING = 11,
+    TRIP_UNWATCHED = 12, /* s that the monitor stood still: it may have missed that a host is lost */
+    TRIP_STALL = 13      /* s that the loop stood still on hardware */
 };
 
 /* STOP past the monitor and the link: docs/protocol.md describes it for other languages. Made by
@@ -220,6 +222,7 @@ typedef struct control {
     int32_t contained; /* by the runner: 1, a filter of system calls holds user code */
     double spin_us;   /* wait awake at last; only under SCHED_RR, at most 0.6 of the period */
     double speed;     /* fast clock: at most so many machine seconds a second; 0: no limit */
+    double hang_s;    /* a loop that stands still for longer is ended, or trips when it goes on */
     uint64_t memory;  /* bytes that user code may take beside the machine's, shared memory aside */
     char data_path[LAYOUT_PATH];
     char stop_path[LAYOUT_PATH];
@@ -255,6 +258,8 @@ typedef struct control {
     uint64_t run_until;  /* pause when `tick` has come so far; 0: no end */
     uint32_t simulated_din; /* OR-ed into the digital inputs of a simulated machine */
     uint32_t off;           /* increments each time the drives are switched off */
+    uint32_t watched;       /* increments while the monitor can see that a host is lost */
+    uint32_t attended;      /* 1: the machine shall stop if that is not so */
 
     /* batches: single producer, single consumer */
     uint64_t ring_head; /* by the monitor */

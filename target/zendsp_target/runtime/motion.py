@@ -140,6 +140,13 @@ class Motion:
         else:
             lib.monitor_store32(ffi_address(session.control, "stop"), safety.REQUESTS[reason])
 
+    def attend(self, attended: bool) -> None:
+        """Say whether the machine shall stop where this process cannot see that a host is lost."""
+        _, lib = layout()
+        session = self._programs.session
+        if session is not None:
+            lib.monitor_store32(ffi_address(session.control, "attended"), int(attended))
+
     def acknowledge(self, trip: int | None = None) -> None:
         """End a STOP or a trip. The program is paused; nothing moves before the next start.
 

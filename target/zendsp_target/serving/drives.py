@@ -189,6 +189,13 @@ class Drives:
                 log.warning("host %s lost: %s", host, error)
             return "stop"
 
+    def watch(self) -> None:
+        """Let the loop know whether a host is looked after: it stops the machine itself where this
+        process stands still, since nobody would see that the host is lost.
+        """
+        commands = self.commander or self.moved_by or self._attended_by
+        self._runtime.attend(bool(commands) and self._policy != "finish")
+
     def _end_recording(self) -> None:
         """End what is recorded now as after STOP, once the machine has come to rest: its host, who
         would have, is gone.

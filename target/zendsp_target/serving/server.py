@@ -320,6 +320,7 @@ class Server:
                 close_at_once()
             self.live.keep(self._may_look)
             self._end_commands()
+            self.service.drives.watch()
             try:
                 status = self.service.do_status(verbs.Nothing(), "")
             except Later:
