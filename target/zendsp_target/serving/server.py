@@ -64,6 +64,8 @@ class Server:
         self.service = Service(runtime, identity, self.live, managed)
         self._hosts = Hosts(session, self.name, self._host_gone)
         self.service.present = self._hosts.names
+        self.service.drives.sees = self._hosts.__contains__
+        self.service.drives.lost = self._host_gone
         self._waiters = Waiters()
         self._threads: list[threading.Thread] = []
         self._queryables: list[Any] = []
