@@ -86,6 +86,7 @@ typedef struct runner_state {
     machine_actuators held;         /* computed in the sample before, acts from this one */
     double lowest[MACHINE_JOINTS];  /* rad, limits in force: wider while a joint is brought back */
     double highest[MACHINE_JOINTS]; /* rad */
+    double least_seen[MACHINE_JOINTS], most_seen[MACHINE_JOINTS]; /* rad, the limits they are of */
     uint32_t speed_place;           /* row of counts_before that is written next */
     uint32_t speed_known;           /* rows of it that hold, at most speed_window */
     uint32_t overruns_in_row;
