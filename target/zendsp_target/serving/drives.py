@@ -83,7 +83,7 @@ class Drives:
         self._ramp_s = SOFT_S
         # whether a host is connected as far as is known, and what to do where it is no more
         self.sees: Callable[[str], bool] = lambda host: True
-        self.lost: Callable[[str], None] = self.host_gone
+        self.lost: Callable[[str], object] = self.host_gone
         self._lock = threading.RLock()
         if managed:
             self._off()
