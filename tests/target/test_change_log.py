@@ -96,6 +96,28 @@ def test_the_log_keeps_its_newest_lines_and_their_numbers(
     assert log.since(40) == ()
 
 
+def test_long_arrays_do_not_fill_the_memory_by_way_of_the_log(
+    monkeypatch: pytest.MonkeyPatch, make_runtime: Make
+) -> None:
+    """Whether somebody looks between or not."""
+    monkeypatch.setattr("zendsp_target.runtime.variables.change_log._MOST_BYTES", 480)
+    runtime = make_runtime(PROGRAM)
+    session = runtime.programs.session
+    assert session is not None
+    place = session.dictionary.place("a")
+    for most in (1, 100):
+        log = ChangeLog()
+        for k in range(40):
+            data = ENTRY.pack(place.entry.index, 0, 8, 0) + np.float64(k).tobytes()
+            log.append(Flight(0, (("a", place),), 24, lambda data=data: data, "me", 0.0), k, data)
+            if most == 1:
+                log.settle(1)
+        log.settle(most)
+        assert len(log._lines) + len(log._raw) <= 10 + 1, "two values of 24 bytes each"
+        assert [c.new for c in log.since(0)] == list(range(30, 40))
+        assert [c.new for c in log.since(38)] == [38.0, 39.0]
+
+
 SETS = """
 #include "isr.h"
 static double gain, kept, adapted;
