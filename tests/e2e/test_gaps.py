@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -95,22 +96,44 @@ def test_a_machine_that_may_move_on_without_its_host_does(
     assert stands.status().trip is None
 
 
-def test_a_recording_tells_what_a_frozen_loop_left_out(stands: Target) -> None:
-    """A frozen container: the loop's watchdog stands still with it."""
+def _loop(target: Target) -> int:
+    """The runner of a target; its other child makes the machine safe if it must."""
+    (runner,) = (
+        pid
+        for pid in children(target.info.pid)
+        if b"--safe" not in Path(f"/proc/{pid}/cmdline").read_bytes()
+    )
+    return runner
+
+
+@pytest.fixture
+def frozen(stands: Target) -> Iterator[Callable[[float], None]]:
+    """Freeze the target and its loop for so many seconds, as a container is: the loop's watchdog
+    stands still as well.
+    """
+    pids = [stands.info.pid, _loop(stands)]
+
+    def stand(seconds: float) -> None:
+        for pid in pids:
+            freeze(pid)
+        time.sleep(seconds)
+        for pid in reversed(pids):
+            os.kill(pid, signal.SIGCONT)
+
+    yield stand
+    for pid in pids:
+        with suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGCONT)
+
+
+def test_a_recording_tells_what_a_frozen_loop_left_out(
+    stands: Target, frozen: Callable[[float], None]
+) -> None:
     stands.start()
     stands.acquire_configure(["tick"], seconds=6.0)
     stands.acquire_start()
     until(lambda: stands.acquire_status().count > 200, "rows")
-    # its other child makes the machine safe if it must
-    (runner,) = (
-        pid for pid in children(stands.info.pid)
-        if b"--safe" not in Path(f"/proc/{pid}/cmdline").read_bytes()
-    )
-    freeze(stands.info.pid)
-    freeze(runner)
-    time.sleep(2.5)
-    os.kill(runner, signal.SIGCONT)
-    os.kill(stands.info.pid, signal.SIGCONT)
+    frozen(2.5)
     found = stands.acquire_finish(PATIENCE_S)
     tick = found["tick"]
     assert stands.status().trip is None, "a simulated machine has waited"
