@@ -38,7 +38,7 @@ THREADS = {"quick": 3, "sync": 2, "stop": 1, "slow": 2, "bulk": 3}
 WRITE = verbs.VERBS["write"]
 JOIN_S = 1.0  # a thread that is busy with a compile is not waited for any longer
 COMMAND = verbs.VERBS["drive"]
-MOST_HOSTS = 1000  # that have commanded, by name
+MOST_HOSTS = 1000  # that have commanded or moved the machine, by name
 PULSE_S = 0.5
 PULSE_POLL_S = 0.1
 
@@ -59,7 +59,8 @@ class Server:
         self._session = session
         self._end = threading.Event()
         self._publishers: dict[tuple[int, str], zenoh.Publisher] = {}
-        self._commanded: dict[str, str] = {}  # hosts known by name, and the user of each
+        # hosts known by name: the user of each, and the verb that it must go on to be allowed
+        self._commanded: dict[str, tuple[str, verbs.Verb]] = {}
         self.live = LiveStreams(runtime, self._send_live, self._live_watched)
         self.service = Service(runtime, identity, self.live, managed)
         self._hosts = Hosts(session, self.name, self._host_gone)
@@ -174,7 +175,9 @@ class Server:
                     check_role(user, self._doors.role_of(user), verb)
                     by = by if by.startswith(f"{user}@") else user
                     if verb.role == COMMAND.role:
-                        self._commanded[by] = user
+                        self._commanded[by] = user, COMMAND
+                    elif getattr(args, "moves", False):  # a run of it moves the machine
+                        self._commanded.setdefault(by, (user, verb))
                 if verb.name == "compile":
                     self._doors.check_upload(user)
                 handler = self.service.handlers.get(verb.name)
@@ -303,10 +306,10 @@ class Server:
         """Whose role no longer moves the machine is, of what it moved, a host that is lost."""
         while len(self._commanded) > MOST_HOSTS:  # names that were never there, the oldest first
             self._commanded.pop(next(iter(self._commanded)), None)
-        for host, user in list(self._commanded.items()):
-            if not may(self._doors.role_of(user), COMMAND):
+        for host, (user, verb) in list(self._commanded.items()):
+            if not may(self._doors.role_of(user), verb):
                 self._commanded.pop(host, None)
-                log.warning("%s may no longer command", host)
+                log.warning("%s may no longer command or move the machine", host)
                 self.service.runs.host_gone(host)
 
     def _pulse(self) -> None:
