@@ -101,11 +101,16 @@ def parse_messages(text: str) -> tuple[Message, ...]:
     return tuple(dict.fromkeys(_in_our_words(message) for message in found))
 
 
-def without_between(message: Message) -> Message:
-    """Return a message of the assembler about the file that the compiler handed to it, which the
-    user never sees, without that file.
+def between(message: Message) -> bool:
+    """Whether a message of the assembler is about the file that the compiler handed to it, which
+    the user never sees.
     """
-    if not message.file.endswith(_BETWEEN):
+    return message.file.endswith(_BETWEEN)
+
+
+def without_between(message: Message) -> Message:
+    """Return such a message without that file."""
+    if not between(message):
         return message
     return replace(message, file="", line=0, message=f"in an asm statement: {message.message}")
 
