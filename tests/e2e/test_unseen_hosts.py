@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import cast
 
 import pytest
@@ -85,7 +86,7 @@ def test_of_more_hosts_than_are_seen_none_commands_unseen(target: Target) -> Non
 
 def test_who_is_lost_while_the_right_is_passed_to_it_does_not_keep_it() -> None:
     """The news comes after it was looked for and before it has the right."""
-    runtime = cast(RuntimeApi, object())
+    runtime = cast(RuntimeApi, SimpleNamespace(cancel=lambda whose: None))
     drives, seen = Drives(runtime), [True, False]
     drives.sees = lambda host: seen.pop(0) if seen else False
     lost: list[str] = []

@@ -61,7 +61,7 @@ enum {
     WITHIN_BACKGROUND = 4,
     WITHIN_MACHINE = 5
 };
-enum { BATCH_FREE = 0, BATCH_COMMITTED = 1, BATCH_APPLIED = 2 };
+enum { BATCH_FREE = 0, BATCH_COMMITTED = 1, BATCH_APPLIED = 2, BATCH_CANCELLED = 3 };
 enum { STREAM_IDLE = 0, STREAM_ARMED = 1, STREAM_RUNNING = 2, STREAM_DONE = 3 };
 enum { EDGE_NONE = 0, EDGE_RISING = 1, EDGE_FALLING = 2, EDGE_BOTH = 3 };
 
@@ -120,8 +120,10 @@ typedef struct snapshot {
 
 /* One synchronous update; entries follow in the data file. */
 typedef struct batch {
-    uint32_t state;   /* COMMITTED by the monitor, then APPLIED by the loop, FREE by the monitor */
+    uint32_t state;   /* COMMITTED by the monitor, APPLIED or CANCELLED by the loop, then FREE */
     uint32_t entries;
+    uint32_t cancel; /* by the monitor, before it counts `cancels`: 1, not if it still waits */
+    uint32_t unused;
     uint64_t sequence; /* by the monitor */
     uint64_t at_tick;  /* by the monitor: not before this sample */
     uint64_t applied;  /* by the loop: the sample at whose start it took effect */
@@ -260,6 +262,8 @@ typedef struct control {
     uint32_t off;           /* increments each time the drives are switched off */
     uint32_t watched;       /* increments while the monitor can see that a host is lost */
     uint32_t attended;      /* 1: the machine shall stop if that is not so */
+    uint32_t cancels;       /* increments when updates that wait for a sample shall wait no more */
+    uint32_t spare;
 
     /* batches: single producer, single consumer */
     uint64_t ring_head; /* by the monitor */
@@ -290,7 +294,7 @@ typedef struct control {
 _Static_assert(sizeof(variable_entry) == 400,
                "variable_entry: layout changed, raise LAYOUT_VERSION");
 _Static_assert(sizeof(stop_page) == 32 + LAYOUT_WHO, "known to every host, raise STOP_PAGE_VERSION");
-_Static_assert(sizeof(batch) == 56 && sizeof(batch_entry) == 16 && sizeof(snapshot) == 16,
+_Static_assert(sizeof(batch) == 64 && sizeof(batch_entry) == 16 && sizeof(snapshot) == 16,
                "layout changed, raise LAYOUT_VERSION");
 _Static_assert(offsetof(control, ring_head) % 8 == 0 && offsetof(control, tick) % 8 == 0,
                "64-bit words must be aligned");

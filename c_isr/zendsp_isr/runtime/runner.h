@@ -93,7 +93,7 @@ typedef struct runner_state {
     uint64_t lag_ns; /* by which the sample before ended too late */
     bool anew;       /* the program begins afresh at its next sample: FIRST_SAMPLE, and a run-in */
     uint32_t run_in; /* samples left of the run-in, in which outputs are not taken */
-    uint32_t off_seen;
+    uint32_t off_seen, cancels_seen;
     bool asked;    /* STOP came by the stop page, and is not answered there yet */
     uint64_t busy_ns;               /* a sample, machine included; smoothed over eight samples */
     bool acquired;                  /* Acquire() was called in this sample */

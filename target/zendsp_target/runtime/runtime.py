@@ -114,6 +114,7 @@ class Runtime:
         self.limits, self.set_limits = motion.limits, motion.set_limits
         self.set_ramp, self.set_overrun = motion.set_ramp, motion.set_overrun
         self.set_inputs, self.attend = motion.set_inputs, motion.attend
+        self.cancel = motion.cancel
 
         self.variables, self.builtins = variables.declared, variables.builtins
         self.read, self.repeat_read = variables.read, variables.repeat_read

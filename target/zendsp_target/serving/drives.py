@@ -167,6 +167,8 @@ class Drives:
         what a new one must know of another's.
         """
         before, self.commander = self.commander, host
+        if host not in ("", before):  # what others have set for later is theirs
+            self._runtime.cancel(lambda author: author != host)
         if before not in ("", host) and self._policy_by == before:
             self._policy, self._policy_by = POLICY, ""
         if host in ("", before) or self._policy_by in ("", host):
@@ -185,6 +187,8 @@ class Drives:
                 return ""
             policy = self._policy
             self._pass_to("")
+            if policy != "finish":
+                self._runtime.cancel(lambda author: author == host)
             try:
                 if self._runtime.status().state != ProgramState.RUNNING or policy == "finish":
                     return policy

@@ -174,10 +174,7 @@ class Server:
                 if user:  # known by name: its role decides, and its name is what the log says
                     check_role(user, self._doors.role_of(user), verb)
                     by = by if by.startswith(f"{user}@") else user
-                    if verb.role == COMMAND.role:
-                        self._commanded[by] = user, COMMAND
-                    elif getattr(args, "moves", False):  # a run of it moves the machine
-                        self._commanded.setdefault(by, (user, verb))
+                    self._note(by, user, verb, args)
                 if verb.name == "compile":
                     self._doors.check_upload(user)
                 handler = self.service.handlers.get(verb.name)
@@ -201,6 +198,13 @@ class Server:
             log.exception("request on lane %s failed", lane)
             reply = codec.encode_error(error)
         self._answered(query, ticket, reply)
+
+    def _note(self, by: str, user: str, verb: verbs.Verb, args: Any) -> None:
+        """Remember a host that is known by name and commands or moves the machine."""
+        if verb.role == COMMAND.role:
+            self._commanded[by] = user, COMMAND
+        elif getattr(args, "moves", False):  # a run of it
+            self._commanded.setdefault(by, (user, verb))
 
     def _special(self, verb: verbs.Verb, args: Any, by: str, user: str, query: zenoh.Query) -> Any:
         if verb.name == "acquire_read":
