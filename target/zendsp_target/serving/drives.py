@@ -234,7 +234,11 @@ class Drives:
         info = infos.get(HOLD_VARIABLE)
         if info is None or info.type != "bool" or info.kind != "parameter":
             return False
-        self._runtime.write({HOLD_VARIABLE: True}, "host lost")
+        try:
+            self._runtime.write({HOLD_VARIABLE: True}, "host lost")
+        except ZendspError as error:  # so many updates wait that there is no room for this one
+            log.warning("hold cannot be set, the machine stops: %s", error)
+            return False
         return True
 
     # -- the sequence
