@@ -27,7 +27,7 @@ void UserISR_INT2(void) {}
 
 @pytest.mark.parametrize("looks", [1, 2, 3])
 @pytest.mark.parametrize(
-    "order", [[(3, 300), (1, 100), (2, 100), (0, None)], [(0, None), (1, 100), (2, 100), (3, 300)]]
+    "order", [[(3, 300), (1, 100), (2, 100), (0, None)], [(0, 50), (1, 100), (2, 100), (3, 300)]]
 )
 def test_the_log_is_in_the_order_of_the_samples_whenever_it_is_taken_down(
     monkeypatch: pytest.MonkeyPatch,
