@@ -23,7 +23,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from zendsp_isr.messages import Message, parse_messages
+from zendsp_isr.messages import Message, between, parse_messages, without_between
 from zendsp_protocol.errors import CompileFailed
 
 _MAX_FILE = 256 << 20  # bytes of one file
@@ -191,13 +191,14 @@ def run_compiler(
     ended = _run(command, cwd, environment, timeout_s)
     if ended.why:
         return Outcome(False, (Message("error", "", 0, 0, ended.why),))
-    said = parse_messages(ended.text)
+    reason = _reason(ended.text)  # of a limit: no word of the assembler's about it is needed
+    said = tuple(m for m in parse_messages(ended.text) if not (reason and between(m)))
     inside = _inside({m.file for m in said}, cwd, [cwd, *map(Path, allowed)])
-    messages = tuple(m for m in said if m.file in inside)[:_MAX_MESSAGES]
+    messages = tuple(without_between(m) for m in said if m.file in inside)[:_MAX_MESSAGES]
     here = f"{cwd}/"  # of the linker's objects
     messages = tuple(replace(m, message=m.message.replace(here, "")[:_MAX_TEXT]) for m in messages)
     if ended.status != 0 and not any(m.severity == "error" for m in messages):
-        text = f"the compiler ended with status {ended.status}{_reason(ended.text)}"
+        text = f"the compiler ended with status {ended.status}{reason}"
         messages = (*messages, Message("error", "", 0, 0, text))
     return Outcome(ended.status == 0, messages)
 

@@ -13,6 +13,12 @@ _TEXT = re.compile(
     r"^(?P<file>[^\s:][^:\n]*):(?P<line>\d+):(?:(?P<column>\d+):)?\s*"
     r"(?:(?P<severity>fatal error|error|warning|note):\s*)?(?P<message>.+)$"
 )
+# of inline assembly; without a line, or of the file in between, where it stands for no line of C
+_ASSEMBLER = re.compile(
+    r"^(?P<file>[^\s:][^:\n]*):(?:(?P<line>\d+):)?\s*"
+    r"(?P<severity>Fatal error|Error|Warning): (?P<message>.+)$"
+)
+_BETWEEN = ".s"
 # what gcc and clang say of a declaration by isr.h of another type
 _NO_TYPE = re.compile(
     r"(?:'_Generic' selector of|controlling expression) type '([^']+?)(?: \*)?'.*not compatible"
@@ -42,8 +48,8 @@ class Message:
 
 
 def parse_messages(text: str) -> tuple[Message, ...]:
-    """Diagnostics from a compiler's standard error: gcc's JSON, and the common ``file:line:column:
-    severity: text``.
+    """Diagnostics from a compiler's standard error: gcc's JSON, the common ``file:line:column:
+    severity: text``, and what an assembler says of ``asm("…")``.
 
     Returns
     -------
@@ -87,7 +93,26 @@ def parse_messages(text: str) -> tuple[Message, ...]:
                     match["message"],
                 )
             )
+        elif match := _ASSEMBLER.match(line):
+            severity = match["severity"].lower().replace("fatal ", "")
+            found.append(
+                Message(severity, match["file"], int(match["line"] or 0), 0, match["message"])
+            )
     return tuple(dict.fromkeys(_in_our_words(message) for message in found))
+
+
+def between(message: Message) -> bool:
+    """Whether a message of the assembler is about the file that the compiler handed to it, which
+    the user never sees.
+    """
+    return message.file.endswith(_BETWEEN)
+
+
+def without_between(message: Message) -> Message:
+    """Return such a message without that file."""
+    if not between(message):
+        return message
+    return replace(message, file="", line=0, message=f"in an asm statement: {message.message}")
 
 
 def _in_our_words(message: Message) -> Message:

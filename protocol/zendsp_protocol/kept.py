@@ -35,6 +35,7 @@ class About(msgspec.Struct, frozen=True, kw_only=True):
     machine: str
     rate_hz: float
     begun: float  # Unix s
+    since_start: float = 0.0  # s of the computer's: orders them, since the time of day may be set
     program: Program
     parameters: Mapping[str, WireValue]  # values when the recording began
     versions: dict[str, str]

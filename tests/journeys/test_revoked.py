@@ -131,6 +131,37 @@ def test_who_commands_and_is_revoked_lets_go_as_a_host_that_is_lost(
     assert first == "host lost ''" and "two has the role 'tune'" in second, said
 
 
+RUNS = """
+import sys, time, zendsp
+with zendsp.connect("imi") as target:
+    target.request("run_begin", names=["Kp1"], moves=True)
+    print(target.drive_status().moved_by.startswith("two@"), flush=True)
+    assert sys.stdin.readline() == "revoked\\n"
+    begin = time.monotonic()
+    while target.status().trip is None and time.monotonic() < begin + 60.0:
+        time.sleep(0.05)
+    print(target.status().trip.reason)
+"""
+
+
+def test_whose_run_moves_the_machine_and_is_revoked_lets_go_too(
+    installed: Installed, tmp_path: Path
+) -> None:
+    """A run needs no more than the role `tune`."""
+    roles = installed.write("roles.toml", '[roles]\ntwo = "tune"\none = "tune"\n')
+    env = start(installed, tmp_path, "--roles", roles)
+    assert installed.run("run", "pd.c", "-t", "imi").returncode == 0
+    installed.write("runs.py", RUNS)
+    owner = dict(installed.env)
+    installed.env |= env
+    runs = installed.start("python", "runs.py", stdin=subprocess.PIPE)
+    assert runs.stdout is not None and runs.stdout.readline() == "True\n"
+    roles.write_text('[roles]\none = "tune"\n')
+    said, _ = runs.communicate("revoked\n", timeout=PATIENCE_S)
+    assert said == "host lost\n", said
+    installed.env = owner
+
+
 def test_certificates_without_roles_are_refused_and_who_is_let_in_is_said(
     installed: Installed, tmp_path: Path
 ) -> None:

@@ -284,6 +284,34 @@ def test_messages_of_clang_are_read_from_text() -> None:
     ]
 
 
+@pytest.mark.parametrize(
+    ("asm", "said"),
+    [
+        ("foo %eax", ("user.c", 5, "no such instruction: `foo %eax'")),
+        ("nop\\n\\tbar", ("user.c", 6, "no such instruction: `bar'")),
+        ("1: jmp 2f", ("", 0, "in an asm statement: local label")),
+    ],
+)
+def test_what_the_assembler_says_is_told(asm: str, said: tuple[str, int, str]) -> None:
+    """With the user's line, or without any: never of a file that the compiler makes in between."""
+    body = f'void UserISR_INT2(void) {{\n    asm("{asm}");\n}}\n'
+    result = compile_program({"user.c": HEAD + body})
+    first = result.diagnostics[0]
+    assert not result.ok and len(result.diagnostics) == 1, result.diagnostics
+    assert (first.severity, first.file, first.line) == ("error", *said[:2])
+    assert first.message.startswith(said[2])
+
+
+def test_what_the_assembler_says_of_a_file_outside_is_not_passed_on() -> None:
+    """A directive may name any file; one that was read would be quoted line by line."""
+    forged = '\\n# 3 \\"/etc/passwd\\"\\nfoo\\n'
+    body = f'asm("{forged}");\nvoid UserISR_INT2(void) {{}}\n'
+    result = compile_program({"user.c": HEAD + body})
+    assert [(d.file, d.message) for d in result.diagnostics] == [
+        ("", "the compiler ended with status 1")
+    ]
+
+
 def test_a_clock_that_jumps_takes_no_folder_in_which_a_compiler_works(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

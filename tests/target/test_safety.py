@@ -178,6 +178,29 @@ def test_a_joint_beyond_its_limit_trips_and_can_be_brought_back(make_runtime: Ma
     assert tripped(runtime).trip is not None  # and the limit holds again
 
 
+@pytest.mark.parametrize("runs", [False, True])
+def test_a_limit_moved_to_this_side_of_a_joint_lets_it_no_further_out(
+    make_runtime: Make, runs: bool
+) -> None:
+    """Though it may come back: it is where it may not be by no fault of its own."""
+    for u, trips in ((2000.0, True), (-1500.0, False)):
+        runtime = make_runtime(CONSTANT, machine_config={"q1": 0.4})
+        if runs:
+            record(runtime, 100, {0: {"u": [0.0, 0.0]}})
+        runtime.wait_applied(runtime.set_limits("test", position_max=[0.3, 2.0]), 10.0)
+        begin = 100 if runs else 0
+        record(runtime, 100, {begin: {"u": [0.0, 0.0]}})
+        assert runtime.status().trip is None, "it may stay where it is"
+        rows = record(runtime, 400, {begin + 100: {"u": [u, 0.0]}})
+        assert (runtime.status().trip is not None) is trips
+        if trips:
+            trip = tripped(runtime).trip
+            assert trip is not None and (trip.reason, trip.joint) == ("position", 1)
+            assert 0.42 < trip.value < 0.44
+        else:
+            assert rows[-1, 4] < rows[0, 4] - 100
+
+
 def test_a_joint_too_fast_trips(make_runtime: Make) -> None:
     runtime = make_runtime(CONSTANT)
     runtime.wait_applied(runtime.set_limits("test", speed_max=[9.0, 1.0]), 10.0)

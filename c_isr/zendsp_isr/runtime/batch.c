@@ -186,8 +186,32 @@ static void begin(runner *r, batch *b, uint64_t tick) {
     apply(r, b, tick);
 }
 
+/* Give back what shall wait for its sample no more; what is due now is no longer in time. */
+static void cancel(runner *r, uint64_t tick) {
+    control *c = r->control;
+    const uint32_t cancels = load32(&c->cancels);
+    if (cancels == r->state.cancels_seen)
+        return;
+    for (int round = 0; round < LAYOUT_BATCHES / TAKEN_AT_ONCE; round++)
+        batch_collect(r);
+    int left = 0;
+    for (int i = 0; i < r->buffers.waiting_used; i++) {
+        batch *b = r->buffers.waiting[i];
+        if (b->at_tick <= tick || !load32(&b->cancel)) {
+            r->buffers.waiting[left++] = b;
+            continue;
+        }
+        b->applied = tick;
+        b->shown = 0;
+        store32(&b->state, BATCH_CANCELLED);
+    }
+    r->buffers.waiting_used = left;
+    r->state.cancels_seen = cancels;
+}
+
 /* Apply what is due at this sample, in order. */
 void batch_apply(runner *r, uint64_t tick) {
+    cancel(r, tick);
     batch_collect(r);
     if (r->buffers.fading_used > 0)
         go_on(r, tick);

@@ -21,7 +21,7 @@
 #include "machine.h"
 
 enum {
-    LAYOUT_VERSION = 7,
+    LAYOUT_VERSION = 8,
     LAYOUT_MAGIC = 0x5a445350, /* "ZDSP" */
     STOP_PAGE_VERSION = 3, /* of its own: a host of another zendsp can still stop the loop */
     LAYOUT_VARIABLES = 1024,   /* entries of the dictionary, built-ins and settings included */
@@ -61,7 +61,7 @@ enum {
     WITHIN_BACKGROUND = 4,
     WITHIN_MACHINE = 5
 };
-enum { BATCH_FREE = 0, BATCH_COMMITTED = 1, BATCH_APPLIED = 2 };
+enum { BATCH_FREE = 0, BATCH_COMMITTED = 1, BATCH_APPLIED = 2, BATCH_CANCELLED = 3 };
 enum { STREAM_IDLE = 0, STREAM_ARMED = 1, STREAM_RUNNING = 2, STREAM_DONE = 3 };
 enum { EDGE_NONE = 0, EDGE_RISING = 1, EDGE_FALLING = 2, EDGE_BOTH = 3 };
 
@@ -77,7 +77,9 @@ enum {
     TRIP_NAN = 8,
     TRIP_OVERRUN = 9, /* samples in a row */
     TRIP_SENSOR = 10,
-    TRIP_HOMING = 11
+    TRIP_HOMING = 11,
+    TRIP_UNWATCHED = 12, /* s that the monitor stood still: it may have missed that a host is lost */
+    TRIP_STALL = 13      /* s that the loop stood still on hardware */
 };
 
 /* STOP past the monitor and the link: docs/protocol.md describes it for other languages. Made by
@@ -118,8 +120,10 @@ typedef struct snapshot {
 
 /* One synchronous update; entries follow in the data file. */
 typedef struct batch {
-    uint32_t state;   /* COMMITTED by the monitor, then APPLIED by the loop, FREE by the monitor */
+    uint32_t state;   /* COMMITTED by the monitor, APPLIED or CANCELLED by the loop, then FREE */
     uint32_t entries;
+    uint32_t cancel; /* by the monitor, before it counts `cancels`: 1, not if it still waits */
+    uint32_t unused;
     uint64_t sequence; /* by the monitor */
     uint64_t at_tick;  /* by the monitor: not before this sample */
     uint64_t applied;  /* by the loop: the sample at whose start it took effect */
@@ -220,6 +224,7 @@ typedef struct control {
     int32_t contained; /* by the runner: 1, a filter of system calls holds user code */
     double spin_us;   /* wait awake at last; only under SCHED_RR, at most 0.6 of the period */
     double speed;     /* fast clock: at most so many machine seconds a second; 0: no limit */
+    double hang_s;    /* a loop that stands still for longer is ended, or trips when it goes on */
     uint64_t memory;  /* bytes that user code may take beside the machine's, shared memory aside */
     char data_path[LAYOUT_PATH];
     char stop_path[LAYOUT_PATH];
@@ -255,6 +260,10 @@ typedef struct control {
     uint64_t run_until;  /* pause when `tick` has come so far; 0: no end */
     uint32_t simulated_din; /* OR-ed into the digital inputs of a simulated machine */
     uint32_t off;           /* increments each time the drives are switched off */
+    uint32_t watched;       /* increments while the monitor can see that a host is lost */
+    uint32_t attended;      /* 1: the machine shall stop if that is not so */
+    uint32_t cancels;       /* increments when updates that wait for a sample shall wait no more */
+    uint32_t spare;
 
     /* batches: single producer, single consumer */
     uint64_t ring_head; /* by the monitor */
@@ -285,7 +294,7 @@ typedef struct control {
 _Static_assert(sizeof(variable_entry) == 400,
                "variable_entry: layout changed, raise LAYOUT_VERSION");
 _Static_assert(sizeof(stop_page) == 32 + LAYOUT_WHO, "known to every host, raise STOP_PAGE_VERSION");
-_Static_assert(sizeof(batch) == 56 && sizeof(batch_entry) == 16 && sizeof(snapshot) == 16,
+_Static_assert(sizeof(batch) == 64 && sizeof(batch_entry) == 16 && sizeof(snapshot) == 16,
                "layout changed, raise LAYOUT_VERSION");
 _Static_assert(offsetof(control, ring_head) % 8 == 0 && offsetof(control, tick) % 8 == 0,
                "64-bit words must be aligned");

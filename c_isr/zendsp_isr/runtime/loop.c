@@ -14,6 +14,13 @@ static const uint64_t idle_poll_ns = 500000; /* while paused */
 /* Machine time that the fast clock goes on after STOP, for the machine to come to rest. */
 static const double coast_s = 1.0;
 
+/* What goes by while the computer is asleep has passed for hardware, and a simulated machine waits. */
+static clockid_t clock_of(const runner *r) {
+    return r->control->info.simulated ? CLOCK_MONOTONIC : CLOCK_BOOTTIME;
+}
+
+static uint64_t now(const runner *r) { return time_ns(clock_of(r)); }
+
 /* Make this sample readable from outside, whole: readers copy a slot and check that it was not
  * rewritten meanwhile. */
 static void publish(runner *r, uint64_t tick) {
@@ -109,7 +116,7 @@ static void sample(runner *r, uint64_t begin, uint64_t late) {
     r->state.acquired = false;
     r->buffers.now.late_us = 1e-3 * (double)late;
     compute(r);
-    const uint64_t exec = now_ns() - begin;
+    const uint64_t exec = now(r) - begin;
     r->buffers.now.exec_us = 1e-3 * (double)exec;
     r->buffers.now.dout = (double)r->buffers.io.dout;
     stream_sample(r);
@@ -200,15 +207,23 @@ static void idle(runner *r) {
 }
 
 /* Wait for the deadline: asleep, and awake for the last `spin` ns. Returns the time. */
-static uint64_t wait_for(uint64_t deadline, uint64_t spin) {
-    uint64_t now = now_ns();
-    if (now + spin < deadline) {
-        sleep_until_ns(deadline - spin);
-        now = now_ns();
+static uint64_t wait_for(const runner *r, uint64_t deadline, uint64_t spin) {
+    uint64_t at = now(r);
+    if (at + spin < deadline) {
+        sleep_until_ns(clock_of(r), deadline - spin);
+        at = now(r);
     }
-    while (now < deadline)
-        now = now_ns();
-    return now;
+    while (at < deadline)
+        at = now(r);
+    return at;
+}
+
+/* Hardware that was without control for as long as a loop that hangs is borne does not move on by
+ * itself: who watched may have gone home. The monitor ends such a loop, unless it stood still too. */
+static void check_stall(runner *r, uint64_t late) {
+    const double stood = 1e-9 * (double)late;
+    if (!r->control->info.simulated && stood > r->control->hang_s)
+        safety_trip(r, TRIP_STALL, 0, stood, r->control->hang_s);
 }
 
 /* Samples are left out; the machine has moved on. Of more than a few on hardware the program
@@ -230,14 +245,15 @@ static void leave_out(runner *r, uint64_t behind) {
 /* Samples that the clock has left behind: by the setting, run late (count), or left out (skip). */
 static uint64_t after_sample(runner *r, uint64_t deadline) {
     control *c = r->control;
-    const uint64_t period = c->period_ns, next = deadline + period, now = now_ns();
-    if (now <= next) {
+    const uint64_t period = c->period_ns, next = deadline + period, at = now(r);
+    if (at <= next) {
         r->state.overruns_in_row = 0;
         r->state.lag_ns = 0;
         return next;
     }
-    const uint64_t lag = now - next, before = r->state.lag_ns, behind = lag / period;
+    const uint64_t lag = at - next, before = r->state.lag_ns, behind = lag / period;
     c->timing.overruns++;
+    check_stall(r, lag);
     if (lag > before) { /* samples that catch up after a stall are late, and no slower than others */
         /* the time of a simulated machine waits; hardware was without control meanwhile */
         const uint64_t lost = c->info.simulated ? 0 : (lag - before) / period;
@@ -261,8 +277,8 @@ static void hold_speed(runner *r, uint64_t began, uint64_t first_tick) {
         return;
     const double machine_s = (double)(c->tick - first_tick) / c->rate_hz;
     const uint64_t due = began + (uint64_t)(1e9 * machine_s / c->speed);
-    if (due > now_ns() + 1000000u)
-        sleep_until_ns(due);
+    if (due > now(r) + 1000000u)
+        sleep_until_ns(clock_of(r), due);
 }
 
 /* How long to wait awake: what is left of 0.8 of the period after the sample's own work. A FIFO
@@ -275,10 +291,11 @@ static uint64_t spin_beside(const runner *r, uint64_t spin) {
 }
 
 static void run_real(runner *r, uint64_t *deadline, uint64_t spin) {
-    const uint64_t begin = wait_for(*deadline, spin_beside(r, spin));
+    const uint64_t begin = wait_for(r, *deadline, spin_beside(r, spin));
+    check_stall(r, begin - *deadline);
     sample(r, begin, begin - *deadline);
     finish_sample(r);
-    const uint64_t busy = now_ns() - begin, before = r->state.busy_ns;
+    const uint64_t busy = now(r) - begin, before = r->state.busy_ns;
     r->state.busy_ns = busy > before ? before + (busy - before) / 8 : before - (before - busy) / 8;
     *deadline = after_sample(r, *deadline);
 }
@@ -318,7 +335,7 @@ void loop(runner *r) {
         if (deadline == 0) {
             r->state.lag_ns = 0;
             realtime_stay_awake(true);
-            began = now_ns();
+            began = now(r);
             first_tick = c->tick;
             deadline = began + c->period_ns;
             if (run == RUN_HOME) {
@@ -329,7 +346,7 @@ void loop(runner *r) {
         if (c->clock == CLOCK_REAL) {
             run_real(r, &deadline, spin);
         } else {
-            sample(r, now_ns(), 0);
+            sample(r, now(r), 0);
             finish_sample(r);
             hold_speed(r, began, first_tick);
         }

@@ -130,6 +130,7 @@ int monitor_write(control *c, int pidfd, const update_part *part, uint32_t parts
         return -1;
     b->old = monitor_pack(part, parts, values, (unsigned char *)(b + 1));
     b->entries = parts;
+    b->cancel = 0;
     b->sequence = sequence;
     b->at_tick = at_tick;
     b->fade = fade;
@@ -208,9 +209,9 @@ uint64_t monitor_round(const control *c) {
     return (__atomic_load_n(&c->heartbeat, __ATOMIC_ACQUIRE) | 1u) + 3u;
 }
 
-/* Whether a batch has been applied, and whoever reads from here on gets its values. */
+/* Whether a batch has been applied (or cancelled), and whoever reads from here on gets its values. */
 int monitor_shown(const control *c, const batch *b) {
-    return __atomic_load_n(&b->state, __ATOMIC_ACQUIRE) == BATCH_APPLIED &&
+    return __atomic_load_n(&b->state, __ATOMIC_ACQUIRE) >= BATCH_APPLIED &&
            __atomic_load_n(&c->newest, __ATOMIC_ACQUIRE) >= b->shown;
 }
 

@@ -86,13 +86,14 @@ typedef struct runner_state {
     machine_actuators held;         /* computed in the sample before, acts from this one */
     double lowest[MACHINE_JOINTS];  /* rad, limits in force: wider while a joint is brought back */
     double highest[MACHINE_JOINTS]; /* rad */
+    double least_seen[MACHINE_JOINTS], most_seen[MACHINE_JOINTS]; /* rad, the limits they are of */
     uint32_t speed_place;           /* row of counts_before that is written next */
     uint32_t speed_known;           /* rows of it that hold, at most speed_window */
     uint32_t overruns_in_row;
     uint64_t lag_ns; /* by which the sample before ended too late */
     bool anew;       /* the program begins afresh at its next sample: FIRST_SAMPLE, and a run-in */
     uint32_t run_in; /* samples left of the run-in, in which outputs are not taken */
-    uint32_t off_seen;
+    uint32_t off_seen, cancels_seen;
     bool asked;    /* STOP came by the stop page, and is not answered there yet */
     uint64_t busy_ns;               /* a sample, machine included; smoothed over eight samples */
     bool acquired;                  /* Acquire() was called in this sample */

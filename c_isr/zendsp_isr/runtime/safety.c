@@ -39,6 +39,8 @@ void safety_reset(runner *r) {
     for (int j = 0; j < MACHINE_JOINTS; j++) {
         r->set.position_min[j] = r->state.lowest[j] = info->joint[j].position_min;
         r->set.position_max[j] = r->state.highest[j] = info->joint[j].position_max;
+        r->state.least_seen[j] = r->set.position_min[j];
+        r->state.most_seen[j] = r->set.position_max[j];
         r->set.speed_max[j] = info->joint[j].speed_max;
         r->set.torque_max[j] = info->joint[j].torque_max;
         r->set.command_max[j] = info->joint[j].command_max;
@@ -56,15 +58,15 @@ void safety_reset(runner *r) {
     r->buffers.io.first = 1; /* of a program that has just been loaded */
 }
 
-/* A joint that was stopped outside its limits may be brought back: until it is inside, it may not
- * go further out. */
-static void widen(runner *r) {
+/* A joint outside its limits, since it was stopped there or they were moved, may be brought back:
+ * until it is inside, it may not go further out. */
+static void widen(runner *r, int j) {
     const double margin = 0.02; /* rad: room for the soft start */
-    for (int j = 0; j < r->control->info.joints; j++) {
-        const double q = position_of(r, j);
-        r->state.lowest[j] = q < r->set.position_min[j] ? q - margin : r->set.position_min[j];
-        r->state.highest[j] = q > r->set.position_max[j] ? q + margin : r->set.position_max[j];
-    }
+    const double q = position_of(r, j), least = r->set.position_min[j], most = r->set.position_max[j];
+    r->state.lowest[j] = q < least ? q - margin : least;
+    r->state.highest[j] = q > most ? q + margin : most;
+    r->state.least_seen[j] = least;
+    r->state.most_seen[j] = most;
 }
 
 /* What the program remembers no longer holds: it begins afresh, and its outputs are taken only
@@ -85,7 +87,8 @@ void safety_requests(runner *r, bool paused) {
             store32(&c->trip.reason, TRIP_NONE);
             r->state.overruns_in_row = 0;
             safety_anew(r); /* what was computed before the trip shall not act */
-            widen(r);
+            for (int j = 0; j < c->info.joints; j++)
+                widen(r, j);
         }
         store32(&c->acknowledged, acknowledge);
     }
@@ -184,11 +187,10 @@ static void check_motion(runner *r) {
     const uint32_t window = r->config.speed_window;
     const uint32_t oldest = (s->speed_place + SPEED_WINDOW - window) % SPEED_WINDOW;
     for (int j = 0; j < c->info.joints; j++) {
-        const double q = position_of(r, j);
-        if (q >= r->set.position_min[j] && q <= r->set.position_max[j]) {
-            s->lowest[j] = r->set.position_min[j];
-            s->highest[j] = r->set.position_max[j];
-        }
+        const double q = position_of(r, j), least = r->set.position_min[j];
+        const double most = r->set.position_max[j];
+        if ((q >= least && q <= most) || least != s->least_seen[j] || most != s->most_seen[j])
+            widen(r, j);
         if (c->drive_mode == MACHINE_OFF)
             continue;
         if (c->homed && c->running != RUN_HOME && (q < s->lowest[j] || q > s->highest[j]))

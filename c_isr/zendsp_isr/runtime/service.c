@@ -1,11 +1,14 @@
 /* service.c: the threads beneath the loop: service (maps streams, sees the monitor go) and
  * background (UserBackground). */
 #define _GNU_SOURCE
+#include <dirent.h>       /* opendir */
 #include <errno.h>        /* errno */
 #include <fcntl.h>        /* open */
 #include <pthread.h>      /* threads */
 #include <signal.h>       /* sigaltstack */
+#include <stdio.h>        /* snprintf, fopen */
 #include <stdlib.h>       /* calloc, free */
+#include <string.h>       /* strrchr */
 #include <sys/mman.h>     /* mmap */
 #include <sys/resource.h> /* setpriority */
 #include <sys/stat.h>     /* fstat */
@@ -17,6 +20,15 @@
 /* Between two looks at what is wanted. Each wakes a processor: every ms took 9 ms of one in each
  * second, as much as a loop of 1 kHz. */
 enum { SERVICE_NS = 5000000 };
+/* That the monitor may stand still while a host commands the machine: a host that is lost is noticed
+ * within about a second, and this is for a monitor that cannot. */
+static const double unwatched_s = 3.0;
+
+/* What the service remembers of the monitor. */
+typedef struct watch {
+    uint64_t last, silent_ns;
+    uint32_t seen;
+} watch;
 
 static const void *source_of(const control *c, const channel *which, int32_t *type) {
     static const int32_t size_of_type[] = {0, sizeof(double), sizeof(float), sizeof(int32_t),
@@ -119,10 +131,55 @@ static void end_orphan(runner *r) {
     _exit(1);
 }
 
+/* Whether a thread of the monitor has a processor or waits for one, or for a disk. */
+static bool monitor_waits(const control *c) {
+    char name[64], stat[512];
+    snprintf(name, sizeof name, "/proc/%d/task", (int)c->monitor);
+    DIR *threads = opendir(name);
+    bool found = false;
+    for (struct dirent *one; threads && !found && (one = readdir(threads));) {
+        snprintf(name, sizeof name, "/proc/%d/task/%.20s/stat", (int)c->monitor, one->d_name);
+        FILE *file = fopen(name, "re");
+        const char *end = file && fgets(stat, sizeof stat, file) ? strrchr(stat, ')') : NULL;
+        found = end && (end[2] == 'R' || end[2] == 'D');
+        if (file)
+            fclose(file);
+    }
+    if (threads)
+        closedir(threads);
+    return found;
+}
+
+/* Nobody would see that the host is lost which commands the machine: it stops. For a simulated one a
+ * busy computer is no reason. */
+static void check_watched(runner *r, watch *w) {
+    control *c = r->control;
+    const uint32_t seen = load32(&c->watched);
+    const uint64_t now = now_ns(), passed = now - w->last;
+    w->last = now;
+    if (seen != w->seen || !load32(&c->attended) || load32(&c->running) == RUN_PAUSED) {
+        w->seen = seen;
+        w->silent_ns = 0;
+        return;
+    }
+    /* of a computer that stood still, a little: the monitor did so too */
+    w->silent_ns += passed < 4 * SERVICE_NS ? passed : 4 * SERVICE_NS;
+    if (1e-9 * (double)w->silent_ns < unwatched_s)
+        return;
+    if (!c->info.simulated || !monitor_waits(c)) {
+        uint32_t none = TRIP_NONE;
+        __atomic_compare_exchange_n(&c->stop, &none, TRIP_UNWATCHED, false, __ATOMIC_ACQ_REL,
+                                    __ATOMIC_ACQUIRE);
+    }
+    w->silent_ns = 0;
+}
+
 static void *service(void *argument) {
     runner *r = argument;
+    watch w = {.last = now_ns()};
     for (;;) {
         serve_streams(r);
+        check_watched(r, &w);
         if (getppid() != r->control->monitor)
             end_orphan(r);
         sleep_ns(SERVICE_NS);

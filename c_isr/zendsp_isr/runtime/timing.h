@@ -7,16 +7,20 @@
 
 #include "layout.h"
 
-static inline uint64_t now_ns(void) {
+/* CLOCK_MONOTONIC, or CLOCK_BOOTTIME, which goes on while the computer is asleep. Never the time of
+ * day: it jumps. */
+static inline uint64_t time_ns(clockid_t clock) {
     struct timespec t;
-    clock_gettime(CLOCK_MONOTONIC, &t);
+    clock_gettime(clock, &t);
     return (uint64_t)t.tv_sec * 1000000000u + (uint64_t)t.tv_nsec;
 }
 
-static inline void sleep_until_ns(uint64_t deadline) {
+static inline uint64_t now_ns(void) { return time_ns(CLOCK_MONOTONIC); }
+
+static inline void sleep_until_ns(clockid_t clock, uint64_t deadline) {
     const struct timespec t = {.tv_sec = (time_t)(deadline / 1000000000u),
                                .tv_nsec = (long)(deadline % 1000000000u)};
-    clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &t, 0);
+    clock_nanosleep(clock, TIMER_ABSTIME, &t, 0);
 }
 
 static inline void sleep_ns(uint64_t duration) {

@@ -389,7 +389,7 @@ class Recorder(Transfers):
         self, timeout: float | None, patience: float, progress: Callable[[float], None] | None
     ) -> m.AcquireStatus:
         deadline = None if timeout is None else time.monotonic() + timeout
-        ran, begun = time.monotonic(), None
+        stood, begun = 0.0, None
         while True:
             status: m.AcquireStatus = self.insist("acquire_status", patience)
             begun = status.begun if begun is None else begun
@@ -415,10 +415,11 @@ class Recorder(Transfers):
                     f"the program was {overall.state} before the recording was complete "
                     f"({status.count - status.first} of {status.wanted} rows)"
                 ))  # fmt: skip
-            if overall.state == ProgramState.RUNNING:
-                ran = time.monotonic()
-            elif (
-                not _comes_to_rest(overall, ran)
+            running = overall.state == ProgramState.RUNNING
+            stood = 0.0 if running else stood or time.monotonic()
+            if (
+                not running
+                and not _comes_to_rest(overall, stood)
                 and self.insist("acquire_status", patience).state not in ENDED
             ):
                 self._end_ring(patience)
@@ -439,19 +440,20 @@ class Recorder(Transfers):
             time.sleep(POLL_S)
 
 
-def _comes_to_rest(status: m.Status, ran: float) -> bool:
+def _comes_to_rest(status: m.Status, stood: float) -> bool:
     """Whether samples go on after a STOP or trip, and how the machine comes to rest is recorded.
 
     Parameters
     ----------
     status : Status
-    ran : float, s
-        When the program was last seen to run, by this computer's clock.
+    stood : float, s
+        When the program was first seen to run no more, by this computer's clock: the one that ran
+        before it may have been long ago, if the target stood still.
     """
     return (
         status.trip is not None
         and status.tick < status.trip.tick + AFTER_TRIP_S * status.rate_hz
-        and time.monotonic() < ran + AFTER_TRIP_REAL_S
+        and time.monotonic() < stood + AFTER_TRIP_REAL_S
     )
 
 

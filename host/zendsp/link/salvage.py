@@ -121,20 +121,19 @@ def find_salvage(target: str = "") -> tuple[Salvage, ...]:
     ...     one.load().save("run.mat")
     ...     one.drop()
     """
-    found = []
+    found: list[tuple[float, Salvage]] = []
     with kept.abandoned() as folders:
         for folder in folders:
             note = kept.read(folder)
             if note is not None and target in ("", note.about.target):
                 about = note.about
                 first, count = _range(folder, note)
-                found.append(
-                    Salvage(
-                        about.target, about.machine, about.begun, count - first, len(note.columns),
-                        folder,
-                    )
+                one = Salvage(
+                    about.target, about.machine, about.begun, count - first, len(note.columns),
+                    folder,
                 )
-    return tuple(sorted(found, key=lambda one: one.begun, reverse=True))
+                found.append((about.since_start, one))
+    return tuple(one for _, one in sorted(found, key=lambda each: each[0], reverse=True))
 
 
 def _range(folder: Path, note: kept.Kept) -> tuple[int, int]:

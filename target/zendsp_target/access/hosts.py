@@ -77,7 +77,10 @@ class Hosts:
                 self._present.add(host)
         if gone and known:
             # Not in this thread: it belongs to Zenoh and must not wait for the runtime.
-            threading.Thread(target=self._on_gone, args=(host,), daemon=True).start()
+            try:
+                threading.Thread(target=self._on_gone, args=(host,), daemon=True).start()
+            except RuntimeError:  # there can be no more threads: late is better than never
+                self._on_gone(host)
 
 
 def _runs_here(host: str) -> bool:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import msgspec
@@ -140,6 +140,19 @@ class Motion:
         else:
             lib.monitor_store32(ffi_address(session.control, "stop"), safety.REQUESTS[reason])
 
+    def cancel(self, whose: Callable[[str], bool]) -> None:
+        """Have updates of these authors that wait for a later sample wait no more."""
+        session = self._programs.session
+        if session is not None:
+            session.updates.cancel(whose)
+
+    def attend(self, attended: bool) -> None:
+        """Say whether the machine shall stop where this process cannot see that a host is lost."""
+        _, lib = layout()
+        session = self._programs.session
+        if session is not None:
+            lib.monitor_store32(ffi_address(session.control, "attended"), int(attended))
+
     def acknowledge(self, trip: int | None = None) -> None:
         """End a STOP or a trip. The program is paused; nothing moves before the next start.
 
@@ -168,6 +181,7 @@ class Motion:
             session.settle("acknowledge")  # inputs are read while paused, too
             if session.pressed:
                 raise Refused(f"acknowledging is refused: {PRESSED}")
+            session.updates.cancel(lambda author: True)  # as what was computed before the trip
             control = session.control
             control.acknowledge_trip = self._programs.trips() if trip is None else trip
             wanted = (int(control.acknowledge) + 1) & 0xFFFFFFFF

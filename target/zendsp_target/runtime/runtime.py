@@ -113,7 +113,8 @@ class Runtime:
         self.set_drive, self.home, self.machine = motion.set_drive, motion.home, motion.machine
         self.limits, self.set_limits = motion.limits, motion.set_limits
         self.set_ramp, self.set_overrun = motion.set_ramp, motion.set_overrun
-        self.set_inputs = motion.set_inputs
+        self.set_inputs, self.attend = motion.set_inputs, motion.attend
+        self.cancel = motion.cancel
 
         self.variables, self.builtins = variables.declared, variables.builtins
         self.read, self.repeat_read = variables.read, variables.repeat_read

@@ -29,9 +29,13 @@ _REASONS = {
     9: "overrun",
     10: "sensor",
     11: "homing",
+    12: "host lost",
+    13: "stall",
 }
+_UNWATCHED = 12
 REQUESTS = {"stop": 1, "host lost": 3}
 _ASKED = {"stop": "STOP was requested", "host lost": "the host that commanded the motion is gone"}
+_NOBODY = "the target's monitor stood still: nobody would have seen that the host is lost"
 _LOOKS = 100  # until two are the same: one may be acknowledged, and another latched, meanwhile
 _ARRAYS = ("position_min", "position_max", "speed_max", "torque_max", "command_max")
 
@@ -76,7 +80,8 @@ def _trip_in(control: Any, machine: MachineInfo) -> Trip | None:
     if reason is None:
         return None
     joint, tick, value, limit = int(raw.joint), int(raw.tick), float(raw.value), float(raw.limit)
-    cause = _cause(machine, reason, joint, value, limit) + _by(bytes(ffi.buffer(raw.by)))
+    said = _NOBODY if raw.reason == _UNWATCHED else _cause(machine, reason, joint, value, limit)
+    cause = said + _by(bytes(ffi.buffer(raw.by)))
     text = f"{cause} (sample {tick}); outputs are safe until acknowledged"
     return Trip(reason, joint, tick, value, limit, text, cause)
 
@@ -121,6 +126,10 @@ def _cause(machine: MachineInfo, reason: str, joint: int, value: float, limit: f
         "overrun": f"{value:.0f} samples in a row came later and later",
         "sensor": f"{who}: the position sensor reports a fault",
         "homing": "homing failed",
+        "stall": (
+            f"the loop stood still for {value:.3g} s; {limit:g} s are borne (did the computer"
+            " sleep?)"
+        ),
     }
     return causes[reason]
 

@@ -91,6 +91,7 @@ class Session:
         self._ended = ffi.new("uint32_t *")  # for what was made ready, and is kept by others
         self._read_plans: dict[tuple[str, ...], ReadPlan] = {}
         self._rounds = 0
+        self._watched = ffi_address(self.control, "watched")
         self._supervisor = Supervisor(self.process, self._each_round, self._died)
 
     def _each_round(self) -> None:
@@ -99,6 +100,7 @@ class Session:
         if self._rounds % _LOOK_ROUNDS == 0 and self.alive():
             with contextlib.suppress(RunnerDied, Refused):  # the end is told elsewhere
                 self._look()
+        layout()[1].monitor_store32(self._watched, self._rounds & 0xFFFFFFFF)
 
     def _look(self) -> None:
         seen: list[np.ndarray[tuple[int], np.dtype[np.uint8]]] = []

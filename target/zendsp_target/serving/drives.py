@@ -30,6 +30,7 @@ from zendsp_protocol.errors import Refused, ZendspError
 from zendsp_protocol.messages import Status
 from zendsp_protocol.states import DriveState, ProgramState, RecorderState
 from zendsp_target.api import RECORDER, RuntimeApi
+from zendsp_target.serving.deferred import Later
 from zendsp_target.serving.enabling import conditions, loaded, refusal
 
 log = logging.getLogger(__name__)
@@ -51,6 +52,11 @@ COMMANDING = (
 )
 # of these, what changes values only
 CHANGES = ("write", "update", "table_commit", "run_begin", "run_end")
+# actions by which the right to command is taken
+TAKING = ("take", "power_on", "home", "enable")
+SEEN_S = 1.0  # for the token of a host to arrive after its first request
+# fields that say so of other requests by which a host is one whose loss matters
+WATCHED = {"start": "attended", "run_begin": "moves"}
 HOLD_VARIABLE = "hold"  # a bool parameter of programs that can hold their reference
 
 
@@ -75,6 +81,9 @@ class Drives:
         self.moved_by = ""  # whose run moves the machine now
         self._attended_by = ""  # who started the program and watches it, or homes
         self._ramp_s = SOFT_S
+        # whether a host is connected as far as is known, and what to do where it is no more
+        self.sees: Callable[[str], bool] = lambda host: True
+        self.lost: Callable[[str], object] = self.host_gone
         self._lock = threading.RLock()
         if managed:
             self._off()
@@ -158,6 +167,8 @@ class Drives:
         what a new one must know of another's.
         """
         before, self.commander = self.commander, host
+        if host not in ("", before):  # what others have set for later is theirs
+            self._runtime.cancel(lambda author: author != host)
         if before not in ("", host) and self._policy_by == before:
             self._policy, self._policy_by = POLICY, ""
         if host in ("", before) or self._policy_by in ("", host):
@@ -176,6 +187,8 @@ class Drives:
                 return ""
             policy = self._policy
             self._pass_to("")
+            if policy != "finish":
+                self._runtime.cancel(lambda author: author == host)
             try:
                 if self._runtime.status().state != ProgramState.RUNNING or policy == "finish":
                     return policy
@@ -188,6 +201,13 @@ class Drives:
                 # the runner died meanwhile: it is in the safe state already
                 log.warning("host %s lost: %s", host, error)
             return "stop"
+
+    def watch(self) -> None:
+        """Let the loop know whether a host is looked after: it stops the machine itself where this
+        process stands still, since nobody would see that the host is lost.
+        """
+        commands = self.commander or self.moved_by or self._attended_by
+        self._runtime.attend(bool(commands) and self._policy != "finish")
 
     def _end_recording(self) -> None:
         """End what is recorded now as after STOP, once the machine has come to rest: its host, who
@@ -214,7 +234,11 @@ class Drives:
         info = infos.get(HOLD_VARIABLE)
         if info is None or info.type != "bool" or info.kind != "parameter":
             return False
-        self._runtime.write({HOLD_VARIABLE: True}, "host lost")
+        try:
+            self._runtime.write({HOLD_VARIABLE: True}, "host lost")
+        except ZendspError as error:  # so many updates wait that there is no room for this one
+            log.warning("hold cannot be set, the machine stops: %s", error)
+            return False
         return True
 
     # -- the sequence
@@ -375,6 +399,39 @@ class Drives:
             time.sleep(0.005)
         return f"; {status.unsafe}" if status.unsafe else ""
 
+    # -- who can be lost
+
+    def _watched(self, by: str, do: Callable[[], Any]) -> Any:
+        """Do what makes a host one that must not be lost unnoticed: not for one that nobody sees.
+
+        Raises
+        ------
+        Later
+            It is not seen yet.
+        """
+
+        def done() -> Any:
+            result = do()
+            if not self.sees(by):  # lost in between: nothing was its own yet
+                self.lost(by)
+            return result
+
+        def later() -> Any:
+            deadline = time.monotonic() + SEEN_S
+            while not self.sees(by):
+                if time.monotonic() > deadline:
+                    raise Refused(
+                        f"{by} is not among the hosts that this target sees, and would be lost"
+                        " unnoticed: close other connections (256 hosts of a user are seen; zendsp"
+                        " info names them); a client of your own has to show its token"
+                    )
+                time.sleep(0.002)
+            return done()
+
+        if self.sees(by):
+            return done()
+        raise Later(later)
+
     # -- before and after the other verbs
 
     def guard(self, handlers: dict[str, Callable[[Any, str], Any]]) -> None:
@@ -383,8 +440,15 @@ class Drives:
         """
         for name in COMMANDING:
             handlers[name] = self._guarded(name, handlers[name])
-        handlers["drive"] = lambda args, by: m.Said(text=self.act(args, by))
+        handlers["drive"] = self._drive
         handlers["drive_status"] = lambda args, by: self.status()
+
+    def _drive(self, args: verbs.Drive, by: str) -> m.Said:
+        def act() -> m.Said:
+            return m.Said(text=self.act(args, by))
+
+        said: m.Said = self._watched(by, act) if args.action in TAKING else act()
+        return said
 
     def _guarded(self, name: str, handler: Callable[[Any, str], Any]) -> Callable[[Any, str], Any]:
         def change(args: Any, by: str) -> Any:
@@ -417,7 +481,13 @@ class Drives:
                     self._off()  # a fresh runner knows nothing of what was enabled before
             return result
 
-        return change if name in CHANGES else run
+        act = change if name in CHANGES else run
+
+        def watched(args: Any, by: str) -> Any:
+            moves = name == "home" or getattr(args, WATCHED.get(name, ""), False)
+            return self._watched(by, lambda: act(args, by)) if moves else act(args, by)
+
+        return watched if name in (*WATCHED, "home") else act
 
     def _check_start(self) -> None:
         with self._lock:

@@ -92,6 +92,8 @@ class Runs:
         policy = self._drives.host_gone(host, moves)
         if (moves and policy == "finish") or self._drives.commander not in ("", host):
             return  # it goes on as it was set; or it is somebody else's machine now
+        if runs:
+            self._runtime.cancel(lambda author: author == host)
         deadline = time.monotonic() + STANDS_S
         while policy == "stop" and self._moves() and time.monotonic() < deadline:
             time.sleep(0.002)

@@ -38,7 +38,7 @@ THREADS = {"quick": 3, "sync": 2, "stop": 1, "slow": 2, "bulk": 3}
 WRITE = verbs.VERBS["write"]
 JOIN_S = 1.0  # a thread that is busy with a compile is not waited for any longer
 COMMAND = verbs.VERBS["drive"]
-MOST_HOSTS = 1000  # that have commanded, by name
+MOST_HOSTS = 1000  # that have commanded or moved the machine, by name
 PULSE_S = 0.5
 PULSE_POLL_S = 0.1
 
@@ -59,11 +59,14 @@ class Server:
         self._session = session
         self._end = threading.Event()
         self._publishers: dict[tuple[int, str], zenoh.Publisher] = {}
-        self._commanded: dict[str, str] = {}  # hosts known by name, and the user of each
+        # hosts known by name: the user of each, and the verb that it must go on to be allowed
+        self._commanded: dict[str, tuple[str, verbs.Verb]] = {}
         self.live = LiveStreams(runtime, self._send_live, self._live_watched)
         self.service = Service(runtime, identity, self.live, managed)
         self._hosts = Hosts(session, self.name, self._host_gone)
         self.service.present = self._hosts.names
+        self.service.drives.sees = self._hosts.__contains__
+        self.service.drives.lost = self._host_gone
         self._waiters = Waiters()
         self._threads: list[threading.Thread] = []
         self._queryables: list[Any] = []
@@ -171,8 +174,7 @@ class Server:
                 if user:  # known by name: its role decides, and its name is what the log says
                     check_role(user, self._doors.role_of(user), verb)
                     by = by if by.startswith(f"{user}@") else user
-                    if verb.role == COMMAND.role:
-                        self._commanded[by] = user
+                    self._note(by, user, verb, args)
                 if verb.name == "compile":
                     self._doors.check_upload(user)
                 handler = self.service.handlers.get(verb.name)
@@ -196,6 +198,13 @@ class Server:
             log.exception("request on lane %s failed", lane)
             reply = codec.encode_error(error)
         self._answered(query, ticket, reply)
+
+    def _note(self, by: str, user: str, verb: verbs.Verb, args: Any) -> None:
+        """Remember a host that is known by name and commands or moves the machine."""
+        if verb.role == COMMAND.role:
+            self._commanded[by] = user, COMMAND
+        elif getattr(args, "moves", False):  # a run of it
+            self._commanded.setdefault(by, (user, verb))
 
     def _special(self, verb: verbs.Verb, args: Any, by: str, user: str, query: zenoh.Query) -> Any:
         if verb.name == "acquire_read":
@@ -301,10 +310,10 @@ class Server:
         """Whose role no longer moves the machine is, of what it moved, a host that is lost."""
         while len(self._commanded) > MOST_HOSTS:  # names that were never there, the oldest first
             self._commanded.pop(next(iter(self._commanded)), None)
-        for host, user in list(self._commanded.items()):
-            if not may(self._doors.role_of(user), COMMAND):
+        for host, (user, verb) in list(self._commanded.items()):
+            if not may(self._doors.role_of(user), verb):
                 self._commanded.pop(host, None)
-                log.warning("%s may no longer command", host)
+                log.warning("%s may no longer command or move the machine", host)
                 self.service.runs.host_gone(host)
 
     def _pulse(self) -> None:
@@ -320,6 +329,7 @@ class Server:
                 close_at_once()
             self.live.keep(self._may_look)
             self._end_commands()
+            self.service.drives.watch()
             try:
                 status = self.service.do_status(verbs.Nothing(), "")
             except Later:

@@ -239,6 +239,7 @@ class Service:
             machine=info.machine,
             rate_hz=info.rate_hz,
             begun=time.time(),
+            since_start=time.monotonic(),
             program=self.do_program(verbs.Nothing(), ""),
             parameters=self.runtime.read(names)[1] if names else {},
             versions={**info.versions, "protocol": str(PROTOCOL)},

@@ -35,7 +35,7 @@ def _clear_abandoned() -> tuple[list[Kept], list[Kept]]:
             if note is None:
                 shutil.rmtree(folder, ignore_errors=True)
                 continue
-            found.append((note.about.begun, folder, note))
+            found.append((note.about.since_start, folder, note))
             for path in folder.iterdir():
                 if path.name not in (kept.LOCK, kept.NOTE, note.file):
                     path.unlink(missing_ok=True)

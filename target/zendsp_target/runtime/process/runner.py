@@ -50,6 +50,7 @@ def _fill(control: Any, settings: Settings, program: Path, data: Path, number: i
     control.priority = settings.priority
     control.monitor = os.getpid()
     control.spin_us, control.speed = max(settings.spin_us, 0.0), settings.speed
+    control.hang_s = settings.hang_s
     control.memory = round(settings.memory_mb * 1e6)
     # which load of the session this is: noise goes on, it does not begin again
     given = dict(settings.machine_config) | {"load": str(number)}

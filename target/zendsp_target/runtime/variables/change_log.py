@@ -17,6 +17,7 @@ from zendsp_target.runtime.variables.dictionary import SCALARS, Place, value_of
 from zendsp_target.runtime.variables.plans import ENTRY
 
 _MAX_LOG = 100_000  # lines kept; older ones are dropped
+_MOST_BYTES = 64 << 20  # of their values: of long arrays, so many lines would fill the memory
 
 
 class Flight(msgspec.Struct, frozen=True):
@@ -44,9 +45,12 @@ class ChangeLog:
     """
 
     def __init__(self) -> None:
-        self._lines: deque[Change] = deque(maxlen=_MAX_LOG)
+        self._lines: deque[Change] = deque()
+        self._costs: deque[int] = deque()  # bytes of the values of each line
+        self._held = 0  # bytes of all of them
         self._raw: deque[tuple[Flight, int, bytes]] = deque()
         self._came = self._worded = 0  # lines, in all
+        self._bytes_came = self._bytes_worded = 0
         self._lock = threading.Lock()
 
     def append(self, flight: Flight, tick: int, old: bytes) -> None:
@@ -55,6 +59,7 @@ class ChangeLog:
         """
         self._raw.append((flight, tick, old))
         self._came += len(flight.places)
+        self._bytes_came += 2 * flight.size
 
     def settle(self, most: int = _MAX_LOG) -> None:
         """Put what has come in into words: about ``most`` lines."""
@@ -64,10 +69,20 @@ class ChangeLog:
                 flight, tick, old = self._raw.popleft()
                 count = len(flight.places)
                 self._worded += count
-                if self._came - self._worded >= _MAX_LOG:  # newer ones fill the log without it
+                self._bytes_worded += 2 * flight.size
+                waiting = self._bytes_came - self._bytes_worded
+                # newer ones fill the log without it
+                if self._came - self._worded >= _MAX_LOG or waiting >= _MOST_BYTES:
                     self._lines.clear()
+                    self._costs.clear()
+                    self._held = 0
                     continue
                 self._lines.extend(_changes(flight, tick, old))
+                self._costs.extend([2 * flight.size // max(1, count)] * count)
+                self._held += 2 * flight.size // max(1, count) * count
+                while len(self._lines) > _MAX_LOG or self._held > _MOST_BYTES:
+                    self._lines.popleft()
+                    self._held -= self._costs.popleft()
                 done += count
 
     def since(self, number: int) -> tuple[Change, ...]:

@@ -33,6 +33,7 @@ _SHORT_NS = 100_000
 _TOGETHER = 16  # so many updates are taken back together; fewer, when the supervisor comes by
 _MAX_ACKS = 4096
 _LAST_TICK = 2**64 - 1
+_CANCELLED = -1  # in place of a sample
 _GONE = "the runner is gone, so nothing can be written: load the program again"
 _NUMBERS = frozenset((float, int))
 _WORDED_AT_ONCE = 128  # lines of the log at each harvest: a fraction of a millisecond
@@ -75,6 +76,7 @@ class Updates:
         self._batches = [data.pointer("batch", start) for start in self._starts]
         self._states = [ffi.addressof(batch[0], "state") for batch in self._batches]
         self._newest = ffi.addressof(control, "newest")
+        self._cancels = ffi.addressof(control, "cancels")
         self._entries_at: int = ffi.sizeof("batch")
         self._room = stride - self._entries_at
         period = int(control.period_ns)
@@ -343,7 +345,7 @@ class Updates:
         NotYet
             Its sample has not come within the timeout.
         Refused
-            No such update.
+            No such update, or it was cancelled.
         """
         if sequence <= self._before:
             raise RunnerDied(
@@ -362,6 +364,12 @@ class Updates:
             with self._lock:
                 tick = self._tick_of(sequence)
                 waits = sequence in self._flights
+            if tick == _CANCELLED:
+                raise Refused(
+                    f"update {sequence} was not applied, and will not be: before its sample came,"
+                    " a STOP or trip was acknowledged, its host was lost, or another took the right"
+                    " to command"
+                )
             if tick is not None:
                 return tick
             if not waits:
@@ -381,7 +389,11 @@ class Updates:
         flight = self._flights.get(sequence)
         if flight is None:
             return self._applied.get(sequence)
-        return int(self._batches[flight.slot].applied) if self._in_effect(flight.slot) else None
+        if not self._in_effect(flight.slot):
+            return None
+        batch = self._batches[flight.slot]
+        cancelled = int(batch.state) == self._lib.BATCH_CANCELLED
+        return _CANCELLED if cancelled else int(batch.applied)
 
     def _in_effect(self, slot: int) -> bool:
         """A batch was applied, and its values can be read; or are the last ones that a runner took.
@@ -390,7 +402,7 @@ class Updates:
             return True
         applied: int = self._lib.BATCH_APPLIED
         # in this order: what a runner that is gone has not applied, it never will
-        return not self._alive() and self._lib.monitor_load32(self._states[slot]) == applied
+        return not self._alive() and self._lib.monitor_load32(self._states[slot]) >= applied
 
     def harvest(self) -> None:
         """Take back the batches that were applied, and write the log."""
@@ -431,14 +443,35 @@ class Updates:
             slot = flight.slot
             batch = self._batches[slot]
             tick = int(batch.applied)
+            cancelled = int(batch.state) == self._lib.BATCH_CANCELLED
+            if cancelled:  # the bank of a table that it was to bring is free
+                for _, place in flight.places:
+                    self._bank.pop(place.entry.index, None)
+                self._release(sequence, flight.slot, _CANCELLED)
+                continue
             body = self._starts[slot] + self._entries_at
             self._written.update((place.entry.index, flight) for _, place in flight.places)
             self._log.append(flight, tick, bytes(self._view[body : body + flight.size]))
-            batch.state = self._lib.BATCH_FREE
-            self._free.append(slot)
-            self._applied[sequence] = tick
-            if len(self._applied) > _MAX_ACKS:
-                del self._applied[next(iter(self._applied))]
+            self._release(sequence, slot, tick)
+
+    def _release(self, sequence: int, slot: int, tick: int) -> None:
+        self._batches[slot].state = self._lib.BATCH_FREE
+        self._free.append(slot)
+        self._applied[sequence] = tick
+        if len(self._applied) > _MAX_ACKS:
+            del self._applied[next(iter(self._applied))]
+
+    def cancel(self, whose: Callable[[str], bool]) -> None:
+        """Have updates of these authors that wait for a later sample wait no more: the loop gives
+        them back.
+        """
+        with self._lock:
+            flights = [f for f in self._flights.values() if f.late and whose(f.author)]
+            for flight in flights:
+                self._batches[flight.slot].cancel = 1
+            if flights:
+                cancels = (int(self._control.cancels) + 1) & 0xFFFFFFFF
+                self._lib.monitor_store32(self._cancels, cancels)
 
     def _applied_by(self, newest: int) -> list[int]:
         """Numbers of the batches that are applied and that snapshot ``newest`` shows, in the order
@@ -448,7 +481,7 @@ class Updates:
         for sequence, flight in self._flights.items():
             batch = self._batches[flight.slot]
             if (
-                self._lib.monitor_load32(self._states[flight.slot]) == self._lib.BATCH_APPLIED
+                self._lib.monitor_load32(self._states[flight.slot]) >= self._lib.BATCH_APPLIED
                 and batch.shown <= newest
             ):
                 found.append((batch.applied, batch.at_tick, sequence))

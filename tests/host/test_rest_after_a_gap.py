@@ -1,0 +1,52 @@
+"""A recording goes on until the machine has come to rest, also where the target stood still before
+it tripped.
+"""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from zendsp.errors import Incomplete
+from zendsp.link import acquire
+from zendsp.link.acquire import AFTER_TRIP_REAL_S, Recorder
+from zendsp_protocol.messages import AcquireStatus, Status
+from zendsp_protocol.states import ProgramState, RecorderState
+
+GAP_S = AFTER_TRIP_REAL_S + 0.5
+TRIP = 5000  # sample, the first after the gap
+
+
+class Frozen(Recorder):
+    """A target of 1 kHz that stands still while it is asked, and then loses its host."""
+
+    def __init__(self) -> None:
+        self.now, self.ended_at = 0.0, 0
+
+    def tick(self) -> int:
+        return int(1000.0 * self.now) + 1000
+
+    def insist(self, verb: str, patience: float, **arguments: object) -> Any:
+        stands = 0.5 < self.now < 1.0
+        self.now += GAP_S if stands and verb == "acquire_status" else 0.01
+        if verb == "acquire_status":
+            state = RecorderState.DONE if self.ended_at else RecorderState.RUNNING
+            return AcquireStatus(state, wanted=60_000, count=self.tick())
+        trips = self.now > GAP_S
+        trip = SimpleNamespace(tick=TRIP, reason="stop") if trips else None
+        state = ProgramState.STOPPED if trips else ProgramState.RUNNING
+        return cast(Status, SimpleNamespace(state=state, trip=trip, tick=self.tick(), rate_hz=1e3))
+
+    def _end_ring(self, patience: float) -> None:
+        self.ended_at = self.tick()
+
+
+def test_that_it_was_last_seen_to_run_long_ago_is_no_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    target = Frozen()
+    time = SimpleNamespace(monotonic=lambda: target.now, sleep=lambda s: None)
+    monkeypatch.setattr(acquire, "time", time)
+    with pytest.raises(Incomplete, match="was stopped before the recording was complete"):
+        target._wait_done(60.0, 1.0, None)
+    assert TRIP + 1000 <= target.ended_at < TRIP + 1100

@@ -1,0 +1,70 @@
+"""The host-lost policy acts in the worst case, too."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+import zenoh
+
+from zendsp_protocol.errors import Refused
+from zendsp_target.access.hosts import Hosts
+from zendsp_target.runtime import Runtime
+from zendsp_target.serving.drives import Drives
+
+PROGRAM = """
+#include "isr.h"
+static double a;
+static bool hold;
+void UserInit(void) {
+    PARAMETER(a, 1.0, "", NO_MIN, NO_MAX, "");
+    PARAMETER(hold, false, "", NO_MIN, NO_MAX, "");
+}
+void UserISR_INT2(void) {}
+"""
+
+
+@pytest.mark.parametrize("full", [False, True])
+def test_a_machine_that_cannot_be_told_to_hold_stops(
+    make_runtime: Callable[..., Runtime], wait_for: Callable[..., None], full: bool
+) -> None:
+    """Where a host had written faster than a slow loop takes, the last word had no room."""
+    runtime = make_runtime(PROGRAM, clock="real", realtime=False, rate_hz=1.0)
+    drives = Drives(runtime)
+    drives.take("anna@a:1", False)
+    drives.set_policy("hold", "anna@a:1")
+    runtime.start()
+    if full:
+        # 16 are taken in a sample
+        with pytest.raises(Refused, match="updates wait already"):
+            for k in range(1000):
+                runtime.write({"a": float(k)}, "bo@b:2")
+    assert drives.host_gone("anna@a:1") == ("stop" if full else "hold")
+    if full:
+        wait_for(lambda: runtime.status().trip is not None)
+        trip = runtime.status().trip
+        assert trip is not None and trip.reason == "host lost"
+    else:
+        wait_for(lambda: runtime.read(["hold"])[1]["hold"] is True)
+        assert runtime.status().trip is None
+
+
+def test_that_a_host_is_lost_is_acted_upon_without_a_thread_of_its_own(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The system may refuse another one at that very moment."""
+    liveliness = SimpleNamespace(declare_subscriber=lambda *_, **__: None)
+    session: Any = SimpleNamespace(liveliness=lambda: liveliness)
+    lost: list[str] = []
+    hosts = Hosts(cast(zenoh.Session, session), "imi", lost.append)
+    hosts._change("anna@a:1", gone=False)
+
+    def refuse(self: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(threading.Thread, "start", refuse)
+    hosts._change("anna@a:1", gone=True)
+    assert lost == ["anna@a:1"]
