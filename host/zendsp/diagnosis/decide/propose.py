@@ -34,7 +34,7 @@ WEAK = 0.8  # confidence below which a finding is to be confirmed
 COUNTS = 8  # of the sensor that a proposed motion spans at least
 OTHER = "a multisine over the whole range"  # where no rival is known
 LINES = (24, 16, 10, 6, 4, 2)  # of the multisine, 0.1 Hz apart
-ENOUGH = 1.6  # of a reach to both sides
+BOTH_SIDES = 1.6  # times the reach to one
 SEPARATES = 20.0  # deviance by which it tells two hypotheses apart at least
 
 
@@ -75,7 +75,11 @@ def motions(
 
     # as many lines as the speeds leave room for over the whole range
     multisine = next(
-        (m for m in map(lines, LINES) if np.ptp(limited(m, reach, 1.2 * top)) > ENOUGH * reach),
+        (
+            wave
+            for wave in map(lines, LINES)
+            if np.ptp(limited(wave, reach, 1.2 * top)) > BOTH_SIDES * reach
+        ),
         lines(LINES[-1]),
     )
     slow = sum(np.sin(2 * np.pi * f * t + rng.uniform(0, 6.28)) for f in (0.07, 0.13, 0.23))
