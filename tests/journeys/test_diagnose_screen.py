@@ -72,6 +72,9 @@ def test_a_csv_is_diagnosed_in_the_terminal_and_the_better_model_saved(
             lambda: any(0x2800 < ord(c) <= 0x28FF for c in screen.text()),
             "the curves, beside their names", screen.text,
         )
+        kept = installed.folder / "diagnoses"  # it is there once its pictures are drawn
+        until(lambda: list(kept.glob("[!.]*/report.html")), "the report is whole", screen.text)
+        screen.until("Save w")
         screen.click("Save w")
         screen.until("Save the improved model")
         screen.keys(b"\r")
