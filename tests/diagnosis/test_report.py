@@ -251,6 +251,7 @@ def test_a_torque_without_a_law_is_compensated_by_what_draws_its_curve(
     files._compensation(d, tmp_path)
     code = " ".join((tmp_path / "compensation.c").read_text().split())
     assert says in code and (f"comp_{refines}1" in code) == (refines == "ripple")
+    assert ("model2c model.toml --effects-only" in code) == (refines == "viscous")
 
 
 def test_json_on_the_terminal_is_the_report(

@@ -353,6 +353,8 @@ def test_a_recording_whose_rows_are_shifted_is_told_from_the_others(
     (said,) = apart_in_time(Parts(same, read("b.csv", 2), other), model)
     assert said.startswith("joint 1: in b.csv the command column stands")
     assert "ms later against the position than in a.csv, c.csv" in said
+    same_again = Parts(same, read("b.csv", 2), other)
+    assert apart_in_time(same_again, model, {(1, "b.csv")}) == []
     # most of what lacks in it is something else
     besides = Parts(same, read("b.csv", 2, ripple=0.05), other)
     assert apart_in_time(besides, model) == []

@@ -145,6 +145,17 @@ def test_the_closed_loop_is_one_at_low_and_falls_at_high_frequencies(
         found.save(tmp_path / "b.txt")
 
 
+def test_a_second_amplitude_follows_the_first_also_where_the_program_is_paused(
+    fast: Target,
+) -> None:
+    fast.download("joint_pd.c")
+    for amplitude in (0.02, 0.01):  # the first leaves the program paused before its table's end
+        found = zendsp.frequency_response(
+            fast, f_min=2.0, f_max=20.0, lines=6, amplitude=amplitude, periods=2
+        )
+        assert len(found.f) > 3 and fast.status().state == "paused"
+
+
 def test_where_friction_bends_the_response_the_interval_holds_how_neighbours_scatter(
     fast: Target,
 ) -> None:

@@ -9,6 +9,7 @@ import pytest
 from zendsp.errors import NotStopped
 from zendsp.link import Target
 from zendsp.tui.app import ZendspApp
+from zendsp.tui.dialogs import Choose
 from zendsp.tui.dialogs.leave import Leave
 
 if TYPE_CHECKING:
@@ -75,3 +76,22 @@ async def test_the_terminal_does_not_sleep_and_says_what_a_lost_host_would_mean(
         await until(pilot, lambda: lab.session.snapshot.host_lost == "hold", "the policy")
         await pilot.press("ctrl+z")
         await until(pilot, lambda: "its program brings it to rest" in said(), "the policy is told")
+
+
+@pytest.mark.parametrize("answer", ["stay", "build"])
+async def test_a_build_that_ends_a_program_that_moves_the_machine_is_asked(
+    lab: ZendspApp, target: Target, until: Until, answer: str
+) -> None:
+    target.download("pd.c")
+    target.start()
+    async with lab.run_test(size=(80, 24)) as pilot:
+        await until(pilot, lambda: lab.session.snapshot.state == "running", "it runs")
+        await pilot.press("b")
+        await until(pilot, lambda: isinstance(lab.screen, Choose), "the question")
+        assert target.status().state == "running"
+        await pilot.press(*["down"] * (answer == "build"), "enter")
+        if answer == "build":
+            await until(pilot, lambda: lab.session.snapshot.state == "loaded", "built")
+        else:
+            await until(pilot, lambda: not isinstance(lab.screen, Choose), "the question goes")
+            assert target.status().state == "running"

@@ -134,7 +134,8 @@ def _diagnose(
     alone = by_one_sensor(parts, found.bodies.model, decisions)
     seen += (*(d for m in found.measured for d in m.detectable), *alone)
     test = _table(parts.test, given, whole.calibrated, improved)
-    notes += [*said(alone), *notes_of(decisions, given), *apart_in_time(parts, improved)]
+    loads = {(d.joint, name) for d in decisions for name in d.loads}
+    notes += [*said(alone), *notes_of(decisions, given), *apart_in_time(parts, improved, loads)]
     notes += of_load(found.load)
     notes += moved(given, whole.calibrated if found.load else better)
     if not findings:

@@ -12,7 +12,7 @@ from zendsp.experiment.player import Player, position
 from zendsp.here.stopped import ended
 from zendsp.link import Target, rehearse
 from zendsp.recording import Recording
-from zendsp_protocol.states import STOPS
+from zendsp_protocol.states import STOPS, ProgramState
 
 Floats = npt.NDArray[np.float64]
 APPROACH_S = 0.5  # from where the machine stands into the first row
@@ -113,7 +113,9 @@ def _tables(
             f"the loaded program lacks {', '.join(lacking)}: load one that plays tables, for"
             " example joint_pd.c (docs/references.md, 'How a program plays it')"
         )
-    if "playing" in infos and target["playing"]:
+    # of a program that is paused it says what was; it begins anew
+    running = target.status().state == ProgramState.RUNNING
+    if running and "playing" in infos and target["playing"]:
         raise Refused("a reference is being played: wait for its end")
     here = np.atleast_1d(np.asarray(position(target), dtype=np.float64))
     if not 1 <= joint <= len(here):

@@ -7,6 +7,7 @@ cannot have them all.
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
@@ -29,7 +30,9 @@ ALL_BUT = 0.98  # of the samples count as they are: where a joint lets go, a shi
 CLOCK_BLOCK = 0.5  # s: longer than a slow observer remembers
 
 
-def apart_in_time(parts: Parts, model: Model) -> list[str]:
+def apart_in_time(
+    parts: Parts, model: Model, explained: Collection[tuple[int, str]] = ()
+) -> list[str]:
     """Sentences about joints whose command is late in some recordings and not in others.
 
     Parameters
@@ -37,6 +40,8 @@ def apart_in_time(parts: Parts, model: Model) -> list[str]:
     parts : Parts
     model : Model
         The best there is, in kernel form.
+    explained : collection of (joint, name of a recording)
+        What numbers of its own explain: another friction resembles a shift.
     """
     said = []
     for joint in range(1, model.joints + 1):
@@ -54,7 +59,8 @@ def apart_in_time(parts: Parts, model: Model) -> list[str]:
             " command and position of one sample into one row, in all recordings alike, and"
             " diagnose again"
             for name, at in late.items()
-            if _explains(parts, model, joint, name, found[name][0])
+            if (joint, name) not in explained
+            and _explains(parts, model, joint, name, found[name][0])
         ]
     return said
 

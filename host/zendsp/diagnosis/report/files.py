@@ -132,6 +132,13 @@ def _compensation(d: Diagnosis, folder: Path) -> None:
             else f"Not compensated: the torque without a law at joint {joint}. Its curve is in"
             " report.json."
         )
+    left = [t for t in d.improved.terms if not any(t is x for x in terms)]
+    names = {(r["effect"], r["joint"]) for r in report["refinements"]}
+    if more := dict.fromkeys(t.effect for t in left if (t.effect, t.joint) in names):
+        sentences.append(
+            f"What only refines the fit is left out ({', '.join(more)}). With it, and with what the"
+            " given model had: zendsp model2c model.toml --effects-only."
+        )
     (folder / "compensation.c").write_text(
         compensation(terms, model=d.improved, sentences=sentences),
         encoding="utf-8",

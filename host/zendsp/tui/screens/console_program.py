@@ -9,6 +9,7 @@ from typing import Any
 
 from zendsp.errors import Incomplete, RunnerDied, ZendspError
 from zendsp.tui.dialogs import Choose, Field, Form, Option
+from zendsp.tui.dialogs.leave import moves
 from zendsp.tui.dialogs.source import SourceView
 from zendsp.tui.port import Build, Port, Shot
 from zendsp.tui.runs import store_run
@@ -122,11 +123,23 @@ class ProgramActions(LabScreen):
         self.action_build()
 
     def action_build(self) -> None:
-        """Compile and download."""
+        """Compile and download; where the machine moves, ask first: it ends what runs."""
         path = self.lab.source
         if path is None:
             self._choose_source(self._take_and_build)
-            return
+        elif moves(self.lab.session.snapshot):
+            ways = [
+                Option("stay", "stay"),
+                Option("build", "build", f"the program ends, {path.name} is loaded"),
+            ]
+            self.app.push_screen(
+                Choose("The machine moves", ways),
+                lambda keys: self._build(path) if keys == ["build"] else None,
+            )
+        else:
+            self._build(path)
+
+    def _build(self, path: Path) -> None:
         try:
             sources = gather(path)  # with the headers beside it that it includes
         except ZendspError as error:
