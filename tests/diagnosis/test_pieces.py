@@ -283,3 +283,35 @@ def test_what_leaves_more_unexplained_than_there_was_or_is_at_all_is_no_finding(
             words = left_over([found], model, fit)
             assert "does not follow" in words and "%" not in words
             assert ("8 s, and go one way" in words) == said
+
+
+@pytest.mark.parametrize("state", [Structure(0.1, 0.9, 5.0), NOTHING])
+def test_what_short_or_one_way_recordings_leave_says_so(state: Structure) -> None:
+    model: Any = SimpleNamespace(torque_unit=lambda _: "N m")
+    one: Any = SimpleNamespace(model=model)
+    left = Size(0.3, 0.2, 0.4)
+    found = Decision(1, "unexplained", (), (), one, one, left, left, state, left, one, 7.0)
+    for q, said in ((np.linspace(0.0, 1.0, 1300), True), (np.sin(np.arange(9000) / 100), False)):
+        record = SimpleNamespace(others=q[None, None], n=len(q), sample_time=0.001, between=1.0)
+        fit: Any = SimpleNamespace(records=[[record]])
+        words = left_over([found], model, fit)
+        assert ("1.3 s, and go one way: too little" in words) == said
+
+
+@pytest.mark.parametrize(("names", "loads"), [("aaa", ()), ("aab", ("b",))])
+def test_of_another_load_is_spoken_where_there_are_several_recordings(
+    names: str, loads: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one: Any = SimpleNamespace(model=None)
+    left = Size(0.3, 0.2, 0.4)
+    found = Decision(1, "unexplained", (), (), one, one, left, left, NOTHING, left, one, 7.0)
+    for name, answer in {
+        "worth_choosing": one, "discrepancy": left, "new_terms": [], "_nothing_named": found,
+        "_by_own_numbers": ("b",),
+    }.items():  # fmt: skip
+        monkeypatch.setattr(decision, name, lambda *_, answer=answer: answer)
+    data = [SimpleNamespace(records=[[SimpleNamespace(recording=name)]]) for name in names]
+    parts: Any = SimpleNamespace(each=data, test=data[-1])
+    search: Any = SimpleNamespace(joint=1, base=one)
+    given: Any = None
+    assert decision.decide(parts, given, search, 1, lambda _: None).loads == loads

@@ -37,7 +37,7 @@ from zendsp.diagnosis.search import rounds
 from zendsp.diagnosis.search.candidates import as_given, simulated
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival, Step
 from zendsp.diagnosis.search.rounds import Rounds
-from zendsp.diagnosis.search.screen import Candidate, with_candidate
+from zendsp.diagnosis.search.screen import Candidate, Screen, with_candidate
 from zendsp.diagnosis.search.simplify import simplify
 from zendsp.physics.calibration import convergence
 from zendsp.physics.calibration.fit import Data, fit, joint_handles
@@ -537,3 +537,11 @@ def test_a_proposed_motion_covers_the_whole_range_of_all_recordings() -> None:
     assert np.abs(np.gradient(motion, record.sample_time)).max() < 1.25 * facts(record).fastest
     narrow = motions(record, (-0.5, 0.5), np.random.default_rng(0))[OTHER]
     assert -0.5 <= narrow.min() < -0.35 and 0.35 < narrow.max() <= 0.5
+
+
+def test_numbers_at_which_an_effect_is_none_gain_nothing() -> None:
+    """An infinite torque ended in "SVD did not converge"."""
+    rows = np.vstack([np.full(50, np.nan), np.linspace(0.0, 1.0, 50)])
+    screen: Any = SimpleNamespace(q=np.zeros((50, 1)), left=np.linspace(0.0, 2.0, 50))
+    (none, _), (gain, theta) = Screen.groups(screen, rows, 1)
+    assert none == 0.0 and gain > 1.0 and theta == pytest.approx(-2.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import replace
@@ -32,7 +33,7 @@ from zendsp.tui.diagnoses import compare, list_diagnoses
 from zendsp.tui.dialogs import Choose, Message
 from zendsp.tui.link_port import open_port
 from zendsp.tui.panels.figure import FigureView
-from zendsp.tui.runs import DATA, list_runs, store_run
+from zendsp.tui.runs import DATA, Outcome, list_runs, store_run
 from zendsp.tui.screens import diagnose_loop
 from zendsp.tui.screens.diagnose import DiagnoseScreen
 from zendsp.tui.screens.execute import ExecuteScreen
@@ -274,7 +275,7 @@ async def test_the_model_of_another_machine_is_not_taken(tmp_path: Path, until: 
 
 
 @pytest.mark.covers("diagnose.use")
-async def test_the_last_run_is_marked_and_others_can_be_held_out(
+async def test_the_last_motion_is_marked_and_others_can_be_held_out(
     tmp_path: Path, until: Until
 ) -> None:
     recording = Recording.from_columns({"q": np.zeros(100)}, 1e-3, units={"q": "rad"})
@@ -285,6 +286,11 @@ async def test_the_last_run_is_marked_and_others_can_be_held_out(
         new = store_run(tmp_path / "runs", "newer", replace(recording, note="3"))
         screen.fill()
         assert screen.chosen("fit") == [str(new.folder / DATA)], "made after the screen was shown"
+        bode = store_run(tmp_path / "runs", "bode", recording, outcome=Outcome.RESPONSE)
+        screen.fill()
+        assert screen.chosen("fit") == [str(new.folder / DATA)], "a small motion about one place"
+        shutil.rmtree(bode.folder)
+        screen.fill()
         screen.query_one("#recordings", DataTable).focus()
         await pilot.press("down", "down", "space", "space")
         assert screen.chosen("held out") == [str(old.folder / DATA)]

@@ -167,7 +167,8 @@ def _no_worse(
                 *errors, after = (
                     rms(window_error(parts.test, m, d.joint)) for m in (*before, whole.improved)
                 )
-                # a curve that is in no model may bend its numbers, as far as is not said of them
+                # where nothing of what was found is in the model, calibration alone made it worse:
+                # up to where a note says that (``bent``), the missing torque may have done so
                 most = 1.0 if named or d.refinements else MADE_WORSE
                 worse[d.joint] = after / (most * min(errors))
         joint = max(worse, key=lambda j: worse[j], default=0)

@@ -120,7 +120,8 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
                 # several mechanisms, and no law of any: it is one torque that nobody knows
                 return replace(plain, kind="unexplained") if plain.kind == "complete" else plain
     nothing = _nothing_named(parts, given, search, before, pieces, jobs)
-    if nothing.kind != "unexplained":
+    several = len({rec[0].recording for part in parts.each for rec in part.records}) > 1
+    if nothing.kind != "unexplained" or not several:
         return nothing
     return replace(nothing, loads=_by_own_numbers(nothing, parts, jobs))
 

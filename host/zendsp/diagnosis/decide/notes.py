@@ -143,7 +143,7 @@ def left_over(decisions: Sequence[Decision], given: Model, fit: Data) -> str:
             words.append(
                 f"Joint {d.joint}: a torque of {two_digits(d.state.size * d.scale)} {unit} RMS"
                 f" ({percent(d.state.size)} % of the torque) depends on the state of the joint and"
-                " is none of the known effects"
+                " is none of the known effects" + _hardly_moves(fit, d.joint)
             )
         elif d.kind == "unexplained" and d.after.value < LAWFUL and d.after.high > AMISS:
             words.append(
@@ -162,7 +162,8 @@ def left_over(decisions: Sequence[Decision], given: Model, fit: Data) -> str:
             words.append(
                 f"Joint {d.joint}: a torque of {two_digits(d.after.value * d.scale)} {unit} RMS"
                 f" ({percent(d.after.value)} % of the torque) is missing that neither a known"
-                " effect nor any function of the joint's state predicts" + _held(fit, d.joint)
+                " effect nor any function of the joint's state predicts"
+                + (_hardly_moves(fit, d.joint) or _held(fit, d.joint))
             )
         elif d.kind == "missing" and d.after.low > OF_STATE:
             words.append(

@@ -15,7 +15,7 @@ from zendsp.diagnosis.decide.contract import Report
 from zendsp.diagnosis.decide.result import Diagnosis
 from zendsp.diagnosis.report.chart import SUFFIX, save_chart
 from zendsp.diagnosis.report.figures import charts
-from zendsp.physics.effects import mechanism_of
+from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.files.model_write import model_text
 from zendsp.physics.model import Model
 
@@ -126,8 +126,8 @@ def _compensation(d: Diagnosis, folder: Path) -> None:
     for joint, mechanism in _without_law(report):
         drawn = any(t.joint == joint and mechanism_of(t.effect) == mechanism for t in terms)
         sentences.append(
-            f"Of the torque without a law at joint {joint}, what refines the fit stands for its"
-            " curve: as far as was recorded, and no further."
+            f"Of the torque without a law at joint {joint}, ripples stand for its curve: as far as"
+            " was recorded, and no further."
             if drawn
             else f"Not compensated: the torque without a law at joint {joint}. Its curve is in"
             " report.json."
@@ -152,11 +152,20 @@ def _without_law(report: Report) -> set[tuple[int, str]]:
 
 def stands_for(report: Report) -> set[tuple[str, int]]:
     """Effect and joint of the terms of the improved model that stand for what was found: of a
-    mechanism without a law, its laws among the refinements.
+    torque over position without a law, its laws among the refinements, where all of them repeat
+    along the position. What only refines a fit may be bent to anything: of friction it could drive
+    the joint, and beside what was recorded a spring grows without end.
     """
-    curves = _without_law(report)
-    drawn = [r for r in report["refinements"] if (r["joint"], r["mechanism"]) in curves]
-    return {(f["effect"], f["joint"]) for f in (*report["findings"], *drawn)}
+    stand = {(f["effect"], f["joint"]) for f in report["findings"]}
+    for joint, mechanism in _without_law(report):
+        drawn = [
+            r["effect"]
+            for r in report["refinements"]
+            if (r["joint"], r["mechanism"]) == (joint, mechanism)
+        ]
+        if mechanism == "position_torque" and all("order" in get_effect(e).names for e in drawn):
+            stand |= {(effect, joint) for effect in drawn}
+    return stand
 
 
 def _finite(value: Any) -> Any:

@@ -290,8 +290,7 @@ class Screen:
 
     def _least(self, effect: Effect, name: str) -> float:
         """A number so small that it hardly acts."""
-        size, record = effect.parameter(name).size, self.records[0]
-        known = facts(record)
+        size, known = effect.parameter(name).size, facts(self.records[0])
         return known.sample_time if size == "time" else 1e-3 * known.scale.of(size)
 
     def _add_replaced(self, effect: Effect, values: dict[str, float]) -> dict[str, float]:

@@ -68,7 +68,7 @@ class DiagnoseScreen(LoopActions):
         self.said: list[str] = []  # lines of the diagnosis that runs, or ran
         self.shown: Diagnosed | None = None
         self._marked_by_hand = False
-        self._marked = ""  # by itself: the last run
+        self._marked = ""  # by itself: the last motion
         self._began = 0.0
         self._cancelled = False
         self._painted: object = None
@@ -123,12 +123,15 @@ class DiagnoseScreen(LoopActions):
     # -- what is given
 
     def fill(self) -> None:
-        """List the recordings; the last run is marked where nothing is."""
+        """List the recordings; the last motion is marked where nothing is: a frequency response,
+        small and about one place, says less.
+        """
         found = [r for r in list_runs(self.lab.workspace.runs) if r.outcome != Outcome.SIMULATED]
         self.runs = found
         here = {str(r.folder / DATA) for r in found} | set(self.added)
         self.roles = {path: role for path, role in self.roles.items() if path in here}
-        last = str(found[0].folder / DATA) if found else ""
+        motions = [r for r in found if r.outcome != Outcome.RESPONSE] or found
+        last = str(motions[0].folder / DATA) if motions else ""
         if last and not self._marked_by_hand and set(self.roles) <= {self._marked}:
             self.roles, self._marked = {last: "fit"}, last
         if not self.model:
