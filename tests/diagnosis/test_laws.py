@@ -78,7 +78,7 @@ def test_a_law_that_is_not_believed_leaves_its_mechanism_where_it_explains_more_
 ) -> None:
     monkeypatch.setattr(laws, "_told_apart", lambda *_: True)
     lag = of_one_claim(claim_of(Term("lag", 1, {}), size, DOUBTFUL), 0.1, 0.01)
-    outcome = laws.believed(lag, None, 1)  # type: ignore[arg-type]
+    outcome = laws.believed(lag, None, None, 1)  # type: ignore[arg-type]
     assert [c.effect for c in outcome.claims] == (["unknown"] if stands else [])
     assert len(outcome.refinements) == (not stands)
 
@@ -110,7 +110,7 @@ def test_a_mechanism_without_a_law_is_one_whose_variables_alone_predict_what_lac
     monkeypatch.setattr(laws, "structure", predicted)
     model: Any = SimpleNamespace(model=SimpleNamespace(at=lambda _: ()))
     found = replace(of_one_claim(claim, 0.03, 0.01, model), state=Structure(left, 0.9, 5.0))
-    outcome = laws.believed(found, SimpleNamespace(each=()), 1)  # type: ignore[arg-type]
+    outcome = laws.believed(found, SimpleNamespace(each=()), None, 1)  # type: ignore[arg-type]
     assert [c.effect for c in outcome.claims] == (["unknown"] if stands else [])
 
 
@@ -121,7 +121,7 @@ def test_a_doubted_law_that_predicts_surely_better_than_its_neighbours_is_named(
     monkeypatch.setattr(laws, "_ahead", lambda *_: ahead)
     monkeypatch.setattr(laws, "_told_apart", lambda *_: True)
     doubted = of_one_claim(claim_of(Term("dead_zone", 1, {}), 0.02), 0.025, 0.01)
-    outcome = laws.believed(doubted, None, 1)  # type: ignore[arg-type]
+    outcome = laws.believed(doubted, None, None, 1)  # type: ignore[arg-type]
     assert [c.effect for c in outcome.claims] == ["dead_zone" if named else "unknown"]
 
 
@@ -140,7 +140,7 @@ def test_a_law_is_no_surer_than_that_it_predicts_better_than_its_neighbours(
 ) -> None:
     monkeypatch.setattr(laws, "_ahead", lambda *_: ahead)
     sure = of_one_claim(claim_of(Term(effect, 1, {}), 0.2), 0.2, 0.0)
-    outcome = laws.believed(sure, None, 1)  # type: ignore[arg-type]
+    outcome = laws.believed(sure, None, None, 1)  # type: ignore[arg-type]
     assert confidence(outcome.claims[0], outcome) == pytest.approx(most, abs=1e-4)
 
 
@@ -155,7 +155,7 @@ def test_how_a_known_friction_turns_round_is_no_missing_mechanism(
     base = SimpleNamespace(model=SimpleNamespace(at=lambda _: (friction,)))
     bristles = claim_of(Term("presliding", 1, {}), 0.01, DOUBTFUL)
     found = of_one_claim(bristles, 0.012, 0.008, base)
-    outcome = laws.believed(found, SimpleNamespace(each=()), 1)  # type: ignore[arg-type]
+    outcome = laws.believed(found, SimpleNamespace(each=()), None, 1)  # type: ignore[arg-type]
     assert [c.effect for c in outcome.claims] == (["unknown"] if stands else [])
 
 
@@ -269,9 +269,9 @@ def test_beside_a_doubted_law_another_of_its_mechanism_is_not_stated(
     monkeypatch.setattr(laws, "confidence", lambda *_: 0.2)
     monkeypatch.setattr(laws, "_alone", lambda *_: nothing)
     monkeypatch.setattr(laws, "stated", lambda claim, _: True)
-    assert laws.believed(decision, parts, 1).claims == (large, small, other)
+    assert laws.believed(decision, parts, parts, 1).claims == (large, small, other)
     monkeypatch.setattr(laws, "stated", lambda claim, _: claim is not large)
-    assert laws.believed(decision, parts, 1).claims == (other,)
+    assert laws.believed(decision, parts, parts, 1).claims == (other,)
 
 
 @pytest.mark.parametrize(("left", "stand"), [(0.01, False), (0.0005, True)])
@@ -286,7 +286,7 @@ def test_friction_beside_a_curve_of_the_position_stands_where_nothing_is_left(
     outcome = replace(of_one_claim(curve, 1.2, left), claims=(curve, rubs, ripple))
     monkeypatch.setattr(laws, "_alone", lambda *_: outcome.alone)
     nothing: Any = SimpleNamespace(each=(), model=None)
-    decided = laws.believed(replace(outcome, base=nothing), nothing, 1)
+    decided = laws.believed(replace(outcome, base=nothing), nothing, nothing, 1)
     assert (rubs in decided.claims, rubs in decided.refinements) == (stand, not stand)
     assert [c.effect for c in decided.claims] == (["unknown", "coulomb"] if stand else ["unknown"])
 

@@ -98,7 +98,7 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
             other = _exchanged(parts, search, final, first, jobs)
             if other is not None:
                 return decide(parts, given, other, jobs, tell)
-            decision = believed(first, parts, jobs)
+            decision = believed(first, parts, given, jobs)
             errors = [
                 rms(window_error(parts.test, m, joint)) for m in (base.model, decision.final.model)
             ]

@@ -21,6 +21,7 @@ from zendsp.diagnosis.decide.pieces import (
     piece_of,
     rms_torque,
     rubs,
+    taken_away,
 )
 from zendsp.diagnosis.decide.rivals import law_of, together
 from zendsp.diagnosis.decide.thresholds import (
@@ -121,7 +122,7 @@ def named(
     # more is left that depends on the state than anything claimed explains
     if state.size > best and state.z > SURE:
         claims = []
-    alone = _alone(final, joint, claims, refinements, jobs)
+    alone = _alone(given, final, joint, claims, refinements, jobs)
     return Decision(
         joint,
         "missing",
@@ -143,11 +144,13 @@ def _turns_a_known_one(
     parts: Parts, given: Model, final: Scored, piece: Piece, before: Size
 ) -> bool:
     """Whether a mechanism is how a dry friction that the model has turns round, and little of what
-    lacks: a second law of it.
+    lacks: a second law of it. Softness, as of bristles, makes friction less there; what makes it
+    more is none.
     """
     joint = piece.terms[0].joint
     return (
         piece.mechanism == DRY
+        and any(get_effect(e).hidden for e in piece.effects)
         and piece.size**2 < OWN_SHARE * before.value**2
         and bool(kept_laws(given, final.model, joint, DRY))
         and at_reversals(parts.test, piece.without.model, final.model, joint) >= PREDICTED
@@ -155,10 +158,15 @@ def _turns_a_known_one(
 
 
 def _alone(
-    final: Scored, joint: int, claims: Sequence[Claim], more: Sequence[Claim], jobs: int
+    given: Model,
+    final: Scored,
+    joint: int,
+    claims: Sequence[Claim],
+    more: Sequence[Claim],
+    jobs: int,
 ) -> Scored:
-    """The claims by themselves, fitted again: what only refines the fit can be bent to what no law
-    of the claims describes.
+    """The claims by themselves, fitted again, with what the rest had replaced: what only refines
+    the fit can be bent to what no law of the claims describes.
     """
     needed = any(get_effect(c.term.effect).needs for c in claims)
     rubs = any(c.mechanism == DRY and c.effect != "unknown" for c in claims)
@@ -167,15 +175,15 @@ def _alone(
         return c.mechanism == DRY and (needed or (rubs and get_effect(c.term.effect).common))
 
     terms = [c.term for c in more if not stays(c)]
-    kept = tuple(t for t in final.model.terms if not any(t is x for x in terms))
-    if not claims or len(kept) == len(final.model.terms):
+    terms = [t for t in final.model.terms if any(t is x for x in terms)]
+    if not claims or not terms:
         return final
-    model = final.model.with_terms(kept)
+    model = taken_away(given, final.model, joint, terms)
     handles = joint_handles(final.data, model, joint)
     return fit_scored(final.data, model, handles, (joint,), jobs=jobs, rounds=1)
 
 
-def believed(decision: Decision, parts: Parts, jobs: int) -> Decision:
+def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decision:
     """The decision without the laws that are too likely wrong, and not surely better than any of
     their neighbours; of what is first, the mechanism stays where its variables can be told from
     those of others and it explains more than it leaves, the rest refines the fit.
@@ -194,7 +202,8 @@ def believed(decision: Decision, parts: Parts, jobs: int) -> Decision:
     rest = [c for c in decision.claims if not any(c is k for k in likely)]
     alone = decision.alone
     if likely and rest:
-        alone = _alone(decision.final, decision.joint, likely, (*decision.refinements, *rest), jobs)
+        more = [*decision.refinements, *rest]
+        alone = _alone(given, decision.final, decision.joint, likely, more, jobs)
     keep, more = [], list(decision.refinements)
     doubted: set[str] = set()  # mechanisms: what stood beside a doubted law may be a part of it
     for claim in decision.claims:

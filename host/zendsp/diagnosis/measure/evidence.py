@@ -60,7 +60,7 @@ def compare(before: Scored, after: Scored, test: Data, joint: int) -> Evidence:
     )
     if len(values) < 2:
         return Evidence(float(values.sum()), 0.0, values)
-    width = DRAWN_IN * max(float(np.median(np.abs(values))), 1e-12)
+    width = DRAWN_IN * max(float(np.median(np.abs(values))), 1.0)
     drawn = np.clip(values, -width, width)
     error = deviation(drawn)
     return Evidence(float(drawn.sum()), float(drawn.sum()) / error if error > 0 else 0.0, values)
