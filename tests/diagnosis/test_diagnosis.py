@@ -30,7 +30,6 @@ def _held(effect: str) -> str:
     return effect.replace(" }", ", free = false }")
 
 
-
 @dataclass
 class Case:
     """True machine, effects of the given model, and what must be found: effect -> parameter -> true
@@ -223,6 +222,9 @@ def test_what_calibration_moves_far_is_told(tmp_path: Path) -> None:
     d = run(Case(machine, [VISCOUS, COULOMB], {}), tmp_path)
     (note,) = (n for n in d.notes if "calibration moves" in n)
     assert "coulomb level 0.03 to 0.02498 (-17 %)" in note and "as a torque gain of 1.2" in note
+    (found,) = d.findings  # one number explains what three would
+    assert (found.effect, found.indistinguishable) == ("torque_gain", ("inertia",))
+    assert found.parameters["ratio"].value == pytest.approx(0.2, abs=0.01)
     d = run(Case(reality.Machine(), [VISCOUS, COULOMB], {}), tmp_path)
     assert not any("calibration moves" in n for n in d.notes)
 
@@ -321,8 +323,11 @@ def test_a_drafted_model_of_joints_of_unlike_inertia_leads_to_their_friction(
         reality.simulate(machine, reality.multisine(14.0, RATE, seed), RATE)
         for seed, machine in enumerate((light, heavy))
     ]
-    both = {f"{key}{j} [{unit}]": run[key] for j, run in enumerate(runs, 1)
-            for key, unit in (("q", "rad"), ("u", "N m"))}
+    both = {
+        f"{key}{j} [{unit}]": run[key]
+        for j, run in enumerate(runs, 1)
+        for key, unit in (("q", "rad"), ("u", "N m"))
+    }
     run = reality.save(tmp_path / "run.csv", {"t [s]": runs[0]["t"]} | both)
     draft = draft_model(read_table(run)).text
     (tmp_path / "model.toml").write_text(draft)

@@ -274,6 +274,36 @@ def test_beside_a_doubted_law_another_of_its_mechanism_is_not_stated(
     assert laws.believed(decision, parts, parts, 1).claims == (other,)
 
 
+def test_claims_alone_are_beside_what_a_refinement_had_replaced(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Without it the model lacked viscous friction: a gap with right numbers was 13 % sure."""
+    terms = [Term(e, 1, {}) for e in ("viscous", "coulomb", "viscous_asymmetry", "backlash")]
+    given = Model("m", 1e-3, "rotary", {}, tuple(terms[:2]))
+    final: Any = SimpleNamespace(model=given.with_terms(tuple(terms[1:])), data=None)
+    monkeypatch.setattr(laws, "joint_handles", lambda *_: [])
+    monkeypatch.setattr(laws, "fit_scored", lambda _, model, *__, **___: model)
+    uneven, gap = (claim_of(t, 0.1) for t in terms[2:])
+    alone: Any = laws._alone(given, final, 1, [gap], [uneven], 1)
+    assert sorted(t.effect for t in alone.terms) == ["backlash", "coulomb", "viscous"]
+
+
+@pytest.mark.parametrize(("effect", "turns"), [("stribeck", False), ("presliding", True)])
+def test_a_small_second_law_of_a_known_friction_that_softens_it_is_its_error(
+    effect: str, turns: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What makes it more at a reversal is no softness: a Stribeck curve beside a larger effect."""
+    monkeypatch.setattr(laws, "kept_laws", lambda *_: [Term("coulomb", 1, {})])
+    monkeypatch.setattr(laws, "at_reversals", lambda *_: 0.9)
+    any_: Any = SimpleNamespace(test=None, model=None)
+    term = Term(effect, 1, {})
+    piece: Any = SimpleNamespace(
+        mechanism="dry_friction", terms=(term,), effects=(effect,), size=0.04, without=any_
+    )
+    before = Size(0.2, 0.2, 0.2)
+    assert laws._turns_a_known_one(any_, any_, any_, piece, before) is turns
+
+
 @pytest.mark.parametrize(("left", "stand"), [(0.01, False), (0.0005, True)])
 def test_friction_beside_a_curve_of_the_position_stands_where_nothing_is_left(
     left: float, stand: bool, monkeypatch: pytest.MonkeyPatch

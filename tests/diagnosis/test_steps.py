@@ -21,6 +21,7 @@ from zendsp.diagnosis.decide.assemble import with_disagreement
 from zendsp.diagnosis.decide.clocks import apart_in_time
 from zendsp.diagnosis.decide.propose import OTHER, motions
 from zendsp.diagnosis.decide.thresholds import BY_CHANCE, LAWFUL, OF_STATE, SURE
+from zendsp.diagnosis.measure import evidence
 from zendsp.diagnosis.measure.bursts import bursts, periodic
 from zendsp.diagnosis.measure.discrepancy import at_reversals, deviation, discrepancy
 from zendsp.diagnosis.measure.evidence import compare
@@ -214,6 +215,19 @@ def test_neighbouring_blocks_that_resemble_each_other_count_for_less() -> None:
     assert deviation(in_fives) > 1.8 * np.sqrt(4000)  # that of 800 sums of five: 2.2 times
 
 
+def test_what_acts_in_few_blocks_is_evidence_though_nothing_moves_in_most(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A recording that mostly rests; and one block that lost the track does not decide."""
+    starts = np.r_[np.full(12, 40.0), np.full(88, 1e-7)]
+    lost = np.r_[4000.0, np.full(99, 1e-7)]
+    for blocks, least, most in ((starts, 100.0, 1000.0), (lost, 0.0, 20.0)):
+        scores = iter((blocks, np.zeros(100)))
+        monkeypatch.setattr(evidence, "settling", lambda *_: 0.1)
+        monkeypatch.setattr(evidence, "block_scores", lambda *_, of=scores: next(of))
+        assert least < compare(None, None, None, 1).gain < most  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize("hertz", [6.1, 10.2])
 def test_a_spring_is_found_wherever_its_resonance_lies(hertz: float) -> None:
     load, motor = 0.004, 0.006
@@ -232,9 +246,7 @@ def test_what_was_begun_as_a_bent_spring_and_does_not_bend_is_a_spring() -> None
     load, stiffness = 0.004, 20.0
     machine = reality.Machine(load=load, soft=stiffness)
     base = model_of(VISCOUS, COULOMB)
-    data = data_of(
-        reality.simulate(machine, reality.multisine(4.0, RATE, 5, high=6.0), RATE), base
-    )
+    data = data_of(reality.simulate(machine, reality.multisine(4.0, RATE, 5, high=6.0), RATE), base)
     rounds = Rounds(data, 1, 2, print, base)
     found = rounds.stand_ins(calibrate_joint(data, base, 1), frozenset({"stiffening"}))
     assert found[0].effect == "elasticity"

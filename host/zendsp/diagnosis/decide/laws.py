@@ -346,9 +346,7 @@ def _beside_unknown(claims: Sequence[Claim], left: float) -> tuple[list[Claim], 
         return effect.constant or "order" in effect.names
 
     keep = [
-        c
-        for c in claims
-        if c.effect == "unknown" or (large(c) and not (curve and of_position(c)))
+        c for c in claims if c.effect == "unknown" or (large(c) and not (curve and of_position(c)))
     ]
     return keep, [c for c in claims if not any(c is k for k in keep)]
 
