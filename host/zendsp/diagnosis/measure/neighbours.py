@@ -83,7 +83,8 @@ def against_neighbours(
     float
         Standard deviations over blocks of time, by the observer that sees the law best; below 0 a
         neighbour predicts better, by more than any law may be wrong. Infinite where the law is no
-        function of the state, and has no neighbours, or hardly acts where it counts.
+        function of the state, has no neighbours that differ by more, or hardly acts where it
+        counts.
     """
     slopes = [_slopes(rec[joint - 1], fitted.model, term) for rec in data.records]
     rms = float(np.sqrt(np.mean(np.concatenate([law[0] for law in slopes]) ** 2)))
@@ -146,8 +147,10 @@ def _ahead(
     for k in range(len(law.bent[0])):
         bent = seen([s * by[k] for s, by in zip(law.slopes, law.bent, strict=True)])
         z, more, times = behind(bent)
-        if times < LARGER:  # else it is next to another number of the model, and no bent law
-            worst = min(worst, 0.0 if -(error**2) * energy < more < 0.0 else z)
+        same = abs(more) < error**2 * energy  # along these recordings it is the law itself
+        # one that has to be larger is next to another number of the model, and no bent law
+        if not same and times < LARGER:
+            worst = min(worst, z)
     return behind([made[:0] for made in own])[0], worst
 
 
