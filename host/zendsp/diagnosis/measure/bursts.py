@@ -10,12 +10,14 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.measure.discrepancy import (
+    FASTEST,
     band_of,
     kept,
     lacking,
     mean_square,
     reversals,
 )
+from zendsp.diagnosis.measure.neighbours import TURNS_ROUND
 from zendsp.diagnosis.measure.structure import unit
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.model import Model
@@ -34,6 +36,7 @@ NEIGHBOUR_LINES = 20  # neighbours on either side, whose median says how large n
 # Of the energy at reversals, and of the reversals: above both it is how the joint's friction turns
 # round. Soft friction came at 11 of 16 reversals and more, two pushes at 1 of 16 and 5 of 32.
 MOSTLY, OFTEN = 0.5, 0.3
+MOVED_OFF = 0.01  # probability that a joint begins to move within so many pushes by chance
 # Of the dry friction that a model has: it holds a joint with no more before it slides, and a model
 # in which it acts the other way round lacks twice of it.
 STICKS = 3.0
@@ -145,8 +148,9 @@ def bursts(
     here, there = _lacking(data, model, joint), _lacking(beside, model, joint)
     quiet = _quiet((here, there))
     acting = _acting(here, joint, quiet)
-    if dry > 0.0 and _peak(acting) < STICKS * dry and _turns(acting, joint, often):
-        return None
+    if dry > 0.0 and _peak(acting) < STICKS * dry:
+        if _turns(acting, joint, often) or _holds(acting, joint):
+            return None
     covered = sum(int(high.sum()) for high in acting.masks)
     count = sum(len(high) for high in acting.masks)
     others = _acting(there, joint, quiet, acting.least)
@@ -201,6 +205,27 @@ def _turns(acting: _Acting, joint: int, often: float) -> bool:
     ):
         return False
     return there > MOSTLY * total and met > often * count
+
+
+def _holds(acting: _Acting, joint: int) -> bool:
+    """Whether the joint begins to move in each interval in which something acts, and that resists
+    it: a friction that some rests raise. Not where it may be so by chance.
+    """
+    chance, against = 1.0, 0.0
+    for high, lack, use, rec in zip(
+        acting.masks, acting.of.lacks, acting.of.used, acting.of.data.records, strict=True
+    ):
+        speed = np.abs(rec[joint - 1].motion.states[1][use])
+        slow = speed < TURNS_ROUND * float(np.quantile(speed, FASTEST))
+        begins = np.cumsum(np.r_[0, slow[:-1] & ~slow[1:], 0])  # how often, up to a sample
+        change = np.flatnonzero(np.diff(np.r_[0, high.astype(int), 0]))
+        for a, b in zip(change[::2], change[1::2], strict=True):
+            if begins[b] == begins[a]:
+                return False
+            length = min(b - a, len(high) - 1)  # of any other interval as long, so many have one
+            chance *= float(np.mean(begins[length:] > begins[:-length]))
+        against += float((lack * rec[joint - 1].motion.states[1][use]) @ high)
+    return against > 0.0 and chance < MOVED_OFF
 
 
 def everywhere(found: Bursts, parts: Sequence[Data], model: Model, joint: int) -> Bursts:
