@@ -68,7 +68,11 @@ def fine_ripples(
     if band < 2 * FASTEST:
         return []
     data, held = train.at_bandwidth(joint, band), test.at_bandwidth(joint, band)
-    current = _fitted(data, _undisplaced(search), joint, 4, jobs)
+    bare = _undisplaced(search)
+    current = _fitted(data, bare, joint, 4, jobs)
+    displaced = None  # what was found, where something displaces the position
+    if len(bare.terms) < len(search.final.model.terms):
+        displaced = _fitted(data, search.final.model, joint, 4, jobs)
     found: list[FineRipple] = []
     while len(found) < MOST_RIPPLES:
         screen = Screen(data, current.fit, joint, (joint,))
@@ -81,8 +85,12 @@ def fine_ripples(
         cost = price(best[0].terms, informative(data, joint))
         if current.deviance - after.deviance < cost + RIPPLE_GAIN:
             break
-        evidence = compare(current, _rephased(after, held, joint, index, jobs), test, joint)
+        turned = _rephased(after, held, joint, index, jobs)
+        evidence = compare(current, turned, test, joint)
         if evidence.gain < RIPPLE_GAIN or evidence.z < Z:
+            break
+        # a transmission that errs so often a turn makes such a torque
+        if displaced is not None and compare(displaced, turned, test, joint).gain <= 0.0:
             break
         found.append(_reported(search, current, after, kind))
         current = after

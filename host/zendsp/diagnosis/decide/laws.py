@@ -257,15 +257,12 @@ def without_law(claim: Claim, decision: Decision) -> Claim:
 
 def by_its_variables(claim: Claim, decision: Decision, parts: Parts) -> Claim:
     """Friction without a law under the name whose variables predict it, beside what calibration
-    took up: fluid, where it needs no step at standstill.
+    took up: fluid, where it needs no step at standstill (which shows where the joint turns round).
     """
     if claim.effect != "unknown" or claim.mechanism not in FRICTION:
         return claim
     model, joint = decision.base.model, decision.joint
-    turning = not rubs(model, joint)
-    of = {
-        m: structure(parts.each, model, joint, [m, TAKEN], turning=turning).size for m in FRICTION
-    }
+    of = {m: structure(parts.each, model, joint, [m, TAKEN]).size for m in FRICTION}
     steps = of[FLUID] < (1.0 - LAW_ERROR) * of[DRY]
     name = DRY if steps else FLUID
     if name == claim.mechanism:
