@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -14,6 +14,7 @@ from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Claim, Decision, Piece
 from zendsp.diagnosis.decide.confidence import confidence, stated
 from zendsp.diagnosis.decide.pieces import (
+    beside_unknown,
     kept_laws,
     kind_of,
     known_discrepancy,
@@ -200,6 +201,7 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
         or _behind_a_transmission(c, decision, parts)
     ]
     rest = [c for c in decision.claims if not any(c is k for k in likely)]
+    laws = {c.effect for c in likely if c.effect != "unknown"}
     alone = decision.alone
     if likely and rest:
         more = [*decision.refinements, *rest]
@@ -208,7 +210,7 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
     doubted: set[str] = set()  # mechanisms: what stood beside a doubted law may be a part of it
     for claim in decision.claims:
         if claim.effect == "unknown":
-            if _told_apart(claim, decision, parts):
+            if _told_apart(claim, decision, parts, given, laws):
                 keep.append(without_law(claim, decision))
         elif (
             claim.mechanism not in doubted
@@ -221,7 +223,7 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
             and claim.mechanism in STRUCTURED
             and claim.size > decision.after.value
             and not _turns_otherwise(claim, decision, parts)
-            and _told_apart(claim, decision, parts)
+            and _told_apart(claim, decision, parts, given, laws - {claim.effect})
         ):
             keep.append(without_law(claim, decision))
             doubted.add(claim.mechanism)
@@ -270,16 +272,21 @@ def by_its_variables(claim: Claim, decision: Decision, parts: Parts) -> Claim:
     return replace(claim, mechanism=name, laws={"unknown": 1.0})
 
 
-def _told_apart(claim: Claim, decision: Decision, parts: Parts) -> bool:
-    """Whether no other mechanism's variables predict more of what lacks, or not much more where
-    its laws together leave nothing that depends on the state: a mechanism without a law is known by
-    its variables alone, where anything is left. (A constant is a function of any.)
+def _told_apart(
+    claim: Claim, decision: Decision, parts: Parts, given: Model, laws: Collection[str]
+) -> bool:
+    """Whether no other mechanism's variables predict more of what lacks beside the ``laws`` that
+    are named, or not much more where its laws together leave nothing that depends on the state: a
+    mechanism without a law is known by its variables alone, where anything is left. (A constant is
+    a function of any.)
     """
     if claim.mechanism not in STRUCTURED or get_effect(claim.term.effect).constant:
         return True
     if decision.after.value < SIMULATORS_DIFFER:
         return True
     model, joint = decision.base.model, decision.joint
+    if laws:
+        model = beside_unknown(given, decision.final.model, joint, claim.mechanism, laws)
     of = {m: structure(parts.each, model, joint, [m]).size ** 2 for m in STRUCTURED}
     others = max(of[m] for m in STRUCTURED if m not in kind_of(claim.mechanism))
     more = A_PART if decision.state.size < SIMULATORS_DIFFER else 0.0
