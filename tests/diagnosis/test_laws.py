@@ -148,7 +148,7 @@ def test_a_law_is_no_surer_than_that_it_predicts_better_than_its_neighbours(
 def test_how_a_known_friction_turns_round_is_no_missing_mechanism(
     monkeypatch: pytest.MonkeyPatch, moving: float, stands: bool
 ) -> None:
-    monkeypatch.setattr(laws, "structure", lambda *_, turning: Structure(moving, 0.6, 5.0))
+    monkeypatch.setattr(laws, "structure", lambda *_, turning=True: Structure(moving, 0.6, 5.0))
     monkeypatch.setattr(laws, "_told_apart", lambda *_: True)
     monkeypatch.setattr(laws, "_ahead", lambda *_: 0.0)
     friction = Term("coulomb", 1, {})
@@ -315,10 +315,38 @@ def test_friction_beside_a_curve_of_the_position_stands_where_nothing_is_left(
     monkeypatch.setattr(laws, "_ahead", lambda *_: 0.0)
     outcome = replace(of_one_claim(curve, 1.2, left), claims=(curve, rubs, ripple))
     monkeypatch.setattr(laws, "_alone", lambda *_: outcome.alone)
+    monkeypatch.setattr(laws, "beside_unknown", lambda *_: None)
     nothing: Any = SimpleNamespace(each=(), model=None)
+    outcome = replace(outcome, final=nothing)
     decided = laws.believed(replace(outcome, base=nothing), nothing, nothing, 1)
     assert (rubs in decided.claims, rubs in decided.refinements) == (stand, not stand)
     assert [c.effect for c in decided.claims] == (["unknown", "coulomb"] if stand else ["unknown"])
+
+
+@pytest.mark.parametrize(("named", "stands"), [(0.97, True), (0.2, False)])
+def test_a_torque_without_a_law_is_known_beside_the_laws_that_are_named(
+    named: float, stands: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of all that lacks, most goes with the direction of motion: beside detents, dry friction."""
+    curve = replace(claim_of(Term("ripple", 1, {}), 0.1), effect="unknown")
+    rubs = claim_of(Term("stribeck", 1, {}), 0.3)
+    base, beside = SimpleNamespace(model="base"), "what is named taken away"
+    of = {"base": "dry_friction", beside: "position_torque"}
+
+    def most(_: Any, model: str, __: int, mechanisms: list[str], **___: Any) -> Structure:
+        return Structure(0.1 if of[model] in mechanisms else 0.0, 9.0, 1.0)
+
+    monkeypatch.setattr(laws, "structure", most)
+    monkeypatch.setattr(laws, "beside_unknown", lambda *_: beside)
+    monkeypatch.setattr(laws, "confidence", lambda *_: named)
+    monkeypatch.setattr(laws, "stated", lambda claim, _: named > 0.5)
+    monkeypatch.setattr(laws, "_ahead", lambda *_: 0.0)
+    monkeypatch.setattr(laws, "_turns_otherwise", lambda *_: True)
+    outcome = replace(of_one_claim(curve, 0.4, 0.01), claims=(rubs, curve), base=base, final=base)
+    monkeypatch.setattr(laws, "_alone", lambda *_: outcome.alone)
+    parts: Any = SimpleNamespace(each=())
+    decided = laws.believed(outcome, parts, parts, 1)
+    assert [c.effect for c in decided.claims] == (["stribeck", "unknown"] if stands else [])
 
 
 def test_claims_that_are_dropped_leave_no_law_that_the_model_lacks() -> None:
