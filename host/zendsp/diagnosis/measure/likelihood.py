@@ -54,17 +54,12 @@ class Scored:
 
 def log_weights(data: Data, joint: int) -> float:
     """Sum of log S over the samples that count."""
-    total = 0.0
-    for rec in data.records:
-        record = rec[joint - 1]
-        w = record.gains(data.bandwidth[joint - 1])[2]
-        total += float(-2 * np.sum(np.log(w[record.counted])))
-    return total
+    return sum(rec[joint - 1].log_weights(data.bandwidth[joint - 1]) for rec in data.records)
 
 
 def informative(data: Data, joint: int) -> int:
     """Number of samples that count."""
-    return int(sum(np.sum(rec[joint - 1].counted) for rec in data.records))
+    return sum(rec[joint - 1].informative for rec in data.records)
 
 
 def deviance(data: Data, model: Model, joints: Sequence[int]) -> float:

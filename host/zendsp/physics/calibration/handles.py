@@ -90,29 +90,30 @@ def set_values(model: Model, handles: Sequence[Handle], x: Array) -> Model:
     """A copy of the model with the numbers behind the handles replaced; of the new ones no standard
     deviation is known.
     """
+    used = {h.place for h in handles}
     mechanism = {key: list(items) for key, items in model.mechanism.items()}
-    terms = [dict(term.parameters) for term in model.terms]
-    gain = [_pick(model.actuator.gain, j, 1.0) for j in range(model.joints)]
-    offset = [_pick(model.sensor.offset, j, 0.0) for j in range(model.joints)]
+    terms = list(model.terms)
+    joints = range(model.joints) if used & {"gain", "offset"} else ()
+    gain = [_pick(model.actuator.gain, j, 1.0) for j in joints]
+    offset = [_pick(model.sensor.offset, j, 0.0) for j in joints]
     for i, h in enumerate(handles):
         value = float(x[i])
         if h.place == "mechanism":
             mechanism[h.key][h.index] = replace(mechanism[h.key][h.index], value=value, std=0.0)
         elif h.place == "term":
-            terms[h.index][h.key] = replace(terms[h.index][h.key], value=value, std=0.0)
+            term = terms[h.index]
+            number = replace(term.parameters[h.key], value=value, std=0.0)
+            terms[h.index] = Term(term.effect, term.joint, {**term.parameters, h.key: number})
         elif h.place == "gain":
             gain[h.index] = value
         else:
             offset[h.index] = value
-    used = {h.place for h in handles}
     actuator = replace(model.actuator, gain=tuple(gain)) if "gain" in used else model.actuator
     sensor = replace(model.sensor, offset=tuple(offset)) if "offset" in used else model.sensor
     return replace(
         model,
         mechanism={key: tuple(items) for key, items in mechanism.items()},
-        terms=tuple(
-            Term(t.effect, t.joint, values) for t, values in zip(model.terms, terms, strict=True)
-        ),
+        terms=tuple(terms),
         actuator=actuator,
         sensor=sensor,
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -58,6 +59,9 @@ class JointRecord:
     runs: dict[Any, Any] = field(default_factory=dict)
     # torques of single terms along it, see ``Screen``
     traces: dict[Any, Array] = field(default_factory=dict)
+    # what the kernel is given of it, by the bandwidth of the observer, see ``fill``
+    _log_weights: dict[float, float] = field(default_factory=dict, init=False, repr=False)
+    filled: dict[float, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def began(self) -> float:
@@ -77,6 +81,11 @@ class JointRecord:
                 np.r_[0.0, np.cumsum(self.command)] * self.sample_time
             )
         return self._integral
+
+    @cached_property
+    def informative(self) -> int:
+        """Number of samples that count."""
+        return int(np.sum(self.counted))
 
     @property
     def counted(self) -> npt.NDArray[np.bool_]:
@@ -110,6 +119,14 @@ class JointRecord:
             )
             self._gains[key] = (k1, k2, w)
         return self._gains[key]
+
+    def log_weights(self, bandwidth: float) -> float:
+        """Sum of log S over the samples that count."""
+        key = round(bandwidth, 6)
+        if key not in self._log_weights:
+            w = self.gains(bandwidth)[2]
+            self._log_weights[key] = float(-2 * np.sum(np.log(w[self.counted])))
+        return self._log_weights[key]
 
     def _unrest(self, bandwidth: float) -> Array:
         """Squares of the bandwidth along the recording, (n,) (rad/s)².
@@ -167,7 +184,7 @@ class JointRecord:
 
     def __getstate__(self) -> dict[str, Any]:
         """To another process goes what the rest follows from."""
-        empty: dict[str, Any] = {key: {} for key in ("_gains", "fits", "runs", "traces")}
+        empty: dict[str, Any] = {key: {} for key in ("_gains", "fits", "runs", "traces", "filled")}
         return {**self.__dict__, **empty, "_integral": None, "_thinned": None}
 
     def inertia_and_bias(self, model: Model) -> tuple[Array, Array]:

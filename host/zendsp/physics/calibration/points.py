@@ -108,7 +108,7 @@ class Points:
             tables[:, row, column] = at[:, i] - less
         m = lib.ffi.new("zk_model[]", LANES)
         p = lib.doubles(tables)
-        known: dict[tuple[float, ...], list[Any]] = {}
+        known: dict[tuple[float, ...], list[Any]] = {}  # with the lane that has them
         for lane in range(count):
             m[lane] = self._base[0]
             m[lane].p = p + lane * table.size
@@ -117,7 +117,7 @@ class Points:
             for i in self._shift:
                 fill_shift(m[lane], self.record, at[lane, i])
             if self._rigid:
-                self._fill_rigid(m[lane], at[lane], known)
+                self._fill_rigid(m, lane, at[lane], known)
             for i in self._gravity:
                 m[lane].gravity = at[lane, i]
         if count == 1:
@@ -132,10 +132,17 @@ class Points:
         del kinds, known
         return out[:, :count]
 
-    def _fill_rigid(self, m: Any, at: Array, known: dict[tuple[float, ...], list[Any]]) -> None:
+    def _fill_rigid(
+        self, m: Any, lane: int, at: Array, known: dict[tuple[float, ...], list[Any]]
+    ) -> None:
         """Inertia and known torque at a point, worked out once for each of their values."""
         values = tuple(float(at[i]) for i in self._rigid)
-        if values not in known:
-            model = set_values(self.model, [self.handles[i] for i in self._rigid], np.array(values))
-            known[values] = [model, *self.record.inertia_and_bias(model)]
-        fill_rigid(m, self.record, *known[values])
+        if values in known:
+            first = m[known[values][0]]
+            m[lane].inertia, m[lane].bias = first.inertia, first.bias
+            m[lane].bias_slope, m[lane].reference = first.bias_slope, first.reference
+            return
+        model = set_values(self.model, [self.handles[i] for i in self._rigid], np.array(values))
+        inertia, bias = self.record.inertia_and_bias(model)
+        known[values] = [lane, inertia, bias]
+        fill_rigid(m[lane], self.record, model, inertia, bias)

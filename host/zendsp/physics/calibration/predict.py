@@ -177,7 +177,7 @@ def run_many(
         m = lib.ffi.new("zk_model[]", LANES)
         known: dict[tuple[float, ...], tuple[Array, Array]] = {}
         alive = [
-            fill(m[i], record, model, bandwidth, inner, known, tables[begin + i])
+            fill(m + i, record, model, bandwidth, inner, known, tables[begin + i])
             for i, model in enumerate(some)
         ]
         finest = max(m[i].sub for i in range(len(some)))  # all take the same steps
@@ -230,10 +230,11 @@ def fill(
     known: dict[tuple[float, ...], tuple[Array, Array]] | None = None,
     packed: tuple[npt.NDArray[np.int32], Array] | None = None,
 ) -> list[Any]:
-    """Fill a zk_model; what it points to must outlive the call, and is returned. ``known``: inertia
+    """Fill a zk_model (a pointer); what it points to must outlive the call, beside the record, and
+    is returned. ``known``: inertia
     and bias by mechanism values; ``packed``: the joint's effects, where they are packed already.
     """
-    lib, n = native(), record.n
+    lib = native()
     p, ffi = lib.doubles, lib.ffi
     kinds, table = packed or pack(model.at(record.joint))
     values = tuple(
@@ -243,31 +244,34 @@ def fill(
     if values not in known:
         known[values] = record.inertia_and_bias(model)
     inertia, bias = known[values]
-    k1, k2, w = record.gains(bandwidth)
-    rq, rqd = record.motion.states[0], record.motion.states[1]
-    m.n = n
+    if bandwidth not in record.filled:
+        record.filled[bandwidth] = _of_record(record, bandwidth)
+    ffi.memmove(m, record.filled[bandwidth], ffi.sizeof("zk_model"))
     m.sub = steps(record, model, inertia, inner)
-    m.T = record.sample_time
-    m.ucum = p(record.integral)
     m.delay = model.actuator.delay
     m.gain = per_joint(model.actuator.gain, record.joint, 1.0)
     m.limit = per_joint(model.actuator.limit, record.joint, 0.0)
-    m.m = p(record.measurement.value)
-    m.half = p(record.measurement.half)
-    m.k1 = p(k1)
-    m.k2 = p(k2)
-    m.w = p(w)
     fill_rigid(m, record, model, inertia, bias)
-    m.other, m.extra = p(record.others), ffi.NULL
     own = own_terms(model.at(record.joint))
-    m.temperature = p(_felt(record, own))
+    _felt(record, own)
     m.nfx, m.kind, m.p = len(own), ffi.cast("int *", ffi.from_buffer(kinds)), p(table)
-    m.qd0 = float(rqd[0])
     fill_shift(m, record, per_joint(model.sensor.offset, record.joint, 0.0))
-    m.a0 = _first_acceleration(record)
     m.load_sensor = 1 if model.sensor.side == "load" else 0
-    m.reset, m.rq, m.rqd, m.t0 = 0, p(rq), p(rqd), record.began
-    return [kinds, table, inertia, bias, k1, k2, w]
+    return [kinds, table, inertia, bias]
+
+
+def _of_record(record: JointRecord, bandwidth: float) -> Any:
+    """A zk_model with all that no model changes; the record keeps what it points to."""
+    lib = native()
+    p, m = lib.doubles, lib.ffi.new("zk_model *")
+    rq, rqd = record.motion.states[0], record.motion.states[1]
+    m.n, m.T, m.ucum = record.n, record.sample_time, p(record.integral)
+    m.m, m.half = p(record.measurement.value), p(record.measurement.half)
+    m.k1, m.k2, m.w = (p(gain) for gain in record.gains(bandwidth))
+    m.other, m.temperature = p(record.others), p(_felt(record, ()))
+    m.qd0, m.a0 = float(rqd[0]), _first_acceleration(record)
+    m.rq, m.rqd, m.t0 = p(rq), p(rqd), record.began
+    return m
 
 
 def _first_acceleration(record: JointRecord) -> float:

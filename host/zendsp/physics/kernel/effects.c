@@ -14,6 +14,7 @@ typedef struct {
     double s0[LANES], s1[LANES], bw_force[LANES], bw_a[LANES], bw_n[LANES], j_extra[LANES];
     double k_cubic[LANES], w_amp[LANES], w_order[LANES], w_phase[LANES], filter[LANES];
     double creep[LANES];
+    int bw_whole, whole[MAXFX][MAXP]; /* of a number in all lanes: 1 or 2 where it is that */
     int two_mass, lag_on, gapped, bristled, bent, creeps, pulled, hung, late, drives, senses, wavy,
         filtered, hidden, loaded; /* whether any lane has it */
 } OF(numbers);
@@ -33,6 +34,14 @@ typedef struct { /* what an effect may look at */
 } OF(state);
 
 /* EFFECT_FUNCTIONS */
+
+/* 1 or 2 where that is the number of all lanes, else 0 */
+static int OF(whole)(const double *number)
+{
+    for (int l = 0; l < LANES; l++)
+        if (number[l] != number[0] || (number[0] != 1.0 && number[0] != 2.0)) return 0;
+    return (int)number[0];
+}
 
 static void OF(set_up)(const zk_model *M, OF(numbers) *N)
 {
@@ -79,7 +88,7 @@ static void OF(set_up)(const zk_model *M, OF(numbers) *N)
         N->w_phase[l] = w_phase;
         N->filter[l] = filter;
         N->creep[l] = creep;
-        N->wavy |= w_amp != 0 || k_cubic != 0;
+        N->wavy |= w_amp != 0;
         N->hidden |= lag_on || delay != 0 || s0 > 0 || bw_force > 0 || creep > 0;
         N->filtered |= filter > 0;
         N->drives |= drives;
@@ -94,6 +103,9 @@ static void OF(set_up)(const zk_model *M, OF(numbers) *N)
         N->creeps |= creep > 0;
         N->pulled |= M[l].gravity != 0; N->late |= delay != 0;
     }
+    N->bw_whole = OF(whole)(N->bw_n);
+    for (int i = 0; i < M->nfx; i++)
+        for (int j = 0; j < MAXP; j++) N->whole[i][j] = OF(whole)(&N->p[i][j * LANES]);
 }
 
 /* torque without dry friction, and what dry friction is multiplied by; lane l looks at sample k +

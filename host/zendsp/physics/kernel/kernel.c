@@ -12,12 +12,11 @@
 #include <string.h>
 
 #if defined(__GNUC__) && !defined(__clang__) && defined(__GLIBC__) && defined(__x86_64__)
-/* the C library has these for several lanes at once */
-#define FOR_LANES __attribute__((simd("notinbranch"), const))
-double sin(double) FOR_LANES;
-double cos(double) FOR_LANES;
-double pow(double, double) FOR_LANES;
+/* the C library has it for several lanes at once */
+double pow(double, double) __attribute__((simd("notinbranch"), const));
 #endif
+
+#define INLINE static inline __attribute__((always_inline))
 
 enum { MAXFX = 24, MAXP = 6 };
 
@@ -67,13 +66,10 @@ typedef struct {
     double *uloop;
 } zk_model;
 
-#define INLINE static inline __attribute__((always_inline))
-
-/* not cos: beside a sin of the same angle GCC makes both one call, which has no lanes */
-static inline double cosine(double x) { return sin(x + 1.5707963267948966); }
-static inline double clip(double v, double lim) { return v > lim ? lim : v < -lim ? -lim : v; }
-/* exp without a call, which would put every lane aside: of |x| < 700, off by 1e-14 of itself */
-static inline double grown(double x)
+INLINE double clip(double v, double lim) { return v > lim ? lim : v < -lim ? -lim : v; }
+/* exp, log, pow and sin without a call, which would put every lane aside and every register into
+ * memory. exp: of |x| < 700, off by 1e-14 of itself */
+INLINE double grown(double x)
 {
     union { double d; long long i; } n = {.d = x * 1.4426950408889634 + 0x1.8p52}; /* rounded */
     const long long bits = (n.i + 1023) << 52;                                     /* 2^n */
@@ -87,10 +83,46 @@ static inline double grown(double x)
     return p * two.d;
 }
 #define exp(x) grown(clip(x, 690.0))
-static inline double saturated(double x) { return 1.0 - 2.0 / (grown(clip(2.0 * x, 40.0)) + 1.0); }
+INLINE double saturated(double x) { return 1.0 - 2.0 / (grown(clip(2.0 * x, 40.0)) + 1.0); }
 #define tanh(x) saturated(x) /* off by 1e-14 */
-static inline double sgn(double x) { return (x > 0) - (x < 0); }
-static inline double soft(double v, double lim) {
+/* log of a normal x > 0: x = 2^n m with m about 1, log m = 2 artanh f */
+INLINE double logarithm(double x)
+{
+    union { double d; long long i; } m = {.d = x}, n;
+    n.i = (m.i - 0x3fe6a09e667f3bcdLL) >> 52; /* m from sqrt(1/2) to sqrt(2) */
+    m.i -= (long long)((unsigned long long)n.i << 52);
+    const double whole = (double)n.i, f = (m.d - 1.0) / (m.d + 1.0), s = f * f;
+    double p = 2.0 / 21;
+    p = p * s + 2.0 / 19; p = p * s + 2.0 / 17; p = p * s + 2.0 / 15; p = p * s + 2.0 / 13;
+    p = p * s + 2.0 / 11; p = p * s + 2.0 / 9; p = p * s + 2.0 / 7; p = p * s + 2.0 / 5;
+    p = p * s + 2.0 / 3;
+    return whole * 0x1.62e42fefa39efp-1 + (2.0 * f + f * s * p);
+}
+/* x^n of x >= 0; whole: n where all lanes have the same and it is 1 or 2, else 0 */
+INLINE double raised(double x, double n, int whole)
+{
+    return whole == 2 ? x * x : whole == 1 ? x : x > 1e-300 ? exp(n * logarithm(x)) : 0.0;
+}
+/* x less the nearest multiple of pi, in three parts, then its series: |x| < 1e8, off by 1e-15 */
+INLINE double sine(double x)
+{
+    union { double d; long long i; } n = {.d = x * 0.3183098861837907 + 0x1.8p52}; /* rounded */
+    union { double d; unsigned long long i; } out;
+    const unsigned long long odd = (unsigned long long)n.i << 63;
+    n.d -= 0x1.8p52;
+    const double r = ((x - n.d * 3.1415926218032837) - n.d * 3.1786509424591713e-08) -
+                     n.d * 1.2246467864107189e-16, s = r * r, s2 = s * s, s4 = s2 * s2;
+    const double low = (-1.0 / 6 + s * (1.0 / 120)) + s2 * (-1.0 / 5040 + s * (1.0 / 362880)),
+                 high = (-1.0 / 39916800 + s * (1.0 / 6227020800)) +
+                        s2 * (-1.0 / 1307674368000 + s * (1.0 / 355687428096000));
+    out.d = r + r * s * (low + s4 * (high + s4 * (-1.0 / 121645100408832000)));
+    out.i ^= odd;
+    return out.d;
+}
+#define sin(x) sine(x)
+#define cos(x) sine((x) + 1.5707963267948966)
+INLINE double sgn(double x) { return (x > 0) - (x < 0); }
+INLINE double soft(double v, double lim) {
     return v > lim ? v - lim : v < -lim ? v + lim : 0.0;
 }
 
@@ -103,7 +135,7 @@ static inline double soft(double v, double lim) {
 #define FEEL for (int l = 0; l < LANES; l++) S->temp[l] = M->temperature[k + stride * l];
 
 /* integral of the held command up to t; without branches, for lanes */
-static inline double cum(const zk_model *M, double t, double per_T)
+INLINE double cum(const zk_model *M, double t, double per_T)
 {
     const double x = t * per_T, last = M->n - 1;
     const int i = (int)(x < 0 ? 0 : x < last ? x : last);

@@ -22,7 +22,10 @@ from zendsp_isr.compiler import find_compiler
 
 Array = npt.NDArray[np.float64]
 
-FAST = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC")
+FAST = (
+    "-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros",
+    "-ffp-contract=fast", "-shared", "-fPIC",
+)  # fmt: skip
 # all lanes in one register, where there is one so wide
 WIDE = ("-mprefer-vector-width=512",) if platform.machine() == "x86_64" else ()
 FLAGS = (*FAST, *WIDE, "-std=c11", "-fopenmp-simd")
@@ -87,6 +90,8 @@ _ALSO = {  # what else is done where a model has one
 }
 _MORE = {"dry": ", int dir", "actuator": ", double u", "drive": ", double tau"}
 
+_POWER = re.compile(r"\bpow\((fabs\([^()]*\)[^(),]*), p\[(\d)\]\)")  # of what is not negative
+
 
 def source_text(effects: dict[str, Effect]) -> str:
     """The complete C source for a library of effects; the index of an effect is its place in the
@@ -102,15 +107,16 @@ def source_text(effects: dict[str, Effect]) -> str:
         looks = "".join(look for name, look in _LOOKS.items() if re.search(name, effect.c))
         for mark, done in (_PLACES[effect.site], *_ALSO.get(effect.site, ())):
             looked = looks if mark != "SETUP" else ""
-            text = done.format(name=effect.name, c=effect.c)
+            text = _by_power(done.format(name=effect.name, c=effect.c), effect)
             cases[mark].append(f"case {i}: {looked}{text} break;")
         if effect.site == "setup":
             continue
         if re.search(r"\bload\b", effect.c):
             cases["SETUP"].append(f"case {i}: loaded = 1; break;")
-        head = f"(const double *p, const OF(state) *s, int l{_MORE.get(effect.site, '')})"
+        more = _MORE.get(effect.site, "") + (", int whole" if _POWER.search(effect.c) else "")
+        head = f"(const double *p, const OF(state) *s, int l{more})"
         functions.append(
-            f"static inline double OF(fx_{effect.name}){head} {{ {_of_lane(effect)} }}"
+            f"INLINE double OF(fx_{effect.name}){head} {{ {_of_lane(effect)} }}"
         )
     folder = resources.files("zendsp.physics.kernel")
     observer = "".join((folder / name).read_text() for name in _PARTS)
@@ -121,6 +127,16 @@ def source_text(effects: dict[str, Effect]) -> str:
     return f"#define MANY {LANES}\n" + kernel + (folder / "filter.c").read_text()
 
 
+def _by_power(call: str, effect: Effect) -> str:
+    """The call of an effect, three times where it has a power: a square needs no logarithm."""
+    power = _POWER.search(effect.c)
+    if not power or "OF(fx_" not in call:
+        return call
+    one, two, any_other = (f"{call.removesuffix(');')}, {whole});" for whole in (1, 2, 0))
+    whole = f"N->whole[i][{power[2]}]"
+    return f"if ({whole} == 2) {two} else if ({whole} == 1) {one} else {any_other}"
+
+
 def _of_lane(effect: Effect) -> str:
     """The C of an effect with its parameters and its state taken from lane l."""
     other = re.search(r"\bp\b(?!\s*\[)|\bs\b(?!\s*->)", effect.c)
@@ -129,7 +145,8 @@ def _of_lane(effect: Effect) -> str:
             f"effect {effect.name!r}: {other[0]!r} stands alone in {effect.c!r}; write p[0], p[1],"
             " … and s->q, s->qd, s->qdd, s->t, s->temp, s->u, s->tau, s->load"
         )
-    body = re.sub(r"\bp\s*\[([^\]]+)\]", r"p[(\1) * LANES + l]", effect.c)
+    powers = _POWER.sub(r"raised(\1, p[\2], whole)", effect.c)
+    body = re.sub(r"\bp\s*\[([^\]]+)\]", r"p[(\1) * LANES + l]", powers)
     return re.sub(r"\bs\s*->\s*(q|qd|qdd|u|tau|load|t|temp|oq|oqd|oqdd)\b", r"s->\1[l]", body)
 
 

@@ -66,7 +66,7 @@ INLINE void OF(gear)(const OF(task) *O, OF(motion) *X, double added)
     const OF(state) *S = O->S;
     EACH {
         double at = N->w_order[l] * S->q[l] + N->w_phase[l];
-        X->slope[l] = 1 + N->w_amp[l] * N->w_order[l] * cosine(at);
+        X->slope[l] = 1 + N->w_amp[l] * N->w_order[l] * cos(at);
         X->wave[l] =
             N->w_amp[l] * sin(O->two_mass ? N->w_order[l] * X->q[l] + N->w_phase[l] : at);
         X->bend[l] = -N->w_amp[l] * N->w_order[l] * N->w_order[l] * sin(at) * X->slope[l] *
@@ -109,8 +109,7 @@ INLINE void OF(stretch)(const OF(task) *O, OF(motion) *X)
         on = gap > 0 ? on : 1.0;
         g = (on < 1.0) & (on > 0.0) & (gap > 0) ? 0.5 * (e1 * e1 - e0 * e0) * per : g;
         double c = N->c_spring[l] * on,
-               pull = (O->wavy ? N->k_spring[l] + N->k_cubic[l] * g * g : N->k_spring[l]) * g +
-                      c * dv;
+               pull = (N->k_spring[l] + N->k_cubic[l] * g * g) * g + c * dv;
         pull /= 1.0 + 0.5 * h * c * (X->per_jm[l] + X->per_jl[l]); /* damped by its mean speed */
         X->spring[l] = (gap > 0) & (pull * g < 0) ? 0.0 : pull; /* a contact pushes only */
         double vl = X->qdl[l] + h * (X->spring[l] - fall[l]) * X->per_jl[l];
@@ -144,17 +143,26 @@ INLINE void OF(resist)(const OF(task) *O, const OF(motion) *X, int k, OF(lane) *
     if (O->geared) EACH (*f)[l] += X->bend[l] * O->S->qd[l] * O->S->qd[l];
 }
 
-/* Hysteresis by Bouc and Wen, |z| <= 1. */
-INLINE void OF(remember)(const OF(task) *O, OF(motion) *X, OF(lane) *free)
+/* Hysteresis by Bouc and Wen, |z| <= 1. whole: see raised */
+INLINE void OF(remember_by)(const OF(task) *O, OF(motion) *X, OF(lane) *free, int whole)
 {
     const OF(numbers) *N = O->N;
     EACH {
-        double az = pow(fabs(X->zh[l]), N->bw_n[l]), v = O->S->qd[l];
+        double az = raised(fabs(X->zh[l]), N->bw_n[l], whole), v = O->S->qd[l];
         double zn = X->zh[l] + O->h * N->bw_a[l] *
                                    (v - 0.5 * fabs(v) * az * sgn(X->zh[l]) - 0.5 * v * az);
         zn = zn > 1 ? 1 : zn < -1 ? -1 : zn;
         (*free)[l] -= N->bw_force[l] * 0.5 * (X->zh[l] + zn);
         X->zh[l] = zn;
+    }
+}
+
+INLINE void OF(remember)(const OF(task) *O, OF(motion) *X, OF(lane) *free)
+{
+    switch (O->N->bw_whole) {
+    case 1: OF(remember_by)(O, X, free, 1); break;
+    case 2: OF(remember_by)(O, X, free, 2); break;
+    default: OF(remember_by)(O, X, free, 0);
     }
 }
 
