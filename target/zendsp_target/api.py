@@ -44,12 +44,11 @@ class AcquireConfig:
 
 @dataclass(frozen=True)
 class Blank:
-    """A reply in which only numbers are missing, of eight bytes each, the most significant first.
-    """
+    """A message in which only numbers change, of eight bytes each, the most significant first."""
 
-    data: bytearray
-    count: int  # where the tick or the sequence number goes
-    values: tuple[int, ...] = ()  # where each value goes, a double
+    data: bytes | bytearray
+    count: int = -1  # where the tick or the sequence number of a reply goes
+    values: tuple[int, ...] = ()  # where each value stands, a double
 
 
 class RuntimeApi(Protocol):
@@ -103,9 +102,9 @@ class RuntimeApi(Protocol):
     # Of the next two, None: there is no shorter way; what they return gives 0, and nothing has
     # happened, where the whole way has to be gone.
     def repeat_read(self, names: Sequence[str], reply: Blank) -> Callable[[], int] | None: ...
-    # takes a request, in which the value stands from byte `value_at` on, as in a reply
+    # takes a request as long as the given one -> sequence, which goes into the reply, if any
     def repeat_write(
-        self, name: str, author: str, value_at: int, reply: Blank
+        self, names: Sequence[str], author: str, request: Blank, reply: Blank | None
     ) -> Callable[[bytes], int] | None: ...
     # its tick; NotYet: not within the timeout
     def wait_applied(self, sequence: int, timeout: float) -> int: ...

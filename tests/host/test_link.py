@@ -23,7 +23,7 @@ from zendsp.link import ParameterSet, Target, connect
 from zendsp.matdsp import MatDSPcompile, MatDSPdownload
 from zendsp_protocol.messages import CompileResult, JointInfo, MachineInfo
 from zendsp_target.runtime import Runtime
-from zendsp_target.serving.server import THREADS
+from zendsp_target.serving.lanes import THREADS
 from zendsp_target.serving.turns import Turns
 
 

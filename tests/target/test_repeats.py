@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import os
 import signal
-import struct
 import threading
 import time
 from collections.abc import Callable
@@ -36,6 +35,15 @@ void UserInit(void) {
     SIGNAL(list, "", ""); SIGNAL(n, "", "");
 }
 void UserISR_INT2(void) { n++; list[1] = 2.0 * a; }
+void UserBackground(void) {}
+"""  # noqa: E501
+TWINS = """
+#include "isr.h"
+static double a, b, c;
+void UserInit(void) {
+    PARAMETER(a, 0, "", NO_MIN, NO_MAX, ""); PARAMETER(b, 0, "", NO_MIN, NO_MAX, ""); PARAMETER(c, 0, "", NO_MIN, NO_MAX, "");
+}
+void UserISR_INT2(void) {}
 void UserBackground(void) {}
 """  # noqa: E501
 OTHER = """
@@ -163,24 +171,65 @@ def test_only_what_is_plainly_the_same_is_repeated(make_runtime: Make) -> None:
     for _ in range(3):
         desk.write(a=1)
         desk.write(k=3)
-        desk.write(a=1.0, b=2.0)
+        desk.write(a=1.0, k=2.0)
         desk.ask("write", values={"a": 1.0}, at_tick=0)
+        desk.ask("update", values={"a": 1.0}, fade=0.5)
         samples(runtime)
         desk.ask("read", names=["n"])
         desk.ask("read", names=["list", "a"])
     assert desk.again == 0
-    # whatever ends in eight bytes that are no value goes the whole way: here the author comes last
+
+
+def test_requests_that_begin_alike_and_are_as_long_are_told_apart(make_runtime: Make) -> None:
+    desk = desk_of(make_runtime(TWINS))
     for k in range(3):
-        body = {
-            "v": codec.PROTOCOL,
-            "verb": "write",
-            "args": {"values": {"a": k + 0.5}},
-            "by": "somebody",
-        }
-        request = codec.encode(body)
-        assert desk.repeats.answer(request) is None
-        desk.repeats.learn(request, *codec.decode_request(request, "quick"), "somebody")
-    assert desk.repeats.answer(codec.encode({"v": 1}) + struct.pack(">d", 1.0)) is None
+        desk.write(a=float(k), b=1.0 + k)
+        desk.write(a=9.0, c=2.0 + k)
+        desk.ask("update", values={"a": float(k), "b": 1.0 + k})
+    assert desk.again == 2 + 2
+    found = desk.ask("read", names=["a", "b", "c"])
+    assert found.values == {"a": 2.0, "b": 3.0, "c": 4.0}
+    desk.write(a=0.5)
+    # another author, behind the value
+    body = {"v": codec.PROTOCOL, "verb": "write", "args": {"values": {"a": 0.5}}, "by": "me"}
+    request, other = codec.encode(body), codec.encode({**body, "by": "us"})
+    repeats = desk.repeats["quick"]
+    repeats.learn(request, *codec.decode_request(request, "quick"), "me")
+    assert repeats.answer(request) is not None and repeats.answer(other) is None
+
+
+def test_a_reading_that_is_to_see_a_write_sees_it_also_when_it_is_repeated(
+    make_runtime: Make,
+) -> None:
+    runtime = make_runtime(PROGRAM, clock="real", realtime=False)
+    desk = desk_of(runtime)
+    runtime.start()
+    for k in range(300):  # its number takes more bytes
+        number = desk.write(b=float(k))
+        assert desk.ask("read", names=["b"], after=number).values == {"b": float(k)}
+    assert desk.again >= 299, "the writes, and readings where the sample came soon"
+    repeated = desk.again
+    assert desk.ask("read", names=["b"], after=number).values == {"b": 299.0}
+    assert desk.again == repeated + 1, "what can be read already"
+    for unknown in (10**6, 2**40):
+        assert desk.ask("read", names=["b"], after=unknown).values == {"b": 299.0}
+
+
+def test_a_repeated_update_is_acknowledged_with_the_sample_at_which_it_took_effect(
+    make_runtime: Make,
+) -> None:
+    runtime = make_runtime(PROGRAM)
+    desk = desk_of(runtime)
+    for k in range(1, 6):
+        applied = desk.ask("update", values={"a": k / 4, "b": -k / 3})
+        assert applied == m.Applied(sequence=k, tick=k - 1)
+        samples(runtime)
+    assert desk.again == 4
+    logged = [(c.tick, c.name, c.new) for c in runtime.log()]
+    assert logged[-2:] == [(4, "a", 1.25), (4, "b", -5 / 3)]
+    desk.ask("drive", "you", action="take")
+    with pytest.raises(Refused, match="exclusive right"):
+        desk.ask("update", values={"a": 0.0, "b": 0.0})
 
 
 def test_a_repeated_write_for_a_runner_that_is_gone_says_how_it_died(make_runtime: Make) -> None:
@@ -266,12 +315,20 @@ ASKED = st.one_of(
         st.just("write"),
         st.dictionaries(st.sampled_from(NAMES), st.sampled_from(VALUES), min_size=1, max_size=3),
     ),
-    st.tuples(st.just("read"), st.lists(st.sampled_from(NAMES[:4]), min_size=1, max_size=3)),
+    st.tuples(
+        st.sampled_from(["write", "update"]),
+        st.dictionaries(st.sampled_from(NAMES[:2]), st.sampled_from(VALUES[:6]), min_size=1),
+    ),
+    st.tuples(
+        st.sampled_from(["read", "see"]),
+        st.lists(st.sampled_from(NAMES[:4]), min_size=1, max_size=3),
+    ),
     st.tuples(st.just("drive"), st.sampled_from(["take", "release"])),
     st.tuples(st.just("samples"), st.integers(1, 3)),
 )
 ARGUMENTS: dict[str, Callable[[Any], dict[str, Any]]] = {
     "write": lambda values: {"values": values},
+    "update": lambda values: {"values": values},
     "read": lambda names: {"names": names},
     "drive": lambda action: {"action": action},
 }
@@ -283,10 +340,13 @@ def outcome(desk: Desk, verb: str, by: str, given: Any) -> object:
     if verb == "samples":
         return samples(desk.service.runtime, given)  # type: ignore[arg-type, func-returns-value]
     try:
+        if verb == "see":  # all that was written
+            return repr(desk.ask("read", by, names=given, after=desk.written))
         result = desk.ask(verb, by, **ARGUMENTS[verb](given))
     except ZendspError as error:
         return type(error), str(error)
-    if verb == "write":
+    if verb in ("write", "update"):
+        desk.written = result.sequence
         desk.service.runtime.wait_applied(result.sequence, 10.0)
     return repr(result)
 

@@ -122,19 +122,18 @@ uint64_t monitor_pack(const update_part *part, uint32_t parts, const double *val
 /* Fill and commit an update: `values` hold the numbers of its parts, one after another; `fade`, in
  * samples, is for batches with room for as many old ones. Returns 1; 0 when the runner has ended;
  * -1, nothing done, when one of them does not fit. */
-int monitor_write(control *c, int pidfd, const update_part *part, uint32_t parts,
-                  const double *values, batch *b, uint32_t index, uint64_t sequence,
-                  uint64_t at_tick, uint64_t fade) {
+int monitor_write(const update_plan *plan, const double *values, batch *b, uint32_t index,
+                  uint64_t sequence, uint64_t at_tick, uint64_t fade) {
     uint32_t wrong;
-    if (monitor_fit(part, parts, values, &wrong) != FIT)
+    if (monitor_fit(plan->part, plan->parts, values, &wrong) != FIT)
         return -1;
-    b->old = monitor_pack(part, parts, values, (unsigned char *)(b + 1));
-    b->entries = parts;
+    b->old = monitor_pack(plan->part, plan->parts, values, (unsigned char *)(b + 1));
+    b->entries = plan->parts;
     b->cancel = 0;
     b->sequence = sequence;
     b->at_tick = at_tick;
     b->fade = fade;
-    return commit(c, b, index, pidfd);
+    return commit(plan->to, b, index, plan->pidfd);
 }
 
 /* Numbers in a message: of eight bytes, the most significant first. */
@@ -149,40 +148,44 @@ static void to_message(unsigned char *bytes, uint64_t word) {
         bytes[i] = (unsigned char)word;
 }
 
-/* Answer a reading that came before: fill `count` doubles, which stand at `places[2 * i]` of
- * `values`, into `reply` at `places[2 * i + 1]`, and their tick. Returns 0 when the program is not
- * loaded any more or no longer runs (the long way says why), or there is no sample. */
-int monitor_read_again(const uint32_t *ended, const control *c, const unsigned char *data,
-                       uint64_t slots_at, uint64_t stride, uint64_t from, uint64_t bytes,
-                       unsigned char *values, uint32_t count, const uint32_t *places,
-                       unsigned char *reply, uint32_t tick_at) {
+/* Answer a reading that came before: fill its doubles, all of the newest sample, and their tick into
+ * the reply. Returns 0 when the program is not loaded any more or no longer runs (the long way says
+ * why), or there is no sample. */
+int monitor_read_again(const repeated_read *r) {
     uint64_t tick, word;
-    if (__atomic_load_n(ended, __ATOMIC_ACQUIRE) ||
-        __atomic_load_n(&c->trip.reason, __ATOMIC_ACQUIRE))
+    if (__atomic_load_n(r->ended, __ATOMIC_ACQUIRE) ||
+        __atomic_load_n(&r->of->trip.reason, __ATOMIC_ACQUIRE))
         return 0;
-    if (!monitor_snapshot(&c->newest, data + slots_at, stride, from, bytes, values, &tick))
+    if (!monitor_snapshot(&r->of->newest, r->data + r->slots_at, r->stride, r->from, r->bytes,
+                          r->values, &tick))
         return 0;
-    to_message(reply + tick_at, tick);
-    for (uint32_t i = 0; i < count; i++) {
-        memcpy(&word, values + places[2 * i], sizeof word);
-        to_message(reply + places[2 * i + 1], word);
+    to_message(r->reply + r->tick_at, tick);
+    for (uint32_t i = 0; i < r->count; i++) {
+        memcpy(&word, r->values + r->places[2 * i], sizeof word);
+        to_message(r->reply + r->places[2 * i + 1], word);
     }
     return 1;
 }
 
-/* Answer a write of one double that came before: the value stands at `value_at` of `request`,
- * `sequence` goes to `sequence_at` of `reply`. Returns what monitor_write does; 0 also when the
- * program is not loaded any more. */
-int monitor_write_again(const uint32_t *ended, control *c, int pidfd, const update_part *part,
-                        uint32_t value_at, unsigned char *reply, uint32_t sequence_at,
-                        const unsigned char *request, batch *b, uint32_t index, uint64_t sequence) {
-    if (__atomic_load_n(ended, __ATOMIC_ACQUIRE))
+/* Answer a write of doubles that came before, by a request as long as the first: its values go to
+ * the loop, `sequence` to the reply. Returns what monitor_write does; 0 also when the program is not
+ * loaded any more, or another byte of the request is not as it was. */
+int monitor_write_again(const repeated_write *w, const unsigned char *request, batch *b,
+                        uint32_t index, uint64_t sequence) {
+    if (__atomic_load_n(w->ended, __ATOMIC_ACQUIRE))
         return 0;
-    const uint64_t word = from_message(request + value_at);
-    double value;
-    memcpy(&value, &word, sizeof value);
-    to_message(reply + sequence_at, sequence);
-    return monitor_write(c, pidfd, part, 1, &value, b, index, sequence, 0, 0);
+    uint32_t at = 0;
+    for (uint32_t i = 0; i < w->plan->parts; at = w->places[i++] + (uint32_t)sizeof(double)) {
+        if (memcmp(request + at, w->request + at, w->places[i] - at) != 0)
+            return 0;
+        const uint64_t word = from_message(request + w->places[i]);
+        memcpy(w->values + i, &word, sizeof word);
+    }
+    if (memcmp(request + at, w->request + at, w->length - at) != 0)
+        return 0;
+    if (w->reply)
+        to_message(w->reply + w->sequence_at, sequence);
+    return monitor_write(w->plan, w->values, b, index, sequence, 0, 0);
 }
 
 uint32_t monitor_load32(const uint32_t *word) { return __atomic_load_n(word, __ATOMIC_ACQUIRE); }

@@ -14,6 +14,40 @@ typedef struct update_part {
     double least, greatest;
 } update_part;
 
+/* An update of always the same variables: what does not change between one and the next. */
+typedef struct update_plan {
+    control *to;
+    const update_part *part;
+    uint32_t parts;
+    int32_t pidfd; /* of the runner; -1 where the kernel has none */
+} update_plan;
+
+/* A write of doubles that came before: of the next one, all but these is as it was. */
+typedef struct repeated_write {
+    const uint32_t *ended; /* not 0: the program is not loaded any more */
+    const update_plan *plan;
+    const unsigned char *request; /* the first one */
+    uint32_t length;              /* of it, bytes */
+    const uint32_t *places;       /* of the doubles in it, one a part, rising; bytes */
+    double *values;               /* room for them */
+    unsigned char *reply;         /* in which only the sequence number is missing; or 0 */
+    uint32_t sequence_at;         /* in the reply, bytes */
+} repeated_write;
+
+/* A reading of doubles that came before, and its reply, in which only numbers are missing. */
+typedef struct repeated_read {
+    const uint32_t *ended; /* as above */
+    const control *of;
+    const unsigned char *data;
+    uint64_t slots_at, stride; /* of the snapshots in the data; from one to the next; bytes */
+    uint64_t from, bytes;      /* what is copied of each */
+    unsigned char *values;     /* where it is copied to */
+    const uint32_t *places;    /* two for each double: in `values` and in the reply, bytes */
+    uint32_t count;            /* doubles */
+    uint32_t tick_at;          /* in the reply, bytes */
+    unsigned char *reply;
+} repeated_read;
+
 /* Why a number is no value of a part: NaN or infinite; outside its limits; not whole (of
  * TYPE_INT32); neither 0 nor 1 (of TYPE_BOOL); beyond the range of TYPE_FLOAT. */
 enum {
@@ -32,16 +66,11 @@ uint32_t monitor_fit(const update_part *part, uint32_t parts, const double *valu
                      uint32_t *wrong);
 uint64_t monitor_pack(const update_part *part, uint32_t parts, const double *values,
                       unsigned char *to);
-int monitor_write(control *c, int pidfd, const update_part *part, uint32_t parts,
-                  const double *values, batch *b, uint32_t index, uint64_t sequence,
-                  uint64_t at_tick, uint64_t fade);
-int monitor_read_again(const uint32_t *ended, const control *c, const unsigned char *data,
-                       uint64_t slots_at, uint64_t stride, uint64_t from, uint64_t bytes,
-                       unsigned char *values, uint32_t count, const uint32_t *places,
-                       unsigned char *reply, uint32_t tick_at);
-int monitor_write_again(const uint32_t *ended, control *c, int pidfd, const update_part *part,
-                        uint32_t value_at, unsigned char *reply, uint32_t sequence_at,
-                        const unsigned char *request, batch *b, uint32_t index, uint64_t sequence);
+int monitor_write(const update_plan *plan, const double *values, batch *b, uint32_t index,
+                  uint64_t sequence, uint64_t at_tick, uint64_t fade);
+int monitor_read_again(const repeated_read *r);
+int monitor_write_again(const repeated_write *w, const unsigned char *request, batch *b,
+                        uint32_t index, uint64_t sequence);
 uint32_t monitor_load32(const uint32_t *word);
 uint64_t monitor_load64(const uint64_t *word);
 void monitor_store32(uint32_t *word, uint32_t value);

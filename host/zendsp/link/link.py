@@ -150,46 +150,53 @@ class Link:
         """
         row, querier = self._ready.get(verb) or self._make_ready(verb)
         payload = codec.encode_request(verb, arguments, self.author)
-        if row.once:
-            reply = self._once(row, querier, payload, timeout)
-        else:
-            reply = self._until_answered(row, querier, payload, timeout)
-        return codec.decode_reply(reply.payload.to_bytes(), row.result)
+        number, instance = next(self._requests) if row.once else 0, self.instance
+        first = stamp(self._name, number, instance, FIRST) if row.once else None
+        begin = time.monotonic()
+        try:
+            if querier is not None and timeout is None:
+                # what `_ask` does, in place: each function on the way is met cold, and costs
+                # several times what it does in a loop
+                sample = querier.get(payload=payload, attachment=first).recv().ok
+            else:
+                sample = self._patient(row, payload, timeout or row.timeout, first)
+        except (zenoh.ZError, LinkError, RuntimeError):
+            sample = None
+        if sample is None:
+            sample = (
+                self._again(row, payload, timeout or row.timeout, begin, number, instance)
+                if row.once
+                else self._until_answered(row, querier, payload, timeout, begin)
+            )
+        return codec.decode_reply(sample.payload.to_bytes(), row.result)
 
     def _until_answered(
-        self, row: Verb, querier: zenoh.Querier | None, payload: bytes, timeout: float | None
+        self,
+        row: Verb,
+        querier: zenoh.Querier | None,
+        payload: bytes,
+        timeout: float | None,
+        begin: float,
     ) -> zenoh.Sample:
-        """Ask until an answer comes: a target that others flood with requests drops some of them,
-        unanswered.
+        """Ask again until an answer comes: a target that others flood with requests drops some of
+        them, unanswered.
         """
         limit = timeout or (STOP_S if row.lane == "stop" else row.timeout)
-        begin = time.monotonic()
-        while True:
-            try:
+        while not self.closed and self._alive.is_set() and time.monotonic() <= begin + limit:
+            time.sleep(AGAIN_S)
+            with contextlib.suppress(zenoh.ZError, LinkError):
                 if querier is not None and timeout is None:
                     return _ask(querier, payload)
                 return self._patient(row, payload, limit)
-            except (zenoh.ZError, LinkError) as error:
-                if self.closed or not self._alive.is_set() or time.monotonic() > begin + limit:
-                    raise self.silence(row.name, limit) from error
-                time.sleep(AGAIN_S)
+        raise self.silence(row.name, limit)
 
-    def _once(
-        self, row: Verb, querier: zenoh.Querier | None, payload: bytes, timeout: float | None
+    def _again(
+        self, row: Verb, payload: bytes, timeout: float, begin: float, number: int, instance: bytes
     ) -> zenoh.Sample:
         """Have a change carried out once: where the link breaks, the request is sent again, and the
         target knows it by its stamp.
         """
-        number, instance = next(self._requests), self.instance
-        first = stamp(self._name, number, instance, FIRST)
-        deadline = time.monotonic() + (timeout or row.timeout)
-        try:
-            if querier is not None and timeout is None:
-                return _ask(querier, payload, first)
-            return self._patient(row, payload, timeout or row.timeout, first)
-        except (zenoh.ZError, LinkError):
-            pass  # its request or its reply is lost
-        again = stamp(self._name, number, instance, AGAIN)
+        deadline, again = begin + timeout, stamp(self._name, number, instance, AGAIN)
         while (
             not self.closed and (left := deadline - time.monotonic()) > 0 and self.wait_alive(left)
         ):
@@ -202,11 +209,11 @@ class Link:
                 return self._patient(
                     row, payload, SETTLE_S, stamp(self._name, number, instance, SETTLE)
                 )
-        error = self.silence(row.name, timeout or row.timeout)
+        error = self.silence(row.name, timeout)
         raise type(error)(
             f"{error}. Whether it was applied cannot be known from here: look at the target when it"
             " is back"
-        ) from None
+        )
 
     def stream(self, verb: str, arguments: Any, on_part: Callable[[bytes, bytes], None]) -> None:
         """Send a request that is answered in many parts, each with an attachment, and a last one
@@ -407,9 +414,10 @@ def _ask(querier: zenoh.Querier, payload: bytes, attachment: bytes | None = None
         reply = querier.get(payload=payload, attachment=attachment).recv()
     except RuntimeError as error:  # it is being undeclared: "Already mutably borrowed"
         raise zenoh.ZError(str(error)) from error
-    if reply.ok is None:
+    sample = reply.ok  # each look makes one
+    if sample is None:
         raise zenoh.ZError("its time is up")
-    return reply.ok
+    return sample
 
 
 def _undeclare(querier: zenoh.Querier) -> None:

@@ -31,7 +31,7 @@ Result = TypeVar("Result")
 
 
 class _of(Generic[Given, Result]):
-    """A method of a part, as a method of the target, without a call between them."""
+    """A method of a part, as a method of the target: looked up once, it is an attribute."""
 
     def __init__(self, part: str, method: Callable[Concatenate[Any, Given], Result]) -> None:
         self._part, self._method = part, method
@@ -43,7 +43,9 @@ class _of(Generic[Given, Result]):
     def __get__(self, target: object | None, kind: type) -> Callable[..., Result]:
         if target is None:
             return self._method
-        bound: Callable[..., Result] = getattr(getattr(target, self._part), self._method.__name__)
+        name = self._method.__name__
+        bound: Callable[..., Result] = getattr(getattr(target, self._part), name)
+        target.__dict__[name] = bound
         return bound
 
 

@@ -127,7 +127,7 @@ class Variables(Part):
         written = self._written
         if written:
             asked["after"] = written
-        found: m.Reading = self.link.request("read", asked)
+        found: m.Reading = self._requests.link.request("read", asked)
         if written == self._written:
             self._written = 0
         if _FLOATS.issuperset(map(type, found.values.values())):
@@ -139,7 +139,7 @@ class Variables(Part):
         """Write variables asynchronously; the reply does not wait for the sample, the next `read`
         does. Returns the sequence number.
         """
-        written: m.Written = self.link.request("write", {"values": _wire(values)})
+        written: m.Written = self._requests.link.request("write", {"values": _wire(values)})
         self._written = written.sequence
         return written.sequence
 

@@ -78,11 +78,11 @@ class LoadedVariables:
         return None if session is None else session.repeat_read(names, reply)
 
     def repeat_write(
-        self, name: str, author: str, value_at: int, reply: Blank
+        self, names: Sequence[str], author: str, request: Blank, reply: Blank | None
     ) -> Callable[[bytes], int] | None:
-        """What writes the same double again, see `RuntimeApi.repeat_write`; None: nothing does."""
+        """What writes the same doubles again, see `RuntimeApi.repeat_write`; None: nothing does."""
         session = self._programs.session
-        return None if session is None else session.repeat_write(name, author, value_at, reply)
+        return None if session is None else session.repeat_write(names, author, request, reply)
 
     def wait_applied(self, sequence: int, timeout: float) -> int:
         """Sleep until an update has taken effect; returns its sample. See `Updates.wait_applied`.

@@ -266,10 +266,10 @@ class Session:
         return plan.again(self._ended, control, data, self._slots_at, self._stride, reply)
 
     def repeat_write(
-        self, name: str, author: str, value_at: int, reply: Blank
+        self, names: Sequence[str], author: str, request: Blank, reply: Blank | None
     ) -> Callable[[bytes], int] | None:
-        """Make what writes one value again; see `RuntimeApi.repeat_write`."""
-        return self.updates.repeat(self._ended, name, author, value_at, reply)
+        """Make what writes doubles again; see `RuntimeApi.repeat_write`."""
+        return self.updates.repeat(self._ended, names, author, request, reply)
 
     def set_settings(self, values: Mapping[str, object], author: str) -> int:
         """Write the runtime's own settings as one update."""

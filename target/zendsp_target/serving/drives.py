@@ -30,7 +30,6 @@ from zendsp_protocol.errors import Refused, ZendspError
 from zendsp_protocol.messages import Status
 from zendsp_protocol.states import DriveState, ProgramState, RecorderState
 from zendsp_target.api import RECORDER, RuntimeApi
-from zendsp_target.serving.deferred import Later
 from zendsp_target.serving.enabling import conditions, loaded, refusal
 
 log = logging.getLogger(__name__)
@@ -44,19 +43,6 @@ POLICIES = ("stop", "hold", "finish")
 OFF_S = 0.5  # for a soft stop to end
 AFTER_TRIP_S = 1.0  # a recording shows how the machine comes to rest
 POLICY = "stop"  # unless somebody chooses another
-# What could move the machine or change what moves it; STOP is not among them.
-COMMANDING = (
-    "start", "pause", "load", "unload", "write", "update", "table_commit", "set_limits",
-    "set_drive", "set_ramp", "set_overrun", "set_inputs", "home", "acknowledge", "run_begin",
-    "run_end",
-)
-# of these, what changes values only
-CHANGES = ("write", "update", "table_commit", "run_begin", "run_end")
-# actions by which the right to command is taken
-TAKING = ("take", "power_on", "home", "enable")
-SEEN_S = 1.0  # for the token of a host to arrive after its first request
-# fields that say so of other requests by which a host is one whose loss matters
-WATCHED = {"start": "attended", "run_begin": "moves"}
 HOLD_VARIABLE = "hold"  # a bool parameter of programs that can hold their reference
 
 
@@ -81,9 +67,6 @@ class Drives:
         self.moved_by = ""  # whose run moves the machine now
         self._attended_by = ""  # who started the program and watches it, or homes
         self._ramp_s = SOFT_S
-        # whether a host is connected as far as is known, and what to do where it is no more
-        self.sees: Callable[[str], bool] = lambda host: True
-        self.lost: Callable[[str], object] = self.host_gone
         self._lock = threading.RLock()
         if managed:
             self._off()
@@ -399,95 +382,36 @@ class Drives:
             time.sleep(0.005)
         return f"; {status.unsafe}" if status.unsafe else ""
 
-    # -- who can be lost
-
-    def _watched(self, by: str, do: Callable[[], Any]) -> Any:
-        """Do what makes a host one that must not be lost unnoticed: not for one that nobody sees.
-
-        Raises
-        ------
-        Later
-            It is not seen yet.
-        """
-
-        def done() -> Any:
-            result = do()
-            if not self.sees(by):  # lost in between: nothing was its own yet
-                self.lost(by)
-            return result
-
-        def later() -> Any:
-            deadline = time.monotonic() + SEEN_S
-            while not self.sees(by):
-                if time.monotonic() > deadline:
-                    raise Refused(
-                        f"{by} is not among the hosts that this target sees, and would be lost"
-                        " unnoticed: close other connections (256 hosts of a user are seen; zendsp"
-                        " info names them); a client of your own has to show its token"
-                    )
-                time.sleep(0.002)
-            return done()
-
-        if self.sees(by):
-            return done()
-        raise Later(later)
-
     # -- before and after the other verbs
 
-    def guard(self, handlers: dict[str, Callable[[Any, str], Any]]) -> None:
-        """Put the rules before every handler that could move something, and add the verbs of the
-        sequence.
+    def before(self, name: str, args: Any) -> str | None:
+        """Refuse a verb that the sequence does not allow now; returns a sentence where it was
+        carried out here, in place of its handler.
         """
-        for name in COMMANDING:
-            handlers[name] = self._guarded(name, handlers[name])
-        handlers["drive"] = self._drive
-        handlers["drive_status"] = lambda args, by: self.status()
+        if name == "start":
+            self._check_start()
+        elif name == "set_drive" and self._explicit:
+            raise Refused(
+                "the safe sequence is in use: enable or disable the drives in place of setting"
+                " their mode"
+            )
+        elif name == "home" and self._explicit:
+            return self.home()
+        elif name == "acknowledge":
+            with self._lock:
+                return self.acknowledge(args.trip)
+        return None
 
-    def _drive(self, args: verbs.Drive, by: str) -> m.Said:
-        def act() -> m.Said:
-            return m.Said(text=self.act(args, by))
-
-        said: m.Said = self._watched(by, act) if args.action in TAKING else act()
-        return said
-
-    def _guarded(self, name: str, handler: Callable[[Any, str], Any]) -> Callable[[Any, str], Any]:
-        def change(args: Any, by: str) -> Any:
-            if self.commander:
-                self.check_right(by)
-            return handler(args, by)
-
-        def run(args: Any, by: str) -> Any:
-            self.check_right(by)
-            if name == "start":
-                self._check_start()
-            elif name == "set_drive" and self._explicit:
-                raise Refused(
-                    "the safe sequence is in use: enable or disable the drives in place of setting"
-                    " their mode"
-                )
-            elif name == "home" and self._explicit:
-                return m.Said(text=self.home())
-            elif name == "acknowledge":
-                with self._lock:
-                    return m.Said(text=self.acknowledge(args.trip))
-            result = handler(args, by)
-            if name in ("start", "home", "pause"):
-                attended = name == "home" or (name == "start" and args.attended)
-                self._attended_by = by if attended else ""
-            elif name == "set_ramp":
-                self._ramp_s = args.seconds
-            if name == "load" and self._explicit:
-                with self._lock:
-                    self._off()  # a fresh runner knows nothing of what was enabled before
-            return result
-
-        act = change if name in CHANGES else run
-
-        def watched(args: Any, by: str) -> Any:
-            moves = name == "home" or getattr(args, WATCHED.get(name, ""), False)
-            return self._watched(by, lambda: act(args, by)) if moves else act(args, by)
-
-        return watched if name in (*WATCHED, "home") else act
+    def after(self, name: str, args: Any, by: str) -> None:
+        """Note what a verb means for the sequence that was carried out."""
+        if name in ("start", "home", "pause"):
+            attended = name == "home" or (name == "start" and args.attended)
+            self._attended_by = by if attended else ""
+        elif name == "set_ramp":
+            self._ramp_s = args.seconds
+        elif name == "load" and self._explicit:
+            with self._lock:
+                self._off()  # a fresh runner knows nothing of what was enabled before
 
     def _check_start(self) -> None:
         with self._lock:

@@ -3,28 +3,40 @@ same ones thousands of times.
 
 A monitor that wakes up for a request finds little of its Python in the caches, and pays for every
 function on the way several times over. So a request that has gone the whole way once is answered by
-what was made ready for its bytes: a reading by all of them, a write of one double by all but the
-number at its end. Whatever is not plainly right goes the whole way again, which finds the words.
+what was made ready for its bytes. A reading is known by all of them, one that is to see a write by
+all but the number of that write at its end, a write or an update of doubles by all but these.
+Whatever is not plainly right goes the whole way again, which finds the words.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
+from msgspec.structs import replace
+
 from zendsp_protocol import codec, verbs
-from zendsp_protocol.errors import LinkError
+from zendsp_protocol.errors import LinkError, NotYet, Refused, RunnerDied
+from zendsp_protocol.values import WireValue
 from zendsp_target.api import Blank, RuntimeApi
-from zendsp_target.bounded import keep
 from zendsp_target.serving.drives import Drives
+from zendsp_target.serving.variable_verbs import APPLY_INLINE_S, applied
 
 LONGEST = 65536  # bytes of a request that is kept
+MOST = 64  # requests; a host that asks for ever new ones starts over
+_FLOATS = frozenset((float,))
 _FLOAT = struct.Struct(">d")  # what MessagePack puts behind the byte that announces a double
 _COUNT = struct.Struct(">Q")  # likewise
 # a count that takes all of its eight bytes, which are no text: it stands nowhere else in a reply
 _LARGEST = 2**64 - 1
 _PROBE = -0.1  # likewise
+# how MessagePack writes a number that is not negative: its bytes, by the first; a small one is one
+_NUMBER = {0xCC: 2, 0xCD: 3, 0xCE: 5, 0xCF: 9}
+_SMALL = 0x7F  # the largest of these
+_DOUBLE = b"\xcb"  # what announces a double
+
+Answer = Callable[[bytes], bytes | bytearray | None]  # None: it has to go the whole way
 
 
 class Repeats:
@@ -34,22 +46,22 @@ class Repeats:
 
     def __init__(self, runtime: RuntimeApi, drives: Drives, lane: str) -> None:
         self._runtime, self._drives, self._lane = runtime, drives, lane
-        # None: it was looked at, and has no shorter way
-        self._reads: dict[bytes, tuple[Callable[[], int], bytearray] | None] = {}
-        self._writes: dict[bytes, tuple[Callable[[bytes], int], bytearray, str] | None] = {}
+        # by the beginning of a request, before what may change; None: it has no shorter way
+        self._answers: dict[bytes, Answer | None] = {}
+        self._beginnings: dict[int, tuple[int, ...]] = {}  # their lengths, by that of the request
 
-    def answer(self, request: bytes) -> bytearray | None:
-        """Return the reply, good until the next; None: the request has to go the whole way."""
-        reading = self._reads.get(request)
-        if reading is not None:
-            read, reply = reading
-            return reply if read() else None
-        writing = self._writes.get(request[: -_FLOAT.size])
-        if writing is not None:
-            write, reply, author = writing
-            commander = self._drives.commander
-            if not commander or commander == author:
-                return reply if write(request) else None
+    def answer(self, request: bytes) -> bytes | bytearray | None:
+        """Return the reply, good until the next; None: the request has to go the whole way.
+
+        Raises
+        ------
+        Later
+            An update that has to wait for its sample.
+        """
+        for length in self._beginnings.get(len(request), ()):
+            answer = self._answers.get(request[:length])
+            if answer is not None:
+                return answer(request)
         return None
 
     def learn(self, request: bytes, verb: verbs.Verb, args: Any, said: str, author: str) -> None:
@@ -59,43 +71,121 @@ class Repeats:
         if len(request) > LONGEST:
             return
         if verb.name == "read":
-            self._learn_read(request, args)
-        elif verb.name == "write":
-            self._learn_write(request, args, said, author)
+            self._learn_read(request, verb, args, said)
+        elif verb.name in ("write", "update"):
+            self._learn_write(request, verb, args, said, author)
 
     def forget(self) -> None:
         """Let go of what was made ready for a program that is gone."""
-        self._reads.clear()
-        self._writes.clear()
+        self._answers.clear()
+        self._beginnings.clear()
 
-    def _learn_read(self, request: bytes, args: verbs.Read) -> None:
-        if request in self._reads or not args.names or args.after:
+    def _keep(
+        self, request: bytes, length: int, answer: Answer | None, ends: Iterable[int]
+    ) -> None:
+        """Remember what answers requests of which so many bytes are those of this one, and ``ends``
+        says how many may follow.
+        """
+        if len(self._answers) >= MOST:
+            self.forget()
+        self._answers[request[:length]] = answer
+        for end in ends:
+            known = self._beginnings.get(length + end, ())
+            if length not in known:
+                self._beginnings[length + end] = (*known, length)
+
+    def _means(
+        self, request: bytes, verb: verbs.Verb, args: verbs.Arguments, said: str
+    ) -> bool:
+        """Whether a request is decoded into this."""
+        try:
+            found, other, by = codec.decode_request(request, self._lane)
+        except LinkError:
+            return False
+        return (found, other, by) == (verb, args, said)
+
+    def _learn_read(self, request: bytes, verb: verbs.Verb, args: verbs.Read, said: str) -> None:
+        end = codec.encode(args.after) if args.after else b""
+        length = len(request) - len(end)
+        if not args.names or request[:length] in self._answers or not request.endswith(end):
             return
+        other = request[:length] + codec.encode(_LARGEST)
+        if end and not self._means(other, verb, replace(args, after=_LARGEST), said):
+            return  # the number of the write does not come last
         values = {name: _PROBE - number for number, name in enumerate(args.names)}
         data = bytearray(codec.encode_result({"tick": _LARGEST, "values": values}))
         places = tuple(data.index(_FLOAT.pack(value)) for value in values.values())
-        read = self._runtime.repeat_read(
-            args.names, Blank(data, data.index(_COUNT.pack(_LARGEST)), places)
-        )
-        keep(self._reads, request, None if read is None else (read, data))
+        count = data.index(_COUNT.pack(_LARGEST))
+        read = self._runtime.repeat_read(args.names, Blank(data, count, places))
+        if read is None:
+            self._keep(request, length, None, ())
+            return
 
-    def _learn_write(self, request: bytes, args: verbs.Write, said: str, author: str) -> None:
-        key = request[: -_FLOAT.size]
-        if key in self._writes or args.at_tick is not None or len(args.values) != 1:
-            return
-        ((name, value),) = args.values.items()
-        if type(value) is not float:
-            return
-        # whether the last eight bytes are the value, and nothing else is: with others there,
-        # another value must come out
+        def answer(request: bytes) -> bytearray | None:
+            if end and not self._shown(request[length:]):
+                return None
+            return data if read() else None
+
+        self._keep(request, length, answer, (1, *_NUMBER.values()) if end else (0,))
+
+    def _shown(self, number: bytes) -> bool:
+        """Whether the write of this number, as MessagePack has it, can be read, or soon can."""
+        first = number[0]
+        if len(number) != _NUMBER.get(first, 1) or (first > _SMALL and len(number) == 1):
+            return False
+        sequence = int.from_bytes(number[1:] or number, "big")
         try:
-            verb, other, by = codec.decode_request(key + _FLOAT.pack(_PROBE), self._lane)
-        except LinkError:
+            self._runtime.wait_applied(sequence, APPLY_INLINE_S)
+        except (NotYet, Refused, RunnerDied):
+            return False
+        return True
+
+    def _learn_write(
+        self, request: bytes, verb: verbs.Verb, args: verbs.Write, said: str, author: str
+    ) -> None:
+        given = args.values
+        plain = args.at_tick is None and not args.fade
+        if not plain or not _FLOATS.issuperset(map(type, given.values())):
             return
-        if (verb.name, other, by) != ("write", verbs.Write(values={name: _PROBE}), said):
+        places = _places(request, given.values())
+        if not places or request[: places[0]] in self._answers:
             return
+        # whether these bytes are the values, and nothing else is: with others there, other values
+        # must come out
+        probes: dict[str, WireValue] = {name: _PROBE - n for n, name in enumerate(given)}
+        other = bytearray(request)
+        for at, probe in zip(places, probes.values(), strict=True):
+            _FLOAT.pack_into(other, at, probe)
+        if not self._means(bytes(other), verb, verbs.Write(values=probes), said):
+            return
+        # the reply to a write tells its number only, that to an update when it took effect
         data = bytearray(codec.encode_result({"sequence": _LARGEST}))
-        write = self._runtime.repeat_write(
-            name, author, len(key), Blank(data, data.index(_COUNT.pack(_LARGEST)))
-        )
-        keep(self._writes, key, None if write is None else (write, data, author))
+        told = Blank(data, data.index(_COUNT.pack(_LARGEST))) if verb.name == "write" else None
+        runtime, drives = self._runtime, self._drives
+        write = runtime.repeat_write(list(given), author, Blank(request, values=places), told)
+        if write is None:
+            self._keep(request, places[0], None, ())
+            return
+
+        def answer(request: bytes) -> bytes | bytearray | None:
+            commander = drives.commander
+            if not commander or commander == author:
+                sequence = write(request)
+                if sequence:
+                    return data if told else codec.encode_result(applied(runtime, sequence))
+            return None
+
+        self._keep(request, places[0], answer, (len(request) - places[0],))
+
+
+def _places(request: bytes, values: Iterable[object]) -> tuple[int, ...]:
+    """Where doubles stand in a request, one behind the other; none where one is not found."""
+    places: list[int] = []
+    at = 0
+    for value in values:
+        at = request.find(_DOUBLE + _FLOAT.pack(value), at) + len(_DOUBLE)
+        if at < len(_DOUBLE):
+            return ()
+        places.append(at)
+        at += _FLOAT.size
+    return tuple(places)

@@ -26,7 +26,7 @@ RESULTS = 256  # of one connection: many times what its threads can have under w
 Ticket = tuple[str, bytes, int]  # user, connection and number of a request
 
 
-@dataclass
+@dataclass(slots=True)
 class _Memory:
     """Of one connection: replies by number; a list of who waits where the work goes on."""
 
@@ -36,7 +36,7 @@ class _Memory:
     last: float = 0.0  # when it was heard of, s
 
 
-@dataclass
+@dataclass(slots=True)
 class _Links:
     """Of one user: connections, the one that was quiet longest first."""
 
@@ -99,16 +99,25 @@ class Once:
                 )
             )
         with self._lock:
-            memory = self._memory(user, link, attempt)
-            if memory is None:
-                return None, codec.encode_error(
-                    LinkError(
-                        f"more than {LINKS} connections of the same user asked at once: whether the"
-                        " request was applied before cannot be known; it is not applied now"
+            links = self._users.get(user)
+            memory = None if links is None else links.memories.get(link)
+            if links is None or memory is None:
+                links = self._users.setdefault(user, _Links())
+                if attempt != FIRST and self._now() < links.unsure:
+                    return None, codec.encode_error(
+                        LinkError(
+                            f"more than {LINKS} connections of the same user asked at once: whether"
+                            " the request was applied before cannot be known; it is not applied now"
+                        )
                     )
-                )
+                memory = self._enter(links, link)
             results = memory.results
             known = results.get(number)
+            if known is None and attempt != SETTLE and number > memory.forgotten:
+                results[number] = []
+                memory.begun += 1
+                return (user, link, number), None
+            self._heard(links, link, memory)
             if known is None:
                 if number <= memory.forgotten:
                     return None, codec.encode_error(
@@ -117,37 +126,27 @@ class Once:
                             " more"
                         )
                     )
-                if attempt == SETTLE:
-                    known = results[number] = codec.encode_error(
-                        NotApplied(
-                            "the request did not arrive in time: it was not applied, and will"
-                            " not be"
-                        )
+                known = results[number] = codec.encode_error(
+                    NotApplied(
+                        "the request did not arrive in time: it was not applied, and will not be"
                     )
-                    return None, known
-                results[number] = []
-                memory.begun += 1
-                return (user, link, number), None
+                )
+                return None, known
             if type(known) is list:
                 known.append(who)
                 return None, None
             assert isinstance(known, bytes)
             return None, known
 
-    def _memory(self, user: str, link: bytes, attempt: int) -> _Memory | None:
-        """Of a connection; None where it may have been dropped while its host still asks again."""
-        now = self._now()
-        links = self._users.get(user) or self._users.setdefault(user, _Links())
-        known = links.memories
-        memory = known.get(link)
-        if memory is None:
-            if attempt != FIRST and now < links.unsure:
-                return None
-            memory = known[link] = _Memory()
-            self._make_room(links, now)
-        known.move_to_end(link)
-        memory.last = now
+    def _enter(self, links: _Links, link: bytes) -> _Memory:
+        """Begin to remember a connection."""
+        memory = links.memories[link] = _Memory(last=self._now())
+        self._make_room(links, memory.last)
         return memory
+
+    def _heard(self, links: _Links, link: bytes, memory: _Memory) -> None:
+        links.memories.move_to_end(link)
+        memory.last = self._now()
 
     def _make_room(self, links: _Links, now: float) -> None:
         """Drop connections that have long given up, then the quietest while there are too many;
@@ -170,17 +169,21 @@ class Once:
         """Do not remember a request: however often it comes, nothing changes."""
         user, link, number = ticket
         with self._lock:
-            memory = self._users[user].memories[link]
+            links = self._users[user]
+            memory = links.memories[link]
             memory.begun -= 1
             del memory.results[number]
+            self._heard(links, link, memory)
 
     def finish(self, ticket: Ticket, reply: bytes | bytearray) -> list[Any]:
         """Remember the reply of a request that was carried out; returns who asked for it meanwhile.
         """
         user, link, number = ticket
         with self._lock:
-            memory = self._users[user].memories[link]
+            links = self._users[user]
+            memory = links.memories[link]
             memory.begun -= 1
+            self._heard(links, link, memory)
             results = memory.results
             waiting = results.get(number)
             results[number] = bytes(reply)

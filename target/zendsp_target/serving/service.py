@@ -27,6 +27,7 @@ from zendsp_protocol.version import PROTOCOL
 from zendsp_target.api import RECORDER, AcquireConfig, RuntimeApi
 from zendsp_target.serving.deferred import Later
 from zendsp_target.serving.drives import Drives
+from zendsp_target.serving.guard import Guard
 from zendsp_target.serving.live_streams import LiveStreams
 from zendsp_target.serving.machine_verbs import MachineVerbs
 from zendsp_target.serving.repeated_requests import Repeats
@@ -66,6 +67,7 @@ class Service:
         self.variables = VariableVerbs(runtime)
         self.present: Callable[[], tuple[str, ...]] = tuple
         self.drives = Drives(runtime, managed)
+        self.guard = Guard(self.drives)
         self.runs = Runs(runtime, self.drives)
         self.once = Once()
         self._programs: OrderedDict[str, m.Program] = OrderedDict()
@@ -82,7 +84,7 @@ class Service:
             for name in verbs.VERBS
             if hasattr(room, f"do_{name}")
         }
-        self.drives.guard(self.handlers)
+        self.guard.enter(self.handlers)
 
     # the target
 

@@ -42,7 +42,8 @@ class Turns:
         self._lock = threading.Lock()
         self._of: dict[str | bytes, deque[Any]] = {}  # whose turn it is, first
         self._count = 0
-        self._asleep = 0  # threads to which what comes in is handed by itself
+        # of each thread to which what comes in is handed by itself; list methods need no lock
+        self._asleep: list[None] = []
 
     def next(self) -> Any:
         """Return the next request; waits for one.
@@ -65,12 +66,11 @@ class Turns:
                     self._of[who] = queue  # its next turn comes last
                 self._count -= 1
                 return query
-            self._asleep += 1
+            self._asleep.append(None)
         try:
             return self._waiting.recv()
         finally:
-            with self._lock:
-                self._asleep -= 1
+            self._asleep.pop()
 
     def _enter(self, query: Any) -> None:
         who = self._who(query)

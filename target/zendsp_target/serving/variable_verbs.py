@@ -19,7 +19,7 @@ from zendsp_target.serving.deferred import Later
 from zendsp_target.serving.uploads import Uploads
 
 PLAIN = frozenset((float, int, bool))
-APPLY_INLINE_S = 0.005  # an update that needs longer is finished by another thread
+APPLY_INLINE_S = 0.0005  # an update that needs longer is finished by another thread
 APPLY_LIMIT_S = 5.0
 LONGEST_FADE_S = 2.0  # well within the time that a host waits
 SHOW_LIMIT_S = 2.0  # a reading waits no longer for what its host wrote before

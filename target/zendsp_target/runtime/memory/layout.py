@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import functools
 import re
+import weakref
 from typing import Any
 
 from cffi import FFI
@@ -41,6 +42,16 @@ def layout() -> tuple[Any, Any]:
     for header in ("include/machine.h", "runtime/layout.h", "runtime/monitor.h"):
         ffi.cdef(_declarations((root / header).read_text()))
     return ffi, ffi.dlopen(str(build_monitor()))
+
+
+_HELD: weakref.WeakKeyDictionary[Any, tuple[Any, ...]] = weakref.WeakKeyDictionary()
+
+
+def struct(kind: str, **fields: Any) -> Any:
+    """A new C struct whose pointers stay good as long as it lives: it holds what they lead to."""
+    made = layout()[0].new(f"{kind} *", fields)
+    _HELD[made] = tuple(fields.values())
+    return made
 
 
 def text_of(field: Any) -> str:

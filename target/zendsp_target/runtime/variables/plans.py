@@ -8,10 +8,10 @@ the bytes around it. Every update goes through one; a reading that no plan fits 
 
 from __future__ import annotations
 
-import struct
 import threading
 from collections.abc import Callable, Iterable
 from functools import partial
+from struct import Struct
 from typing import Any
 
 import numpy as np
@@ -19,13 +19,13 @@ import numpy.typing as npt
 
 from zendsp_protocol.values import Value
 from zendsp_target.api import Blank
-from zendsp_target.runtime.memory.layout import layout
+from zendsp_target.runtime.memory.layout import layout, struct
 from zendsp_target.runtime.variables.dictionary import SCALARS, Place, value_of
 
-IN_MESSAGE = struct.Struct(">d")
-ENTRY = struct.Struct("<iiii")  # batch_entry: variable, offset, size, left
+IN_MESSAGE = Struct(">d")
+ENTRY = Struct("<iiii")  # batch_entry: variable, offset, size, left
 _DOUBLE = SCALARS["double"].size
-_TICK = struct.Struct("<Q")
+_TICK = Struct("<Q")
 _TYPES = {"double": 1, "float": 2, "int32": 3, "bool": 4}  # TYPE_… of layout.h
 _UNLIMITED = float("inf")
 
@@ -94,10 +94,11 @@ class WritePlan:
         self.scalar = all(place.scalar for _, place in self.places)
         self._lib, self._ffi = lib, ffi
         self._given = bytearray(_DOUBLE * count)
-        self._fixed = control, handle, parts
-        self.fill = partial(struct.Struct(f"<{count}d").pack_into, self._given, 0)
+        self._parts = parts
+        self._plan = struct("update_plan", to=control, part=parts, parts=len(parts), pidfd=handle)
+        self.fill = partial(Struct(f"<{count}d").pack_into, self._given, 0)
         self.commit = partial(
-            lib.monitor_write, *self._fixed, len(parts), ffi.from_buffer("double[]", self._given)
+            lib.monitor_write, self._plan, ffi.from_buffer("double[]", self._given)
         )
 
     def put(self, numbers: Iterable[npt.NDArray[np.float64]]) -> None:
@@ -112,28 +113,37 @@ class WritePlan:
 
     def _entries(self, numbers: bytes) -> bytes:
         entries = bytearray(self.size)
-        parts = self._fixed[2]
         numbers_at = self._ffi.from_buffer("double[]", numbers)
         entries_at = self._ffi.from_buffer("unsigned char[]", entries)
-        self._lib.monitor_pack(parts, len(parts), numbers_at, entries_at)
+        self._lib.monitor_pack(self._parts, len(self._parts), numbers_at, entries_at)
         return bytes(entries)
 
     def again(
-        self, ended: Any, value_at: int, reply: Blank
+        self, ended: Any, request: Blank, reply: Blank | None
     ) -> Callable[[bytes, Any, int, int], int] | None:
-        """Make ``commit`` for requests that differ in their one double: takes request, batch, slot
-        and sequence, and fills the reply.
+        """Make ``commit`` for requests that differ in their doubles only: takes request, batch,
+        slot and sequence, and fills the reply.
         """
-        if len(self.places) != 1 or not self.places[0][1].plain:
+        if len(request.values) != len(self.places) or not all(p.plain for _, p in self.places):
             return None
-        data = self._ffi.from_buffer("unsigned char[]", reply.data)
-        return partial(
-            self._lib.monitor_write_again, ended, *self._fixed, value_at, data, reply.count
+        ffi = self._ffi
+        again = struct(
+            "repeated_write",
+            ended=ended,
+            plan=self._plan,
+            request=ffi.from_buffer("unsigned char[]", request.data),
+            length=len(request.data),
+            places=ffi.new("uint32_t[]", request.values),
+            values=ffi.new("double[]", len(self.places)),
+            reply=ffi.NULL if reply is None else ffi.from_buffer("unsigned char[]", reply.data),
+            sequence_at=0 if reply is None else reply.count,
         )
+        return partial(self._lib.monitor_write_again, again)
 
-    def entries_of(self, value_at: int, request: bytes) -> bytes:
+    def entries_of(self, places: Iterable[int], request: bytes) -> bytes:
         """The batch's entries, for the log, of a request that came again."""
-        return self._entries(SCALARS["double"].pack(*IN_MESSAGE.unpack_from(request, value_at)))
+        numbers = (SCALARS["double"].pack(*IN_MESSAGE.unpack_from(request, at)) for at in places)
+        return self._entries(b"".join(numbers))
 
 
 class ReadPlan:
@@ -197,21 +207,22 @@ class ReadPlan:
             for (*_, at), to in zip(self._fields, reply.values, strict=True)
             for x in (at - _TICK.size, to)
         ]
-        return partial(
-            lib.monitor_read_again,
-            ended,
-            control,
-            data,
-            slots_at,
-            stride,
-            self.first,
-            self.size,
-            ffi.new("unsigned char[]", self.size),
-            len(self._fields),
-            ffi.new("uint32_t[]", places),
-            ffi.from_buffer("unsigned char[]", reply.data),
-            reply.count,
+        again = struct(
+            "repeated_read",
+            ended=ended,
+            of=control,
+            data=data,
+            slots_at=slots_at,
+            stride=stride,
+            bytes=self.size,
+            values=ffi.new("unsigned char[]", self.size),
+            places=ffi.new("uint32_t[]", places),
+            count=len(self._fields),
+            tick_at=reply.count,
+            reply=ffi.from_buffer("unsigned char[]", reply.data),
+            **{"from": self.first},
         )
+        return partial(lib.monitor_read_again, again)
 
     def read(self, newest: Any, slots: Any, stride: int) -> tuple[int, dict[str, Value]] | None:
         """Read the newest sample: its tick, and the values; None while there is none.

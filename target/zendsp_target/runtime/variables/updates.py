@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -82,6 +82,7 @@ class Updates:
         period = int(control.period_ns)
         self._awake = 2 * period if period <= _SHORT_NS else 0
         self._view = memoryview(data.map)
+        self._cancelled = lib.BATCH_CANCELLED
         self._dictionary, self._log, self._alive, self._handle = dictionary, log, alive, handle
         self._lock = threading.RLock()
         # by names: of the program's variables, and of the runtime's settings
@@ -215,16 +216,21 @@ class Updates:
         self._numbers(values, False)
 
     def repeat(
-        self, ended: Any, name: str, author: str, value_at: int, reply: Blank
+        self,
+        ended: Any,
+        names: Sequence[str],
+        author: str,
+        request: Blank,
+        reply: Blank | None,
     ) -> Callable[[bytes], int] | None:
-        """Make what commits one value again, out of the bytes of a request; see
+        """Make what commits doubles again, out of the bytes of a request; see
         `RuntimeApi.repeat_write`.
         """
-        plan = self._plans[False].get((name,))
-        commit = None if plan is None or self._handle < 0 else plan.again(ended, value_at, reply)
+        plan = self._plans[False].get(tuple(names))
+        commit = None if plan is None or self._handle < 0 else plan.again(ended, request, reply)
         if plan is None or commit is None:
             return None
-        entries = partial(plan.entries_of, value_at)
+        entries = partial(plan.entries_of, request.values)
         lock = self._lock
         batches = self._batches
         free = self._free
@@ -355,14 +361,14 @@ class Updates:
         end = time.monotonic() + timeout
         left = max(0.0, timeout)
         while True:
-            flight = self._flights.get(sequence)
+            flight, shown = self._flights.get(sequence), 0
             if flight is not None:
                 slice_ns = min(_SLICE_NS, int(left * 1e9))
-                self._lib.monitor_wait_shown(
+                shown = self._lib.monitor_wait_shown(
                     self._pointer, self._batches[flight.slot], slice_ns, self._awake
                 )
             with self._lock:
-                tick = self._tick_of(sequence)
+                tick = self._tick_of(sequence, bool(shown))
                 waits = sequence in self._flights
             if tick == _CANCELLED:
                 raise Refused(
@@ -383,17 +389,17 @@ class Updates:
                     " sample (is the loop running?)"
                 )
 
-    def _tick_of(self, sequence: int) -> int | None:
-        """The sample at which a batch took effect; it is left to be taken back by whoever has time.
+    def _tick_of(self, sequence: int, shown: bool) -> int | None:
+        """The sample at which a batch took effect, which is known where it is `shown`; it is left
+        to be taken back by whoever has time.
         """
         flight = self._flights.get(sequence)
         if flight is None:
             return self._applied.get(sequence)
-        if not self._in_effect(flight.slot):
+        if not shown and not self._in_effect(flight.slot):
             return None
         batch = self._batches[flight.slot]
-        cancelled = int(batch.state) == self._lib.BATCH_CANCELLED
-        return _CANCELLED if cancelled else int(batch.applied)
+        return _CANCELLED if batch.state == self._cancelled else int(batch.applied)
 
     def _in_effect(self, slot: int) -> bool:
         """A batch was applied, and its values can be read; or are the last ones that a runner took.
@@ -443,8 +449,7 @@ class Updates:
             slot = flight.slot
             batch = self._batches[slot]
             tick = int(batch.applied)
-            cancelled = int(batch.state) == self._lib.BATCH_CANCELLED
-            if cancelled:  # the bank of a table that it was to bring is free
+            if batch.state == self._cancelled:  # the bank of a table that it was to bring is free
                 for _, place in flight.places:
                     self._bank.pop(place.entry.index, None)
                 self._release(sequence, flight.slot, _CANCELLED)

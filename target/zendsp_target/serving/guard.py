@@ -1,0 +1,124 @@
+"""The rules of the drives, put before the handlers of every verb that could move or change
+something.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from zendsp_protocol import messages as m
+from zendsp_protocol import verbs
+from zendsp_protocol.errors import Refused
+from zendsp_target.serving.deferred import Later
+from zendsp_target.serving.drives import Drives
+
+Handler = Callable[[Any, str], Any]
+
+# What could move the machine or change what moves it; STOP is not among them.
+COMMANDING = (
+    "start", "pause", "load", "unload", "write", "update", "table_commit", "set_limits",
+    "set_drive", "set_ramp", "set_overrun", "set_inputs", "home", "acknowledge", "run_begin",
+    "run_end",
+)
+# of these, what changes values only
+CHANGES = ("write", "update", "table_commit", "run_begin", "run_end")
+# actions by which the right to command is taken
+TAKING = ("take", "power_on", "home", "enable")
+# fields that say so of other requests by which a host is one whose loss matters
+WATCHED = {"start": "attended", "run_begin": "moves"}
+SEEN_S = 1.0  # for the token of a host to arrive after its first request
+
+
+class Guard:
+    """Stands between requests and handlers.
+
+    Parameters
+    ----------
+    drives : Drives
+
+    Attributes
+    ----------
+    sees : callable
+        Whether a host is connected, as far as is known.
+    lost : callable
+        What to do where it is no more.
+    """
+
+    def __init__(self, drives: Drives) -> None:
+        self._drives = drives
+        self.sees: Callable[[str], bool] = lambda host: True
+        self.lost: Callable[[str], object] = drives.host_gone
+
+    def enter(self, handlers: dict[str, Handler]) -> None:
+        """Put the rules before every handler that could move something, and add the verbs of the
+        sequence.
+        """
+        for name in COMMANDING:
+            handlers[name] = self._guarded(name, handlers[name])
+        handlers["drive"] = self._drive
+        handlers["drive_status"] = lambda args, by: self._drives.status()
+
+    def _drive(self, args: verbs.Drive, by: str) -> m.Said:
+        def act() -> m.Said:
+            return m.Said(text=self._drives.act(args, by))
+
+        said: m.Said = self.watched(by, act) if args.action in TAKING else act()
+        return said
+
+    def _guarded(self, name: str, handler: Handler) -> Handler:
+        drives = self._drives
+
+        def change(args: Any, by: str) -> Any:
+            if drives.commander:
+                drives.check_right(by)
+            return handler(args, by)
+
+        def run(args: Any, by: str) -> Any:
+            drives.check_right(by)
+            said = drives.before(name, args)
+            if said is not None:
+                return m.Said(text=said)
+            result = handler(args, by)
+            drives.after(name, args, by)
+            return result
+
+        act = change if name in CHANGES else run
+
+        def watched(args: Any, by: str) -> Any:
+            moves = name == "home" or getattr(args, WATCHED.get(name, ""), False)
+            return self.watched(by, lambda: act(args, by)) if moves else act(args, by)
+
+        return watched if name in (*WATCHED, "home") else act
+
+    def watched(self, by: str, do: Callable[[], Any]) -> Any:
+        """Do what makes a host one that must not be lost unnoticed: not for one that nobody sees.
+
+        Raises
+        ------
+        Later
+            It is not seen yet.
+        """
+
+        def done() -> Any:
+            result = do()
+            if not self.sees(by):  # lost in between: nothing was its own yet
+                self.lost(by)
+            return result
+
+        def later() -> Any:
+            deadline = time.monotonic() + SEEN_S
+            while not self.sees(by):
+                if time.monotonic() > deadline:
+                    raise Refused(
+                        f"{by} is not among the hosts that this target sees, and would be lost"
+                        " unnoticed: close other connections (256 hosts of a user are seen; zendsp"
+                        " info names them); a client of your own has to show its token"
+                    )
+                time.sleep(0.002)
+            return done()
+
+        if self.sees(by):
+            return done()
+        raise Later(later)
