@@ -148,9 +148,9 @@ def bursts(
     here, there = _lacking(data, model, joint), _lacking(beside, model, joint)
     quiet = _quiet((here, there))
     acting = _acting(here, joint, quiet)
-    if dry > 0.0 and _peak(acting) < STICKS * dry:
-        if _turns(acting, joint, often) or _holds(acting, joint):
-            return None
+    as_friction = dry > 0.0 and _peak(acting) < STICKS * dry
+    if as_friction and (_turns(acting, joint, often) or _holds(acting, joint)):
+        return None
     covered = sum(int(high.sum()) for high in acting.masks)
     count = sum(len(high) for high in acting.masks)
     others = _acting(there, joint, quiet, acting.least)
