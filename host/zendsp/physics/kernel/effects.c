@@ -103,6 +103,11 @@ static void OF(set_up)(const zk_model *M, OF(numbers) *N)
         N->creeps |= creep > 0;
         N->pulled |= M[l].gravity != 0; N->late |= delay != 0;
     }
+}
+
+static void OF(begin_numbers)(const zk_model *M, OF(numbers) *N)
+{
+    OF(set_up)(M, N);
     N->bw_whole = OF(whole)(N->bw_n);
     for (int i = 0; i < M->nfx; i++)
         for (int j = 0; j < MAXP; j++) N->whole[i][j] = OF(whole)(&N->p[i][j * LANES]);
