@@ -43,13 +43,6 @@ static int OF(whole)(const double *number)
     return (int)number[0];
 }
 
-static void OF(wholes)(const zk_model *M, OF(numbers) *N)
-{
-    N->bw_whole = OF(whole)(N->bw_n);
-    for (int i = 0; i < M->nfx; i++)
-        for (int j = 0; j < MAXP; j++) N->whole[i][j] = OF(whole)(&N->p[i][j * LANES]);
-}
-
 static void OF(set_up)(const zk_model *M, OF(numbers) *N)
 {
     memset(N, 0, sizeof *N);
@@ -110,7 +103,14 @@ static void OF(set_up)(const zk_model *M, OF(numbers) *N)
         N->creeps |= creep > 0;
         N->pulled |= M[l].gravity != 0; N->late |= delay != 0;
     }
-    OF(wholes)(M, N);
+}
+
+static void OF(begin_numbers)(const zk_model *M, OF(numbers) *N)
+{
+    OF(set_up)(M, N);
+    N->bw_whole = OF(whole)(N->bw_n);
+    for (int i = 0; i < M->nfx; i++)
+        for (int j = 0; j < MAXP; j++) N->whole[i][j] = OF(whole)(&N->p[i][j * LANES]);
 }
 
 /* torque without dry friction, and what dry friction is multiplied by; lane l looks at sample k +

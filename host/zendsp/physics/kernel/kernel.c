@@ -196,7 +196,7 @@ void zk_trace(const zk_model *M, const double *motion, const double *u, double v
     state_many state, *S = &state;
     memset(S, 0, sizeof *S);
     for (int l = 0; l < LANES; l++) same[l] = *M;
-    set_up_many(same, N);
+    begin_numbers_many(same, N);
     const int n = M->n;
     for (int first = 0; first < n; first += LANES) {
         const int k = n < LANES           ? 0
@@ -231,7 +231,7 @@ void zk_sense(const zk_model *M, const double *q, double *out)
     state_many state, *S = &state;
     memset(S, 0, sizeof *S);
     for (int l = 0; l < LANES; l++) same[l] = *M;
-    set_up_many(same, N);
+    begin_numbers_many(same, N);
     for (int first = 0; first < M->n; first += LANES) {
         const int some = M->n - first < LANES ? M->n - first : LANES;
         lane_many at = {0}, seen;

@@ -138,7 +138,7 @@ SORT(any, .two_mass = N->two_mass, .hidden = 1, .wavy = N->wavy, .filtered = N->
 static int OF(pass)(const zk_model *M, double *r, double *xq, double *xqd, double *torque)
 {
     OF(numbers) numbers, *N = &numbers;
-    OF(set_up)(M, N);
+    OF(begin_numbers)(M, N);
     const int looped = LANES == 1 && (M->kp > 0 || M->reset > 0);
     const int any = looped || N->filtered || N->drives || (N->wavy && N->two_mass);
     return (any           ? OF(any)
