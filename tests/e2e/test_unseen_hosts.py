@@ -18,6 +18,7 @@ from zendsp_protocol import keys
 from zendsp_target.access.hosts import MOST_HOSTS
 from zendsp_target.api import RuntimeApi
 from zendsp_target.serving.drives import Drives
+from zendsp_target.serving.guard import Guard
 
 COMMANDS: dict[str, Callable[[Target], object]] = {
     "take": lambda t: t.take_command(),
@@ -88,8 +89,9 @@ def test_who_is_lost_while_the_right_is_passed_to_it_does_not_keep_it() -> None:
     """The news comes after it was looked for and before it has the right."""
     runtime = cast(RuntimeApi, SimpleNamespace(cancel=lambda whose: None))
     drives, seen = Drives(runtime), [True, False]
-    drives.sees = lambda host: seen.pop(0) if seen else False
+    guard = Guard(drives)
+    guard.sees = lambda host: seen.pop(0) if seen else False
     lost: list[str] = []
-    drives.lost = lost.append
-    assert drives._watched("a@b:1", lambda: drives.take("a@b:1", False))
+    guard.lost = lost.append
+    assert guard.watched("a@b:1", lambda: drives.take("a@b:1", False))
     assert lost == ["a@b:1"]
