@@ -30,7 +30,7 @@ from integrated import (
 
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.signals import Signals
-from zendsp.physics.calibration.predict import RAN_AWAY, run, run_many
+from zendsp.physics.calibration.predict import RAN_AWAY, run, run_many, trace
 from zendsp.physics.effects import library
 from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.model import Model, Quantity, Term
@@ -139,6 +139,22 @@ def test_a_light_joint_that_rubs_and_is_damped_needs_no_small_steps() -> None:
     start = np.zeros(N)
     coarse, fine = (kernel(start, terms, inner, light) for inner in (2, 64))
     assert np.max(np.abs(coarse - fine)) < 2e-3 * np.ptp(fine)
+
+
+@pytest.mark.parametrize("exponent", [0.5, 1.0, 1.5, 2.0, 3.7])
+def test_sines_and_powers_of_the_kernel_are_those_of_the_library(exponent: float) -> None:
+    """It has its own, without a call: many turns away, and from standstill to ten times a law's
+    speed.
+    """
+    falls = {"kind": "stribeck", "breakaway": 0.2, "velocity": 0.3, "exponent": exponent}
+    wave = {"kind": "ripple", "order": 1000.0, "amplitude": 1.0, "phase": 0.7}
+    model, record = recorded(np.zeros(N), [{"joint": 1, **t} for t in (falls, wave)])
+    q, v = np.linspace(-50.0, 50.0, N), np.geomspace(1e-6, 3.0, N)
+    record.motion.states[:2] = q, v
+    friction, ripple = (trace(record, model, (term,), 1e-12) for term in model.terms)
+    breakaway = model.terms[0].value("breakaway")
+    assert friction == pytest.approx(breakaway * np.exp(-((v / 0.3) ** exponent)), abs=1e-13)
+    assert ripple == pytest.approx(np.sin(1000.0 * q + 0.7), abs=1e-10)
 
 
 @pytest.mark.parametrize("name", DRY)

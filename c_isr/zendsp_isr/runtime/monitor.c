@@ -148,9 +148,9 @@ static void to_message(unsigned char *bytes, uint64_t word) {
         bytes[i] = (unsigned char)word;
 }
 
-/* Answer a reading that came before: fill its doubles, all of the newest sample, and their tick into
- * the reply. Returns 0 when the program is not loaded any more or no longer runs (the long way says
- * why), or there is no sample. */
+/* Answer a reading that came before: fill its doubles, all of the newest sample, and their tick
+ * into the reply. Returns 0 when the program is not loaded any more or no longer runs (the long way
+ * says why), or there is no sample. */
 int monitor_read_again(const repeated_read *r) {
     uint64_t tick, word;
     if (__atomic_load_n(r->ended, __ATOMIC_ACQUIRE) ||
@@ -168,8 +168,8 @@ int monitor_read_again(const repeated_read *r) {
 }
 
 /* Answer a write of doubles that came before, by a request as long as the first: its values go to
- * the loop, `sequence` to the reply. Returns what monitor_write does; 0 also when the program is not
- * loaded any more, or another byte of the request is not as it was. */
+ * the loop, `sequence` to the reply. Returns what monitor_write does; 0 also when the program is
+ * not loaded any more, or another byte of the request is not as it was. */
 int monitor_write_again(const repeated_write *w, const unsigned char *request, batch *b,
                         uint32_t index, uint64_t sequence) {
     if (__atomic_load_n(w->ended, __ATOMIC_ACQUIRE))

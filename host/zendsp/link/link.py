@@ -152,21 +152,28 @@ class Link:
         payload = codec.encode_request(verb, arguments, self.author)
         number, instance = next(self._requests) if row.once else 0, self.instance
         first = stamp(self._name, number, instance, FIRST) if row.once else None
+        limit = timeout or (STOP_S if row.lane == "stop" else row.timeout)
+        if timeout is not None:
+            querier = None  # which has a timeout of its own
         begin = time.monotonic()
         try:
-            if querier is not None and timeout is None:
+            if querier is not None:
                 # what `_ask` does, in place: each function on the way is met cold, and costs
                 # several times what it does in a loop
                 sample = querier.get(payload=payload, attachment=first).recv().ok
             else:
-                sample = self._patient(row, payload, timeout or row.timeout, first)
-        except (zenoh.ZError, LinkError, RuntimeError):
+                sample = self._patient(row, payload, limit, first)
+        except (zenoh.ZError, LinkError):
+            sample = None
+        except RuntimeError:  # the querier is being undeclared: "Already mutably borrowed"
+            if querier is None:
+                raise
             sample = None
         if sample is None:
             sample = (
-                self._again(row, payload, timeout or row.timeout, begin, number, instance)
+                self._again(row, payload, limit, begin, number, instance)
                 if row.once
-                else self._until_answered(row, querier, payload, timeout, begin)
+                else self._until_answered(row, querier, payload, limit, begin)
             )
         return codec.decode_reply(sample.payload.to_bytes(), row.result)
 
@@ -175,17 +182,16 @@ class Link:
         row: Verb,
         querier: zenoh.Querier | None,
         payload: bytes,
-        timeout: float | None,
+        limit: float,
         begin: float,
     ) -> zenoh.Sample:
         """Ask again until an answer comes: a target that others flood with requests drops some of
         them, unanswered.
         """
-        limit = timeout or (STOP_S if row.lane == "stop" else row.timeout)
         while not self.closed and self._alive.is_set() and time.monotonic() <= begin + limit:
             time.sleep(AGAIN_S)
             with contextlib.suppress(zenoh.ZError, LinkError):
-                if querier is not None and timeout is None:
+                if querier is not None:
                     return _ask(querier, payload)
                 return self._patient(row, payload, limit)
         raise self.silence(row.name, limit)
@@ -402,7 +408,7 @@ class Link:
                 background("returned", callback)
 
 
-def _ask(querier: zenoh.Querier, payload: bytes, attachment: bytes | None = None) -> zenoh.Sample:
+def _ask(querier: zenoh.Querier, payload: bytes) -> zenoh.Sample:
     """Send a request and wait for its reply.
 
     Raises
@@ -411,7 +417,7 @@ def _ask(querier: zenoh.Querier, payload: bytes, attachment: bytes | None = None
         There is none, its time is up, or another thread closes the link now.
     """
     try:
-        reply = querier.get(payload=payload, attachment=attachment).recv()
+        reply = querier.get(payload=payload).recv()
     except RuntimeError as error:  # it is being undeclared: "Already mutably borrowed"
         raise zenoh.ZError(str(error)) from error
     sample = reply.ok  # each look makes one

@@ -204,8 +204,8 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
     laws = {c.effect for c in likely if c.effect != "unknown"}
     alone = decision.alone
     if likely and rest:
-        more = [*decision.refinements, *rest]
-        alone = _alone(given, decision.final, decision.joint, likely, more, jobs)
+        others = [*decision.refinements, *rest]
+        alone = _alone(given, decision.final, decision.joint, likely, others, jobs)
     keep, more = [], list(decision.refinements)
     doubted: set[str] = set()  # mechanisms: what stood beside a doubted law may be a part of it
     for claim in decision.claims:

@@ -59,8 +59,8 @@ class JointRecord:
     runs: dict[Any, Any] = field(default_factory=dict)
     # torques of single terms along it, see ``Screen``
     traces: dict[Any, Array] = field(default_factory=dict)
-    # what the kernel is given of it, by the bandwidth of the observer, see ``fill``
     _log_weights: dict[float, float] = field(default_factory=dict, init=False, repr=False)
+    # what the kernel is given of it, by the bandwidth of the observer, see ``fill``
     filled: dict[float, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property

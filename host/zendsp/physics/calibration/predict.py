@@ -230,9 +230,9 @@ def fill(
     known: dict[tuple[float, ...], tuple[Array, Array]] | None = None,
     packed: tuple[npt.NDArray[np.int32], Array] | None = None,
 ) -> list[Any]:
-    """Fill a zk_model (a pointer); what it points to must outlive the call, beside the record, and
-    is returned. ``known``: inertia
-    and bias by mechanism values; ``packed``: the joint's effects, where they are packed already.
+    """Fill a zk_model, given as a pointer. What it points to must outlive the call: it is returned,
+    or the record's. ``known``: inertia and bias by mechanism values; ``packed``: the joint's
+    effects, where they are packed already.
     """
     lib = native()
     p, ffi = lib.doubles, lib.ffi
@@ -253,7 +253,7 @@ def fill(
     m.limit = per_joint(model.actuator.limit, record.joint, 0.0)
     fill_rigid(m, record, model, inertia, bias)
     own = own_terms(model.at(record.joint))
-    _felt(record, own)
+    _felt(record, own)  # refuses what reads a column that is not there
     m.nfx, m.kind, m.p = len(own), ffi.cast("int *", ffi.from_buffer(kinds)), p(table)
     fill_shift(m, record, per_joint(model.sensor.offset, record.joint, 0.0))
     m.load_sensor = 1 if model.sensor.side == "load" else 0
