@@ -83,10 +83,12 @@ def test_a_spring_is_measured_not_guessed() -> None:
 
 def test_how_a_measured_spring_rings_is_left_to_the_motors_position() -> None:
     """Two sensors say nothing of it. Held at a guess the spring predicted no better than none, was
-    left out of the model, and what its load does then became a disturbance.
+    left out of the model, and what its load does then became a disturbance. Nor is what they say
+    loosely held: with 300 ± 30 N m/rad held a position was predicted half as well as with it free.
     """
     (term,) = only(measured(soft=40.0, load=0.006, resolution=FINE)).terms
-    assert {key for key, number in term.parameters.items() if number.free} == {"damping"}
+    free = {key for key, number in term.parameters.items() if number.free}
+    assert free == {"damping", "stiffness", "load_inertia"}
 
 
 def test_a_spring_is_measured_through_the_counts_of_usual_encoders() -> None:

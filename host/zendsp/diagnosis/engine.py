@@ -212,6 +212,10 @@ def _name(
         found.parts.test, given, found.decisions, found.whole, found.claims
     )
     rejected = (*rejected_bodies(found.bodies, found.claims), *rejected)
+    both_sides = {m.joint for m in found.measured if m.findings}
+    guessed = [f for f in findings if f.mechanism == "transmission" and f.joint in both_sides]
+    findings = tuple(f for f in findings if f not in guessed)  # these are measured
+    refinements = (*refinements, *guessed)
     if found.load is not None:  # all that differs from the given numbers, there
         findings = (found.load,)
     findings += tuple(ripple.finding for ripple in found.fine)

@@ -207,12 +207,13 @@ def _finished(found: Found, given: Model, jobs: int, tell: Progress) -> Found:
         searches, decisions, whole = explain(parts, given, beneath, jobs, tell, done)
     if claims:
         claims, improved = settled(parts, claims, whole.improved, jobs)
+        whole, decisions = replace(whole, improved=improved), beside_bodies(claims, decisions)
+    if claims or any(m.terms for m in found.measured):  # these are no calibration
         bases = [
             calibrate_joint(bare.fit, given, joint, jobs) for joint in range(1, given.joints + 1)
         ]
         calibrated = calibrated_machine(bare.fit, given, bases, jobs)
-        whole = replace(whole, improved=improved, calibrated=calibrated)
-        decisions = beside_bodies(claims, decisions)
+        whole = replace(whole, calibrated=calibrated)
     return replace(
         found,
         searches=searches,

@@ -22,8 +22,9 @@ from zendsp.diagnosis.report.laws import (
     unclaimed_chart,
     unknown_chart,
 )
-from zendsp.diagnosis.report.sides import Sides, measured, sides, torque_label, units_at
+from zendsp.diagnosis.report.sides import Sides, sides, torque_label, units_at
 from zendsp.diagnosis.report.torsion import torsion_chart
+from zendsp.diagnosis.transmission.findings import measured
 from zendsp.physics.calibration.predict import run
 from zendsp.physics.effects import library
 from zendsp.physics.model import Model

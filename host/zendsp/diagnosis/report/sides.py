@@ -13,6 +13,7 @@ from zendsp.diagnosis.decide.assemble import Assembled
 from zendsp.diagnosis.decide.result import Diagnosis, Finding
 from zendsp.diagnosis.measure.discrepancy import BANDS
 from zendsp.diagnosis.measure.where import Missing, mismatch
+from zendsp.diagnosis.transmission.findings import measured
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.effects import library
 from zendsp.physics.model import Model
@@ -55,12 +56,6 @@ def _absorbed(improved: Model, finding: Finding) -> bool:
     terms = [t for t in improved.at(finding.joint) if t.effect == finding.effect]
     elsewhere = measured(finding) or "recordings" in finding.numbers
     return finding.effect in library() and not terms and not elsewhere
-
-
-def measured(finding: Finding) -> bool:
-    """Whether a finding is one of the sensors on both sides of a transmission."""
-    details = finding.numbers.get("details")
-    return isinstance(details, dict) and details.get("sensors") == "both sides"
 
 
 def units_at(d: Diagnosis, joint: int) -> dict[str, str]:

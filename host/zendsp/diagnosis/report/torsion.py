@@ -15,6 +15,7 @@ from zendsp.diagnosis.measure.discrepancy import ENERGY_BLOCK
 from zendsp.diagnosis.report.chart import Chart
 from zendsp.diagnosis.report.laws import two_panels
 from zendsp.diagnosis.report.sides import units_at
+from zendsp.diagnosis.transmission.findings import measured
 from zendsp.diagnosis.transmission.torsion import (
     OF_BODIES,
     OF_MOTOR,
@@ -54,7 +55,7 @@ def torsion_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Ch
         parts, _, _ = with_motor_torque(parts, (), joint_inertia(w.train, model, joint), False)
     scale = float(np.sqrt(np.mean(np.concatenate([t.torque for t in parts]) ** 2)))
     named = {f.effect: f for f in d.findings if f.joint == joint}
-    others = [f for f in named.values() if f.effect != finding.effect]
+    others = [f for f in named.values() if f.effect != finding.effect and measured(f)]
     columns, own = [], 0
     for t in parts:
         first = _columns(t, finding, scale)
@@ -62,7 +63,8 @@ def torsion_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Ch
         columns.append(np.hstack([first, *(_columns(t, f, scale) for f in others)]))
     fit = regress(parts, columns, off_centre=False)
     laws = [matrix[:, :own] @ fit.x[:own] for matrix in columns]
-    variable = "position" if period else "velocity" if finding.effect == "hysteresis" else "torque"
+    stepping = finding.effect == "hysteresis" and not _late(finding)
+    variable = "position" if period else "velocity" if stepping else "torque"
     x = np.concatenate([_over(t, variable) for t in parts])
     x = np.mod(x, period) if period else x
     block, first_block = [], 0
@@ -96,10 +98,16 @@ def _order(finding: Finding) -> float:
     return max(finding.parameters["order"].value, 1e-300)
 
 
+def _late(finding: Finding) -> bool:
+    """Whether a hysteresis yields with the torque, not with the direction of the motion."""
+    return "torque" in finding.numbers.get("details", {})
+
+
 def _columns(t: Twist, finding: Finding, scale: float) -> Array:
     if finding.effect == "transmission_error":
         return wave(t, _order(finding))
-    matrix = columns_of(t, TERMS.get(finding.effect, ()), scale)
+    terms = ("loop",) if _late(finding) else TERMS.get(finding.effect, ())
+    matrix = columns_of(t, terms, scale)
     return matrix[:, :1] if finding.effect == "elasticity" else matrix
 
 

@@ -12,19 +12,29 @@ from zendsp.diagnosis.decide.claims import LAWS_OF
 from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES, PLAIN, SURE
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.transmission.sets import Sets
-from zendsp.diagnosis.transmission.terms import Chosen, applied, fitted, may_be_off, physical
+from zendsp.diagnosis.transmission.terms import (
+    INSTEAD,
+    Chosen,
+    applied,
+    fitted,
+    may_be_off,
+    physical,
+)
 from zendsp.diagnosis.transmission.torsion import (
     Array,
     Twist,
     columns_of,
     evidence,
     judged,
+    numbers_of,
     regress,
     rms,
 )
 from zendsp.physics.model import Model
 
 POWER = 1.28  # standard deviations: nine in ten
+AS_EFFECT = {"spring": "elasticity", "gap": "backlash"}
+WITH_SPRING = ("cubic", "loop")  # terms that bend a spring: nothing without it
 ENOUGH = 1.0  # of what stays unexplained: what is less is no finding
 
 
@@ -61,11 +71,25 @@ def apart(twists: Sequence[Twist], one: Sequence[Array], other: Sequence[Array])
 
 
 def claims_of(slow: Sets, chosen: Chosen, scale: float, model: Model) -> list[Claim]:
-    """The chosen terms, each taken away and judged on the untouched recordings.
+    """The chosen terms, each taken away and judged on the untouched recordings. One that they do
+    not need is taken out and the rest fitted without it: a spring that is none makes a gap narrow.
 
     A disc off centre may explain a short piece as well as a spring does: the spring is judged with
     it and without. Where the recordings of the fit do not tell them apart, that is said.
     """
+    found = _judged_each(slow, chosen, scale, model)
+    idle = [t for t in chosen.terms if t not in {claim.name for claim in found}]
+    if not idle:
+        return found
+    beyond = {"spring": WITH_SPRING}.get(idle[-1], ())
+    terms = tuple(t for t in chosen.terms if t != idle[-1] and t not in beyond)
+    again = fitted(slow.fit, terms, chosen.off_centre, scale)
+    if not physical(terms, again, scale):
+        return [claim for claim in found if claim.name in terms]
+    return claims_of(slow, replace(chosen, terms=terms, fit=again), scale, model)
+
+
+def _judged_each(slow: Sets, chosen: Chosen, scale: float, model: Model) -> list[Claim]:
     alike = "spring" in chosen.terms and _like_a_disc(slow, scale, model)
     out = []
     for term in chosen.terms:
@@ -73,32 +97,38 @@ def claims_of(slow: Sets, chosen: Chosen, scale: float, model: Model) -> list[Cl
         if claim is None and term == "spring" and may_be_off(slow):
             off = not chosen.off_centre
             other = replace(chosen, off_centre=off, fit=fitted(slow.fit, chosen.terms, off, scale))
-            if physical(other.terms, other.fit.x):
+            if physical(other.terms, other.fit, scale):
                 claim = _judged(slow, other, term, scale, model)
         if claim is not None:
-            same = ("encoder_eccentricity",) if alike and term == "spring" else ()
-            out.append(replace(claim, same=same))
+            same = ["encoder_eccentricity"] if alike and term == "spring" else []
+            same += [AS_EFFECT[INSTEAD[term]]] if term in chosen.unsure else []
+            out.append(replace(claim, same=tuple(same)))
     return out
 
 
 def _judged(slow: Sets, chosen: Chosen, term: str, scale: float, model: Model) -> Claim | None:
     with_all = applied(slow.test, chosen.terms, chosen.off_centre, scale, chosen.fit.x)
     left = unexplained(with_all, slow.test)
-    gone = ("spring", "cubic") if term == "spring" else (term,)
+    gone = ("spring", *WITH_SPRING) if term == "spring" else (term,)
     rest = tuple(t for t in chosen.terms if t not in gone)
     again = fitted(slow.fit, rest, chosen.off_centre, scale)
     without = applied(slow.test, rest, chosen.off_centre, scale, again.x)
     found, log_e = evidence(without, with_all, slow.test)
     size = apart(slow.test, without, with_all)
-    at = sum(2 if t == "spring" else 1 for t in chosen.terms[: chosen.terms.index(term)])
-    x, std = chosen.fit.x, np.sqrt(np.maximum(np.diag(chosen.fit.covariance), 0.0))
-    value, spread = float(x[at]), float(std[at])
+    value, spread = numbers_of(chosen.terms, chosen.fit, scale)[term]
     sure = log_e > needed(model) and found.z > PLAIN and abs(value) > SURE * spread
     if not sure or size <= ENOUGH * left:
         return None
+    if term == "gap" and "spring" not in chosen.terms:  # a contact that yields is in its width
+        both = fitted(slow.fit, ("spring", "gap"), chosen.off_centre, scale)
+        if physical(("spring", "gap"), both, scale):
+            spread = math.hypot(spread, numbers_of(("spring", "gap"), both, scale)[term][0] - value)
     damping = (0.0, 0.0)
     if term == "spring":
-        damping = float(x[at + 1]) / value, float(std[at + 1]) / abs(value)
+        # a torque that is a row late looks like damping; of a gap, the rows that would say it cross
+        std = math.hypot(math.sqrt(float(chosen.fit.covariance[1, 1])), value * slow.test[0].row)
+        std = math.inf if "gap" in chosen.terms else std / abs(value)
+        damping = float(chosen.fit.x[1]) / value, std
     return Claim(term, value, spread, found, log_e, size, left, damping=damping)
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from zendsp.diagnosis.transmission.sets import Sets, torque_scale
+from zendsp.diagnosis.transmission.sets import Sets, clear_of_a_gap, torque_scale
 from zendsp.diagnosis.transmission.torsion import (
     Array,
     Linear,
@@ -16,17 +17,17 @@ from zendsp.diagnosis.transmission.torsion import (
     Twist,
     columns_of,
     evidence,
+    numbers_of,
     regress,
-    rms,
     with_motor_torque,
 )
 
-# of the RMS torque: below, a gap may be open. By the motor's torque alone, a simulated one of 12
-# mrad came out at 9.5 of all rows above 0.3, at 11.0 of those above 0.6
-OPEN = 0.6
 # of deviance: an encoder's disc off centre that gains less is not assumed. Beside it a spring's
-# torque, which goes much as the angle does, is hardly determined
+# torque, which goes much as the angle does, is hardly determined. Nor is a gap, where a spring
+# does: any transmission yields
 CLEARLY = 10.0
+# whether some of the torsion yields late: the motor's torque is then another
+HYSTERESIS = (False, True)
 # the simpler first; a spring may stand beside an encoder disc that is off centre
 CHOICES: tuple[tuple[str, ...], ...] = (
     (),
@@ -36,23 +37,22 @@ CHOICES: tuple[tuple[str, ...], ...] = (
     ("gap",),
     ("spring", "gap"),
     ("spring", "cubic"),
+    ("spring", "loop"),
 )
+INSTEAD = {"spring": "gap", "gap": "spring"}
 
 
 @dataclass(frozen=True)
 class Chosen:
-    """The terms of a transmission and whether a disc off centre stands beside them."""
+    """The terms of a transmission and whether a disc off centre stands beside them; ``unsure``:
+    terms in whose place their ``INSTEAD`` may stand.
+    """
 
     terms: tuple[str, ...]
     off_centre: bool
     fit: Linear
     deviance: float
-
-
-def _loaded(twist: Twist) -> Twist:
-    """Without the rows at which a gap may be open: no law says on which side of it the load is."""
-    size = rms([twist.torque[twist.kept]])
-    return replace(twist, kept=twist.kept & (np.abs(twist.torque) > OPEN * size))
+    unsure: tuple[str, ...] = ()
 
 
 def may_be_off(slow: Sets) -> bool:
@@ -70,13 +70,12 @@ def applied(
     return regress(twists, [columns_of(t, terms, scale) for t in twists], off, x).residual
 
 
-def physical(terms: Sequence[str], x: Array) -> bool:
-    """Whether a spring gives way, a gap opens and a step goes against the motion."""
-    at, ok = 0, True
-    for term in terms:
-        ok &= float(x[at]) > 0 if term == "cubic" else float(x[at]) < 0
-        at += 2 if term == "spring" else 1
-    return ok
+def physical(terms: Sequence[str], fit: Linear, scale: float) -> bool:
+    """Whether a spring gives way, a gap opens, a step goes against the motion, and what yields
+    late yields with the torque.
+    """
+    values = {term: value for term, (value, _) in numbers_of(terms, fit, scale).items()}
+    return all(value > 0 if term == "cubic" else value < 0 for term, value in values.items())
 
 
 def choose(slow: Sets, inertia: float, known: Motor | None) -> tuple[Chosen, Sets, Motor]:
@@ -85,16 +84,20 @@ def choose(slow: Sets, inertia: float, known: Motor | None) -> tuple[Chosen, Set
     is that torque.
     """
     best: tuple[Chosen, Sets, Motor] | None = None
-    for off in (False, True) if may_be_off(slow) else (False,):
+    tried: dict[tuple[str, ...], float] = {}
+    discs = (False, True) if may_be_off(slow) else (False,)
+    for off, late in itertools.product(discs, HYSTERESIS):
         here, motor = slow, known or Motor()
         if known is None:
-            fit, others, motor = with_motor_torque(slow.fit, (slow.choose, slow.test), inertia, off)
+            fit, others, motor = with_motor_torque(
+                slow.fit, (slow.choose, slow.test), inertia, off, late
+            )
             here = Sets(fit, others[0], others[1])
-        here = here.each(_loaded)
+        here = clear_of_a_gap(here)
         scale = torque_scale(here.fit)
         for terms in CHOICES:
             found = fitted(here.fit, terms, off, scale)
-            if not physical(terms, found.x):
+            if ("loop" in terms) != late or not physical(terms, found, scale):
                 continue
             n = sum(len(r) for r in found.residual)
             _, log_e = evidence(
@@ -103,8 +106,13 @@ def choose(slow: Sets, inertia: float, known: Motor | None) -> tuple[Chosen, Set
             kept = applied(here.choose, terms, off, scale, found.x)
             _, held = evidence(fitted(here.choose, (), False, scale).residual, kept, here.choose)
             count = len(found.x) + 2 * off * len(here.fit)
-            deviance = -2.0 * (log_e + held) + count * math.log(n) + CLEARLY * off
+            deviance = -2.0 * (log_e + held) + count * math.log(n)
+            deviance += CLEARLY * (off + ("gap" in terms))
+            tried[terms] = min(deviance, tried.get(terms, math.inf))
             if best is None or deviance < best[0].deviance:
                 best = Chosen(terms, off, found, deviance), here, motor
     assert best is not None
-    return best
+    first = best[0]
+    other = {t: tried.get((INSTEAD[t],), math.inf) for t in first.terms if t in INSTEAD}
+    unsure = tuple(t for t, d in other.items() if d < first.deviance + CLEARLY)
+    return replace(first, unsure=unsure), best[1], best[2]

@@ -17,6 +17,7 @@ from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.result import Finding
 from zendsp.diagnosis.decide.thresholds import PLAIN, SURE
 from zendsp.diagnosis.measure.curve import FLUID, FRICTION
+from zendsp.diagnosis.transmission.findings import measured
 from zendsp.diagnosis.transmission.torsion import OF_MOTOR, Array, has_bodies, held_drive
 from zendsp.diagnosis.transmission.torsion import STILL as STANDING
 from zendsp.physics.calibration.joint import JointRecord
@@ -151,7 +152,8 @@ def sided(findings: Sequence[Finding], parts: Parts, model: Model) -> tuple[Find
 
 def _with_sides(f: Finding, sides: Sides, unit: str) -> Finding:
     own, name = (sides.viscous, "viscous") if f.mechanism == FLUID else (sides.dry, "dry")
-    side = (side_of(own) or sides.side) if f.mechanism in FRICTION else ""
+    rubs = f.mechanism in FRICTION and not measured(f)  # which is between the two sides
+    side = (side_of(own) or sides.side) if rubs else ""
     if side:
         words = {
             "before": "before the torque sensor, on the motor's side",

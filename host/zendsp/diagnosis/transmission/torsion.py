@@ -12,7 +12,8 @@ accelerates the motor (whose inertia is fitted too).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -23,6 +24,8 @@ from zendsp.diagnosis.measure.discrepancy import deviation
 from zendsp.diagnosis.measure.evidence import BLOCK, Evidence
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.calibration.joint import JointRecord, effective_inertia
+from zendsp.physics.effects import get_effect
+from zendsp.physics.effects.base import Numbers
 from zendsp.physics.kernel.signals import find_resolution, noise_beside_quantisation
 from zendsp.physics.model import Model, per_joint
 
@@ -37,6 +40,16 @@ RATE = 8.0  # rows kept for each period of the low-pass
 ORDERS = 4000  # of an error over the angle, at most so many are tried
 FRICTION_ROUNDS = 2  # of the motor's own inertia and its dry friction by turns
 SHARE_STEP = 0.1  # of the joint's inertia: first tries of what is the motor's
+# of the RMS torque: in so many steps what a transmission's friction holds yields (Prandtl's model)
+YIELDS = (0.15, 0.4, 1.0)
+# columns of a term, and how its number is made of their coefficients
+TERMS: dict[str, tuple[float, ...]] = {
+    "spring": (1.0, 0.0),
+    "cubic": (1.0,),
+    "gap": (1.0,),
+    "step": (1.0,),
+    "loop": YIELDS,
+}
 SHARES = tuple(SHARE_STEP * (i + 0.5) for i in range(10))
 
 
@@ -60,6 +73,7 @@ class Twist:
     kept: npt.NDArray[np.bool_]
     judging: npt.NDArray[np.bool_]  # rows that are evidence; the others only give zeros
     blur: float  # standard deviation of qdd
+    row: float  # sample time of the recording, s
     extra: dict[str, Array] = field(default_factory=dict)
 
 
@@ -94,18 +108,33 @@ def twists(data: Data, model: Model, joint: int) -> list[Twist]:
         out.append(
             Twist(
                 load - record.position, q, qd, qdd, drive, torque, record.sample_time, noise, 0.0,
-                kept, np.ones(record.n, bool), blur,
+                kept, np.ones(record.n, bool), blur, record.sample_time,
             )
         )
     return out
 
 
 def held_drive(record: JointRecord, model: Model, joint: int) -> Array:
-    """Torque of the drive at each row, (n,): the command is held from row to row, so the mean of
-    before and after.
+    """Torque of the drive at each row, (n,), as late and as limited as the model says: the command
+    is held from row to row, so the mean of before and after.
     """
-    held = 0.5 * (record.command + np.r_[record.command[:1], record.command[:-1]])
+    command, dt = record.command, record.sample_time
+    limit = per_joint(model.actuator.limit, joint, 0.0)
+    if limit:
+        command = np.clip(command, -limit, limit)
+    if model.actuator.delay:
+        command = retimed("delay", command, dt, {"time": model.actuator.delay})
+    for term in model.at(joint):
+        numbers = {name: number.value for name, number in term.parameters.items()}
+        command = retimed(term.effect, command, dt, numbers)
+    held = 0.5 * (command + np.r_[command[:1], command[:-1]])
     return np.asarray(per_joint(model.actuator.gain, joint, 1.0) * held)
+
+
+def retimed(effect: str, command: Array, sample_time: float, numbers: Numbers) -> Array:
+    """A command as late as an effect makes it, (n,)."""
+    moved = get_effect(effect).retime
+    return command if moved is None else moved(command, sample_time, numbers)
 
 
 def of_bodies(record: JointRecord, model: Model) -> Array:
@@ -154,6 +183,7 @@ def lowpass(twist: Twist, band: float) -> Twist:
         twist.kept[::step],
         twist.judging[::step],
         twist.blur,
+        twist.row,
         {"direction": slow(direction), "rate": np.asarray(rate)},
     )
 
@@ -179,6 +209,7 @@ def joined(first: Twist, second: Twist, judging: int) -> Twist:
         np.concatenate([first.kept, second.kept]),
         np.repeat([judging == 0, judging == 1], [len(first.q), len(second.q)]),
         first.blur,
+        first.row,
     )
 
 
@@ -209,19 +240,29 @@ def gap_shape(torque: Array) -> Array:
 def columns_of(twist: Twist, terms: Sequence[str], scale: float) -> Array:
     """Columns of some terms, (n, columns) of the kept rows.
 
-    ``spring``: torque and its damping; ``cubic``; ``gap``; ``step`` with direction; ``("sin", n)``
-    and ``("cos", n)`` are made by ``wave``.
+    ``spring``: torque and its damping; ``cubic``; ``gap``; ``step`` with direction; ``loop``: what
+    yields with the torque later than the spring. Errors over the angle are made by ``wave``.
     """
-    made = {
-        "spring": [twist.torque, twist.extra.get("rate", twist.q)],
-        "cubic": [twist.torque * (twist.torque / scale) ** 2],
-        "gap": [gap_shape(twist.torque)],
-        "step": [twist.extra.get("direction", twist.q)],
+    made: dict[str, Callable[[], list[Array]]] = {
+        "spring": lambda: [twist.torque, twist.extra.get("rate", twist.q)],
+        "cubic": lambda: [twist.torque * (twist.torque / scale) ** 2],
+        "gap": lambda: [gap_shape(twist.torque)],
+        "step": lambda: [twist.extra.get("direction", twist.q)],
+        "loop": lambda: [play(twist.torque, part * scale) for part in YIELDS],
     }
-    listed = [column for term in terms for column in made[term]]
+    listed = [column for term in terms for column in made[term]()]
     if not listed:
         return np.zeros((int(twist.kept.sum()), 0))
     return np.stack(listed, axis=1)[twist.kept]
+
+
+def play(torque: Array, yields: float) -> Array:
+    """What follows a torque only once it has turned by twice ``yields``, (n,)."""
+    out, at = [], 0.0
+    for here in torque.tolist():  # numbers of Python: five times faster
+        at = max(here - yields, min(here + yields, at))
+        out.append(at)
+    return np.array(out)
 
 
 def wave(twist: Twist, order: float) -> Array:
@@ -238,6 +279,24 @@ class Linear:
     x: Array
     covariance: Array
     residual: list[Array]
+
+
+def numbers_of(terms: Sequence[str], fit: Linear, scale: float) -> dict[str, tuple[float, float]]:
+    """What the coefficients of some terms say, with standard deviations: compliance at large
+    torques, half a gap, half the width of a hysteresis at zero torque.
+    """
+    at = np.cumsum([0, *(len(TERMS[t]) for t in terms)])
+    out = {}
+    for term, begin in zip(terms, at[:-1], strict=True):
+        weights = np.zeros(len(fit.x))
+        weights[begin : begin + len(TERMS[term])] = np.array(TERMS[term]) * (
+            scale if term == "loop" else 1.0
+        )
+        if term == "spring" and "loop" in terms:  # all of it has yielded
+            weights[at[terms.index("loop")] :][: len(YIELDS)] = 1.0
+        spread = math.sqrt(max(float(weights @ fit.covariance @ weights), 0.0))
+        out[term] = float(weights @ fit.x), spread
+    return out
 
 
 def regress(
@@ -313,10 +372,14 @@ class Motor:
 
 
 def with_motor_torque(
-    fit: Sequence[Twist], others: Sequence[Sequence[Twist]], inertia: float, off_centre: bool
+    fit: Sequence[Twist],
+    others: Sequence[Sequence[Twist]],
+    inertia: float,
+    off_centre: bool,
+    late: bool = False,
 ) -> tuple[list[Twist], list[list[Twist]], Motor]:
     """The transmitted torque from the motor's side: the drive's less what accelerates the motor and
-    its dry friction, both fitted with the spring.
+    its dry friction, both fitted with the spring (``late``: and with what yields late).
 
     Returns
     -------
@@ -331,6 +394,9 @@ def with_motor_torque(
             torque = t.drive - share * inertia * t.qdd
             side = gap_shape(torque - dry * t.extra["direction"])
             parts = [torque, t.extra["direction"], t.extra["rate"], side]
+            if late:
+                scale = rms([torque[t.kept]])
+                parts += [play(torque, part * scale) for part in YIELDS]
             out.append(np.stack(parts, axis=1)[t.kept])
         return out
 

@@ -16,6 +16,7 @@ from zendsp.diagnosis.transmission.torsion import (
     Linear,
     Twist,
     evidence,
+    nuisance,
     regress,
     rms,
     strongest_order,
@@ -24,6 +25,8 @@ from zendsp.diagnosis.transmission.torsion import (
 from zendsp.physics.model import Model
 
 WAVES = 2  # errors over the angle, at most
+STRIDES = 8  # of an order that is looked for around what the places of the angle say
+AT_BOUND = 0.9  # of half a period in all the travel: the least lies beyond what was looked at
 
 
 def waves_of(raw: Sets, model: Model) -> tuple[list[Claim], Sets]:
@@ -57,7 +60,9 @@ def _beneath(twists: Sequence[Twist], order: float = 0.0, known: Array | None = 
 def _own_phase(twist: Twist, order: float, slow: Array) -> float:
     """The phase of an order in one recording."""
     (residual,) = _beneath([twist], known=slow).residual
-    sine, cosine = np.linalg.lstsq(wave(twist, order), residual, rcond=None)[0]
+    columns, own = wave(twist, order), nuisance(twist, True)  # without which the residual is
+    seen = columns - own @ (own.T @ columns)
+    sine, cosine = np.linalg.lstsq(seen, residual, rcond=None)[0]
     return math.atan2(cosine, sine)
 
 
@@ -77,7 +82,11 @@ def _wave(raw: Sets, model: Model, order: float) -> Claim | None:
     def cost(n: float) -> float:
         return rms(_beneath(raw.fit, n).residual)
 
-    order = float(minimize_scalar(cost, bounds=(order - width, order + width), method="bounded").x)
+    for _ in range(STRIDES):
+        around = max(order - width, 2.0 * width), order + width
+        before, order = order, float(minimize_scalar(cost, bounds=around, method="bounded").x)
+        if abs(order - before) < AT_BOUND * width:
+            break
     found, again = _beneath(raw.fit, order), _beneath(raw.fit)
     sine, cosine = float(found.x[-2]), float(found.x[-1])
     amplitude, phase = math.hypot(sine, cosine), math.atan2(cosine, sine)
