@@ -58,7 +58,7 @@ def _follows(parts: Parts, joint: int) -> bool:
     return abs(gap) < 0.5 * first.sample_time
 
 
-def _loaded(twist: Twist) -> Twist:
+def loaded(twist: Twist) -> Twist:
     """Without the rows at which a gap may be open: no law says on which side of it the load is."""
     size = rms([twist.torque[twist.kept]])
     return replace(twist, kept=twist.kept & (np.abs(twist.torque) > OPEN * size))
@@ -79,13 +79,13 @@ def clear_of_a_gap(slow: Sets) -> Sets:
     """The rows that say on which side of a gap the load is, whatever the low-pass smears; all that
     are loaded where these are few.
     """
-    loaded, pressed = slow.each(_loaded), slow.each(_pressed)
+    under, pressed = slow.each(loaded), slow.each(_pressed)
 
     def rows(sets: Sets) -> list[int]:
         return [sum(int(t.kept.sum()) for t in part) for part in (sets.fit, sets.choose, sets.test)]
 
-    few = any(p < ENOUGH_PRESSED * r for p, r in zip(rows(pressed), rows(loaded), strict=True))
-    return loaded if few else pressed
+    few = any(p < ENOUGH_PRESSED * r for p, r in zip(rows(pressed), rows(under), strict=True))
+    return under if few else pressed
 
 
 def lag_of(raw: Sets, band: float) -> float:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from zendsp.diagnosis.transmission.sets import Sets, clear_of_a_gap, torque_scale
+from zendsp.diagnosis.transmission.sets import Sets, clear_of_a_gap, loaded, torque_scale
 from zendsp.diagnosis.transmission.torsion import (
     Array,
     Linear,
@@ -81,10 +81,9 @@ def physical(terms: Sequence[str], fit: Linear, scale: float) -> bool:
 def choose(slow: Sets, inertia: float, known: Motor | None) -> tuple[Chosen, Sets, Motor]:
     """The terms that describe the fit recordings best for their number and hold on those to choose
     by; with the transmitted torque that goes with them. Where the motor is not ``known``, neither
-    is that torque.
+    is that torque. Where there is no gap, all rows count that are under load.
     """
-    best: tuple[Chosen, Sets, Motor] | None = None
-    tried: dict[tuple[str, ...], float] = {}
+    ways = []
     discs = (False, True) if may_be_off(slow) else (False,)
     for off, late in itertools.product(discs, HYSTERESIS):
         here, motor = slow, known or Motor()
@@ -93,24 +92,47 @@ def choose(slow: Sets, inertia: float, known: Motor | None) -> tuple[Chosen, Set
                 slow.fit, (slow.choose, slow.test), inertia, off, late
             )
             here = Sets(fit, others[0], others[1])
-        here = clear_of_a_gap(here)
+        ways.append(_Way(off, late, here, motor))
+    pressed = _likeliest([replace(w, sets=clear_of_a_gap(w.sets)) for w in ways], CHOICES)
+    if "gap" in pressed[0].terms:
+        return pressed
+    rigid = [terms for terms in CHOICES if "gap" not in terms]
+    first, sets, motor = _likeliest([replace(w, sets=w.sets.each(loaded)) for w in ways], rigid)
+    unsure = tuple(t for t in pressed[0].unsure if t in first.terms)
+    return replace(first, unsure=unsure), sets, motor
+
+
+@dataclass(frozen=True)
+class _Way:
+    """A torque that may be transmitted: with or without a disc off centre and what yields late."""
+
+    off: bool
+    late: bool
+    sets: Sets
+    motor: Motor
+
+
+def _likeliest(
+    ways: Sequence[_Way], choices: Sequence[tuple[str, ...]]
+) -> tuple[Chosen, Sets, Motor]:
+    best: tuple[Chosen, Sets, Motor] | None = None
+    tried: dict[tuple[str, ...], float] = {}
+    for way, terms in itertools.product(ways, choices):
+        off, here = way.off, way.sets
         scale = torque_scale(here.fit)
-        for terms in CHOICES:
-            found = fitted(here.fit, terms, off, scale)
-            if ("loop" in terms) != late or not physical(terms, found, scale):
-                continue
-            n = sum(len(r) for r in found.residual)
-            _, log_e = evidence(
-                fitted(here.fit, (), False, scale).residual, found.residual, here.fit
-            )
-            kept = applied(here.choose, terms, off, scale, found.x)
-            _, held = evidence(fitted(here.choose, (), False, scale).residual, kept, here.choose)
-            count = len(found.x) + 2 * off * len(here.fit)
-            deviance = -2.0 * (log_e + held) + count * math.log(n)
-            deviance += CLEARLY * (off + ("gap" in terms))
-            tried[terms] = min(deviance, tried.get(terms, math.inf))
-            if best is None or deviance < best[0].deviance:
-                best = Chosen(terms, off, found, deviance), here, motor
+        found = fitted(here.fit, terms, off, scale)
+        if ("loop" in terms) != way.late or not physical(terms, found, scale):
+            continue
+        n = sum(len(r) for r in found.residual)
+        _, log_e = evidence(fitted(here.fit, (), False, scale).residual, found.residual, here.fit)
+        kept = applied(here.choose, terms, off, scale, found.x)
+        _, held = evidence(fitted(here.choose, (), False, scale).residual, kept, here.choose)
+        count = len(found.x) + 2 * off * len(here.fit)
+        deviance = -2.0 * (log_e + held) + count * math.log(n)
+        deviance += CLEARLY * (off + ("gap" in terms))
+        tried[terms] = min(deviance, tried.get(terms, math.inf))
+        if best is None or deviance < best[0].deviance:
+            best = Chosen(terms, off, found, deviance), here, way.motor
     assert best is not None
     first = best[0]
     other = {t: tried.get((INSTEAD[t],), math.inf) for t in first.terms if t in INSTEAD}
