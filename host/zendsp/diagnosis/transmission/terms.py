@@ -97,6 +97,7 @@ def choose(slow: Sets, inertia: float, known: Motor | None) -> tuple[Chosen, Set
     if "gap" in pressed[0].terms:
         return pressed
     rigid = [terms for terms in CHOICES if "gap" not in terms]
+    ways = [w for w in ways if w.off == pressed[0].off_centre]
     first, sets, motor = _likeliest([replace(w, sets=w.sets.each(loaded)) for w in ways], rigid)
     unsure = tuple(t for t in pressed[0].unsure if t in first.terms)
     return replace(first, unsure=unsure), sets, motor
