@@ -36,6 +36,7 @@ from zendsp.diagnosis.measure.where import intervals, regions
 from zendsp.diagnosis.measure.windows import model_error, noise_floor
 from zendsp.diagnosis.report.files import left_out
 from zendsp.diagnosis.report.sides import clearest, sides
+from zendsp.diagnosis.transmission.measured import without_guesses
 from zendsp.diagnosis.transmission.one_sensor import by_one_sensor, said
 from zendsp.diagnosis.transmission.torque_sensor import sided
 from zendsp.physics.calibration.fit import Data
@@ -212,9 +213,7 @@ def _name(
         found.parts.test, given, found.decisions, found.whole, found.claims
     )
     rejected = (*rejected_bodies(found.bodies, found.claims), *rejected)
-    both_sides = {m.joint for m in found.measured if m.findings}
-    guessed = [f for f in findings if f.mechanism == "transmission" and f.joint in both_sides]
-    findings = tuple(f for f in findings if f not in guessed)  # these are measured
+    findings, guessed = without_guesses(findings, found.measured)
     refinements = (*refinements, *guessed)
     if found.load is not None:  # all that differs from the given numbers, there
         findings = (found.load,)

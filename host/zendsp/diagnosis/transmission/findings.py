@@ -77,7 +77,8 @@ def findings_of(
         }
         name = "elasticity"
         if "gap" in by:
-            name, numbers = "backlash", {"gap": _gap(by["gap"]), **numbers}
+            pressed = 2.0 * scale * relative * abs(spring.value)
+            name, numbers = "backlash", {"gap": _gap(by["gap"], pressed), **numbers}
         elif "cubic" in by:
             name = "stiffening"
             bend = by["cubic"].value * stiffness**4 / scale**2
@@ -113,10 +114,12 @@ def findings_of(
     return findings, tuple(t for t in terms if t is not None)
 
 
-def _gap(claim: Claim) -> tuple[float, float]:
-    """Full width, and its standard deviation."""
+def _gap(claim: Claim, pressed: float = 0.0) -> tuple[float, float]:
+    """Full width, and its standard deviation; ``pressed``: that of how far both contacts yield
+    under the RMS torque, which is taken from what is seen.
+    """
     width = -2.0 * claim.value
-    return width, math.hypot(2.0 * claim.std, OF_A_GAP * width)
+    return width, math.hypot(2.0 * claim.std, OF_A_GAP * width, pressed)
 
 
 def _term(
@@ -133,8 +136,6 @@ def _term(
         return None
     known = dict(numbers)
     loose = {p for p, (value, std) in known.items() if std >= LOOSE * abs(value)}
-    if name == "backlash":
-        loose -= {"stiffness"}
     if name != "transmission_error":
         inertia = joint_inertia(parts.fit, model, joint)
         load, std = known.setdefault("load_inertia", (_bodies(parts, model, joint), 0.0))

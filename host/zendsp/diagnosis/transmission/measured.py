@@ -9,6 +9,7 @@ touched decides (``decide.py``). The search guesses no transmission where one is
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from zendsp.diagnosis.data.signals import Parts
@@ -71,6 +72,15 @@ def measured_transmissions(parts: Parts, model: Model, jobs: int) -> list[Measur
         if all("position_load" in rec[joint - 1].columns for rec in everything):
             out.append(_measured(parts, model, joint, jobs))
     return out
+
+
+def without_guesses(
+    findings: tuple[Finding, ...], found: Sequence[Measured]
+) -> tuple[tuple[Finding, ...], tuple[Finding, ...]]:
+    """Findings but for a transmission that was only guessed where one is measured; and these."""
+    joints = {m.joint for m in found if m.findings}
+    guessed = [f for f in findings if f.mechanism == "transmission" and f.joint in joints]
+    return tuple(f for f in findings if f not in guessed), tuple(guessed)
 
 
 def _measured(parts: Parts, model: Model, joint: int, jobs: int) -> Measured:
