@@ -210,12 +210,15 @@ def held_apart(
             part = known.of_state / A_PART
         larger = max((p.size for p in claimed), default=0.0)
         beside = kept_laws(given, final.model, joint, piece.mechanism)
-        if piece.mechanism not in kind_of(DRY):
+        alike = False  # to how dry friction that the model has may turn round
+        if piece.mechanism in kind_of(DRY):
+            alike = rubs(given, joint) and _turning(parts, final, piece)
+        else:
             beside += _rubbing(parts, search, final, piece)
         larger = max(larger, torque_of(parts.test, beside, final.model, joint))
         # an error of a larger law is not taken up whole by the law of something else, nor with time
         timed = all(get_effect(e).over == "time" for e in piece.effects)
-        own = timed or unknown <= may_leave(piece)
+        own = timed or (unknown <= may_leave(piece) and not alike)
         error = 0.0 if own else LAW_ERROR * larger
         least = max(*map(finest, piece.effects), part, math.hypot(left, error))
         (claimed if sure(parts.test, piece) and piece.size > least else rest).append(piece)
@@ -254,12 +257,18 @@ def _rubbing(parts: Parts, search: JointSearch, final: Scored, piece: Piece) -> 
     """
     joint = search.joint
     dry = [t for t in final.model.at(joint) if mechanism_of(t.effect) == DRY]
-    if not dry or at_reversals(parts.test, piece.without.model, final.model, joint) < PREDICTED:
+    if not dry or not _turning(parts, final, piece):
         return []
     laws = [search.base.deviance - r.value for r in search.tried if mechanism_of(r.effect) == DRY]
     if laws and max(laws) < EXPLAINS * (piece.without.deviance - final.deviance):
         return []
     return dry
+
+
+def _turning(parts: Parts, final: Scored, piece: Piece) -> bool:
+    """Whether a piece acts where the joint turns round."""
+    joint = piece.terms[0].joint
+    return at_reversals(parts.test, piece.without.model, final.model, joint) >= PREDICTED
 
 
 def kept_laws(given: Model, final: Model, joint: int, mechanism: str) -> list[Term]:
