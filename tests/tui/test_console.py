@@ -17,6 +17,7 @@ from zendsp.tui.dialogs import Choose, Form, Message, Sliders
 from zendsp.tui.dialogs.sliders import NAME, Slider
 from zendsp.tui.dialogs.source import SourceView
 from zendsp.tui.runs import list_runs
+from zendsp.tui.scope import Scope
 from zendsp.tui.screens.analysis import ProcessView
 from zendsp.tui.screens.diagnose import DiagnoseScreen
 
@@ -82,6 +83,16 @@ async def test_the_safe_sequence_by_keys(
         await until(pilot, lambda: snap().drive == "off", "power off")
 
 
+async def test_a_target_without_a_program_says_which_key_builds_one(
+    lab: ZendspApp, until: Until
+) -> None:
+    async with lab.run_test(size=(100, 30)) as pilot:
+        await until(pilot, lambda: lab.session.snapshot.link == "up", "link")
+        scope = lab.screen.query_one(Scope)
+        await until(pilot, lambda: "no program is loaded" in scope.empty_text, "said")
+        assert f"b builds {lab.source.name}" in scope.empty_text
+
+
 async def test_a_refused_enable_names_each_condition(
     lab: ZendspApp, target: Target, until: Until
 ) -> None:
@@ -92,9 +103,8 @@ async def test_a_refused_enable_names_each_condition(
         await pilot.press("e")
         await until(pilot, lambda: "enabling is refused" in events_of(lab), "refused")
         text = events_of(lab)
-        assert (
-            "program: no code is loaded" in text and "homed: known once a program is loaded" in text
-        )
+        assert "program: no code is loaded" in text
+        assert "homed, limits, sensors, stop input: known once a program is loaded" in text
         assert target.drive_status().state in ("ready", "off")
 
 

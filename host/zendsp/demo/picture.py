@@ -198,17 +198,14 @@ def _error(axis: Axes, told: Told, joint: int) -> None:
     low = _scale(axis, e[t > LEAD_S], 0.3)
     axis.axvline(at, color="0.2", lw=1.0, ls="--")
     b, a = 1e3 * told.tracking.before[joint - 1], 1e3 * told.tracking.after[joint - 1]
-    for x, words, colour in (
-        (0.0, " grey, not counted: setting out, and at\n rest, where dry friction holds it", QUIET),
-        (at, f" one synchronous update, sample {told.tracking.tick}", "0.2"),
-    ):
-        axis.text(x, low, words, fontsize=8, va="bottom", color=colour)
+    words = f" one synchronous update, sample {told.tracking.tick}"
+    axis.text(at, low, words, fontsize=8, va="bottom", color="0.2")
     for x, value, colour in ((0.25, b, MODEL), (0.78, a, FOUND)):
         axis.text(
             x, 0.94, f"{value:.3g} m{_unit(told)} RMS", color=colour, fontsize=13,
             fontweight="bold", ha="center", transform=axis.transAxes,
         )
-    axis.set_xlabel("time (s)")
+    axis.set_xlabel("time (s); grey, setting out and held at rest by dry friction, is not counted")
     axis.set_ylabel(f"tracking error of joint {joint} (m{_unit(told)})")
     axis.set_title(
         (

@@ -70,8 +70,11 @@ def loaded(status: Status) -> bool:
 
 def refusal(what: str, failing: Sequence[Condition]) -> str:
     """Say why something is refused, naming each condition that fails."""
+    names: dict[str, list[str]] = {}
+    for c in failing:
+        names.setdefault(c.advice, []).append(c.name.removeprefix("no "))
     return f"{what} is refused: " + "; ".join(
-        f"{c.name.removeprefix('no ')}: {c.advice}" for c in failing
+        f"{', '.join(same)}: {advice}" for advice, same in names.items()
     )
 
 

@@ -33,6 +33,7 @@ from zendsp.tui.scope.ticks import duration, number
 from zendsp.tui.scope.trigger import last_crossing
 
 Floats = npt.NDArray[np.float64]
+NO_CHANNELS = "no channels: press c, or mark variables with space"
 STILL_S = 0.1  # between pictures where only numbers change
 OLD_S = 1.0  # without rows, of the clock and of the machine, after which a picture is old
 LOADING_S = 0.2  # between looks whether the spectrum is ready
@@ -65,7 +66,7 @@ class Scope(Widget, can_focus=True):
         self._single_after = float("nan")  # s; crossings before do not count
         self.single = False  # armed for one trigger, then pause
         self.picture: Picture | None = None
-        self.empty_text = "no channels: press c, or mark variables with space"
+        self.empty_text = NO_CHANNELS
         self._frozen: tuple[Floats, Floats] | None = None
         self._ranges: dict[str, tuple[float, float]] = {}
         self._strips: list[Strip] = []

@@ -12,13 +12,14 @@ from zendsp.tui.actions import bindings
 from zendsp.tui.panels.drive import DrivePanel
 from zendsp.tui.panels.events import EventsPanel
 from zendsp.tui.panels.variables import VariablesPanel
-from zendsp.tui.scope import Scope
+from zendsp.tui.scope import NO_CHANNELS, Scope
 from zendsp.tui.scope.formula import sources
 from zendsp.tui.screens.analysis import AnalysisActions
 from zendsp.tui.screens.console_program import ProgramActions
 from zendsp.tui.screens.console_variables import VariableActions
 from zendsp.tui.screens.console_view import ViewActions
 from zendsp.tui.snapshot import Snapshot
+from zendsp_protocol.states import ProgramState
 
 FIRST_CURVES = ("q", "tau", "e", "u", "aout")  # shown first if the program has them
 
@@ -61,11 +62,20 @@ class ConsoleScreen(ViewActions, VariableActions, ProgramActions, AnalysisAction
         if not fresh:
             return
         self.query_one(DrivePanel).show(snapshot)
+        self.scope.empty_text = self._what_first(snapshot)
         plotted = [c.name for c in self.scope.channels]
         self.variables.show(snapshot, self.staged, plotted)
         if snapshot.program != self._program and snapshot.variables:
             self._program = snapshot.program
             self._new_program(plotted)
+
+    def _what_first(self, snapshot: Snapshot) -> str:
+        """What is to be done where nothing is shown."""
+        if snapshot.state != ProgramState.EMPTY:
+            return NO_CHANNELS
+        source = self.lab.source
+        what = f"builds {source.name}" if source else "chooses a program and builds it"
+        return f"no program is loaded: b {what}"
 
     def _new_program(self, plotted: list[str]) -> None:
         """Keep the curves that the new program still has; begin with the usual ones where there
