@@ -25,7 +25,7 @@ from zendsp.diagnosis.report import figures
 from zendsp.diagnosis.report.chart import Chart, Series
 from zendsp.diagnosis.report.drawing import draw
 from zendsp.diagnosis.report.figures import charts
-from zendsp.diagnosis.report.laws import beside_the_law, unclaimed_chart
+from zendsp.diagnosis.report.laws import beside_the_law, broken, unclaimed_chart
 from zendsp.physics.files.model_file import load_model, parse_model
 
 MODEL = """
@@ -233,3 +233,12 @@ def test_a_torque_that_is_not_claimed_is_drawn_over_what_it_depends_on() -> None
     assert means.spread is not None and drawn["wave"].panels[0].xlabel == "position [rad]"
     off = (means.y - np.sin(5 * means.x)) / np.hypot(means.spread, 0.02)  # bins of 0.05 rad
     assert np.mean(np.abs(off) < 3.0) > 0.9
+
+
+def test_the_line_of_a_law_crosses_nothing_that_was_not_seen() -> None:
+    at = np.array([0.0, 0.1, 0.2, 0.9, 1.0, 1.2])
+    x, y = broken(at, np.sin(at))
+    assert np.flatnonzero(np.isnan(y)).tolist() == [3]
+    assert np.array_equal(x[~np.isnan(y)], at)
+    one = np.array([0.5])
+    assert np.array_equal(broken(one, one)[0], one)

@@ -127,7 +127,7 @@ def two_panels(
         Of what is drawn; that of the joint's torque where empty.
     """
     joint, law = finding.joint, curves[0]
-    line = Series("line", "law", law.at, law.mean, f"{finding.effect}, as found")
+    line = Series("line", "law", *broken(law.at, law.mean), f"{finding.effect}, as found")
     panels = [
         _curve_panel(d, joint, curve, role, title, *lines)
         for curve, role, title, lines in zip(
@@ -149,6 +149,13 @@ def two_panels(
         joint=joint,
         note=beside_the_law(law, curves[2], panels[0].xlabel, unit),
     )
+
+
+def broken(at: Array, mean: Array) -> tuple[Array, Array]:
+    """A line over bins, with NaN where it would cross more than two in which nothing was seen."""
+    apart = np.diff(at)
+    gaps = np.flatnonzero(apart > 3.5 * np.min(apart, initial=np.inf)) + 1
+    return np.insert(at, gaps, at[gaps - 1]), np.insert(mean, gaps, np.nan)
 
 
 def _told_of(d: Diagnosis, w: Workings, finding: Finding) -> list[Term]:
