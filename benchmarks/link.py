@@ -22,7 +22,9 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
+import msgpack
 import msgspec
 import numpy as np
 import zenoh
@@ -36,8 +38,10 @@ from zendsp_target.access.endpoints import Security, with_free_ports
 from zendsp_target.access.endpoints import zenoh_config as target_config
 
 BARE = "bare/quick"
+PACKED = "bare/packed"
 BULK = "bare/bulk"
 ANSWER = 64  # bytes
+STAMP = bytes(25)  # as many as that of a request has
 DECLARED = "\n".join(f"static double v{k};" for k in range(64))
 PARAMETERS = " ".join(f'PARAMETER(v{k}, 0, "", NO_MIN, NO_MAX, "");' for k in range(64))
 SIXTY_FOUR = f"""#include "isr.h"
@@ -86,26 +90,41 @@ def serve_bare(endpoint: str) -> None:
             for k in range(int(query.parameters["n"])):
                 query.reply(BULK, blobs[k % len(blobs)], attachment=b"header")
 
+    def packed_answer(query: zenoh.Query) -> bytes:
+        query.attachment.to_bytes()
+        (value,) = msgpack.unpackb(query.payload.to_bytes())["args"]["values"].values()
+        return msgpack.packb({"sequence": int(value)})
+
     bulk_server = session.declare_queryable(BULK, bulk)
+    packed = session.declare_queryable(PACKED, zenoh.handlers.FifoChannel(256))
+    packed_key = session.declare_keyexpr(PACKED)
+    servers = [
+        threading.Thread(target=serve, args=each, daemon=True)
+        for each in (
+            (quick.handler, told, lambda query: query.payload.to_bytes()[:ANSWER]),
+            (packed.handler, packed_key, packed_answer),
+        )
+    ]
+    for server in servers:
+        server.start()
     print("ready", flush=True)
-    waiting = quick.handler
-
-    def serve() -> None:
-        while True:
-            try:
-                query = waiting.recv()
-            except zenoh.ZError:
-                return
-            with query:
-                query.reply(told, query.payload.to_bytes()[:ANSWER])
-
-    server = threading.Thread(target=serve, daemon=True)
-    server.start()
     sys.stdin.read()
-    bulk_server.undeclare()
-    quick.undeclare()
+    for served in (bulk_server, quick, packed):
+        served.undeclare()
     session.close()
-    server.join(2.0)
+    for server in servers:
+        server.join(2.0)
+
+
+def serve(waiting: Any, key: zenoh.KeyExpr, answer: Callable[[zenoh.Query], bytes]) -> None:
+    """Answer what comes in until there will be no more."""
+    while True:
+        try:
+            query = waiting.recv()
+        except zenoh.ZError:
+            return
+        with query:
+            query.reply(key, answer(query))
 
 
 class Bare:
@@ -126,11 +145,14 @@ class Bare:
         assert self.process.stdout is not None
         self.process.stdout.readline()
         self.session = zenoh.open(zenoh_config([endpoint], Credentials(), 5.0))
-        self.querier = self.session.declare_querier(
-            BARE,
-            consolidation=zenoh.ConsolidationMode.NONE,
-            priority=zenoh.Priority.INTERACTIVE_HIGH,
-            express=True,
+        self.querier, self.packed_querier = (
+            self.session.declare_querier(
+                key,
+                consolidation=zenoh.ConsolidationMode.NONE,
+                priority=zenoh.Priority.INTERACTIVE_HIGH,
+                express=True,
+            )
+            for key in (BARE, PACKED)
         )
         deadline = time.monotonic() + 10.0
         while (
@@ -142,6 +164,14 @@ class Bare:
     def round_trip(self, size: int = 64) -> None:
         """One request of so many bytes and its answer of 64."""
         self.querier.get(payload=b"y" * size).recv().ok.payload.to_bytes()
+
+    def packed(self, value: float) -> None:
+        """A write by a client and a target of Zenoh and MessagePack alone, with the stamp by which
+        a request is carried out once: nothing is checked, and nothing written.
+        """
+        body = {"v": 1, "verb": "write", "by": "me", "args": {"values": {"v0": value}}}
+        reply = self.packed_querier.get(payload=msgpack.packb(body), attachment=STAMP).recv().ok
+        msgpack.unpackb(reply.payload.to_bytes())["sequence"]
 
     def load(self, chunks: int) -> np.ndarray:
         """Fetch ``chunks`` MiB in one request and put them into an array.
@@ -214,7 +244,10 @@ def requests(target: Target, bare: Bare, count: int) -> list[Row]:
     ):
         target.read(["v0"])  # nothing that was written is waited for any more
         rows.append(compare(what, *in_turns(count, action, bare.round_trip), 1.3))
-    return rows
+    least, base = in_turns(count, lambda: bare.packed(next(numbers)), bare.round_trip)
+    a, b = typical(least) * 1e6, typical(base) * 1e6
+    what = "write by Zenoh and MessagePack alone, nothing checked or written"
+    return [*rows, Row(what, a, b, "µs", a / b, "", None)]
 
 
 class Envelope(msgspec.Struct, frozen=True):
