@@ -248,14 +248,13 @@ class Hunt:
         return ""
 
     def _parts(self, c: Claim, current: Output) -> tuple[float, float, float]:
-        """Of the squared error of a claim's joint: what it explains, what stays beyond the sensor's
-        noise, and what was explained before.
+        """Of the squared error of a claim's joint: what it explains, and what stays beyond the
+        sensor's noise; and what was explained before, at all joints: each moves the others.
         """
         part = by_joint(self.train)[c.term.joint - 1]
-        begun, before, after = (
-            float(np.sum(o.error[part] ** 2)) for o in (self.begun or current, current, c.output)
-        )
-        return before - after, after - len(part), begun - before
+        before, after = (float(np.sum(o.error[part] ** 2)) for o in (current, c.output))
+        begun, here = (float(np.sum(o.error**2)) for o in (self.begun or current, current))
+        return before - after, after - len(part), begun - here
 
 
 def judged_again(near: Near, train: Sequence[Bench], steps: list[Any]) -> list[Any]:
