@@ -408,11 +408,10 @@ void UserISR_INT2(void) { WRITE_TORQUE(0, wrong ? NAN : 0.0); }
 """
 
 
-def test_set_says_that_the_new_value_has_tripped_the_machine(
-    target: Target, tmp_path: Path
-) -> None:
-    target.download({"trips.c": TRIPS})
-    target.start()
-    said = zendsp_("set", "wrong=true")
+def test_set_says_that_the_new_value_has_tripped_the_machine() -> None:
+    with zendsp.local("imi_planar") as target:  # the clock is real: the trip comes after the answer
+        target.download({"trips.c": TRIPS})
+        target.start()
+        said = zendsp_("set", "wrong=true", "-t", target.name)
     assert "wrong set at sample" in said.stdout
     assert "tripped" in said.stderr and "computed nan" in said.stderr
