@@ -22,10 +22,10 @@ from zendsp.diagnosis import diagnose
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.split import split
 from zendsp.diagnosis.decide.contract import dark
-from zendsp.diagnosis.decide.result import Detectable, Finding
+from zendsp.diagnosis.decide.result import Detectable, Estimate, Finding, number
 from zendsp.diagnosis.measure.curve import Axis, samples_of
 from zendsp.diagnosis.measure.where import Missing
-from zendsp.diagnosis.report import files
+from zendsp.diagnosis.report import files, html
 from zendsp.diagnosis.report.chart import Panel, Series
 from zendsp.diagnosis.report.figures import charts, from_a_whole_second
 from zendsp.diagnosis.report.files import stands_for, write_report
@@ -358,3 +358,16 @@ def test_recordings_that_show_nothing_are_to_be_made_again_for_longer(tmp_path: 
     assert d.next_recording.sentence.startswith("Record joint 1 for longer, ")
     write_report(d, tmp_path / "report")
     assert "class='verdict unexplained'" in (tmp_path / "report" / "report.html").read_text()
+
+
+def test_the_page_does_not_say_nowhere_above_a_picture_with_shaded_spans() -> None:
+    some = SimpleNamespace(regions=(), times=((3.7, 4.2),), missing={})
+    text = html._where(some)  # type: ignore[arg-type]
+    assert "3.70–4.20 s" in text and "No interval" in text and "Nowhere" not in text
+    none = SimpleNamespace(regions=(), times=(), missing={})
+    assert "Nowhere in particular" in html._where(none)  # type: ignore[arg-type]
+
+
+def test_a_number_that_rounds_to_nothing_has_no_sign() -> None:
+    assert number(Estimate(-0.001, 0.1, "rad")) == "0 ± 0.1 rad"
+    assert number(Estimate(-0.0, 0.0, "rad")) == "0 rad"

@@ -536,6 +536,15 @@ def test_where_it_lacks_is_said_of_all_recordings_together() -> None:
     assert regions([], 1) == []
 
 
+def test_an_interval_that_holds_hardly_more_than_its_part_of_the_time_is_no_place() -> None:
+    t = 0.002 * np.arange(5000)
+    q = np.sin(3.0 * t)
+    level = np.where(np.abs(q) < 0.97, 1.0, 0.6)  # 91 % of it in 84 % of the time
+    plain = {"velocity": t, "acceleration": t, "command": t}
+    lacks = [Missing(t, level, np.full(len(t), 0.01), {"position": q, **plain})]
+    assert not [r for r in regions(lacks, 1) if r.variable == "position"]
+
+
 def test_a_proposed_motion_covers_the_whole_range_of_all_recordings() -> None:
     model = model_of(VISCOUS, COULOMB)
     slow = reality.simulate(reality.Machine(), reality.multisine(8.0, RATE, 3, size=0.3), RATE)

@@ -59,6 +59,8 @@ def test_a_session_at_the_command_line(target: Target, tmp_path: Path) -> None:
     assert answer("acquire", "q", "tau", "-s", "1", "-o", str(out), "--start")["rows"] == 1000
     assert zendsp.Recording.load(out).parameters["Kp1"] == 450.0
     assert answer("info")["machine"]["name"] == "imi_planar"
+    assert answer("info", target.name)["values"]["Kp1"] == 450.0
+    assert re.search(r"Kp1 +double +parameter +450 +N m/rad", zendsp_("info").stdout)
     assert answer("stats")["timing"]["ticks"] >= 1500
     assert "execution" in zendsp_("stats").stdout
     assert answer("pause")["state"] == "paused"
@@ -397,3 +399,19 @@ def test_more_than_memory_holds_is_told_in_words() -> None:
     )
     assert done.returncode == 2
     assert "too little memory (Unable to allocate" in done.stderr, done.stderr
+
+
+TRIPS = """#include "isr.h"
+static bool wrong;
+void UserInit(void) { PARAMETER(wrong, 0, "", 0, 1, "writes NaN"); }
+void UserISR_INT2(void) { WRITE_TORQUE(0, wrong ? NAN : 0.0); }
+"""
+
+
+def test_set_says_that_the_new_value_has_tripped_the_machine() -> None:
+    with zendsp.local("imi_planar") as target:  # the clock is real: the trip comes after the answer
+        target.download({"trips.c": TRIPS})
+        target.start()
+        said = zendsp_("set", "wrong=true", "-t", target.name)
+    assert "wrong set at sample" in said.stdout
+    assert "tripped" in said.stderr and "computed nan" in said.stderr

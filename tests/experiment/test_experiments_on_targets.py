@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -99,12 +100,19 @@ def test_friction_maps_have_intervals_and_tell_what_narrow_speeds_cannot(folder:
     assert any("cannot separate" in text and "Joint 4" in text for text in found.warnings)
 
 
-def test_friction_of_any_machine_that_takes_torques_is_found(tmp_path: Path) -> None:
+def test_friction_of_any_machine_that_takes_torques_is_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     import zendsp
+    from zendsp.experiment import any_friction
 
+    drawn: list[Any] = []
     arm = Path(__file__).parents[1] / "machines" / "models" / "bench_arm.xml"
-    with zendsp.local(str(arm), clock="fast") as target:
+    with zendsp.local(str(arm), clock="fast") as target, monkeypatch.context() as patched:
+        patched.setattr(any_friction, "save", lambda figure, path: drawn.append(figure) or "")
         found = run_experiment("friction", Lab(tmp_path, target))
+    assert drawn[0].axes[0].get_xlabel() == "speed (rad/s)"
+    assert drawn[0].axes[0].get_ylabel() == "friction (N m)"
     for joint in (1, 2, 3):  # frictionloss 0.8 N m, damping 0.5 N m s/rad
         mean = found.values[f"coulomb{joint}"]
         # a weight hides in what the directions differ by, not in their mean

@@ -139,6 +139,9 @@ def test_the_closed_loop_is_one_at_low_and_falls_at_high_frequencies(
     assert np.allclose(machine.gain, found.gain / again.gain, rtol=0.02), "G = (q/r) / (tau/r)"
     assert machine.unit == "rad / (N m)" and machine.phase_deg[3] < -150.0, "two integrators"
     assert found.save(tmp_path / "b.csv").read_text().startswith("f,magnitude_db,phase_deg")
+    bars = found.plot().axes[0].containers[0].lines[2][0].get_segments()
+    half = [0.5 * float(bar[1, 1] - bar[0, 1]) for bar in bars]
+    assert half == pytest.approx([row["std_db"] for row in found.rows()]), "those of the table"
     assert found.plot(tmp_path / "b.png") and (tmp_path / "b.png").stat().st_size > 5000
     assert "−3 dB at" in repr(found) and "<svg" in found._repr_html_()
     with pytest.raises(RecordingError, match=r"\.csv"):
@@ -320,6 +323,10 @@ def test_a_sweep_measures_every_combination_and_puts_the_parameters_back(
     assert found.rows[2]["rms e1"] == pytest.approx(np.sqrt(np.mean(kept["e1"][500:] ** 2)))
     assert found.save(tmp_path / "s.csv").read_text().startswith("Kp1,Kd1,rms e1,max e1,ended\n")
     assert "4 runs: rms e1 is least" in repr(found) and "<table>" in found._repr_html_()
+    assert " rad, at Kp1 = 2000" in repr(found), "with its unit"
+    assert found.header == [
+        "Kp1 [N m/rad]", "Kd1 [N m s/rad]", "rms e1 [rad]", "max e1 [rad]", "ended"
+    ]  # fmt: skip
     with pytest.raises(AcquisitionError, match="no result 'x'"):
         found.best("x")
     with pytest.raises(AcquisitionError, match="4 recordings of another sweep"):

@@ -156,6 +156,9 @@ def test_plot_draws_one_panel_per_unit(recording: Recording, tmp_path: Path) -> 
     figure = recording.plot(path=tmp_path / "run.png")
     assert [axis.get_ylabel() for axis in figure.axes] == ["rad", "N m", "–"]
     assert len(figure.axes[0].lines) == 2
+    figure.draw_without_rendering()
+    for axis in figure.axes:  # beside the curves: it covers none
+        assert axis.get_legend().get_window_extent().x0 >= axis.get_window_extent().x1
     assert (tmp_path / "run.png").stat().st_size > 5000
     with pytest.raises(RecordingError, match="no channel 'qq'; it has q, u, w"):
         recording.plot(["qq"])

@@ -144,3 +144,19 @@ def test_a_stribeck_term_alone_is_compensated_over_the_coulomb_level_of_its_mode
         and "Friction falls" in text
     )
     assert "comp_coulomb1" not in text
+
+
+def test_joint_pd_takes_a_compensation_that_lies_beside_it() -> None:
+    model = rotary(effect("coulomb", level=0.2))
+    own = (source_root() / "programs" / "joint_pd.c").read_text()
+    found = compensation(model.terms, actuator=model.actuator)
+    error = {}
+    for share in (0.0, 1.0):
+        settings = {"comp_share": share, "amplitude": 0.4, "period": 2.0, "J": [0.01]}
+        rec = simulate(
+            {"joint_pd.c": own, "motion.h": MOTION, "compensation.c": found}, model,
+            seconds=6.0, parameters=settings,
+        )  # fmt: skip
+        error[share] = float(np.sqrt(np.mean(rec["e"][2500:] ** 2)))
+    # its integral does a part of it; what is left: a sign taken late, a sample of delay
+    assert error[1.0] < 0.5 * error[0.0], error

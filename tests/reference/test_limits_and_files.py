@@ -225,7 +225,8 @@ def test_the_picture_tells_every_limit_and_its_legend_covers_no_curve() -> None:
     assert [text.get_text() for text in legend.texts] == ["joint 1", "joint 2", "limit"]
     torque = figure.axes[3]
     dashed = {round(float(np.asarray(line.get_ydata())[0]), 1) for line in torque.lines[2:]}
-    assert torque.get_title(loc="right") == "limits: joint 1 ±245"  # 11 times what the circle asks
+    # 11 times what the circle asks
+    assert torque.get_title(loc="right") == "limits beyond the picture: joint 1 ±245"
     assert dashed == {-39.2, 39.2}, "joint 2"
 
 

@@ -259,7 +259,8 @@ def test_a_command_to_a_joint_that_the_machine_has_not_trips_and_names_it(
     run(runtime, 50)
     trip = runtime.status().trip
     assert trip is not None and (trip.reason, trip.joint, trip.tick) == ("command", 2, 60)
-    assert "joint 1, which this machine has not: it has 1, counted from 0" in trip.text
+    assert "writes to joint 2, which this machine has not: it has 1;" in trip.text
+    assert "WRITE_TORQUE(1, …)" in trip.text, "and where that stands in the code"
 
 
 def test_a_torque_to_a_joint_that_takes_a_voltage_trips_and_names_what_it_takes(

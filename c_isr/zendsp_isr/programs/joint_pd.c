@@ -5,8 +5,17 @@
  *
  * J is what the machine says that each joint turns; where it says nothing, what its torque
  * accelerates by 100 rad/s^2.
+ *
+ * A compensation.c beside this file, as `zendsp diagnose --out` writes it, is added to the command,
+ * along the reference, as in pd.c.
  */
 #include "isr.h"
+#if __has_include("compensation.c")
+#include "compensation.c"
+#else
+#define CompensationInit() ((void)0)
+#define Compensation(joint, pos, vel, acc, torque) 0.0
+#endif
 #define N JOINTS
 #define MOTION_MOST 8
 #define MOTION_APPROACH 3.0
@@ -22,6 +31,7 @@ static double phase;  /* of the sway, turns */
 static double swing[2], pace[2];
 
 void UserInit(void) {
+    CompensationInit();
     MotionInit();
     MotionHolds();
     for (int32_t j = 0; j < N; j++)
@@ -56,6 +66,7 @@ static void sway(void) {
         const double turn = 6.283185307179586 * faster;
         r[j] += in * swing[0] * sin(turn * phase);
         rd[j] += in * swing[0] * turn * pace[0] * cos(turn * phase);
+        rdd[j] -= in * swing[0] * turn * pace[0] * turn * pace[0] * sin(turn * phase);
         e[j] = r[j] - q[j];
     }
 }
@@ -66,8 +77,9 @@ void UserISR_INT2(void) {
     sway();
     for (int32_t j = 0; j < N; j++) {
         const double most = TORQUE_MAX(j), stiff = J[j] * w * w;
-        const double wanted =
+        double wanted =
             stiff * e[j] + 2.0 * damping * J[j] * w * (rd[j] - qd[j]) + sum[j] + tau_ff[j];
+        wanted += Compensation(j, r, rd, rdd, wanted);
         tau[j] = wanted > most ? most : wanted < -most ? -most : wanted;
         if (!DRIVE_ENABLED || FIRST_SAMPLE)
             sum[j] = 0.0;

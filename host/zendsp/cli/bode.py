@@ -17,7 +17,10 @@ from zendsp_protocol.views import text_table
 @click.option("-j", "--joint", type=int, default=1, show_default=True, help="From 1.")
 @click.option("--f-min", type=float, default=0.5, show_default=True, help="Hz.")
 @click.option("--f-max", type=float, default=30.0, show_default=True, help="Hz.")
-@click.option("--lines", type=int, default=30, show_default=True, help="Frequencies at the most.")
+@click.option(
+    "--lines", type=int, default=30, show_default=True,
+    help="Frequencies at the most: multiples of --f-min, every third of neighbours left out.",
+)
 @click.option(
     "-a", "--amplitude", type=float, default=0.02, show_default=True,
     help="Peak of what swings: rad (m), with --torque N m (N).",

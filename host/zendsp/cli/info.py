@@ -3,32 +3,42 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from typing import Any
 
 import click
 
 from zendsp.cli.common import emit, open_target, target_options
+from zendsp.cli.completing import targets
+from zendsp.link.listings import Dictionary
 from zendsp_protocol import messages as m
+from zendsp_protocol.views import short, text_table
 
 
 @click.command("info")
+@click.argument("name", default="", metavar="[NAME]", shell_complete=targets)
 @target_options
-def command(target: str, connect: str | None, as_json: bool) -> None:
-    """Show a target: machine, state, program, and the dictionary of its variables.
+def command(name: str, target: str, connect: str | None, as_json: bool) -> None:
+    """Show a target: machine, state, program, and its variables with their values.
 
-    Example:  zendsp info -t imi
+    NAME is a target, as with --target.
+
+    Example:  zendsp info imi
     """
-    with open_target(target, connect) as t:
+    with open_target(name or target, connect) as t:
         status = t.status()
         # what there is to say of machine and variables comes from the code that runs
         variables, machine = ({}, None) if status.state == "empty" else (t.variables(), t.machine())
         sources = t.program().sources if status.program else {}
+        readable = [v.name for v in variables.values() if v.kind != "table"]
+        values = dict(t.request("read", names=readable).values) if readable else {}
         body = {
             "info": t.info,
             "status": status,
             "machine": machine,
             "variables": list(variables.values()),
+            "values": values,
         }
-        emit(body, as_json, lambda: _text(t.info, status, machine, variables, sources))
+        emit(body, as_json, lambda: _text(t.info, status, machine, variables, values, sources))
 
 
 def _program(key: str, sources: Collection[str]) -> str:
@@ -44,6 +54,7 @@ def _text(
     status: m.Status,
     machine: m.MachineInfo | None,
     variables: Mapping[str, m.VariableInfo],
+    values: Mapping[str, Any],
     sources: Collection[str],
 ) -> str:
     if machine is None:
@@ -71,4 +82,15 @@ def _text(
     if status.trip is not None:
         lines.append(f"trip       {status.trip.text}")
     lines += [f"note       {sentence}" for sentence in status.own]
-    return "\n".join(lines) + (f"\n\n{variables!r}" if variables else "")
+    return "\n".join(lines) + (f"\n\n{_table(variables, values)}" if variables else "")
+
+
+def _table(variables: Mapping[str, m.VariableInfo], values: Mapping[str, Any]) -> str:
+    """The dictionary of variables, each with its value beside its kind."""
+    listed = Dictionary(variables)
+    header = (*listed.header[:3], "VALUE", *listed.header[3:])
+    rows = [
+        (*row[:3], short(values[row[0]]) if row[0] in values else "–", *row[3:])
+        for row in listed.rows()
+    ]
+    return text_table(header, rows)

@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import time
+from typing import TYPE_CHECKING
+
 import click
 
 from zendsp.cli import completing
 from zendsp.cli.common import emit, open_target, parse_assignments, target_options
+
+if TYPE_CHECKING:
+    from zendsp.link import Target
+
+ACTS_S = 0.2  # for the loop to run the sample after the one in which values were set
 
 
 @click.command("set")
@@ -40,3 +48,15 @@ def command(
             return
         tick = t.fade(fade, **values) if fade else t.update(None, **values)
         emit({"tick": tick, "values": values}, as_json, f"{', '.join(values)} set at sample {tick}")
+        _see_it_act(t, tick)
+
+
+def _see_it_act(target: Target, tick: int) -> None:
+    """Wait for the sample after ``tick``: if the new values trip, that is told as the link closes.
+    """
+    until = time.monotonic() + ACTS_S
+    while time.monotonic() < until:
+        status = target.status()
+        if status.state != "running" or status.trip or status.tick > tick + 1:
+            return
+        time.sleep(0.002)

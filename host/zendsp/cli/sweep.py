@@ -65,8 +65,7 @@ def command(
         click.echo(said, err=True)
         found = sweep(t, tried, channels, seconds=seconds, settle=settle, fade=fade,
                       measures=measures, together=together, keep=keep, progress=tell)  # fmt: skip
-    header = [*found.parameters, *found.results, "ended"]
-    shown = text_table(header, found.cells())
+    shown = text_table(found.header, found.cells())
     if as_json:
         click.echo(repr(found)[1:-1], err=True)
     emit([dict(row) for row in found.rows], as_json, f"{shown}\n{repr(found)[1:-1]}")

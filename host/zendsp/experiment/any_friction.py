@@ -4,6 +4,7 @@ it stands, within what the machine says that it bears.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -66,7 +67,7 @@ def friction(lab: Lab, speeds: int = 6, joints: tuple[int, ...] = ()) -> Result:
             curves[joint] = (sliding.points(found.free), found)
             _report(result, joint, all_joints[joint - 1].unit, found)
         result.recordings, result.target = bench.recordings, bench.where
-        result.figure = _draw(curves, bench)
+        result.figure = _draw(curves, {i: j.unit for i, j in enumerate(all_joints, 1)}, bench)
     return result
 
 
@@ -194,7 +195,9 @@ def _report(result: Result, joint: int, unit: str, found: Friction) -> None:
     ]
 
 
-def _draw(curves: dict[int, tuple[Array, Friction]], bench: Bench) -> str:
+def _draw(
+    curves: dict[int, tuple[Array, Friction]], units: Mapping[int, str], bench: Bench
+) -> str:
     columns = min(4, len(curves))
     figure, axes = make_figure(-(-len(curves) // columns), columns, width=3.0 * columns, height=2.7)
     for axis, (joint, (points, found)) in zip(axes.flat, curves.items(), strict=False):
@@ -205,5 +208,7 @@ def _draw(curves: dict[int, tuple[Array, Friction]], bench: Bench) -> str:
             level, viscous = found.value[word][:2]
             x = sign * np.array([0.0, np.abs(points[:, 0]).max()])
             axis.plot(x, sign * (level + viscous * np.abs(x)), color=RED, linewidth=1.0)
-        label(axis, "speed", "friction", f"joint {joint}")
+        unit = units[joint]
+        force = "N m" if unit == "rad" else "N"
+        label(axis, f"speed ({unit}/s)", f"friction ({force})", f"joint {joint}")
     return save(figure, bench.folder / "friction.png")

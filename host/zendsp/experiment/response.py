@@ -179,9 +179,9 @@ class FrequencyResponse:
         figure = Figure((7.0, 6.5), layout="constrained")
         axes = figure.subplots(3, 1, sharex=True, height_ratios=(3, 3, 1))
         spread = self.std / np.abs(self.gain)
-        axes[0].errorbar(self.f, self.magnitude_db, 2 * DB * spread, fmt=".-", lw=1.0)
+        axes[0].errorbar(self.f, self.magnitude_db, DB * spread, fmt=".-", lw=1.0)
         axes[0].set_ylabel(f"magnitude [dB of {self.unit}]" if self.unit else "magnitude [dB]")
-        axes[1].errorbar(self.f, self.phase_deg, 2 * np.degrees(spread), fmt=".-", lw=1.0)
+        axes[1].errorbar(self.f, self.phase_deg, np.degrees(spread), fmt=".-", lw=1.0)
         axes[1].set_ylabel("phase [deg]")
         axes[2].plot(self.f, self.coherence, ".-", lw=1.0)
         axes[2].axhline(SURE, color="#888888", lw=0.8, ls="--")
@@ -192,7 +192,9 @@ class FrequencyResponse:
         axes[2].xaxis.set_minor_formatter(NullFormatter())
         for axis in axes:
             axis.grid(True, which="both", alpha=0.3)
-        figure.suptitle(f"{self.output} over {self.input}", fontsize=10)
+        figure.suptitle(
+            f"{self.output} over {self.input}; bars: ± one standard deviation", fontsize=10
+        )
         if path is not None:
             try:
                 Path(path).parent.mkdir(parents=True, exist_ok=True)

@@ -106,6 +106,7 @@ def sweep(
         )
     for run in runs:
         target.request("check", values=dict(run))
+    infos = target.variables()
     folder = Path(keep) if keep is not None else None
     if folder is not None and (old := sorted(folder.glob("[0-9]*.mat"))):
         raise AcquisitionError(
@@ -136,7 +137,14 @@ def sweep(
     if not why and (ended := _afterwards(target)):
         why = f"the parameters were put back: {ended}"
     names = [f"{m} {c}" for c in _columns(rows, channels, measures) for m in measures]
-    return Sweep(tuple(values), tuple(names), tuple(rows), tuple(again), why)
+    columns = {name: name.partition(" ")[2] for name in names}
+    units = {name: _unit(infos, columns.get(name, name)) for name in (*values, *names)}
+    return Sweep(tuple(values), tuple(names), tuple(rows), tuple(again), why, units)
+
+
+def _unit(infos: Mapping[str, Any], name: str) -> str:
+    info = infos.get(name) or infos.get(name.partition("[")[0])
+    return str(info.unit) if info is not None else ""
 
 
 def _runs(

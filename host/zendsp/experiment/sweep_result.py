@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,8 @@ class Sweep:
         the motion do.
     ended : str
         What ended the program, in a run or when the parameters were put back; "" where it goes on.
+    units : dict of str to str
+        Of each parameter and result.
     """
 
     parameters: tuple[str, ...]
@@ -42,6 +44,16 @@ class Sweep:
     rows: tuple[Mapping[str, Any], ...]
     again: tuple[Mapping[str, float], ...] = ()
     ended: str = ""
+    units: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def header(self) -> list[str]:
+        """The names of the columns of `cells`, with their units."""
+        return [*(self._with_unit(n) for n in (*self.parameters, *self.results)), "ended"]
+
+    def _with_unit(self, name: str) -> str:
+        unit = self.units.get(name, "")
+        return f"{name} [{unit}]" if unit else name
 
     def spread(self, result: str = "") -> float:
         """Return by how much a result differs where the same values are measured again; NaN where
@@ -140,21 +152,21 @@ class Sweep:
         at = ", ".join(f"{n} = {cells[k]}" for k, n in enumerate(self.parameters))
         what, spread = self.results[0], self.spread()
         head = f"Sweep of {counted(len(self.rows), 'run')}: "
-        least = f"{short(best[what])}, at {at}"
+        unit = f" {self.units[what]}" if self.units.get(what) else ""
+        least = f"{short(best[what])}{unit}, at {at}"
         if (alike := len(self.best_rows())) > 1:
             return (
                 f"{head}none is best: {alike} may be alike but for chance, from the least {what},"
-                f" {least}, on; the first values, measured again, differ by {short(spread)}; of a"
-                " periodic motion, measure whole periods"
+                f" {least}, on; the first values, measured again, differ by {short(spread)}{unit};"
+                " of a periodic motion, measure whole periods"
             )
-        known = spread == spread  # not NaN
-        again = f"; the first values measured again differ by {short(spread)}" if known else ""
+        again = f"; the first values measured again differ by {short(spread)}{unit}"
+        again = again if spread == spread else ""  # not NaN
         return f"{head}{what} is least, {least}{again}"
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the best run, and all of them."""
-        header = (*self.parameters, *self.results, "ended")
-        return sentence(repr(self)[1:-1]) + html_table(header, self.cells())
+        return sentence(repr(self)[1:-1]) + html_table(self.header, self.cells())
 
 
 def short(value: Any, digits: int = 5) -> str:

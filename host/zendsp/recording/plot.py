@@ -40,7 +40,8 @@ def plot(recording: Samples, names: Sequence[str] | None, path: str | Path | Non
                 axis.plot(recording.t, column, lw=1.0, label=label)
         axis.set_ylabel(unit or "–")
         axis.grid(True, alpha=0.3)
-        axis.legend(loc="upper right", fontsize=8)
+        # beside the curves, where it covers none
+        axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.3, fontsize=8)
     axes[-1].set_xlabel("t (s)")
     title = " · ".join(
         part for part in (recording.target, recording.machine, recording.note) if part

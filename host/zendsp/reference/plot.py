@@ -38,7 +38,7 @@ def _draw(ax: Axes, reference: Reference, x: np.ndarray, low: np.ndarray, high: 
             both = f"±{high[j]:.4g}" if low[j] == -high[j] else f"{low[j]:.4g} to {high[j]:.4g}"
             beyond.append(f"joint {j + 1} {both}")
     if beyond:  # far from the motion, a line would squash the curves
-        told = textwrap.fill(f"limits: {', '.join(beyond)}", TITLE)
+        told = textwrap.fill(f"limits beyond the picture: {', '.join(beyond)}", TITLE)
         ax.set_title(told, loc="right", fontsize="x-small")
     ax.set_ylabel(label)
     ax.grid(alpha=0.3)

@@ -100,8 +100,9 @@ def _by(who: bytes) -> str:
 def _cause(machine: MachineInfo, reason: str, joint: int, value: float, limit: float) -> str:
     if joint > len(machine.joints):
         return (
-            f"the code writes to joint {joint - 1}, which this machine has not: it has"
-            f" {len(machine.joints)}, counted from 0"
+            f"the code writes to joint {joint}, which this machine has not: it has"
+            f" {len(machine.joints)}; in the code, which counts from 0, it is"
+            f" WRITE_TORQUE({joint - 1}, …) or another output of that number"
         )
     which = machine.joints[joint - 1] if joint >= 1 else machine.joints[0]
     unit, who = which.unit, which.name

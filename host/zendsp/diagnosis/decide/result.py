@@ -44,12 +44,12 @@ def number(estimate: Estimate) -> str:
     value, std = estimate.value, estimate.std
     unit = "" if estimate.unit == "1" else f" {estimate.unit}"
     if not std > 0 or not math.isfinite(std):
-        return f"{value:.4g}{unit}"
+        return f"{value:z.4g}{unit}"
     place = 1 - math.floor(math.log10(std))
     value, std, digits = round(value, place), round(std, place), max(0, min(9, place))
     if abs(value) < 1e-4 or digits > 6:
-        return f"{value:.3g} ± {std:.2g}{unit}"
-    return f"{value:.{digits}f} ± {std:.{digits}f}{unit}"
+        return f"{value:z.3g} ± {std:.2g}{unit}"
+    return f"{value:z.{digits}f} ± {std:.{digits}f}{unit}"
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,8 @@ class Finding:
     confidence : float
         0 … 1: probability that this is the right effect.
     share : float
-        0 … 1: of the torque, squared and averaged, that the calibrated model lacks.
+        0 … 1: what comes back without the law, all else fitted anew, squared and averaged, as a
+        part of the torque that the calibrated model lacks.
     indistinguishable : tuple of str
         Effects that explain the recording as well.
     replaces : tuple of str

@@ -36,6 +36,7 @@ VARIABLES = ("velocity", "position", "acceleration", "command")
 SAMPLES = 20  # fewer have no intervals
 EDGES = 5  # different ones: a variable with fewer is as good as constant
 CONCENTRATED = 3.0  # times the mean of the energy: there the mismatch concentrates
+MORE = 1.2  # times its part of the time: an interval with less says nothing of where
 STANDS_OUT = 3.0  # standard deviations of what an interval holds beyond its part of the time
 AROUND = 2.0  # times an observer's memory, within which a torque is taken as constant
 PROBE = 1e-3  # of a joint's torque: a torque whose trace shows what would be seen
@@ -214,6 +215,8 @@ def regions(missing: Sequence[Missing], joint: int) -> list[Region]:
                 best, at = run_, (start, i)
         a, b = at
         of_time = float(time[a : b + 1].sum())
+        if float(share[a : b + 1].sum()) < MORE * of_time:
+            continue
         within = (bins >= a) & (bins <= b)
         if not _stands_out(missing, (within - of_time) * counts * e):
             continue

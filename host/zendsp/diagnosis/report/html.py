@@ -22,8 +22,14 @@ from zendsp.diagnosis.report.summary import (
 
 SAID = 4  # findings on the first sheet, the most telling first
 SHARE = (
-    "Share: the mean square of the torque that is found, as a part of that of all the torque that"
-    " the calibrated model lacks. Shares that overlap add up to more than 100 %."
+    "Share: what comes back when the law is taken away and all else is fitted anew, its mean square"
+    " as a part of that of all the torque that the calibrated model lacks. It is what nothing else"
+    " here can stand in for: where laws can replace one another in these recordings, each has a"
+    " small share, however large its torque is."
+)
+NO_INTERVAL = (
+    "<p>No interval of velocity, position, acceleration or command holds more of it than chance"
+    " would.</p>"
 )
 CSS = """
 body{font:15px/1.5 system-ui,sans-serif;color:#222;max-width:54rem;margin:2rem auto;padding:0 1rem}
@@ -179,7 +185,7 @@ def _percent(share: float) -> str:
 
 
 def _where(d: Diagnosis) -> str:
-    if not d.regions:
+    if not d.regions and not d.times:
         return "<p>Nowhere in particular.</p>"
     rows = [
         "<tr><th>joint<th>variable<th>from … to<th class=n>of the mismatch<th class=n>of the time"
@@ -194,13 +200,14 @@ def _where(d: Diagnosis) -> str:
     begin = whole_second(first)
     spans = ", ".join(f"{a - begin:.2f}–{b - begin:.2f} s" for a, b in d.times)
     spans += f", after {begin:.0f} s" if spans and begin else ""
-    return f"<table>{''.join(rows)}</table><p>In time: {spans or 'spread evenly'}.</p>"
+    table = f"<table>{''.join(rows)}</table>" if d.regions else NO_INTERVAL
+    return f"{table}<p>In time: {spans or 'spread evenly'}.</p>"
 
 
 def _rejected(d: Diagnosis) -> str:
     rows = ["<tr><th>effect<th>joint<th>why not<th class=n>log-likelihood"]
     rows += [
-        f"<tr><td>{escape(r.effect)}<td>{r.joint}<td>{escape(r.why)}<td class=n>{r.score:.0f}"
+        f"<tr><td>{escape(r.effect)}<td>{r.joint}<td>{escape(r.why)}<td class=n>{r.score:z.0f}"
         for r in d.rejected
     ]
     return f"<table>{''.join(rows)}</table>"

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from zendsp.diagnosis.decide.contract import Verdict
     from zendsp.diagnosis.decide.result import Detectable, Diagnosis
 
+REFINEMENTS = 6  # that a summary names
 SMALLEST_SHARE = 1e-4  # of a torque: less is not told from nothing
 LARGEST_SHARE = 9.99
 SMALLER = 1.05  # times: a smaller fall of the error is not told as one
@@ -144,8 +145,11 @@ def summary(d: Diagnosis) -> str:
             f" {100 * r.time_share:.0f} % of the time"
         )
     if d.refinements:
+        more = len(d.refinements) - REFINEMENTS
         lines.append(
-            "refinements: " + ", ".join(f"{f.effect} (joint {f.joint})" for f in d.refinements[:6])
+            "refinements: "
+            + ", ".join(f"{f.effect} (joint {f.joint})" for f in d.refinements[:REFINEMENTS])
+            + (f", and {more} more" if more > 0 else "")
         )
     for x in d.discrepancy[:7]:
         if d.verdict != "complete" or x.interval[1] < 1.0:
