@@ -16,7 +16,7 @@ import pytest
 
 from zendsp.errors import RecordingError
 from zendsp.recording import Recording, read_table
-from zendsp.recording.formats import apart
+from zendsp.recording.formats import apart, csv
 from zendsp.recording.units import to_si, unit_in_name
 
 RNG = np.random.default_rng(7)
@@ -448,3 +448,12 @@ class _Missing:
     def find_spec(self, name: str, *_: object) -> None:
         if name.partition(".")[0] == self.module:
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+
+@pytest.mark.timeout(20)  # half a second; each name looked for among all the others took a minute
+def test_so_many_columns_as_a_logger_may_have_are_told_apart(tmp_path: Path) -> None:
+    names = ["t", *(f"c{k}" for k in range(100_000))]
+    file = tmp_path / "wide.csv"
+    assert csv._header(file, ",".join(names), ",", 1)[0] == names
+    with pytest.raises(RecordingError, match="names column 'c7' twice"):
+        csv._header(file, ",".join([*names, "c7"]), ",", 1)

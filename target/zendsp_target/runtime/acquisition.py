@@ -29,6 +29,7 @@ from zendsp_target.runtime.memory.layout import layout, set_text
 from zendsp_target.runtime.memory.shm import SharedFile
 from zendsp_target.runtime.variables.dictionary import Dictionary
 
+LONGEST_S = 1e9  # of a recording: 30 years; memory allows far less
 _EDGES = {"rising": 1, "falling": 2, "both": 3}
 _STATES = dict(enumerate(RecorderState))  # STREAM_… of layout.h
 # bytes of a stream: its pages are made present at once, which takes about a second for so many
@@ -104,8 +105,8 @@ def _plan(dictionary: Dictionary, config: AcquireConfig, rate_hz: float) -> _Pla
         raise AcquisitionError(f"{len(sources)} channels: give 1 … {lib.LAYOUT_CHANNELS}")
     if config.decimation < 1:
         raise AcquisitionError(f"decimation {config.decimation}: give 1 or more")
-    if not np.isfinite(config.seconds):
-        raise AcquisitionError(f"{config.seconds} s: give a finite time")
+    if not abs(config.seconds) <= LONGEST_S:  # NaN too
+        raise AcquisitionError(f"{config.seconds:g} s: give a finite time, {LONGEST_S:g} s at most")
     rows = round(config.seconds * rate_hz / config.decimation)
     if rows < 1:
         raise AcquisitionError(
@@ -124,8 +125,11 @@ def _plan(dictionary: Dictionary, config: AcquireConfig, rate_hz: float) -> _Pla
             raise AcquisitionError(
                 f"trigger edge {config.trigger.edge!r}: give rising, falling or both"
             )
-        if not np.isfinite(config.trigger.level) or config.trigger.pre_s < 0.0:
-            raise AcquisitionError("trigger: level must be a finite number and pre_s not negative")
+        if not np.isfinite(config.trigger.level) or not 0.0 <= config.trigger.pre_s <= LONGEST_S:
+            raise AcquisitionError(
+                f"trigger: level {config.trigger.level:g} must be a finite number, and pre_s"
+                f" {config.trigger.pre_s:g} s 0 … {LONGEST_S:g} s"
+            )
         trigger = found[0]
         pre = round(config.trigger.pre_s * rate_hz / config.decimation)
         if pre >= rows and not config.continuous:

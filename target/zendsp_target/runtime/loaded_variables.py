@@ -51,9 +51,9 @@ class LoadedVariables:
         session = self._programs.session
         return "" if session is None else session.ended()
 
-    def check(self, values: Mapping[str, Value]) -> None:
+    def check(self, values: Mapping[str, Value], at_tick: int | None = None) -> None:
         """Raise what :meth:`write` would raise for these values; nothing is written."""
-        self._programs.loaded().updates.check(values)
+        self._programs.loaded().updates.check(values, at_tick)
 
     def write(
         self,

@@ -28,6 +28,7 @@ from zendsp_target.threads import start_thread
 log = logging.getLogger(__name__)
 STREAMS = range(1, 8)
 SHORTEST_S = 0.001  # between polls: half of the promised lag
+LONGEST_S = 3600.0  # what is longer is as good as never, and no clock takes it
 SHORTEST_FAST_S = 0.01  # where simulated time runs ahead, viewers cannot follow every row anyway
 RING_S = 0.5  # held for a poll that comes late
 RETRY_S = 0.25  # after the stream's program went away
@@ -116,7 +117,7 @@ class LiveStreams:
         status = self._runtime.status()
         sample_time = decimation / status.rate_hz
         shortest = SHORTEST_S if status.clock == "real" else SHORTEST_FAST_S
-        interval = max(shortest, interval)
+        interval = min(max(shortest, interval), LONGEST_S)
         window = max(1, min(window, 1 << 16))
         ring = max(RING_S, 2 * window * sample_time if status.clock == "fast" else 0.0)
         config = AcquireConfig(tuple(channels), decimation, seconds=ring, continuous=True)
@@ -129,7 +130,9 @@ class LiveStreams:
                     self._look(stream, {**stream.viewers, viewer: user})
                     stream.watched = time.monotonic()
                     stream.interval = min(stream.interval, interval)
+                    stream.due = min(stream.due, time.monotonic() + interval)
                     stream.window = max(stream.window, window)
+                    self._wake.set()
                     return stream
             free = [number for number in STREAMS if number not in self._streams]
             if not free:
@@ -209,12 +212,14 @@ class LiveStreams:
                         self._stop(stream.number)
                     elif now >= stream.due:
                         stream.due = now + self._serve(stream)
-                due = min((stream.due for stream in self._streams.values()), default=None)
+                due = min((min(s.due, s.look) for s in self._streams.values()), default=None)
             if due is None:
                 self._wake.wait()
                 self._wake.clear()
             else:
-                time.sleep(max(0.0, due - time.monotonic()))
+                # a viewer that comes meanwhile does not wait for those before it
+                self._wake.wait(max(0.0, due - time.monotonic()))
+                self._wake.clear()
 
     def _abandoned(self, stream: Stream, now: float) -> bool:
         """Tell whether nobody has subscribed for long enough; looks once in a while only."""

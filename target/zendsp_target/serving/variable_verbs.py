@@ -67,7 +67,8 @@ class VariableVerbs:
         )
 
     def do_check(self, args: verbs.Write, by: str) -> m.Empty:
-        self.runtime.check(self._given(args))
+        fade_of(self.runtime, args.fade)
+        self.runtime.check(self._given(args), args.at_tick)
         return m.Empty()
 
     def do_write(self, args: verbs.Write, by: str) -> m.Written:

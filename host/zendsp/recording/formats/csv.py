@@ -134,11 +134,13 @@ def _header(path: Path, line: str, delimiter: str, number: int) -> tuple[list[st
         )
     split = [split_unit(cell) for cell in cells]
     names = [name for name, _ in split]
+    seen: set[str] = set()
     for k, name in enumerate(names):
         if not name:
             raise RecordingError(f"{path}: column {k + 1} has no name in line {number}")
-        if names.index(name) != k:
+        if name in seen:
             raise RecordingError(f"{path}: line {number} names column {name!r} twice")
+        seen.add(name)
     return names, dict(split)
 
 

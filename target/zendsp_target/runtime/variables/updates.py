@@ -131,10 +131,7 @@ class Updates:
         Refused
             Nothing to write, or too many updates wait.
         """
-        if at_tick is not None and not 0 <= at_tick <= _LAST_TICK:
-            raise Refused(
-                f"at_tick {at_tick} is no sample: give one from 0 on, or leave it out for the next"
-            )
+        _require_sample(at_tick)
         if not values:
             raise Refused("an update needs at least one variable")
         plan = self._plan(values, settings)
@@ -211,8 +208,9 @@ class Updates:
             raise VariableError("\n".join(problems))
         return found
 
-    def check(self, values: Mapping[str, object]) -> None:
+    def check(self, values: Mapping[str, object], at_tick: int | None = None) -> None:
         """Raise what `write` would raise for these values; nothing is written."""
+        _require_sample(at_tick)
         self._numbers(values, False)
 
     def repeat(
@@ -491,3 +489,10 @@ class Updates:
             ):
                 found.append((batch.applied, batch.at_tick, sequence))
         return [sequence for *_, sequence in sorted(found)]
+
+
+def _require_sample(at_tick: int | None) -> None:
+    if at_tick is not None and not 0 <= at_tick <= _LAST_TICK:
+        raise Refused(
+            f"at_tick {at_tick} is no sample: give one from 0 on, or leave it out for the next"
+        )

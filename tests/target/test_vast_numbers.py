@@ -1,0 +1,73 @@
+"""Numbers that no clock holds: each is refused or bounded, and nobody else notices."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import pytest
+from desk import desk_of
+from waiting import until
+
+from zendsp_protocol.errors import AcquisitionError, Refused
+from zendsp_protocol.messages import Trigger
+from zendsp_target.api import AcquireConfig
+from zendsp_target.runtime import Runtime
+from zendsp_target.serving.live_streams import LiveStreams
+
+Make = Callable[..., Runtime]
+PROGRAM = """#include "isr.h"
+double a = 1.0, x;
+void UserInit(void) { PARAMETER(a, 1.0, "", 0.0, 10.0, ""); SIGNAL(x, "", ""); }
+void UserISR_INT2(void) { x += a; }
+void UserBackground(void) {}
+"""
+NOT_FINITE = (1e308, float("inf"), float("nan"))
+
+
+@pytest.mark.parametrize("seconds", NOT_FINITE)
+def test_a_vast_recording_is_refused_with_its_time(make_runtime: Make, seconds: float) -> None:
+    runtime = make_runtime(PROGRAM)
+    with pytest.raises(AcquisitionError, match="give a finite time"):
+        runtime.acquire_configure(0, AcquireConfig(("x",), seconds=seconds))
+    trigger = Trigger("x", 0.0, "rising", seconds)
+    with pytest.raises(AcquisitionError, match="pre_s"):
+        runtime.acquire_configure(0, AcquireConfig(("x",), trigger=trigger))
+
+
+@pytest.mark.parametrize("interval", [*NOT_FINITE, 60.0])
+def test_a_viewer_that_looks_hardly_ever_holds_up_no_other(
+    make_runtime: Make, interval: float
+) -> None:
+    runtime = make_runtime(PROGRAM, clock="real", realtime=False)
+    messages: list[float] = []
+    live = LiveStreams(runtime, lambda *_: messages.append(time.monotonic()), lambda *_: True)
+    try:
+        runtime.start()
+        live.open(["x"], 1, interval, 16, "rare", "rare")
+        until(lambda: len(messages) > 0 or interval != interval or _asleep(live), "a first look")
+        before = len(messages)
+        live.open(["a"], 1, 0.01, 16, "other", "other")
+        until(lambda: len(messages) > before + 5, "rows of the other viewer")
+        before = len(messages)
+        live.open(["x"], 1, 0.01, 16, "joins", "joins")  # the stream that is hardly ever looked at
+        until(lambda: len(messages) > before + 20, "rows of the viewer that joined")
+    finally:
+        live.close()
+
+
+def _asleep(live: LiveStreams) -> bool:
+    return all(stream.due > 0.0 for stream in live._streams.values())
+
+
+@pytest.mark.parametrize("fade", [float("nan"), -1.0, 3.0])
+def test_check_refuses_a_fade_and_a_sample_that_write_would_refuse(
+    make_runtime: Make, fade: float
+) -> None:
+    desk = desk_of(make_runtime(PROGRAM))
+    for verb in ("check", "write"):
+        with pytest.raises(Refused, match="a fade of"):
+            desk.ask(verb, "me", values={"a": 2.0}, fade=fade)
+        with pytest.raises(Refused, match="is no sample"):
+            desk.ask(verb, "me", values={"a": 2.0}, at_tick=-1)
+    desk.ask("check", "me", values={"a": 2.0}, fade=1.0, at_tick=7)
