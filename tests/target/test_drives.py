@@ -135,7 +135,7 @@ def test_each_refusal_names_what_fails(process: Target) -> None:
     process.unload()
     process.power_on()
     with pytest.raises(
-        Refused, match=r"enabling is refused: program: no code is loaded .* homed: "
+        Refused, match=r"enabling is refused: program: no code is loaded .*; homed, .*: known"
     ):
         process.enable()
     process.download("pd.c")
