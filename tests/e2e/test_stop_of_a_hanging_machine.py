@@ -17,9 +17,9 @@ from zendsp_target.monitor import Monitor, Options
 from zendsp_target.runtime import Runtime
 
 # Hardware, as a driver that may not return. Words of the card: writes, reads, mode; hang in write,
-# read, safe; in stop: write, read.
+# read, safe; in stop: write, read; in which it hangs.
 CARD = """
-static void hang(int word) { while (card[word]) usleep(1000); }
+static void hang(int word) { for (; card[word]; usleep(1000)) card[8] = word; }
 static void card_read(void *h, machine_sensors *s) {
     hang(4);
     if (card[2] == MACHINE_VELOCITY) hang(7);
@@ -49,7 +49,7 @@ void UserISR_INT2(void) {
     if (hang && !DRIVE_ENABLED) hold();
 }
 """
-WRITES, READS, MODE, WRITE, READ, SAFE, WRITE_OF_STOP, READ_OF_STOP = range(8)
+WRITES, READS, MODE, WRITE, READ, SAFE, WRITE_OF_STOP, READ_OF_STOP, HANGS_IN = range(9)
 VELOCITY = 2
 
 
@@ -89,13 +89,7 @@ def begin(
 def _stuck(card: Card, word: int) -> None:
     """Have the card hang there, and wait until the loop does."""
     card[word] = 1
-    seen = [-1, -1]
-
-    def still() -> bool:
-        before, seen[:] = list(seen), [card[WRITES], card[READS]]
-        return before == seen
-
-    until(still, "the loop hangs")
+    until(lambda: card[HANGS_IN] == word, "the loop hangs")
 
 
 @pytest.mark.parametrize("road", ["page", "link"])
