@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from zendsp.diagnosis import joints
-from zendsp.diagnosis.decide import absorbed, laws
+from zendsp.diagnosis.decide import absorbed, laws, pieces
 from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide.claims import Claim, Decision, unclaimed
 from zendsp.diagnosis.decide.confidence import confidence, least_stated, stated
@@ -294,7 +294,7 @@ def test_a_small_second_law_of_a_known_friction_that_softens_it_is_its_error(
 ) -> None:
     """What makes it more at a reversal is no softness: a Stribeck curve beside a larger effect."""
     monkeypatch.setattr(laws, "kept_laws", lambda *_: [Term("coulomb", 1, {})])
-    monkeypatch.setattr(laws, "at_reversals", lambda *_: 0.9)
+    monkeypatch.setattr(pieces, "at_reversals", lambda *_: 0.9)
     any_: Any = SimpleNamespace(test=None, model=None)
     term = Term(effect, 1, {})
     piece: Any = SimpleNamespace(

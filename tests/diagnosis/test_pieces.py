@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -49,13 +49,14 @@ def held_apart(monkeypatch: pytest.MonkeyPatch) -> Held:
         known: Known | None = None,
         search: Any = SEARCH,
         final: Any = FINAL,
+        beside: Sequence[Term] = (),
     ) -> tuple[list[Piece], list[Piece]]:
         before = Size(0.0, 0.0, lacked)
         monkeypatch.setattr(
             pieces, "discrepancy", lambda _, model, __: before if model is WITHOUT else left
         )
         monkeypatch.setattr(pieces, "structure", lambda *_: structure)
-        monkeypatch.setattr(pieces, "kept_laws", lambda *_: [])
+        monkeypatch.setattr(pieces, "kept_laws", lambda *_: list(beside))
         monkeypatch.setattr(pieces, "known_discrepancy", lambda *_: known or Known())
         return pieces.held_apart(PARTS, None, search, final, list(found))  # type: ignore[arg-type]
 
@@ -149,19 +150,30 @@ def test_what_acts_where_a_joint_turns_round_is_more_than_its_dry_friction_may_b
 
 
 @pytest.mark.parametrize(
-    ("size", "turning", "claims"), [(0.004, 0.8, False), (0.008, 0.8, True), (0.004, 0.2, True)]
+    ("effect", "size", "turning", "claims"),
+    [
+        ("hysteresis", 0.004, 0.8, False),
+        ("hysteresis", 0.008, 0.8, True),
+        ("hysteresis", 0.004, 0.2, True),
+        ("stribeck", 0.004, 0.8, True),
+    ],
 )
 def test_how_given_dry_friction_turns_round_is_no_finding_within_what_its_law_may_be_wrong_by(
-    monkeypatch: pytest.MonkeyPatch, held_apart: Held, size: float, turning: float, claims: bool
+    monkeypatch: pytest.MonkeyPatch,
+    held_apart: Held,
+    effect: str,
+    size: float,
+    turning: float,
+    claims: bool,
 ) -> None:
     """Hysteresis of 0.4 % beside a given dry friction of 20 %, whose law is good to 3 % of that. Of
-    a MuJoCo model that was written back the softness of its friction was called hysteresis.
+    a MuJoCo model that was written back the softness of its friction was called hysteresis. A
+    Stribeck curve is no softness.
     """
     monkeypatch.setattr(pieces, "at_reversals", lambda *_: turning)
-    monkeypatch.setattr(pieces, "rubs", lambda *_: True)
     monkeypatch.setattr(pieces, "torque_of", lambda *_: 0.2)
-    loop = piece(size, 5.0, 50.0, "hysteresis")
-    claimed, _ = held_apart(loop, left=Size(0.0005, 0.0, 0.01))
+    loop = piece(size, 5.0, 50.0, effect)
+    claimed, _ = held_apart(loop, left=Size(0.0005, 0.0, 0.01), beside=[Term("coulomb", 1, {})])
     assert claimed == ([loop] if claims else [])
 
 

@@ -23,6 +23,7 @@ from zendsp.diagnosis.decide.pieces import (
     rms_torque,
     rubs,
     taken_away,
+    turns_round,
 )
 from zendsp.diagnosis.decide.rivals import law_of, together
 from zendsp.diagnosis.decide.thresholds import (
@@ -40,7 +41,7 @@ from zendsp.diagnosis.decide.thresholds import (
     SURE,
 )
 from zendsp.diagnosis.measure.curve import DRY, FLUID, FRICTION
-from zendsp.diagnosis.measure.discrepancy import Size, at_reversals, discrepancy
+from zendsp.diagnosis.measure.discrepancy import Size, discrepancy
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
 from zendsp.diagnosis.measure.neighbours import against_neighbours
 from zendsp.diagnosis.measure.significance import counterpart
@@ -150,11 +151,9 @@ def _turns_a_known_one(
     """
     joint = piece.terms[0].joint
     return (
-        piece.mechanism == DRY
-        and any(get_effect(e).hidden for e in piece.effects)
-        and piece.size**2 < OWN_SHARE * before.value**2
+        piece.size**2 < OWN_SHARE * before.value**2
         and bool(kept_laws(given, final.model, joint, DRY))
-        and at_reversals(parts.test, piece.without.model, final.model, joint) >= PREDICTED
+        and turns_round(parts, final, piece)
     )
 
 

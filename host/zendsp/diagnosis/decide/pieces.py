@@ -210,15 +210,14 @@ def held_apart(
             part = known.of_state / A_PART
         larger = max((p.size for p in claimed), default=0.0)
         beside = kept_laws(given, final.model, joint, piece.mechanism)
-        alike = False  # to how dry friction that the model has may turn round
-        if piece.mechanism in kind_of(DRY):
-            alike = rubs(given, joint) and _turning(parts, final, piece)
-        else:
+        # how a dry friction that the model has turns round is an error of its own law
+        second = bool(beside) and turns_round(parts, final, piece)
+        if piece.mechanism not in kind_of(DRY):
             beside += _rubbing(parts, search, final, piece)
         larger = max(larger, torque_of(parts.test, beside, final.model, joint))
         # an error of a larger law is not taken up whole by the law of something else, nor with time
         timed = all(get_effect(e).over == "time" for e in piece.effects)
-        own = timed or (unknown <= may_leave(piece) and not alike)
+        own = timed or (unknown <= may_leave(piece) and not second)
         error = 0.0 if own else LAW_ERROR * larger
         least = max(*map(finest, piece.effects), part, math.hypot(left, error))
         (claimed if sure(parts.test, piece) and piece.size > least else rest).append(piece)
@@ -263,6 +262,14 @@ def _rubbing(parts: Parts, search: JointSearch, final: Scored, piece: Piece) -> 
     if laws and max(laws) < EXPLAINS * (piece.without.deviance - final.deviance):
         return []
     return dry
+
+
+def turns_round(parts: Parts, final: Scored, piece: Piece) -> bool:
+    """Whether a mechanism is how dry friction turns round: bristles, or softness. A curve over the
+    speed is none of these.
+    """
+    hidden = any(get_effect(e).hidden for e in piece.effects)
+    return piece.mechanism == DRY and hidden and _turning(parts, final, piece)
 
 
 def _turning(parts: Parts, final: Scored, piece: Piece) -> bool:

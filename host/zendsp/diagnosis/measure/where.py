@@ -36,7 +36,9 @@ VARIABLES = ("velocity", "position", "acceleration", "command")
 SAMPLES = 20  # fewer have no intervals
 EDGES = 5  # different ones: a variable with fewer is as good as constant
 CONCENTRATED = 3.0  # times the mean of the energy: there the mismatch concentrates
-MORE = 1.2  # times its part of the time: an interval with less says nothing of where
+# times its part of the time: an interval with less says nothing of where; chosen for what a reader
+# wants (91 % of a mismatch in 85 % of the time stood there), and decides no finding
+MORE = 1.2
 STANDS_OUT = 3.0  # standard deviations of what an interval holds beyond its part of the time
 AROUND = 2.0  # times an observer's memory, within which a torque is taken as constant
 PROBE = 1e-3  # of a joint's torque: a torque whose trace shows what would be seen

@@ -49,6 +49,7 @@ SHOWN = 0.5  # of a law's energy that its curve must explain, or it is drawn ove
 SHOWN_S = 2.0  # of such a figure
 CONTRADICTS = 4.0  # standard errors: means that are further from the law contradict it
 LARGEST_BAR = 0.99  # quantile that stands for it
+BRIDGED = 3.5  # widths of a bin that a line crosses at most: two empty ones, and rounding
 LITTLE = 0.1  # of a law: what lies beside it and is less is told of no law
 
 
@@ -154,7 +155,7 @@ def two_panels(
 def broken(at: Array, mean: Array) -> tuple[Array, Array]:
     """A line over bins, with NaN where it would cross more than two in which nothing was seen."""
     apart = np.diff(at)
-    gaps = np.flatnonzero(apart > 3.5 * np.min(apart, initial=np.inf)) + 1
+    gaps = np.flatnonzero(apart > BRIDGED * np.min(apart, initial=np.inf)) + 1
     return np.insert(at, gaps, at[gaps - 1]), np.insert(mean, gaps, np.nan)
 
 

@@ -34,7 +34,8 @@ from zendsp.physics.model import Model
 
 POWER = 1.28  # standard deviations: nine in ten
 AS_EFFECT = {"spring": "elasticity", "gap": "backlash"}
-WITH_SPRING = ("cubic", "loop")  # terms that bend a spring: nothing without it
+# terms that are nothing without another: they bend it
+BEND = {"spring": ("cubic", "loop")}
 ENOUGH = 1.0  # of what stays unexplained: what is less is no finding
 
 
@@ -81,12 +82,17 @@ def claims_of(slow: Sets, chosen: Chosen, scale: float, model: Model) -> list[Cl
     idle = [t for t in chosen.terms if t not in {claim.name for claim in found}]
     if not idle:
         return found
-    beyond = {"spring": WITH_SPRING}.get(idle[-1], ())
-    terms = tuple(t for t in chosen.terms if t != idle[-1] and t not in beyond)
+    terms = _without(chosen.terms, idle[-1])
     again = fitted(slow.fit, terms, chosen.off_centre, scale)
     if not physical(terms, again, scale):
         return [claim for claim in found if claim.name in terms]
     return claims_of(slow, replace(chosen, terms=terms, fit=again), scale, model)
+
+
+def _without(terms: Sequence[str], term: str) -> tuple[str, ...]:
+    """Terms without one, and without those that are nothing without it."""
+    gone = (term, *BEND.get(term, ()))
+    return tuple(t for t in terms if t not in gone)
 
 
 def _judged_each(slow: Sets, chosen: Chosen, scale: float, model: Model) -> list[Claim]:
@@ -109,8 +115,7 @@ def _judged_each(slow: Sets, chosen: Chosen, scale: float, model: Model) -> list
 def _judged(slow: Sets, chosen: Chosen, term: str, scale: float, model: Model) -> Claim | None:
     with_all = applied(slow.test, chosen.terms, chosen.off_centre, scale, chosen.fit.x)
     left = unexplained(with_all, slow.test)
-    gone = ("spring", *WITH_SPRING) if term == "spring" else (term,)
-    rest = tuple(t for t in chosen.terms if t not in gone)
+    rest = _without(chosen.terms, term)
     again = fitted(slow.fit, rest, chosen.off_centre, scale)
     without = applied(slow.test, rest, chosen.off_centre, scale, again.x)
     found, log_e = evidence(without, with_all, slow.test)
@@ -125,7 +130,8 @@ def _judged(slow: Sets, chosen: Chosen, term: str, scale: float, model: Model) -
             spread = math.hypot(spread, numbers_of(("spring", "gap"), both, scale)[term][0] - value)
     damping = (0.0, 0.0)
     if term == "spring":
-        # a torque that is a row late looks like damping; of a gap, the rows that would say it cross
+        # its damping comes second: a spring is the first term of every choice that has one. A
+        # torque that is a row late looks like damping; of a gap, the rows that would say it cross
         std = math.hypot(math.sqrt(float(chosen.fit.covariance[1, 1])), value * slow.test[0].row)
         std = math.inf if "gap" in chosen.terms else std / abs(value)
         damping = float(chosen.fit.x[1]) / value, std
