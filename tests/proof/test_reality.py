@@ -26,8 +26,8 @@ def test_energy_stays_where_nothing_dissipates() -> None:
 
 
 def test_energy_stays_in_an_elastic_joint_with_a_gap() -> None:
-    machine = swing(trans_stiffness=40.0, trans_gap=0.05, motor_inertia=0.005).with_joint(
-        0, extra_inertia=-0.005
+    machine = swing(
+        trans_stiffness=40.0, trans_gap=0.05, motor_inertia=0.005, extra_inertia=-0.005
     )
     energy = run(machine, STILL).energy
     # contact opens and closes inside a step: first order in h there
@@ -91,8 +91,12 @@ def test_torque_effects_have_the_signs_of_the_contract() -> None:
 
 def test_delay_moves_the_answer_by_just_that_time() -> None:
     command = np.sin(20 * T)[:, None] * 0.1
-    plain = MachineTruth("rotary", (JointTruth(viscous_pos=0.01, viscous_neg=0.01),), (0.01,))
-    late = plain.with_joint(0, delay=0.0033)
+    plain, late = (
+        MachineTruth(
+            "rotary", (JointTruth(viscous_pos=0.01, viscous_neg=0.01, delay=delay),), (0.01,)
+        )
+        for delay in (0.0, 0.0033)
+    )
     a = run(plain, STILL, feedforward=command).q[:, 0]
     b = run(late, STILL, feedforward=command).q[:, 0]
     # interpolation of a over 1 ms

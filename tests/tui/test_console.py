@@ -184,7 +184,10 @@ async def test_a_signal_cannot_be_written_and_units_stay_whole(
         await mark_variable(lab, pilot, "q1")
         await pilot.press("enter")
         await until(pilot, lambda: "q1 is a signal" in events_of(lab), "refused in words")
-        assert console_of(lab).variables.table.row_text("Kp1")[3] == "N m/rad"
+        await mark_variable(lab, pilot, "Kp1")
+        table = console_of(lab).variables.table
+        shown = [table.render_line(y).text for y in range(table.size.height)]
+        assert any("Kp1" in line and "N m/rad" in line for line in shown)
 
 
 @pytest.mark.covers("console.sets")
@@ -327,8 +330,9 @@ async def test_a_compile_error_is_shown_at_its_line_and_mended_in_place(
         assert target.status().program == before, "the running program is not touched"
         await pilot.press("g")
         await pilot.pause()
-        assert isinstance(lab.screen, SourceView) and lab.screen.cursor_line == 3
+        assert isinstance(lab.screen, SourceView)
         area = lab.screen.query_one(TextArea)
+        assert area.cursor_location[0] + 1 == 3
         area.text = area.text.replace("a = 1.0 }", "a = 1.0; }")
         await pilot.press("ctrl+b")
         await until(

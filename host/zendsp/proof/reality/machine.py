@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 import numpy.typing as npt
@@ -118,12 +118,6 @@ class MachineTruth:
     velocity_filter: float = 0.0
     q0: tuple[float, ...] = (0.0,)
     v0: tuple[float, ...] = (0.0,)
-
-    def with_joint(self, joint: int, **changes: object) -> MachineTruth:
-        """The same machine with some figures of one joint (0-based) changed."""
-        joints = list(self.joints)
-        joints[joint] = replace(joints[joint], **changes)  # type: ignore[arg-type]
-        return replace(self, joints=tuple(joints))
 
 
 @dataclass(frozen=True)

@@ -96,11 +96,6 @@ class SourceView(Dialog[bool]):
         if area.cursor_location[1] < area.scrollable_content_region.width - area.gutter_width:
             area.scroll_to(x=0, animate=False)
 
-    @property
-    def cursor_line(self) -> int:
-        """Line of the cursor, from 1."""
-        return self.query_one(TextArea).cursor_location[0] + 1
-
     @on(OptionList.OptionSelected)
     def _picked(self, event: OptionList.OptionSelected) -> None:
         self._go(self._remarks[event.option_index])

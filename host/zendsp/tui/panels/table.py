@@ -111,10 +111,6 @@ class LiveTable(ScrollView, can_focus=True):
         """Key of the row under the cursor, "" where there is none."""
         return self._keys[self._cursor] if self._keys else ""
 
-    def row_text(self, key: str) -> list[str]:
-        """Return the texts of one row."""
-        return [text for text, _ in self._cells[self._keys.index(key)]]
-
     def set_rows(self, rows: Sequence[tuple[str, tuple[Cell, ...]]]) -> None:
         """Show other rows; the cursor stays on its key where that is still there."""
         at = self.marked
