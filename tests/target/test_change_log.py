@@ -41,7 +41,7 @@ def test_the_log_is_in_the_order_of_the_samples_whenever_it_is_taken_down(
     runtime = make_runtime(PROGRAM)
     session = runtime.programs.session
     assert session is not None
-    updates = session.updates
+    flights = session.flights
 
     class Meanwhile:
         """The monitor's functions; after so many looks of this thread into memory the loop runs 400
@@ -63,10 +63,10 @@ def test_the_log_is_in_the_order_of_the_samples_whenever_it_is_taken_down(
                 run(runtime, 400)
             return seen
 
-    monkeypatch.setattr(updates, "_lib", Meanwhile())
+    monkeypatch.setattr(flights, "_lib", Meanwhile())
     for value, tick in order:
         runtime.write({"a": value}, "me", at_tick=tick)
-    updates.harvest()
+    flights.harvest()
     assert [change.new for change in runtime.log()] == [0, 1, 2, 3]
     assert [change.old for change in runtime.log()] == [0, 0, 1, 2]
 

@@ -95,16 +95,17 @@ def test_a_million_samples_under_hostile_writers_mix_no_update(make_runtime: Mak
         """
         session = runtime.programs.session
         assert session is not None
-        updates = session.updates
+        flights = session.flights
+        memory = np.frombuffer(session.process.data_file.map, dtype=np.uint8)
         noise = np.random.default_rng(1)
         control = session.control
         while not stop.is_set():
-            with updates._lock:
-                slot = updates._free[0] if updates._free else None
+            with flights.lock:
+                slot = flights.free[0] if flights.free else None
                 if slot is None:
                     continue
                 start = int(control.batch_offset) + slot * int(control.batch_stride)
-                updates._memory[start + 8 : start + int(control.batch_stride)] = noise.integers(
+                memory[start + 8 : start + int(control.batch_stride)] = noise.integers(
                     0, 256, int(control.batch_stride) - 8, dtype=np.uint8
                 )
 

@@ -85,13 +85,13 @@ class LoadedVariables:
         return None if session is None else session.repeat_write(names, author, request, reply)
 
     def wait_applied(self, sequence: int, timeout: float) -> int:
-        """Sleep until an update has taken effect; returns its sample. See `Updates.wait_applied`.
+        """Sleep until an update has taken effect; returns its sample. See `Flights.wait_applied`.
         """
-        return self._programs.loaded().updates.wait_applied(sequence, timeout)
+        return self._programs.loaded().flights.wait_applied(sequence, timeout)
 
     def log(self, since: int = 0) -> tuple[Change, ...]:
         """Changes from line number `since` on."""
         session = self._programs.session
         if session is not None:
-            session.updates.harvest()
+            session.flights.harvest()
         return self._programs.log.since(since)

@@ -144,7 +144,7 @@ class Motion:
         """Have updates of these authors that wait for a later sample wait no more."""
         session = self._programs.session
         if session is not None:
-            session.updates.cancel(whose)
+            session.flights.cancel(whose)
 
     def attend(self, attended: bool) -> None:
         """Say whether the machine shall stop where this process cannot see that a host is lost."""
@@ -181,7 +181,7 @@ class Motion:
             session.settle("acknowledge")  # inputs are read while paused, too
             if session.pressed:
                 raise Refused(f"acknowledging is refused: {PRESSED}")
-            session.updates.cancel(lambda author: True)  # as what was computed before the trip
+            session.flights.cancel(lambda author: True)  # as what was computed before the trip
             control = session.control
             control.acknowledge_trip = self._programs.trips() if trip is None else trip
             wanted = (int(control.acknowledge) + 1) & 0xFFFFFFFF
@@ -279,7 +279,7 @@ class Motion:
 
     def _apply(self, values: Mapping[str, object]) -> None:
         session = self._programs.living()
-        session.updates.wait_applied(session.set_settings(values, "runtime"), 5.0)
+        session.flights.wait_applied(session.set_settings(values, "runtime"), 5.0)
 
     def set_inputs(self, bits: int) -> None:
         """Digital inputs of a simulated machine, one bit each: what a person at its panel would

@@ -147,7 +147,7 @@ class Programs:
             if self.session is not None:
                 self.unsafe = self.session.close()
                 self._held = safety.latched_trip(self.session.control, self.session.machine)
-                self._sequence = self.session.updates.sequence
+                self._sequence = self.session.flights.sequence
                 self.session = None
 
     def ask_stop(self, author: str = "") -> None:

@@ -22,8 +22,10 @@ from zendsp_target.runtime.process.runner import RunnerProcess, ffi_address, ffi
 from zendsp_target.runtime.process.settings import Settings
 from zendsp_target.runtime.process.supervise import Supervisor
 from zendsp_target.runtime.safety import machine_of
+from zendsp_target.runtime.variables.banks import Banks
 from zendsp_target.runtime.variables.change_log import ChangeLog
 from zendsp_target.runtime.variables.dictionary import Dictionary, Place, decode
+from zendsp_target.runtime.variables.flights import Flights
 from zendsp_target.runtime.variables.own_writes import OwnWrites
 from zendsp_target.runtime.variables.plans import ReadPlan
 from zendsp_target.runtime.variables.updates import Updates
@@ -72,9 +74,12 @@ class Session:
         initial = memory[start : start + int(self.control.snapshot_bytes)].copy()
         self.dictionary = Dictionary(self.control, initial)
         self.own_writes = OwnWrites(self.dictionary, initial)
+        self._banks = Banks(self.control, data.map)
+        self.flights = Flights(
+            self.control, data, log, self._banks, self.process.alive, self.process.handle, sequence
+        )
         self.updates = Updates(
-            self.control, data, self.dictionary, log, self.process.alive, self.process.handle,
-            sequence,
+            self.control, self.dictionary, self.flights, self._banks, self.process.handle
         )
         # kept here, since user code with a wild pointer may overwrite what is shared: nothing there
         # shall steer a copy
@@ -95,7 +100,7 @@ class Session:
         self._supervisor = Supervisor(self.process, self._each_round, self._died)
 
     def _each_round(self) -> None:
-        self.updates.harvest()
+        self.flights.harvest()
         self._rounds += 1
         if self._rounds % _LOOK_ROUNDS == 0 and self.alive():
             with contextlib.suppress(RunnerDied, Refused):  # the end is told elsewhere
@@ -104,7 +109,7 @@ class Session:
 
     def _look(self) -> None:
         seen: list[np.ndarray[tuple[int], np.dtype[np.uint8]]] = []
-        written = self.updates.take_written(lambda: seen.append(self.snapshot()[1]))
+        written = self.flights.take_written(lambda: seen.append(self.snapshot()[1]))
         self.own_writes.look(seen[0], written)
 
     def _died(self, sentence: str) -> None:
@@ -240,7 +245,8 @@ class Session:
         found = decode(small, values)
         for name, place in places.items():
             if name not in small:
-                found[name] = self.updates.table(place)
+                with self.flights.lock:  # nobody fills a bank meanwhile
+                    found[name] = self._banks.rows(place)
         return tick, {name: found[name] for name in names}
 
     def show_trip(self) -> None:

@@ -1,0 +1,303 @@
+"""Updates under way: from their slot in shared memory until the loop has applied them, who waits
+for them knows it, and the log has them.
+
+The loop exchanges values when it applies a batch, so the old ones come back exactly as they were at
+that sample.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from zendsp_protocol.errors import NotYet, Refused, RunnerDied
+from zendsp_target.runtime.memory.layout import layout
+from zendsp_target.runtime.memory.shm import SharedFile
+from zendsp_target.runtime.variables.banks import Banks
+from zendsp_target.runtime.variables.change_log import ChangeLog, Flight
+from zendsp_target.runtime.variables.plans import ENTRY
+
+TOGETHER = 16  # so many updates are taken back together; fewer, when the supervisor comes by
+LAST_TICK = 2**64 - 1
+_SLICE_NS = 20_000_000  # waits come up for air so often, to see a runner that died
+# periods up to this one are waited for awake: falling asleep and waking take as long
+_SHORT_NS = 100_000
+_MAX_ACKS = 4096
+_CANCELLED = -1  # in place of a sample
+_GONE = "the runner is gone, so nothing can be written: load the program again"
+_WORDED_AT_ONCE = 128  # lines of the log at each harvest: a fraction of a millisecond
+
+
+class Flights:
+    """The updates of one load that were committed.
+
+    Parameters
+    ----------
+    control : cffi struct control
+    data : SharedFile
+    log : ChangeLog
+    banks : Banks
+    alive : callable
+        Whether the runner still runs.
+    handle : int
+        The runner's pidfd; -1 where the kernel has none.
+    sequence : int
+        The last number of an update of the loads before: numbers are never given anew.
+
+    Attributes
+    ----------
+    lock : RLock
+        Held from the taking of a slot until its batch is entered.
+    batches : list of cffi struct batch *
+        The slots.
+    room : int
+        Bytes of the entries of one.
+    free : list of int
+        Slots that nobody uses.
+    under_way : dict of int to Flight
+        By number, oldest first.
+    sequence : int
+        Number of the last update.
+    """
+
+    def __init__(
+        self,
+        control: Any,
+        data: SharedFile,
+        log: ChangeLog,
+        banks: Banks,
+        alive: Callable[[], bool],
+        handle: int = -1,
+        sequence: int = 0,
+    ) -> None:
+        ffi, lib = layout()
+        self._lib, self._control, self._log, self._banks = lib, control, log, banks
+        self._alive, self._handle = alive, handle
+        self._pointer = ffi.addressof(control)
+        # kept here: user code with a wild pointer may overwrite what is shared
+        offset, stride = int(control.batch_offset), int(control.batch_stride)
+        self._starts = [offset + slot * stride for slot in range(lib.LAYOUT_BATCHES)]
+        self.batches = [data.pointer("batch", start) for start in self._starts]
+        self._states = [ffi.addressof(batch[0], "state") for batch in self.batches]
+        self._newest = ffi.addressof(control, "newest")
+        self._cancels = ffi.addressof(control, "cancels")
+        self._entries_at: int = ffi.sizeof("batch")
+        self.room = stride - self._entries_at
+        period = int(control.period_ns)
+        self._awake = 2 * period if period <= _SHORT_NS else 0
+        self._view = memoryview(data.map)
+        self._cancelled = lib.BATCH_CANCELLED
+        self.lock = threading.RLock()
+        self.free = list(range(lib.LAYOUT_BATCHES))[::-1]
+        self.under_way: dict[int, Flight] = {}
+        self._applied: dict[int, int] = {}
+        self._before = self.sequence = sequence
+        self._written: dict[int, Flight] = {}  # by variable, its last since `take_written`
+
+    def variables(self) -> set[int]:
+        """Variables that updates under way write."""
+        return {
+            place.entry.index for flight in self.under_way.values() for _, place in flight.places
+        }
+
+    def take_slot(self, tables: bool, late: bool) -> int:
+        """Take a free slot; with the lock held.
+
+        Raises
+        ------
+        Refused
+            Too many updates wait.
+        RunnerDied
+        """
+        if self._handle < 0 and not self._alive():
+            raise RunnerDied(_GONE)
+        # the last download of a table may be in effect by now
+        if tables or len(self.under_way) >= TOGETHER or not self.free:
+            self.take_back()
+        most = self._lib.LAYOUT_BATCHES
+        if not self.free:
+            raise Refused(f"{most} updates wait already: wait until some of them are applied")
+        # the other half is for updates of the next sample: none of them is kept waiting by these
+        if late and sum(flight.late for flight in self.under_way.values()) >= most // 2:
+            raise Refused(
+                f"{most // 2} updates wait for a later sample, or fade, already: wait until some of"
+                " them are applied"
+            )
+        return self.free.pop()
+
+    def enter(self, flight: Flight, done: bool) -> int:
+        """Enter a batch that the loop has now; or that it cannot have, its runner being gone.
+        Returns its number; with the lock held.
+        """
+        if not done:
+            self.free.append(flight.slot)
+            raise RunnerDied(_GONE)
+        self.sequence += 1
+        self.under_way[self.sequence] = flight
+        return self.sequence
+
+    def wait_applied(self, sequence: int, timeout: float) -> int:
+        """Sleep until a batch has taken effect, and whoever reads from here on gets its values.
+
+        Parameters
+        ----------
+        sequence : int
+            From `write`.
+        timeout : float
+            s.
+
+        Returns
+        -------
+        int
+            The sample at whose start it took effect.
+
+        Raises
+        ------
+        RunnerDied
+            The runner ended before, or another program was loaded.
+        NotYet
+            Its sample has not come within the timeout.
+        Refused
+            No such update, or it was cancelled.
+        """
+        if sequence <= self._before:
+            raise RunnerDied(
+                f"update {sequence}: its program is no longer loaded; the log has it if it took"
+                " effect"
+            )
+        end = time.monotonic() + timeout
+        left = max(0.0, timeout)
+        while True:
+            flight, shown = self.under_way.get(sequence), 0
+            if flight is not None:
+                slice_ns = min(_SLICE_NS, int(left * 1e9))
+                shown = self._lib.monitor_wait_shown(
+                    self._pointer, self.batches[flight.slot], slice_ns, self._awake
+                )
+            with self.lock:
+                tick = self._tick_of(sequence, bool(shown))
+                waits = sequence in self.under_way
+            if tick == _CANCELLED:
+                raise Refused(
+                    f"update {sequence} was not applied, and will not be: before its sample came,"
+                    " a STOP or trip was acknowledged, its host was lost, or another took the right"
+                    " to command"
+                )
+            if tick is not None:
+                return tick
+            if not waits:
+                raise Refused(f"update {sequence}: unknown, or acknowledged too long ago")
+            if not self._alive():
+                raise RunnerDied(f"the runner ended before update {sequence} took effect")
+            left = end - time.monotonic()
+            if left <= 0.0:
+                raise NotYet(
+                    f"update {sequence} did not take effect within {timeout:g} s: it waits for its"
+                    " sample (is the loop running?)"
+                )
+
+    def _tick_of(self, sequence: int, shown: bool) -> int | None:
+        """The sample at which a batch took effect, which is known where it is `shown`; it is left
+        to be taken back by whoever has time.
+        """
+        flight = self.under_way.get(sequence)
+        if flight is None:
+            return self._applied.get(sequence)
+        if not shown and not self._in_effect(flight.slot):
+            return None
+        batch = self.batches[flight.slot]
+        return _CANCELLED if batch.state == self._cancelled else int(batch.applied)
+
+    def _in_effect(self, slot: int) -> bool:
+        """A batch was applied, and its values can be read; or are the last ones that a runner took.
+        """
+        if self._lib.monitor_shown(self._pointer, self.batches[slot]):
+            return True
+        applied: int = self._lib.BATCH_APPLIED
+        # in this order: what a runner that is gone has not applied, it never will
+        return not self._alive() and self._lib.monitor_load32(self._states[slot]) >= applied
+
+    def harvest(self) -> None:
+        """Take back the batches that were applied, and write the log."""
+        with self.lock:
+            self.take_back()
+        self._log.settle(_WORDED_AT_ONCE)
+
+    def take_written(self, shown: Callable[[], None]) -> dict[int, bytes | None]:
+        """Call ``shown`` while nothing is committed; returns the variables that were written since
+        the last call, and of single numbers what was. None: of an array, or about to be.
+        """
+        with self.lock:
+            self.take_back()
+            shown()
+            written, self._written = self._written, {}
+            waiting = self.variables()
+        found: dict[int, bytes | None] = {}
+        for flight in {id(flight): flight for flight in written.values()}.values():
+            entries = flight.entries()
+            at = 0
+            for _, place in flight.places:
+                size = ENTRY.unpack_from(entries, at)[2]
+                at += ENTRY.size
+                if written[place.entry.index] is flight:
+                    alone = place.entry.info.length == 1
+                    found[place.entry.index] = entries[at : at + size] if alone else None
+                at += size + -size % 8
+        return found | dict.fromkeys(waiting)
+
+    def take_back(self) -> None:
+        """Take back the batches that were applied; with the lock held."""
+        # What the loop applies while this looks is left for the next time: else a later batch
+        # could be seen, and logged, before an earlier one.
+        done = self._applied_by(self._lib.monitor_load64(self._newest))
+        if len(done) < len(self.under_way) and not self._alive():
+            done = self._applied_by(LAST_TICK)  # those that no snapshot shows, nor ever will
+        for sequence in done:
+            flight = self.under_way.pop(sequence)
+            slot = flight.slot
+            batch = self.batches[slot]
+            tick = int(batch.applied)
+            if batch.state == self._cancelled:  # the bank of a table that it was to bring is free
+                for _, place in flight.places:
+                    self._banks.forget(place.entry.index)
+                self._release(sequence, flight.slot, _CANCELLED)
+                continue
+            body = self._starts[slot] + self._entries_at
+            self._written.update((place.entry.index, flight) for _, place in flight.places)
+            self._log.append(flight, tick, bytes(self._view[body : body + flight.size]))
+            self._release(sequence, slot, tick)
+
+    def _release(self, sequence: int, slot: int, tick: int) -> None:
+        self.batches[slot].state = self._lib.BATCH_FREE
+        self.free.append(slot)
+        self._applied[sequence] = tick
+        if len(self._applied) > _MAX_ACKS:
+            del self._applied[next(iter(self._applied))]
+
+    def cancel(self, whose: Callable[[str], bool]) -> None:
+        """Have updates of these authors that wait for a later sample wait no more: the loop gives
+        them back.
+        """
+        with self.lock:
+            flights = [f for f in self.under_way.values() if f.late and whose(f.author)]
+            for flight in flights:
+                self.batches[flight.slot].cancel = 1
+            if flights:
+                cancels = (int(self._control.cancels) + 1) & 0xFFFFFFFF
+                self._lib.monitor_store32(self._cancels, cancels)
+
+    def _applied_by(self, newest: int) -> list[int]:
+        """Numbers of the batches that are applied and that snapshot ``newest`` shows, in the order
+        in which the loop applied them.
+        """
+        found = []
+        for sequence, flight in self.under_way.items():
+            batch = self.batches[flight.slot]
+            if (
+                self._lib.monitor_load32(self._states[flight.slot]) >= self._lib.BATCH_APPLIED
+                and batch.shown <= newest
+            ):
+                found.append((batch.applied, batch.at_tick, sequence))
+        return [sequence for *_, sequence in sorted(found)]
