@@ -8,14 +8,17 @@ from typing import TypeVar
 
 import numpy as np
 from textual.pilot import Pilot
+from textual.widgets import Static
 
 from zendsp.errors import LinkError
 from zendsp.recording import Recording
 from zendsp.reference import make_reference, save_reference
 from zendsp.tui.actions import SCREENS
 from zendsp.tui.app import ZendspApp
+from zendsp.tui.dialogs import Message
 from zendsp.tui.port import Port
 from zendsp.tui.screens.base import LabScreen
+from zendsp.tui.screens.diagnose import DiagnoseScreen
 from zendsp.tui.screens.execute import ExecuteScreen
 
 Until = Callable[[Pilot[None], Callable[[], object], str], Awaitable[None]]
@@ -70,3 +73,22 @@ def short_run(gain: float) -> Recording:
         columns, 1e-3, units={"q": "rad", "e": "rad"}, parameters={"Kp1": gain, "Kd1": 5.0},
         sources={"pd.c": f"/* {gain} */"}, machine="imi_planar", note="n",
     )  # fmt: skip
+
+
+def text_of(screen: DiagnoseScreen, name: str) -> str:
+    return str(screen.query_one(name, Static).render())
+
+
+async def stored_shown(pilot: Pilot[None], until: Until) -> DiagnoseScreen:
+    """Open Diagnose, and on it the newest diagnosis that is stored."""
+    assert isinstance(pilot.app, ZendspApp)
+    screen = await opened(pilot.app, pilot, until, DiagnoseScreen)
+    await pilot.press("o", "enter")
+    await until(pilot, lambda: screen.shown is not None, "the newest is opened")
+    return screen
+
+
+def dialog_words(pilot: Pilot[None]) -> str:
+    """What the dialog in sight says."""
+    assert isinstance(pilot.app.screen, Message)
+    return str(pilot.app.screen.query_one(".words").render())

@@ -1,4 +1,4 @@
-"""Diagnose: from a recording to findings, and what comes of them."""
+"""Diagnose: from a recording to findings, and what is seen of them."""
 
 from __future__ import annotations
 
@@ -13,31 +13,22 @@ from pathlib import Path
 import diagnosis_cases as cases
 import numpy as np
 import pytest
-from steps import Step, Until, opened
+from steps import Until, dialog_words, opened, stored_shown, text_of
 from textual.pilot import Pilot
-from textual.widgets import DataTable, Input, OptionList, Static
+from textual.widgets import DataTable, Input, OptionList
 
 from zendsp.diagnosis.report.chart import load_chart
-from zendsp.errors import ZendspError
-from zendsp.link import Target
 from zendsp.physics import load_model
-from zendsp.physics.codegen.terms import why_not
-from zendsp.physics.files.model_write import model_text
-from zendsp.physics.model import Quantity, Term
 from zendsp.recording import Recording
-from zendsp.reference import make_reference
 from zendsp.tui import command
 from zendsp.tui.app import ZendspApp
-from zendsp.tui.compensating import compensation_of, written_out
 from zendsp.tui.diagnoses import compare, list_diagnoses
 from zendsp.tui.dialogs import Choose, Message
 from zendsp.tui.link_port import open_port
 from zendsp.tui.panels.figure import FigureView
-from zendsp.tui.runs import DATA, Outcome, list_runs, store_run
+from zendsp.tui.runs import DATA, Outcome, store_run
 from zendsp.tui.screens import diagnose_loop
 from zendsp.tui.screens.diagnose import DiagnoseScreen
-from zendsp.tui.screens.execute import ExecuteScreen
-from zendsp_protocol.messages import Program
 
 
 async def _answer(pilot: Pilot[None], text: str) -> None:
@@ -47,10 +38,6 @@ async def _answer(pilot: Pilot[None], text: str) -> None:
     await pilot.pause()
     await pilot.press("enter")
     await pilot.pause()
-
-
-def _text(screen: DiagnoseScreen, name: str) -> str:
-    return str(screen.query_one(name, Static).render())
 
 
 def _keys(screen: DiagnoseScreen) -> list[str]:
@@ -81,21 +68,6 @@ async def _alone(
         yield pilot, await opened(app, pilot, until, DiagnoseScreen)
 
 
-async def _stored_shown(pilot: Pilot[None], until: Until) -> DiagnoseScreen:
-    """Open Diagnose, and on it the newest diagnosis that is stored."""
-    assert isinstance(pilot.app, ZendspApp)
-    screen = await opened(pilot.app, pilot, until, DiagnoseScreen)
-    await pilot.press("o", "enter")
-    await until(pilot, lambda: screen.shown is not None, "the newest is opened")
-    return screen
-
-
-def _words(pilot: Pilot[None]) -> str:
-    """What the dialog in sight says."""
-    assert isinstance(pilot.app.screen, Message)
-    return str(pilot.app.screen.query_one(".words").render())
-
-
 @pytest.mark.covers("diagnose.start", "diagnose.add", "diagnose.model")
 async def test_a_file_is_diagnosed_and_the_finding_is_drawn(tmp_path: Path, until: Until) -> None:
     run, model = cases.bench(tmp_path)
@@ -118,7 +90,7 @@ async def test_a_file_is_diagnosed_and_the_finding_is_drawn(tmp_path: Path, unti
         await until(pilot, lambda: screen.shown and not screen.busy, "diagnosed")
         assert screen.shown is not None
         assert screen.shown.report["findings"][0]["effect"] == "coulomb"
-        assert "Missing physics: dry friction (coulomb) at joint 1" in _text(screen, "#verdict")
+        assert "Missing physics: dry friction (coulomb) at joint 1" in text_of(screen, "#verdict")
         assert {"finding-0", "error_joint1", "torque_joint1", "unseen", "loop"} <= set(
             _keys(screen)
         )
@@ -234,7 +206,7 @@ async def test_what_fails_is_said(tmp_path: Path, until: Until) -> None:
         screen.model = str(tmp_path / "bad.toml")
         await pilot.press("s")
         await until(pilot, lambda: screen.said and not screen.busy, "it ends")
-        assert "bad.toml" in screen.said[-1] and "bad.toml" in _text(screen, "#words")
+        assert "bad.toml" in screen.said[-1] and "bad.toml" in text_of(screen, "#words")
         assert screen.shown is None
 
 
@@ -250,7 +222,7 @@ async def test_a_model_is_begun_from_the_recording_where_there_is_none(
         assert screen.model == str(model), "named like the recording"
         assert load_model(model).joints == 1
         assert screen.shown is None, "what is asked comes before a diagnosis"
-        assert "Answer them in bench.toml" in _text(screen, "#words")
+        assert "Answer them in bench.toml" in text_of(screen, "#words")
         await pilot.press("m")
         await pilot.pause()
         assert isinstance(pilot.app.screen, Choose)
@@ -338,7 +310,7 @@ async def test_an_earlier_diagnosis_is_opened_saved_and_compared(
     monkeypatch.setattr(diagnose_loop, "graphical", lambda: bool(pages))
     monkeypatch.setattr("webbrowser.open", lambda url: not pages.append(url))
     async with _alone(tmp_path, until, (200, 60)) as (pilot, screen):
-        await _stored_shown(pilot, until)
+        await stored_shown(pilot, until)
         await until(pilot, lambda: screen.query_one(FigureView).display, "its first figure")
         await pilot.pause()
         _drawn(screen)
@@ -347,7 +319,7 @@ async def test_an_earlier_diagnosis_is_opened_saved_and_compared(
             "finding-0", "finding-1", "fit", "left-1", "unseen", "notes", "loop"
         ]  # fmt: skip
         await pilot.press("down", "down", "down", "down")
-        assert "ripple" in _text(screen, "#words") and "0.002 N m" in _text(screen, "#words")
+        assert "ripple" in text_of(screen, "#words") and "0.002 N m" in text_of(screen, "#words")
         await pilot.press("w")
         await _answer(pilot, str(tmp_path / "better.toml"))
         levels = [t.value("level") for t in load_model(tmp_path / "better.toml").terms
@@ -355,7 +327,7 @@ async def test_an_earlier_diagnosis_is_opened_saved_and_compared(
         assert levels == [8.0, 2.0]
         await pilot.press("d", "enter")
         await pilot.pause()
-        shown = _words(pilot)
+        shown = dialog_words(pilot)
         row = next(line for line in shown.splitlines() if line.startswith("coulomb, joint 1"))
         assert row.index("level 6 N m") < row.index("level 8 N m"), shown
         assert max(map(len, shown.splitlines())) <= 74, "as wide as the dialog is at 80 columns"
@@ -364,164 +336,7 @@ async def test_an_earlier_diagnosis_is_opened_saved_and_compared(
         assert first.when in made and second.when in made, "of one recording, perhaps"
         await pilot.press("escape", "v")
         await until(pilot, lambda: isinstance(pilot.app.screen, Message), "no browser: where it is")
-        assert str(second.page.name) in _words(pilot)
+        assert str(second.page.name) in dialog_words(pilot)
         pages.append("from now on there is one")
         await pilot.press("escape", "v")
         await until(pilot, lambda: second.page.as_uri() in pages, "opened")
-
-
-@pytest.mark.covers("diagnose.compensate")
-async def test_compensation_fades_in_and_out_of_the_running_program(
-    lab: ZendspApp, target: Target, enabled: Step, until: Until, folder: Path
-) -> None:
-    cases.stored(folder / "diagnoses")
-
-    def share() -> float:
-        return float(lab.session.snapshot.values.get("comp_share", -1.0))
-
-    async with lab.run_test(size=(160, 48)) as pilot:
-        await enabled(lab, pilot)
-        screen = await _stored_shown(pilot, until)
-        await pilot.press("c")
-        await until(pilot, lambda: isinstance(lab.screen, Message), "it offers to build")
-        await pilot.press("enter")
-        await until(pilot, lambda: share() == 0.0, "built with room, and off")
-        assert (folder / "compensation.c").is_file()
-        await pilot.press("f2")
-        await pilot.pause()
-        await until(pilot, lambda: lab.session.snapshot.drive in ("enabled", "homed"), "drives")
-        if lab.session.snapshot.drive == "homed":
-            await pilot.press("e")
-            await until(pilot, lambda: lab.session.snapshot.drive == "enabled", "enabled")
-        await pilot.press("s")
-        await until(pilot, lambda: lab.session.snapshot.t > 3.0, "running on the circle")
-        await pilot.press("f5")
-        await pilot.pause()
-        await pilot.press("c", "c")  # at once; a second press while it measures starts no other
-        await until(pilot, lambda: "compensation off" in _text(screen, "#loop-words"), "measures")
-        await until(pilot, lambda: share() == 1.0, "on")
-        assert screen.before["e1"] > 0.0, "the error without it was measured first"
-        at = lab.session.snapshot.t
-        await until(pilot, lambda: "compensation on" in _text(screen, "#loop-words"), "it says so")
-        assert target.read(["comp_coulomb1_level"]).values["comp_coulomb1_level"] == 8.0
-        await until(pilot, lambda: lab.session.snapshot.t > at + 3.0, "faded in, and 2 s more")
-        await until(
-            pilot, lambda: screen._rms().get("e1", 1.0) < 0.7 * screen.before["e1"],
-            "the tracking error falls",
-        )
-        words = _text(screen, "#loop-words")
-        assert "→" in words and "rms over 4.5 s" in words, "a turn of the circle"
-        assert words.count("rad") == 1 and len(words) <= 80, "whole, where there are 80 columns"
-        await pilot.press("c")
-        await until(pilot, lambda: share() == 0.0, "off")
-        await pilot.press("c")
-        await until(pilot, lambda: share() == 1.0, "on again, of a loop that is looked at already")
-        screen.compensation = None  # as of the next diagnosis, where nothing is left to cancel
-        line = screen.query_one("#findings", OptionList)
-        await until(
-            pilot,
-            lambda: "nothing to cancel; the compensation in the program is on; c fades it out"
-            in str(line.get_option_at_index(len(screen.entries) - 1).prompt),
-            "that one is on is not hidden",
-        )
-        assert "compensation on" in _text(screen, "#loop-words")
-        await pilot.press("c")
-        await until(pilot, lambda: share() == 0.0, "off")
-
-
-async def test_a_program_without_room_is_told_what_to_add(
-    lab: ZendspApp, enabled: Step, until: Until, folder: Path
-) -> None:
-    cases.stored(folder / "diagnoses")
-    source = folder / "pd.c"
-    source.write_text(
-        source.read_text()
-        .replace('__has_include("compensation.c")', "0")
-        .replace('#include "compensation.c"\n', "")
-    )
-    async with lab.run_test(size=(160, 48)) as pilot:
-        await enabled(lab, pilot)
-        screen = await _stored_shown(pilot, until)
-        await pilot.press("c")
-        await until(pilot, lambda: isinstance(lab.screen, Message), "it says how")
-        shown = _words(pilot)
-        assert "CompensationInit();" in shown and "tau[j] += Compensation(" in shown
-        await pilot.press("enter")
-        await until(pilot, (folder / "compensation.c").is_file, "written")
-        assert screen.compensation is not None and screen.compensation.left_out == ()
-
-
-async def test_a_program_that_runs_already_needs_no_source_to_be_chosen(
-    lab: ZendspApp, target: Target, until: Until, folder: Path
-) -> None:
-    """As after ``zendsp run pd.c`` in another terminal: the target knows what it compiled."""
-    cases.stored(folder / "diagnoses")
-    lab.source, pd = None, folder / "pd.c"
-    target.download(pd, ["-DHERE=1"])
-    pd.write_text("another program")
-    async with lab.run_test(size=(160, 48)) as pilot:
-        await _stored_shown(pilot, until)
-        await until(pilot, lambda: lab.session.snapshot.program, "connected")
-        await pilot.press("c")
-        await until(pilot, lambda: isinstance(lab.screen, Message), "it says why not")
-        said = _words(pilot)
-        assert "is not the pd.c that runs" in said and "Choose its source on Console" in said
-        await pilot.press("escape")
-        pd.unlink()
-        await pilot.press("c")
-        await until(pilot, lambda: isinstance(lab.screen, Message), "it offers to build")
-        await pilot.press("enter")
-        await until(pilot, lambda: lab.session.snapshot.values.get("comp_share") == 0.0, "built")
-        assert "comp_coulomb1_level" in target.variables()
-        assert "-DHERE=1" in target.program().flags
-        assert lab.source == pd and "UserISR_INT2" in pd.read_text()
-
-
-def test_a_program_of_a_target_is_written_nowhere_else(tmp_path: Path) -> None:
-    for sources, said in (
-        ({}, "does not know the source"),
-        ({"pd.c": "", "../up.h": ""}, "up.h of the running program does not belong"),
-    ):
-        with pytest.raises(ZendspError, match=said):
-            written_out(Program(sources=sources), tmp_path)
-    place, texts = written_out(Program(sources={"a.c": "b", "compensation.c": "c"}), tmp_path)
-    assert place == tmp_path / "a.c" and texts == {"a.c": "b"}
-
-
-def test_what_a_torque_cannot_cancel_is_left_out_and_said(tmp_path: Path) -> None:
-    d = cases.stored(tmp_path)
-    model = load_model(d.folder / "model.toml")
-    late = Term("lag", 1, {"time_constant": Quantity(0.002)})
-    (d.folder / "model.toml").write_text(model_text(model.with_terms((*model.terms, late))))
-    d.report["findings"].append({**d.report["findings"][0], "effect": "lag"})
-    made = compensation_of(d)
-    assert made.left_out == (f"Not compensated: lag of joint 1 ({why_not('lag')}).",)
-    assert made.values and not any("lag" in name for name in made.values)
-
-
-@pytest.mark.covers("diagnose.next")
-async def test_the_proposed_motion_is_played_and_diagnosed_with_the_rest(
-    lab: ZendspApp, enabled: Step, until: Until, folder: Path
-) -> None:
-    motion = make_reference("circle", "imi_planar", duration=3.0)
-    d = cases.stored(folder / "diagnoses", motion=motion)
-    Path(d.recordings[0]).write_text("t\n0\n")
-    async with lab.run_test(size=(160, 48)) as pilot:
-        await enabled(lab, pilot)
-        screen = await _stored_shown(pilot, until)
-        asked: list[list[str]] = []
-        screen.action_start = lambda: asked.append(screen.chosen("fit"))  # type: ignore[method-assign]
-        await pilot.press("n")
-        await until(pilot, lambda: isinstance(lab.screen, ExecuteScreen), "Execute is shown")
-        execute = lab.screen
-        assert isinstance(execute, ExecuteScreen)
-        await until(
-            pilot, lambda: execute.references and all(c.met for c in execute.conditions),
-            "tried on the twin",
-        )
-        await pilot.press("s")
-        await until(pilot, lambda: asked, "played, and diagnosed again")
-        made = list_runs(folder / "runs")[0]
-        assert asked[0] == [d.recordings[0], str(made.folder / DATA)]
-        assert screen.model == d.model
-        assert lab.screen is screen

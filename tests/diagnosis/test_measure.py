@@ -1,0 +1,308 @@
+"""What a model lacks, measured: where it is, whether it repeats itself, and what recordings that
+nothing has touched say of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import reality
+from reality import RATE
+from small_models import COULOMB, VISCOUS, data_of, model_of
+
+from zendsp.diagnosis.data.prepare import one_sensor, prepare
+from zendsp.diagnosis.data.signals import Parts, Signals
+from zendsp.diagnosis.decide import clocks
+from zendsp.diagnosis.decide import decide as decision
+from zendsp.diagnosis.decide.assemble import with_disagreement
+from zendsp.diagnosis.decide.clocks import apart_in_time
+from zendsp.diagnosis.decide.thresholds import BY_CHANCE, LAWFUL, OF_STATE, SURE
+from zendsp.diagnosis.measure import evidence
+from zendsp.diagnosis.measure.bursts import bursts, periodic
+from zendsp.diagnosis.measure.discrepancy import at_reversals, deviation, discrepancy
+from zendsp.diagnosis.measure.evidence import compare
+from zendsp.diagnosis.measure.likelihood import Scored, calibrate_joint, fit_scored
+from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, Structure, structure
+from zendsp.diagnosis.measure.where import Missing, mismatch, regions
+from zendsp.physics.calibration.fit import Data, fit, joint_handles
+
+
+def test_a_figure_shows_the_torque_that_lacks_in_full_beside_a_models_damping() -> None:
+    """A ninth of it was lost to the damping, so that a figure said less than its sentence."""
+    reference = reality.multisine(6.0, RATE, 3, size=1.2)
+    columns = reality.simulate(reality.Machine(viscous=0.05), reference, RATE)
+    model = model_of({**VISCOUS, "coefficient": 0.05})
+    (lacks,) = mismatch(data_of(columns, model), model, 1)
+    speed = lacks.variables["velocity"]
+    fast = np.abs(speed) > np.quantile(np.abs(speed), 0.5)
+    assert np.median(lacks.torque[fast] * np.sign(speed[fast])) == pytest.approx(0.03, rel=0.03)
+
+
+def test_a_term_that_only_the_fit_wants_does_not_pass_an_untouched_recording() -> None:
+    model = model_of(VISCOUS, COULOMB)
+    data = data_of(
+        reality.simulate(reality.Machine(), reality.multisine(6.0, RATE, 5), RATE), model
+    )
+    other = data_of(
+        reality.simulate(reality.Machine(), reality.multisine(6.0, RATE, 6), RATE, 6), model
+    )
+    right = calibrate_joint(data, model, 1)
+    without = model_of(VISCOUS)
+    worse = fit_scored(right.data, without, joint_handles(data, without, 1), (1,))
+    seen = compare(worse, right, other, 1)
+    assert seen.gain > 100.0 and seen.z > 4.0
+    spoiled = Scored(right.fit, right.data, right.deviance, (1,))
+    spoiled = replace(
+        spoiled, fit=replace(right.fit, model=model_of(VISCOUS, {**COULOMB, "level": 0.05}))
+    )
+    assert compare(right, spoiled, other, 1).gain < -100.0
+
+
+def test_neighbouring_blocks_that_resemble_each_other_count_for_less() -> None:
+    alone = np.random.default_rng(1).standard_normal(4000)
+    in_fives = np.repeat(alone[:800], 5)
+    assert deviation(alone) == pytest.approx(np.sqrt(4000), rel=0.1)
+    assert deviation(in_fives) > 1.8 * np.sqrt(4000)  # that of 800 sums of five: 2.2 times
+
+
+def test_what_acts_in_few_blocks_is_evidence_though_nothing_moves_in_most(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A recording that mostly rests; and one block that lost the track does not decide."""
+    starts = np.r_[np.full(12, 40.0), np.full(88, 1e-7)]
+    lost = np.r_[4000.0, np.full(99, 1e-7)]
+    for blocks, least, most in ((starts, 100.0, 1000.0), (lost, 0.0, 20.0)):
+        scores = iter((blocks, np.zeros(100)))
+        monkeypatch.setattr(evidence, "settling", lambda *_: 0.1)
+        monkeypatch.setattr(evidence, "block_scores", lambda *_, of=scores: next(of))
+        assert least < compare(None, None, None, 1).gain < most  # type: ignore[arg-type]
+
+
+def test_what_repeats_itself_and_what_remembers_are_told_from_unrest() -> None:
+    reference = reality.multisine(10.0, RATE, 3)
+    model = model_of(VISCOUS, COULOMB)
+    quiet = reality.simulate(reality.Machine(), reference, RATE)
+    restless = reality.simulate(reality.Machine(unrest=0.004), reference, RATE)
+    rms = float(np.sqrt(np.mean(quiet["u"] ** 2)))
+    swung, v, rate = np.zeros(len(reference)), 0.0, np.gradient(np.gradient(quiet["q"]))
+    for k in range(1, len(reference)):  # a mass on a spring of 1.7 Hz, carried along
+        v += rate[k] * RATE - (2 * np.pi * 1.7) ** 2 * swung[k - 1] / RATE - 1.5 * v / RATE
+        swung[k] = swung[k - 1] + v / RATE
+    with_sine = {**quiet, "u": quiet["u"] + 0.03 * rms * np.sin(2 * np.pi * 3.7 * quiet["t"])}
+    with_swing = {**quiet, "u": quiet["u"] + 0.04 * rms * swung / np.std(swung)}
+
+    def seen(columns: dict[str, np.ndarray]) -> tuple[float, float]:
+        half = len(reference) // 2
+        parts = [
+            data_of({key: x[a : a + half] for key, x in columns.items()}, model) for a in (0, half)
+        ]
+        memory = structure(parts, model, 1, [MEMORY])
+        return periodic(parts[1], model, 1), memory.size if memory.z > 3 else 0.0
+
+    assert max(*seen(quiet), *seen(restless)) < LAWFUL
+    assert seen(with_sine)[0] == pytest.approx(0.03 / np.sqrt(2), rel=0.2)
+    assert seen(with_swing)[1] > 0.02
+
+
+def test_a_torque_that_acts_seldom_is_told_from_chance() -> None:
+    """At four places of a minute; what it gains, it gains in four of many blocks of time."""
+    reference = reality.multisine(40.0, RATE, 3)
+    model = model_of(VISCOUS, COULOMB)
+    quiet = reality.simulate(reality.Machine(), reference, RATE)
+    restless = reality.simulate(reality.Machine(unrest=0.01), reference, RATE)
+    rms, half = float(np.sqrt(np.mean(quiet["u"] ** 2))), len(reference) // 2
+    place = min(quiet["q"][:half].max(), quiet["q"][half:].max())
+    bump = np.exp(-(((quiet["q"] - place) / (0.03 * np.ptp(quiet["q"]))) ** 2))
+
+    def seen(columns: dict[str, np.ndarray]) -> Structure:
+        parts = [
+            data_of({key: x[a : a + half] for key, x in columns.items()}, model) for a in (0, half)
+        ]
+        return structure(parts, model, 1, STRUCTURED)
+
+    v = np.gradient(quiet["q"]) * RATE
+    wave = v / np.std(v) * np.cos(20.0 * np.pi * quiet["q"] / np.ptp(quiet["q"]))
+    fine = seen({**quiet, "u": quiet["u"] + 0.02 * rms * wave})
+    assert fine.size > OF_STATE and fine.apart > BY_CHANCE, "damping with ten waves over the travel"
+    seldom, never = seen({**quiet, "u": quiet["u"] + 0.05 * rms * bump}), seen(restless)
+    assert seldom.size > OF_STATE and seldom.z < SURE and seldom.apart > BY_CHANCE
+    assert never.size < OF_STATE or never.apart < BY_CHANCE
+
+
+def test_a_constant_torque_does_not_act_where_a_joint_turns_round() -> None:
+    """However long it turns: a slow motion spends most of its time there."""
+    t = 2 * np.pi * np.arange(6000) / RATE
+    columns = reality.simulate(reality.Machine(), 0.2 * np.sin(0.3 * t), RATE)
+    plain = model_of(VISCOUS, COULOMB)
+    constant = model_of(VISCOUS, COULOMB, {"kind": "torque_offset", "joint": 1, "level": 0.002})
+    bristles = model_of(VISCOUS, COULOMB, {"kind": "presliding", "joint": 1, "stiffness": 3.0})
+    data = data_of(columns, plain)
+    assert abs(at_reversals(data, plain, constant, 1)) < 0.2
+    assert at_reversals(data, plain, bristles, 1) > 0.9
+
+
+def test_what_acted_before_the_recording_began_bends_no_number() -> None:
+    lag, steps = 0.045, 10
+    h = 1.0 / RATE / steps
+    command = 0.1 * np.cos(np.cumsum(2 * np.pi * np.linspace(0.1, 0.7, 4000)) / RATE)
+    q, v, acts, seen = 0.0, 0.0, 0.0, []
+    for u in command:  # a drive that stood still before the first, largest, command
+        seen.append(q)
+        for _ in range(steps):
+            acts += h * (u - acts) / lag
+            v += h * (acts - 0.004 * v) / 0.01
+            q += h * v
+    model = model_of(VISCOUS, {"kind": "lag", "joint": 1, "time_constant": 0.02})
+    columns = {"t": np.arange(len(seen)) / RATE, "q": np.array(seen), "u": command}
+    data = data_of(columns, model)
+    found = fit(data, model, joint_handles(data, model, 1), joints=(1,), iterations=20).model
+    assert found.at(1)[-1].value("time_constant") == pytest.approx(lag, rel=0.02)
+
+
+def test_a_recording_whose_rows_are_shifted_is_told_from_the_others(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    reference = reality.multisine(8.0, RATE, 3)
+    model = model_of(VISCOUS, COULOMB)
+
+    def read(name: str, late: int, viscous: float = 0.004, ripple: float = 0.0) -> Data:
+        machine = reality.Machine(late=late, viscous=viscous, ripple=ripple)
+        data = data_of(reality.simulate(machine, reference, RATE), model)
+        record = replace(data.records[0][0], recording=name)
+        return replace(data, records=((record,),))
+
+    same, other = read("a.csv", 0), read("c.csv", 0, viscous=0.005)
+    assert apart_in_time(Parts(same, read("b.csv", 0, viscous=0.003), other), model) == []
+    (said,) = apart_in_time(Parts(same, read("b.csv", 2), other), model)
+    assert said.startswith("joint 1: in b.csv the command column stands")
+    assert "ms later against the position than in a.csv, c.csv" in said
+    same_again = Parts(same, read("b.csv", 2), other)
+    assert apart_in_time(same_again, model, {(1, "b.csv")}) == []
+    # most of what lacks in it is something else
+    besides = Parts(same, read("b.csv", 2, ripple=0.05), other)
+    assert apart_in_time(besides, model) == []
+    monkeypatch.setattr(clocks, "_explains", lambda *_: True)
+    assert apart_in_time(besides, model) != []
+
+
+@pytest.mark.parametrize("rows", [60, 120])
+def test_of_a_recording_shorter_than_an_observer_remembers_little_is_said(rows: int) -> None:
+    columns = reality.simulate(reality.Machine(), reality.multisine(1.0, RATE, 3), RATE)
+    model = model_of(VISCOUS, COULOMB)
+    data = data_of({key: x[:rows] for key, x in columns.items()}, model)
+    assert discrepancy(data, model, 1).low == 0.0
+    assert structure([data, data], model, 1, ["position_torque"]).z < 3.0
+
+
+def test_what_comes_at_most_reversals_is_how_friction_turns_round_and_no_disturbance() -> None:
+    t = 2 * np.pi * np.arange(12000) / RATE
+    reference = 0.8 * np.sin(0.4 * t) + 0.4 * np.sin(0.271 * t)
+    model = model_of(VISCOUS, COULOMB)
+    quiet = reality.simulate(reality.Machine(), reference, RATE)
+    v = np.gradient(quiet["q"]) * RATE
+    turns = np.flatnonzero(np.diff(np.sign(np.convolve(v, np.ones(15) / 15, "same"))))
+
+    def found(
+        at: np.ndarray, dry: float = 0.03, often: float = 0.3, after: int = 20, size: float = 0.02
+    ) -> bool:
+        torque = np.zeros(len(v))
+        for k in at:
+            torque[max(0, k - 20) : k + after] = size
+        data = data_of({**quiet, "u": quiet["u"] + torque}, model)
+        return bursts(data, model, 1, data, many=99, dry=dry, often=often) is not None
+
+    some = turns[[len(turns) // 3, len(turns) // 2]]
+    assert found(some), "a push happens to come when it turns"
+    assert not found(some, often=0.0), "where no other recording shows one"
+    assert found(some, often=0.0, size=0.2), "no friction of 0.03 N m holds with 0.2"
+    assert found(some, often=0.0, after=600), "it lasts while the joint moves on"
+    many = turns[np.random.default_rng(1).random(len(turns)) < 0.45]
+    assert found(many, dry=0.0)
+    assert not found(many)
+
+
+def test_numbers_on_which_other_recordings_disagree_are_less_certain() -> None:
+    reference = reality.multisine(8.0, RATE, 3)
+    model = model_of(VISCOUS, COULOMB)
+    one, same, other = (
+        data_of(reality.simulate(reality.Machine(coulomb=level), reference, RATE, seed), model)
+        for level, seed in ((0.03, 1), (0.03, 2), (0.033, 3))
+    )
+    fitted = fit(one, model, joint_handles(one, model, 1), joints=(1,))
+    at = next(i for i, h in enumerate(fitted.handles) if h.key == "level")
+    agreed, apart = (
+        with_disagreement(one, held, fitted, (1,), 1).std[at] for held in (same, other)
+    )
+    assert agreed < 2.0 * fitted.std[at]
+    assert apart == pytest.approx(0.003 / np.sqrt(2), rel=0.1)
+
+
+def test_a_recording_in_which_the_joint_hardly_moves_has_the_noise_of_the_sensor() -> None:
+    count, t = reality.RESOLUTION, np.arange(4000) / RATE
+    random = np.random.default_rng(0)
+
+    def seen(motion: np.ndarray) -> Signals:
+        q = np.round(motion / count + 0.5 * random.standard_normal(len(t))) * count
+        u = np.zeros((len(t), 1))
+        return Signals("run", t, 1.0 / RATE, q[:, None], u, None, np.array([count]))
+
+    moves = [seen(np.sin(w * t)) for w in (2.0, 3.0)]
+    rests = replace(moves[0], position=np.zeros((len(t), 1)))
+    model = model_of(VISCOUS, COULOMB)
+    alone = prepare([rests], model).records[0][0].measurement.noise
+    beside = prepare(one_sensor([rests, *moves])[:1], model).records[0][0].measurement.noise
+    twice = one_sensor([rests, moves[0], moves[0], moves[1]])[0].least_noise
+    assert alone == 0.0 and beside == pytest.approx(0.5 * count, rel=0.15)
+    assert twice is not None and twice[0] == beside
+
+
+@pytest.mark.parametrize(("steps", "pushed", "numeric"), [(1, 0.0, True), (20, 0.001, False)])
+def test_a_simulator_of_first_order_is_half_a_row_off_and_lacks_nothing(
+    steps: int, pushed: float, numeric: bool
+) -> None:
+    t = np.arange(5000) / RATE
+    command = 0.15 * (np.sin(7.0 * t) + np.sin(17.0 * t + 1.0) + np.sin(31.0 * t + 2.0))
+    foreign = pushed * np.random.default_rng(5).standard_normal(50).repeat(100)
+    h, q, v, seen = 1.0 / RATE / steps, 0.0, 0.0, []
+    for u in command + foreign:
+        seen.append(q)
+        for _ in range(steps):
+            v += h * (u - 0.004 * v) / 0.01
+            q += h * v
+    model = model_of(VISCOUS)
+    data = data_of({"t": t, "q": np.array(seen), "u": command}, model)
+    base = calibrate_joint(data, model, 1)
+    out: Any = SimpleNamespace(joint=1, base=base, before=discrepancy(data, base.model, 1))
+    parts: Any = SimpleNamespace(fit=data, test=data)
+    assert out.before.value > OF_STATE
+    assert decision._half_a_row(out, parts, 1) is numeric
+
+
+def test_where_it_lacks_is_said_of_all_recordings_together() -> None:
+    """A torque at 0.5 rad that the second recording alone comes to, and a smaller one at -0.5."""
+    t = np.arange(5000) * 0.002
+
+    def one(low: float, high: float) -> Missing:
+        q = low + (high - low) * (0.5 - 0.5 * np.cos(3.0 * t))
+        pull = np.exp(-(((q - 0.5) / 0.1) ** 2)) + 0.4 * np.exp(-(((q + 0.5) / 0.1) ** 2))
+        plain = {"velocity": np.gradient(q, t), "acceleration": t, "command": t}
+        return Missing(t, pull, np.full(len(t), 0.01), {"position": q, **plain})
+
+    for both in ([one(-1.0, 0.0), one(-1.0, 1.0)], [one(-1.0, 1.0), one(-1.0, 0.0)]):
+        region = next(r for r in regions(both, 1) if r.variable == "position")
+        low, high = region.interval
+        assert low < 0.45 and high > 0.55 and region.share < 0.9
+    assert regions([], 1) == []
+
+
+def test_an_interval_that_holds_hardly_more_than_its_part_of_the_time_is_no_place() -> None:
+    t = 0.002 * np.arange(5000)
+    q = np.sin(3.0 * t)
+    level = np.where(np.abs(q) < 0.97, 1.0, 0.6)  # 91 % of it in 84 % of the time
+    plain = {"velocity": t, "acceleration": t, "command": t}
+    lacks = [Missing(t, level, np.full(len(t), 0.01), {"position": q, **plain})]
+    assert not [r for r in regions(lacks, 1) if r.variable == "position"]
