@@ -26,6 +26,7 @@ MOST_NAME = 200  # characters of who asks: it is kept in the log and told to all
 MOST_TEXT = 20_000  # characters of an error, which may quote what was asked
 ROOM = 1024  # bytes at first: a packer that makes room for 256 kB each time asks the kernel for it
 _KNOWN: set[Any] = set()  # types that msgspec has looked at, nested ones included
+_PACKERS: list[Any] = []  # that nobody uses; methods of a list need no lock
 _LOOKING = threading.Lock()
 _MALFORMED = (msgspec.MsgspecError, ValueError, TypeError, OverflowError, RecursionError)
 
@@ -41,7 +42,14 @@ class Reply(msgspec.Struct, frozen=True):
 
 def encode(message: Any) -> bytes:
     """Encode any message, dataclass, number or array."""
-    return msgpack.Packer(default=_plain, buf_size=ROOM).pack(message)  # type: ignore[no-any-return]
+    try:
+        packer = _PACKERS.pop()  # to make one takes as long as to pack
+    except IndexError:  # other threads have them all
+        packer = msgpack.Packer(default=_plain, buf_size=ROOM)
+    data: bytes = packer.pack(message)  # one that fails is not used again
+    if len(data) <= ROOM:  # else it would keep the room that it made
+        _PACKERS.append(packer)
+    return data
 
 
 def _plain(value: Any) -> Any:
@@ -106,8 +114,7 @@ def _convert(value: Any, kind: Any, what: str) -> Any:
 def encode_request(verb: str, arguments: Any, by: str, version: int = PROTOCOL) -> bytes:
     """Encode a request; ``arguments`` is the verb's struct or a dictionary of the same fields."""
     try:
-        body = {"v": version, "verb": verb, "by": by, "args": arguments}
-        return msgpack.Packer(default=_plain, buf_size=ROOM).pack(body)  # type: ignore[no-any-return]
+        return encode({"v": version, "verb": verb, "by": by, "args": arguments})
     except UnicodeEncodeError as error:  # of a name that was read in another encoding
         raise Refused(f"{error.object!r} is no text in UTF-8") from error
 

@@ -19,20 +19,5 @@ _FORM = struct.Struct(">8sQ8sB")
 # another after each start; attempt: FIRST; AGAIN: it was sent before; SETTLE: tell how it ended,
 # and if it did not come, never carry it out.
 stamp = _FORM.pack  # link, number, instance, attempt
-
-
-def read_stamp(data: bytes) -> tuple[bytes, int, bytes, int]:
-    """Decode an attachment into link, number, instance and attempt.
-
-    Raises
-    ------
-    ValueError
-        It is none.
-    """
-    try:
-        return _FORM.unpack(data)  # type: ignore[return-value]
-    except struct.error as error:
-        raise ValueError(
-            f"an attachment of a request has {_FORM.size} bytes, not {len(data)}; see"
-            " docs/protocol.md"
-        ) from error
+read_stamp = _FORM.unpack  # raises struct.error
+STAMP_SIZE = _FORM.size

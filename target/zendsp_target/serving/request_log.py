@@ -5,6 +5,7 @@ carried out again.
 from __future__ import annotations
 
 import os
+import struct
 import threading
 import time
 from collections import OrderedDict
@@ -14,7 +15,7 @@ from typing import Any
 
 from zendsp_protocol import codec
 from zendsp_protocol.errors import LinkError, NotApplied
-from zendsp_protocol.once import FIRST, SETTLE, read_stamp
+from zendsp_protocol.once import FIRST, SETTLE, STAMP_SIZE, read_stamp
 
 LINKS = 256  # connections of one user that are remembered
 # a connection that was quiet for so long has given up every request: a host sends one again for 30
@@ -88,8 +89,13 @@ class Once:
         """
         try:
             link, number, instance, attempt = read_stamp(data)
-        except ValueError as error:
-            return None, codec.encode_error(LinkError(str(error)))
+        except struct.error:
+            return None, codec.encode_error(
+                LinkError(
+                    f"an attachment of a request has {STAMP_SIZE} bytes, not {len(data)}; see"
+                    " docs/protocol.md"
+                )
+            )
         if attempt != FIRST and instance != self.instance:
             return None, codec.encode_error(
                 LinkError(
