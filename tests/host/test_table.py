@@ -35,7 +35,7 @@ def test_csv_with_units_gaps_semicolons_and_decimal_commas(tmp_path: Path) -> No
         ("", r"is empty \(0 bytes\)"),
         ("\n", "is empty; expected a line of column names"),
         ("t,q\n", "no rows"),
-        ("0,1\n1,2\n", "line 1 holds numbers"),
+        ("0,1\n1,2\n", "names of its 2 columns there: put a line such as t,position above"),
         ("t,q\n0,1\n1\n", "line 3 has 1 values where the header names 2"),
         ("t,q\n0,1\n1,2,3\n", "line 3 has 3 values where the header names 2"),
         ("t,q\n0,1\n1,east\n", "column 'q', line 3: 'east' is not a number"),

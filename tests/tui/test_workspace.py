@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from zendsp.tui import workspace
+from zendsp.tui.screens.analysis import models_for
 
 
 def test_the_newest_references_are_listed_where_there_are_more_than_fit(
@@ -23,3 +24,13 @@ def test_the_newest_references_are_listed_where_there_are_more_than_fit(
         os.utime(tmp_path / name, (1e9 + age, 1e9 + age))
     found = workspace.Workspace(tmp_path).saved_references()
     assert [p.stem for p in found] == ["e", "d"]  # of the three newest files, one is no reference
+
+
+def test_a_model_that_is_taken_by_itself_is_one_that_can_be_read(tmp_path: Path) -> None:
+    (tmp_path / "arm.toml").write_text("name = 'arm'\n[mechanism\n")  # cut off
+    (tmp_path / "pyproject.toml").write_text("[project]\nname = 'arm'\n")  # no model
+    (tmp_path / "rig.toml").write_text("name = 'arm'\n[mechanism]\nkind = 'rotary'\n")
+    (tmp_path / "rotor.toml").write_text("name = 'rotor'\n[mechanism]\nkind = 'rotary'\n")
+    space = workspace.Workspace(tmp_path)
+    assert [p.name for p in models_for("arm", space)] == ["rig.toml", "rotor.toml", "arm.toml"]
+    assert [p.name for p in models_for("", space)] == ["rig.toml", "rotor.toml", "arm.toml"]

@@ -210,5 +210,5 @@ def _draw(
             axis.plot(x, sign * (level + viscous * np.abs(x)), color=RED, linewidth=1.0)
         unit = units[joint]
         force = "N m" if unit == "rad" else "N"
-        label(axis, f"speed ({unit}/s)", f"friction ({force})", f"joint {joint}")
+        label(axis, f"speed ({unit}/s)", f"friction ({force})", f"joint {joint}; bars: ± 2 σ")
     return save(figure, bench.folder / "friction.png")

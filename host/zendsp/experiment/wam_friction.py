@@ -373,7 +373,7 @@ def _draw(maps: dict[int, Array], result: Result) -> Any:
             color=BLUE,
             markersize=3.5,
             linewidth=0.8,
-            label="measured",
+            label="measured (bars: ± 2 σ)",
         )
         for end, sign, k in (("pos", 1, 0), ("neg", -1, 1)):
             x = sign * np.array([0.0, np.abs(points[:, 0]).max()])

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 MARK = "# zendsp "
 TITLE = "# A recording of zendsp"
 NOTHING = ("", "NA", "null")  # cells that stand for a number that is not there
+EXAMPLE = ("t", "position", "torque", "reference", "...")  # of a header, for who has none
 UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
@@ -129,8 +130,9 @@ def _header(path: Path, line: str, delimiter: str, number: int) -> tuple[list[st
     cells = [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter))]
     if all(_is_number(cell) for cell in cells):
         raise RecordingError(
-            f"{path}: line {number} holds numbers ({line[:40].strip()}); expected the names of the"
-            " columns there"
+            f"{path}: line {number} holds numbers ({line[:40].strip()}); expected the names of its"
+            f" {counted(len(cells), 'column')} there: put a line such as"
+            f" {delimiter.join(EXAMPLE[: len(cells)])} above it"
         )
     split = [split_unit(cell) for cell in cells]
     names = [name for name, _ in split]

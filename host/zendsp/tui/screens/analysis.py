@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from textual import on
@@ -222,23 +223,32 @@ def simulation_of(run: Run, runs: Path) -> tuple[list[str], Callable[[], str]]:
 
 def models_for(machine: str, workspace: Workspace) -> list[Path]:
     """Return the model files of a folder and those that come with zendsp: first what fits a machine
-    by its name.
+    by its name. What cannot be read comes last, to be told why.
     """
     patterns = ("*.toml", "models/*.toml", "examples/models/*.toml")
     near = [p for pattern in patterns for p in sorted(workspace.root.glob(pattern))]
     shipped = _shipped(machine)
     fit = [p for p in near if fits(p, machine)]
-    return fit + ([shipped] if shipped else []) + [p for p in near if p not in fit]
+    other = [p for p in near if p not in fit and fits(p)]
+    broken = [p for p in near if _table(p) is None]
+    return fit + ([shipped] if shipped else []) + other + broken
 
 
-def fits(path: Path, machine: str) -> bool:
-    """Whether a model file is named like a machine, or names itself so."""
-    if path.stem == machine:
-        return True
-    try:
-        return bool(written.toml(path.read_text("utf-8")).get("name") == machine)
-    except (OSError, ValueError):
+def fits(path: Path, machine: str = "") -> bool:
+    """Whether a file is a model, and where a machine is given, is named like it or names itself so.
+    """
+    table = _table(path)
+    if table is None or "mechanism" not in table:
         return False
+    return machine in ("", path.stem, table.get("name"))
+
+
+def _table(path: Path) -> dict[str, Any] | None:
+    """What stands in a TOML file; None: it cannot be read."""
+    try:
+        return written.toml(path.read_text("utf-8"))
+    except (OSError, ValueError):
+        return None
 
 
 def _shipped(machine: str) -> Path | None:

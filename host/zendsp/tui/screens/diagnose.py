@@ -136,7 +136,7 @@ class DiagnoseScreen(LoopActions):
             self.roles, self._marked = {last: "fit"}, last
         if not self.model:
             first, machine = next(iter(self._models()), None), self._machine()
-            meant = first if first and (not machine or fits(first, machine)) else ""
+            meant = first if first and fits(first, machine) else ""
             self.model = self.lab.model or str(meant)
         table: DataTable[Text] = self.query_one("#recordings", DataTable)
         at = table.cursor_row
