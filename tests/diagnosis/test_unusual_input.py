@@ -309,6 +309,25 @@ def test_a_tool_that_pulls_against_the_links_own_inertia_is_no_bad_recording(too
         looked_at(angles, np.stack([command[:, 0], run(0.0, seed=6)[1][:, 1]], axis=1))
 
 
+def test_a_joint_with_next_to_no_torque_beside_one_that_agrees_is_not_in_degrees() -> None:
+    """As the shoulder of an acrobot, which its elbow moves. Where neither agrees, both are."""
+    p1, p2, p3, l1, l2 = 0.6, 0.2, 0.05, 0.5, 0.3
+    mechanism = {"p1": p1, "p2": p2, "p3": p3, "l1": l1, "l2": l2}
+    model = parse_model(
+        {"sample_time": 0.004, "mechanism": {"kind": "planar2r", "parameters": mechanism}}
+    )
+    angles, command = swinging((p1, p2, p3), (l1, l2), (0.0, 0.0), 0.0, 1)
+
+    def looked_at(command: np.ndarray) -> None:
+        t = np.arange(len(angles)) * 0.004
+        signals = Signals("run", t, 0.004, angles, command, None, np.full(2, 1e-5))
+        check_driven(["joint 1", "joint 2"], prepare([signals], model, 64.0).records[0], model)
+
+    looked_at(command / [np.degrees(1.0), 1.0])
+    with pytest.raises(RecordingError, match="degrees"):
+        looked_at(command / np.degrees(1.0))
+
+
 def test_a_joint_that_its_controller_holds_while_another_swings_is_no_bad_recording() -> None:
     """As in a frequency response of joint 1: the command of joint 2 is only that of its controller,
     which looks like friction that drives.

@@ -261,7 +261,9 @@ def check_motion(data: Data, model: Model, names: Sequence[str]) -> list[str]:
             else:
                 driven = True
         if driven:
-            check_driven(where, rec, model, signs=speed == most[rec[0].recording])
+            of = rec[0].recording
+            parts = [part for part in data.records if part is not rec and part[0].recording == of]
+            check_driven(where, rec, model, parts, signs=speed == most[of])
         else:
             check_free(where, rec, model)
     return []

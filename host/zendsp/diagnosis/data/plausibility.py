@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.data.carried import is_carried, is_tool
-from zendsp.diagnosis.data.regression import Regression, look, regress, rigid_body
+from zendsp.diagnosis.data.regression import Regression, Slow, look, regress, rigid_body
 from zendsp.errors import RecordingError
 from zendsp.physics.calibration.joint import JointRecord, mechanism_value
 from zendsp.physics.model import Model, per_joint
@@ -36,6 +37,9 @@ GEARED = 7.0  # of all joints' inertias: a model of a real KR 300 is off by 4, a
 NONE = 0.2  # of the model's inertia: below, it does not show
 # of the command: a rigid body that should take so much of it, and does not show
 INERTIAL_SHARE = 0.3
+# of the command: beside joints that agree with the model, a joint whose body takes so much is moved
+# by them and not by its own torque. The first joint of a real acrobot has 3 to 10
+PASSIVE = 3.0
 VISIBLE = 0.05  # of the command: a rigid body below cannot show its sign
 SOUND = 0.6  # R^2 of a regression that may accuse a column
 HALF = 0.5  # R^2 of one that explains the motion by half
@@ -48,8 +52,53 @@ RIGHT = (0.5, 2.0)  # of the model's inertia: so near it a mistake is undone
 DRIVES = 0.3  # of the torque: friction that gives so much drives
 
 
+@dataclass(frozen=True)
+class _Looked:
+    """One recording, or part of one: motion, commands and noise of all joints, (joints, n) and
+    (joints,); the rigid body's torques; and each joint's regression, None where it shows nothing.
+    """
+
+    y: Array
+    u: Array
+    noise: Array
+    slow: Slow
+    body: tuple[Array, Array]
+    found: tuple[Regression | None, ...]
+
+
+def _looked(records: Sequence[JointRecord], model: Model) -> _Looked:
+    y = np.stack([r.position for r in records])
+    u = np.stack([r.command for r in records])
+    noise = np.array(
+        [np.hypot(r.measurement.noise, r.measurement.resolution / np.sqrt(12)) for r in records]
+    )
+    slow = look(y, u, records[0].sample_time, noise)
+    body = rigid_body(slow, model)
+    found = [
+        regress(slow, model, i + 1, body) if np.any(u[i]) else None for i in range(len(records))
+    ]
+    return _Looked(y, u, noise, slow, body, tuple(found))
+
+
+def _agreeing(found: Sequence[Regression | None]) -> set[int]:
+    """Joints whose columns are in the units of the model, from 0."""
+    return {
+        i
+        for i, x in enumerate(found)
+        if x is not None
+        and x.r2 > SOUND
+        and LITTLE < x.slope < MUCH
+        and x.slope > SURE_ERRORS * x.error
+    }
+
+
 def check_driven(
-    where: Sequence[str], records: Sequence[JointRecord], model: Model, signs: bool = True
+    where: Sequence[str],
+    records: Sequence[JointRecord],
+    model: Model,
+    beside: Sequence[Sequence[JointRecord]] = (),
+    *,
+    signs: bool = True,
 ) -> None:
     """Compare commands with motion, joint by joint.
 
@@ -58,7 +107,9 @@ def check_driven(
     where : sequence of str
         Name of each joint for messages.
     records : sequence of JointRecord
-        All joints of one recording.
+        All joints of one recording, or of a part.
+    beside : sequence of sequence of JointRecord
+        Its other parts.
     signs : bool
         Whether a sign may be accused.
 
@@ -67,49 +118,48 @@ def check_driven(
     RecordingError
         With the likeliest mistake.
     """
-    period = records[0].sample_time
-    y = np.stack([r.position for r in records])
-    u = np.stack([r.command for r in records])
-    noise = np.array(
-        [np.hypot(r.measurement.noise, r.measurement.resolution / np.sqrt(12)) for r in records]
-    )
-    plain = look(y, u, period, noise)
-    body = rigid_body(plain, model)
+    here = _looked(records, model)
+    agreeing = _agreeing(here.found)
     slopes: list[float] = []
-    for i, name in enumerate(where):
-        if not np.any(u[i]):
-            continue
-        found = regress(plain, model, i + 1, body)
+    for i, (name, found) in enumerate(zip(where, here.found, strict=True)):
         if found is None:
             continue
         if found.r2 > GOOD and abs(found.slope) > SURE_ERRORS * found.error:
             slopes.append(found.slope)
-        if found.slope + ERRORS * found.error < LITTLE and is_carried(plain, model, i + 1, body):
+        if found.share > PASSIVE and agreeing - {i}:
+            continue
+        little = found.slope + ERRORS * found.error < LITTLE
+        if little and is_carried(here.slow, model, i + 1, here.body):
             continue
         if signs:
             _sign(name, found)
-        if found.slope + ERRORS * found.error < LITTLE or (
-            found.slope - ERRORS * found.error > MUCH and found.r2 > HALF
-        ):
+        if little or (found.slope - ERRORS * found.error > MUCH and found.r2 > HALF):
             kind = model.joint_kind(i + 1)
-            _undo(name, found, _mistakes(y, u, noise, kind == "rotary"), period, model, i)
-        top = float(np.max(np.abs(u[i])))
-        stated = per_joint(model.actuator.limit, i + 1, 0.0)
-        allowed = stated > 0 and top > SATURATED * stated
-        if (
-            not allowed
-            and found.excess > BEYOND
-            and found.excess_t > BEYOND_ERRORS
-            and found.r2 > GOOD
-            and CLIPPED_INERTIA[0] < found.slope < CLIPPED_INERTIA[1]
-        ):
-            raise RecordingError(
-                f"{name}: while the command column stands at its largest value {top:.4g} the joint"
-                f" moves as if by {100 * found.excess:.0f} % more: the column is clipped; record it"
-                " with a wider range"
-            )
-    if not is_tool(plain, model, body):
+            every = [agreeing, *[_agreeing(_looked(part, model).found) for part in beside]]
+            units = not any(model.joint_kind(k + 1) == kind for some in every for k in some)
+            period = records[0].sample_time
+            _undo(name, found, _mistakes(here, kind == "rotary", units), period, model, i)
+        _clipped(name, found, float(np.max(np.abs(here.u[i]))), model, i + 1)
+    if not is_tool(here.slow, model, here.body):
         scaled(where[0].removesuffix(": joint 1"), slopes)
+
+
+def _clipped(name: str, found: Regression, top: float, model: Model, joint: int) -> None:
+    """Refuse a command whose largest value ``top`` hides larger ones."""
+    stated = per_joint(model.actuator.limit, joint, 0.0)
+    allowed = stated > 0 and top > SATURATED * stated
+    if (
+        not allowed
+        and found.excess > BEYOND
+        and found.excess_t > BEYOND_ERRORS
+        and found.r2 > GOOD
+        and CLIPPED_INERTIA[0] < found.slope < CLIPPED_INERTIA[1]
+    ):
+        raise RecordingError(
+            f"{name}: while the command column stands at its largest value {top:.4g} the joint"
+            f" moves as if by {100 * found.excess:.0f} % more: the column is clipped; record it"
+            " with a wider range"
+        )
 
 
 def scaled(name: str, slopes: Sequence[float]) -> None:
@@ -148,17 +198,22 @@ def _sign(name: str, found: Regression) -> None:
 
 
 def _mistakes(
-    y: Array, u: Array, noise: Array, rotary: bool
+    here: _Looked, rotary: bool, units: bool
 ) -> list[tuple[str, tuple[Array, Array, Array]]]:
-    """The likely mistakes, and position, command and noise with each of them undone."""
+    """The likely mistakes, and position, command and noise with each of them undone; ``units``:
+    those of units too, which all joints of a kind have in common.
+    """
+    y, u, noise = here.y, here.u, here.noise
     small = DEGREE if rotary else 1e3
     words = "degrees, not radians" if rotary else "millimetres, not metres"
     gain = "of what the model's gain expects"
-    return [
+    of_units = [
         (f"the position is in {words}", (y / small, u, noise / small)),
         (f"the command is in milli-units {gain}", (y, u / 1e3, noise)),
         (f"the command is in thousands {gain}", (y, u * 1e3, noise)),
-        ("position and command are swapped", (u, y, 0 * noise)),
+    ]
+    return [
+        *(of_units if units else []), ("position and command are swapped", (u, y, 0 * noise))
     ]
 
 
