@@ -59,6 +59,9 @@ class Claim:
     instead: Scored | None = None  # with a law of the same mechanism that is likelier
     # of its neighbours, in standard deviations; infinite where it has none, or was not asked
     ahead: float = math.inf
+    # of its confidence: without what is more likely wrong than right, which may take up what this
+    # law leaves
+    most: float = 1.0
 
 
 @dataclass(frozen=True)

@@ -102,5 +102,5 @@ def confidence(claim: Claim, decision: Decision) -> float:
     """
     value = float(np.dot(WEIGHTS, features(claim, decision)))
     # it can be no surer than that it predicts better than the next law of its kind
-    most = min(SUREST, NormalDist().cdf(claim.ahead))
+    most = min(SUREST, claim.most, NormalDist().cdf(claim.ahead))
     return float(max(0.05, min(most, 1.0 / (1.0 + math.exp(-value)))))

@@ -41,6 +41,7 @@ from zendsp.diagnosis.decide.thresholds import (
     LAWFUL,
     MACHINE,
     OF_STATE,
+    PLAIN,
     PREDICTED,
     RIVAL,
     RUN_AWAY,
@@ -50,7 +51,7 @@ from zendsp.diagnosis.measure.bursts import FEW, MANY, OFTEN, Bursts, bursts, ev
 from zendsp.diagnosis.measure.discrepancy import Size, beyond, discrepancy
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored, informative
-from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, structure
+from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, Structure, structure
 from zendsp.diagnosis.measure.windows import noise_floor, rms, window_error
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
 from zendsp.diagnosis.search.rounds import WAIT
@@ -227,7 +228,7 @@ def _nothing_named(
         lost=tuple(_why(r, base, pieces, before) for r in search.tried[:6]),
     )
     pushed = _pushed(out, parts, jobs)
-    if pushed is not None:
+    if pushed is not None and not _of_the_motion(out, parts, turning):
         return pushed
     asked = _asked(out, parts, turning)
     # something acts there surely, though what it is drowns in what stays unexplained
@@ -280,7 +281,7 @@ def _asked(out: Decision, parts: Parts, turning: bool) -> Decision:
     """
     lacks = beyond(out.before.value, out.known.all)
     of_state = beyond(out.state.size, out.known.of_state)
-    if of_state > OF_STATE and (out.state.z > SURE or out.state.apart > BY_CHANCE):
+    if of_state > OF_STATE and _predicts(out.state):
         claim = _without_law(parts, out, turning)
         if claim is not None:
             return replace(out, kind="missing", claims=(claim,))
@@ -399,9 +400,24 @@ def _lawful(parts: Parts, base: Scored, joint: int, turning: bool) -> bool:
     repeats itself with time.
     """
     memory = structure(parts.each, base.model, joint, [MEMORY], turning)
-    if memory.size > LAWFUL and memory.z > SURE:
+    if memory.size > LAWFUL and _predicts(memory):
         return True
     return periodic(parts.held, base.model, joint) > LAWFUL
+
+
+def _predicts(found: Structure) -> bool:
+    """Whether what was learned on other recordings predicts what lacks, and not by chance."""
+    return found.z > SURE or found.apart > BY_CHANCE
+
+
+def _of_the_motion(out: Decision, parts: Parts, turning: bool) -> bool:
+    """Whether the state predicts a part of what lacks, or the motion before most of it: of a push
+    from outside neither knows anything.
+    """
+    if out.state.size > OF_STATE and _predicts(out.state):
+        return True
+    memory = structure(parts.each, out.base.model, out.joint, [MEMORY], turning)
+    return memory.share > PREDICTED and memory.z > PLAIN
 
 
 def _why(

@@ -30,6 +30,8 @@ from zendsp.diagnosis.decide.thresholds import (
     A_PART,
     BEHIND,
     CURVE,
+    FINEST,
+    FIRM,
     HARMONIC,
     LAW_ERROR,
     OF_STATE,
@@ -73,10 +75,13 @@ def named(
     state = structure(parts.each, final.model, joint, STRUCTURED)
     known = known_discrepancy(given, parts.test, joint)
     travel = max(rec[joint - 1].scale.position for rec in parts.fit.records)
+    scale = rms_torque(parts.test, joint)
+    bent = _stand_on_nothing(final, joint, scale)
     claims: list[Claim] = []
     refinements: list[Claim] = []
     for piece in claimed:
-        if _turns_a_known_one(parts, given, final, piece, before):
+        only_bends = all(any(t is x for x in bent) for t in piece.terms)
+        if only_bends or _turns_a_known_one(parts, given, final, piece, before):
             rest = [*rest, piece]
             continue
         ranked = _ranked(parts.test, given, final, piece, search.base, jobs)
@@ -110,7 +115,8 @@ def named(
         drawn = of_position and _is_curve(ranked, travel)
         part = _part_of_a_wave(first.terms[0], level + len(own) - 1, travel)
         pieces = len(own) + (level if of_position and len(own) > 1 else 0)
-        if poor or drawn or part or pieces >= CURVE:
+        over_speed = bool(bent) and piece.mechanism in FRICTION
+        if poor or drawn or part or over_speed or pieces >= CURVE:
             refinements += [c for p in own[1:] for c in _plain(p)]
             claims.append(replace(law, effect="unknown", left=left))
             continue
@@ -137,7 +143,7 @@ def named(
         state,
         after if alone is final else discrepancy(parts.test, alone.model, joint),
         alone,
-        rms_torque(parts.test, joint),
+        scale,
         known=known,
     )
 
@@ -155,6 +161,20 @@ def _turns_a_known_one(
         and bool(kept_laws(given, final.model, joint, DRY))
         and turns_round(parts, final, piece)
     )
+
+
+def _stand_on_nothing(final: Scored, joint: int, scale: float) -> tuple[Term, ...]:
+    """Laws that stand upon another one of which nothing is left, at one joint: a Stribeck curve
+    upon no Coulomb friction is any curve over the speed. ``scale``: RMS torque, N m or N.
+    """
+    at = final.model.at(joint)
+
+    def is_nothing(term: Term) -> bool:
+        upon = [t for t in at if t.effect in get_effect(term.effect).needs]
+        sizes = [t.value(get_effect(t.effect).parameters[0].name) for t in upon]
+        return bool(sizes) and max(sizes) < FINEST * scale
+
+    return tuple(t for t in at if is_nothing(t))
 
 
 def _alone(
@@ -199,12 +219,14 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
         )
         or _behind_a_transmission(c, decision, parts)
     ]
-    rest = [c for c in decision.claims if not any(c is k for k in likely)]
     laws = {c.effect for c in likely if c.effect != "unknown"}
-    alone = decision.alone
-    if likely and rest:
-        others = [*decision.refinements, *rest]
-        alone = _alone(given, decision.final, decision.joint, likely, others, jobs)
+    alone = _without_others(likely, decision, given, jobs)
+    firm = [c for c in likely if c.effect == "unknown" or confidence(c, decision) > FIRM]
+    harder = decision
+    if firm and len(firm) < len(decision.claims):
+        firmly = _without_others(firm, decision, given, jobs)
+        left = discrepancy(parts.test, firmly.model, decision.joint)
+        harder = replace(decision, bare=max(left, decision.bare, key=lambda size: size.low))
     keep, more = [], list(decision.refinements)
     doubted: set[str] = set()  # mechanisms: what stood beside a doubted law may be a part of it
     for claim in decision.claims:
@@ -216,7 +238,9 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
             and any(claim is k for k in likely)
             and (ahead := _goes_on(claim, alone, parts)) is not None
         ):
-            keep.append(replace(claim, ahead=ahead))
+            by_itself = any(claim is k for k in firm)
+            most = confidence(claim, harder) if by_itself else 1.0
+            keep.append(replace(claim, ahead=ahead, most=most))
         elif (
             claim is decision.claims[0]
             and claim.mechanism in STRUCTURED
@@ -232,6 +256,17 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
     keep, parts_of_it = _beside_unknown(keep, decision.after.value)
     keep = [by_its_variables(c, decision, parts) for c in keep]
     return replace(decision, claims=tuple(keep), refinements=tuple(more + parts_of_it))
+
+
+def _without_others(
+    claims: Sequence[Claim], decision: Decision, given: Model, jobs: int
+) -> Scored:
+    """Some of the claims by themselves."""
+    rest = [c for c in decision.claims if not any(c is k for k in claims)]
+    if not claims or not rest:
+        return decision.alone
+    others = [*decision.refinements, *rest]
+    return _alone(given, decision.final, decision.joint, claims, others, jobs)
 
 
 def _behind_a_transmission(claim: Claim, decision: Decision, parts: Parts) -> bool:

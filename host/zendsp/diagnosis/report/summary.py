@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from zendsp.diagnosis.decide.contract import dark, listed, two_digits
@@ -16,6 +16,8 @@ REFINEMENTS = 6  # that a summary names
 SMALLEST_SHARE = 1e-4  # of a torque: less is not told from nothing
 LARGEST_SHARE = 9.99
 SMALLER = 1.05  # times: a smaller fall of the error is not told as one
+BEYOND = 2.0  # times the sensor's error: the position is off by more
+LEAST_NAMELESS = 1e-3  # of a joint's torque: less is not worth a sentence
 OFF = 3.0  # times the calibrated model's error: what is given is not what the machine has
 
 WORDS = {
@@ -28,6 +30,26 @@ WORDS = {
     "measurement": "the measurement",
     "disturbance": "a disturbance",
 }
+TILT = "how the base stands"
+
+
+def nameless(
+    left: Iterable[tuple[int, float | None]], error: float | None, floor: float | None
+) -> tuple[tuple[int, float], ...]:
+    """What a model that is called complete leaves, though the position is off by more than the
+    sensor errs: some machines have a random torque, others what nobody has a name for.
+
+    Parameters
+    ----------
+    left : iterable of (joint, share)
+        What nothing named explains, as a part of the RMS torque: of ``discrepancy``.
+    error, floor : float
+        RMS position error on untouched recordings, and that of the sensor alone, rad or m. None of
+        any: not known.
+    """
+    if error is None or floor is None or not error > BEYOND * floor:
+        return ()
+    return tuple((joint, share) for joint, share in left if share and share > LEAST_NAMELESS)
 
 
 def word_of(mechanism: str, effects: Sequence[str]) -> str:
@@ -37,7 +59,11 @@ def word_of(mechanism: str, effects: Sequence[str]) -> str:
     --------
     >>> word_of("inertia", ("coupling",)), word_of("inertia", ("inertia", "coupling"))
     ("the other joints' motion", 'a mass or an inertia')
+    >>> word_of("inertia", ("base_tilt",))
+    'how the base stands'
     """
+    if set(effects) == {"base_tilt"}:
+        return TILT
     if set(effects) == {"coupling"}:
         return "the other joints' motion"
     return WORDS.get(mechanism, effects[0])
@@ -58,8 +84,9 @@ def headline(d: Diagnosis) -> str:
     """The verdict in one sentence, the mechanism first; in two where the given numbers were off."""
     found = [(f.mechanism, (f.effect, *f.indistinguishable), f.joint) for f in d.findings]
     unseen = dark((x.joint, x.interval) for x in d.discrepancy)
-    text = verdict_sentence(d.verdict, found, unseen)
     table = d.test or d.heldout
+    left = nameless(((x.joint, x.share) for x in d.discrepancy), table.improved, d.noise_floor)
+    text = verdict_sentence(d.verdict, found, unseen, left)
     if d.verdict == "complete" and not unseen and table.given > OFF * table.calibrated:
         times = two_digits(table.given / table.calibrated)
         text += f" The given numbers were off: calibrated, it errs {times} times less (notes)."
@@ -70,8 +97,9 @@ def verdict_sentence(
     verdict: Verdict,
     found: Sequence[tuple[str, Sequence[str], int]],
     unseen: Sequence[int] = (),
+    left: Sequence[tuple[int, float]] = (),
 ) -> str:
-    """The verdict in one sentence.
+    """The verdict in one sentence, or two.
 
     Parameters
     ----------
@@ -79,6 +107,8 @@ def verdict_sentence(
         The effect that is named, and those that cannot be told from it.
     unseen : sequence of int
         Joints of which the recordings show nothing, see ``dark``.
+    left : sequence of (joint, share)
+        What of a joint's torque a complete model leaves, see ``nameless``.
 
     Examples
     --------
@@ -89,11 +119,19 @@ def verdict_sentence(
     'Missing physics: dry friction (coulomb) at joints 1, 2 and 3.'
     >>> verdict_sentence("missing", [("inertia", ("payload",), 2)])
     'Other than the model says: a mass or an inertia (payload) at joint 2.'
-    """
+    >>> verdict_sentence("complete", [], left=[(1, 0.015)]).partition(". ")[2]
+    'What is left is more than the error of the sensor and has no name: 1.5 % of the torque of joint 1.'
+    """  # noqa: E501
     if verdict == "complete" and unseen:
         return (
             "Cannot tell: nothing is seen to be missing, but these recordings show next to nothing"
             f" of {listed(unseen)}."
+        )
+    if verdict == "complete" and left:
+        shares = " and ".join(f"{percent(share)} of the torque of joint {j}" for j, share in left)
+        return (
+            "Complete: no known effect is missing that these recordings could show. What is left is"
+            f" more than the error of the sensor and has no name: {shares}."
         )
     if verdict == "complete":
         return "Complete: nothing is missing that these recordings could show."
@@ -113,7 +151,7 @@ def verdict_sentence(
     for joint, words in at.items():
         joints.setdefault(" and ".join(words), []).append(joint)
     where = [f"{what} at {listed(numbers)}" for what, numbers in joints.items()]
-    masses = all(word_of(mechanism, effects) == WORDS["inertia"] for mechanism, effects, _ in found)
+    masses = all(word_of(m, effects) in (WORDS["inertia"], TILT) for m, effects, _ in found)
     begin = "Other than the model says" if masses else "Missing physics"
     return f"{begin}: {'; '.join(where)}."
 

@@ -11,7 +11,13 @@ from rich.text import Text
 
 from zendsp.diagnosis.decide.contract import FindingReport, Report, dark
 from zendsp.diagnosis.report.chart import Chart
-from zendsp.diagnosis.report.summary import before, by_joint, unnamed, verdict_sentence
+from zendsp.diagnosis.report.summary import (
+    before,
+    by_joint,
+    nameless,
+    unnamed,
+    verdict_sentence,
+)
 from zendsp.tui.diagnoses import Diagnosed
 from zendsp_protocol.texts import counted
 
@@ -49,7 +55,10 @@ def headline(report: Report) -> str:
         (f["mechanism"], (f["effect"], *f["indistinguishable"]), f["joint"])
         for f in report["findings"]
     ]
-    return verdict_sentence(report["verdict"], found, unseen(report))
+    fit = report["fit"]
+    shares = ((x["joint"], x["share"]) for x in report["discrepancy"])
+    left = nameless(shares, fit["test"]["improved"], fit["noise_floor"])
+    return verdict_sentence(report["verdict"], found, unseen(report), left)
 
 
 def unseen(report: Report) -> tuple[int, ...]:
