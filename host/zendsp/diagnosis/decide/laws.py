@@ -28,6 +28,7 @@ from zendsp.diagnosis.decide.pieces import (
 from zendsp.diagnosis.decide.rivals import law_of, together
 from zendsp.diagnosis.decide.thresholds import (
     A_PART,
+    ALIKE,
     BEHIND,
     CURVE,
     FINEST,
@@ -106,8 +107,9 @@ def named(
         allowed = math.hypot(max(may_leave(p) for p in kind), known.of_state)
         # what the law by itself leaves to itself
         again = [p.size for p in ranked[1:] if _repeats(p, first)]
+        least = max(allowed, SIMULATORS_DIFFER)  # untouched recordings have to show so much
         poor = math.hypot(*again) > allowed or (
-            left is not None and _surely_more(left, max(allowed, SIMULATORS_DIFFER))
+            left is not None and after.high > least and _surely_more(left, least)
         )
         # a constant beside several laws of the position is a part of the curve that they draw
         of_position = piece.mechanism == "position_torque"
@@ -208,16 +210,12 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
     their neighbours; of what is first, the mechanism stays where its variables can be told from
     those of others and it explains more than it leaves, the rest refines the fit.
     """
+    twins = _twins(decision.claims)
     likely = [
         c
         for c in decision.claims
-        if c.effect == "unknown"
-        or stated(c, decision)
-        or (
-            confidence(c, decision) > STATED_ALONE
-            and SURE < _ahead(c, decision.alone, parts) < math.inf
-        )
-        or _behind_a_transmission(c, decision, parts)
+        if not any(c is twin for twin in twins)
+        and _is_likely(c, decision, parts)
     ]
     laws = {c.effect for c in likely if c.effect != "unknown"}
     alone = _without_others(likely, decision, given, jobs)
@@ -256,6 +254,35 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
     keep, parts_of_it = _beside_unknown(keep, decision.after.value)
     keep = [by_its_variables(c, decision, parts) for c in keep]
     return replace(decision, claims=tuple(keep), refinements=tuple(more + parts_of_it))
+
+
+def _is_likely(claim: Claim, decision: Decision, parts: Parts) -> bool:
+    """Whether a law is likely enough to be named."""
+    return (
+        claim.effect == "unknown"
+        or stated(claim, decision)
+        or (
+            confidence(claim, decision) > STATED_ALONE
+            and SURE < _ahead(claim, decision.alone, parts) < math.inf
+        )
+        or _behind_a_transmission(claim, decision, parts)
+    )
+
+
+def _twins(claims: Sequence[Claim]) -> tuple[Claim, ...]:
+    """Waves of the same order and the same amplitude that two mechanisms would have to have at
+    once: together they draw what neither does, as a torque constant that ripples.
+    """
+
+    def alike(a: Claim, b: Claim) -> bool:
+        waves = [c.term.parameters for c in (a, b)]
+        return a.mechanism != b.mechanism and all(
+            all(n in wave for wave in waves)
+            and abs(waves[0][n].value - waves[1][n].value) < ALIKE * abs(waves[0][n].value)
+            for n in ("order", "amplitude")
+        )
+
+    return tuple(a for a in claims if any(alike(a, b) for b in claims))
 
 
 def _without_others(

@@ -43,6 +43,7 @@ EFFECT = Effect(
     hidden=True,
     essence=("force", "stiffness"),
     family="presliding",
+    sole=True,
     rivals=("presliding", "coulomb", "stiffness"),
     why_not="it depends on a state that is not measured",
 )

@@ -42,6 +42,7 @@ EFFECT = Effect(
     essence=("stiffness",),
     needs=("dry",),
     family="presliding",
+    sole=True,
     rivals=("hysteresis", "stribeck", "backlash"),
     why_not="it depends on a deflection that is not measured",
 )
