@@ -28,6 +28,8 @@ from zendsp.physics.term_numbers import file_model
 # relative standard deviation of a given inertia, mass or gravity; more where its std says so
 TOLERANCE = 0.045
 FAR = 3.0  # standard deviations
+# the same of two numbers at once, as likely by chance; and each of them
+FAR_TOGETHER, NEAR = 3.44, 2.0
 WEIGHT_ALONE = 2.0  # times FAR, of a weight that moves without its inertia
 ONE_GAIN = 0.5  # of the inertia's change: numbers that move within it may be one torque gain
 GAINED = 0.9  # stated of one gain for three numbers and more; not learned: the cases have too few
@@ -78,9 +80,13 @@ def shifted(
         std = math.hypot(after.std, INTEGRATION_ERROR * after.value)
         moves[key] = (ratio, ratio / spread, after.value - before.value, std)
     main = "inertia" if given.kind == "rotary" else "mass"
-    if main not in moves or abs(moves[main][1]) < FAR:
+    both = [moves[key][1] for key in (main, "gravity") if key in moves]
+    heavier = len(both) == 2 and _both_far(*both)
+    if main not in moves or not (abs(moves[main][1]) > FAR or heavier):
         return _gravity_only(given, search, moves, test)
     ratio, z, amount, std = moves[main]
+    if heavier:
+        z = math.copysign(math.hypot(z, moves["gravity"][1]), z)
     size = _size(_held(given, search, main), search, test)
     if size is None:
         return []
@@ -98,13 +104,31 @@ def shifted(
         same.append("gravity")
     values = {"amount": Estimate(amount, std, unit)}
     text = (
-        f"Calibration moves the {main} of joint {joint} by {_by(amount, ratio, unit)}, far beyond"
-        f" the tolerance of a given number: {what}."
+        f"Calibration moves the {main} of joint {joint} by {_by(amount, ratio, unit)}"
+        f"{_weight(given, joint, moves)}, far beyond the tolerance of a given number: {what}."
     )
     if same:
         text += f" This recording cannot tell it from {', '.join(same)}."
     sure = min(0.9, 0.5 + 0.05 * abs(z))
     return [(z, size, _finding("inertia", joint, values, sure, tuple(same), text))]
+
+
+def _both_far(inertia: float, gravity: float) -> bool:
+    """Whether inertia and weight, each so many tolerances off, are together further off than the
+    tolerance allows, in the same direction: a body that was added, or is not there.
+    """
+    same = inertia * gravity > 0.0 and min(abs(inertia), abs(gravity)) > NEAR
+    return same and math.hypot(inertia, gravity) > FAR_TOGETHER
+
+
+def _weight(
+    given: Model, joint: int, moves: dict[str, tuple[float, float, float, float]]
+) -> str:
+    """What is said of a weight that moved too."""
+    ratio, z, amount, _ = moves.get("gravity", (0.0, 0.0, 0.0, 0.0))
+    if abs(z) < FAR:
+        return ""
+    return f" and its gravity torque by {_by(amount, ratio, given.torque_unit(joint))}"
 
 
 def _gain(joint: int, factor: float, std: float) -> Finding:

@@ -74,8 +74,9 @@ def _loosely_fitted(decisions: Sequence[Decision]) -> list[str]:
 def _creeping(decisions: Sequence[Decision], given: Model) -> list[str]:
     """Where a dry friction that the model has turns round softly."""
     return [
-        f"joint {d.joint}: its dry friction does not hold at standstill, it creeps: it changes its"
-        f" sign within {t.value('speed'):.2g} {unit}. The improved model does too; that is no"
+        f"joint {d.joint}: the improved model lets dry friction change its sign within"
+        f" {t.value('speed'):.2g} {unit}, not at once, as many simulators do: the recordings follow"
+        " that better. Whether the machine itself creeps at standstill they do not tell; it is no"
         " missing physics"
         for d in decisions
         if d.kind != "unexplained"  # then how it turns round may be what nobody explains
