@@ -32,7 +32,7 @@ from zendsp.diagnosis.decide.remember import remembered
 from zendsp.diagnosis.decide.result import Diagnosis, Finding, FitTable, Left, Rejected, Workings
 from zendsp.diagnosis.joints import Progress
 from zendsp.diagnosis.machine import Found, find
-from zendsp.diagnosis.measure.where import intervals, regions
+from zendsp.diagnosis.measure.where import located
 from zendsp.diagnosis.measure.windows import model_error, noise_floor
 from zendsp.diagnosis.report.files import left_out
 from zendsp.diagnosis.report.sides import clearest, sides
@@ -127,7 +127,7 @@ def _diagnose(
     shown_on = parts.test if found.load else parts.fit  # where what lacks is to be seen
     seen_at = {j: clearest(shown_on, sides(findings, given, whole, j), j) for j in joints}
     lacking = {j: before for j, (_, before, _) in seen_at.items()}
-    places, times = _where({j: lacking[j] for j in _lacking(found, findings, joints)})
+    places, times, at = located({j: lacking[j] for j in _lacking(found, findings, joints)})
     tell("proposing the next recording")
     proposal = propose(signals[0], given, found.searches, findings, decisions, seed)
     tell("asking what could have been seen")
@@ -147,6 +147,7 @@ def _diagnose(
         refinements=refinements,
         regions=places if verdict != "complete" else (),
         times=times if verdict != "complete" else (),
+        times_of=at if verdict != "complete" else (),
         unit="m" if given.joint_kind(1) == "linear" else "rad",
         estimation=_table(parts.fit, given, whole.calibrated, improved),
         heldout=_table(parts.held, given, whole.calibrated, improved),
@@ -248,17 +249,6 @@ def _lacking(found: Found, findings: Sequence[Finding], joints: Sequence[int]) -
     if found.claims:
         return set(joints)
     return {f.joint for f in findings} | {d.joint for d in found.decisions if d.kind != "complete"}
-
-
-def _where(lacking: dict[int, Any]) -> tuple[Any, Any]:
-    places: list[Any] = []
-    times: list[tuple[float, float, float]] = []
-    for joint, parts in lacking.items():
-        places += regions(parts, joint)[:2]
-        times += [span for part in parts for span in intervals(part)]
-    places.sort(key=lambda r: r.time_share - r.share)
-    times.sort(key=lambda s: -s[2])
-    return tuple(places[:6]), tuple((a, b) for a, b, _ in times[:6])
 
 
 def _table(data: Data, given: Model, calibrated: Model, improved: Model) -> FitTable:

@@ -139,6 +139,20 @@ def dark(left: Iterable[tuple[int, Sequence[float]]]) -> tuple[int, ...]:
     return tuple(joint for joint, (_, high) in left if high >= 1.0)
 
 
+def spans(times: Sequence[tuple[float, float]], recordings: Sequence[str], most: int = 4) -> str:
+    """The first times, s, and of which recordings they are."""
+    names = dict.fromkeys(recordings[:most])
+    return " and ".join(
+        ", ".join(
+            f"{a:.2f}–{b:.2f} s"
+            for (a, b), n in zip(times[:most], recordings, strict=False)
+            if n == name
+        )
+        + (f" of {name}" if name else "")
+        for name in names
+    )
+
+
 def listed(joints: Iterable[int]) -> str:
     """Joints in words.
 

@@ -12,11 +12,10 @@ from zendsp.diagnosis.decide.absorbed import shifted
 from zendsp.diagnosis.decide.assemble import Assembled
 from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.confidence import confidence
-from zendsp.diagnosis.decide.contract import listed
+from zendsp.diagnosis.decide.contract import listed, spans
 from zendsp.diagnosis.decide.decide_bodies import BodyClaim, body_finding
 from zendsp.diagnosis.decide.findings import estimates, new_terms, percent, sentence
 from zendsp.diagnosis.decide.laws import draws_a_curve
-from zendsp.diagnosis.decide.notes import spans
 from zendsp.diagnosis.decide.pieces import beside_unknown, weight_of_payload
 from zendsp.diagnosis.decide.result import Estimate, Finding, Rejected, number
 from zendsp.diagnosis.decide.thresholds import CLAIMED, PLAIN, PREDICTED, STATED_ALONE
@@ -26,7 +25,7 @@ from zendsp.diagnosis.measure.likelihood import fit_scored
 from zendsp.diagnosis.measure.significance import counterpart, essence_of, essential_deviation
 from zendsp.diagnosis.measure.where import Missing, mismatch, units
 from zendsp.physics.calibration.fit import Data, Fit, joint_handles
-from zendsp.physics.effects import get_effect
+from zendsp.physics.effects import get_effect, library
 from zendsp.physics.model import Model, Term
 from zendsp.physics.term_numbers import chosen
 
@@ -125,6 +124,8 @@ def _unknown(
     # of an energy that stands out by z deviations, its root by 2 z
     std = claim.size / (2.0 * max(claim.evidence.z, 1.0))
     size = Estimate(claim.size * decision.scale, std * decision.scale, given.torque_unit(joint))
+    stands_in = claim.term.effect in library()
+    drawn = f" The improved model draws it with {claim.term.effect}." if stands_in else ""
     return Finding(
         "unknown",
         joint,
@@ -134,7 +135,7 @@ def _unknown(
         (),
         claim.replaces,
         f"A torque that depends on the {what} of joint {joint} is missing,"
-        f" {percent(claim.size)} % of its torque; {_nearest(claim)}.",
+        f" {percent(claim.size)} % of its torque; {_nearest(claim)}.{drawn}",
         numbers,
         claim.mechanism,
         claim.laws,
@@ -328,8 +329,8 @@ def _disturbance(pushed: Sequence[Decision], given: Model) -> Finding:
     assert found is not None
     unit = given.torque_unit(joint)
     text = (
-        f"A torque over time that no state explains acts on joint {joint} at {spans(found)}, up to"
-        f" {found.peak:.3g} {unit}."
+        f"A torque over time that no state explains acts on joint {joint} at"
+        f" {spans(found.intervals, found.recordings)}, up to {found.peak:.3g} {unit}."
     )
     if others := pushed[1:]:
         text += (

@@ -9,11 +9,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from zendsp.diagnosis.decide.claims import Decision
-from zendsp.diagnosis.decide.contract import two_digits
+from zendsp.diagnosis.decide.contract import spans, two_digits
 from zendsp.diagnosis.decide.findings import percent
 from zendsp.diagnosis.decide.result import FitTable
 from zendsp.diagnosis.decide.thresholds import AMISS, LAWFUL, OF_STATE
-from zendsp.diagnosis.measure.bursts import Bursts
 from zendsp.diagnosis.measure.where import units
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.model import Model
@@ -24,20 +23,6 @@ MADE_WORSE = 1.5
 # of a travel: a joint that goes less of it back goes one way; and s of motion below which a
 # recording is short (what no law follows is told, so that a user knows what else to do)
 ONE_WAY, SHORT = 0.05, 5.0
-
-
-def spans(found: Bursts) -> str:
-    """When it acts, and in which recordings."""
-    names = dict.fromkeys(found.recordings[:4])
-    return " and ".join(
-        ", ".join(
-            f"{a:.2f}–{b:.2f} s"
-            for (a, b), n in zip(found.intervals[:4], found.recordings, strict=False)
-            if n == name
-        )
-        + (f" of {name}" if name else "")
-        for name in names
-    )
 
 
 def notes_of(decisions: Sequence[Decision], given: Model) -> list[str]:
@@ -175,8 +160,8 @@ def left_over(decisions: Sequence[Decision], given: Model, fit: Data) -> str:
         if d.beside is not None:
             words.append(
                 f"Joint {d.joint}: in the recordings of the fit a torque of up to"
-                f" {two_digits(d.beside.peak)} {unit} acts at {spans(d.beside)}"
-                " that no state explains:"
-                " a push bends the numbers of what was found"
+                f" {two_digits(d.beside.peak)} {unit} acts at"
+                f" {spans(d.beside.intervals, d.beside.recordings)} that no state explains: a push"
+                " bends the numbers of what was found"
             )
     return ". ".join(words)

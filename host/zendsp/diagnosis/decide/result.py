@@ -215,8 +215,9 @@ class Diagnosis:
     verdict : {"complete", "missing", "unexplained"}
     findings, refinements : tuple of Finding
         What is claimed, the most important first; what only improves the fit.
-    regions, times
-        Where the model lacks something: intervals of a joint's state, and of time, s.
+    regions, times, times_of
+        Where the model lacks something: intervals of a joint's state, and of time, s; recordings
+        that they are times of.
     unit : str
         Of positions, rad or m.
     estimation, heldout, test : FitTable
@@ -260,6 +261,7 @@ class Diagnosis:
     refinements: tuple[Finding, ...] = ()  # what improves the fit and is not claimed
     discrepancy: tuple[Left, ...] = ()
     detectable: tuple[Detectable, ...] = ()
+    times_of: tuple[str, ...] = ()
     test: FitTable | None = None  # on recordings that neither the fit nor any choice has touched
     # of a simulator that can only be called: its errors
     workings: Workings | SimulatorErrors | None = None

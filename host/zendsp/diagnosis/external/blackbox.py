@@ -44,7 +44,7 @@ from zendsp.diagnosis.external.output_error import (
     weights,
 )
 from zendsp.diagnosis.external.simulator import Bench, Simulator, bench, on_input, simulator_of
-from zendsp.diagnosis.measure.where import Missing, Region, intervals, regions, units
+from zendsp.diagnosis.measure.where import Missing, located, units
 from zendsp.physics.calibration.fit import Fit
 from zendsp.physics.calibration.handles import free_handles
 from zendsp.physics.calibration.joint import share_facts
@@ -186,7 +186,7 @@ def _diagnose(
     rest = _rms(test, current.model)
     unexplained = "" if rest <= OVER_NOISE * floor else _unexplained(left, rest, floor, train[0])
     verdict: Verdict = "missing" if findings else "unexplained" if unexplained else "complete"
-    places, spans = _where(before)
+    places, spans, at = located(before)
     calibrated, improved = _noted(base.fit), _noted(current.fit)
     rejected = tuple(
         Rejected(e, j, why, score - (steps[0][0].gain if steps else 0.0))
@@ -198,6 +198,7 @@ def _diagnose(
         findings=findings,
         regions=places if verdict != "complete" else (),
         times=spans if verdict != "complete" else (),
+        times_of=at if verdict != "complete" else (),
         unit=train[0].unit,
         estimation=FitTable(
             _rms(train, model), _rms(train, base.model), _rms(train, current.model)
@@ -337,18 +338,6 @@ def _left(missing: dict[int, list[Missing]], benches: Sequence[Bench]) -> float:
         for m, b in zip(parts, benches, strict=True)
     ]
     return max(sizes, default=0.0)
-
-
-def _where(
-    missing: dict[int, list[Missing]],
-) -> tuple[tuple[Region, ...], tuple[tuple[float, float], ...]]:
-    places = [r for joint, parts in missing.items() for r in regions(parts, joint)[:2]]
-    spans = sorted(
-        (s for parts in missing.values() for m in parts for s in intervals(m)), key=lambda s: -s[2]
-    )
-    return tuple(sorted(places, key=lambda r: r.time_share - r.share)[:6]), tuple(
-        (a, b) for a, b, _ in spans[:6]
-    )
 
 
 def _errors_over_time(b: Bench, calibrated: Model, improved: Model) -> SimulatorErrors:

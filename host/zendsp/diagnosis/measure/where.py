@@ -10,7 +10,7 @@ above that of the sensor's noise is the mismatch.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -75,6 +75,7 @@ class Missing:
     variables: dict[str, Array]
     units: dict[str, str] = field(default_factory=dict)
     others: Array | None = None  # (joints, 3, n): position, velocity, acceleration of all joints
+    recording: str = ""
 
     @property
     def weight(self) -> Array:
@@ -105,7 +106,11 @@ def mismatch(data: Data, model: Model, joint: int, band: float = BANDS[0]) -> li
         within = {n: v[use] for n, v in variables.items()}
         named = units(model, joint)
         all_joints = record.others[:, :, use]
-        out.append(Missing(time[use], torque[use], std[use], within, named, all_joints))
+        out.append(
+            Missing(
+                time[use], torque[use], std[use], within, named, all_joints, record.recording
+            )
+        )
     return out
 
 
@@ -246,6 +251,28 @@ def _stands_out(missing: Sequence[Missing], excess: Array) -> bool:
         blocks = np.array_split(part, max(1, round(len(part) * period / ENERGY_BLOCK)))
         sums += [float(block.sum()) for block in blocks]
     return bool(sum(sums) > STANDS_OUT * deviation(np.array(sums)))
+
+
+Times = tuple[tuple[float, float], ...]
+MOST = 6  # regions and times that are told
+
+
+def located(
+    missing: Mapping[int, Sequence[Missing]],
+) -> tuple[tuple[Region, ...], Times, tuple[str, ...]]:
+    """Where what each joint lacks lies: regions of its state, times (s), and the recordings that
+    they are times of; those that hold most of it.
+    """
+    places = [r for joint, parts in missing.items() for r in regions(parts, joint)[:2]]
+    spans = [
+        (span, m.recording) for parts in missing.values() for m in parts for span in intervals(m)
+    ]
+    spans = sorted(spans, key=lambda s: -s[0][2])[:MOST]
+    return (
+        tuple(sorted(places, key=lambda r: r.time_share - r.share)[:MOST]),
+        tuple((a, b) for (a, b, _), _ in spans),
+        tuple(name for _, name in spans),
+    )
 
 
 def intervals(missing: Missing, most: int = 5) -> list[tuple[float, float, float]]:

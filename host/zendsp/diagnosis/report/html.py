@@ -8,7 +8,7 @@ from html import escape
 from pathlib import Path
 
 from zendsp.diagnosis.data.sampling import whole_second
-from zendsp.diagnosis.decide.contract import dark
+from zendsp.diagnosis.decide.contract import dark, spans
 from zendsp.diagnosis.decide.result import Diagnosis, Finding, FitTable, number
 from zendsp.diagnosis.report.chart import Chart
 from zendsp.diagnosis.report.summary import (
@@ -198,10 +198,11 @@ def _where(d: Diagnosis) -> str:
         )
     first = min((float(m.time[0]) for parts in d.missing.values() for m in parts), default=0.0)
     begin = whole_second(first)
-    spans = ", ".join(f"{a - begin:.2f}–{b - begin:.2f} s" for a, b in d.times)
-    spans += f", after {begin:.0f} s" if spans and begin else ""
+    of = d.times_of if len(set(d.times_of)) > 1 else [""] * len(d.times)
+    when = escape(spans([(a - begin, b - begin) for a, b in d.times], of, len(d.times)))
+    when += f", after {begin:.0f} s" if when and begin else ""
     table = f"<table>{''.join(rows)}</table>" if d.regions else NO_INTERVAL
-    return f"{table}<p>In time: {spans or 'spread evenly'}.</p>"
+    return f"{table}<p>In time: {when or 'spread evenly'}.</p>"
 
 
 def _rejected(d: Diagnosis) -> str:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
-from zendsp.diagnosis.decide.contract import dark, listed, two_digits
+from zendsp.diagnosis.decide.contract import dark, listed, spans, two_digits
 
 if TYPE_CHECKING:
     from zendsp.diagnosis.decide.contract import Verdict
@@ -182,6 +182,8 @@ def summary(d: Diagnosis) -> str:
             f"mismatch: joint {r.joint}, {r}: {100 * r.share:.0f} % of it in"
             f" {100 * r.time_share:.0f} % of the time"
         )
+    if d.times and d.unexplained:
+        lines.append(f"mismatch: most of it at {spans(d.times, d.times_of)}")
     if d.refinements:
         more = len(d.refinements) - REFINEMENTS
         lines.append(
