@@ -221,7 +221,7 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
     alone = _without_others(likely, decision, given, jobs)
     firm = [c for c in likely if c.effect == "unknown" or confidence(c, decision) > FIRM]
     harder = decision
-    if firm and len(firm) < len(decision.claims):
+    if any(c.effect != "unknown" for c in firm) and len(firm) < len(decision.claims):
         firmly = _without_others(firm, decision, given, jobs)
         left = discrepancy(parts.test, firmly.model, decision.joint)
         harder = replace(decision, bare=max(left, decision.bare, key=lambda size: size.low))

@@ -1,0 +1,114 @@
+"""What speaks against a law, though it fits: what it stands upon, its twin, and the motion."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from zendsp.diagnosis.decide import absorbed, decide, laws
+from zendsp.diagnosis.decide.claims import Claim
+from zendsp.diagnosis.decide.contract import spans
+from zendsp.diagnosis.measure.evidence import Evidence
+from zendsp.diagnosis.measure.structure import MEMORY, Structure
+from zendsp.diagnosis.report.summary import nameless, verdict_sentence
+from zendsp.physics.effects import get_effect, mechanism_of
+from zendsp.physics.model import Quantity, Term
+
+
+def term(effect: str, **numbers: float) -> Term:
+    return Term(effect, 1, {name: Quantity(value) for name, value in numbers.items()})
+
+
+@pytest.mark.parametrize(("level", "count"), [(0.0, 1), (1e-4, 1), (0.03, 0)])
+def test_a_stribeck_curve_upon_no_coulomb_friction_is_any_curve_over_the_speed(
+    level: float, count: int
+) -> None:
+    """As a torque of the cube of speed needs it beside quadratic drag."""
+    curve = term("stribeck", breakaway=0.03, velocity=4.4)
+    at = (term("coulomb", level=level), curve, term("quadratic_drag", coefficient=0.0025))
+    final: Any = SimpleNamespace(model=SimpleNamespace(at=lambda _: at))
+    assert laws._stand_on_nothing(final, 1, 1.0) == (curve,) * count
+
+
+def wave(effect: str, order: float, amplitude: float) -> Claim:
+    sure = Evidence(100.0, 15.0, np.zeros(1))
+    what = term(effect, order=order, amplitude=amplitude, phase=0.3)
+    return Claim(effect, mechanism_of(effect), what, 0.02, sure, 50.0, {}, (), (), ())
+
+
+@pytest.mark.parametrize(
+    ("order", "amplitude", "alike"),
+    [(20.0, 2.72e-3, True), (20, 2.0e-3, False), (40, 2.7e-3, False)],
+)
+def test_two_mechanisms_do_not_have_the_same_wave_at_once(
+    order: float, amplitude: float, alike: bool
+) -> None:
+    """As a ripple of the torque constant needs them."""
+    first, other = (
+        wave("transmission_error", 19.97, 2.74e-3),
+        wave("sensor_harmonic", order, amplitude),
+    )
+    spring = Claim(
+        "lag", "actuator", term("lag", time_constant=0.01), 0.1, first.evidence, 1, {}, (), (), ()
+    )
+    twins = laws._twins((first, spring, other))
+    assert [t.effect for t in twins] == ([first.effect, other.effect] if alike else [])
+    assert not laws._twins((first, wave("transmission_error", 19.97, 2.74e-3)))
+
+
+@pytest.mark.parametrize(
+    ("state", "memory", "moved"),
+    [
+        (Structure(0.0, 0.0, 0.0), Structure(0.0, 0.0, 0.0), False),  # a push
+        (Structure(0.1, 0.35, 3.3), Structure(0.0, 0.0, 0.0), True),  # position times speed²
+        (Structure(0.0, 0.0, 0.0), Structure(0.04, 0.75, 2.35), True),  # what sloshes
+        (Structure(0.0, 0.0, 0.0), Structure(0.05, 0.17, 1.66, 13.9), False),  # by chance
+    ],
+)
+def test_what_the_motion_predicts_is_no_disturbance(
+    state: Structure, memory: Structure, moved: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[list[str]] = []
+
+    def predicted(_data: Any, _model: Any, _joint: int, of: list[str], _turning: bool) -> Structure:
+        asked.append(of)
+        return memory
+
+    monkeypatch.setattr(decide, "structure", predicted)
+    out: Any = SimpleNamespace(state=state, base=SimpleNamespace(model=None), joint=1)
+    parts: Any = SimpleNamespace(each=())
+    assert decide._of_the_motion(out, parts, False) is moved
+    assert asked in ([], [[MEMORY]])
+
+
+@pytest.mark.parametrize(
+    ("inertia", "gravity", "both"),
+    [(2.96, 4.8, True), (2.96, -4.8, False), (1.9, 9.0, False), (2.1, 2.1, False)],
+)
+def test_inertia_and_weight_together_tell_a_body(
+    inertia: float, gravity: float, both: bool
+) -> None:
+    assert absorbed._both_far(inertia, gravity) is both
+
+
+def test_a_complete_model_that_errs_more_than_the_sensor_says_what_it_leaves() -> None:
+    shares = [(1, 0.015), (2, 0.0005)]
+    assert nameless(shares, 66e-6, 0.27e-6) == ((1, 0.015),)
+    assert not nameless(shares, 0.3e-6, 0.27e-6) and not nameless([(1, None)], None, 1.0)
+    said = verdict_sentence("complete", [], left=[(1, 0.015)])
+    assert said.startswith("Complete: no known effect") and "1.5 % of the torque of joint 1" in said
+
+
+def test_times_are_told_with_their_recordings() -> None:
+    times = [(1.0, 1.5), (2.0, 2.25), (7.0, 7.5)]
+    assert spans(times, ["a", "b", "a"]) == "1.00–1.50 s, 7.00–7.50 s of a and 2.00–2.25 s of b"
+    assert spans(times, ["", "", ""], 2) == "1.00–1.50 s, 2.00–2.25 s"
+
+
+def test_one_bristle_or_hysteresis_law_a_joint() -> None:
+    """Both at once are two Coulomb frictions, whose levels nothing tells apart."""
+    one, other = get_effect("presliding"), get_effect("hysteresis")
+    assert one.family == other.family and one.sole and other.sole
