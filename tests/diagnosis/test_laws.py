@@ -314,10 +314,10 @@ def test_friction_beside_a_curve_of_the_position_stands_where_nothing_is_left(
     monkeypatch.setattr(laws, "structure", lambda *_: Structure(0.5, 9.0, 1.0))
     monkeypatch.setattr(laws, "_ahead", lambda *_: 0.0)
     outcome = replace(of_one_claim(curve, 1.2, left), claims=(curve, rubs, ripple))
-    monkeypatch.setattr(laws, "_alone", lambda *_: outcome.alone)
+    nothing: Any = SimpleNamespace(each=(), model=None, test=None)
+    monkeypatch.setattr(laws, "_alone", lambda *_: nothing)
     monkeypatch.setattr(laws, "beside_unknown", lambda *_: None)
     monkeypatch.setattr(laws, "discrepancy", lambda *_: outcome.after)
-    nothing: Any = SimpleNamespace(each=(), model=None, test=None)
     outcome = replace(outcome, final=nothing)
     decided = laws.believed(replace(outcome, base=nothing), nothing, nothing, 1)
     assert ("coulomb" in {c.effect for c in decided.refinements}) is not stand

@@ -214,8 +214,7 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
     likely = [
         c
         for c in decision.claims
-        if not any(c is twin for twin in twins)
-        and _is_likely(c, decision, parts)
+        if not any(c is twin for twin in twins) and _is_likely(c, decision, parts)
     ]
     laws = {c.effect for c in likely if c.effect != "unknown"}
     alone = _without_others(likely, decision, given, jobs)
@@ -285,9 +284,7 @@ def _twins(claims: Sequence[Claim]) -> tuple[Claim, ...]:
     return tuple(a for a in claims if any(alike(a, b) for b in claims))
 
 
-def _without_others(
-    claims: Sequence[Claim], decision: Decision, given: Model, jobs: int
-) -> Scored:
+def _without_others(claims: Sequence[Claim], decision: Decision, given: Model, jobs: int) -> Scored:
     """Some of the claims by themselves."""
     rest = [c for c in decision.claims if not any(c is k for k in claims)]
     if not claims or not rest:
