@@ -28,7 +28,7 @@ from zendsp.diagnosis.decide.pieces import (
 from zendsp.diagnosis.decide.rivals import law_of, together
 from zendsp.diagnosis.decide.thresholds import (
     A_PART,
-    ALIKE,
+    TWINS,
     BEHIND,
     CURVE,
     FINEST,
@@ -277,7 +277,7 @@ def _twins(claims: Sequence[Claim]) -> tuple[Claim, ...]:
         waves = [c.term.parameters for c in (a, b)]
         return a.mechanism != b.mechanism and all(
             all(n in wave for wave in waves)
-            and abs(waves[0][n].value - waves[1][n].value) < ALIKE * abs(waves[0][n].value)
+            and abs(waves[0][n].value - waves[1][n].value) < TWINS * abs(waves[0][n].value)
             for n in ("order", "amplitude")
         )
 

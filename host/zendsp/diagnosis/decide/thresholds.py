@@ -62,7 +62,7 @@ A_PART = 0.5
 BEHIND = 1.5
 # of a wave's order and amplitude: another that differs by less is its twin. Two ripples of a torque
 # constant were such pairs, 0.7 and 0.1 % apart
-ALIKE = 0.05
+TWINS = 0.05
 CURVE = 3  # so many laws of one mechanism at one joint draw a curve
 HARMONIC = 0.05  # of a whole number: a ripple's order over the lowest
 # A function of the state beside which something stays unexplained can be another one: its law,

@@ -30,7 +30,7 @@ WORDS = {
     "measurement": "the measurement",
     "disturbance": "a disturbance",
 }
-TILT = "how the base stands"
+TILTED = "how the base stands"
 
 
 def nameless(
@@ -63,7 +63,7 @@ def word_of(mechanism: str, effects: Sequence[str]) -> str:
     'how the base stands'
     """
     if set(effects) == {"base_tilt"}:
-        return TILT
+        return TILTED
     if set(effects) == {"coupling"}:
         return "the other joints' motion"
     return WORDS.get(mechanism, effects[0])
@@ -151,7 +151,7 @@ def verdict_sentence(
     for joint, words in at.items():
         joints.setdefault(" and ".join(words), []).append(joint)
     where = [f"{what} at {listed(numbers)}" for what, numbers in joints.items()]
-    masses = all(word_of(m, effects) in (WORDS["inertia"], TILT) for m, effects, _ in found)
+    masses = all(word_of(m, effects) in (WORDS["inertia"], TILTED) for m, effects, _ in found)
     begin = "Other than the model says" if masses else "Missing physics"
     return f"{begin}: {'; '.join(where)}."
 
