@@ -71,17 +71,13 @@ def test_two_mechanisms_do_not_have_the_same_wave_at_once(
 def test_what_the_motion_predicts_is_no_disturbance(
     state: Structure, memory: Structure, moved: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked: list[list[str]] = []
-
     def predicted(_data: Any, _model: Any, _joint: int, of: list[str], _turning: bool) -> Structure:
-        asked.append(of)
-        return memory
+        return memory if of == [MEMORY] else state
 
     monkeypatch.setattr(decide, "structure", predicted)
-    out: Any = SimpleNamespace(state=state, base=SimpleNamespace(model=None), joint=1)
+    pushed: Any = SimpleNamespace(final=SimpleNamespace(model=None), joint=1)
     parts: Any = SimpleNamespace(each=())
-    assert decide._of_the_motion(out, parts, False) is moved
-    assert asked in ([], [[MEMORY]])
+    assert decide._of_the_motion(pushed, parts, False) is moved
 
 
 @pytest.mark.parametrize(

@@ -361,10 +361,10 @@ def test_recordings_that_show_nothing_are_to_be_made_again_for_longer(tmp_path: 
 
 
 def test_the_page_does_not_say_nowhere_above_a_picture_with_shaded_spans() -> None:
-    some = SimpleNamespace(regions=(), times=((3.7, 4.2),), missing={})
+    some = SimpleNamespace(regions=(), times=((3.7, 4.2),), times_of=("a",), missing={})
     text = html._where(some)  # type: ignore[arg-type]
     assert "3.70–4.20 s" in text and "No interval" in text and "Nowhere" not in text
-    none = SimpleNamespace(regions=(), times=(), missing={})
+    none = SimpleNamespace(regions=(), times=(), times_of=(), missing={})
     assert "Nowhere in particular" in html._where(none)  # type: ignore[arg-type]
 
 

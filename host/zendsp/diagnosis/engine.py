@@ -127,7 +127,8 @@ def _diagnose(
     shown_on = parts.test if found.load else parts.fit  # where what lacks is to be seen
     seen_at = {j: clearest(shown_on, sides(findings, given, whole, j), j) for j in joints}
     lacking = {j: before for j, (_, before, _) in seen_at.items()}
-    places, times, at = located({j: lacking[j] for j in _lacking(found, findings, joints)})
+    somewhere = _lacking(found, findings, joints) if verdict != "complete" else ()
+    places, times, at = located({j: lacking[j] for j in somewhere})
     tell("proposing the next recording")
     proposal = propose(signals[0], given, found.searches, findings, decisions, seed)
     tell("asking what could have been seen")
@@ -137,17 +138,16 @@ def _diagnose(
     test = _table(parts.test, given, whole.calibrated, improved)
     loads = {(d.joint, name) for d in decisions for name in d.loads}
     notes += [*said(alone), *notes_of(decisions, given), *apart_in_time(parts, improved, loads)]
-    notes += of_load(found.load)
-    notes += moved(given, whole.calibrated if found.load else better)
+    notes += [*of_load(found.load), *moved(given, whole.calibrated if found.load else better)]
     if not findings:
         notes += bent(test, noise_floor(parts.test))
     return Diagnosis(
         verdict=verdict,
         findings=findings,
         refinements=refinements,
-        regions=places if verdict != "complete" else (),
-        times=times if verdict != "complete" else (),
-        times_of=at if verdict != "complete" else (),
+        regions=places,
+        times=times,
+        times_of=at,
         unit="m" if given.joint_kind(1) == "linear" else "rad",
         estimation=_table(parts.fit, given, whole.calibrated, improved),
         heldout=_table(parts.held, given, whole.calibrated, improved),

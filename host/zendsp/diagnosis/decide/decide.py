@@ -228,7 +228,7 @@ def _nothing_named(
         lost=tuple(_why(r, base, pieces, before) for r in search.tried[:6]),
     )
     pushed = _pushed(out, parts, jobs)
-    if pushed is not None and not _of_the_motion(out, parts, turning):
+    if pushed is not None and not _of_the_motion(pushed, parts, turning):
         return pushed
     asked = _asked(out, parts, turning)
     # something acts there surely, though what it is drowns in what stays unexplained
@@ -410,13 +410,15 @@ def _predicts(found: Structure) -> bool:
     return found.z > SURE or found.apart > BY_CHANCE
 
 
-def _of_the_motion(out: Decision, parts: Parts, turning: bool) -> bool:
+def _of_the_motion(pushed: Decision, parts: Parts, turning: bool) -> bool:
     """Whether the state predicts a part of what lacks, or the motion before most of it: of a push
     from outside neither knows anything.
     """
-    if out.state.size > OF_STATE and _predicts(out.state):
+    model = pushed.final.model
+    state = structure(parts.each, model, pushed.joint, STRUCTURED, turning)
+    if state.size > OF_STATE and _predicts(state):
         return True
-    memory = structure(parts.each, out.base.model, out.joint, [MEMORY], turning)
+    memory = structure(parts.each, model, pushed.joint, [MEMORY], turning)
     return memory.share > PREDICTED and memory.z > PLAIN
 
 

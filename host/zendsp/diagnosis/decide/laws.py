@@ -28,7 +28,6 @@ from zendsp.diagnosis.decide.pieces import (
 from zendsp.diagnosis.decide.rivals import law_of, together
 from zendsp.diagnosis.decide.thresholds import (
     A_PART,
-    TWINS,
     BEHIND,
     CURVE,
     FINEST,
@@ -42,6 +41,7 @@ from zendsp.diagnosis.decide.thresholds import (
     SIMULATORS_DIFFER,
     STATED_ALONE,
     SURE,
+    TWINS,
 )
 from zendsp.diagnosis.measure.curve import DRY, FLUID, FRICTION
 from zendsp.diagnosis.measure.discrepancy import Size, discrepancy
