@@ -123,12 +123,11 @@ def _diagnose(
     verdict = _verdict(findings, decisions)
     better = whole.improved if findings else whole.calibrated
     improved = remembered(better, given, decisions, findings)
-    joints = range(1, given.joints + 1)
     shown_on = parts.test if found.load else parts.fit  # where what lacks is to be seen
+    joints = range(1, given.joints + 1)
     seen_at = {j: clearest(shown_on, sides(findings, given, whole, j), j) for j in joints}
     lacking = {j: before for j, (_, before, _) in seen_at.items()}
-    somewhere = _lacking(found, findings, joints) if verdict != "complete" else ()
-    places, times, at = located({j: lacking[j] for j in somewhere})
+    places, times, at = located({j: lacking[j] for j in _lacking(found, findings, verdict)})
     tell("proposing the next recording")
     proposal = propose(signals[0], given, found.searches, findings, decisions, seed)
     tell("asking what could have been seen")
@@ -244,10 +243,12 @@ def _read(
     return signals, choose, test, [*notes, *how]
 
 
-def _lacking(found: Found, findings: Sequence[Finding], joints: Sequence[int]) -> set[int]:
+def _lacking(found: Found, findings: Sequence[Finding], verdict: Verdict) -> set[int]:
     """Joints at which something is missing; all of them where a body is, which all may bear."""
+    if verdict == "complete":
+        return set()
     if found.claims:
-        return set(joints)
+        return {d.joint for d in found.decisions}
     return {f.joint for f in findings} | {d.joint for d in found.decisions if d.kind != "complete"}
 
 
