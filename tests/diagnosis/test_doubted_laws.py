@@ -31,6 +31,8 @@ def test_a_stribeck_curve_upon_no_coulomb_friction_is_any_curve_over_the_speed(
     at = (term("coulomb", level=level), curve, term("quadratic_drag", coefficient=0.0025))
     final: Any = SimpleNamespace(model=SimpleNamespace(at=lambda _: at))
     assert laws._stand_on_nothing(final, 1, 1.0) == (curve,) * count
+    soft: Any = SimpleNamespace(model=SimpleNamespace(at=lambda _: (term("creep", speed=1e-5),)))
+    assert not laws._stand_on_nothing(soft, 1, 1.0)  # it stands upon itself: a search has it last
 
 
 def wave(effect: str, order: float, amplitude: float) -> Claim:

@@ -172,7 +172,8 @@ def _stand_on_nothing(final: Scored, joint: int, scale: float) -> tuple[Term, ..
     at = final.model.at(joint)
 
     def is_nothing(term: Term) -> bool:
-        upon = [t for t in at if t.effect in get_effect(term.effect).needs]
+        needs = set(get_effect(term.effect).needs) - {term.effect}
+        upon = [t for t in at if t.effect in needs]
         sizes = [t.value(get_effect(t.effect).parameters[0].name) for t in upon]
         return bool(sizes) and max(sizes) < FINEST * scale
 

@@ -44,6 +44,7 @@ EFFECT = Effect(
     essence=("force", "stiffness"),
     family="presliding",
     sole=True,
+    replaces=("presliding",),
     rivals=("presliding", "coulomb", "stiffness"),
     why_not="it depends on a state that is not measured",
 )
