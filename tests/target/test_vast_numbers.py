@@ -71,3 +71,32 @@ def test_check_refuses_a_fade_and_a_sample_that_write_would_refuse(
         with pytest.raises(Refused, match="is no sample"):
             desk.ask(verb, "me", values={"a": 2.0}, at_tick=-1)
     desk.ask("check", "me", values={"a": 2.0}, fade=1.0, at_tick=7)
+
+
+@pytest.mark.parametrize("decimation", [0, -1, 1 << 32, (1 << 63) - 1])
+def test_a_decimation_that_no_stream_holds_is_refused(
+    make_runtime: Make, decimation: int
+) -> None:
+    runtime = make_runtime(PROGRAM)
+    config = AcquireConfig(("x",), decimation, seconds=1e9)
+    with pytest.raises(AcquisitionError, match=f"decimation {decimation}: give 1 to"):
+        runtime.acquire_configure(0, config)
+
+
+def test_a_recording_that_is_refused_leaves_the_one_before_alone(make_runtime: Make) -> None:
+    """Who brings rows home takes another `begun` for other rows, and gives up."""
+    runtime = make_runtime(PROGRAM)
+    desk = desk_of(runtime)
+    desk.ask("acquire_configure", "anna", channels=["x"], seconds=0.01)
+    desk.ask("acquire_start", "anna")
+    runtime.start(100)
+    until(lambda: desk.ask("acquire_status").state == "done", "the recording")
+    before = desk.ask("acquire_status")
+    with pytest.raises(AcquisitionError):
+        desk.ask("acquire_configure", "bob", channels=["mistyped"])
+    assert desk.ask("acquire_status") == before
+    desk.ask("unload")
+    with pytest.raises(AcquisitionError):
+        desk.ask("acquire_start", "bob")
+    assert desk.ask("acquire_status").begun == before.begun
+    assert before.begun == 2

@@ -30,6 +30,7 @@ from zendsp_target.runtime.memory.shm import SharedFile
 from zendsp_target.runtime.variables.dictionary import Dictionary
 
 LONGEST_S = 1e9  # of a recording: 30 years; memory allows far less
+MOST_DECIMATION = (1 << 32) - 1  # samples a row: a word of the stream's head
 _EDGES = {"rising": 1, "falling": 2, "both": 3}
 _STATES = dict(enumerate(RecorderState))  # STREAM_… of layout.h
 # bytes of a stream: its pages are made present at once, which takes about a second for so many
@@ -55,6 +56,7 @@ class Stream:
     offset: int  # of row 0 in the file, bytes
     reader: Path  # for hosts of this user
     lost: int = 0
+    begun: int = 1  # how often rows of this number were begun, those of streams before it too
     lock: threading.Lock = field(default_factory=threading.Lock)
 
 
@@ -103,8 +105,10 @@ def _plan(dictionary: Dictionary, config: AcquireConfig, rate_hz: float) -> _Pla
     sources, labels, units = _expand(dictionary, config.channels)
     if not 1 <= len(sources) <= lib.LAYOUT_CHANNELS:
         raise AcquisitionError(f"{len(sources)} channels: give 1 … {lib.LAYOUT_CHANNELS}")
-    if config.decimation < 1:
-        raise AcquisitionError(f"decimation {config.decimation}: give 1 or more")
+    if not 1 <= config.decimation <= MOST_DECIMATION:
+        raise AcquisitionError(
+            f"decimation {config.decimation}: give 1 to {MOST_DECIMATION} samples a row"
+        )
     if not abs(config.seconds) <= LONGEST_S:  # NaN too
         raise AcquisitionError(f"{config.seconds:g} s: give a finite time, {LONGEST_S:g} s at most")
     rows = round(config.seconds * rate_hz / config.decimation)
@@ -288,6 +292,7 @@ def status(stream: Stream, alive: bool) -> AcquireStatus:
         decimation=stream.config.decimation, first=first, count=count,
         wanted=0 if ring else stream.rows, lost=stream.lost + int(head.missed),
         gaps=_gaps(head, first), start_tick=int(head.first_tick), trigger_row=fired,
+        begun=stream.begun,
     )
 
 
