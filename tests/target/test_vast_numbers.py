@@ -9,7 +9,7 @@ import pytest
 from desk import desk_of
 from waiting import until
 
-from zendsp_protocol.errors import AcquisitionError, Refused
+from zendsp_protocol.errors import AcquisitionError, Refused, VariableError
 from zendsp_protocol.messages import Trigger
 from zendsp_target.api import AcquireConfig
 from zendsp_target.runtime import Runtime
@@ -100,3 +100,45 @@ def test_a_recording_that_is_refused_leaves_the_one_before_alone(make_runtime: M
         desk.ask("acquire_start", "bob")
     assert desk.ask("acquire_status").begun == before.begun
     assert before.begun == 2
+
+
+NUMBERS = range(900)
+MANY = f"""#include "isr.h"
+double big[4096];
+{"".join(f"double number_{n};" for n in NUMBERS)}
+void UserInit(void) {{
+    SIGNAL(big, "", "");
+    {"".join(f'SIGNAL(number_{n}, "", "");' for n in NUMBERS)}
+}}
+void UserISR_INT2(void) {{}}
+"""
+
+
+def test_many_names_that_are_wrong_hold_up_nobody(make_runtime: Make) -> None:
+    """To tell what each may have meant took a minute, in which nobody was answered."""
+    runtime = make_runtime(MANY)
+    names = [f"nunber_{n}" for n in range(3000)]
+    began = time.monotonic()
+    for do in (
+        lambda: runtime.read(names),
+        lambda: runtime.write(dict.fromkeys(names, 1.0), "me"),
+        lambda: runtime.acquire_configure(0, AcquireConfig(tuple(names))),
+    ):
+        with pytest.raises((VariableError, AcquisitionError), match="did you mean number_") as said:
+            do()
+        assert str(said.value).count("no such variable") == len(names)
+    assert time.monotonic() - began < 10.0  # 0.7 s here; without care 150 s
+
+
+def test_a_name_a_thousand_times_takes_no_memory(make_runtime: Make) -> None:
+    runtime = make_runtime(MANY)
+    began = time.monotonic()
+    with pytest.raises(AcquisitionError, match="more than 1024 channels"):
+        runtime.acquire_configure(0, AcquireConfig(("big",) * 3000))
+    assert time.monotonic() - began < 2.0
+
+
+def test_an_index_of_thousands_of_digits_is_no_such_variable(make_runtime: Make) -> None:
+    runtime = make_runtime(PROGRAM)
+    with pytest.raises(VariableError, match="no such variable"):
+        runtime.read([f"a[{'9' * 5000}]"])

@@ -71,22 +71,26 @@ class _Plan:
 
 
 def _expand(
-    dictionary: Dictionary, names: tuple[str, ...]
+    dictionary: Dictionary, names: tuple[str, ...], most: int
 ) -> tuple[list[tuple[int, int]], list[str], list[str]]:
-    """Channels of the names: an array stands for all of its elements."""
+    """Channels of the names: an array stands for all of its elements; of too many, some are left
+    out.
+    """
     sources: list[tuple[int, int]] = []
     labels: list[str] = []
     units: list[str] = []
     problems: list[str] = []
     for name in names:
         try:
-            place = dictionary.place(name)
+            place = dictionary.place(name, len(problems))
         except VariableError as error:
             problems.append(str(error))
             continue
         info = place.entry.info
         if info.kind == "table":
             problems.append(f"{name}: is a table; record the variable that follows it")
+            continue
+        if len(sources) > most:  # too many already: a name a thousand times takes memory, too
             continue
         whole = place.element is None and info.length > 1
         elements = range(info.length) if whole else [place.element or 0]
@@ -102,9 +106,10 @@ def _expand(
 
 def _plan(dictionary: Dictionary, config: AcquireConfig, rate_hz: float) -> _Plan:
     _, lib = layout()
-    sources, labels, units = _expand(dictionary, config.channels)
+    sources, labels, units = _expand(dictionary, config.channels, lib.LAYOUT_CHANNELS)
     if not 1 <= len(sources) <= lib.LAYOUT_CHANNELS:
-        raise AcquisitionError(f"{len(sources)} channels: give 1 … {lib.LAYOUT_CHANNELS}")
+        number = f"more than {lib.LAYOUT_CHANNELS}" if sources else "no"
+        raise AcquisitionError(f"{number} channels: give 1 … {lib.LAYOUT_CHANNELS}")
     if not 1 <= config.decimation <= MOST_DECIMATION:
         raise AcquisitionError(
             f"decimation {config.decimation}: give 1 to {MOST_DECIMATION} samples a row"
@@ -119,7 +124,7 @@ def _plan(dictionary: Dictionary, config: AcquireConfig, rate_hz: float) -> _Pla
         )
     trigger, pre = None, 0
     if config.trigger is not None:
-        found, names, _ = _expand(dictionary, (config.trigger.source,))
+        found, names, _ = _expand(dictionary, (config.trigger.source,), 1)
         if len(found) != 1:
             raise AcquisitionError(
                 f"trigger source {config.trigger.source} has {len(found)} elements: name one, such"
