@@ -250,3 +250,8 @@ def test_a_long_source_holds_up_nothing_while_it_is_looked_through(text: str) ->
 def test_an_include_is_found_however_it_is_written() -> None:
     written = b'int a;\r\n \t# include\t"b.c" // and\n#include"c.c"\n// #include "d.c"\n'
     assert build._included({"user.c": written}) == {"b.c", "c.c"}
+
+
+def test_variables_beyond_what_the_linker_reaches_are_told() -> None:
+    result = compile_program({"user.c": HEAD + "char a[1UL << 33]; char *f(void) { return a; }"})
+    assert "more than 2 GB" in " ".join(d.message for d in result.diagnostics)
