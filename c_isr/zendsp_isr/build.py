@@ -26,7 +26,7 @@ from zendsp_isr.messages import Message, where_it_lacks
 from zendsp_protocol.errors import CompileFailed
 
 # -g1: the line of a crash; more takes a third longer, and three times as long for 900 variables
-_INCLUDED_C = re.compile(r'^\s*#\s*include\s+"([^"]+\.c)"', re.MULTILINE)
+_INCLUDED_C = re.compile(r'^[^\S\n]*#[^\S\n]*include[^\S\n]*"([^"\n]+\.c)"', re.MULTILINE)
 BASE_FLAGS = ("-std=gnu11", "-O2", "-g1", "-ffp-contract=off", "-Wall", "-Wextra")
 _KEPT = 1000  # compiled results of one kind
 _ABANDONED_S = 3600.0

@@ -337,6 +337,8 @@ def _reason(text: str) -> str:
     """Why it failed, in our words: its own may quote a file that is not the user's."""
     if "out of memory" in text or "memory exhausted" in text or "std::bad_alloc" in text:
         return f": it needs more than the {_MAX_MEMORY >> 20} MB that a compilation may take"
+    if "relocation truncated" in text:
+        return ": its variables take more than 2 GB; declare less"
     if "File size limit" in text or "File too large" in text or "file truncated" in text:
         return f": its result exceeds {_MAX_FILE >> 20} MB; download data as a TABLE instead"
     return ""

@@ -27,7 +27,12 @@ _TYPES = "PARAMETER and SIGNAL take double, float, int32_t, bool, and arrays of 
 _DEEP = "(*)["  # in the type of a row of three dimensions or more
 
 _SEMICOLON = "expected ';'"
-_COMMENT = re.compile(r"""("(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*')|/\*.*?\*/|//[^\n]*""", re.DOTALL)
+# what is not closed goes on to its end: to look for that from each mark anew takes for ever
+_COMMENT = re.compile(
+    r"""("(?:\\.|[^"\\\n])*"?|'(?:\\.|[^'\\\n])*'?)|/\*.*?(?:\*/|\Z)|//[^\n]*""", re.DOTALL
+)
+_LONGEST = 1 << 20  # bytes of a source in which places are looked for
+_QUOTED = 1000  # characters of a message, in which our own words for it are looked for
 _TAB = 8  # columns, as gcc counts
 
 
@@ -67,7 +72,7 @@ def parse_messages(text: str) -> tuple[Message, ...]:
         if line.startswith("["):
             try:
                 entries, _ = decoder.raw_decode(line)
-            except json.JSONDecodeError:
+            except (json.JSONDecodeError, RecursionError):
                 entries = None
             if isinstance(entries, list):
                 found += [
@@ -116,7 +121,7 @@ def without_between(message: Message) -> Message:
 
 
 def _in_our_words(message: Message) -> Message:
-    found = _NO_TYPE.search(message.message)
+    found = _NO_TYPE.search(message.message[:_QUOTED])
     if found is None:
         return message
     deep = "of one or two dimensions: this one has more"
@@ -129,19 +134,23 @@ def where_it_lacks(message: Message, sources: Mapping[str, bytes]) -> Message:
     """Return a message about a missing semicolon with the place where it belongs: behind a macro
     gcc names the next word, perhaps of another line, perhaps internal to isr.h.
     """
-    if not message.message.startswith(_SEMICOLON) or message.file not in sources:
+    source = sources.get(message.file, b"")
+    if not message.message.startswith(_SEMICOLON) or not 0 < len(source) <= _LONGEST:
         return message
-    lines = sources[message.file].decode(errors="replace").expandtabs(_TAB).split("\n")
+    lines = source.decode(errors="replace").expandtabs(_TAB).split("\n")
     if not 0 < message.line <= len(lines):  # of a #line of the user's
         return message
     before = [*lines[: message.line - 1], lines[message.line - 1][: message.column - 1]]
-    blank = re.compile(r"[^\n]")
-    code = _COMMENT.sub(lambda found: found[1] or blank.sub(" ", found[0]), "\n".join(before))
+    code = _COMMENT.sub(lambda found: found[1] or _blank(found[0]), "\n".join(before))
     line, column = code.rstrip().count("\n") + 1, len(code.rstrip().rpartition("\n")[2]) + 1
     if (line, column) == (message.line, message.column):
         return message
     text = _SEMICOLON + (" at the end of this line" if line < message.line else "")
     return replace(message, line=line, column=column, message=text)
+
+
+def _blank(text: str) -> str:
+    return "\n".join(" " * len(line) for line in text.split("\n"))
 
 
 def _from_json(entry: dict[str, object]) -> list[Message]:

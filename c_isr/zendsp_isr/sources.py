@@ -11,7 +11,7 @@ from pathlib import Path
 from zendsp_isr.build import source_root
 from zendsp_protocol.errors import CompileFailed
 
-_INCLUDE = re.compile(r'^\s*#\s*include\s+"([^"]+)"', re.MULTILINE)
+_INCLUDE = re.compile(r'^[^\S\n]*#[^\S\n]*include[^\S\n]*"([^"\n]+)"', re.MULTILINE)
 Source = str | Path | Mapping[str, str]
 
 

@@ -186,7 +186,10 @@ def read_urdf(path: str) -> tuple[list[Body], Array]:
 def _read(robot: ET.Element, path: str) -> list[Body]:
     if robot.tag != "robot":
         raise ModelError(f"{path}: is not a URDF: its root is <{robot.tag}>, expected <robot>")
-    links = {str(link.attrib["name"]): link for link in robot.findall("link")}
+    found = robot.findall("link")
+    links = {str(link.attrib["name"]): link for link in found}
+    if len(links) < len(found):
+        raise ModelError(f"{path}: two of its {len(found)} links have the same name")
     joints = sorted(robot.findall("joint"), key=lambda joint: joint.attrib["name"])
     children: dict[str, list[ET.Element]] = {name: [] for name in links}
     carried = set()
@@ -265,10 +268,18 @@ def _inertial(link: ET.Element, rotation: Array, place: Array) -> tuple[float, A
         return 0.0, np.zeros(3), np.zeros((3, 3))
     turn, at = _origin(found)
     turn = rotation @ turn
-    i = {key: float(value) for key, value in found.find("inertia").attrib.items()}  # type: ignore[union-attr]
+    inertia, weighs = found.find("inertia"), found.find("mass")
+    if inertia is None or weighs is None:
+        raise ValueError(f"link {link.attrib['name']!r} has <inertial> without <mass> or <inertia>")
+    i = {key: float(value) for key, value in inertia.attrib.items()}
     xy, xz, yz = (i.get(key, 0.0) for key in ("ixy", "ixz", "iyz"))
     own = np.array([[i["ixx"], xy, xz], [xy, i["iyy"], yz], [xz, yz, i["izz"]]])
-    mass = float(found.find("mass").attrib["value"])  # type: ignore[union-attr]
+    mass = float(weighs.attrib["value"])
+    if not (0.0 <= mass < np.inf and np.isfinite(own).all()):
+        raise ValueError(
+            f"link {link.attrib['name']!r}: mass {mass:g} kg, inertia {list(i.values())} kg m^2:"
+            " give finite numbers, and a mass of 0 or more"
+        )
     return mass, place + rotation @ at, turn @ own @ turn.T
 
 

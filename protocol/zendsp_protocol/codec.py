@@ -23,6 +23,8 @@ from zendsp_protocol.verbs import VERBS, Arguments, Verb
 from zendsp_protocol.version import PROTOCOL, mismatch
 
 MOST_NAME = 200  # characters of who asks: it is kept in the log and told to all
+MOST_REQUEST = 64_000_000  # bytes; a target takes none in that is larger, and says nothing
+_ENVELOPE = 10_000  # bytes of it for what Zenoh adds
 MOST_TEXT = 20_000  # characters of an error, which may quote what was asked
 ROOM = 1024  # bytes at first: a packer that makes room for 256 kB each time asks the kernel for it
 _KNOWN: set[Any] = set()  # types that msgspec has looked at, nested ones included
@@ -114,9 +116,15 @@ def _convert(value: Any, kind: Any, what: str) -> Any:
 def encode_request(verb: str, arguments: Any, by: str, version: int = PROTOCOL) -> bytes:
     """Encode a request; ``arguments`` is the verb's struct or a dictionary of the same fields."""
     try:
-        return encode({"v": version, "verb": verb, "by": by, "args": arguments})
+        request = encode({"v": version, "verb": verb, "by": by, "args": arguments})
     except UnicodeEncodeError as error:  # of a name that was read in another encoding
         raise Refused(f"{error.object!r} is no text in UTF-8") from error
+    if len(request) > MOST_REQUEST - _ENVELOPE:
+        raise Refused(
+            f"{verb} of {len(request) / 1e6:.0f} MB was not sent: a request has"
+            f" {MOST_REQUEST / 1e6:g} MB at most; upload() sends a table or an array in parts"
+        )
+    return request
 
 
 def decode_request(data: bytes, lane: str) -> tuple[Verb, Arguments, str]:

@@ -22,8 +22,8 @@ import zendsp
 from zendsp.link import Target
 from zendsp.link.settings import Credentials
 from zendsp_protocol import codec, keys
+from zendsp_protocol.codec import MOST_REQUEST
 from zendsp_protocol.once import FIRST, stamp
-from zendsp_target.access.endpoints import MOST_REQUEST
 from zendsp_target.access.hosts import MOST_HOSTS
 
 SECONDS = 4.0

@@ -186,4 +186,4 @@ def test_what_cannot_be_put_back_is_said() -> None:
     with local("imi_planar", clock="fast") as target:
         target.download("pd.c")
         before = Before(target, ["use_table", "row_rate"])
-    assert before.put_back().startswith("use_table, row_rate stay as the run had set them: ")
+    assert before.put_back().startswith("not all of use_table, row_rate is put back: ")

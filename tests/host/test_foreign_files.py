@@ -457,3 +457,16 @@ def test_so_many_columns_as_a_logger_may_have_are_told_apart(tmp_path: Path) -> 
     assert csv._header(file, ",".join(names), ",", 1)[0] == names
     with pytest.raises(RecordingError, match="names column 'c7' twice"):
         csv._header(file, ",".join([*names, "c7"]), ",", 1)
+
+
+@pytest.mark.parametrize("name", ["none.npz", "none.csv"])
+def test_a_table_without_a_row_is_refused_by_name(name: str, tmp_path: Path) -> None:
+    empty = {"t": np.zeros(0), "q": np.zeros(0)}
+    path = tmp_path / name
+    if name.endswith("npz"):
+        np.savez(path, **empty)
+    else:
+        path.write_text("t,q\n")
+    with pytest.raises(RecordingError, match=rf"{name}: .*no row"):
+        Recording.load(path)
+    assert len(Recording.from_columns({"q": []}, sample_time=0.1)) == 0

@@ -196,3 +196,27 @@ def test_the_file_keeps_a_payload(tmp_path: Path) -> None:
     (tmp_path / "arm.toml").write_text(model_text(replace(carried, file=str(ARM))))
     back = load_model(tmp_path / "arm.toml")
     assert back.terms[-1].effect == "payload" and back.terms[-1].value("com_z") == 0.11
+
+
+@pytest.mark.parametrize(
+    ("inertial", "words"),
+    [
+        ('<mass value="nan"/><inertia ixx="1" iyy="1" izz="1"/>', "link 'b': mass nan kg"),
+        ('<mass value="-1"/><inertia ixx="1" iyy="1" izz="1"/>', "link 'b': mass -1 kg"),
+        ('<mass value="1"/><inertia ixx="1e400" iyy="1" izz="1"/>', "link 'b': .* finite"),
+        ('<mass value="1"/>', "link 'b' has <inertial> without <mass> or <inertia>"),
+        (None, "two of its 3 links have the same name"),
+    ],
+)
+def test_a_urdf_whose_links_weigh_nothing_that_is_a_number_is_refused(
+    tmp_path: Path, inertial: str | None, words: str
+) -> None:
+    second = '<link name="b"/>' if inertial is None else ""
+    path = tmp_path / "arm.urdf"
+    path.write_text(
+        f"<robot name='r'><link name='a'/>{second}<link name='b'><inertial>{inertial or ''}"
+        "</inertial></link><joint name='j' type='revolute'><parent link='a'/><child link='b'/>"
+        "<axis xyz='0 1 0'/><limit lower='-1' upper='1' effort='1' velocity='1'/></joint></robot>"
+    )
+    with pytest.raises(ModelError, match=words):
+        read_urdf(str(path))

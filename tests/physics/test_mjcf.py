@@ -4,6 +4,7 @@ plain refusals.
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -171,6 +172,7 @@ REFUSED = {
         ARM.replace('stiffness="3"', 'stiffness="3 0.5 20"'),
         "joint 'elbow'.*MuJoCo's torque is",
     ),
+    "no number": (re.sub('mass="[^"]*"', 'mass="nan"', ARM, count=1), "no finite number"),
     "no XML": ("robot: arm", "does not compile"),
     "no joint": ("<mujoco><worldbody/></mujoco>", "no joint that moves"),
 }

@@ -118,6 +118,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"actuator": {"delay": -0.1}}, "delay"),
     ({"actuator": {"limit": []}}, "limit"),
     ({"sample_time": "fast"}, "sample_time"),
+    ({"sample_time": 10**400}, "a finite number"),
 ]
 
 

@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 
 from zendsp_protocol import chunks, codec, errors, keys, registry, values, version
 from zendsp_protocol import messages as m
-from zendsp_protocol.errors import LinkError, VariableError, VersionMismatch, ZendspError
+from zendsp_protocol.errors import LinkError, Refused, VariableError, VersionMismatch, ZendspError
 from zendsp_protocol.pieces import check_pieces
 from zendsp_protocol.states import DriveState, ProgramState
 from zendsp_protocol.verbs import ROLES, VERBS
@@ -362,3 +362,9 @@ def test_several_threads_may_meet_a_type_for_the_first_time_together() -> None:
     for _ in range(3):
         done = subprocess.run([sys.executable, "-c", NEW], capture_output=True, text=True)
         assert done.returncode == 0, (done.returncode, done.stderr)
+
+
+def test_a_request_that_no_target_takes_in_is_not_sent() -> None:
+    """It was sent, and nobody answered: that looked like a target that is gone."""
+    with pytest.raises(Refused, match=r"update of 80 MB was not sent: .* upload"):
+        codec.encode_request("update", {"values": {"tab": np.zeros(10_000_000)}}, "me")

@@ -8,12 +8,14 @@ import os
 import resource
 import signal
 import subprocess
+import time
 from pathlib import Path
 
 import pytest
 
-from zendsp_isr import compiler
+from zendsp_isr import build, compiler, sources
 from zendsp_isr.confine import landlock_version
+from zendsp_isr.messages import Message, parse_messages, where_it_lacks
 from zendsp_target.runtime.compile_service import compile_program
 
 HEAD = (
@@ -224,3 +226,32 @@ def test_a_message_about_a_file_outside_is_not_passed_on(secret: Path) -> None:
     named = compile_program({"line.c": HEAD + f'#line 1 "{secret}"\n#error here\n'})
     assert not named.ok
     assert [d for d in named.diagnostics if str(secret) in d.file] == []
+
+
+LACKS = Message("error", "user.c", 2, 1, "expected ';' before 'int'")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [80_000 * "\n", 400_000 * "/*", '"' + 400_000 * r"\"", 100_000 * "#include \"a\n"],
+    ids=["blank lines", "comments", "quotes", "includes"],
+)
+def test_a_long_source_holds_up_nothing_while_it_is_looked_through(text: str) -> None:
+    """The target read 10 MB of blank lines for hours, and heard no STOP over the link meanwhile."""
+    began = time.monotonic()
+    source = {"user.c": (text + "\nint x\n").encode()}
+    assert build._included(source) == set()
+    assert sources._INCLUDE.findall(text) == []
+    where_it_lacks(LACKS, source)
+    parse_messages(40_000 * "controlling expression type 'a' ")
+    assert time.monotonic() - began < 2.0  # a tenth of that here; without care, 5 s and far more
+
+
+def test_an_include_is_found_however_it_is_written() -> None:
+    written = b'int a;\r\n \t# include\t"b.c" // and\n#include"c.c"\n// #include "d.c"\n'
+    assert build._included({"user.c": written}) == {"b.c", "c.c"}
+
+
+def test_variables_beyond_what_the_linker_reaches_are_told() -> None:
+    result = compile_program({"user.c": HEAD + "char a[1UL << 33]; char *f(void) { return a; }"})
+    assert "more than 2 GB" in " ".join(d.message for d in result.diagnostics)

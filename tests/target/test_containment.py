@@ -388,6 +388,9 @@ def test_user_code_takes_no_more_memory_than_it_is_given(make_runtime: Make, mar
     how = "long most = 0; while (most < 4000 && malloc(1 << 20)) most++; errno = 0; return most;"
     runtime = make_runtime(_program(how, mark, "init"), memory_mb=200.0)
     assert 100.0 < runtime.read(["answer"])[1]["answer"] < 200.0
+    huge = "static volatile char huge[1 << 30]; void fill(void) { huge[0]++; }"
+    with pytest.raises(Refused, match="variables take 1074 MB, and user code may take 200 MB"):
+        make_runtime(_program("return 0;", mark, "init") + huge, memory_mb=200.0)
     with pytest.raises(Refused, match="give 50 or more"):
         make_runtime(_program("return 0;", mark, "init"), memory_mb=1.0)
 

@@ -8,7 +8,7 @@ import pytest
 from samples import run
 
 from zendsp_protocol import verbs
-from zendsp_protocol.errors import Refused
+from zendsp_protocol.errors import Refused, VariableError
 from zendsp_target.runtime import Runtime
 from zendsp_target.serving.drives import Drives
 from zendsp_target.serving.runs import MOST, Runs
@@ -41,4 +41,34 @@ def test_nobody_ends_the_run_of_another_or_keeps_others_from_theirs(
     assert runtime.read(["k"])[1] == {"k": 5.0}
     runs.do_run_end(verbs.RunEnd(run=number), "anna")
     run(runtime, 3)
+    assert runtime.read(["k"])[1] == {"k": 1.0}
+
+
+OWN = """
+#include "isr.h"
+static double k, adapts, x;
+void UserInit(void) {
+    PARAMETER(k, 1.0, "", NO_MIN, NO_MAX, "");
+    PARAMETER(adapts, 1.0, "", 0.0, 10.0, "");
+    SIGNAL(x, "", "");
+}
+void UserISR_INT2(void) { if (k == 1.0) adapts = 20.0; }
+"""
+
+
+def test_what_cannot_be_put_back_keeps_nothing_else_from_it(
+    make_runtime: Callable[..., Runtime]
+) -> None:
+    """A parameter that the program itself had set beyond its limits; a signal."""
+    runtime = make_runtime(OWN)
+    runs = Runs(runtime, Drives(runtime))
+    with pytest.raises(Refused, match="no signals: x"):
+        runs.do_run_begin(verbs.RunBegin(names=["k", "x"]), "anna")
+    run(runtime, 3)
+    number = runs.do_run_begin(verbs.RunBegin(names=["adapts", "k"]), "anna").run
+    runtime.write({"k": 5.0, "adapts": 2.0}, "anna")
+    run(runtime, 3)
+    with pytest.raises(VariableError, match=r"adapts: 20 is outside .* put back: k"):
+        runs.do_run_end(verbs.RunEnd(run=number), "anna")
+    run(runtime, 1)
     assert runtime.read(["k"])[1] == {"k": 1.0}

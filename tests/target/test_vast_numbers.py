@@ -9,7 +9,7 @@ import pytest
 from desk import desk_of
 from waiting import until
 
-from zendsp_protocol.errors import AcquisitionError, Refused
+from zendsp_protocol.errors import AcquisitionError, Refused, VariableError
 from zendsp_protocol.messages import Trigger
 from zendsp_target.api import AcquireConfig
 from zendsp_target.runtime import Runtime
@@ -71,3 +71,74 @@ def test_check_refuses_a_fade_and_a_sample_that_write_would_refuse(
         with pytest.raises(Refused, match="is no sample"):
             desk.ask(verb, "me", values={"a": 2.0}, at_tick=-1)
     desk.ask("check", "me", values={"a": 2.0}, fade=1.0, at_tick=7)
+
+
+@pytest.mark.parametrize("decimation", [0, -1, 1 << 32, (1 << 63) - 1])
+def test_a_decimation_that_no_stream_holds_is_refused(
+    make_runtime: Make, decimation: int
+) -> None:
+    runtime = make_runtime(PROGRAM)
+    config = AcquireConfig(("x",), decimation, seconds=1e9)
+    with pytest.raises(AcquisitionError, match=f"decimation {decimation}: give 1 to"):
+        runtime.acquire_configure(0, config)
+
+
+def test_a_recording_that_is_refused_leaves_the_one_before_alone(make_runtime: Make) -> None:
+    """Who brings rows home takes another `begun` for other rows, and gives up."""
+    runtime = make_runtime(PROGRAM)
+    desk = desk_of(runtime)
+    desk.ask("acquire_configure", "anna", channels=["x"], seconds=0.01)
+    desk.ask("acquire_start", "anna")
+    runtime.start(100)
+    until(lambda: desk.ask("acquire_status").state == "done", "the recording")
+    before = desk.ask("acquire_status")
+    with pytest.raises(AcquisitionError):
+        desk.ask("acquire_configure", "bob", channels=["mistyped"])
+    assert desk.ask("acquire_status") == before
+    desk.ask("unload")
+    with pytest.raises(AcquisitionError):
+        desk.ask("acquire_start", "bob")
+    assert desk.ask("acquire_status").begun == before.begun
+    assert before.begun == 2
+
+
+NUMBERS = range(900)
+MANY = f"""#include "isr.h"
+double big[4096];
+{"".join(f"double number_{n};" for n in NUMBERS)}
+void UserInit(void) {{
+    SIGNAL(big, "", "");
+    {"".join(f'SIGNAL(number_{n}, "", "");' for n in NUMBERS)}
+}}
+void UserISR_INT2(void) {{}}
+"""
+
+
+def test_many_names_that_are_wrong_hold_up_nobody(make_runtime: Make) -> None:
+    """To tell what each may have meant took a minute, in which nobody was answered."""
+    runtime = make_runtime(MANY)
+    names = [f"nunber_{n}" for n in range(3000)]
+    began = time.monotonic()
+    for do in (
+        lambda: runtime.read(names),
+        lambda: runtime.write(dict.fromkeys(names, 1.0), "me"),
+        lambda: runtime.acquire_configure(0, AcquireConfig(tuple(names))),
+    ):
+        with pytest.raises((VariableError, AcquisitionError), match="did you mean number_") as said:
+            do()
+        assert str(said.value).count("no such variable") == len(names)
+    assert time.monotonic() - began < 10.0  # 0.7 s here; without care 150 s
+
+
+def test_a_name_a_thousand_times_takes_no_memory(make_runtime: Make) -> None:
+    runtime = make_runtime(MANY)
+    began = time.monotonic()
+    with pytest.raises(AcquisitionError, match="more than 1024 channels"):
+        runtime.acquire_configure(0, AcquireConfig(("big",) * 3000))
+    assert time.monotonic() - began < 2.0
+
+
+def test_an_index_of_thousands_of_digits_is_no_such_variable(make_runtime: Make) -> None:
+    runtime = make_runtime(PROGRAM)
+    with pytest.raises(VariableError, match="no such variable"):
+        runtime.read([f"a[{'9' * 5000}]"])

@@ -55,7 +55,7 @@ class Before:
         try:
             self._target.request("run_end", run=self._begun.run)
         except ZendspError as error:
-            return f"{', '.join(self._begun.names)} stay as the run had set them: {error}"
+            return f"not all of {', '.join(self._begun.names)} is put back: {error}"
         return ""
 
 

@@ -167,5 +167,7 @@ def _foreign(path: Path, raw: Raw, kind: type[Kind], asked: str | None) -> Kind:
         )
     t = columns.pop(time)
     units.pop(time, None)
+    if len(t) == 0:
+        raise RecordingError(f"{path}: has column names but no rows")
     extra = {"constants": raw.constants, "notes": [*raw.notes, *notes], TIME_NAME: time}
     return kind.from_columns(columns, t=t, units=units, extra=extra)

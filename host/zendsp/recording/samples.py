@@ -150,7 +150,7 @@ class Samples:
         )
         if sample_time is None:
             sample_time = float(np.median(np.diff(time))) if rows > 1 else 0.0
-        matrices = [values.reshape(rows, -1) for values in arrays.values()]
+        matrices = [v.reshape(rows, v.shape[1] if v.ndim == 2 else 1) for v in arrays.values()]
         channels = tuple(
             Channel(name, (units or {}).get(name, ""), matrix.shape[1])
             for name, matrix in zip(arrays, matrices, strict=True)

@@ -14,15 +14,13 @@ from dataclasses import dataclass
 
 import zenoh
 
+from zendsp_protocol.codec import MOST_REQUEST
 from zendsp_protocol.errors import Refused
 
 LEASE_MS = 1000  # a stopped or unplugged host is noticed within this time
 # packets of 64 kB that may wait for the link: the most that Zenoh takes, and a whole chunk of a
 # recording
 BULK_QUEUE = 16
-# bytes; the largest is a program of 16 MB, and what is larger is put together nowhere: whoever may
-# look could otherwise fill the memory
-MOST_REQUEST = 64_000_000
 STRANGERS = 100_000  # that may wait at a port; open files are fewer
 
 
@@ -171,6 +169,8 @@ def zenoh_config(
         "open/return_conditions/connect_scouted": False,
         # the default lets a hundred strangers who say nothing keep every host out
         "transport/unicast/accept_pending": STRANGERS,
+        # the largest is a program of 16 MB, and what is larger is put together nowhere: whoever may
+        # look could otherwise fill the memory
         "transport/link/rx/max_message_size": MOST_REQUEST,
         "transport/link/tx/lease": LEASE_MS,  # the default of 10 s hides a dead host for 10 s
         # the recorder needs what there is; and see the host's settings

@@ -30,6 +30,7 @@ from zendsp_target.runtime.memory.shm import SharedFile
 from zendsp_target.runtime.variables.dictionary import Dictionary
 
 LONGEST_S = 1e9  # of a recording: 30 years; memory allows far less
+MOST_DECIMATION = (1 << 32) - 1  # samples a row: a word of the stream's head
 _EDGES = {"rising": 1, "falling": 2, "both": 3}
 _STATES = dict(enumerate(RecorderState))  # STREAM_… of layout.h
 # bytes of a stream: its pages are made present at once, which takes about a second for so many
@@ -55,6 +56,7 @@ class Stream:
     offset: int  # of row 0 in the file, bytes
     reader: Path  # for hosts of this user
     lost: int = 0
+    begun: int = 1  # how often rows of this number were begun, those of streams before it too
     lock: threading.Lock = field(default_factory=threading.Lock)
 
 
@@ -69,22 +71,26 @@ class _Plan:
 
 
 def _expand(
-    dictionary: Dictionary, names: tuple[str, ...]
+    dictionary: Dictionary, names: tuple[str, ...], most: int
 ) -> tuple[list[tuple[int, int]], list[str], list[str]]:
-    """Channels of the names: an array stands for all of its elements."""
+    """Channels of the names: an array stands for all of its elements; of too many, some are left
+    out.
+    """
     sources: list[tuple[int, int]] = []
     labels: list[str] = []
     units: list[str] = []
     problems: list[str] = []
     for name in names:
         try:
-            place = dictionary.place(name)
+            place = dictionary.place(name, len(problems))
         except VariableError as error:
             problems.append(str(error))
             continue
         info = place.entry.info
         if info.kind == "table":
             problems.append(f"{name}: is a table; record the variable that follows it")
+            continue
+        if len(sources) > most:  # too many already: a name a thousand times takes memory, too
             continue
         whole = place.element is None and info.length > 1
         elements = range(info.length) if whole else [place.element or 0]
@@ -100,11 +106,14 @@ def _expand(
 
 def _plan(dictionary: Dictionary, config: AcquireConfig, rate_hz: float) -> _Plan:
     _, lib = layout()
-    sources, labels, units = _expand(dictionary, config.channels)
+    sources, labels, units = _expand(dictionary, config.channels, lib.LAYOUT_CHANNELS)
     if not 1 <= len(sources) <= lib.LAYOUT_CHANNELS:
-        raise AcquisitionError(f"{len(sources)} channels: give 1 … {lib.LAYOUT_CHANNELS}")
-    if config.decimation < 1:
-        raise AcquisitionError(f"decimation {config.decimation}: give 1 or more")
+        number = f"more than {lib.LAYOUT_CHANNELS}" if sources else "no"
+        raise AcquisitionError(f"{number} channels: give 1 … {lib.LAYOUT_CHANNELS}")
+    if not 1 <= config.decimation <= MOST_DECIMATION:
+        raise AcquisitionError(
+            f"decimation {config.decimation}: give 1 to {MOST_DECIMATION} samples a row"
+        )
     if not abs(config.seconds) <= LONGEST_S:  # NaN too
         raise AcquisitionError(f"{config.seconds:g} s: give a finite time, {LONGEST_S:g} s at most")
     rows = round(config.seconds * rate_hz / config.decimation)
@@ -115,7 +124,7 @@ def _plan(dictionary: Dictionary, config: AcquireConfig, rate_hz: float) -> _Pla
         )
     trigger, pre = None, 0
     if config.trigger is not None:
-        found, names, _ = _expand(dictionary, (config.trigger.source,))
+        found, names, _ = _expand(dictionary, (config.trigger.source,), 1)
         if len(found) != 1:
             raise AcquisitionError(
                 f"trigger source {config.trigger.source} has {len(found)} elements: name one, such"
@@ -288,6 +297,7 @@ def status(stream: Stream, alive: bool) -> AcquireStatus:
         decimation=stream.config.decimation, first=first, count=count,
         wanted=0 if ring else stream.rows, lost=stream.lost + int(head.missed),
         gaps=_gaps(head, first), start_tick=int(head.first_tick), trigger_row=fired,
+        begun=stream.begun,
     )
 
 

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from elftools.common.exceptions import ELFError
+from elftools.elf.constants import P_FLAGS
 from elftools.elf.elffile import ELFFile
 from elftools.elf.sections import SymbolTableSection
 
@@ -140,6 +141,25 @@ def _result(built: Built, ok: bool, diagnostics: list[Diagnostic]) -> CompileRes
     return CompileResult(
         ok, built.key, tuple(diagnostics), built.seconds, built.cached, built.compiler, built.flags
     )
+
+
+def check_memory(program: Path, allowed_mb: float) -> None:
+    """Refuse a program whose own variables take more than user code may: the limit of the process
+    does not count them (the kernel maps them in place of what was counted as none).
+
+    Raises
+    ------
+    Refused
+        They take more.
+    """
+    with program.open("rb") as file:
+        segments = [s.header for s in ELFFile(file).iter_segments("PT_LOAD")]
+    size_mb = sum(s["p_memsz"] for s in segments if s["p_flags"] & P_FLAGS.PF_W) / 1e6
+    if size_mb > allowed_mb:
+        raise Refused(
+            f"the program's own variables take {size_mb:.0f} MB, and user code may take"
+            f" {allowed_mb:g} MB here: declare less, or give the target more (--memory)"
+        )
 
 
 def program_path(key: str) -> Path:

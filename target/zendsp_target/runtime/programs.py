@@ -14,7 +14,7 @@ from zendsp_protocol.errors import Refused, RunnerDied
 from zendsp_protocol.messages import CompileResult, Trip
 from zendsp_target.concealed.load import load_concealed
 from zendsp_target.runtime import safety
-from zendsp_target.runtime.compile_service import compile_program, program_path
+from zendsp_target.runtime.compile_service import check_memory, compile_program, program_path
 from zendsp_target.runtime.memory.layout import layout
 from zendsp_target.runtime.memory.shm import SharedFile, SharedFolder
 from zendsp_target.runtime.process.places import Place, placed
@@ -114,6 +114,7 @@ class Programs:
             Its UserInit crashed or did not return.
         """
         path = program_path(key)
+        check_memory(path, self.settings.memory_mb)
         with self.lock:
             self._require_open()
             self.require_no_trip()

@@ -60,6 +60,8 @@ class Recorder:
                 path, session.dictionary, config, session.settings.rate_hz,
                 self._folder.free_bytes(),
             )
+            if stream in self._streams:
+                fresh.begun += self._streams[stream][0].begun
             try:
                 acquisition.attach(fresh, session.control, stream, session.alive)
             except BaseException:
@@ -85,6 +87,7 @@ class Recorder:
                 f"stream {stream} belongs to a program that is no longer loaded: configure it again"
             )
         if not (force and acquisition.status(found, True).state == RecorderState.ARMED):
+            found.begun += 1
             acquisition.request(found, "arm", session.alive)
         if force:
             acquisition.request(found, "force", session.alive)

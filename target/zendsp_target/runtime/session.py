@@ -233,7 +233,7 @@ class Session:
         problems: list[str] = []
         for name in names:
             try:
-                places[name] = self.dictionary.place(name)
+                places[name] = self.dictionary.place(name, len(problems))
             except VariableError as error:
                 problems.append(str(error))
         if problems:

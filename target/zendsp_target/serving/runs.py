@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from zendsp_protocol import messages as m
 from zendsp_protocol import verbs
-from zendsp_protocol.errors import Refused, ZendspError
+from zendsp_protocol.errors import Refused, VariableError, ZendspError
 from zendsp_protocol.states import ProgramState
 from zendsp_protocol.values import Value
 from zendsp_target.api import RuntimeApi
@@ -58,6 +58,9 @@ class Runs:
         infos = {info.name: info for info in self._runtime.variables()}
         names = [name for name in args.names if name.partition("[")[0] in infos]
         values = self._runtime.read(names)[1] if names else {}
+        signals = [name for name in names if infos[name.partition("[")[0]].kind == "signal"]
+        if signals:
+            raise Refused(f"a run sets parameters and tables, no signals: {', '.join(signals)}")
         tables = frozenset(n for n in names if n in infos and infos[n].kind == "table")
         follows = FOLLOW not in infos or bool(self._runtime.read([FOLLOW])[1][FOLLOW])
         fade_of(self._runtime, args.fade)  # refuses one that is too long
@@ -128,4 +131,24 @@ class Runs:
             if not (follows and name in run.tables and len(value))  # type: ignore[arg-type]
         }
         fade = fade_of(self._runtime, run.fade)
-        return self._runtime.write(values, by, None, fade) if values else 0
+        return self._write(values, by, fade)
+
+    def _write(self, values: Mapping[str, Value], by: str, fade: int) -> int:
+        """Write what may be written: what the program itself had set is held to no limit."""
+        if not values:
+            return 0
+        try:
+            return self._runtime.write(values, by, None, fade)
+        except VariableError as error:
+            fit = {name: value for name, value in values.items() if self._fits(name, value)}
+            if not 0 < len(fit) < len(values):
+                raise
+            self._runtime.write(fit, by, None, fade)
+            raise VariableError(f"{error}; put back: {', '.join(fit)}") from error
+
+    def _fits(self, name: str, value: Value) -> bool:
+        try:
+            self._runtime.check({name: value})
+        except VariableError:
+            return False
+        return True

@@ -73,7 +73,6 @@ class Service:
         self._programs: OrderedDict[str, m.Program] = OrderedDict()
         self._repeats: list[Repeats] = []
         self._recorder_owner = ""
-        self._begun = 0  # how often the recorder was configured or started
         self._recorded = False  # rows of the program that is loaded
         self._replaced: m.Replaced | None = None  # what made the rows, where it is loaded no more
         self._log_start = 0
@@ -219,15 +218,12 @@ class Service:
             )
             if busy and owner != by and owner in self.present() and not args.take:
                 raise Refused(f"{owner} is recording; wait, or take the recorder over (take=True)")
-            self._begun += 1
             status = self.runtime.acquire_configure(RECORDER, config)
             self._recorder_owner = by
             self._recorded, self._replaced = True, None
         return status
 
     def do_acquire_start(self, args: verbs.AcquireStart, by: str) -> m.Empty:
-        with self._lock:
-            self._begun += 1
         self.runtime.acquire_start(RECORDER, args.force)
         self.runtime.acquire_keep(self._about())
         return m.Empty()
@@ -255,9 +251,9 @@ class Service:
         return m.Empty()
 
     def do_acquire_status(self, args: verbs.Nothing, by: str) -> m.AcquireStatus:
-        begun, replaced = self._begun, self._replaced is not None
+        replaced = self._replaced is not None
         status = self.runtime.acquire_status(RECORDER)
-        return msgspec.structs.replace(status, begun=begun, replaced=replaced)
+        return msgspec.structs.replace(status, replaced=replaced)
 
     def do_acquire_program(self, args: verbs.Nothing, by: str) -> m.Replaced:
         if self._replaced is None:

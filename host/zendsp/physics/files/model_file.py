@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import sys
 import tomllib
 from collections.abc import Collection, Mapping
 from dataclasses import replace
@@ -76,7 +77,7 @@ class _Reader:
         if (
             isinstance(value, bool)
             or not isinstance(value, int | float)
-            or not math.isfinite(value)
+            or not abs(value) <= sys.float_info.max  # a whole number may be larger
         ):
             raise self.fail(key, "a finite number", value)
         if positive and value <= 0:

@@ -178,6 +178,8 @@ def _chosen(model: Any, path: str, names: tuple[str, ...]) -> tuple[int, ...]:
         )
     if not chosen:
         raise ModelError(f"{path}: has no joint that moves")
+    if not (np.isfinite(model.body_mass).all() and np.isfinite(model.body_inertia).all()):
+        raise ModelError(f"{path}: a mass or an inertia is no finite number")
     for k in chosen:
         if int(model.jnt_type[k]) not in single:
             kind = "ball" if int(model.jnt_type[k]) == int(mj.mjtJoint.mjJNT_BALL) else "free"

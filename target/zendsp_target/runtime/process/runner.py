@@ -31,7 +31,7 @@ _WITHIN = {
 }
 QUIT_S = 2.0  # for the loop to make its machine safe and end
 _MEANT = {
-    "SIGFPE": " (an integer division by zero)",
+    "SIGFPE": " (an integer division by zero, or a floating-point trap that the code has enabled)",
     "SIGILL": " (a division by zero, or other code that C leaves undefined)",
 }
 KILLED_S = 2.0  # for the system to end it: a call of a driver may hold that up for good

@@ -30,7 +30,8 @@ _TYPES: dict[int, tuple[str, np.dtype[Any]]] = {
     4: ("bool", np.dtype("?")),
 }
 _KINDS = {1: "parameter", 2: "signal", 3: "table", 4: "builtin", 5: "setting"}
-_ELEMENT = re.compile(r"^(?P<name>.+?)\[(?P<index>\d+)(?:, ?(?P<column>\d+))?\]$")
+HINTS = 10  # of one request: to compare a name with a thousand others takes 20 ms
+_ELEMENT = re.compile(r"^(?P<name>.+?)\[(?P<index>[0-9]{1,9})(?:, ?(?P<column>[0-9]{1,9}))?\]$")
 
 
 @dataclass(frozen=True)
@@ -151,9 +152,14 @@ class Dictionary:
         """Variables of the given kinds, in the order of declaration."""
         return tuple(entry.info for entry in self.entries.values() if entry.info.kind in kinds)
 
-    def place(self, name: str) -> Place:
+    def place(self, name: str, others: int = 0) -> Place:
         """Find a variable (``"Kp"``) or an element (``"q[0]"``; of a matrix ``"K[1,2]"``, or one
         index that counts row after row).
+
+        Parameters
+        ----------
+        others : int
+            Names of the same request that are wrong: what the first of them may have meant is told.
 
         Raises
         ------
@@ -166,7 +172,8 @@ class Dictionary:
         match = _ELEMENT.match(name)
         entry = self.entries.get(match["name"]) if match else None
         if match is None or entry is None:
-            raise VariableError(f"{name}: no such variable; {self._nearest(name)}")
+            meant = f"; {self._nearest(name)}" if others < HINTS else ""
+            raise VariableError(f"{name}: no such variable{meant}")
         index, column = int(match["index"]), match["column"]
         known = index < entry.info.length
         if column is not None:

@@ -155,7 +155,7 @@ class Updates:
         problems: list[str] = []
         for name, value in values.items():
             try:
-                place = self._dictionary.place(name)
+                place = self._dictionary.place(name, len(problems))
                 check_kind(name, place, settings)
                 found.append(numbers_of(name, place, value))
             except VariableError as error:
