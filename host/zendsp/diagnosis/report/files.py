@@ -15,6 +15,7 @@ from zendsp.diagnosis.decide.contract import Report
 from zendsp.diagnosis.decide.result import Diagnosis
 from zendsp.diagnosis.report.chart import SUFFIX, save_chart
 from zendsp.diagnosis.report.figures import charts
+from zendsp.diagnosis.report.laws import as_stated
 from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.files.model_write import model_text
 from zendsp.physics.model import Model
@@ -140,7 +141,7 @@ def _compensation(d: Diagnosis, folder: Path) -> None:
             " given model had: zendsp model2c model.toml --effects-only."
         )
     (folder / "compensation.c").write_text(
-        compensation(terms, model=d.improved, sentences=sentences),
+        compensation([as_stated(d, t) for t in terms], model=d.improved, sentences=sentences),
         encoding="utf-8",
     )
 

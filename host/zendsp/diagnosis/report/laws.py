@@ -47,6 +47,7 @@ CURVE_SAMPLES = 300  # samples of a curve
 DOTS = 4000  # of a panel
 SHOWN = 0.5  # of a law's energy that its curve must explain, or it is drawn over time
 SHOWN_S = 2.0  # of such a figure
+SAME = 1e-9  # of a number: what differs by less was not changed
 CONTRADICTS = 4.0  # standard errors: means that are further from the law contradict it
 LARGEST_BAR = 0.99  # quantile that stands for it
 BRIDGED = 3.5  # widths of a bin that a line crosses at most: two empty ones, and rounding
@@ -160,15 +161,42 @@ def broken(at: Array, mean: Array) -> tuple[Array, Array]:
 
 
 def _told_of(d: Diagnosis, w: Workings, finding: Finding) -> list[Term]:
-    """The terms that a finding's sentence speaks of: its own, and the level on which a number of it
-    stands (of a Stribeck curve, Coulomb friction), where that is neither given nor a finding.
+    """The terms that a finding's sentence speaks of: its own, what refines it where the sentence
+    counts that in, and the level on which a number of it stands (of a Stribeck curve, Coulomb
+    friction), where that is neither given nor a finding.
     """
     here, known = w.whole.improved.at(finding.joint), w.whole.calibrated.at(finding.joint)
     own = [t for t in here if t.effect == finding.effect]
+    if any(as_stated(d, t) != t for t in own):  # its refinements hold a part of what it says
+        own += [t for t in here if (t.effect, t.joint) in _refining(d, finding)]
     below = {p.above for p in get_effect(finding.effect).parameters}
     below -= {f.effect for f in d.findings if f.joint == finding.joint}
     below -= {t.effect for t in known}
     return own and [*own, *(t for t in here if t.effect in below)]
+
+
+def as_stated(d: Diagnosis, term: Term) -> Term:
+    """A term of the improved model with the numbers of its sentence: a law is stated as it is
+    without what only refines its mechanism, which has taken a part of its numbers.
+    """
+    said = [f for f in d.findings if (f.effect, f.joint) == (term.effect, term.joint)]
+    if len(said) != 1 or not _refining(d, said[0]):
+        return term
+    above = {p.name for p in get_effect(term.effect).parameters if p.above}
+    stated = {
+        name: replace(q, value=e.value, std=e.std)
+        for name, q in term.parameters.items()
+        if name not in above
+        and (e := said[0].parameters.get(name)) is not None
+        and abs(e.value - q.value) > SAME * abs(q.value)
+    }
+    return replace(term, parameters={**term.parameters, **stated}) if stated else term
+
+
+def _refining(d: Diagnosis, finding: Finding) -> set[tuple[str, int]]:
+    """Effect and joint of what only refines a finding's mechanism."""
+    key = (finding.mechanism or mechanism_of(finding.effect), finding.joint)
+    return {(r.effect, r.joint) for r in d.refinements if (r.mechanism, r.joint) == key}
 
 
 def beside_the_law(law: Curve, after: Curve, xlabel: str, unit: str) -> str:
