@@ -215,6 +215,13 @@ def test_rows_that_are_missing_are_no_jitter() -> None:
     assert "3 rows missing" in text and "jitter" not in text
 
 
+def test_a_second_that_is_missing_is_asked_about_before_it_is_refused() -> None:
+    columns = {key: np.delete(x, slice(3000, 3500)) for key, x in recording().items()}
+    draft = draft_model(Table(columns, {"t": "s"}, {}, Path("my run.csv")))
+    asked = next(q for q in draft.questions if "gap" in q)
+    assert "a gap of 1 s" in asked and "zendsp cut 'my run.csv' -o part.csv" in asked
+
+
 def test_a_table_without_positions_is_refused_with_what_it_has() -> None:
     with pytest.raises(RecordingError, match=r"no column looks like a position; it has t, a, b"):
         draft_model(Table({"t": T, "a": T, "b": T}, {}, {}, Path("run.csv")))

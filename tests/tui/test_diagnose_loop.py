@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import diagnosis_cases as cases
 import pytest
@@ -20,6 +21,7 @@ from zendsp.tui.app import ZendspApp
 from zendsp.tui.compensating import compensation_of, written_out
 from zendsp.tui.dialogs import Message
 from zendsp.tui.runs import DATA, list_runs
+from zendsp.tui.screens.diagnose_loop import look_s
 from zendsp.tui.screens.execute import ExecuteScreen
 from zendsp_protocol.messages import Program
 
@@ -129,6 +131,22 @@ async def test_a_program_that_runs_already_needs_no_source_to_be_chosen(
         assert "comp_coulomb1_level" in target.variables()
         assert "-DHERE=1" in target.program().flags
         assert lab.source == pd and "UserISR_INT2" in pd.read_text()
+
+
+@pytest.mark.parametrize(
+    ("values", "seconds"),
+    [
+        ({"turn_time": 4.5}, 4.5),
+        ({"turn_time": 4.5, "use_table": True}, 2.0),
+        ({"amplitude": 0.3, "period": 4.0, "use_table": True}, 8.0),  # sways about its table
+        ({"amplitude": 0.0, "period": 4.0}, 2.0),
+        ({"amplitude": 0.3, "period": 20.0}, 2.0),
+        ({"amplitude": [0.1, 0.2], "period": "slow"}, 2.0),  # of a stranger's program
+    ],
+)
+def test_errors_are_compared_over_whole_turns(values: dict[str, Any], seconds: float) -> None:
+    # half a period of a sway with the compensation, the other without: 0.0115 → 0.0118, not 0.0034
+    assert look_s(values) == seconds
 
 
 def test_a_program_of_a_target_is_written_nowhere_else(tmp_path: Path) -> None:

@@ -209,7 +209,7 @@ class FrequencyResponse:
     def _repr_html_(self) -> str:
         """What a notebook shows: a sentence, magnitude and phase, the rows."""
         header = ("f [Hz]", "dB", "deg", "± dB", "± deg", "coherence")
-        rows = [[f"{v:.4g}" for v in row.values()] for row in self.rows()]
+        rows = shown_lines(self.rows())
         columns = [
             ("magnitude [dB]", self.magnitude_db.tolist()),
             ("phase [deg]", self.phase_deg.tolist()),

@@ -28,6 +28,7 @@ from zendsp.recording import Table
 from zendsp.recording.roles import Role
 from zendsp_protocol.texts import counted
 
+GAP, GAP_S = 50, 0.1  # samples, and s at least: a longer gap is refused where it is diagnosed
 ROUGH = 0.15  # relative standard deviation of a first idea: what is missing bends it
 
 
@@ -153,6 +154,13 @@ def _sample_time(page: Page, clock: Group | None, file: str) -> float:
     shown = even if abs(even / step - 1) < 1e-3 else shown
     missing = int(np.sum(np.round(steps / step) - 1, where=steps > 1.5 * step, initial=0.0))
     jitter = float(np.std(steps[steps < 1.5 * step])) / step  # as `model check` says of it
+    longest = float(np.max(steps))
+    if longest > max(GAP * step, GAP_S):
+        page.line(
+            ask=f"the time has a gap of {longest:.3g}{' s' if shown <= 0.1 else ''}: two runs in one"
+            f" file? '{shlex.join(['zendsp', 'cut', file, '-o', 'part.csv'])}' makes them two, and"
+            " a diagnosis takes no other"
+        )
     gaps = f", {missing} row{'s' if missing > 1 else ''} missing" if missing else ""
     if shown > 0.1:
         sizes = (1e5, "ns", 1e-9), (100.0, "us", 1e-6), (0.0, "ms", 1e-3)

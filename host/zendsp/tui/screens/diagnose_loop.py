@@ -9,7 +9,7 @@ import webbrowser
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.text import Text
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 
 LOOK_S = 2.0  # over which the tracking error is measured, where no turn is known
 TURN = "turn_time"  # s: what comes again in every turn is measured over one
+SWAY = "amplitude", "period"  # of joint_pd.c, whose joints sway at frequencies of their own
 LONGEST_S = 10.0  # that the picture holds
 ERRORS = ("e", "err", "error")
 
@@ -133,10 +134,10 @@ class LoopActions(LabScreen):
         return f"compensation {state}: rms over {self._look_s():g} s  {rms}"  # 80 columns
 
     def _look_s(self) -> float:
-        """The time over which the tracking error is measured: one turn of the program's circle."""
-        values = self.lab.session.snapshot.values
-        turn = float(values.get(TURN, 0.0))
-        return turn if 0.0 < turn <= LONGEST_S and not values.get("use_table") else LOOK_S
+        """The time over which the tracking error is measured: one turn of the program's circle, or
+        periods of its sway.
+        """
+        return look_s(self.lab.session.snapshot.values)
 
     def _rms(self) -> dict[str, float]:
         if self._followed is None or self.lab.session.snapshot.state != "running":
@@ -322,7 +323,7 @@ class LoopActions(LabScreen):
             if first is not None:
                 self.say(f"{first.file}:{first.line}: {first.message}", "error")
             else:
-                self.say(f"built with {FILE}: start it on Console (F2), then c here", "good")
+                self.say(f"built with {FILE}: enable and start it on Console (F2), then c", "good")
 
         self.ask("build", job, done)
 
@@ -400,6 +401,18 @@ class LoopActions(LabScreen):
     def take_next(self, d: Diagnosed, run: Run) -> None:
         """Diagnose a run together with the recordings of a diagnosis."""
         raise NotImplementedError
+
+
+def look_s(values: Mapping[str, Any]) -> float:
+    """Seconds over which the tracking error of a program with these values is compared: one turn,
+    as many periods of a sway as the picture holds, or LOOK_S.
+    """
+    number = {name: x for name, x in values.items() if isinstance(x, int | float)}
+    turn = 0.0 if values.get("use_table") else number.get(TURN, 0.0)
+    if not turn and number.get(SWAY[0]):
+        period = number.get(SWAY[1], 0.0)
+        turn = period * (LONGEST_S // period) if period > 0.0 else 0.0
+    return turn if 0.0 < turn <= LONGEST_S else LOOK_S
 
 
 def graphical() -> bool:
