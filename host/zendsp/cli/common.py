@@ -92,14 +92,22 @@ def open_target(name: str, endpoint: str | None) -> Iterator[Target]:
         for number in ENDING:
             if signal.getsignal(number) == signal.SIG_DFL:
                 signal.signal(number, signal.default_int_handler)
+        refused = ""
         try:
             yield target
+        except ZendspError as error:
+            refused = str(error)
+            raise
         finally:
             if target.alive:
+                said = ""
                 # it went away at this moment: the command itself is told so
                 with suppress(ZendspError):
-                    if said := trouble(target.status()):
+                    status = target.status()
+                    if said := trouble(status):
                         click.echo(fitted(f"zendsp: {target.name}: {said}", sys.stderr), err=True)
+                if said and status.trip is not None and f"{status.trip.text}: " in refused:
+                    raise click.exceptions.Exit(2)  # it was refused for that: once is enough
 
 
 def held_target(name: str, endpoint: str | None) -> Target | None:
