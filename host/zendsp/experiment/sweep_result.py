@@ -157,8 +157,8 @@ class Sweep:
         if (alike := len(self.best_rows())) > 1:
             return (
                 f"{head}none is best: {alike} may be alike but for chance, from the least {what},"
-                f" {least}, on; the first values, measured again, differ by {short(spread, 2)}{unit}"
-                "; of a periodic motion, measure whole periods"
+                f" {least}, on; the first values, measured again, differ by"
+                f" {short(spread, 2)}{unit}; of a periodic motion, measure whole periods"
             )
         again = f"; the first values measured again differ by {short(spread, 2)}{unit}"
         again = again if spread == spread else ""  # not NaN

@@ -158,8 +158,8 @@ def _sample_time(page: Page, clock: Group | None, file: str) -> float:
     if longest > max(GAP * step, GAP_S):
         page.line(
             ask=f"the time has a gap of {longest:.3g}{' s' if shown <= 0.1 else ''}: two runs in"
-            f" one file? '{shlex.join(['zendsp', 'cut', file, '-o', 'part.csv'])}' makes them two, and"
-            " a diagnosis takes no other"
+            f" one file? '{shlex.join(['zendsp', 'cut', file, '-o', 'part.csv'])}' makes them two,"
+            " and a diagnosis takes no other"
         )
     gaps = f", {missing} row{'s' if missing > 1 else ''} missing" if missing else ""
     if shown > 0.1:
