@@ -226,6 +226,12 @@ def test_what_is_written_into_a_new_folder_makes_it(target: Target, tmp_path: Pa
     assert "rms e1" in done.stdout, "what was measured is seen"
 
 
+def test_a_planned_motion_is_shown_beside_the_limits() -> None:
+    shown = zendsp_("reference", "point_to_point", "--machine", "imi_planar").stdout
+    assert "limit    -2.1500     2.1500     6.280     55.00   245.000" in shown
+    assert shown.count("limit  ") == 2  # of each joint
+
+
 def test_what_is_no_c_program_is_named(target: Target, tmp_path: Path) -> None:
     (tmp_path / "bad.mat").write_text("no C")
     done = zendsp_("compile", "bad.mat", cwd=tmp_path)

@@ -5,6 +5,7 @@ per kind.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -51,13 +52,21 @@ def _print_table(summary: dict[str, Any]) -> None:
         strict=True,
     )
     torque = summary.get("torque")
+    limits = list(zip(*summary["limits"].values(), strict=True))
     for j, row in enumerate(columns):
-        tau = "–" if torque is None else f"{torque[j]:.3f}"
-        click.echo(
-            f"{j + 1:>6} {row[0]:>10.4f} {row[1]:>10.4f} {row[2]:>9.3f} {row[3]:>9.2f} {tau:>9}"
-        )
+        _print_row(str(j + 1), (*row, None if torque is None else torque[j]))
+        if limits:  # of the machine itself, without the headroom
+            _print_row("limit", limits[j])
     if torque is None:
         click.echo(UNPREDICTED)
+
+
+def _print_row(name: str, row: tuple[float | None, ...]) -> None:
+    cells = (
+        f"{'–' if x is None else f'{x:.{digits}f}':>{width}}"
+        for x, (width, digits) in zip(row, ((10, 4), (10, 4), (9, 3), (9, 2), (9, 3)), strict=True)
+    )
+    click.echo(f"{name:>6} {' '.join(cells)}")
 
 
 def _finish(
@@ -88,6 +97,10 @@ def _made(
     if check:
         machine.check(reference)
     summary = _summary(reference, machine.torque(reference))
+    summary["limits"] = {
+        key: [float(x) if math.isfinite(x) else None for x in getattr(machine.limits, key)]
+        for key in ("position_min", "position_max", "speed", "acceleration", "torque")
+    }
     if out is not None:
         summary["file"] = str(save_reference(reference, out, machine, check=False))
     if plot is not None:
