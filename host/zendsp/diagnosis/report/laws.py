@@ -47,7 +47,7 @@ CURVE_SAMPLES = 300  # samples of a curve
 DOTS = 4000  # of a panel
 SHOWN = 0.5  # of a law's energy that its curve must explain, or it is drawn over time
 SHOWN_S = 2.0  # of such a figure
-SAME = 1e-9  # of a number: what differs by less was not changed
+UNCHANGED = 1e-9  # of a number: it is the same
 CONTRADICTS = 4.0  # standard errors: means that are further from the law contradict it
 LARGEST_BAR = 0.99  # quantile that stands for it
 BRIDGED = 3.5  # widths of a bin that a line crosses at most: two empty ones, and rounding
@@ -188,7 +188,7 @@ def as_stated(d: Diagnosis, term: Term) -> Term:
         for name, q in term.parameters.items()
         if name not in above
         and (e := said[0].parameters.get(name)) is not None
-        and abs(e.value - q.value) > SAME * abs(q.value)
+        and abs(e.value - q.value) > UNCHANGED * abs(q.value)
     }
     return replace(term, parameters={**term.parameters, **stated}) if stated else term
 
