@@ -28,7 +28,6 @@ _ENVELOPE = 10_000  # bytes of it for what Zenoh adds
 MOST_TEXT = 20_000  # characters of an error, which may quote what was asked
 ROOM = 1024  # bytes at first: a packer that makes room for 256 kB each time asks the kernel for it
 _KNOWN: set[Any] = set()  # types that msgspec has looked at, nested ones included
-_PACKERS: list[Any] = []  # that nobody uses; methods of a list need no lock
 _LOOKING = threading.Lock()
 _MALFORMED = (msgspec.MsgspecError, ValueError, TypeError, OverflowError, RecursionError)
 
@@ -44,14 +43,7 @@ class Reply(msgspec.Struct, frozen=True):
 
 def encode(message: Any) -> bytes:
     """Encode any message, dataclass, number or array."""
-    try:
-        packer = _PACKERS.pop()  # to make one takes as long as to pack
-    except IndexError:  # other threads have them all
-        packer = msgpack.Packer(default=_plain, buf_size=ROOM)
-    data: bytes = packer.pack(message)  # one that fails is not used again
-    if len(data) <= ROOM:  # else it would keep the room that it made
-        _PACKERS.append(packer)
-    return data
+    return msgpack.Packer(default=_plain, buf_size=ROOM).pack(message)  # type: ignore[no-any-return]
 
 
 def _plain(value: Any) -> Any:
