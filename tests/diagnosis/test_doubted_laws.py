@@ -13,6 +13,7 @@ from zendsp.diagnosis.decide.claims import Claim
 from zendsp.diagnosis.decide.contract import spans
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.structure import MEMORY, Structure
+from zendsp.diagnosis.measure.where import Missing, energy
 from zendsp.diagnosis.report.summary import nameless, verdict_sentence
 from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.model import Quantity, Term
@@ -110,3 +111,11 @@ def test_one_bristle_or_hysteresis_law_a_joint() -> None:
     """Both at once are two Coulomb frictions, whose levels nothing tells apart."""
     one, other = get_effect("presliding"), get_effect("hysteresis")
     assert one.family == other.family and one.sole and other.sole
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_recording_that_mostly_shows_nothing_counts_where_it_shows_something() -> None:
+    std = np.array([np.inf, np.inf, np.inf, 0.5, 1.0])
+    lacks = Missing(np.arange(5.0), np.full(5, 2.0), std, {})
+    square, counts = energy(lacks)
+    assert counts.tolist() == [0, 0, 0, 1, 1] and square.tolist() == [0, 0, 0, 3.75, 3.0]

@@ -171,7 +171,8 @@ def energy(missing: Missing) -> tuple[Array, Array]:
     Shapes (n,).
     """
     weight = missing.weight
-    counts = np.minimum(1.0, weight / max(float(np.median(weight)), 1e-300))
+    usual = float(np.median(weight))  # 0 where most of a recording shows nothing
+    counts = np.minimum(1.0, weight / usual) if usual > 0.0 else (weight > 0.0).astype(float)
     variance = np.where(counts > 0, missing.std, 0.0) ** 2
     return np.where(counts > 0, missing.torque**2 - variance, 0.0), counts
 
