@@ -115,7 +115,7 @@ def test_one_bristle_or_hysteresis_law_a_joint() -> None:
 
 @pytest.mark.filterwarnings("error")
 def test_a_recording_that_mostly_shows_nothing_counts_where_it_shows_something() -> None:
-    std = np.array([np.inf, np.inf, np.inf, 0.5, 1.0])
+    std = np.array([np.inf, np.inf, np.inf, 1e-6, 1.0])
     lacks = Missing(np.arange(5.0), np.full(5, 2.0), std, {})
     square, counts = energy(lacks)
-    assert counts.tolist() == [0, 0, 0, 1, 1] and square.tolist() == [0, 0, 0, 3.75, 3.0]
+    assert counts.tolist() == [0, 0, 0, 1, 1] and square.tolist() == [0, 0, 0, 4.0 - 1e-12, 3.0]
