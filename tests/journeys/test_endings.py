@@ -143,7 +143,7 @@ print(notebook.cells[1].outputs[0]["data"]["text/plain"])
 
 
 NOTEBOOK = """
-import json, sys, time
+import json, queue, sys, time
 from jupyter_client.manager import start_new_kernel
 LOOK = "print('seen', t.status().state, t.drive_status().commander != '')"
 
@@ -159,9 +159,13 @@ if ending == "interrupt":  # a cell that is stopped is no end: the kernel goes o
     asked = client.execute("print('asleep', flush=True); time.sleep(9999)", stop_on_error=False)
     while "asleep" not in client.get_iopub_msg(timeout=150)["content"].get("text", ""):
         pass
-    manager.interrupt_kernel()
-    while client.get_shell_msg(timeout=150)["parent_header"]["msg_id"] != asked:
-        pass
+    for _ in range(30):  # what prints "asleep" may still be at work, and take the first for itself
+        manager.interrupt_kernel()
+        try:
+            if client.get_shell_msg(timeout=5)["parent_header"]["msg_id"] == asked:
+                break
+        except queue.Empty:
+            pass
     print(said(client, LOOK).strip(), flush=True)
 elif ending == "restart":
     manager.restart_kernel(now=False)
