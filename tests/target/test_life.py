@@ -133,7 +133,7 @@ def test_what_cannot_be_recorded_is_refused_with_the_reason(make_runtime: Make) 
         SharedFile(Path("/dev/shm/zendsp-of-this-test"), 10**15)
     for config, says in (
         (AcquireConfig(("nothing", "enc", "x[3]")), "nothing"),
-        (AcquireConfig(()), "0 channels"),
+        (AcquireConfig(()), "no channels"),
         (AcquireConfig(("x",), seconds=0.0), "acquire longer"),
         (AcquireConfig(("x",), seconds=1e9), "shared memory"),
         # 2.4 GB: the computer could, and would stand still for it
