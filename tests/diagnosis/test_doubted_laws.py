@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from zendsp.diagnosis.decide import absorbed, decide, laws
+from zendsp.diagnosis.decide import absorbed, decide, patchwork
 from zendsp.diagnosis.decide.claims import Claim
 from zendsp.diagnosis.decide.contract import spans
 from zendsp.diagnosis.measure.evidence import Evidence
@@ -31,9 +31,9 @@ def test_a_stribeck_curve_upon_no_coulomb_friction_is_any_curve_over_the_speed(
     curve = term("stribeck", breakaway=0.03, velocity=4.4)
     at = (term("coulomb", level=level), curve, term("quadratic_drag", coefficient=0.0025))
     final: Any = SimpleNamespace(model=SimpleNamespace(at=lambda _: at))
-    assert laws._stand_on_nothing(final, 1, 1.0) == (curve,) * count
+    assert patchwork.stand_on_nothing(final, 1, 1.0) == (curve,) * count
     soft: Any = SimpleNamespace(model=SimpleNamespace(at=lambda _: (term("creep", speed=1e-5),)))
-    assert not laws._stand_on_nothing(soft, 1, 1.0)  # it stands upon itself: a search has it last
+    assert not patchwork.stand_on_nothing(soft, 1, 1.0)  # it stands upon itself
 
 
 def wave(effect: str, order: float, amplitude: float) -> Claim:
@@ -57,9 +57,9 @@ def test_two_mechanisms_do_not_have_the_same_wave_at_once(
     spring = Claim(
         "lag", "actuator", term("lag", time_constant=0.01), 0.1, first.evidence, 1, {}, (), (), ()
     )
-    twins = laws._twins((first, spring, other))
+    twins = patchwork.twins((first, spring, other))
     assert [t.effect for t in twins] == ([first.effect, other.effect] if alike else [])
-    assert not laws._twins((first, wave("transmission_error", 19.97, 2.74e-3)))
+    assert not patchwork.twins((first, wave("transmission_error", 19.97, 2.74e-3)))
 
 
 @pytest.mark.parametrize(
@@ -78,8 +78,11 @@ def test_what_the_motion_predicts_is_no_disturbance(
         return memory if of == [MEMORY] else state
 
     monkeypatch.setattr(decide, "structure", predicted)
-    pushed: Any = SimpleNamespace(final=SimpleNamespace(model=None), joint=1)
+    as_calibrated = SimpleNamespace(model=None)
+    pushed: Any = SimpleNamespace(final=as_calibrated, base=as_calibrated, joint=1, state=state)
     parts: Any = SimpleNamespace(each=())
+    assert decide._of_the_motion(pushed, parts, False) is moved
+    pushed.base = pushed.state = None  # of another model what the state predicts is asked anew
     assert decide._of_the_motion(pushed, parts, False) is moved
 
 

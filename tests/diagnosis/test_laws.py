@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from zendsp.diagnosis import joints
-from zendsp.diagnosis.decide import absorbed, laws, pieces
+from zendsp.diagnosis.decide import absorbed, laws, patchwork, pieces
 from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide.claims import Claim, Decision, unclaimed
 from zendsp.diagnosis.decide.confidence import confidence, least_stated, stated
@@ -181,7 +181,7 @@ def test_a_wave_beside_a_constant_or_a_spring_over_less_than_a_turn_is_any_curve
     angle: float, level: int, travel: float, curve: bool
 ) -> None:
     wave = Term("gravity", 1, {"angle": Quantity(angle, std=0.09)})
-    assert laws._part_of_a_wave(wave, level, travel) is curve
+    assert patchwork.part_of_a_wave(wave, level, travel) is curve
 
 
 def test_how_one_joints_motion_acts_on_another_is_one_finding_and_two_frictions_are_two() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from zendsp.diagnosis.decide import decide as decision
-from zendsp.diagnosis.decide import laws, pieces
+from zendsp.diagnosis.decide import patchwork, pieces
 from zendsp.diagnosis.decide.claims import Claim, Decision, Known, Piece
 from zendsp.diagnosis.decide.notes import left_over
 from zendsp.diagnosis.measure.discrepancy import Size
@@ -107,7 +107,7 @@ def test_two_ripples_that_the_travel_does_not_tell_apart_are_one_that_fades(
         replace(piece(0.1, 5.0, 20.0), terms=(Term("ripple", 1, {"order": Quantity(order)}),))
         for order in (12.0, 12.0 + apart)
     ]
-    assert laws._is_curve(found, 3.0) is curve
+    assert patchwork.is_curve(found, 3.0) is curve
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,15 @@ from zendsp.recording.names import FloatArray, element_names, listing, pick
 from zendsp_protocol.texts import counted, units_of
 from zendsp_protocol.values import Assignable
 
+GAP, GAP_S = 50, 0.1  # samples, and s at least
+
+
+def is_gap(step: float, period: float) -> bool:
+    """Whether the time between two rows is so long, s, beside the usual one that two recordings may
+    be glued together.
+    """
+    return step > max(GAP * period, GAP_S)
+
 
 @dataclass(frozen=True)
 class Channel:

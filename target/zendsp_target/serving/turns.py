@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable
-from itertools import islice
 from typing import Any
 
 from zendsp_protocol import keys
@@ -55,11 +54,10 @@ class Turns:
             There will be none any more.
         """
         with self._lock:
-            come = iter(self._waiting.try_recv, None)  # more may come in all the while
-            came = [] if self._asleep else list(islice(come, SHARE))
-            if len(came) == 1 and not self._of:  # nearly always: nobody else waits
-                return came[0]
-            for query in came:
+            for _ in range(0 if self._asleep else SHARE):  # more may come in all the while
+                query = self._waiting.try_recv()
+                if query is None:
+                    break
                 self._enter(query)
             for who, queue in self._of.items():
                 query = queue.popleft()

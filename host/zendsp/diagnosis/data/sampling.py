@@ -12,6 +12,7 @@ from zendsp.diagnosis.data.signals import Signals
 from zendsp.errors import RecordingError
 from zendsp.physics.kernel.signals import FOURTH, MEDIAN, find_resolution
 from zendsp.physics.model import Model, per_joint
+from zendsp.recording.samples import is_gap
 from zendsp_protocol.texts import counted
 
 Array = npt.NDArray[np.float64]
@@ -34,7 +35,6 @@ MOST_OF_TWO = 2  # samples that a late stamp and its neighbour span; a missing r
 # true make it 1 and more, however slow the motion
 SMOOTHER = 0.8
 UNSEEN = 0.05  # of the time between rows: less is the rounding of stamps
-GAP = 50  # samples, and SLOWEST_CLOCK at least
 UNITS = 0.02  # of a factor between units
 # steps in counts that tell a lattice: below it is rounding, far above the digits printed do not do
 LATTICE = (0.02, 300)
@@ -152,7 +152,7 @@ def clock(
     jitter = float(np.max(np.abs(step - period))) / period
     if jitter < JITTER:
         return time, float((time[-1] - time[0]) / (n - 1)), notes, None
-    if float(np.max(step)) > max(GAP * period, SLOWEST_CLOCK):
+    if is_gap(float(np.max(step)), period):
         k = int(np.argmax(step))
         raise RecordingError(
             f"{name}: a gap of {step[k]:.3g} s after row {k + 1}, {time[k] - time[0]:.4g} s from"

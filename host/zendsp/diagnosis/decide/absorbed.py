@@ -28,7 +28,8 @@ from zendsp.physics.term_numbers import file_model
 # relative standard deviation of a given inertia, mass or gravity; more where its std says so
 TOLERANCE = 0.045
 FAR = 3.0  # standard deviations
-# the same of two numbers at once, as likely by chance; and each of them
+# the same of two numbers together: the root of the χ² of two that is as unlikely (0.27 %); and of
+# each of them, at least. Chosen, not measured: the one case met had 3.0 and 4.8
 FAR_TOGETHER, NEAR = 3.44, 2.0
 WEIGHT_ALONE = 2.0  # times FAR, of a weight that moves without its inertia
 ONE_GAIN = 0.5  # of the inertia's change: numbers that move within it may be one torque gain

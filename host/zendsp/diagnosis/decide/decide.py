@@ -400,7 +400,7 @@ def _lawful(parts: Parts, base: Scored, joint: int, turning: bool) -> bool:
     repeats itself with time.
     """
     memory = structure(parts.each, base.model, joint, [MEMORY], turning)
-    if memory.size > LAWFUL and _predicts(memory):
+    if memory.size > LAWFUL and memory.z > SURE:
         return True
     return periodic(parts.held, base.model, joint) > LAWFUL
 
@@ -414,8 +414,9 @@ def _of_the_motion(pushed: Decision, parts: Parts, turning: bool) -> bool:
     """Whether the state predicts a part of what lacks, or the motion before most of it: of a push
     from outside neither knows anything.
     """
-    model = pushed.final.model
-    state = structure(parts.each, model, pushed.joint, STRUCTURED, turning)
+    model, state = pushed.final.model, pushed.state
+    if pushed.final is not pushed.base:
+        state = structure(parts.each, model, pushed.joint, STRUCTURED, turning)
     if state.size > OF_STATE and _predicts(state):
         return True
     memory = structure(parts.each, model, pushed.joint, [MEMORY], turning)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +12,14 @@ import numpy.typing as npt
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Claim, Decision, Piece
 from zendsp.diagnosis.decide.confidence import confidence, stated
+from zendsp.diagnosis.decide.patchwork import (
+    draws_a_curve,
+    is_curve,
+    part_of_a_wave,
+    repeats,
+    stand_on_nothing,
+    twins,
+)
 from zendsp.diagnosis.decide.pieces import (
     beside_unknown,
     kept_laws,
@@ -30,9 +37,7 @@ from zendsp.diagnosis.decide.thresholds import (
     A_PART,
     BEHIND,
     CURVE,
-    FINEST,
     FIRM,
-    HARMONIC,
     LAW_ERROR,
     OF_STATE,
     OWN_SHARE,
@@ -41,7 +46,6 @@ from zendsp.diagnosis.decide.thresholds import (
     SIMULATORS_DIFFER,
     STATED_ALONE,
     SURE,
-    TWINS,
 )
 from zendsp.diagnosis.measure.curve import DRY, FLUID, FRICTION
 from zendsp.diagnosis.measure.discrepancy import Size, discrepancy
@@ -53,7 +57,7 @@ from zendsp.diagnosis.search.hypothesis import JointSearch
 from zendsp.diagnosis.search.rounds import Rounds
 from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.effects import get_effect, mechanism_of
-from zendsp.physics.model import Model, Term
+from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -77,7 +81,7 @@ def named(
     known = known_discrepancy(given, parts.test, joint)
     travel = max(rec[joint - 1].scale.position for rec in parts.fit.records)
     scale = rms_torque(parts.test, joint)
-    bent = _stand_on_nothing(final, joint, scale)
+    bent = stand_on_nothing(final, joint, scale)
     claims: list[Claim] = []
     refinements: list[Claim] = []
     for piece in claimed:
@@ -106,7 +110,7 @@ def named(
         # a larger law's error is no lack of this one, nor what this machine is known to leave
         allowed = math.hypot(max(may_leave(p) for p in kind), known.of_state)
         # what the law by itself leaves to itself
-        again = [p.size for p in ranked[1:] if _repeats(p, first)]
+        again = [p.size for p in ranked[1:] if repeats(p, first)]
         least = max(allowed, SIMULATORS_DIFFER)  # untouched recordings have to show so much
         poor = math.hypot(*again) > allowed or (
             left is not None and after.high > least and _surely_more(left, least)
@@ -114,8 +118,8 @@ def named(
         # a constant beside several laws of the position is a part of the curve that they draw
         of_position = piece.mechanism == "position_torque"
         level = sum(all(get_effect(t.effect).constant for t in p.terms) for p in claimed)
-        drawn = of_position and _is_curve(ranked, travel)
-        part = _part_of_a_wave(first.terms[0], level + len(own) - 1, travel)
+        drawn = of_position and is_curve(ranked, travel)
+        part = part_of_a_wave(first.terms[0], level + len(own) - 1, travel)
         pieces = len(own) + (level if of_position and len(own) > 1 else 0)
         over_speed = bool(bent) and piece.mechanism in FRICTION
         if poor or drawn or part or over_speed or pieces >= CURVE:
@@ -165,21 +169,6 @@ def _turns_a_known_one(
     )
 
 
-def _stand_on_nothing(final: Scored, joint: int, scale: float) -> tuple[Term, ...]:
-    """Laws that stand upon another one of which nothing is left, at one joint: a Stribeck curve
-    upon no Coulomb friction is any curve over the speed. ``scale``: RMS torque, N m or N.
-    """
-    at = final.model.at(joint)
-
-    def is_nothing(term: Term) -> bool:
-        needs = set(get_effect(term.effect).needs) - {term.effect}
-        upon = [t for t in at if t.effect in needs]
-        sizes = [t.value(get_effect(t.effect).parameters[0].name) for t in upon]
-        return bool(sizes) and max(sizes) < FINEST * scale
-
-    return tuple(t for t in at if is_nothing(t))
-
-
 def _alone(
     given: Model,
     final: Scored,
@@ -211,18 +200,19 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
     their neighbours; of what is first, the mechanism stays where its variables can be told from
     those of others and it explains more than it leaves, the rest refines the fit.
     """
-    twins = _twins(decision.claims)
+    twin = twins(decision.claims)
     likely = [
         c
         for c in decision.claims
-        if not any(c is twin for twin in twins) and _is_likely(c, decision, parts)
+        if not any(c is t for t in twin) and _is_likely(c, decision, parts)
     ]
     laws = {c.effect for c in likely if c.effect != "unknown"}
     alone = _without_others(likely, decision, given, jobs)
     firm = [c for c in likely if c.effect == "unknown" or confidence(c, decision) > FIRM]
     harder = decision
     if any(c.effect != "unknown" for c in firm) and len(firm) < len(decision.claims):
-        firmly = _without_others(firm, decision, given, jobs)
+        whole = len(firm) == len(likely)
+        firmly = alone if whole else _without_others(firm, decision, given, jobs)
         left = discrepancy(parts.test, firmly.model, decision.joint)
         harder = replace(decision, bare=max(left, decision.bare, key=lambda size: size.low))
     keep, more = [], list(decision.refinements)
@@ -267,22 +257,6 @@ def _is_likely(claim: Claim, decision: Decision, parts: Parts) -> bool:
         )
         or _behind_a_transmission(claim, decision, parts)
     )
-
-
-def _twins(claims: Sequence[Claim]) -> tuple[Claim, ...]:
-    """Waves of the same order and the same amplitude that two mechanisms would have to have at
-    once: together they draw what neither does, as a torque constant that ripples.
-    """
-
-    def alike(a: Claim, b: Claim) -> bool:
-        waves = [c.term.parameters for c in (a, b)]
-        return a.mechanism != b.mechanism and all(
-            all(n in wave for wave in waves)
-            and abs(waves[0][n].value - waves[1][n].value) < TWINS * abs(waves[0][n].value)
-            for n in ("order", "amplitude")
-        )
-
-    return tuple(a for a in claims if any(alike(a, b) for b in claims))
 
 
 def _without_others(claims: Sequence[Claim], decision: Decision, given: Model, jobs: int) -> Scored:
@@ -414,63 +388,9 @@ def _beside_unknown(claims: Sequence[Claim], left: float) -> tuple[list[Claim], 
     return keep, [c for c in claims if not any(c is k for k in keep)]
 
 
-def draws_a_curve(claim: Claim) -> bool:
-    """Whether a claim is of a torque over position without a law, of whatever shape."""
-    return claim.effect == "unknown" and claim.mechanism == "position_torque"
-
-
 def _surely_more(left: Structure, allowed: float) -> bool:
     """Whether what is left has more than the energy that is allowed, by two standard deviations."""
     return left.size > allowed and left.z * (1.0 - (allowed / left.size) ** 2) > PLAIN
-
-
-def _repeats(other: Piece, first: Piece) -> bool:
-    """Whether a law had to be taken once more: two of one shape draw a curve, where the law is not
-    a sum of such shapes by itself.
-    """
-    effect = get_effect(first.terms[0].effect)
-    # a sum of harmonics is one law; settings choose one
-    several = "order" in effect.names or not all(p.fitted for p in effect.parameters)
-    return (
-        other.effects == first.effects
-        and not several
-        and other.log_e > 0
-        and other.evidence.z > PLAIN
-    )
-
-
-def _is_curve(ranked: Sequence[Piece], travel: float) -> bool:
-    """Whether laws of the position, none of which can be left out, are the pieces of a curve: more
-    than one of them, and ripples that are no harmonics of one, or that the ``travel`` does not tell
-    apart: together they are one that fades along it.
-    """
-    held = [p for p in ranked if p.log_e > 0 and p.evidence.z > PLAIN]
-    repeats = sorted(p.terms[0].value("order") for p in held if "order" in p.terms[0].parameters)
-    if any((b - a) * travel < 2 * math.pi for a, b in pairwise(repeats)):
-        return True
-    if len(held) < CURVE:
-        return False
-    orders = [p.terms[0].value("order") for p in held if "order" in p.terms[0].parameters]
-    if len(orders) < len(held):
-        return True
-    ratios = np.array(orders) / min(orders)
-    return bool(np.any(np.abs(ratios - np.round(ratios)) > HARMONIC))
-
-
-def _part_of_a_wave(term: Term, beside: int, travel: float) -> bool:
-    """Whether a law that repeats along the position does not do so within the ``travel``: any curve
-    is as good. One wave a turn and a constant or another law of the position (there are so many
-    ``beside`` it) draw one too, over less than a turn, in rad; not where the wave is balanced at a
-    quarter of a turn, where an axis has its zero.
-    """
-    names = get_effect(term.effect).names
-    if "period" in names:
-        return term.value("period") > travel
-    if get_effect(term.effect).shape != "angle" or not beside or travel >= 2 * math.pi:
-        return False
-    angle = term.parameters["angle"]
-    off = math.remainder(angle.value, math.pi / 2)
-    return abs(off) > PLAIN * angle.std
 
 
 def _ranked(

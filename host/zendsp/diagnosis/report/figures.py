@@ -230,9 +230,9 @@ def white_chart(w: Workings, two: Sides, joint: int) -> Chart:
         spectrum = np.abs(np.fft.rfft(r, 2 * len(r))) ** 2
         correlation = np.fft.irfft(spectrum)[:201]
         lag = np.arange(1, 201) * record.sample_time
-        of_noise = correlation[1:] / max(correlation[0], 1e-300)
-        series.append(Series("line", role, lag, of_noise, label))
-        outside.append(f"{label} {100 * float(np.mean(np.abs(of_noise) > bound)):.0f} %")
+        alike = correlation[1:] / max(correlation[0], 1e-300)
+        series.append(Series("line", role, lag, alike, label))
+        outside.append(f"{label} {100 * float(np.mean(np.abs(alike) > bound)):.0f} %")
     return Chart(
         "white",
         f"Joint {joint}: whiteness",

@@ -26,9 +26,9 @@ from zendsp.physics.files.draft_tables import Page, listed, put_actuator, put_co
 from zendsp.physics.files.shipped import model_folder
 from zendsp.recording import Table
 from zendsp.recording.roles import Role
+from zendsp.recording.samples import is_gap
 from zendsp_protocol.texts import counted
 
-GAP, GAP_S = 50, 0.1  # samples, and s at least: a longer gap is refused where it is diagnosed
 ROUGH = 0.15  # relative standard deviation of a first idea: what is missing bends it
 
 
@@ -155,7 +155,7 @@ def _sample_time(page: Page, clock: Group | None, file: str) -> float:
     missing = int(np.sum(np.round(steps / step) - 1, where=steps > 1.5 * step, initial=0.0))
     jitter = float(np.std(steps[steps < 1.5 * step])) / step  # as `model check` says of it
     longest = float(np.max(steps))
-    if longest > max(GAP * step, GAP_S):
+    if is_gap(longest, step):
         page.line(
             ask=f"the time has a gap of {longest:.3g}{' s' if shown <= 0.1 else ''}: two runs in"
             f" one file? '{shlex.join(['zendsp', 'cut', file, '-o', 'part.csv'])}' makes them two,"

@@ -1,0 +1,100 @@
+"""Laws that together draw a curve which none of them is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from zendsp.diagnosis.decide.claims import Claim, Piece
+from zendsp.diagnosis.decide.thresholds import CURVE, FINEST, HARMONIC, PLAIN, TWINS
+from zendsp.diagnosis.measure.likelihood import Scored
+from zendsp.physics.effects import get_effect
+from zendsp.physics.model import Term
+
+
+def stand_on_nothing(final: Scored, joint: int, scale: float) -> tuple[Term, ...]:
+    """Laws that stand upon another one of which nothing is left, at one joint: a Stribeck curve
+    upon no Coulomb friction is any curve over the speed. ``scale``: RMS torque, N m or N.
+    """
+    at = final.model.at(joint)
+
+    def is_nothing(term: Term) -> bool:
+        needs = set(get_effect(term.effect).needs) - {term.effect}
+        upon = [t for t in at if t.effect in needs]
+        sizes = [t.value(get_effect(t.effect).parameters[0].name) for t in upon]
+        return bool(sizes) and max(sizes) < FINEST * scale
+
+    return tuple(t for t in at if is_nothing(t))
+
+
+def twins(claims: Sequence[Claim]) -> tuple[Claim, ...]:
+    """Waves of the same order and the same amplitude that two mechanisms would have to have at
+    once: together they draw what neither does, as a torque constant that ripples.
+    """
+
+    def alike(a: Claim, b: Claim) -> bool:
+        waves = [c.term.parameters for c in (a, b)]
+        return a.mechanism != b.mechanism and all(
+            all(n in wave for wave in waves)
+            and abs(waves[0][n].value - waves[1][n].value) < TWINS * abs(waves[0][n].value)
+            for n in ("order", "amplitude")
+        )
+
+    return tuple(a for a in claims if any(alike(a, b) for b in claims))
+
+
+def draws_a_curve(claim: Claim) -> bool:
+    """Whether a claim is of a torque over position without a law, of whatever shape."""
+    return claim.effect == "unknown" and claim.mechanism == "position_torque"
+
+
+def repeats(other: Piece, first: Piece) -> bool:
+    """Whether a law had to be taken once more: two of one shape draw a curve, where the law is not
+    a sum of such shapes by itself.
+    """
+    effect = get_effect(first.terms[0].effect)
+    # a sum of harmonics is one law; settings choose one
+    several = "order" in effect.names or not all(p.fitted for p in effect.parameters)
+    return (
+        other.effects == first.effects
+        and not several
+        and other.log_e > 0
+        and other.evidence.z > PLAIN
+    )
+
+
+def is_curve(ranked: Sequence[Piece], travel: float) -> bool:
+    """Whether laws of the position, none of which can be left out, are the pieces of a curve: more
+    than one of them, and ripples that are no harmonics of one, or that the ``travel`` does not tell
+    apart: together they are one that fades along it.
+    """
+    held = [p for p in ranked if p.log_e > 0 and p.evidence.z > PLAIN]
+    repeats = sorted(p.terms[0].value("order") for p in held if "order" in p.terms[0].parameters)
+    if any((b - a) * travel < 2 * math.pi for a, b in pairwise(repeats)):
+        return True
+    if len(held) < CURVE:
+        return False
+    orders = [p.terms[0].value("order") for p in held if "order" in p.terms[0].parameters]
+    if len(orders) < len(held):
+        return True
+    ratios = np.array(orders) / min(orders)
+    return bool(np.any(np.abs(ratios - np.round(ratios)) > HARMONIC))
+
+
+def part_of_a_wave(term: Term, beside: int, travel: float) -> bool:
+    """Whether a law that repeats along the position does not do so within the ``travel``: any curve
+    is as good. One wave a turn and a constant or another law of the position (there are so many
+    ``beside`` it) draw one too, over less than a turn, in rad; not where the wave is balanced at a
+    quarter of a turn, where an axis has its zero.
+    """
+    names = get_effect(term.effect).names
+    if "period" in names:
+        return term.value("period") > travel
+    if get_effect(term.effect).shape != "angle" or not beside or travel >= 2 * math.pi:
+        return False
+    angle = term.parameters["angle"]
+    off = math.remainder(angle.value, math.pi / 2)
+    return abs(off) > PLAIN * angle.std
