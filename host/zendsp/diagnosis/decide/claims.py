@@ -59,8 +59,7 @@ class Claim:
     instead: Scored | None = None  # with a law of the same mechanism that is likelier
     # of its neighbours, in standard deviations; infinite where it has none, or was not asked
     ahead: float = math.inf
-    # of its confidence: without what is more likely wrong than right, which may take up what this
-    # law leaves
+    # of its confidence: laws beside it that are doubted may take up what it leaves
     most: float = 1.0
 
 

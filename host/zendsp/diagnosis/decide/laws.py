@@ -37,7 +37,6 @@ from zendsp.diagnosis.decide.thresholds import (
     A_PART,
     BEHIND,
     CURVE,
-    FIRM,
     LAW_ERROR,
     OF_STATE,
     OWN_SHARE,
@@ -45,6 +44,7 @@ from zendsp.diagnosis.decide.thresholds import (
     PREDICTED,
     SIMULATORS_DIFFER,
     STATED_ALONE,
+    STATED_BESIDE,
     SURE,
 )
 from zendsp.diagnosis.measure.curve import DRY, FLUID, FRICTION
@@ -208,13 +208,7 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
     ]
     laws = {c.effect for c in likely if c.effect != "unknown"}
     alone = _without_others(likely, decision, given, jobs)
-    firm = [c for c in likely if c.effect == "unknown" or confidence(c, decision) > FIRM]
-    harder = decision
-    if any(c.effect != "unknown" for c in firm) and len(firm) < len(decision.claims):
-        whole = len(firm) == len(likely)
-        firmly = alone if whole else _without_others(firm, decision, given, jobs)
-        left = discrepancy(parts.test, firmly.model, decision.joint)
-        harder = replace(decision, bare=max(left, decision.bare, key=lambda size: size.low))
+    most = _beside_doubted(likely, alone, decision, parts, given, jobs)
     keep, more = [], list(decision.refinements)
     doubted: set[str] = set()  # mechanisms: what stood beside a doubted law may be a part of it
     for claim in decision.claims:
@@ -226,9 +220,7 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
             and any(claim is k for k in likely)
             and (ahead := _goes_on(claim, alone, parts)) is not None
         ):
-            by_itself = any(claim is k for k in firm)
-            most = confidence(claim, harder) if by_itself else 1.0
-            keep.append(replace(claim, ahead=ahead, most=most))
+            keep.append(replace(claim, ahead=ahead, most=most.get(id(claim), 1.0)))
         elif (
             claim is decision.claims[0]
             and claim.mechanism in STRUCTURED
@@ -244,6 +236,31 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
     keep, parts_of_it = _beside_unknown(keep, decision.after.value)
     keep = [by_its_variables(c, decision, parts) for c in keep]
     return replace(decision, claims=tuple(keep), refinements=tuple(more + parts_of_it))
+
+
+def _beside_doubted(
+    likely: Sequence[Claim],
+    alone: Scored,
+    decision: Decision,
+    parts: Parts,
+    given: Model,
+    jobs: int,
+) -> dict[int, float]:
+    """How sure the laws are, by ``id``, that stand beside doubted ones: as sure as with those and
+    as without them, weighed by how likely those are.
+    """
+    sure = {id(c): confidence(c, decision) for c in decision.claims if c.effect != "unknown"}
+    firm = [c for c in likely if sure.get(id(c), 1.0) > STATED_BESIDE]
+    doubted = [sure.get(id(c), 1.0) for c in decision.claims if not any(c is f for f in firm)]
+    laws = [c for c in firm if id(c) in sure]
+    if not laws or not doubted:
+        return {}
+    whole = len(firm) == len(likely)
+    firmly = alone if whole else _without_others(firm, decision, given, jobs)
+    left = discrepancy(parts.test, firmly.model, decision.joint)
+    harder = replace(decision, bare=max(left, decision.bare, key=lambda size: size.low))
+    right = min(doubted)
+    return {id(c): right * sure[id(c)] + (1.0 - right) * confidence(c, harder) for c in laws}
 
 
 def _is_likely(claim: Claim, decision: Decision, parts: Parts) -> bool:

@@ -70,8 +70,5 @@ HARMONIC = 0.05  # of a whole number: a ripple's order over the lowest
 # laws on four makers' cases 4 were less likely, of 12 wrong ones 5; on fresh cases two thirds would
 # have stated two more wrong ones, and one right one.
 STATED_BESIDE = 0.7
-# probability of a law below which it is more likely wrong than right, and no help to another: what
-# that means, and no measurement
-FIRM = 0.5
 # The same of any other law, or where nothing is left that could speak against it.
 STATED_ALONE = 1 / 3
