@@ -111,7 +111,11 @@ def _velocity(x: Array, q: Array, sample_time: float) -> str:
         return "it is the difference of the position column"
     a, b = _mean(x, sample_time), _mean(ways[0], sample_time)
     slope = float(a @ b) / max(float(b @ b), 1e-300)
-    apart = float(np.sqrt(np.mean((a - slope * b) ** 2))) / max(size, 1e-300)
+
+    def off(by: Array) -> float:
+        return float(np.sqrt(np.mean(by**2))) / max(size, 1e-300)
+
+    apart = off(a - slope * b)
     if apart < SAME:
         return "below 25 Hz it is the difference of the position column"
     if abs(slope - 1.0) > SCALED:
@@ -119,6 +123,12 @@ def _velocity(x: Array, q: Array, sample_time: float) -> str:
             f"it is {slope:.3g} times the velocity of the position column: another unit, or the"
             " motor's before its gear?"
         )
+    both = np.stack([b, -np.gradient(b, sample_time)], axis=1)
+    of = np.linalg.lstsq(both, a, rcond=None)[0]
+    if off(a - both @ of) < 0.5 * apart:  # most of the difference is that it comes at another time
+        late = 1e3 * float(of[1] / of[0])
+        when = f"{late:.2g} ms late, as behind a filter" if late > 0 else f"{-late:.2g} ms early"
+        return f"it is the position's velocity, {when}; the fit predicts positions"
     return (
         f"it is the position's velocity to {100 * apart:.2g} % below 25 Hz, and the fit predicts"
         " positions"
