@@ -36,6 +36,23 @@ def test_a_stribeck_curve_upon_no_coulomb_friction_is_any_curve_over_the_speed(
     assert not patchwork.stand_on_nothing(soft, 1, 1.0)  # it stands upon itself
 
 
+@pytest.mark.parametrize(
+    ("was", "now", "std", "drawn"),
+    [(0.01, 0.032, 2e-4, True), (0.01, 0.013, 2e-4, False), (0.03, 0.01, 2e-4, False),
+     (0.01, 0.032, 0.01, False), (0.0, 0.032, 2e-4, False)],
+)  # fmt: skip
+def test_drag_beside_which_the_known_viscous_friction_has_to_grow_is_a_piece_of_a_curve(
+    was: float, now: float, std: float, drawn: bool
+) -> None:
+    """As |v|^1.5 is drawn by v and v². What took up the drag before shrinks beside it."""
+    drag = term("quadratic_drag", coefficient=0.0025)
+    fitted = Term("viscous", 1, {"coefficient": Quantity(now, std=std)})
+    model: Any = SimpleNamespace(terms=(fitted, drag), at=lambda _: (fitted, drag))
+    given: Any = SimpleNamespace(at=lambda _: (term("viscous", coefficient=was),))
+    final: Any = SimpleNamespace(model=model)
+    assert patchwork.makes_another_grow(given, final, drag) is drawn
+
+
 def wave(effect: str, order: float, amplitude: float) -> Claim:
     sure = Evidence(100.0, 15.0, np.zeros(1))
     what = term(effect, order=order, amplitude=amplitude, phase=0.3)

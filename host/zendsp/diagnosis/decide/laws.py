@@ -15,6 +15,7 @@ from zendsp.diagnosis.decide.confidence import confidence, stated
 from zendsp.diagnosis.decide.patchwork import (
     draws_a_curve,
     is_curve,
+    makes_another_grow,
     part_of_a_wave,
     repeats,
     stand_on_nothing,
@@ -121,7 +122,9 @@ def named(
         drawn = of_position and is_curve(ranked, travel)
         part = part_of_a_wave(first.terms[0], level + len(own) - 1, travel)
         pieces = len(own) + (level if of_position and len(own) > 1 else 0)
-        over_speed = bool(bent) and piece.mechanism in FRICTION
+        over_speed = (bool(bent) and piece.mechanism in FRICTION) or (
+            piece.mechanism == FLUID and makes_another_grow(given, final, first.terms[0])
+        )
         if poor or drawn or part or over_speed or pieces >= CURVE:
             refinements += [c for p in own[1:] for c in _plain(p)]
             claims.append(replace(law, effect="unknown", left=left))

@@ -9,10 +9,11 @@ from itertools import pairwise
 import numpy as np
 
 from zendsp.diagnosis.decide.claims import Claim, Piece
-from zendsp.diagnosis.decide.thresholds import CURVE, FINEST, HARMONIC, PLAIN, TWINS
+from zendsp.diagnosis.decide.thresholds import CURVE, FINEST, GROWN, HARMONIC, PLAIN, TWINS
 from zendsp.diagnosis.measure.likelihood import Scored
-from zendsp.physics.effects import get_effect
-from zendsp.physics.model import Term
+from zendsp.diagnosis.measure.significance import counterpart
+from zendsp.physics.effects import get_effect, mechanism_of
+from zendsp.physics.model import Model, Term
 
 
 def stand_on_nothing(final: Scored, joint: int, scale: float) -> tuple[Term, ...]:
@@ -28,6 +29,26 @@ def stand_on_nothing(final: Scored, joint: int, scale: float) -> tuple[Term, ...
         return bool(sizes) and max(sizes) < FINEST * scale
 
     return tuple(t for t in at if is_nothing(t))
+
+
+def makes_another_grow(given: Model, final: Scored, law: Term) -> bool:
+    """Whether a friction of the given model must surely be several times larger beside a law of the
+    same mechanism: what is missing is then drawn by both, as |v|^1.5 is by v and v². A law that is
+    right leaves the others as they are, or takes back what they had taken up.
+    """
+    mechanism = mechanism_of(law.effect)
+
+    def grows(known: Term) -> bool:
+        key = get_effect(known.effect).parameters[0].name
+        was, now = known.value(key), counterpart(final.model.terms, known).parameters[key]
+        return 0.0 < GROWN * was < now.value - PLAIN * now.std
+
+    left = {t.effect for t in final.model.at(law.joint)}
+    return any(
+        grows(t)
+        for t in given.at(law.joint)
+        if t.effect in left and t.effect != law.effect and mechanism_of(t.effect) == mechanism
+    )
 
 
 def twins(claims: Sequence[Claim]) -> tuple[Claim, ...]:

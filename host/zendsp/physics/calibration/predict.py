@@ -25,7 +25,7 @@ _NOTHING = np.zeros(0)
 # rad/s or m/s
 RAN_AWAY = 1e9
 LONGEST = 1.5  # of an integration step, times inertia over damping
-MOST_STEPS = 64  # a sample
+MOST_STEPS = 8  # a sample
 REMEMBERED = 32  # predictions of a recording: a decision asks for some of them again
 AT_FIRST = 0.03  # s, over which the acceleration at the beginning is measured
 
@@ -181,10 +181,11 @@ def run_many(
             for i, model in enumerate(some)
         ]
         finest = max(m[i].sub for i in range(len(some)))  # all take the same steps
+        stiff = max(m[i].stiff for i in range(len(some)))
         for i in range(LANES):
             if i >= len(some):
                 m[i] = m[0]  # idle
-            m[i].sub = finest
+            m[i].sub, m[i].stiff = finest, stiff
         r = np.empty((n, LANES))
         lib.lib.zk_run_lanes(m, lib.doubles(r))
         out[:, begin : begin + len(some)] = r[:, : len(some)]
@@ -247,7 +248,7 @@ def fill(
     if bandwidth not in record.filled:
         record.filled[bandwidth] = _of_record(record, bandwidth)
     ffi.memmove(m, record.filled[bandwidth], ffi.sizeof("zk_model"))
-    m.sub = steps(record, model, inertia, inner)
+    m.sub, m.stiff = steps(record, model, inertia, inner)
     m.delay = model.actuator.delay
     m.gain = per_joint(model.actuator.gain, record.joint, 1.0)
     m.limit = per_joint(model.actuator.limit, record.joint, 0.0)
@@ -284,10 +285,10 @@ def _first_acceleration(record: JointRecord) -> float:
     return 0.0 if abs(speed[0]) < abs(gained) else gained / (soon * record.sample_time)
 
 
-def steps(record: JointRecord, model: Model, inertia: Array, inner: int) -> int:
-    """Integration steps per sample: ``inner``, or as many more as follow what damps the joint. A
-    small inertia behind much viscous friction comes to rest in less than a step, and an explicit
-    step that is longer than twice that time runs away.
+def steps(record: JointRecord, model: Model, inertia: Array, inner: int) -> tuple[int, bool]:
+    """Integration steps per sample, and whether they are too few for what damps the joint:
+    ``inner``, or as many more as follow it. A small inertia behind much viscous friction comes to
+    rest in less than a step, and an explicit step that is longer than twice that time runs away.
     """
     damping = sum(
         max([0.0, *(term.value(p.name) for p in effect.parameters if p.size == "torque/speed")])
@@ -295,10 +296,10 @@ def steps(record: JointRecord, model: Model, inertia: Array, inner: int) -> int:
         if (effect := get_effect(term.effect)).mechanism == "fluid_friction"
     )
     least = max(float(np.min(inertia)) + added_inertia(model, record.joint), 1e-12)
-    wanted = min(damping * record.sample_time / (LONGEST * least), MOST_STEPS)
-    while inner < wanted:
+    wanted = damping * record.sample_time / (LONGEST * least)
+    while inner < min(wanted, MOST_STEPS):
         inner *= 2
-    return inner
+    return inner, inner < wanted
 
 
 def fill_rigid(m: Any, record: JointRecord, model: Model, inertia: Array, bias: Array) -> None:

@@ -23,6 +23,7 @@ enum { MAXFX = 24, MAXP = 6 };
 typedef struct {
     int n;                    /* samples */
     int sub;                  /* inner steps per sample */
+    int stiff;                /* 1: what damps the joint is faster than they are */
     double T;                 /* sample period, s */
     const double *ucum;       /* n + 1: integral of the command, unit s */
     double delay;             /* s */

@@ -32,7 +32,7 @@ FLAGS = (*FAST, *WIDE, "-std=c11", "-fopenmp-simd")
 
 CDEF = """
 typedef struct {
-    int n; int sub; double T; const double *ucum; double delay; double gain; double limit;
+    int n; int sub; int stiff; double T; const double *ucum; double delay; double gain; double limit;
     const double *m; double shift; const double *half; const double *k1; const double *k2; const double *w;
     const double *inertia; const double *bias; const double *bias_slope; double reference; double gravity; const double *other; const double *temperature;
     const double *extra;
@@ -109,6 +109,10 @@ def source_text(effects: dict[str, Effect]) -> str:
             looked = looks if mark != "SETUP" else ""
             text = _by_power(done.format(name=effect.name, c=effect.c), effect)
             cases[mark].append(f"case {i}: {looked}{text} break;")
+        if effect.site == "viscous":
+            slopes = [k for k, p in enumerate(effect.parameters) if p.size == "torque/speed"]
+            most = "".join(f"fmax(p[{k}], " for k in slopes) + "0" + ")" * len(slopes)
+            cases["SETUP"].append(f"case {i}: damp += {most}; break;")
         if effect.site == "setup":
             continue
         if re.search(r"\bload\b", effect.c):

@@ -25,6 +25,7 @@ INLINE void OF(rigid_body)(const OF(task) *O, OF(motion) *X, int k, double rigid
             X->jm[l] = motor;
             X->per_jl[l] = 1.0 / beyond;
         }
+    if (M->stiff) EACH X->jm[l] += O->h * N->damp[l]; /* implicit, of first order */
     EACH X->per_jm[l] = 1.0 / X->jm[l];
 }
 
@@ -75,6 +76,7 @@ INLINE void OF(gear)(const OF(task) *O, OF(motion) *X, double added)
     if (O->geared)
         EACH {
             X->jm[l] = X->load[l] * X->slope[l] * X->slope[l] + N->j_extra[l];
+            X->jm[l] += O->M->stiff ? O->h * N->damp[l] : 0.0;
             X->per_jm[l] = 1.0 / X->jm[l];
             X->push[l] = X->tau[l] - added - X->slope[l] * X->bias[l];
         }
@@ -239,10 +241,12 @@ INLINE void OF(step)(const OF(task) *O, OF(motion) *X, int k, double tl, double 
     if (O->filtered) EACH from[l] = SIDE_Q;
     OF(pushes)(O, X, added);
     OF(resist)(O, X, k, &f, &scale);
-    EACH S->qd[l] =
-        X->qd[l] + 0.5 * O->h * (X->push[l] - f[l] - X->rub[l]) * X->per_jm[l];
-    if (O->drives) EACH S->tau[l] = X->tau[l];
-    OF(resist)(O, X, k, &f, &scale);
+    if (!M->stiff) {
+        EACH S->qd[l] =
+            X->qd[l] + 0.5 * O->h * (X->push[l] - f[l] - X->rub[l]) * X->per_jm[l];
+        if (O->drives) EACH S->tau[l] = X->tau[l];
+        OF(resist)(O, X, k, &f, &scale);
+    }
     OF(slide)(O, X, &f, &scale);
     if (!O->two_mass) EACH { X->ql[l] = X->q[l]; X->qdl[l] = X->qd[l]; }
     if (O->geared && (O->side || M->beyond)) /* or else nobody looks at it */
