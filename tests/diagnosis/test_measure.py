@@ -18,9 +18,9 @@ from zendsp.diagnosis.data.prepare import one_sensor, prepare
 from zendsp.diagnosis.data.signals import Parts, Signals
 from zendsp.diagnosis.decide import clocks
 from zendsp.diagnosis.decide import decide as decision
-from zendsp.diagnosis.decide.assemble import with_disagreement
+from zendsp.diagnosis.decide.assemble import beside_given_gravity, with_disagreement
 from zendsp.diagnosis.decide.clocks import apart_in_time
-from zendsp.diagnosis.decide.thresholds import BY_CHANCE, LAWFUL, OF_STATE, SURE
+from zendsp.diagnosis.decide.thresholds import BY_CHANCE, LAWFUL, OF_STATE, SURE, TOLERANCE
 from zendsp.diagnosis.measure import evidence
 from zendsp.diagnosis.measure.bursts import bursts, periodic
 from zendsp.diagnosis.measure.discrepancy import at_reversals, deviation, discrepancy
@@ -28,7 +28,9 @@ from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import Scored, calibrate_joint, fit_scored
 from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, Structure, structure
 from zendsp.diagnosis.measure.where import Missing, mismatch, regions
-from zendsp.physics.calibration.fit import Data, fit, joint_handles
+from zendsp.physics.calibration.fit import Data, Fit, fit, joint_handles
+from zendsp.physics.calibration.handles import free_handles, get_values
+from zendsp.physics.model import Model, Quantity, Term
 
 
 def test_a_figure_shows_the_torque_that_lacks_in_full_beside_a_models_damping() -> None:
@@ -306,3 +308,36 @@ def test_an_interval_that_holds_hardly_more_than_its_part_of_the_time_is_no_plac
     plain = {"velocity": t, "acceleration": t, "command": t}
     lacks = [Missing(t, level, np.full(len(t), 0.01), {"position": q, **plain})]
     assert not [r for r in regions(lacks, 1) if r.variable == "position"]
+
+
+def test_a_gravity_beside_the_models_own_is_told_beside_the_given_number() -> None:
+    """0.4878 and 0.0705 at 1.738 rad are 0.4108 and another gravity: no recording tells them
+    apart, so that the second is no better known than the first.
+    """
+    given = model_of()
+    given = replace(given, mechanism={**given.mechanism, "gravity": (Quantity(0.4108),)})
+    found = Term("gravity", 1, {"torque": Quantity(0.0705), "angle": Quantity(1.738)})
+    model = replace(
+        given,
+        terms=(found,),
+        mechanism={**given.mechanism, "gravity": (Quantity(0.4878),)},
+    )
+    handles = tuple(h for h in free_handles(model) if h.key in ("gravity", "torque", "angle"))
+    at = get_values(model, handles)
+    fitted: Any = Fit(model, handles, at, np.diag([1e-8] * 3), 0.0, (), np.zeros(0), np.zeros(0))
+    told = beside_given_gravity(given, 1, fitted)
+    q = np.linspace(-3.0, 3.0, 50)
+
+    def torque(m: Model) -> np.ndarray:
+        (term,) = m.terms
+        beside = term.value("torque") * np.sin(q - term.value("angle"))
+        return np.asarray(m.mechanism["gravity"][0].value * np.sin(q) + beside)
+
+    assert told.model.mechanism["gravity"][0].value == 0.4108
+    np.testing.assert_allclose(torque(told.model), torque(model), atol=1e-12)
+    std = dict(zip((h.key for h in handles), told.std, strict=True))
+    assert std["gravity"] == 0.0
+    assert std["torque"] == pytest.approx(TOLERANCE * 0.4108 * np.cos(told.x[2]), rel=0.01)
+    assert std["angle"] == pytest.approx(
+        TOLERANCE * 0.4108 * np.sin(told.x[2]) / told.x[1], rel=0.01
+    )

@@ -16,6 +16,7 @@ import numpy as np
 from zendsp.diagnosis.decide.assemble import Assembled
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.result import Estimate, Finding
+from zendsp.diagnosis.decide.thresholds import TOLERANCE
 from zendsp.diagnosis.measure.discrepancy import difference
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import fit_scored
@@ -25,8 +26,6 @@ from zendsp.physics.effects import get_effect, library, mechanism_of
 from zendsp.physics.model import CALLED, TREES, Model, Quantity
 from zendsp.physics.term_numbers import file_model
 
-# relative standard deviation of a given inertia, mass or gravity; more where its std says so
-TOLERANCE = 0.045
 FAR = 3.0  # standard deviations
 # the same of two numbers together: the root of the χ² of two that is as unlikely (0.27 %); and of
 # each of them, at least. Chosen, not measured: the one case met had 3.0 and 4.8

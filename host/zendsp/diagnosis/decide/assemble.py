@@ -9,11 +9,11 @@ import numpy as np
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Decision
-from zendsp.diagnosis.decide.thresholds import SURE
+from zendsp.diagnosis.decide.thresholds import SURE, TOLERANCE
 from zendsp.diagnosis.measure.likelihood import Scored
 from zendsp.physics.calibration.convergence import with_step_error
 from zendsp.physics.calibration.fit import Data, Fit, fit
-from zendsp.physics.calibration.handles import free_handles
+from zendsp.physics.calibration.handles import free_handles, set_values
 from zendsp.physics.calibration.joint import own_terms
 from zendsp.physics.model import Model, Quantity, Term
 from zendsp.physics.robots.bodies import body_terms
@@ -126,13 +126,43 @@ def with_disagreement(
     return replace(fitted, covariance=fitted.covariance + np.diag(beyond))
 
 
+def beside_given_gravity(given: Model, joint: int, fitted: Fit) -> Fit:
+    """A gravity found beside the model's own as one that acts beside the given number, which is
+    known to TOLERANCE: G sin q + A sin(q - φ) is the same torque for any G, with another A and φ.
+    """
+    items = given.mechanism["gravity"]
+    k = joint - 1 if len(items) > 1 else 0
+    at_joint = [(t.effect, t.joint) for t in fitted.model.terms]
+    row = at_joint.index(("gravity", joint))
+    places = [("mechanism", k, "gravity"), ("term", row, "torque"), ("term", row, "angle")]
+    names = [(h.place, h.index, h.key) for h in fitted.handles]
+    if not all(place in names for place in places):
+        return fitted
+    at = [names.index(place) for place in places]
+    free, size, angle = fitted.x[at]
+    known = items[k].value
+    level = np.array([free - known + size * np.cos(angle), size * np.sin(angle)])
+    by = np.array(
+        [[1.0, np.cos(angle), -size * np.sin(angle)], [0.0, np.sin(angle), size * np.cos(angle)]]
+    )
+    whole = float(np.hypot(*level))
+    into = np.array([level / whole, [-level[1] / whole**2, level[0] / whole**2]])
+    turn = np.eye(len(names))
+    turn[np.ix_(at, at)] = np.vstack([np.zeros(3), into @ by])
+    spread = turn @ fitted.covariance @ turn.T
+    spread[np.ix_(at[1:], at[1:])] += (TOLERANCE * known) ** 2 * np.outer(into[:, 0], into[:, 0])
+    x = fitted.x.copy()
+    x[at] = known, whole, np.arctan2(level[1], level[0])
+    model = set_values(fitted.model, fitted.handles, x)
+    return replace(fitted, model=model, x=x, covariance=spread)
+
+
 def assemble(parts: Parts, given: Model, searches: Sequence[Decision], jobs: int) -> Assembled:
     """Put the joints together; parameters that joints share are refitted on all of them at once."""
     train, held = parts.fit, parts.held
     bandwidth = tuple(s.final.data.bandwidth[s.joint - 1] for s in searches)
     data = replace(train, bandwidth=bandwidth)
     if not shared_mechanism(given):
-        improved = merge(given, [s.final for s in searches])
         calibrated = merge(given, [s.base for s in searches])
         certain = {
             s.joint: with_step_error(s.final.data, s.final.fit, (s.joint,)) for s in searches
@@ -143,6 +173,11 @@ def assemble(parts: Parts, given: Model, searches: Sequence[Decision], jobs: int
             if s.claims
         }
         agreed = {**certain, **agreed}
+        for s in searches:
+            if given.mechanism.get("gravity") and any(c.effect == "gravity" for c in s.claims):
+                for fits in (certain, agreed):
+                    fits[s.joint] = beside_given_gravity(given, s.joint, fits[s.joint])
+        improved = merge(given, [replace(s.final, fit=agreed[s.joint]) for s in searches])
         return Assembled(
             _noted(calibrated, {s.joint: s.base.fit for s in searches}),
             _noted(improved, agreed),

@@ -76,3 +76,6 @@ HARMONIC = 0.05  # of a whole number: a ripple's order over the lowest
 STATED_BESIDE = 0.7
 # The same of any other law, or where nothing is left that could speak against it.
 STATED_ALONE = 1 / 3
+
+# Relative standard deviation of a given inertia, mass or gravity; more where its std says so.
+TOLERANCE = 0.045

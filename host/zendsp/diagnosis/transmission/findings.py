@@ -8,11 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from zendsp.diagnosis.data.signals import Parts
-from zendsp.diagnosis.decide.absorbed import TOLERANCE
 from zendsp.diagnosis.decide.confidence import SUREST
 from zendsp.diagnosis.decide.findings import sentence
 from zendsp.diagnosis.decide.result import Estimate, Finding, number
-from zendsp.diagnosis.decide.thresholds import PLAIN
+from zendsp.diagnosis.decide.thresholds import PLAIN, TOLERANCE
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import calibrate_joint
 from zendsp.diagnosis.transmission.claims import Claim
