@@ -13,7 +13,7 @@ from zendsp.diagnosis.decide.claims import Claim
 from zendsp.diagnosis.decide.contract import spans
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.structure import MEMORY, Structure
-from zendsp.diagnosis.measure.where import Missing, energy
+from zendsp.diagnosis.measure.where import Missing, energy, located
 from zendsp.diagnosis.report.summary import nameless, verdict_sentence
 from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.model import Quantity, Term
@@ -124,7 +124,7 @@ def test_a_complete_model_that_errs_more_than_the_sensor_says_what_it_leaves() -
 def test_times_are_told_with_their_recordings() -> None:
     times = [(1.0, 1.5), (2.0, 2.25), (7.0, 7.5)]
     assert spans(times, ["a", "b", "a"]) == "1.00–1.50 s, 7.00–7.50 s of a and 2.00–2.25 s of b"
-    assert spans(times, ["", "", ""], 2) == "1.00–1.50 s, 2.00–2.25 s"
+    assert spans(times, ["", "", ""], 2) == "1.00–1.50 s, 2.00–2.25 s and 1 more"
 
 
 def test_one_bristle_or_hysteresis_law_a_joint() -> None:
@@ -139,3 +139,16 @@ def test_a_recording_that_mostly_shows_nothing_counts_where_it_shows_something()
     lacks = Missing(np.arange(5.0), np.full(5, 2.0), std, {})
     square, counts = energy(lacks)
     assert counts.tolist() == [0, 0, 0, 1, 1] and square.tolist() == [0, 0, 0, 4.0 - 1e-12, 3.0]
+
+
+def test_times_of_two_joints_that_overlap_are_told_once() -> None:
+    time = np.arange(0.0, 10.0, 0.01)
+    lacks = np.where((time > 3.0) & (time < 3.5), 1.0, 0.0)
+
+    def of(shift: int) -> Missing:
+        torque = np.roll(lacks, shift)
+        return Missing(time, torque, np.full_like(time, 0.01), {}, recording="run")
+
+    _, times, names = located({1: [of(0)], 2: [of(10)]})
+    ((begin, end),) = times
+    assert names == ("run",) and begin < 3.1 and end > 3.5

@@ -19,7 +19,7 @@ Array = npt.NDArray[np.float64]
 
 DEGREE = 180.0 / np.pi
 TINY = 1e-15  # keeps a step of nothing from being divided by
-MIN_SECONDS = 2.0  # eight blocks of the held-out statistics
+MIN_SECONDS = 2.0  # eight blocks of the held-out statistics; of several recordings, half each
 MIN_COUNTS = 8
 
 # What refuses a recording: tests/diagnosis/test_bad_input.py has recordings on either side.
@@ -57,13 +57,15 @@ def check_signals(signals: Sequence[Signals], model: Model) -> list[str]:
         Where a recording cannot be diagnosed: too short, constant, unexcited, clipped, glued.
     """
     notes = unused_effects(signals, model)
+    least = MIN_SECONDS if len(signals) == 1 else MIN_SECONDS / 2
     for s in signals:
         notes += [note for note in s.notes if note not in notes]  # of several alike: once
         raw = s.raw or s
         seconds = float(raw.time[-1] - raw.time[0]) + raw.sample_time  # the last row's, too
-        if seconds < MIN_SECONDS - 0.5 * raw.sample_time:
+        if seconds < least - 0.5 * raw.sample_time:
+            beside = " each, where there are several recordings" if len(signals) > 1 else ""
             raise RecordingError(
-                f"{s.name}: lasts {seconds:.4g} s; a diagnosis needs at least {MIN_SECONDS:g} s:"
+                f"{s.name}: lasts {seconds:.4g} s; a diagnosis needs at least {least:g} s{beside}:"
                 " play a longer motion, such as a multisine or a trapezoid of 10 s"
             )
         joints = raw.position.shape[1]

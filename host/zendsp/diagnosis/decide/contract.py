@@ -140,17 +140,24 @@ def dark(left: Iterable[tuple[int, Sequence[float]]]) -> tuple[int, ...]:
 
 
 def spans(times: Sequence[tuple[float, float]], recordings: Sequence[str], most: int = 4) -> str:
-    """The first times, s, and of which recordings they are."""
+    """The first times, s, of which recordings they are, and how many more there are.
+
+    Examples
+    --------
+    >>> spans([(3.0, 4.0), (1.0, 2.0), (5.0, 6.0)], ["a", "a", "b"], most=2)
+    '1.00–2.00 s, 3.00–4.00 s of a and 1 more'
+    """
     names = dict.fromkeys(recordings[:most])
-    return " and ".join(
+    told = [
         ", ".join(
             f"{a:.2f}–{b:.2f} s"
-            for (a, b), n in zip(times[:most], recordings, strict=False)
+            for (a, b), n in sorted(zip(times[:most], recordings, strict=False))
             if n == name
         )
         + (f" of {name}" if name else "")
         for name in names
-    )
+    ]
+    return " and ".join([*told, *([f"{len(times) - most} more"] if len(times) > most else [])])
 
 
 def listed(joints: Iterable[int]) -> str:

@@ -265,14 +265,21 @@ def located(
     they are times of; those that hold most of it.
     """
     places = [r for joint, parts in missing.items() for r in regions(parts, joint)[:2]]
-    spans = [
-        (span, m.recording) for parts in missing.values() for m in parts for span in intervals(m)
-    ]
-    spans = sorted(spans, key=lambda s: -s[0][2])[:MOST]
+    spans = sorted(
+        (m.recording, *span) for parts in missing.values() for m in parts for span in intervals(m)
+    )
+    apart: list[tuple[str, float, float, float]] = []
+    for name, begin, end, share in spans:
+        if apart and apart[-1][0] == name and begin <= apart[-1][2]:  # of another joint
+            _, first, last, most = apart.pop()
+            apart.append((name, first, max(last, end), max(most, share)))
+        else:
+            apart.append((name, begin, end, share))
+    largest = sorted(apart, key=lambda s: -s[3])[:MOST]
     return (
         tuple(sorted(places, key=lambda r: r.time_share - r.share)[:MOST]),
-        tuple((a, b) for (a, b, _), _ in spans),
-        tuple(name for _, name in spans),
+        tuple((begin, end) for _, begin, end, _ in largest),
+        tuple(name for name, *_ in largest),
     )
 
 

@@ -184,7 +184,7 @@ def summary(d: Diagnosis) -> str:
             f" {100 * r.time_share:.0f} % of the time"
         )
     if d.times and d.unexplained:
-        lines.append(f"mismatch: largest at {spans(d.times, d.times_of)}")
+        lines.append(f"mismatch: largest at {spans(d.times[:4], d.times_of)}")
     if d.refinements:
         more = len(d.refinements) - REFINEMENTS
         lines.append(
