@@ -147,7 +147,8 @@ def test_times_of_two_joints_that_overlap_are_told_once() -> None:
 
     def of(shift: int) -> Missing:
         torque = np.roll(lacks, shift)
-        return Missing(time, torque, np.full_like(time, 0.01), {}, recording="run")
+        state = {name: np.sin(time) for name in ("position", "velocity", "acceleration", "command")}
+        return Missing(time, torque, np.full_like(time, 0.01), state, recording="run")
 
     _, times, names = located({1: [of(0)], 2: [of(10)]})
     ((begin, end),) = times

@@ -289,6 +289,8 @@ def _peak(acting: _Acting) -> float:
 
 def _summed(parts: Sequence[_Acting], joint: int) -> Bursts:
     """Intervals and sizes of what acts."""
+    from scipy.ndimage import median_filter  # takes a third of a second
+
     spans: list[tuple[float, float]] = []
     names: list[str] = []
     inside: list[Array] = []
@@ -310,7 +312,9 @@ def _summed(parts: Sequence[_Acting], joint: int) -> Bursts:
             ]
             names += [rec[joint - 1].recording] * len(ends)
             each += [float(np.sum(lack[a:b] ** 2)) for a, b in ends]
-            peaks += [_largest(lack[a:b]) for a, b in ends]
+            # where friction turns the observer spikes: nothing lasts as short as its memory
+            calm = median_filter(lack, max(1, round(1.0 / LACKING_BAND / step)), mode="nearest")
+            peaks += [_largest(calm[a:b]) for a, b in ends]
             inside.append(smooth[high])
             outside.append(smooth[~high])
             energy[0] += float(np.sum(lack[high] ** 2))
