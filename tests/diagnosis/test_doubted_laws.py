@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from zendsp.diagnosis.decide import absorbed, decide, patchwork
+from zendsp.diagnosis.decide import absorbed, patchwork, pushes
 from zendsp.diagnosis.decide.claims import Claim
 from zendsp.diagnosis.decide.contract import spans
 from zendsp.diagnosis.measure.evidence import Evidence
@@ -94,13 +94,13 @@ def test_what_the_motion_predicts_is_no_disturbance(
     def predicted(_data: Any, _model: Any, _joint: int, of: list[str], _turning: bool) -> Structure:
         return memory if of == [MEMORY] else state
 
-    monkeypatch.setattr(decide, "structure", predicted)
+    monkeypatch.setattr(pushes, "structure", predicted)
     as_calibrated = SimpleNamespace(model=None)
     pushed: Any = SimpleNamespace(final=as_calibrated, base=as_calibrated, joint=1, state=state)
     parts: Any = SimpleNamespace(each=())
-    assert decide._of_the_motion(pushed, parts, False) is moved
+    assert pushes.of_the_motion(pushed, parts, False) is moved
     pushed.base = pushed.state = None  # of another model what the state predicts is asked anew
-    assert decide._of_the_motion(pushed, parts, False) is moved
+    assert pushes.of_the_motion(pushed, parts, False) is moved
 
 
 @pytest.mark.parametrize(

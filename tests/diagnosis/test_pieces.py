@@ -269,7 +269,7 @@ def test_what_a_mechanism_is_worth_is_asked_of_the_recordings_to_test_on(
     nothing: Any = SimpleNamespace(kind="complete")
     monkeypatch.setattr(decision, "_nothing_named", lambda *_: nothing)
     search: Any = SimpleNamespace(joint=1, base=FINAL, steps=[])
-    outcome: Any = decision.decide(PARTS, None, search, 1, lambda _: None)  # type: ignore[arg-type]
+    outcome: Any = decision._decided(PARTS, None, search, 1, lambda _: None)  # type: ignore[arg-type]
     assert outcome is nothing and asked == [PARTS.test]
 
 
@@ -297,12 +297,12 @@ def test_what_leaves_more_unexplained_than_there_was_or_is_at_all_is_no_finding(
         "named": found,
         "believed": found,
         "window_error": np.zeros(3),
-        "_beside": None,
+        "beside": None,
         "_nothing_named": other,
     }.items():
         monkeypatch.setattr(decision, name, lambda *_, answer=answer: answer)
     search: Any = SimpleNamespace(joint=1, base=one, steps=[])
-    outcome = decision.decide(PARTS, None, search, 1, lambda _: None)  # type: ignore[arg-type]
+    outcome = decision._decided(PARTS, None, search, 1, lambda _: None)  # type: ignore[arg-type]
     assert outcome.claims is (found if stands else other).claims
     if after > 1.0:
         there = np.linspace(0.0, 1.0, 8000)
@@ -343,4 +343,4 @@ def test_of_another_load_is_spoken_where_there_are_several_recordings(
     parts: Any = SimpleNamespace(each=data, test=data[-1])
     search: Any = SimpleNamespace(joint=1, base=one)
     given: Any = None
-    assert decision.decide(parts, given, search, 1, lambda _: None).loads == loads
+    assert decision._decided(parts, given, search, 1, lambda _: None).loads == loads

@@ -14,7 +14,7 @@ import reality
 from reality import KNOWN
 
 from zendsp.diagnosis import Diagnosis, diagnose
-from zendsp.diagnosis.decide import decide as decision
+from zendsp.diagnosis.decide import decide, pushes
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.naming import _disturbance, at_once
 from zendsp.diagnosis.measure.bursts import Bursts
@@ -26,7 +26,7 @@ Decided = Callable[..., Diagnosis]
 def test_what_acts_in_the_recordings_to_choose_by_alone_is_not_complete(
     decided: Decided, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(decision, "_pushed", lambda *_: None)  # nothing of it comes again
+    monkeypatch.setattr(decide, "pushed", lambda *_: None)  # nothing of it comes again
     pushed = reality.Machine(push=(0.3, 2.0, 3.0))
     assert decided(reality.Machine(), pushed).verdict == "unexplained"
 
@@ -58,6 +58,19 @@ def test_a_push_is_a_disturbance_with_its_times(decided: Decided) -> None:
     rms, peak = (d.findings[0].parameters[name] for name in ("rms", "peak"))
     assert peak.value == pytest.approx(0.06, rel=0.3) and 0.0 < peak.std < 0.02
     assert rms.value <= peak.value and 0.0 < rms.std < 0.02
+
+
+def test_pushes_in_every_recording_and_a_friction_that_is_missing_are_both_found(
+    decided: Decided,
+) -> None:
+    """Each hides the other: numbers fitted to both are those of neither."""
+    pushed = reality.Machine(push=(0.04, 3.0, 3.6, 8.0, 8.6))
+    d = decided(pushed, pushed, KNOWN[0])
+    push, dry = d.findings
+    assert (push.effect, dry.effect) == ("disturbance", "coulomb")
+    spans = np.array(push.numbers["intervals"])
+    assert spans == pytest.approx(np.array(2 * [[3.0, 3.6], [8.0, 8.6]]), abs=0.2)
+    assert dry.parameters["level"].value == pytest.approx(0.03, rel=0.02)
 
 
 @pytest.mark.parametrize("push", [0.01, 0.15])
@@ -146,20 +159,20 @@ def test_what_comes_often_or_explains_little_or_is_another_load_is_no_push(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     found: Any = SimpleNamespace(intervals=(), recordings=(), spread=spread, share=share)
-    monkeypatch.setattr(decision, "_by_own_numbers", lambda *_: loads)
+    monkeypatch.setattr(pushes, "by_own_numbers", lambda *_: loads)
     data: Any = SimpleNamespace(records=(1,))
     parts: Any = SimpleNamespace(
         fit=data, choose=data, test=data, held=SimpleNamespace(records=(1, 2))
     )
     size: Any = SimpleNamespace(value=0.2)
-    monkeypatch.setattr(decision, "discrepancy", lambda *_: size)
-    monkeypatch.setattr(decision, "_in_held", lambda *_: found)
-    monkeypatch.setattr(decision, "everywhere", lambda *_: found)
-    monkeypatch.setattr(decision, "_fitted_to", lambda *_: SimpleNamespace(model=None))
+    monkeypatch.setattr(pushes, "discrepancy", lambda *_: size)
+    monkeypatch.setattr(pushes, "in_held", lambda *_: found)
+    monkeypatch.setattr(pushes, "everywhere", lambda *_: found)
+    monkeypatch.setattr(pushes, "fitted_to", lambda *_: SimpleNamespace(model=None))
     nothing: Any = SimpleNamespace(share=0.0, size=0.0, z=0.0, apart=0.0)
     base: Any = SimpleNamespace(model=None)
     out = Decision(1, "complete", (), (), base, base, size, size, nothing, size, base, 1.0)
-    outcome = decision._pushed(out, parts, 1)
+    outcome = pushes.pushed(out, parts, 1)
     assert (outcome is not None and outcome.kind == "disturbance") == pushed
 
 
@@ -224,10 +237,10 @@ def test_numbers_of_its_own_explain_a_recording_as_well_as_the_machine_is_ever_e
         value = lacks[data.records[0][0].recording][model == "own"]
         return SimpleNamespace(value=value, high=1.2 * value)
 
-    monkeypatch.setattr(decision, "discrepancy", left)
-    monkeypatch.setattr(decision, "_fitted_to", lambda *_: SimpleNamespace(model="own"))
+    monkeypatch.setattr(pushes, "discrepancy", left)
+    monkeypatch.setattr(pushes, "fitted_to", lambda *_: SimpleNamespace(model="own"))
     parts: Any = SimpleNamespace(
         **{k: Data(((SimpleNamespace(recording=k),),)) for k in ("fit", "held")}
     )
     out: Any = SimpleNamespace(joint=1, final=SimpleNamespace(model="base"))
-    assert decision._by_own_numbers(out, parts, 1) == said
+    assert pushes.by_own_numbers(out, parts, 1) == said

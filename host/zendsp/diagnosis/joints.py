@@ -20,8 +20,9 @@ from zendsp.diagnosis.decide.absorbed import shifted
 from zendsp.diagnosis.decide.across import pushed_alone, same_timing
 from zendsp.diagnosis.decide.assemble import Assembled, assemble
 from zendsp.diagnosis.decide.claims import Decision, unclaimed
-from zendsp.diagnosis.decide.decide import decide, unpushed
+from zendsp.diagnosis.decide.decide import decide
 from zendsp.diagnosis.decide.notes import MADE_WORSE
+from zendsp.diagnosis.decide.pushes import unpushed
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import Scored, calibrate_joint
 from zendsp.diagnosis.measure.windows import model_error, noise_floor, rms, window_error

@@ -13,7 +13,6 @@ from zendsp.diagnosis.data.split import cut_out
 from zendsp.diagnosis.decide.across import across_joints, friction_beside_weight, timing
 from zendsp.diagnosis.decide.assemble import Assembled, assemble, calibrated_machine
 from zendsp.diagnosis.decide.claims import Decision
-from zendsp.diagnosis.decide.decide import unpushed
 from zendsp.diagnosis.decide.decide_bodies import (
     BodyClaim,
     beside_bodies,
@@ -23,6 +22,7 @@ from zendsp.diagnosis.decide.decide_bodies import (
 )
 from zendsp.diagnosis.decide.fast_ripple import FineRipple, fine_ripples
 from zendsp.diagnosis.decide.other_load import other_load
+from zendsp.diagnosis.decide.pushes import unpushed
 from zendsp.diagnosis.decide.result import Finding
 from zendsp.diagnosis.joints import (
     Explained,
@@ -83,8 +83,10 @@ def find(
     if not pushes:
         return _loaded(found, given, jobs)
     fit, choose, test = (cut_out(part, pushes) for part in signals)
+    # beside a friction that lacks too, pushes are certain once it is known without them
+    alone = [d if d.kind == "disturbance" else unpushed(d) for d in found.decisions]
     if not (choose or test):
-        return found
+        return replace(found, decisions=alone)
     untouched = prepare(one_sensor(test or choose), given, 64.0)
     chosen = untouched
     if choose and test and signals[1] is not signals[2]:
@@ -96,10 +98,11 @@ def find(
         beside = _beside_pushes(found, _once(rest, given, jobs, tell))
         if not _misled(beside, calibrated, untouched):
             return beside
+    found = replace(found, decisions=alone)
     if not _misled(found, calibrated, untouched):
         return found
     # what acts all the time was taken for a push
-    decisions = [unpushed(d) if d.kind == "disturbance" else d for d in found.decisions]
+    decisions = [unpushed(d) for d in found.decisions]
     whole = assemble(found.parts, found.beneath, decisions, jobs)
     return replace(found, decisions=decisions, whole=replace(whole, calibrated=calibrated))
 
@@ -240,7 +243,7 @@ def _misled(found: Found, calibrated: Model, rest: Data) -> bool:
     nothing pushes it (``rest``: of the untouched recordings).
     """
     for d in found.decisions:
-        if d.kind == "disturbance":
+        if d.bursts is not None:
             with_it, without = (
                 rms(window_error(rest, m, d.joint)) for m in (found.whole.improved, calibrated)
             )
@@ -254,7 +257,7 @@ def _pushes(decisions: Sequence[Decision]) -> list[tuple[str, float, float]]:
     return [
         (name, *span)
         for d in decisions
-        if d.kind == "disturbance" and d.bursts is not None
+        if d.bursts is not None
         for name, span in zip(d.bursts.recordings, d.bursts.intervals, strict=True)
     ]
 
@@ -264,7 +267,7 @@ def _beside_pushes(pushed: Found, found: Found) -> Found:
     every = (pushed.parts.fit, pushed.parts.held)
     decisions = []
     for first, again in zip(pushed.decisions, found.decisions, strict=True):
-        if first.kind == "disturbance" and first.bursts is not None:
+        if first.bursts is not None:
             kind = "disturbance" if again.kind == "complete" else again.kind
             beside = everywhere(first.bursts, every, again.final.model, again.joint)
             bursts = beside if beside.intervals else first.bursts

@@ -9,8 +9,7 @@ decides.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +20,6 @@ from zendsp.diagnosis.decide.claims import Claim, Decision, Piece
 from zendsp.diagnosis.decide.findings import new_terms, percent
 from zendsp.diagnosis.decide.laws import believed, by_its_variables, named
 from zendsp.diagnosis.decide.pieces import (
-    dry_torque,
     finest,
     grouped,
     held_apart,
@@ -33,30 +31,38 @@ from zendsp.diagnosis.decide.pieces import (
     sure,
     worth_choosing,
 )
+from zendsp.diagnosis.decide.pushes import (
+    beside,
+    by_own_numbers,
+    fitted_to,
+    of_the_motion,
+    predicts,
+    pushed,
+    pushed_beside,
+)
 from zendsp.diagnosis.decide.thresholds import (
     AMISS,
     BEYOND_SENSOR,
-    BY_CHANCE,
     CLAIMED,
     LAWFUL,
     MACHINE,
     OF_STATE,
-    PLAIN,
     PREDICTED,
     RIVAL,
     RUN_AWAY,
     SURE,
 )
-from zendsp.diagnosis.measure.bursts import FEW, MANY, OFTEN, Bursts, bursts, everywhere, periodic
+from zendsp.diagnosis.measure.bursts import periodic
 from zendsp.diagnosis.measure.discrepancy import Size, beyond, discrepancy
 from zendsp.diagnosis.measure.evidence import Evidence
-from zendsp.diagnosis.measure.likelihood import Scored, fit_scored, informative
-from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, Structure, structure
+from zendsp.diagnosis.measure.likelihood import Scored, informative
+from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, structure
 from zendsp.diagnosis.measure.windows import noise_floor, rms, window_error
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
 from zendsp.diagnosis.search.rounds import WAIT
 from zendsp.diagnosis.search.simplify import simplify
-from zendsp.physics.calibration.fit import Data, joint_handles
+from zendsp.physics.calibration.fit import Data
+from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model, Quantity, Term
 
 Array = npt.NDArray[np.float64]
@@ -77,6 +83,21 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
     tell : callable
         Receives a sentence at each stage.
     """
+    out = _decided(parts, given, search, jobs, tell)
+    if out.kind == "missing":
+        models = [out.final]
+    elif out.kind == "unexplained":  # a friction that is missing hides pushes, and they hide it
+        models = [r.scored for r in search.tried if get_effect(r.effect).common]
+        models += [search.best] if search.best is not None else []
+    else:
+        return out
+    turning = not rubs(search.base.model, search.joint)
+    return replace(out, bursts=pushed_beside(out, models, parts, turning))
+
+
+def _decided(
+    parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Progress
+) -> Decision:
     joint, base = search.joint, search.base
     tell(f"joint {joint}: what each mechanism is worth")
     final = worth_choosing(parts, given, search, jobs)
@@ -93,12 +114,12 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
         if not claimed:
             sounder = find_sounder(parts, search, final, pieces, jobs)
             if sounder is not None:
-                return decide(parts, given, sounder, jobs, tell)
+                return _decided(parts, given, sounder, jobs, tell)
         if claimed:
             first = named(parts, given, search, final, claimed, rest, before, jobs, tell)
             other = _exchanged(parts, search, final, first, jobs)
             if other is not None:
-                return decide(parts, given, other, jobs, tell)
+                return _decided(parts, given, other, jobs, tell)
             decision = believed(first, parts, given, jobs)
             errors = [
                 rms(window_error(parts.test, m, joint)) for m in (base.model, decision.final.model)
@@ -109,7 +130,7 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
             better = errors[1] <= errors[0] and decision.after.value <= least
             if decision.claims and better:
                 if any(c.effect != "unknown" for c in decision.claims):
-                    return replace(decision, beside=_beside(decision, parts))
+                    return replace(decision, beside=beside(decision, parts))
                 # which mechanism, if any, is for the lacking torque itself to say
                 plain = _nothing_named(parts, given, search, before, pieces, jobs)
                 most = decision.after.value**2 < (1.0 - PREDICTED) * before.value**2
@@ -124,7 +145,7 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
     several = len({rec[0].recording for part in parts.each for rec in part.records}) > 1
     if nothing.kind != "unexplained" or not several:
         return nothing
-    return replace(nothing, loads=_by_own_numbers(nothing, parts, jobs))
+    return replace(nothing, loads=by_own_numbers(nothing, parts, jobs))
 
 
 def _exchanged(
@@ -172,29 +193,6 @@ def _with_best(search: JointSearch, rival: Rival, parts: Parts, jobs: int) -> Jo
     return other
 
 
-def _beside(decision: Decision, parts: Parts) -> Bursts | None:
-    """A push in the recordings of the fit, beside what is claimed."""
-    model, joint = decision.final.model, decision.joint
-    if discrepancy(parts.fit, model, joint).value < LAWFUL:
-        return None
-    return _in_fit(parts, model, joint)
-
-
-def _in_held(parts: Parts, model: Model, joint: int, often: float) -> Bursts | None:
-    """A push in the recordings that were held out."""
-    dry = dry_torque(parts.held, model, joint)
-    return bursts(parts.held, model, joint, parts.fit, dry=dry, often=often)
-
-
-def _in_fit(parts: Parts, model: Model, joint: int, many: int = FEW) -> Bursts | None:
-    """A push in the recordings of the fit."""
-    dry = dry_torque(parts.fit, model, joint)
-    return bursts(parts.fit, model, joint, parts.held, many=many, dry=dry, often=0.0)
-
-
-# --- nothing is named
-
-
 def _nothing_named(
     parts: Parts,
     given: Model,
@@ -227,9 +225,9 @@ def _nothing_named(
         known=known_discrepancy(given, parts.test, joint),
         lost=tuple(_why(r, base, pieces, before) for r in search.tried[:6]),
     )
-    pushed = _pushed(out, parts, jobs)
-    if pushed is not None and not _of_the_motion(pushed, parts, turning):
-        return pushed
+    push = pushed(out, parts, jobs)
+    if push is not None and not of_the_motion(push, parts, turning):
+        return push
     asked = _asked(out, parts, turning)
     # something acts there surely, though what it is drowns in what stays unexplained
     drowned = any(sure(parts.test, p) and beyond(p.size, out.known.all) > OF_STATE for p in pieces)
@@ -238,7 +236,7 @@ def _nothing_named(
     if drowned or asked.kind == "complete":
         return asked
     # numbers that were fitted to slow motion may be off by so much in a fast one
-    whole = _fitted_to(parts.all, base, joint, jobs)
+    whole = fitted_to(parts.all, base, joint, jobs)
     size = discrepancy(parts.test, whole.model, joint)
     state = structure(parts.each, whole.model, joint, STRUCTURED, turning)
     again = _asked(
@@ -260,7 +258,7 @@ def _half_a_row(out: Decision, parts: Parts, jobs: int) -> bool:
         shifted = replace(
             out.base, fit=replace(out.base.fit, model=model.with_terms((*model.terms, shift)))
         )
-        fitted = _fitted_to(parts.fit, shifted, joint, jobs)
+        fitted = fitted_to(parts.fit, shifted, joint, jobs)
         left = discrepancy(parts.test, fitted.model, joint)
         if left.value**2 < (1.0 - PREDICTED) * out.before.value**2:
             return True
@@ -281,7 +279,7 @@ def _asked(out: Decision, parts: Parts, turning: bool) -> Decision:
     """
     lacks = beyond(out.before.value, out.known.all)
     of_state = beyond(out.state.size, out.known.of_state)
-    if of_state > OF_STATE and _predicts(out.state):
+    if of_state > OF_STATE and predicts(out.state):
         claim = _without_law(parts, out, turning)
         if claim is not None:
             return replace(out, kind="missing", claims=(claim,))
@@ -305,96 +303,6 @@ def _off(out: Decision, test: Data) -> bool:
     return error > BEYOND_SENSOR * noise_floor(test, out.joint)
 
 
-def _pushed(out: Decision, parts: Parts, jobs: int) -> Decision | None:
-    """The decision with a disturbance, where one explains what lacks. It may come in any part of
-    the data; one in the recordings of the fit alone bends the calibration, so that it may lack a
-    function of the state, and is then that of the recordings to choose by.
-    """
-    joint, base, known = out.joint, out.base.model, out.known.all
-    others = (discrepancy(part, base, joint).value for part in (parts.fit, parts.choose))
-    somewhere = beyond(max(out.before.value, *others), known)
-    if somewhere < LAWFUL:
-        return None
-    # a push may lie where the held-out recording was cut, or in the recordings of the fit alone:
-    # there what comes when the joint turns round may be its friction, however seldom
-    often = OFTEN if beyond(out.before.value, known) > LAWFUL else 0.0
-    held = here = None
-    if out.state.share < PREDICTED:
-        held = _in_held(parts, base, joint, often)
-        here = held or _in_fit(parts, base, joint)
-    bent = held is None or bool(
-        everywhere(held, (parts.fit,), base, joint).intervals
-        and not everywhere(held, (parts.choose,), base, joint).intervals
-    )
-    if bent:
-        other = _fitted_to(parts.choose, out.base, joint, jobs)
-        after = discrepancy(parts.test, other.model, joint)
-        if held is None and beyond(after.value, known) < LAWFUL:
-            here = _in_fit(parts, other.model, joint, MANY) or here
-        elif here is None and out.state.share < PREDICTED:
-            here = _in_held(parts, other.model, joint, often)
-        if here is not None and after.value <= out.before.value:
-            out = replace(out, final=other, after=after)
-    if here is None:
-        return None
-    both = everywhere(here, (parts.fit, parts.held), out.final.model, joint)
-    if both.spread > FEW * sum(len(part.records) for part in (parts.fit, parts.held)):
-        return None  # what comes so often comes with the motion
-    if both.share < PREDICTED:
-        return None
-    if _by_own_numbers(out, parts, jobs, both.recordings):
-        return None
-    return replace(out, kind="disturbance", bursts=both)
-
-
-def unpushed(decision: Decision) -> Decision:
-    """The decision without a disturbance: of what comes and goes beside a load that swings unseen
-    at another joint nobody can say that no state explains it.
-    """
-    lacks = beyond(decision.before.value, decision.known.all)
-    surely = lacks > MACHINE and decision.before.low > 0.0
-    return replace(
-        decision,
-        kind="unexplained" if surely else "complete",
-        bursts=None,
-        final=decision.base,
-        after=decision.before,
-    )
-
-
-def _by_own_numbers(
-    out: Decision, parts: Parts, jobs: int, among: Collection[str] = ()
-) -> tuple[str, ...]:
-    """The recordings that lack something, where each is explained by numbers of its own: they are
-    of a machine with another load. ``among``: of these alone; else of all.
-    """
-    joint, rows, usual = out.joint, [], math.inf
-    for part in (parts.fit, parts.held):
-        for rec in part.records:
-            alone, name = replace(part, records=(rec,)), rec[joint - 1].recording
-            lacks, left = discrepancy(alone, out.final.model, joint).value, 0.0
-            if lacks > LAWFUL and (name in among or not among):
-                own = discrepancy(alone, _fitted_to(alone, out.final, joint, jobs).model, joint)
-                left = own.value
-                rows.append((name, lacks, left))
-            if part is parts.fit:  # what the machine leaves with any numbers is no load
-                usual = min(usual, own.high if left else LAWFUL)
-    found = [row for row in rows if row[1] > max(LAWFUL, usual)]
-    if any(
-        left > max(LAWFUL, usual) or left**2 > (1.0 - PREDICTED) * lacks**2
-        for _, lacks, left in found
-    ):
-        return ()
-    return tuple(dict.fromkeys(name for name, _, _ in found))
-
-
-def _fitted_to(data: Data, base: Scored, joint: int, jobs: int) -> Scored:
-    """The model calibrated on other recordings."""
-    data = data.at_bandwidth(joint, base.data.bandwidth[joint - 1])
-    handles = joint_handles(data, base.model, joint)
-    return fit_scored(data, base.model, handles, (joint,), jobs=jobs, rounds=2)
-
-
 def _lawful(parts: Parts, base: Scored, joint: int, turning: bool) -> bool:
     """Whether what lacks is no noise of a machine: it follows from how the joint moved before, or
     repeats itself with time.
@@ -403,24 +311,6 @@ def _lawful(parts: Parts, base: Scored, joint: int, turning: bool) -> bool:
     if memory.size > LAWFUL and memory.z > SURE:
         return True
     return periodic(parts.held, base.model, joint) > LAWFUL
-
-
-def _predicts(found: Structure) -> bool:
-    """Whether what was learned on other recordings predicts what lacks, and not by chance."""
-    return found.z > SURE or found.apart > BY_CHANCE
-
-
-def _of_the_motion(pushed: Decision, parts: Parts, turning: bool) -> bool:
-    """Whether the state predicts a part of what lacks, or the motion before most of it: of a push
-    from outside neither knows anything.
-    """
-    model, state = pushed.final.model, pushed.state
-    if pushed.final is not pushed.base:
-        state = structure(parts.each, model, pushed.joint, STRUCTURED, turning)
-    if state.size > OF_STATE and _predicts(state):
-        return True
-    memory = structure(parts.each, model, pushed.joint, [MEMORY], turning)
-    return memory.share > PREDICTED and memory.z > PLAIN
 
 
 def _why(
