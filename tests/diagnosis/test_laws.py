@@ -419,14 +419,16 @@ def test_a_friction_that_creeps_stands_once_where_a_joint_is_decided_again(
     assert seen[0].terms == (coulomb, creep)
 
 
-@pytest.mark.parametrize(("lacks", "claimed"), [(0.3, True), (1.1, False)])
+@pytest.mark.parametrize(("share", "claimed"), [(0.92, True), (0.74, False)])
 def test_an_actuator_is_not_blamed_for_what_its_command_has_to_bear(
-    lacks: float, claimed: bool, monkeypatch: pytest.MonkeyPatch
+    share: float, claimed: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    lacks = 0.3
+
     def predicted(
         _parts: Any, _model: Any, _joint: int, by: list[str], _turning: bool
     ) -> Structure:
-        return Structure(0.9 * lacks if by == ["actuator"] else 0.1 * lacks, 0.8, 9.0)
+        return Structure(0.9 * lacks if by == ["actuator"] else 0.1 * lacks, share, 9.0)
 
     monkeypatch.setattr(decision, "structure", predicted)
     base, size = SimpleNamespace(model=None), Size(lacks, 0.9 * lacks, 1.1 * lacks)

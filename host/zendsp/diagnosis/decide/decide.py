@@ -44,6 +44,7 @@ from zendsp.diagnosis.decide.thresholds import (
     AMISS,
     BEYOND_SENSOR,
     CLAIMED,
+    COMMANDED,
     LAWFUL,
     MACHINE,
     OF_STATE,
@@ -84,7 +85,7 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
         Receives a sentence at each stage.
     """
     out = _decided(parts, given, search, jobs, tell)
-    if out.kind == "missing":
+    if out.kind == "missing" and not any(c.effect == "unknown" for c in out.claims):
         models = [out.final]
     elif out.kind == "unexplained":  # a friction that is missing hides pushes, and they hide it
         models = [r.scored for r in search.tried if get_effect(r.effect).common]
@@ -344,8 +345,7 @@ def _without_law(parts: Parts, out: Decision, turning: bool) -> Claim | None:
     least = PREDICTED * max(out.state.size, out.before.value) ** 2
     if best.z < SURE or best.size**2 < least or best.share < PREDICTED:
         return None
-    # in a loop the command follows what the joint has to bear: of any torque, so large a part
-    if order[0] == "actuator" and out.before.value**2 > PREDICTED:
+    if order[0] == "actuator" and best.share < COMMANDED:
         return None
     other = next(alone[m] for m in order[1:] if m not in kind_of(order[0]))
     if other.size**2 > RIVAL * best.size**2:
