@@ -155,14 +155,18 @@ def _as_symmetric(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored
     return best
 
 
-def _as_payload(found: JointSearch, best: Scored, jobs: int) -> Scored:
+def _as_payload(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored:
     """More inertia and a weaker actuator together are a payload, which adds inertia and gravity:
-    name it so where that explains as much.
+    name it so where that explains as much, and the actuator alone does not.
     """
     had = {t.effect for t in found.base.model.at(found.joint)}
     new = {t.effect: t for t in best.model.at(found.joint) if t.effect not in had}
     gravity = best.model.mechanism.get("gravity", ())
     if not {"torque_gain", "inertia"} <= set(new) or not any(q.value for q in gravity):
+        return best
+    rest = tuple(t for t in best.model.terms if t is not new["inertia"])
+    alone = _refitted(best.data, best.model.with_terms(rest), found.joint, jobs, 2)
+    if alone.deviance < best.deviance + price((new["inertia"],), n):
         return best
     weight = max(abs(q.value) for q in gravity) * max(abs(new["torque_gain"].value("ratio")), 0.01)
     load = make_term(get_effect("gravity"), found.joint, {"torque": weight, "angle": 0.0})
@@ -214,7 +218,7 @@ def simplify(found: JointSearch, n: int, jobs: int) -> tuple[Scored, tuple[str, 
     """Drop every term, given or found, that the recording does not need any more."""
     best = _resolved(straightened(found, found.final, jobs), found.joint, jobs)
     best = _as_coulomb(best, found.joint, jobs)
-    best = _as_spring(found, _as_payload(found, best, jobs), jobs)
+    best = _as_spring(found, _as_payload(found, best, n, jobs), jobs)
     best = _as_symmetric(found, best, n, jobs)
     dropped: list[str] = []
     added = {t.effect for s in found.steps for t in s.chosen.terms}
