@@ -51,7 +51,7 @@ def command(
     from zendsp.physics.codegen.compensation import SHARE
 
     values = parse_assignments(assignments)
-    with open_target(target, connect) as t:
+    with open_target(target, connect, moves=True) as t:
         if file is not None:
             compiled(lambda: t.download(file, flags), as_json, t)
         if values:
@@ -76,7 +76,6 @@ def command(
                     )
                 except KeyboardInterrupt:
                     t.pause()
-                    click.echo(f"zendsp: {t.name}: paused before its end", err=True)
                     raise
                 except RunnerDied:  # open_target says how
                     status = t.status()
