@@ -267,6 +267,21 @@ def parse_assignments(pairs: tuple[str, ...]) -> dict[str, Assignable]:
     return values
 
 
+def file_and_values(
+    words: tuple[str, ...], assignments: tuple[str, ...]
+) -> tuple[str | None, dict[str, Assignable]]:
+    """Tell FILE from what stands behind the first value of one ``--set A=1 B=2``."""
+    files = [word for word in words if "=" not in word or os.path.isfile(word)]
+    if len(files) > 1:
+        raise click.UsageError(
+            f"one FILE, not {len(files)}: {', '.join(files)}; values are written --set NAME=VALUE"
+        )
+    more = tuple(word for word in words if word not in files)
+    if more and not assignments:
+        raise click.UsageError(f"{more[0]!r} is no file; a value is written --set {more[0]}")
+    return (files[0] if files else None), parse_assignments(assignments + more)
+
+
 @contextmanager
 def progress(what: str, expected_s: float, as_json: bool) -> Iterator[Callable[[float], None]]:
     """Show a bar on a terminal for what takes longer than a second; yields ``set_fraction``."""
