@@ -17,6 +17,7 @@ from pathlib import Path
 
 from zendsp_isr.confine import landlock_version
 from zendsp_protocol import keys, registry
+from zendsp_protocol.certificates import ended
 from zendsp_protocol.errors import Refused
 from zendsp_protocol.verbs import ROLES, Verb
 from zendsp_target.access.endpoints import Security, check, check_connect, is_local
@@ -166,6 +167,13 @@ def settle(name: str, listen: Sequence[str], connect: Sequence[str], security: S
             raise Refused(
                 f"--tls-{option} {file}: cannot be read; expected a PEM file ('zendsp keys' makes"
                 " them)"
+            )
+    for option, file in (("cert", security.certificate), ("ca", security.authority)):
+        if file and (day := ended(file)):
+            raise Refused(
+                f"--tls-{option} {file}: ended on {day}, so no host would come in, not even to"
+                f" stop: 'zendsp keys {'target' if option == 'cert' else 'init'}' makes another (or"
+                " is this computer's clock wrong?)"
             )
     if security.key:
         check_secret("--tls-key", security.key)
