@@ -9,10 +9,13 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+import pytest
 from helpers import relay_to
 from waiting import PATIENCE_S, freeze, until
 
 from zendsp.link import Target
+from zendsp.recording import Recording
 
 # started in the background of a shell, Python would leave Ctrl-C to be ignored
 COMMAND = (
@@ -22,15 +25,16 @@ COMMAND = (
 
 
 def _interrupted(
-    *words: object, when: Callable[[], object], what: str, status: int = 130
+    *words: object, when: Callable[[], object], what: str, status: int = 130,
+    by: int = signal.SIGINT,
 ) -> subprocess.CompletedProcess[str]:
-    """Type a command, and Ctrl-C as soon as ``when`` holds."""
+    """Type a command, and Ctrl-C (or another signal) as soon as ``when`` holds."""
     process = subprocess.Popen(
         [sys.executable, "-c", COMMAND, *map(str, words)], stdout=subprocess.PIPE,
         stderr=subprocess.PIPE, text=True,
     )
     until(when, what)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(by)
     out, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == status, err
     return subprocess.CompletedProcess(words, process.returncode, out, err)
@@ -92,3 +96,18 @@ def test_ctrl_c_of_a_stop_that_waits_says_that_nothing_is_known(real: Target) ->
         finally:
             os.kill(process, signal.SIGCONT)
     assert "NOT STOPPED: use the machine's emergency stop" in done.stderr
+
+
+@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_cut_that_is_ended_leaves_whole_files_and_names_them(tmp_path: Path, by: int) -> None:
+    t = np.arange(400_000) / 1000.0
+    t[1000:] += 100.0  # a gap: the first part is short, the second one takes its time
+    Recording.from_columns({"q": np.sin(t), "u": np.cos(t)}, t=t).save(tmp_path / "run.npz")
+    out = tmp_path / "cut"
+    done = _interrupted(
+        "cut", tmp_path / "run.npz", "-o", out / "a.csv", by=by,
+        when=lambda: any(out.glob(".a-2.csv.*.part")), what="the second part is being written",
+    )  # fmt: skip
+    assert [file.name for file in out.iterdir()] == ["a-1.csv"]
+    assert len(Recording.load(out / "a-1.csv")) == 1000
+    assert f"1 of 2 parts are written and whole: {out / 'a-1.csv'}" in done.stderr

@@ -75,6 +75,13 @@ def acknowledge(target: Target, sample: int | None) -> None:
     click.echo(target.acknowledge(trip), err=True)
 
 
+def end_softly() -> None:
+    """Have SIGTERM and the end of the terminal act as Ctrl-C: what is half done is cleared away."""
+    for number in ENDING:
+        if signal.getsignal(number) == signal.SIG_DFL:
+            signal.signal(number, signal.default_int_handler)
+
+
 @contextmanager
 def open_target(name: str, endpoint: str | None, moves: bool = False) -> Iterator[Target]:
     """Connect to the target that the options name, and at the end say on standard error if it is
@@ -102,9 +109,7 @@ def open_target(name: str, endpoint: str | None, moves: bool = False) -> Iterato
     from zendsp.link.programs import trouble
 
     with connect(name, endpoint) as target:
-        for number in ENDING:
-            if signal.getsignal(number) == signal.SIG_DFL:
-                signal.signal(number, signal.default_int_handler)
+        end_softly()
         refused, cut_short = "", False
         try:
             yield target
