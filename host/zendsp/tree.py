@@ -177,9 +177,12 @@ def read_urdf(path: str) -> tuple[list[Body], Array]:
     try:
         robot = ET.parse(Path(path)).getroot()
         return _read(robot, path), np.array(GRAVITY)
-    except (
-        ET.ParseError, OSError, ValueError, KeyError, AttributeError, RecursionError
-    ) as error:  # fmt: skip
+    except RecursionError:
+        raise ModelError(
+            f"{path}: its links hang on one another in a chain that is too long to be read: some"
+            " hundreds are the limit. Make fixed joints of those that do not move, or cut it"
+        ) from None
+    except (ET.ParseError, OSError, ValueError, KeyError, AttributeError) as error:
         raise ModelError(f"{path}: is not a URDF that can be read: {error}") from error
 
 

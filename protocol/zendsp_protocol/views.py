@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from html import escape
-from math import ceil, floor, log10
+from math import ceil, floor, inf, isfinite, log10
 from typing import Any
 
 from zendsp_protocol.values import Packed, from_wire
@@ -16,6 +16,7 @@ WIDTH, HEIGHT, LEFT, RIGHT = 640, 200, 64, 8  # pixels
 LANE = 110  # pixels; of each where there are several
 MOST = 8  # curves
 ELEMENTS = 8  # of an array's value
+DIGITS = 7  # of a measured number, at the most: a smaller uncertainty is a formal one
 
 
 def sentence(text: str) -> str:
@@ -92,6 +93,30 @@ def short(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def with_std(value: float, std: float, unit: str = "") -> str:
+    """Return a measured number with its standard deviation, which has two digits, and as many
+    decimals itself; of one that is not known, four digits.
+
+    Examples
+    --------
+    >>> with_std(1.281, 0.3, "N m"), with_std(12051.2, 113.0), with_std(-3e-7, 2e-8, "1")
+    ('1.28 ± 0.30 N m', '12050 ± 110', '(-3.00 ± 0.20)e-07')
+    """
+    unit = "" if unit in ("", "1") else f" {unit}"
+    if not 0.0 < std < inf or not isfinite(value):
+        return f"{value:z.4g}{unit}"
+    last = floor(log10(float(f"{std:.1e}"))) - 1  # place of the last digit: -2 of 0.01
+    first = floor(log10(max(abs(value), std)))
+    if first - last >= DIGITS:
+        return f"{value:z.{DIGITS}g} ± {std:.1e}{unit}"
+    if -5 < first < DIGITS - 1:
+        places = max(0, -last)
+        value, std = round(value, -last), round(std, -last)
+        return f"{value:z.{places}f} ± {std:.{places}f}{unit}"
+    value, std, places = value / 10.0**first, std / 10.0**first, first - last
+    return f"({value:z.{places}f} ± {std:.{places}f})e{first:+03}{unit}"
 
 
 def curves(

@@ -350,3 +350,23 @@ def test_the_command_that_a_refusal_names_makes_recordings_that_are_taken(
     parts = [p for p in tmp_path.glob("*.csv") if p != path]
     assert len(parts) == (1 if mistake == "NaN" else 2)
     check_signals([read_signals(part, load_model(model)) for part in parts], load_model(model))
+
+
+def test_a_unit_that_is_not_known_is_refused_with_those_that_are(
+    good: Columns, model: Path, tmp_path: Path, refuse: Callable[..., str]
+) -> None:
+    """Of a position in turns the numbers would be explained by physics that is not there."""
+    turns = reality.save(tmp_path / "run.csv", {**good, "q": good["q"] / (2 * np.pi)})
+    head, rest = turns.read_text().split("\n", 1)
+    turns.write_text(re.sub(r"\bq\b", "q [Umdrehungen]", head) + "\n" + rest)
+    text = refuse(turns, "--model", model)
+    assert "run.csv: position 'q': the unit 'Umdrehungen' is not known. Known are rad, deg" in text
+    assert "Write one of them in the head" in text
+    plain = reality.save(tmp_path / "plain.csv", good)
+    plain.write_text(plain.read_text().replace("u", "u [DAC]", 1))  # a command may have any
+    read = read_signals(plain, load_model(model))
+    degrees = turns.with_name("grad.csv")
+    reality.save(degrees, {**good, "q": np.rad2deg(good["q"])})
+    degrees.write_text(degrees.read_text().replace("q", "q [Grad]", 1))
+    grad = read_signals(degrees, load_model(model))
+    assert np.allclose(grad.position, read.position, atol=1e-9)

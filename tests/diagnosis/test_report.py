@@ -388,5 +388,5 @@ def test_the_page_does_not_say_nowhere_above_a_picture_with_shaded_spans() -> No
 
 
 def test_a_number_that_rounds_to_nothing_has_no_sign() -> None:
-    assert number(Estimate(-0.001, 0.1, "rad")) == "0 ± 0.1 rad"
+    assert number(Estimate(-0.001, 0.1, "rad")) == "0.00 ± 0.10 rad"
     assert number(Estimate(-0.0, 0.0, "rad")) == "0 rad"

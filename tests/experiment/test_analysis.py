@@ -435,4 +435,4 @@ def test_ctrl_c_names_a_folder_that_is_there(
 
     monkeypatch.setattr("zendsp.experiment.run_experiment", interrupted)
     shown = CliRunner().invoke(command, ["imi-fit", "--out", str(tmp_path / "runs")])
-    assert f"what was recorded is in {tmp_path / 'runs'}\n" in shown.output
+    assert f"what was recorded is in {tmp_path / 'runs'}; the simulated" in shown.output

@@ -361,7 +361,7 @@ def test_what_equal_values_may_differ_by_is_no_difference(second: float, rows: l
     again = ({"rms e1": 0.0039}, {"rms e1": 0.0041})
     found = Sweep(("Kp1",), ("rms e1",), tuple(measured), again)
     assert found.spread() == pytest.approx(0.0002) and found.best_rows() == rows
-    assert ("none is best" in repr(found)) is (len(rows) > 1)
+    assert ("rms e1 of the best 2, from 0.004, at" in repr(found)) is (len(rows) > 1)
 
 
 def test_every_value_is_checked_before_the_first_run(fast: Target) -> None:

@@ -173,8 +173,14 @@ def test_a_certificate_that_does_not_fit_opens_nothing(
         _end(lab, bad)
     else:
         bad = target
-    with pytest.raises(LinkError):
+    words = "anna.pem ended on 20.*--renew" if what == "over" else "refuses the certif|no target"
+    with pytest.raises(LinkError, match=words):
         enter(monitor, lab, bad, 1.5)
+    if what == "over":
+        good = lab.add_user("anna", "download", renew=True)
+        unfit = Holder("anna", "user", "", good.until, good.certificate, target.key)
+        with pytest.raises(LinkError, match=r"imi\.key does not belong to .*anna\.pem"):
+            enter(monitor, lab, unfit, 1.5)
 
 
 def _end(lab: Lab, holder: Holder) -> None:
@@ -209,7 +215,8 @@ def test_a_person_s_key_makes_no_target(lab: Lab, start: Open) -> None:
 
 
 @pytest.mark.parametrize(
-    "broken", ["certificate", "key", "authority", "another's key", "an empty authority"]
+    "broken",
+    ["certificate", "key", "authority", "another's key", "an empty authority", "one that ended"],
 )
 def test_a_target_does_not_start_with_files_that_do_not_fit(
     lab: Lab, runtime: Runtime, broken: str
@@ -224,11 +231,13 @@ def test_a_target_does_not_start_with_files_that_do_not_fit(
         files[broken] = str(lab.folder / "none.pem")
     elif broken == "another's key":
         files["key"] = str(other.key)
+    elif broken == "one that ended":
+        _end(lab, imi)
     else:
         files["authority"] = str(empty)
     lab.add_user("anna", "tune")
     security = Security(**files, roles=str(lab.roles_file))
-    words = "none.pem.*cannot be read" if broken in files else "cannot listen"
+    words = "none.pem.*cannot be read" if broken in files else "cannot listen|ended on 20"
     with pytest.raises((Refused, LinkError), match=words):
         Monitor(runtime, Options("fake", "imi_planar", ["tls/127.0.0.1:0"], (), security))
 

@@ -36,7 +36,7 @@ def test_every_repr_is_one_line_that_a_person_can_read() -> None:
     result = Result("imi-static", "Friction", "imi_planar", {"level": Measured(8.4, 0.1, "N m")})
     recording = Recording.from_columns({"q": np.zeros(5)}, 1e-3, units={"q": "rad"})
     assert repr(_diagnosis()) == "<Diagnosis missing: coulomb at joint 1 (97 %); 2.0 s>"
-    assert repr(result) == "<Result imi-static on imi_planar: level 8.4 ± 0.1 N m>"
+    assert repr(result) == "<Result imi-static on imi_planar: level 8.40 ± 0.10 N m>"
     table = Table({"t": np.zeros(5), "q": np.zeros((5, 2))}, {"t": "s"}, path=Path("a/run.csv"))
     assert repr(table) == "<Table run.csv: t [s], q; 5 rows>"
     many = Table({f"channel {k}": np.zeros(5) for k in range(60)})
@@ -50,7 +50,7 @@ def test_a_notebook_shows_findings_values_and_limits() -> None:
     assert "Joint 1 lacks &lt;Coulomb&gt; friction. (confidence 97 %)" in shown
     assert "<td>0.0500 ± 0.0010 N m</td>" in shown and "<td>0.0001</td>" in shown
     result = Result("x", "Friction", "arm", {"level": Measured(8.4, 0.1, "N m")}, warnings=["hot"])
-    assert "<td>8.4 ± 0.1 N m</td>" in result._repr_html_()
+    assert "<td>8.40 ± 0.10 N m</td>" in result._repr_html_()
     assert "careful: hot" in result._repr_html_()
     assert "<td>245</td>" in load_machine("imi_planar")._repr_html_()
 

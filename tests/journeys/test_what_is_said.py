@@ -244,6 +244,16 @@ def test_what_tripped_is_never_called_merely_stopped(user: Installed) -> None:
     assert user.run("pause").stdout.startswith("stopped at sample")
 
 
+def test_several_values_after_one_set(user: Installed) -> None:
+    done = user.run("run", "--set", "Kp1=900", "Kd1=33", "pd.c", "--seconds", "0.1", "--json")
+    assert done.returncode == 0, done.stderr
+    assert "900" in user.run("get", "Kp1").stdout and "33" in user.run("get", "Kd1").stdout
+    wrong = user.run("run", "pd.c", "Kd1=33")
+    assert wrong.returncode == 2 and "a value is written --set Kd1=33" in wrong.stderr
+    wrong = user.run("run", "pd.c", "track.c")
+    assert wrong.returncode == 2 and "one FILE, not 2: pd.c, track.c" in wrong.stderr
+
+
 def test_refusals_say_what_there_is(user: Installed) -> None:
     user.write("unlinked.c", RUNS.replace("INT2(void) {}", "INT2(void) { absent(); }"))
     said = user.run("compile", "unlinked.c")

@@ -220,3 +220,15 @@ def test_a_urdf_whose_links_weigh_nothing_that_is_a_number_is_refused(
     )
     with pytest.raises(ModelError, match=words):
         read_urdf(str(path))
+
+
+def test_a_chain_of_links_that_is_too_long_is_refused_as_that(tmp_path: Path) -> None:
+    links = "".join(
+        f'<link name="l{k}"/><joint name="j{k}" type="fixed"><parent link="l{k - 1}"/>'
+        f'<child link="l{k}"/></joint>'
+        for k in range(1, 3000)
+    )
+    file = tmp_path / "chain.urdf"
+    file.write_text(f'<robot name="chain"><link name="l0"/>{links}</robot>')
+    with pytest.raises(ModelError, match="a chain that is too long"):
+        read_urdf(str(file))

@@ -129,6 +129,22 @@ def test_wrong_key_is_named(change: dict[str, Any], words: str) -> None:
     assert "bench.toml" in str(error.value) and words in str(error.value)
 
 
+def _inertia(actuator: str, **quantity: Any) -> Any:
+    mechanism = {"kind": "rotary", "parameters": {"inertia": quantity}}
+    given = {"mechanism": mechanism, "actuator": {"unit": actuator}}
+    return parse_model(given, "bench.toml").mechanism["inertia"][0]
+
+
+def test_a_unit_is_converted_and_one_that_is_not_known_is_refused() -> None:
+    found = _inertia("V", value=493.0, std=7.0, unit="kg cm^2")
+    assert found.value == pytest.approx(0.0493) and found.std == pytest.approx(0.0007)
+    assert found.unit == "kg m^2"
+    with pytest.raises(ModelError, match="inertia: the unit 'kgcm2' is not known"):
+        _inertia("V", value=493.0, unit="kgcm2")
+    for own in ("mV", "DAC"):  # a command may have any unit, and what is told in it stays
+        assert _inertia(own, value=3.0, unit=f"{own} s^2/rad").value == 3.0
+
+
 @pytest.mark.parametrize(
     ("table", "key", "meant"),
     [

@@ -173,12 +173,22 @@ def test_a_sample_that_never_returns_is_ended_by_the_watchdog(
     assert runtime.status().tick == 3
 
 
-def test_a_crash_in_the_background_is_told_as_such(make_runtime: Make, wait_for: Wait) -> None:
-    code = GOOD + "static int *nowhere; void UserBackground(void) { *nowhere = 1; }"
-    runtime = make_runtime(code)
+@pytest.mark.parametrize(
+    ("how", "says"),
+    [
+        ("*nowhere = 1;", "SIGSEGV in UserBackground"),
+        ("pthread_exit(NULL);", "SIGABRT in UserBackground (abort(), a failed assertion, or a"),
+        ("pthread_cancel(pthread_self()); pthread_testcancel();", "SIGABRT in UserBackground"),
+    ],
+)
+def test_a_crash_in_the_background_is_told_as_such(
+    make_runtime: Make, wait_for: Wait, how: str, says: str
+) -> None:
+    code = "#include <pthread.h>\n" + GOOD
+    runtime = make_runtime(f"{code}static int *nowhere; void UserBackground(void) {{ {how} }}")
     runtime.start()
     wait_for(lambda: runtime.status().crash != "", runtime.status)
-    assert "SIGSEGV in UserBackground" in runtime.status().crash
+    assert says in runtime.status().crash
 
 
 @pytest.mark.parametrize(
@@ -392,3 +402,30 @@ def test_a_killed_monitor_leaves_no_runner_and_no_shared_memory(wait_for: Wait, 
     wait_for(gone)
     Runtime("imi_planar").close()  # the next target clears up after the dead one
     wait_for(lambda: not os.path.exists(folder))  # or another one, which has just begun to
+
+
+RUDE = r"""
+#include <stdio.h>
+#include "isr.h"
+void UserInit(void) {
+    puts("\x1b[2Jnowhere");
+    fputs("\x1b]0;owned\a\r\xff gain\nsecond", stderr);
+    for (int i = 0; i < 4000; i++) fputs("a program that nobody listens to goes on\n", stderr);
+}
+void UserISR_INT2(void) {}
+"""
+
+
+def test_what_user_code_prints_is_no_command_to_a_terminal(
+    make_runtime: Make, wait_for: Wait, capfd: pytest.CaptureFixture[str]
+) -> None:
+    heard: list[str] = []
+
+    def said() -> str:
+        heard.extend(capfd.readouterr())
+        return "".join(heard)
+
+    make_runtime(RUDE)
+    wait_for(lambda: "program: seconda program that" in said(), said)
+    assert r"program: \x1b]0;owned\x07\r\xff gain" in said()
+    assert "\x1b" not in said() and "\a" not in said() and "nowhere" not in said()

@@ -146,7 +146,7 @@ async def test_a_sweep_shows_a_table_and_a_row_writes_its_values(
 
 
 async def test_a_measurement_can_be_aborted(
-    lab: ZendspApp, target: Target, built: Step, until: Until
+    lab: ZendspApp, target: Target, built: Step, until: Until, folder: Path
 ) -> None:
     async with lab.run_test(size=(80, 24)) as pilot:
         await built(lab, pilot)
@@ -163,3 +163,16 @@ async def test_a_measurement_can_be_aborted(
         await until(pilot, lambda: screen.job is None, "it ends")
         assert target["Kp1"] == 2000.0, "as it was before"
         assert any("aborted" in e.text for e in lab.session.events.since(0)[1])
+        assert not (folder / "sweeps").exists()
+
+        await pilot.press("p")
+        await until(pilot, lambda: isinstance(lab.screen, Form), "it asks")
+        _type(lab, words="Kp1=700:800:1000", channels="e1", seconds="10")
+        await pilot.press("enter")
+        await until(pilot, lambda: screen.job is not None and screen.job.reached, "one run is done")
+        await pilot.press("b")
+        await until(pilot, lambda: screen.job is None, "it ends")
+        view = screen.query_one(SweepView)
+        assert view.display and view.sweep is not None and 0 < len(view.sweep.rows) < 1000
+        (kept,) = (folder / "sweeps").glob("*-Kp1.csv")
+        assert len(kept.read_text().splitlines()) == 1 + len(view.sweep.rows)

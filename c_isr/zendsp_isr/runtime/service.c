@@ -7,7 +7,7 @@
 #include <pthread.h>      /* threads */
 #include <signal.h>       /* sigaltstack */
 #include <stdio.h>        /* snprintf, fopen */
-#include <stdlib.h>       /* calloc, free */
+#include <stdlib.h>       /* calloc, free, abort */
 #include <string.h>       /* strrchr */
 #include <sys/mman.h>     /* mmap */
 #include <sys/resource.h> /* setpriority */
@@ -189,6 +189,12 @@ static void *service(void *argument) {
 
 static uint32_t stepped_back; /* 1 once the background has its low priority */
 
+/* User code that ends its thread (pthread_exit) would end the background in silence. */
+static void thread_ended(void *unused) {
+    (void)unused;
+    abort();
+}
+
 static void *background(void *argument) {
     runner *r = argument;
     static unsigned char own_stack[65536];
@@ -202,11 +208,13 @@ static void *background(void *argument) {
         sleep_ns(1000000);
     if (!r->config.background)
         return NULL;
+    pthread_cleanup_push(thread_ended, NULL);
     for (;;) {
         if (load32(&r->control->running) == RUN_ISR)
             r->config.background();
         sleep_ns(1000000);
     }
+    pthread_cleanup_pop(0);
     return NULL;
 }
 

@@ -81,7 +81,7 @@ def command(
         )
     when = Trigger(source=trigger, level=level, edge=edge, pre_s=pre) if trigger else None
     ended = ""
-    with open_target(target, connect) as t:
+    with open_target(target, connect, moves=True) as t:
         before = t.status().timing
         try:
             with progress("recording", seconds, as_json) as set_fraction:

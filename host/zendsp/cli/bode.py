@@ -68,7 +68,10 @@ def command(
             raise click.BadParameter(f"{path}: must end in {' or '.join(kinds)}")
     quantity: Literal["position", "torque"] = "torque" if torque else "position"
     seconds = (periods + 1) / f_min if f_min > 0.0 else 0.0
-    with open_target(target, connect) as t, progress("measuring", seconds, as_json) as tell:
+    with (
+        open_target(target, connect, moves=True) as t,
+        progress("measuring", seconds, as_json) as tell,
+    ):
         found = frequency_response(
             t, joint=joint, f_min=f_min, f_max=f_max, lines=lines, amplitude=amplitude,
             quantity=quantity, input=input, output=output, periods=periods,

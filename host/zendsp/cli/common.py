@@ -75,39 +75,78 @@ def acknowledge(target: Target, sample: int | None) -> None:
     click.echo(target.acknowledge(trip), err=True)
 
 
+def end_softly() -> None:
+    """Have SIGTERM and the end of the terminal act as Ctrl-C: what is half done is cleared away."""
+    for number in ENDING:
+        if signal.getsignal(number) == signal.SIG_DFL:
+            signal.signal(number, signal.default_int_handler)
+
+
 @contextmanager
-def open_target(name: str, endpoint: str | None) -> Iterator[Target]:
+def open_target(name: str, endpoint: str | None, moves: bool = False) -> Iterator[Target]:
     """Connect to the target that the options name, and at the end say on standard error if it is
     tripped or its program crashed. In ``zendsp shell`` its one link is taken. Until then SIGTERM
     and the end of the terminal act as Ctrl-C: what was set for a run is put back.
+
+    Parameters
+    ----------
+    moves : bool
+        The command moves the machine: after Ctrl-C, and where the target is lost, it is said how
+        the machine is left, or that this is not known.
     """
+    from zendsp.errors import LinkError
+
     held = held_target(name, endpoint)
     if held is not None:
-        yield held
+        try:
+            yield held
+        except (KeyboardInterrupt, LinkError):
+            if moves:
+                _say_of(held, _how_left(held))
+            raise
         return
     from zendsp.link import connect
     from zendsp.link.programs import trouble
 
     with connect(name, endpoint) as target:
-        for number in ENDING:
-            if signal.getsignal(number) == signal.SIG_DFL:
-                signal.signal(number, signal.default_int_handler)
-        refused = ""
+        end_softly()
+        refused, cut_short = "", False
         try:
             yield target
+        except (KeyboardInterrupt, LinkError):
+            cut_short = moves
+            raise
         except ZendspError as error:
             refused = str(error)
             raise
         finally:
-            if target.alive:
+            if cut_short:
+                _say_of(target, _how_left(target))
+            elif target.alive:
                 said = ""
                 # it went away at this moment: the command itself is told so
                 with suppress(ZendspError):
                     status = target.status()
                     if said := trouble(status):
-                        click.echo(fitted(f"zendsp: {target.name}: {said}", sys.stderr), err=True)
+                        _say_of(target, said)
                 if said and status.trip is not None and f"{status.trip.text}: " in refused:
                     raise click.exceptions.Exit(2)  # it was refused for that: once is enough
+
+
+def _say_of(target: Target, words: str) -> None:
+    click.echo(fitted(f"zendsp: {target.name}: {words}", sys.stderr), err=True)
+
+
+def _how_left(target: Target) -> str:
+    """How the machine is left by a command that was cut short."""
+    from zendsp.link.programs import left
+
+    with suppress(ZendspError, KeyboardInterrupt):  # of somebody who waits no longer
+        return left(target.status())
+    return (
+        "NOT KNOWN whether the machine still moves: the target does not answer. Use 'zendsp stop',"
+        " and the machine's emergency stop where that does not say that it stopped"
+    )
 
 
 def held_target(name: str, endpoint: str | None) -> Target | None:
@@ -231,6 +270,21 @@ def parse_assignments(pairs: tuple[str, ...]) -> dict[str, Assignable]:
             raise click.BadParameter(f"{pair!r}: {name} has a value already")
         values[name] = parse_value(text)
     return values
+
+
+def file_and_values(
+    words: tuple[str, ...], assignments: tuple[str, ...]
+) -> tuple[str | None, dict[str, Assignable]]:
+    """Tell FILE from what stands behind the first value of one ``--set A=1 B=2``."""
+    files = [word for word in words if "=" not in word or os.path.isfile(word)]
+    if len(files) > 1:
+        raise click.UsageError(
+            f"one FILE, not {len(files)}: {', '.join(files)}; values are written --set NAME=VALUE"
+        )
+    more = tuple(word for word in words if word not in files)
+    if more and not assignments:
+        raise click.UsageError(f"{more[0]!r} is no file; a value is written --set {more[0]}")
+    return (files[0] if files else None), parse_assignments(assignments + more)
 
 
 @contextmanager

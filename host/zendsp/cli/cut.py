@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from zendsp.cli.common import emit, parse_names
+from zendsp.cli.common import emit, end_softly, parse_names
 from zendsp_protocol.texts import counted
 
 
@@ -42,6 +42,7 @@ def command(
     from zendsp.recording.files import check_suffix
 
     check_suffix(out)
+    end_softly()
     parts = read_parts(recording, begin, end, parse_names(finite), time)
     files = [
         out.with_stem(f"{out.stem}-{k}") if len(parts) > 1 else out
@@ -53,8 +54,18 @@ def command(
             f"{', '.join(there)}: is there already; choose another name with -o, or --force to"
             " write over it"
         )
-    for part, file in zip(parts, files, strict=True):
-        part.save(file)
+    done: list[Path] = []
+    try:
+        for part, file in zip(parts, files, strict=True):
+            part.save(file)
+            done.append(file)
+    except BaseException:
+        if done:
+            click.echo(
+                f"zendsp: {len(done)} of {counted(len(files), 'part')} are written and whole:"
+                f" {', '.join(map(str, done))}", err=True,
+            )  # fmt: skip
+        raise
     made = [(str(f), len(p), float(p.t[-1] - p.t[0])) for f, p in zip(files, parts, strict=True)]
     emit(
         [{"file": file, "rows": rows, "seconds": seconds} for file, rows, seconds in made],

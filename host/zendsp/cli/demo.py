@@ -63,7 +63,13 @@ def command(
 
     check_writable(out)
     narrator = Narrator(quiet=as_json)
-    told = run_demo(out, machine=machine, effect=effect, seed=seed, clock=clock, narrator=narrator)
+    try:
+        told = run_demo(
+            out, machine=machine, effect=effect, seed=seed, clock=clock, narrator=narrator
+        )
+    except KeyboardInterrupt:
+        click.echo("ended early; the simulated machine ended with it", err=True)
+        raise
     emit(json.loads((out / "story.json").read_text(encoding="utf-8")), as_json)
     if web and not as_json:
         click.launch(str((out / "report.html").resolve()))

@@ -48,7 +48,7 @@ def command(
     \b
     Example:  zendsp drive on && zendsp drive home && zendsp drive enable
     """
-    with open_target(target, connect) as t:
+    with open_target(target, connect, moves=True) as t:
         actions: dict[str, Callable[[], str]] = {
             "on": t.power_on,
             "off": t.power_off,

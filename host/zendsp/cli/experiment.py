@@ -72,7 +72,7 @@ def command(
     if target or connect:
         from zendsp.cli.common import open_target
 
-        opened = closing.enter_context(open_target(target, connect))
+        opened = closing.enter_context(open_target(target, connect, moves=True))
         if name == "all":
             own = [each for each in names if EXPERIMENTS[each].machine == opened.info.machine]
             names = own or [each for each, e in EXPERIMENTS.items() if not e.machine]
@@ -90,10 +90,8 @@ def command(
                     lab = Lab(out, opened, lambda text, each=each: tell(f"{each}: {text}"))  # type: ignore[misc]
                     result = run_experiment(each, lab)
             except KeyboardInterrupt:
-                click.echo(
-                    f"{each}: the machine was stopped; what was recorded is in {out}",
-                    err=True,
-                )
+                ours = "" if opened else "; the simulated machine ended with it"
+                click.echo(f"{each}: ended early; what was recorded is in {out}{ours}", err=True)
                 raise
             _print(result, out / each, as_json)
             if into is not None and each in takes:

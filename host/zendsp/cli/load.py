@@ -23,7 +23,7 @@ def command(
 
     Example:  zendsp load pd.c && zendsp set Kp1=400 && zendsp run
     """
-    with open_target(target, connect) as t:
+    with open_target(target, connect, moves=True) as t:
         compiled(lambda: t.download(file, flags), as_json, t)
         status = t.status()
         count = len(t.variables())

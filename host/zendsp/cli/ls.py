@@ -49,10 +49,11 @@ def _none(pattern: str, connect: str | None) -> str:
 
     which = "no target" if pattern == "*" else f"no target named {pattern!r}"
     if where := ", ".join(remote_endpoints(connect)):
-        return (
-            f"{which} answers here or at {where}; or the one there refuses the certificate or"
-            " password given"
-        )
+        from zendsp.link.settings import Credentials, doubts
+
+        why = doubts(Credentials.from_environment())
+        why = why or "or the one there refuses the certificate or password given"
+        return f"{which} answers here or at {where}; {why}"
     return (
         f"{which} answers: 'zendsp target' starts one here; --connect or $ZENDSP_CONNECT"
         " finds one elsewhere"

@@ -16,7 +16,7 @@ def command(target: str, connect: str | None, as_json: bool) -> None:
     """
     from zendsp.here.stopped import state_at
 
-    with open_target(target, connect) as t:
+    with open_target(target, connect, moves=True) as t:
         t.pause()
         status = t.status()
         emit(status, as_json, state_at(status))

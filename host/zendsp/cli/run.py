@@ -6,9 +6,9 @@ import click
 
 from zendsp.cli.common import (
     emit,
+    file_and_values,
     flag_option,
     open_target,
-    parse_assignments,
     progress,
     target_options,
 )
@@ -17,10 +17,10 @@ from zendsp.cli.completing import programs
 
 
 @click.command("run")
-@click.argument("file", required=False, shell_complete=programs)
+@click.argument("words", nargs=-1, metavar="[FILE]", shell_complete=programs)
 @click.option(
     "--set", "assignments", multiple=True, metavar="NAME=VALUE",
-    help="Before it starts; may be repeated.",
+    help="Before it starts; several too: --set Kp1=400 Kd1=40.",
 )
 @click.option(
     "--seconds", type=float,
@@ -29,7 +29,7 @@ from zendsp.cli.completing import programs
 @flag_option
 @target_options
 def command(
-    file: str | None,
+    words: tuple[str, ...],
     assignments: tuple[str, ...],
     seconds: float | None,
     flags: tuple[str, ...],
@@ -50,8 +50,8 @@ def command(
     from zendsp.link.programs import late
     from zendsp.physics.codegen.compensation import SHARE
 
-    values = parse_assignments(assignments)
-    with open_target(target, connect) as t:
+    file, values = file_and_values(words, assignments)
+    with open_target(target, connect, moves=True) as t:
         if file is not None:
             compiled(lambda: t.download(file, flags), as_json, t)
         if values:
@@ -76,7 +76,6 @@ def command(
                     )
                 except KeyboardInterrupt:
                     t.pause()
-                    click.echo(f"zendsp: {t.name}: paused before its end", err=True)
                     raise
                 except RunnerDied:  # open_target says how
                     status = t.status()

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from zendsp.cli.common import emit
+from zendsp.cli.common import emit, end_softly
 from zendsp_protocol.views import text_table
 
 
@@ -40,6 +40,7 @@ def command(target: str, out: Path | None, drop: bool, note: str, as_json: bool)
         raise click.UsageError(
             "--out saves and frees the newest, --drop frees all without saving: give one of them"
         )
+    end_softly()
     if out is not None:
         check_suffix(out)
     found = find_salvage(target)

@@ -42,7 +42,7 @@ def command(
     Example:  zendsp set Kp1=450 Kd1=40 --fade 0.5
     """
     values = parse_assignments(assignments)
-    with open_target(target, connect) as t:
+    with open_target(target, connect, moves=True) as t:
         if no_wait:
             emit({"sequence": t.write(**values)}, as_json)
             return

@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING
 
 import click
 
-from zendsp.cli.common import flag_option, parse_assignments, parse_names
-from zendsp.cli.completing import models
+from zendsp.cli.common import file_and_values, flag_option, parse_names
+from zendsp.cli.completing import models, programs
 
 if TYPE_CHECKING:
     from zendsp.recording import Recording
 
 
 @click.command("simulate")
-@click.argument("program")
+@click.argument("words", nargs=-1, required=True, metavar="PROGRAM", shell_complete=programs)
 @click.option(
     "--model", "model_path", required=True, type=click.Path(path_type=Path), shell_complete=models,
     help="Model of the machine (TOML).",
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--set", "assignments", multiple=True, metavar="NAME=VALUE",
-    help="Parameter of the program; may be repeated.",
+    help="Parameter of the program; several too: --set Kp1=400 Kd1=40.",
 )
 @click.option(
     "--channels", help="What to record, with commas. Default: every SIGNAL of the program."
@@ -65,7 +65,7 @@ if TYPE_CHECKING:
 @click.option("--plot", type=click.Path(path_type=Path), help="Draw it: .png, .svg or .pdf.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def command(
-    program: str,
+    words: tuple[str, ...],
     model_path: Path,
     reference: Path | None,
     seconds: float | None,
@@ -93,7 +93,9 @@ def command(
     from zendsp.physics import simulate
     from zendsp_isr.sources import find_program
 
-    values = parse_assignments(assignments)
+    program, values = file_and_values(words, assignments)
+    if program is None:
+        raise click.UsageError("missing argument 'PROGRAM'")
     source = find_program(program)
     wanted = parse_names(channels) if channels else None
     start = _numbers(position)

@@ -79,17 +79,23 @@ def command(
     ended: dict[str, m.Status] = {}
     failed = 0
     told = set()
-    for name, how in _ends(asked):
-        head = f"{name}: " if several else ""
-        if isinstance(how, NotStopped):
-            failed += 1
-            say(NotStopped(f"{head}{how}"))
-            continue
-        before, ended[name] = ended.get(name), how
-        more = stopped(how).removeprefix(stopped(before) if before else "").lstrip()
-        if more and not as_json and head + more not in told:
-            told.add(head + more)
-            emit(how, False, head + more)
+    try:
+        for name, how in _ends(asked):
+            head = f"{name}: " if several else ""
+            if isinstance(how, NotStopped):
+                failed += 1
+                say(NotStopped(f"{head}{how}"))
+                continue
+            before, ended[name] = ended.get(name), how
+            more = stopped(how).removeprefix(stopped(before) if before else "").lstrip()
+            if more and not as_json and head + more not in told:
+                told.add(head + more)
+                emit(how, False, head + more)
+    except KeyboardInterrupt:
+        for one in asked:
+            if one.label not in ended:
+                say(NotStopped(f"{one.label}: {EMERGENCY} (interrupted before it was known)"))
+        raise
     if as_json and ended:
         emit(ended if len(ended) + failed > 1 else ended.popitem()[1], True)
     if failed:

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from zendsp.cli.common import emit, open_target, progress, target_options
+from zendsp.errors import ZendspError
 from zendsp_protocol.views import text_table
+
+if TYPE_CHECKING:
+    from zendsp.experiment.sweep_result import Sweep
 
 
 @click.command("sweep")
@@ -51,7 +56,8 @@ def command(
     VALUES are 100,200,400 or FIRST:LAST:COUNT: 100:500:5 is 100, 200, 300, 400, 500. Each set is
     faded in, so that no gain steps the torque; at the end the parameters go back in the same way.
     The first set is measured again after the last: a difference that the same values have among
-    themselves is none. Exit status 1 where a limit tripped or the program crashed.
+    themselves is none. Ctrl-C ends it with the runs that are done by then: they are shown and
+    written all the same. Exit status 1 where a limit tripped or the program crashed.
 
     Example:  zendsp sweep Kp1=500:2500:5 Kd1=60,120 -c e1 -s 2
     """
@@ -61,15 +67,27 @@ def command(
     said = announced(tried, seconds, settle, together, fade)
     if out is not None and out.suffix.lower() != ".csv":
         raise click.BadParameter(f"{out}: a sweep is written as .csv", param_hint="--out")
-    with open_target(target, connect) as t, progress("sweep", 2.0, as_json) as tell:
+    reached: list[Sweep] = []
+    with open_target(target, connect, moves=True) as t:
         click.echo(said, err=True)
-        found = sweep(t, tried, channels, seconds=seconds, settle=settle, fade=fade,
-                      measures=measures, together=together, keep=keep, progress=tell)  # fmt: skip
+        try:
+            with progress("sweep", 2.0, as_json) as tell:
+                found = sweep(t, tried, channels, seconds=seconds, settle=settle, fade=fade,
+                              measures=measures, together=together, keep=keep, progress=tell,
+                              on_run=reached.append)  # fmt: skip
+        except (KeyboardInterrupt, ZendspError):  # what was measured until then is not lost
+            if reached:
+                _tell(reached[-1], out, as_json)
+            raise
+    _tell(found, out, as_json)
+    if found.ended:
+        raise click.exceptions.Exit(1)
+
+
+def _tell(found: Sweep, out: Path | None, as_json: bool) -> None:
     shown = text_table(found.header, found.cells())
     if as_json:
         click.echo(repr(found)[1:-1], err=True)
     emit([dict(row) for row in found.rows], as_json, f"{shown}\n{repr(found)[1:-1]}")
     if out is not None:  # last: what was measured is seen where it cannot be written
         found.save(out)
-    if found.ended:
-        raise click.exceptions.Exit(1)

@@ -33,6 +33,7 @@ from zendsp.physics.files.model_write import model_text
 from zendsp.recording import Recording
 from zendsp.reference import Reference
 from zendsp_protocol.texts import counted
+from zendsp_protocol.views import with_std
 
 
 @dataclass(frozen=True)
@@ -300,10 +301,8 @@ def _reveal(machine: Machine, told: Told, narrator: Narrator) -> None:
         narrator.say(f"not found: the diagnosis named {found}", good=False)
         told.failures.append("the concealed effect was not named")
     for name, value, std, true, unit in judged.parameters:
-        narrator.say(
-            f"{name}: found {value:.4g} ± {std:.2g}, true {true:.4g} {'' if unit == '1' else unit}"
-            .rstrip()
-        )
+        of = "" if unit == "1" else f" {unit}"
+        narrator.say(f"{name}: found {with_std(value, std)}, true {true:.4g}{of}")
     for extra in judged.extra:
         name = f"{extra.effect} on joint {extra.joint}"
         narrator.say(

@@ -19,6 +19,7 @@ from zendsp.cluster import connect
 from zendsp.diagnosis.decide.contract import Report
 from zendsp.errors import ZendspError
 from zendsp.prompt import shows_progress
+from zendsp_protocol.views import with_std
 
 Progress = Callable[[str], None]
 
@@ -170,13 +171,11 @@ def table(items: Sequence[Item], common: bool = True) -> str:
         for f in item.report["findings"]:
             key = (f["effect"], f["joint"])
             tally[key] = tally.get(key, 0) + 1
-            first = next(iter(f["parameters"].items()), None)
-            number = (
-                f" {first[0]} {first[1]['value']:.4g} ± {first[1]['std']:.1g} {first[1]['unit']}"
-                if first
-                else ""
-            )
-            found.append(f"{f['effect']} (joint {f['joint']}){number}")
+            first = [
+                f" {name} {with_std(e['value'], e['std'], e['unit'])}"
+                for name, e in list(f["parameters"].items())[:1]
+            ]
+            found.append(f"{f['effect']} (joint {f['joint']}){''.join(first)}")
         held = item.report["fit"]["heldout"]
         lines.append(
             f"{name:<{width}}  {item.report['verdict']:<11}  {held['calibrated']:>10.3g} "

@@ -24,6 +24,7 @@ from zendsp.experiment.wam_friction import (
 )
 from zendsp.reference import Reference
 from zendsp_protocol.messages import JointInfo
+from zendsp_protocol.views import with_std
 
 Array = npt.NDArray[np.float64]
 
@@ -158,12 +159,12 @@ def _report(result: Result, joint: int, unit: str, found: Friction) -> None:
         level, viscous, dl, dv = found.value[word]
         result.values[f"coulomb{joint}_{end}"] = Estimate(level, dl / NORMAL, force)
         result.values[f"viscous{joint}_{end}"] = Estimate(viscous, dv / NORMAL, f"{force} s/{unit}")
-        row |= {f"Coulomb {word}": f"{level:.3g} ± {dl:.2g}"}
-        row |= {f"viscous {word}": f"{viscous:.3g} ± {dv:.2g}"}
+        row |= {f"Coulomb {word}": with_std(level, dl)}
+        row |= {f"viscous {word}": with_std(viscous, dv)}
         if viscous - dv <= 0.0:
             result.warnings.append(
                 f"Joint {joint}, direction {word}: the viscous coefficient"
-                f" {viscous:.3g} ± {dv:.2g} is not told from zero at these speeds."
+                f" {with_std(viscous, dv)} is not told from zero at these speeds."
             )
     if found.excess:
         result.warnings.append(

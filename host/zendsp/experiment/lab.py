@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import contextlib
 import time
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import resources
@@ -138,7 +139,7 @@ class Lab:
             raise
         finally:
             if why := before.put_back():
-                self.say(why)
+                warnings.warn(why, stacklevel=2)
             if not held:
                 with contextlib.suppress(ZendspError):
                     target.release_command()

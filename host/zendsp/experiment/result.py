@@ -15,7 +15,7 @@ import tomli_w
 from zendsp.errors import RecordingError
 from zendsp_protocol import written
 from zendsp_protocol.spelling import unknown_keys
-from zendsp_protocol.views import html_table, sentence
+from zendsp_protocol.views import html_table, sentence, with_std
 
 _KEYS = (
     "name", "title", "machine", "target", "figure", "findings", "warnings", "recordings", "values",
@@ -32,8 +32,7 @@ class Estimate:
     unit: str = ""
 
     def __str__(self) -> str:
-        text = f"{self.value:.4g} ± {self.std:.2g}" if self.std > 0 else f"{self.value:.4g}"
-        return f"{text} {self.unit}".rstrip()
+        return with_std(self.value, self.std, self.unit)
 
 
 @dataclass(frozen=True)

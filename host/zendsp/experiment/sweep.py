@@ -48,6 +48,7 @@ def sweep(
     together: bool = False,
     keep: str | Path | None = None,
     progress: Callable[[float], None] | None = None,
+    on_run: Callable[[Sweep], None] | None = None,
 ) -> Sweep:
     """Try sets of parameters on the running program, one after the other, and measure each.
 
@@ -84,6 +85,9 @@ def sweep(
         New or empty folder in which every recording is kept as ``001.mat``, ….
     progress : callable, optional
         Called with the fraction done.
+    on_run : callable, optional
+        Called after each run with the sweep as far as it came: what is left of it where Ctrl-C or
+        an error ends it.
 
     Returns
     -------
@@ -116,6 +120,14 @@ def sweep(
     rows: list[Mapping[str, Any]] = []
     again: list[Mapping[str, float]] = []
     why = ""
+
+    def so_far() -> Sweep:
+        names = [f"{m} {c}" for c in _columns(rows, channels, measures) for m in measures]
+        columns = {name: name.partition(" ")[2] for name in names}
+        units = {name: _unit(infos, columns.get(name, name)) for name in (*values, *names)}
+        found = tuple(rows), tuple(again)
+        return Sweep(tuple(values), tuple(names), *found, why, units, planned=len(runs))
+
     todo = [*runs, *(runs[:1] * AGAIN if len(runs) > 1 else [])]
     with kept(target, values, fade=fade):
         for number, run in enumerate(todo, 1):
@@ -128,6 +140,8 @@ def sweep(
                 rows.append({**run, **results, "ended": ended})
                 if folder is not None and recording is not None:
                     recording.save(folder / f"{number:03}.mat")
+            if on_run is not None:
+                on_run(so_far())
             if progress is not None:
                 progress(number / len(todo))
             if ended:
@@ -136,10 +150,7 @@ def sweep(
                 break
     if not why and (ended := _afterwards(target)):
         why = f"the parameters were put back: {ended}"
-    names = [f"{m} {c}" for c in _columns(rows, channels, measures) for m in measures]
-    columns = {name: name.partition(" ")[2] for name in names}
-    units = {name: _unit(infos, columns.get(name, name)) for name in (*values, *names)}
-    return Sweep(tuple(values), tuple(names), tuple(rows), tuple(again), why, units)
+    return so_far()
 
 
 def _unit(infos: Mapping[str, Any], name: str) -> str:

@@ -37,6 +37,8 @@ class Sweep:
         What ended the program, in a run or when the parameters were put back; "" where it goes on.
     units : dict of str to str
         Of each parameter and result.
+    planned : int
+        Runs that were asked for: more than there are rows where the sweep ended early.
     """
 
     parameters: tuple[str, ...]
@@ -45,6 +47,7 @@ class Sweep:
     again: tuple[Mapping[str, float], ...] = ()
     ended: str = ""
     units: Mapping[str, str] = field(default_factory=dict)
+    planned: int = 0
 
     @property
     def header(self) -> list[str]:
@@ -144,25 +147,26 @@ class Sweep:
 
     def _found(self) -> str:
         """What the runs say, in a sentence."""
+        done = len(self.rows)
+        some = f"{done} of " if done < self.planned else ""
+        head = f"Sweep of {some}{counted(max(done, self.planned), 'run')}: "
         try:
             best = self.best()
         except AcquisitionError as error:
-            return f"Sweep of {counted(len(self.rows), 'run')}: {error}"
+            return f"{head}{error}"
         cells = self.cells()[self.best_row() or 0]
         at = ", ".join(f"{n} = {cells[k]}" for k, n in enumerate(self.parameters))
         what, spread = self.results[0], self.spread()
-        head = f"Sweep of {counted(len(self.rows), 'run')}: "
         unit = f" {self.units[what]}" if self.units.get(what) else ""
         least = f"{short(best[what])}{unit}, at {at}"
+        again = f"the first values measured again differ by {short(spread, 2)}{unit}"
         if (alike := len(self.best_rows())) > 1:
             return (
-                f"{head}none is best: {alike} may be alike but for chance, from the least {what},"
-                f" {least}, on; the first values, measured again, differ by"
-                f" {short(spread, 2)}{unit}; of a periodic motion, measure whole periods"
+                f"{head}none is best: {what} of the best {alike}, from {least}, on, differs by no"
+                f" more than chance ({again}); measure for longer, a periodic motion for whole"
+                " periods"
             )
-        again = f"; the first values measured again differ by {short(spread, 2)}{unit}"
-        again = again if spread == spread else ""  # not NaN
-        return f"{head}{what} is least, {least}{again}"
+        return f"{head}{what} is least, {least}{f'; {again}' if spread == spread else ''}"  # NaN
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the best run, and all of them."""

@@ -16,6 +16,7 @@ from zendsp.experiment.lab import Bench, Lab, playing
 from zendsp.experiment.result import Estimate, FoundEffect, Result
 from zendsp.recording import Recording
 from zendsp.reference import Reference, load_machine, make_trapezoid
+from zendsp_protocol.views import with_std
 
 Array = npt.NDArray[np.float64]
 
@@ -298,9 +299,9 @@ def _fit_joint(result: Result, joint: int, sliding: Sliding) -> Array:
         result.values[f"coulomb{joint}_{end}"] = Estimate(level, dl / NORMAL, "N m")
         result.values[f"viscous{joint}_{end}"] = Estimate(viscous, dv / NORMAL, "N m s/rad")
         row |= {
-            f"Coulomb {word}": f"{level:.3f} ± {dl:.3f}",
+            f"Coulomb {word}": with_std(level, dl),
             f"paper C{word}": PAPER[joint][paper[0]],
-            f"viscous {word}": f"{viscous:.3f} ± {dv:.3f}",
+            f"viscous {word}": with_std(viscous, dv),
             f"paper v{word}": PAPER[joint][paper[1]],
         }
         if cannot_separate(viscous, dv):
@@ -338,7 +339,7 @@ def _warning(
     speeds = np.abs(points[:, 0])
     return (
         f"Joint {joint}, direction {word}: speeds of {speeds.min():.2g} to {speeds.max():.2g} rad/s"
-        f" give a viscous coefficient of {viscous:.3g} ± {half:.2g} N m s/rad, which is no physical"
+        f" give a viscous coefficient of {with_std(viscous, half)} N m s/rad, which is no physical"
         f" constant: they cannot separate it from Coulomb friction (correlation {correlation:.3f})."
         " Use speeds over a decade."
     )
@@ -350,7 +351,7 @@ def _fit_narrow(result: Result, joint: int, points: Array) -> None:
         chosen = points[np.sign(points[:, 0]) == direction]
         (_, viscous), (_, half), correlation = line_fit(chosen[:, 0], chosen[:, 1])
         row |= {
-            f"viscous {word}, {NARROW[0]:g} … {NARROW[-1]:g} rad/s": f"{viscous:.2f} ± {half:.2f}",
+            f"viscous {word}, {NARROW[0]:g} … {NARROW[-1]:g} rad/s": with_std(viscous, half),
             f"viscous {word}, all speeds": str(result.values[f"viscous{joint}_{end}"]),
         }
         if cannot_separate(viscous, half):

@@ -17,7 +17,7 @@ import zenoh
 from zendsp.errors import LinkError, VersionMismatch, ZendspError
 from zendsp.here.registered import local_entries, remote_endpoints
 from zendsp.link.session import open_session
-from zendsp.link.settings import Credentials
+from zendsp.link.settings import Credentials, doubts
 from zendsp_protocol import codec, keys, registry
 from zendsp_protocol import messages as m
 from zendsp_protocol.verbs import VERBS
@@ -100,10 +100,9 @@ def there(endpoints: Sequence[str]) -> list[Found]:
     answers = _ask_all([([endpoint], None) for endpoint in endpoints], 3.0)
     found = {one.name: one for some in answers for one in some}
     if not found:
-        raise LinkError(
-            f"no target answers at {', '.join(endpoints)}: is it running, and may this host"
-            " reach it?"
-        )
+        why = doubts(Credentials.from_environment())
+        why = why or "is it running, and may this host reach it?"
+        raise LinkError(f"no target answers at {', '.join(endpoints)}: {why}")
     return [found[name] for name in sorted(found)]
 
 

@@ -341,11 +341,29 @@ def trouble(status: m.Status) -> str:
         cause = (status.trip.text or status.trip.reason).removesuffix(
             "; outputs are safe until acknowledged"
         )
+        empty = status.state == ProgramState.EMPTY
+        again = "load a program and start it" if empty else "start again"
         return (
             f"{what}: {cause}; outputs are safe; 'zendsp drive acknowledge' or acknowledge(), then"
-            " start again"
+            f" {again}"
         )
     return ""
+
+
+def left(status: m.Status) -> str:
+    """Return one line on how the machine is left where what moved it has ended early."""
+    if said := trouble(status):
+        return said
+    if status.state == ProgramState.RUNNING:
+        return (
+            f"running at sample {status.tick}; it goes on until 'zendsp pause' or 'zendsp stop'"
+        )
+    at = f"{status.state} at sample {status.tick}"
+    on = status.drive in (DriveState.ENABLED, DriveState.RUNNING)
+    return (
+        f"{'no program is loaded' if status.state == ProgramState.EMPTY else at}, outputs are safe,"
+        f" drives {'enabled' if on else 'off'}"
+    )
 
 
 def late(status: m.Status) -> str:

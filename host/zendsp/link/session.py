@@ -11,7 +11,7 @@ import zenoh
 
 from zendsp.errors import LinkError
 from zendsp.here.stop_page import own_name
-from zendsp.link.settings import Credentials, zenoh_config
+from zendsp.link.settings import Credentials, doubts, zenoh_config
 from zendsp_protocol import keys
 from zendsp_protocol.files_left import need_files
 
@@ -52,6 +52,8 @@ def open_session(
             if any(endpoint.startswith("tcp/") for endpoint in endpoints)
             else ""
         )
+        if wrong := doubts(credentials):
+            raise LinkError(f"nothing answers at {where}: {wrong}") from error
         raise LinkError(
             f"nothing answers at {where} within {timeout:g} s{doubt}. Is the target running?"
         ) from error

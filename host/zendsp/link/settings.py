@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import zenoh
 
 from zendsp.errors import LinkError
+from zendsp_protocol.certificates import decoded, ended, unfit
 
 LEASE_MS = 1000  # a dead target is noticed within this time; the default of 10 s would hide it
 
@@ -58,13 +59,7 @@ class Credentials:
 
 def common_name(certificate: str) -> str:
     """Common name of a certificate (PEM), empty where it has none."""
-    import ssl
-
-    try:
-        decode = ssl._ssl._test_decode_cert  # type: ignore[attr-defined]  # the standard library's only reader of a file
-        subject = decode(certificate)["subject"]
-    except (AttributeError, OSError, ssl.SSLError, KeyError):
-        return ""
+    subject = decoded(certificate).get("subject", ())
     return next((value for row in subject for name, value in row if name == "commonName"), "")
 
 
@@ -138,3 +133,18 @@ def _check(credentials: Credentials) -> None:
             "a certificate needs its key and a key its certificate: give both ZENDSP_TLS_CERT and"
             " ZENDSP_TLS_KEY"
         )
+
+
+def doubts(credentials: Credentials) -> str:
+    """Say what is wrong with credentials, as far as it can be seen from here, for a target that
+    does not answer. Nobody is kept from trying: the clock of this computer may be wrong.
+    """
+    for what, file, renewed in (
+        ("certificate", credentials.certificate, "'zendsp keys user NAME --role ROLE --renew'"),
+        ("authority", credentials.authority, "'zendsp keys init'"),
+    ):
+        if file and (day := ended(file)):
+            return f"the {what} {file} ended on {day}: {renewed} makes another"
+    if credentials.certificate and unfit(credentials.certificate, credentials.key):
+        return f"the key {credentials.key} does not belong to {credentials.certificate}"
+    return ""

@@ -13,6 +13,7 @@ from zendsp.proof.answer import Answer
 from zendsp.proof.children import command
 from zendsp.proof.convert import LOAD, Recordings, altered, convert
 from zendsp.proof.score import asked
+from zendsp_protocol.views import with_std
 
 
 @dataclass(frozen=True)
@@ -200,7 +201,7 @@ def lines_of(machine: Machine, seen: Seen) -> list[str]:
         return [f"{machine.name}: FAILED. {a.trouble}"]
     out = [f"{machine.name}: {a.verdict} in {a.seconds:.1f} s", f"  published: {machine.published}"]
     for f in a.findings:
-        values = ", ".join(f"{k} {e.value:.5g} ± {e.std:.2g}" for k, e in f.parameters.items())
+        values = ", ".join(f"{k} {with_std(e.value, e.std)}" for k, e in f.parameters.items())
         gone = f"  (replaces {', '.join(f.replaces)})" if f.replaces else ""
         detail = f" ({f.detail})" if f.detail else ""
         out.append(f"  found: {f.effect} on joint {f.joint}{detail}: {values}{gone}")

@@ -15,6 +15,8 @@ WHOLE = {
     "degrees": (math.pi / 180, "rad"),
     "°": (math.pi / 180, "rad"),
     "mdeg": (math.pi / 180e3, "rad"),
+    "Grad": (math.pi / 180, "rad"),
+    "gon": (math.pi / 200, "rad"),
     "rev": (2 * math.pi, "rad"),
     "turn": (2 * math.pi, "rad"),
     "turns": (2 * math.pi, "rad"),
@@ -23,6 +25,9 @@ WHOLE = {
     "rpm": (math.pi / 30, "rad/s"),
     "1/min": (math.pi / 30, "rad/s"),
     "rev/min": (math.pi / 30, "rad/s"),
+    "U/min": (math.pi / 30, "rad/s"),
+    "tr/min": (math.pi / 30, "rad/s"),
+    "Nmm": (1e-3, "N m"),
     "dps": (math.pi / 180, "rad/s"),
     "rps": (2 * math.pi, "rad/s"),
     "sec": (1.0, "s"),
@@ -48,6 +53,10 @@ BASE = ("rad", "Nm", "Hz", "m", "s", "N", "A", "V", "W", "J", "g", "K")
 PREFIX = {
     "": 1.0, "k": 1e3, "M": 1e6, "c": 1e-2, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "n": 1e-9,
 }
+KNOWN = (
+    "rad, deg, gon, rev, rpm, m, mm, in, s, ms, Hz, N, N m, mN m, Nmm, kg, g, A, mA, V, W, and what"
+    " they make with blanks, powers and a slash: 'kg cm^2', 'N m s/rad', 'deg/s'"
+)
 AS_WRITTEN = ("%", "°C", "degC", "counts", "count", "ticks")  # numbers that are left as they are
 # suffixes of names that say nothing else; `_ms` is milliseconds only where a word of the rest names
 # a time
@@ -102,6 +111,11 @@ def to_si(unit: str) -> tuple[float, str] | None:
     if factor == 1.0:
         return 1.0, text  # as its author wrote it
     return factor, known + ("/" + "/".join(below) if below else "")
+
+
+def not_known(unit: str) -> str:
+    """Say of a unit that is not known which ones are."""
+    return f"the unit {unit!r} is not known. Known are {KNOWN}"
 
 
 def _product(text: str) -> tuple[float, list[str]]:

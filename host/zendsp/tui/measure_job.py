@@ -17,7 +17,8 @@ class Aborted(Exception):
 class MeasureJob(Job[Any]):
     """Does ``measure(port, tell)``, then ``keep(result)`` on the same thread.
 
-    The result is that of ``keep``; None where it was aborted.
+    The result is that of ``keep``; None where it was aborted before ``reached`` was set to what
+    was measured until then.
     """
 
     def __init__(
@@ -29,6 +30,7 @@ class MeasureJob(Job[Any]):
     ) -> None:
         super().__init__(session, label)
         self._measure, self._keep = measure, keep
+        self.reached: Any = None
 
     def _tell(self, share: float) -> None:
         if self._abort.is_set():
@@ -40,6 +42,6 @@ class MeasureJob(Job[Any]):
             kept = self._keep(self._measure(port, self._tell))
         except Aborted:
             self.progress = replace(self.progress, phase="aborted")
-            return None
+            return None if self.reached is None else self._keep(self.reached)
         self.progress = Progress("complete", 1.0)
         return kept

@@ -17,6 +17,7 @@ from pathlib import Path
 
 from zendsp_isr.confine import landlock_version
 from zendsp_protocol import keys, registry
+from zendsp_protocol.certificates import ended
 from zendsp_protocol.errors import Refused
 from zendsp_protocol.verbs import ROLES, Verb
 from zendsp_target.access.endpoints import Security, check, check_connect, is_local
@@ -157,18 +158,7 @@ def settle(name: str, listen: Sequence[str], connect: Sequence[str], security: S
     endpoints = tuple(own_socket(name) if e == "here" else e for e in listen or ("here",))
     check(endpoints, security)
     check_connect(connect, security)
-    for option, file in (
-        ("cert", security.certificate),
-        ("key", security.key),
-        ("ca", security.authority),
-    ):
-        if file and not (os.path.isfile(file) and os.access(file, os.R_OK)):
-            raise Refused(
-                f"--tls-{option} {file}: cannot be read; expected a PEM file ('zendsp keys' makes"
-                " them)"
-            )
-    if security.key:
-        check_secret("--tls-key", security.key)
+    _check_files(security)
     users = read_users(security.users) if security.users else {}
     roles = RolesFile(security.roles) if security.roles else None
     if roles is not None and (without := [user for user in users if user not in roles]):
@@ -208,6 +198,29 @@ def settle(name: str, listen: Sequence[str], connect: Sequence[str], security: S
         token,
         bool(connect),
     )
+
+
+def _check_files(security: Security) -> None:
+    """Refuse files that cannot be read, keys that others may read, and what has ended."""
+    for option, file in (
+        ("cert", security.certificate),
+        ("key", security.key),
+        ("ca", security.authority),
+    ):
+        if file and not (os.path.isfile(file) and os.access(file, os.R_OK)):
+            raise Refused(
+                f"--tls-{option} {file}: cannot be read; expected a PEM file ('zendsp keys' makes"
+                " them)"
+            )
+    for option, file in (("cert", security.certificate), ("ca", security.authority)):
+        if file and (day := ended(file)):
+            raise Refused(
+                f"--tls-{option} {file}: ended on {day}, so no host would come in, not even to"
+                f" stop: 'zendsp keys {'target' if option == 'cert' else 'init'}' makes another (or"
+                " is this computer's clock wrong?)"
+            )
+    if security.key:
+        check_secret("--tls-key", security.key)
 
 
 def _check_router(

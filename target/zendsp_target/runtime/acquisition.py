@@ -7,6 +7,7 @@ loadable until the stream is configured again.
 
 from __future__ import annotations
 
+import errno
 import os
 import threading
 import time
@@ -221,8 +222,11 @@ def attach(stream: Stream, control: Any, number: int, alive: Callable[[], bool])
             " program again"
         )
     if slot.failed:
+        failed = int(slot.failed)
+        lacks = failed in (errno.ENOMEM, errno.EAGAIN, errno.EFBIG, errno.ENOSPC)
         raise AcquisitionError(
-            f"the runner cannot map the acquisition buffer (errno {slot.failed}): make it smaller"
+            f"the runner cannot map the acquisition buffer ({os.strerror(failed)}):"
+            f" {'make it smaller' if lacks else 'load the program again'}"
         )
 
 

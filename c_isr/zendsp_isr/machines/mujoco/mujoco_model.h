@@ -21,7 +21,7 @@ static const double two_pi = 6.283185307179586;
 /* encoder, counts a turn: 17 bits, usual on the joint side */
 static const double turn_counts = 131072.0;
 static const double metre_counts = 1e6; /* encoder of a slide, counts a metre */
-static const double give = 0.002;       /* rad or m, after which bristles break away */
+static const double give = 2e-6;        /* rad or m, of the bristles: none that shows */
 
 
 static int turns(const mjModel *m, int joint) {
@@ -369,8 +369,10 @@ static double take_friction(robot *r, int j, double least) {
     const int dof = r->speed[j];
     const double level = m->dof_frictionloss[dof], viscous = m->dof_damping[dof];
     const double firm = (level > 0.0 ? level : 0.01 * r->info.joint[j].torque_max) / give;
-    /* a swing of 5000 rad/s, half a radian in a step of 0.1 ms */
-    const double stiffest = 2.5e7 * least;
+    /* A model has no bristles, so theirs must be stiff; but a swing of 5000 rad/s, half a radian in a
+     * step of 0.1 ms, creeps where joints are coupled. One of 1600 stands still, gives way by half a
+     * count at most, and a diagnosis finds nothing of it. */
+    const double stiffest = 2.5e6 * least;
     const double bristle = firm < stiffest ? firm : stiffest;
     r->plant.friction[j] = (plant_friction){.coulomb_pos = level,
                                             .coulomb_neg = level,

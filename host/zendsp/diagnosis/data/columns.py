@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from zendsp.errors import RecordingError
-from zendsp.recording import Recording, Table, read_table
+from zendsp.recording import Recording, Table
+from zendsp.recording.names import split_unit
 from zendsp.recording.own import TIME_NAME
-from zendsp.recording.units import to_si
+from zendsp.recording.units import not_known, to_si
 from zendsp_protocol.texts import counted
 
 Array = npt.NDArray[np.float64]
@@ -66,7 +66,21 @@ def refuse_no_number(name: str, what: str, column: str, values: Array) -> None:
     )
 
 
-def getter(source: str | Path | Recording | Table) -> tuple[str, Getter, tuple[str, ...]]:
+def refuse_units(name: str, source: Recording | Table, columns: Columns) -> None:
+    """Refuse columns whose unit is named and not known; that of a command may be any."""
+    for role, spec in columns.items():
+        for column in [] if role == "command" else names_of(spec):
+            bare = split_unit(column)[0]
+            unit = source.units.get(bare) or source.units.get(bare.partition("[")[0], "")
+            if unit and to_si(unit) is None:
+                raise RecordingError(
+                    f"{name}: {role} {bare!r}: {not_known(unit)}. Write one of them in the head of"
+                    f" the column ('{bare} [deg]', for example), or leave out what is no unit: then"
+                    " it is taken in SI units"
+                )
+
+
+def getter(source: Recording | Table) -> tuple[str, Getter, tuple[str, ...]]:
     """Its name, a function from a column's name to its numbers in SI, and what was done to get
     these.
     """
@@ -85,8 +99,7 @@ def getter(source: str | Path | Recording | Table) -> tuple[str, Getter, tuple[s
                 ) from None
 
         return IN_MEMORY, from_recording, ()
-    table = source if isinstance(source, Table) else read_table(source)
-    return str(table.path), lambda column: table[column], table.notes
+    return str(source.path), lambda column: source[column], source.notes
 
 
 def without_repeats(get: Getter, columns: Columns) -> tuple[Getter, int]:

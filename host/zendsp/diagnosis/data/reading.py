@@ -19,6 +19,7 @@ from zendsp.diagnosis.data.columns import (
     no_number,
     optional,
     refuse_no_number,
+    refuse_units,
     without_repeats,
 )
 from zendsp.diagnosis.data.sampling import (
@@ -41,7 +42,7 @@ from zendsp.physics.effects import library
 from zendsp.physics.kernel.signals import measure, noise_beside_quantisation, smooth
 from zendsp.physics.model import TREES, Model, per_joint
 from zendsp.physics.robots.robot import robot_path
-from zendsp.recording import Recording, Table
+from zendsp.recording import Recording, Table, read_table
 
 Array = npt.NDArray[np.float64]
 Source = str | Path | Recording | Table
@@ -60,7 +61,9 @@ def read_signals(source: Source, model: Model) -> Signals:
         raise RecordingError(
             "the model's [columns] lacks 'position': which column holds the position?"
         )
+    source = read_table(source) if isinstance(source, str | Path) else source
     name, get, done = getter(source)
+    refuse_units(name, source, columns)
     if model.kind in TREES:
         robot_path(model)  # without its file, any number of joints is wrong
     joints = model.joints

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,7 +24,7 @@ from zendsp.diagnosis.measure.where import Missing, Region
 from zendsp.diagnosis.search.hypothesis import JointSearch
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.model import Model
-from zendsp_protocol.views import html_table, sentence
+from zendsp_protocol.views import html_table, sentence, with_std
 
 Array = npt.NDArray[np.float64]
 
@@ -41,15 +40,7 @@ class Estimate:
 
 def number(estimate: Estimate) -> str:
     """Value ± standard deviation with its unit, to the digits that mean something."""
-    value, std = estimate.value, estimate.std
-    unit = "" if estimate.unit == "1" else f" {estimate.unit}"
-    if not std > 0 or not math.isfinite(std):
-        return f"{value:z.4g}{unit}"
-    place = 1 - math.floor(math.log10(std))
-    value, std, digits = round(value, place), round(std, place), max(0, min(9, place))
-    if abs(value) < 1e-4 or digits > 6:
-        return f"{value:z.3g} ± {std:.2g}{unit}"
-    return f"{value:z.{digits}f} ± {std:.{digits}f}{unit}"
+    return with_std(estimate.value, estimate.std, estimate.unit)
 
 
 @dataclass(frozen=True)

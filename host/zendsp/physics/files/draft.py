@@ -27,6 +27,7 @@ from zendsp.physics.files.shipped import model_folder
 from zendsp.recording import Table
 from zendsp.recording.roles import Role
 from zendsp.recording.samples import is_gap
+from zendsp.recording.units import not_known
 from zendsp_protocol.texts import counted
 
 ROUGH = 0.15  # relative standard deviation of a first idea: what is missing bends it
@@ -259,8 +260,8 @@ def _unit_asked(position: Group, degrees: str) -> str:
         )
     if position.unit:
         return (
-            f"{name}: the unit {position.unit!r} is not known: write a known one in its head,"
-            f" such as '{name} [deg]' or '{name} [mm]', and begin anew"
+            f"{name}: {not_known(position.unit)}. Write one of them in its head, such as"
+            f" '{name} [deg]' or '{name} [mm]', and begin anew"
         )
     return (
         f"{name} has no unit: is it rad, degrees or m? rad is taken; of another write the unit in"

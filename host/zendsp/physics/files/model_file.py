@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import re
 import sys
 import tomllib
 from collections.abc import Collection, Mapping
@@ -29,6 +30,7 @@ from zendsp.physics.model import (
     Term,
 )
 from zendsp.physics.robots.robot import joint_kinds, stated
+from zendsp.recording.units import not_known, to_si
 from zendsp_protocol import written
 from zendsp_protocol.spelling import unknown_keys
 
@@ -58,6 +60,7 @@ QUANTITY = ("value", "free", "unit", "std")
 class _Reader:
     def __init__(self, path: str) -> None:
         self.path = path
+        self.command_unit = ""
 
     def fail(self, key: str, expected: str, got: Any) -> ModelError:
         return ModelError(f"{self.path}: {key} = {got!r}: expected {expected}")
@@ -114,8 +117,22 @@ class _Reader:
         if len(stds) not in (1, len(values)):
             raise self.fail(f"{key}.std", f"one number, or {len(values)} as of value", table["std"])
         stds = stds * len(values) if len(stds) == 1 else stds
-        unit = str(table.get("unit", ""))
-        return tuple(Quantity(v, free, unit, s) for v, s in zip(values, stds, strict=True))
+        factor, unit = self.to_si(key, str(table.get("unit", "")))
+        both = zip(values, stds, strict=True)
+        return tuple(Quantity(v * factor, free, unit, s * factor) for v, s in both)
+
+    def to_si(self, key: str, unit: str) -> tuple[float, str]:
+        """Factor and SI unit; the unit of the command may be any, and is left."""
+        own = re.escape(self.command_unit)
+        if not unit or (own and re.search(rf"(?<![^\W\d_]){own}(?![^\W\d_])", unit)):
+            return 1.0, unit
+        known = to_si(unit)
+        if known is None:
+            raise ModelError(
+                f"{self.path}: {key}: {not_known(unit)}. Write one of them, and the value in it; or"
+                " none, and the value in SI units"
+            )
+        return known
 
 
 def load_model(path: str | Path) -> Model:
@@ -168,6 +185,7 @@ def parse_model(data: Mapping[str, Any], path: str = "model") -> Model:
     """
     read = _Reader(path)
     _check_keys(read, data)
+    read.command_unit = str(read.table(data, "actuator").get("unit", ""))
     mechanism = read.table(data, "mechanism")
     kind, values = _mechanism(read, mechanism, path)
     # of the URDF or the Python module

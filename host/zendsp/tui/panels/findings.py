@@ -20,6 +20,7 @@ from zendsp.diagnosis.report.summary import (
 )
 from zendsp.tui.diagnoses import Diagnosed
 from zendsp_protocol.texts import counted
+from zendsp_protocol.views import with_std
 
 LOOP = "loop"  # key of the line about the compensation
 LABEL = 7  # columns of a line's label
@@ -109,7 +110,7 @@ def _finding(k: int, f: FindingReport, charts: Sequence[Chart], theme: Mapping[s
     text.append(f["sentence"], "bold")
     words = [f["sentence"], ""]
     words += [
-        f"{name:<16} {p['value']:.4g} ± {p['std']:.2g} {'' if p['unit'] == '1' else p['unit']}"
+        f"{name:<16} {with_std(p['value'], p['std'], p['unit'])}"
         for name, p in f["parameters"].items()
     ]
     if f["indistinguishable"]:

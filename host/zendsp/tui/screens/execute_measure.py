@@ -25,6 +25,7 @@ from zendsp.tui.snapshot import Snapshot
 if TYPE_CHECKING:
     from zendsp.experiment.response import FrequencyResponse
     from zendsp.experiment.sweep_result import Sweep
+    from zendsp.tui.port import Port, Tell
 
 MOVES = "Moves the machine; b ends it, F9 stops."
 BODE = (
@@ -160,16 +161,15 @@ class MeasureActions(RunActions):
             stem = f"{time.strftime('%Y%m%d-%H%M%S')}-{'-'.join(found.parameters)}"
             return found, found.save(workspace.free(workspace.sweeps, stem, ".csv"))
 
-        self._measure(
-            MeasureJob(
-                self.lab.session,
-                "sweep",
-                lambda port, tell: port.sweep(
-                    tried, channels, {**options, "measures": measures}, tell
-                ),
-                keep,
-            )
-        )
+        def measure(port: Port, tell: Tell) -> Sweep:
+            settings = {**options, "measures": measures, "on_run": reached}
+            return port.sweep(tried, channels, settings, tell)
+
+        def reached(found: Sweep) -> None:
+            job.reached = found
+
+        job = MeasureJob(self.lab.session, "sweep", measure, keep)
+        self._measure(job)
 
     @on(DataTable.RowSelected, "#sweep")
     def _use_row(self, event: DataTable.RowSelected) -> None:

@@ -22,6 +22,7 @@ from zendsp_target.runtime.memory.layout import layout, set_text, text_of
 from zendsp_target.runtime.memory.shm import SharedFile
 from zendsp_target.runtime.process.places import make_urgent
 from zendsp_target.runtime.process.rescue import Rescue
+from zendsp_target.runtime.process.said import open_said
 from zendsp_target.runtime.process.settings import Settings
 from zendsp_target.runtime.process.strays import MARK, Strays
 
@@ -32,6 +33,7 @@ _WITHIN = {
 QUIT_S = 2.0  # for the loop to make its machine safe and end
 _MEANT = {
     "SIGFPE": " (an integer division by zero, or a floating-point trap that the code has enabled)",
+    "SIGABRT": " (abort(), a failed assertion, or a thread that ends itself)",
     "SIGILL": " (a division by zero, or other code that C leaves undefined)",
 }
 KILLED_S = 2.0  # for the system to end it: a call of a driver may hold that up for good
@@ -165,15 +167,19 @@ class RunnerProcess:
             self.control_file.unlink()
             raise
         try:
-            mark = uuid.uuid4().hex
-            self._process = subprocess.Popen(
-                [str(build_runner()), str(self.control_file.path)],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                start_new_session=True,
-                cwd="/",
-                env={**os.environ, MARK: mark},
-            )
+            mark, said = uuid.uuid4().hex, open_said()
+            try:
+                self._process = subprocess.Popen(
+                    [str(build_runner()), str(self.control_file.path)],
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.DEVNULL,
+                    stderr=said,
+                    start_new_session=True,
+                    cwd="/",
+                    env={**os.environ, MARK: mark},
+                )
+            finally:
+                os.close(said)
         except BaseException:
             self._rescue.dismiss()
             self.control_file.unlink()
