@@ -66,18 +66,22 @@ def refuse_no_number(name: str, what: str, column: str, values: Array) -> None:
     )
 
 
-def refuse_units(name: str, source: Recording | Table, columns: Columns) -> None:
-    """Refuse columns whose unit is named and not known; that of a command may be any."""
+def units_not_known(name: str, source: Recording | Table, columns: Columns) -> list[str]:
+    """A note for each column whose unit is named and not known; that of a command may be any, and a
+    word in brackets need be no unit.
+    """
+    notes = []
     for role, spec in columns.items():
         for column in [] if role == "command" else names_of(spec):
             bare = split_unit(column)[0]
             unit = source.units.get(bare) or source.units.get(bare.partition("[")[0], "")
             if unit and to_si(unit) is None:
-                raise RecordingError(
-                    f"{name}: {role} {bare!r}: {not_known(unit)}. Write one of them in the head of"
-                    f" the column ('{bare} [deg]', for example), or leave out what is no unit: then"
-                    " it is taken in SI units"
+                notes.append(
+                    f"{name}: {role} {bare!r} is taken in SI units: {not_known(unit)}. If it is in"
+                    " another unit, nothing of this is true: write one of them in the head of the"
+                    f" column ('{bare} [deg]', for example)"
                 )
+    return notes
 
 
 def getter(source: Recording | Table) -> tuple[str, Getter, tuple[str, ...]]:

@@ -19,7 +19,7 @@ from zendsp.diagnosis.data.columns import (
     no_number,
     optional,
     refuse_no_number,
-    refuse_units,
+    units_not_known,
     without_repeats,
 )
 from zendsp.diagnosis.data.sampling import (
@@ -63,7 +63,6 @@ def read_signals(source: Source, model: Model) -> Signals:
         )
     source = read_table(source) if isinstance(source, str | Path) else source
     name, get, done = getter(source)
-    refuse_units(name, source, columns)
     if model.kind in TREES:
         robot_path(model)  # without its file, any number of joints is wrong
     joints = model.joints
@@ -71,7 +70,7 @@ def read_signals(source: Source, model: Model) -> Signals:
     position, command, reference = _main_columns(name, get, columns, joints)
     time, sample_time, notes, grid = clock(name, get, columns, model, len(position))
     extra, said = _further_columns(name, get, columns, position.shape)
-    notes += said
+    notes += [*units_not_known(name, source, columns), *said]
     if "command" not in columns:
         notes.append(f"{name}: [columns] names no command: the motion is taken as driven by none")
     if repeated:
