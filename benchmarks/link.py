@@ -34,6 +34,7 @@ from zendsp.link import Target
 from zendsp.link.find import local_entries
 from zendsp.link.settings import Credentials, zenoh_config
 from zendsp_protocol import codec, verbs
+from zendsp_protocol import messages as m
 from zendsp_target.access.endpoints import Security, with_free_ports
 from zendsp_target.access.endpoints import zenoh_config as target_config
 
@@ -259,6 +260,39 @@ class Envelope(msgspec.Struct, frozen=True):
     args: verbs.Write
 
 
+class Yes(msgspec.Struct, frozen=True):
+    """A reply to a write as one struct."""
+
+    v: int
+    ok: bool
+    result: m.Written
+
+
+def woken(bare: Bare, count: int) -> Row:
+    """Pack a write and read its reply as a host that has just waited for another answer: with
+    little of this in the caches. Against ``msgspec`` alone.
+    """
+    args = {"values": {"v0": 0.5}}
+    reply = codec.encode_result(m.Written(sequence=7))
+    body = {"v": 1, "verb": "write", "by": "me", "args": args}
+    whole = msgspec.msgpack.Decoder(Yes)
+
+    def ours() -> None:
+        codec.encode_request("write", args, "me")
+        codec.decode_reply(reply, m.Written)
+
+    def alone() -> None:
+        msgspec.msgpack.encode(body)
+        whole.decode(reply)
+
+    a, b = (
+        typical(in_turns(count, action, prepare=bare.round_trip)[0]) * 1e6
+        for action in (ours, alone)
+    )
+    what = "pack a write, read its reply, after a wait: msgpack and checks, msgspec alone"
+    return Row(what, a, b, "µs", a / b, "", None)
+
+
 def wire(count: int) -> list[Row]:
     """Pack and unpack a request: ``msgpack`` with the checks of the product, against ``msgspec``
     alone.
@@ -438,6 +472,7 @@ def main() -> None:
     folder = tempfile.TemporaryDirectory()
     bare, tcp = Bare(f"unixsock-stream/{folder.name}/bare.sock"), Bare("tcp/127.0.0.1:0")
     try:
+        rows.append(woken(bare, count))
         with zendsp.local("imi_planar", rate=1000.0) as target:
             target.download({"link.c": SIXTY_FOUR})
             target.start()
