@@ -33,7 +33,7 @@ from zendsp.cli.completing import machines
     ),
 )
 @click.option(
-    "--seed", type=int, default=None,
+    "--seed", type=click.IntRange(0), default=None,
     help="Draw by this number, to see the same again. Default: drawn by the target, unknown here.",
 )
 @click.option("--clock", type=click.Choice(["real", "fast"]), default="fast", show_default=True,

@@ -79,12 +79,19 @@ class Machine:
         trip = self.target.status().trip
         if trip is not None and trip.reason:
             self.target.acknowledge()
-            raise Refused(f"{note}: {ended(trip)}")
+            raise Refused(
+                f"the motion {note} did not come to its end: {ended(trip)}. Begin anew; a run with"
+                " --seed N can be repeated"
+            )
 
     def settings(self) -> dict[str, Assignable]:
         """Parameters of the control program on this machine."""
         s = self.stage
-        return {"approach_time": s.approach_s, "Kp": s.Kp, "Kd": s.Kd, "cutoff": s.cutoff}
+        limit = tuple(s.plan.limits.torque.tolist())
+        return {
+            "approach_time": s.approach_s, "Kp": s.Kp, "Kd": s.Kd, "cutoff": s.cutoff,
+            "limit": limit,
+        }
 
     def simulate(self, motion: Reference) -> Recording:
         """The same program and motion against the model that the host believes, in closed loop."""

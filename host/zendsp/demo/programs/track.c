@@ -1,7 +1,9 @@
 /* track.c: follow a reference by feedback, with the model's torque fed forward, and room for
  * physics that the model lacks.
  *
- *     tau = model(r, rd, rdd) + Kp (r - q) + Kd (rd - qd) + compensation(r, rd, rdd)
+ *     tau = model(r, rd, rdd) + Kp (r - q) + Kd (rd - qd) + compensation(r, rd, rdd),
+ *
+ * and no more than the drives give: a machine stops itself where a command is larger.
  *
  * model.h and compensation.h are made from the host's model and its library of effects; every level
  * of the compensation is a parameter and begins at zero, so that what a diagnosis finds is switched
@@ -12,7 +14,7 @@
 #include "model.h"
 #include "compensation.h"
 
-static double Kp[N], Kd[N], tau[N], tau_comp[N];
+static double Kp[N], Kd[N], limit[N], tau[N], tau_comp[N];
 /* speed of the reference, as late as the measured speed: both go through the same filter */
 static double rd_late[N];
 
@@ -22,6 +24,7 @@ void UserInit(void) {
     CompensationInit();
     PARAMETER(Kp, 0.0, "N m/rad", 0.0, 20000.0, "position gains");
     PARAMETER(Kd, 0.0, "N m s/rad", 0.0, 2000.0, "velocity gains");
+    PARAMETER(limit, 0.0, "N m", 0.0, 10000.0, "largest torques");
     SIGNAL(tau, "N m", "commands");
     SIGNAL(tau_comp, "N m", "part of the command that compensates");
 }
@@ -33,7 +36,9 @@ void UserISR_INT2(void) {
     for (int32_t j = 0; j < N; j++) {
         rd_late[j] = FIRST_SAMPLE || !DRIVE_ENABLED ? rd[j] : rd_late[j] + a * (rd[j] - rd_late[j]);
         tau_comp[j] = Compensation(j, r, rd, rdd, tau[j]);
-        tau[j] += tau_comp[j] + Kp[j] * e[j] + Kd[j] * (rd_late[j] - qd[j]);
+        const double wanted =
+            tau[j] + tau_comp[j] + Kp[j] * e[j] + Kd[j] * (rd_late[j] - qd[j]);
+        tau[j] = wanted > limit[j] ? limit[j] : wanted < -limit[j] ? -limit[j] : wanted;
         WRITE_TORQUE(j, tau[j]);
     }
 }

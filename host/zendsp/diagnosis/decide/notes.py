@@ -101,9 +101,9 @@ def _hardly_moves(fit: Data, joint: int) -> str:
     )
 
 
-def _held(fit: Data, joint: int) -> str:
-    """What is said where commands are taken as held from row to row."""
-    if any(rec[joint - 1].between for rec in fit.records):
+def _held(fit: Data, given: Model, joint: int) -> str:
+    """What is said where commands are taken as held from row to row, and nobody said so."""
+    if given.actuator.hold is not None or any(rec[joint - 1].between for rec in fit.records):
         return ""
     return (
         " (if the rows are samples of a faster loop, say how long it holds a command: [actuator]"
@@ -149,7 +149,7 @@ def left_over(decisions: Sequence[Decision], given: Model, fit: Data) -> str:
                 f"Joint {d.joint}: a torque of {two_digits(d.after.value * d.scale)} {unit} RMS"
                 f" ({percent(d.after.value)} % of the torque) is missing that neither a known"
                 " effect nor any function of the joint's state predicts"
-                + (_hardly_moves(fit, d.joint) or _held(fit, d.joint))
+                + (_hardly_moves(fit, d.joint) or _held(fit, given, d.joint))
             )
         elif d.kind == "missing" and d.after.low > OF_STATE:
             words.append(
