@@ -138,12 +138,12 @@ def _wam_multisine(machine: Machine, share: float, period: float, f_max: float) 
 
 def wam_train(machine: Machine) -> Reference:
     """What the seven-joint arm is recorded on: one multisine of all its joints."""
-    return join(machine, [_wam_multisine(machine, 1.0, 8.0, 1.0)])
+    return join(machine, [_wam_multisine(machine, 0.8, 8.0, 1.0)])
 
 
 def wam_heldout(machine: Machine) -> Reference:
     """What the seven-joint arm is judged on: another multisine."""
-    return join(machine, [_wam_multisine(machine, 0.7, 6.0, 1.2)])
+    return join(machine, [_wam_multisine(machine, 0.6, 6.0, 1.2)])
 
 
 def wam_work(machine: Machine) -> Reference:
