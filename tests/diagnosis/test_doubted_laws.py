@@ -15,6 +15,7 @@ from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.structure import MEMORY, Structure
 from zendsp.diagnosis.measure.where import Missing, energy, located
 from zendsp.diagnosis.report.summary import nameless, verdict_sentence
+from zendsp.diagnosis.search.rounds import Rounds
 from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.model import Quantity, Term
 
@@ -153,3 +154,15 @@ def test_times_of_two_joints_that_overlap_are_told_once() -> None:
     _, times, names = located({1: [of(0)], 2: [of(10)]})
     ((begin, end),) = times
     assert names == ("run",) and begin < 3.1 and end > 3.5
+
+
+@pytest.mark.parametrize(("ratio", "small"), [(-0.0033, True), (0.0033, True), (-0.06, False)])
+def test_no_torque_gain_within_half_a_percent_is_named(ratio: float, small: bool) -> None:
+    """As the rest of a payload left one at the wrist of a shipped arm."""
+    gain = term("torque_gain", ratio=ratio)
+    record: Any = SimpleNamespace(n=1)
+    rounds: Any = SimpleNamespace(joint=1, data=SimpleNamespace(records=((record,),)))
+    rival: Any = SimpleNamespace(scored=SimpleNamespace(model=SimpleNamespace(terms=(gain,))))
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("zendsp.diagnosis.search.rounds.facts", lambda _: None)
+        assert Rounds._too_small(rounds, rival, gain) is small

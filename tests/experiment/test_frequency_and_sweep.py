@@ -176,6 +176,13 @@ def test_where_friction_bends_the_response_the_interval_holds_how_neighbours_sca
     assert "not linear" in found.summary() and "measure with two" in found.summary()
 
 
+@pytest.mark.parametrize("amplitude", [0.0, -0.01, float("nan"), float("inf")])
+def test_what_does_not_swing_is_refused(amplitude: float, fast: Target) -> None:
+    fast.download("pd.c")
+    with pytest.raises(AcquisitionError, match="expected more than 0 rad"):
+        zendsp.frequency_response(fast, amplitude=amplitude)
+
+
 def test_a_program_without_tables_is_refused_with_what_to_do(fast: Target) -> None:
     fast.download({"p.c": '#include "isr.h"\nvoid UserInit(void){}\nvoid UserISR_INT2(void){}\n'
                           "void UserBackground(void){}\n"})  # fmt: skip
@@ -361,7 +368,7 @@ def test_what_equal_values_may_differ_by_is_no_difference(second: float, rows: l
     again = ({"rms e1": 0.0039}, {"rms e1": 0.0041})
     found = Sweep(("Kp1",), ("rms e1",), tuple(measured), again)
     assert found.spread() == pytest.approx(0.0002) and found.best_rows() == rows
-    assert ("rms e1 of the best 2, from 0.004, at" in repr(found)) is (len(rows) > 1)
+    assert ("rms e1 of the best 2 differs by no more than chance" in repr(found)) is (len(rows) > 1)
 
 
 def test_every_value_is_checked_before_the_first_run(fast: Target) -> None:

@@ -7,6 +7,8 @@ from dataclasses import asdict
 import click
 
 from zendsp.cli.common import emit, open_target, target_options
+from zendsp.errors import ZendspError
+from zendsp.link.concealed import TrueEffect
 
 
 @click.command("reveal")
@@ -36,5 +38,21 @@ def command(target: str, connect: str | None, as_json: bool, only_seal: bool) ->
                 for name, p in effect["parameters"].items()
             )
             lines.append(f"  {effect['effect']} on joint {effect['joint']}: {values}")
+            lines += _in_model_frame(effect, t.info.machine)
         lines.append(f"seal {truth.sha256}")
         emit(asdict(truth), as_json, "\n".join(lines))
+
+
+def _in_model_frame(effect: TrueEffect, machine: str) -> list[str]:
+    """Where a payload is in the frame that a diagnosis speaks of, where that is another one."""
+    from zendsp.demo.evidence import in_model_frame
+    from zendsp.reference import load_machine
+
+    try:
+        told = in_model_frame(effect, load_machine(machine))
+    except ZendspError:  # a machine that is not shipped: one frame
+        return []
+    if told is effect:
+        return []
+    place = ", ".join(f"{told['parameters'][f'com_{k}']['value']:.4g}" for k in "xyz")
+    return [f"    that is at {place} m in the model's frame of link {effect['joint']}"]

@@ -18,8 +18,13 @@ if TYPE_CHECKING:
 @click.command("sweep")
 @click.argument("values", nargs=-1, required=True, metavar="NAME=VALUES...")
 @click.option("-c", "--channel", "channels", multiple=True, required=True, help="What is measured.")
-@click.option("-s", "--seconds", type=float, required=True, help="Length of each measurement.")
-@click.option("--settle", type=float, default=0.5, show_default=True, help="Seconds left out.")
+@click.option(
+    "-s", "--seconds", type=click.FloatRange(0, min_open=True), required=True,
+    help="Length of each measurement.",
+)
+@click.option(
+    "--settle", type=click.FloatRange(0), default=0.5, show_default=True, help="Seconds left out."
+)
 @click.option(
     "--fade", type=click.FloatRange(0.0, 2.0), default=1.0, show_default=True,
     help="Seconds in which each set goes over into the next; 0: at once.",

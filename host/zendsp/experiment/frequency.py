@@ -102,6 +102,8 @@ def frequency_response(
     harmonics = choose_lines(samples, f_max / f_min, lines, rate)
     if periods < 2:
         raise AcquisitionError(f"periods = {periods}: at least 2, to tell what repeats")
+    if not 0.0 < amplitude < math.inf:
+        raise AcquisitionError(f"amplitude = {amplitude:g}: expected more than 0 rad (m, N m, N)")
     power = 1 if quantity == "position" else 0
     recording, first = play(
         target,

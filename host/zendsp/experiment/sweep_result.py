@@ -162,8 +162,8 @@ class Sweep:
         again = f"the first values measured again differ by {short(spread, 2)}{unit}"
         if (alike := len(self.best_rows())) > 1:
             return (
-                f"{head}none is best: {what} of the best {alike}, from {least}, on, differs by no"
-                f" more than chance ({again}); measure for longer, a periodic motion for whole"
+                f"{head}none is best: {what} of the best {alike} differs by no more than chance"
+                f" ({again}). The least is {least}. Measure for longer, a periodic motion for whole"
                 " periods"
             )
         return f"{head}{what} is least, {least}{f'; {again}' if spread == spread else ''}"  # NaN

@@ -22,5 +22,7 @@ EFFECT = Effect(
     linear=("ratio",),
     sized=True,
     rivals=("inertia",),
+    # no drive's torque is known better; a payload's rest was -0.0033 of a wrist's
+    least=lambda f: {"ratio": 0.005},
     inverse="wanted / (1.0 + p[0])",
 )
