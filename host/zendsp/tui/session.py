@@ -28,6 +28,7 @@ from zendsp.tui.stop_lane import StopLane
 T = TypeVar("T")
 POLL_S = 0.1  # between snapshots
 RETRY_S = 0.4  # between attempts to reconnect
+A_MOMENT_S = 0.5  # longer, and it is told what others wait for
 END_S = 3.0  # for all threads to end
 SILENCE_S = 3.0  # of curves while the program runs, after which they are asked for again
 
@@ -54,6 +55,9 @@ class Session:
         self._jobs: queue.Queue[tuple[Future[Any], str, Callable[[Port], Any], float] | None] = (
             queue.Queue()
         )
+        self._doing: tuple[str, float] | None = None  # what the worker does, and since when
+        # before when, s, what was asked is not done any more, and since what happened
+        self._void = (0.0, "")
         self._live: Callable[[], None] | None = None
         self._live_wanted = False
         self._heard = (0, 0, 0.0)  # rows of the history, tick and time when a row last came
@@ -110,12 +114,26 @@ class Session:
     # -- what the user asks
 
     def do(self, label: str, job: Callable[[Port], T]) -> Future[T]:
-        """Run a job against the target on the worker thread. What goes wrong becomes an event and
-        the future's error; so does a STOP that comes before its turn.
+        """Run a job against the target on the worker thread, after those asked before. What goes
+        wrong becomes an event and the future's error; so does what comes before its turn: a STOP, a
+        pause, the failure of what it waited for.
         """
         future: Future[T] = Future()
+        if busy := self.busy:
+            self.events.add(f"{label}: waits until {busy} is done; Pause or STOP ends both", "info")
         self._jobs.put((future, label, job, time.monotonic()))
         return future
+
+    @property
+    def busy(self) -> str:
+        """What the worker does, where it takes longer than a moment."""
+        doing = self._doing
+        return doing[0] if doing and time.monotonic() - doing[1] > A_MOMENT_S else ""
+
+    def do_first(self, label: str, job: Callable[[Port], T]) -> Future[T]:
+        """Run a job at once, and nothing of what waits: a pause ends a homing."""
+        self._void = (time.monotonic(), f"{label} came")
+        return self.do_beside(label, job)
 
     def do_beside(self, label: str, job: Callable[[Port], T]) -> Future[T]:
         """Run a job that takes long on a thread of its own: the worker's go on meanwhile."""
@@ -310,7 +328,21 @@ class Session:
             item = self._jobs.get()
             if item is None or self._closing.is_set():
                 return
+            future, label, _job, asked = item
+            before, why = self._void
+            if self.stops.heard <= asked < before:
+                self._refuse(future, label, why)
+                continue
+            self._doing = (label, time.monotonic())
             self._run(*item)
+            self._doing = None
+            if future.exception() is not None:
+                self._void = (time.monotonic(), f"{label} failed")
+
+    def _refuse(self, future: Future[T], label: str, why: str) -> None:
+        error = Refused(f"not done, since {why} after it was asked: ask again")
+        self.events.add(f"{label}: {error}", "error")
+        future.set_exception(error)
 
     def _run(
         self, future: Future[T], label: str, job: Callable[[Port], T], asked: float
@@ -318,7 +350,8 @@ class Session:
         try:
             port = self.require()
             if asked < self.stops.heard:
-                raise Refused("not done, since STOP came after it was asked: ask again")
+                self._refuse(future, label, "STOP came")
+                return
             future.set_result(job(port))
         except ZendspError as error:
             self.events.add(f"{label}: {error}", "error")

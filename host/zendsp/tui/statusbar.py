@@ -150,6 +150,7 @@ class StatusBar(Widget):
         self._line2 = Lines(classes="line")
         self._stop = StopButton()
         self._shown: tuple[object, ...] = ()
+        self._busy = ""
 
     def compose(self) -> ComposeResult:
         with Horizontal():
@@ -166,10 +167,10 @@ class StatusBar(Widget):
         """
         return Field(*self._stop.region)
 
-    def show(self, snapshot: Snapshot, verdict: Verdict | None = None) -> None:
-        """Paint a snapshot; does nothing while nothing has changed."""
+    def show(self, snapshot: Snapshot, verdict: Verdict | None = None, busy: str = "") -> None:
+        """Paint a snapshot, and what others wait for; does nothing while nothing has changed."""
         clock = time.strftime("%H:%M:%S")
-        now = (id(snapshot), clock, self.app.theme, verdict, self._line1.size.width)
+        now = (id(snapshot), clock, self.app.theme, verdict, self._line1.size.width, busy)
         if now == self._shown:
             return
         self._shown = now
@@ -181,6 +182,7 @@ class StatusBar(Widget):
         if self._tabs.right != right:
             self._tabs.right = right
             self._tabs.refresh()
+        self._busy = busy
         where = self.where(snapshot)
         lines = [where, self.loop(snapshot)]
         if verdict is not None:
@@ -231,6 +233,8 @@ class StatusBar(Widget):
             if state:
                 mark, colour = STATE_MARKS.get(state, ("○", "foreground"))
                 line.append(f"{mark} {state}  ", Style(bold=True, color=c[colour]))
+        if self._busy:
+            line.append(f"… {self._busy}  ", Style(bold=True, color=c["warning"]))
         who = "you" if s.mine else s.commander or "nobody"
         line.append("cmd ", Style(dim=True))
         line.append(f"{who}  ", Style(color=c["success"] if s.mine else c["warning"]))

@@ -118,7 +118,8 @@ class LabScreen(Screen[None]):
         )
         if fresh:
             self._pulled, self._shown_at = snapshot, now
-        self.bar.show(self._pulled or snapshot, self.lab.session.stops.verdict)
+        session = self.lab.session
+        self.bar.show(self._pulled or snapshot, session.stops.verdict, session.busy)
         self.pull(snapshot, fresh)
         for scope in self._scopes:
             if scope.is_on_screen:

@@ -69,8 +69,8 @@ class ProgramActions(LabScreen):
         self.ask("start", lambda port: port.start())
 
     def action_pause(self) -> None:
-        """Pause the program."""
-        self.ask("pause", lambda port: port.pause())
+        """Pause the program, or end a homing."""
+        self.ask("pause", lambda port: port.pause(), by=self.lab.session.do_first)
 
     def action_host_lost(self) -> None:
         """Choose the policy."""
