@@ -206,11 +206,14 @@ def _mistakes(
     y, u, noise = here.y, here.u, here.noise
     small = DEGREE if rotary else 1e3
     words = "degrees, not radians" if rotary else "millimetres, not metres"
+    unit = "deg" if rotary else "mm"
+    head = "write the unit in the column's head, as 'q"
     gain = "of what the model's gain expects"
+    gains = "give [actuator] gain for the command's own unit"
     of_units = [
-        (f"the position is in {words}", (y / small, u, noise / small)),
-        (f"the command is in milli-units {gain}", (y, u / 1e3, noise)),
-        (f"the command is in thousands {gain}", (y, u * 1e3, noise)),
+        (f"the position is in {words}: {head} [{unit}]'", (y / small, u, noise / small)),
+        (f"the command is in milli-units {gain}: {gains}", (y, u / 1e3, noise)),
+        (f"the command is in thousands {gain}: {gains}", (y, u * 1e3, noise)),
     ]
     return [
         *(of_units if units else []), ("position and command are swapped", (u, y, 0 * noise))
@@ -280,7 +283,7 @@ def check_free(where: Sequence[str], records: Sequence[JointRecord], model: Mode
         if r2 < SOUND < better and other > LITTLE:
             raise RecordingError(
                 f"{name}: the joint swings as gravity says only if the position is in degrees;"
-                " expected radians"
+                " expected radians: write the unit in the column's head, as 'q [deg]'"
             )
 
 
