@@ -23,6 +23,7 @@ from zendsp.diagnosis.measure.windows import rms, window_error
 from zendsp.diagnosis.search.bodies import BodySearch, find_bodies
 from zendsp.diagnosis.search.body_explain import price_of
 from zendsp.diagnosis.search.body_hypotheses import LIMITS, Hypothesis
+from zendsp.diagnosis.search.body_solver import Solver
 from zendsp.physics.calibration.handles import Handle, set_values
 from zendsp.physics.calibration.joint import JointRecord
 from zendsp.physics.calibration.terms import make_term
@@ -477,3 +478,14 @@ def test_a_figure_that_the_model_calls_rough_is_calibrated_at_no_price(
         layout=SimpleNamespace(given=np.array([0.29]), given_std=np.array([std])),
     )
     assert (price_of(found, solver) > 0.0) == price
+
+
+def test_a_payload_on_a_joint_that_slides_has_a_mass_and_no_known_centre() -> None:
+    """No motion of it shows a centre of mass: any is as good."""
+    body = SimpleNamespace(mass=6.0, com=np.zeros(3), inertia=np.eye(3))
+    solver: Any = SimpleNamespace(
+        layout=SimpleNamespace(links=SimpleNamespace(bodies=(body,))), limits=LIMITS
+    )
+    hypothesis: Any = SimpleNamespace(effect="payload", joint=1, free=("mass",))
+    assert Solver.plausible(solver, hypothesis, np.array([1.5]))
+    assert not Solver.plausible(solver, hypothesis, np.array([-1.5]))

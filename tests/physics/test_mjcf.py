@@ -5,6 +5,7 @@ plain refusals.
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -87,6 +88,8 @@ def test_what_joints_and_actuators_state_is_what_the_model_has(tmp_path: Path) -
     assert model.actuator.limit == (2.0, 0.0, 0.0)  # of the command: force of 2 before the gear
     assert model.joint_kinds == ("rotary", "rotary", "linear")
     assert [model.torque_unit(j) for j in (1, 2, 3)] == ["N m", "N m", "N"]
+    one = replace(model, actuator=replace(model.actuator, unit="N"))  # written for all of them
+    assert [one.torque_unit(j) for j in (1, 2, 3)] == ["N m", "N m", "N"]
 
 
 def test_the_file_of_the_user_goes_before_the_actuators(tmp_path: Path) -> None:

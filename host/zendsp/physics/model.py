@@ -15,6 +15,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 KINDS = ("rotary", "linear", "planar2r", "urdf", "mjcf", "fmu", "python")
+FORCES = ("N", "N m")  # of a joint that slides, and of one that turns
 TREES = ("urdf", "mjcf")  # rigid bodies from a file of their own
 CALLED = ("python", "fmu")  # simulators that can only be called
 REQUIRED = {
@@ -246,9 +247,10 @@ class Model:
         """Unit of what moves a joint: N m, N for a linear one, or that of the command where its
         gain is one (A of a motor current).
         """
-        if self.actuator.unit and abs(per_joint(self.actuator.gain, joint, 1.0)) == 1.0:
-            return self.actuator.unit
-        return "N" if self.joint_kind(joint) == "linear" else "N m"
+        own = "N" if self.joint_kind(joint) == "linear" else "N m"
+        of_gain_one = self.actuator.unit and abs(per_joint(self.actuator.gain, joint, 1.0)) == 1.0
+        # one unit stands for joints that slide and joints that turn
+        return self.actuator.unit if of_gain_one and self.actuator.unit not in FORCES else own
 
     def at(self, joint: int) -> tuple[Term, ...]:
         """Effects of one joint (1-based)."""

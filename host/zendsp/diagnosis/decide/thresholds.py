@@ -64,8 +64,8 @@ BEHIND = 1.5
 # constant were such pairs, 0.7 and 0.1 % apart
 TWINS = 0.05
 # of what lacks, that a function of the command predicts where the actuator is to blame: in a loop
-# the command follows whatever the joint bears. Errors of an actuator came to 0.92 to 1.0, two
-# springs, a Maxwell element and a friction of the load to 0.57 to 0.74
+# the command follows whatever the joint bears. Errors of an actuator came to 0.92 to 1.0, a
+# Maxwell element and a friction of the load to 0.57 and 0.74
 COMMANDED = 0.9
 # times what the given model has, beside another law of the same friction. Beside 13 right laws
 # viscous friction came out at 0.5 to 1.3 times its given number, beside two drags that stood for

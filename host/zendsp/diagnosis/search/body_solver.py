@@ -151,7 +151,8 @@ class Solver:
         if h.effect == "payload":
             robot = sum(b.mass for b in bodies) or np.inf
             centre = dict(zip(COM, bodies[h.joint - 1].com.tolist(), strict=True))
-            far = max(abs(known[key] - centre[key]) for key in COM if key in known)
+            # of what slides only, no centre is known
+            far = max((abs(known[key] - centre[key]) for key in COM if key in known), default=0.0)
             wide = 0.0 <= known.get("inertia", 0.0) < known["mass"] * self.limits.spread**2
             return bool(0.0 < known["mass"] < robot and far < self.limits.reach and wide)
         if h.effect == "body":
