@@ -316,7 +316,8 @@ def test_what_leaves_more_unexplained_than_there_was_or_is_at_all_is_no_finding(
 
 @pytest.mark.parametrize("state", [Structure(0.1, 0.9, 5.0), NOTHING])
 def test_what_short_or_one_way_recordings_leave_says_so(state: Structure) -> None:
-    model: Any = SimpleNamespace(torque_unit=lambda _: "N m")
+    drive = SimpleNamespace(hold=None)
+    model: Any = SimpleNamespace(torque_unit=lambda _: "N m", actuator=drive)
     one: Any = SimpleNamespace(model=model)
     left = Size(0.3, 0.2, 0.4)
     found = Decision(1, "unexplained", (), (), one, one, left, left, state, left, one, 7.0)
@@ -336,7 +337,7 @@ def test_of_another_load_is_spoken_where_there_are_several_recordings(
     found = Decision(1, "unexplained", (), (), one, one, left, left, NOTHING, left, one, 7.0)
     for name, answer in {
         "worth_choosing": one, "discrepancy": left, "new_terms": [], "_nothing_named": found,
-        "_by_own_numbers": ("b",),
+        "by_own_numbers": ("b",),
     }.items():  # fmt: skip
         monkeypatch.setattr(decision, name, lambda *_, answer=answer: answer)
     data = [SimpleNamespace(records=[[SimpleNamespace(recording=name)]]) for name in names]

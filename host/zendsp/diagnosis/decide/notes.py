@@ -102,9 +102,15 @@ def _hardly_moves(fit: Data, joint: int) -> str:
 
 
 def _held(fit: Data, given: Model, joint: int) -> str:
-    """What is said where commands are taken as held from row to row, and nobody said so."""
-    if given.actuator.hold is not None or any(rec[joint - 1].between for rec in fit.records):
+    """What is said where commands are taken as held from row to row."""
+    hold = given.actuator.hold
+    if any(rec[joint - 1].between for rec in fit.records):
         return ""
+    if hold is not None:
+        return (
+            " (if the loop is faster than the rows, its [actuator] hold is less than the"
+            f" {hold:.4g} s that the model says)"
+        )
     return (
         " (if the rows are samples of a faster loop, say how long it holds a command: [actuator]"
         " hold)"
