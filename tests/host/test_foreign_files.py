@@ -470,3 +470,23 @@ def test_a_table_without_a_row_is_refused_by_name(name: str, tmp_path: Path) -> 
     with pytest.raises(RecordingError, match=rf"{name}: .*no row"):
         Recording.load(path)
     assert len(Recording.from_columns({"q": []}, sample_time=0.1)) == 0
+
+
+@pytest.mark.parametrize("delimiter", [";", "\t"])
+def test_points_between_thousands_and_tabs_beside_decimal_commas_are_read(
+    delimiter: str, tmp_path: Path
+) -> None:
+    """As Excel writes them in Germany: the first point comes after a thousand rows."""
+    rows = [("Zeit [ms]", "q"), *((f"{k},000", "-0,25") for k in range(900))]
+    rows += [("1.000,000", "-1.234,5"), ("222.866,25", "0,5")]
+    path = tmp_path / "run.csv"
+    path.write_text("".join(f"{delimiter.join(row)}\n" for row in rows))
+    table = read_table(path)
+    assert table["Zeit"][-2:].tolist() == pytest.approx([1.0, 222.86625])
+    assert table["q"][[0, -2, -1]].tolist() == [-0.25, -1234.5, 0.5]
+
+
+def test_a_point_that_parts_no_thousands_is_no_thousands_point(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("t;q\n" + "".join(f"{k},0;1\n" for k in range(2000)) + "2000,0;1.5\n")
+    assert read_table(path)["q"][-1] == 1.5

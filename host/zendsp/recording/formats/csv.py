@@ -16,6 +16,7 @@ import contextlib
 import csv
 import gzip
 import io
+import re
 import zlib
 from dataclasses import replace
 from datetime import datetime
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
 
 MARK = "# zendsp "
 TITLE = "# A recording of zendsp"
+THOUSANDS = re.compile(r"[-+]?\d{1,3}(\.\d{3})+(,\d*)?")  # 1.234,5
+ELSE = re.compile(r"\.(?!\d{3}(\D|$))")  # a point that does not part thousands
 NOTHING = ("", "NA", "null")  # cells that stand for a number that is not there
 EXAMPLE = ("t", "position", "torque", "reference", "...")  # of a header, for who has none
 UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
@@ -166,10 +169,10 @@ def _unit_row(line: str, delimiter: str, width: int) -> list[str]:
 def _numbers(path: Path, rows: str, raw: Raw, delimiter: str, first_line: int) -> Raw:
     """Return the columns of the file whose names are the keys of ``raw.units``."""
     names = list(raw.units)
-    decimal = "," if delimiter == ";" and "," in rows[:4096] and "." not in rows[:4096] else "."
+    decimal = _decimal(rows[:4096], delimiter)
     if not rows.strip():
         raise RecordingError(f"{path}: has column names but no rows")
-    text = rows.replace(",", ".") if decimal == "," else rows
+    text = _pointed(rows) if decimal == "," else rows
     try:
         table = np.loadtxt(
             io.StringIO(text), delimiter=delimiter, comments=None, quotechar='"', ndmin=2
@@ -185,6 +188,22 @@ def _numbers(path: Path, rows: str, raw: Raw, delimiter: str, first_line: int) -
             raise _first_fault(path, rows, names, delimiter, decimal, first_line, error) from error
     columns = {name: np.ascontiguousarray(table[:, k]) for k, name in enumerate(names)}
     return replace(raw, columns=columns)
+
+
+def _decimal(rows: str, delimiter: str) -> str:
+    """What parts whole numbers from fractions: a comma where nothing else explains it, points
+    between thousands (1.234,5) included.
+    """
+    if delimiter == "," or "," not in rows:
+        return "."
+    cells = re.split(f"[{re.escape(delimiter)}\\s]+", rows[: rows.rfind("\n")] or rows)
+    return "," if all(THOUSANDS.fullmatch(c) for c in cells if "." in c) else "."
+
+
+def _pointed(text: str) -> str:
+    """Numbers with decimal commas, points between thousands included, as those with points."""
+    bare = text if ELSE.search(text) else text.replace(".", "")
+    return bare.replace(",", ".")
 
 
 def _with_words(text: str, raw: Raw, delimiter: str) -> Raw:
@@ -246,7 +265,7 @@ def _first_fault(
                 f" {len(names)}{above}"
             )
         for name, cell in zip(names, cells, strict=False):
-            text = cell.strip().replace(",", ".") if decimal == "," else cell.strip()
+            text = _pointed(cell.strip()) if decimal == "," else cell.strip()
             if text not in NOTHING and not _is_number(text):
                 return RecordingError(
                     f"{path}: column {name!r}, line {number}: {cell.strip()!r} is not a"
