@@ -86,7 +86,7 @@ def find(
     # beside a friction that lacks too, pushes are certain once it is known without them
     alone = [d if d.kind == "disturbance" else unpushed(d) for d in found.decisions]
     if not (choose or test):
-        return replace(found, decisions=alone)
+        return _loaded(replace(found, decisions=alone), given, jobs)
     untouched = prepare(one_sensor(test or choose), given, 64.0)
     chosen = untouched
     if choose and test and signals[1] is not signals[2]:
@@ -100,7 +100,7 @@ def find(
             return beside
     found = replace(found, decisions=alone)
     if not _misled(found, calibrated, untouched):
-        return found
+        return _loaded(found, given, jobs)
     # what acts all the time was taken for a push
     decisions = [unpushed(d) for d in found.decisions]
     whole = assemble(found.parts, found.beneath, decisions, jobs)

@@ -87,7 +87,8 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
     out = _decided(parts, given, search, jobs, tell)
     if out.kind == "missing" and not any(c.effect == "unknown" for c in out.claims):
         models = [out.final]
-    elif out.kind == "unexplained":  # a friction that is missing hides pushes, and they hide it
+    # a friction that is missing hides pushes, and they hide it
+    elif out.kind == "unexplained" and not out.loads:
         models = [r.scored for r in search.tried if get_effect(r.effect).common]
         models += [search.best] if search.best is not None else []
     else:
