@@ -490,3 +490,11 @@ def test_a_point_that_parts_no_thousands_is_no_thousands_point(tmp_path: Path) -
     path = tmp_path / "run.csv"
     path.write_text("t;q\n" + "".join(f"{k},0;1\n" for k in range(2000)) + "2000,0;1.5\n")
     assert read_table(path)["q"][-1] == 1.5
+
+
+def test_points_beside_a_comma_in_a_text_stay_decimal_points(tmp_path: Path) -> None:
+    """0.500 would be 500, and 1.500 would be 1500."""
+    path = tmp_path / "run.csv"
+    path.write_text("t;q;note\n0.500;1.500;a,b\n1.500;2.500;a,b\n")
+    table = read_table(path)
+    assert table["t"].tolist() == [0.5, 1.5] and table["q"].tolist() == [1.5, 2.5]

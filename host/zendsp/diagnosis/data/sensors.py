@@ -23,6 +23,7 @@ SAME = 1e-3  # of its RMS: a velocity that is nearer to a difference of position
 SCALED = 0.05  # of its slope: a velocity that is further from the position's has another unit
 FOLLOWS = 0.01  # of its RMS below 25 Hz: a current that is nearer to the command follows it
 EXACT = 1e-6  # of its size: a current that is nearer to a multiple of the command is computed
+TIMED = 0.5  # of a difference in RMS: less is left of one in time alone; it decides a word only
 AVERAGED = 0.02  # s, the mean that takes noise and sampling out of a comparison
 
 
@@ -125,7 +126,7 @@ def _velocity(x: Array, q: Array, sample_time: float) -> str:
         )
     both = np.stack([b, -np.gradient(b, sample_time)], axis=1)
     of = np.linalg.lstsq(both, a, rcond=None)[0]
-    if off(a - both @ of) < 0.5 * apart:  # most of the difference is that it comes at another time
+    if off(a - both @ of) < TIMED * apart:
         late = 1e3 * float(of[1] / of[0])
         when = f"{late:.2g} ms late, as behind a filter" if late > 0 else f"{-late:.2g} ms early"
         return f"it is the position's velocity, {when}; the fit predicts positions"

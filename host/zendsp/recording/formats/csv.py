@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 
 MARK = "# zendsp "
 TITLE = "# A recording of zendsp"
-THOUSANDS = re.compile(r"[-+]?\d{1,3}(\.\d{3})+(,\d*)?")  # 1.234,5
-ELSE = re.compile(r"\.(?!\d{3}(\D|$))")  # a point that does not part thousands
+THOUSANDS = re.compile(r"(?<!\d)[1-9]\d{0,2}(\.\d{3})+,\d")  # 1.234,5: nothing else is written so
+NO_THOUSANDS = re.compile(r"(?<![\d.])0\.|\.(?!\d{3}(\D|$))")  # 0.500, 1.5
 NOTHING = ("", "NA", "null")  # cells that stand for a number that is not there
 EXAMPLE = ("t", "position", "torque", "reference", "...")  # of a header, for who has none
 UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
@@ -196,13 +196,17 @@ def _decimal(rows: str, delimiter: str) -> str:
     """
     if delimiter == "," or "," not in rows:
         return "."
-    cells = re.split(f"[{re.escape(delimiter)}\\s]+", rows[: rows.rfind("\n")] or rows)
-    return "," if all(THOUSANDS.fullmatch(c) for c in cells if "." in c) else "."
+    whole = rows[: rows.rfind("\n")] or rows
+    return "," if "." not in rows or _parts_thousands(whole) else "."
+
+
+def _parts_thousands(text: str) -> bool:
+    return bool(THOUSANDS.search(text)) and not NO_THOUSANDS.search(text)
 
 
 def _pointed(text: str) -> str:
     """Numbers with decimal commas, points between thousands included, as those with points."""
-    bare = text if ELSE.search(text) else text.replace(".", "")
+    bare = text.replace(".", "") if _parts_thousands(text) else text
     return bare.replace(",", ".")
 
 
