@@ -13,6 +13,7 @@ from zendsp.demo.evidence import Array, Tracking, columns, of_body
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
 
     from zendsp.demo.story import Told
 
@@ -161,6 +162,15 @@ def _missing(axis: Axes, told: Told, joint: int) -> None:
     axis.legend(loc="upper left", fontsize=8, frameon=False)
 
 
+def _plain_decades(axis: Axis) -> None:
+    """Three numbers a decade: ten of them, in powers, lie on one another."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(NullFormatter())
+
+
 def _joints(axis: Axes, tracking: Tracking) -> None:
     """Tracking error of every joint, before and after: all of them bear a body."""
     at = np.arange(1, len(tracking.before) + 1)
@@ -170,6 +180,7 @@ def _joints(axis: Axes, tracking: Tracking) -> None:
     ):
         axis.bar(at + shift, 1e3 * np.array(values), width=0.38, color=colour, label=name)
     axis.set_yscale("log")
+    _plain_decades(axis.yaxis)
     axis.set_ylim(top=8e3 * max(tracking.before))
     axis.set_xticks(at)
     axis.grid(False, axis="x")
@@ -249,6 +260,7 @@ def _fit(axis: Axes, told: Told) -> None:
     axis.set_yticks(range(len(rows)), [name for name, _, _ in rows])
     axis.set_ylim(2.8, -0.5)
     axis.set_xscale("log")
+    _plain_decades(axis.xaxis)
     low, high = min(floor, 1e3 * held.improved), 1e3 * max(held.given, held.calibrated)
     axis.set_xlim(0.6 * low, 2.5 * high)
     axis.grid(False, axis="y")
