@@ -15,14 +15,16 @@ import pytest
 import reality
 from reality import KNOWN, RATE
 
-from zendsp.diagnosis import Diagnosis, diagnose
+from zendsp.diagnosis import Diagnosis, diagnose, engine
 from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide import laws
 from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.detectable import detectable
 from zendsp.diagnosis.measure import structure as measure_structure
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.report.figures import charts
 from zendsp.diagnosis.report.laws import law_chart
+from zendsp.diagnosis.report.summary import headline
 from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.files.model_write import model_text
 
@@ -229,6 +231,20 @@ def test_complete_says_what_would_have_been_seen_and_an_effect_of_twice_that_is_
     assert 0 < ripple.size < 0.01
     again = decided(reality.Machine(ripple=2 * ripple.size))
     assert [f.effect for f in again.findings] == ["ripple"]
+
+
+@pytest.mark.parametrize(
+    ("shown", "word"), [("delay", "Cannot tell: "), ("stiffness", "Complete: ")]
+)
+def test_recordings_that_would_show_no_friction_nor_torque_over_position_cannot_tell(
+    shown: str, word: str, decided: Decided, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        engine, "detectable", lambda *a: tuple(x for x in detectable(*a) if x.effect == shown)
+    )
+    d = decided(reality.Machine())
+    assert headline(d).startswith(word), headline(d)
+    assert (d.next_recording is not None) == (shown == "delay")
 
 
 def test_friction_that_differs_with_the_direction_is_friction_and_a_constant_by_algebra(

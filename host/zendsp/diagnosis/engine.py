@@ -23,7 +23,7 @@ from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.clocks import apart_in_time
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.decide_bodies import rejected_bodies
-from zendsp.diagnosis.decide.detectable import detectable
+from zendsp.diagnosis.decide.detectable import blind, detectable
 from zendsp.diagnosis.decide.naming import name_findings
 from zendsp.diagnosis.decide.notes import bent, left_over, notes_of
 from zendsp.diagnosis.decide.other_load import of_load
@@ -128,10 +128,11 @@ def _diagnose(
     seen_at = {j: clearest(shown_on, sides(findings, given, whole, j), j) for j in joints}
     lacking = {j: before for j, (_, before, _) in seen_at.items()}
     places, times, at = located({j: lacking[j] for j in _lacking(found, findings, verdict)})
-    tell("proposing the next recording")
-    proposal = propose(signals[0], given, found.searches, findings, decisions, seed)
     tell("asking what could have been seen")
     seen = detectable(parts, given, decisions, jobs)
+    decisions = blind(decisions, seen)
+    tell("proposing the next recording")
+    proposal = propose(signals[0], given, found.searches, findings, decisions, seed)
     alone = by_one_sensor(parts, found.bodies.model, decisions)
     seen += (*(d for m in found.measured for d in m.detectable), *alone)
     test = _table(parts.test, given, whole.calibrated, improved)

@@ -27,6 +27,7 @@ from zendsp.diagnosis.decide.confidence import least_stated
 from zendsp.diagnosis.decide.pieces import dependence, finest, kept_laws, torque_of
 from zendsp.diagnosis.decide.result import Detectable
 from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES, LAW_ERROR, LEFT_BY_A_LAW
+from zendsp.diagnosis.measure.curve import FRICTION
 from zendsp.diagnosis.measure.discrepancy import (
     BANDS,
     as_torque,
@@ -68,6 +69,19 @@ def detectable(
     for decision in decisions:
         out += _joint(parts.test, given, decision, jobs)
     return tuple(out)
+
+
+def blind(decisions: Sequence[Decision], seen: Sequence[Detectable]) -> list[Decision]:
+    """The decisions; where a joint is called complete and no friction nor torque over position
+    would have been seen, however large, all of its torque could be unexplained.
+    """
+    shown = {x.joint for x in seen if x.mechanism in {*FRICTION, "position_torque"}}
+    return [
+        replace(d, after=replace(d.after, high=1.0))
+        if d.kind == "complete" and d.joint not in shown
+        else d
+        for d in decisions
+    ]
 
 
 def _joint(test: Data, given: Model, decision: Decision, jobs: int) -> list[Detectable]:
