@@ -247,11 +247,14 @@ def test_recordings_that_would_show_no_friction_nor_torque_over_position_cannot_
     assert (d.next_recording is not None) == (shown == "delay")
 
 
+@pytest.mark.parametrize("held", [0.0, 0.02])
 def test_friction_that_differs_with_the_direction_is_friction_and_a_constant_by_algebra(
-    decided: Decided,
+    held: float, decided: Decided
 ) -> None:
-    machine = reality.Machine(push=(0.012, 0.0, 99.0))
-    d = decided(machine, None, KNOWN[0])
+    """Also beside a constant that the model holds, such as a weight that was said to be known."""
+    machine = reality.Machine(push=(0.012 + held, 0.0, 99.0))
+    known = reality.effect("torque_offset", level=-held).replace(" }", ", free = false }")
+    d = decided(machine, None, KNOWN[0], *[known] * bool(held))
     found = {f.effect: f.indistinguishable for f in d.findings}
     assert set(found) == {"coulomb", "torque_offset"}
     assert all("coulomb_asymmetry" in same for same in found.values())

@@ -24,6 +24,15 @@ def term(effect: str, **numbers: float) -> Term:
     return Term(effect, 1, {name: Quantity(value) for name, value in numbers.items()})
 
 
+def fitted(terms: tuple[Term, ...], **std: float) -> Any:
+    """A fit of terms, of which some numbers are so uncertain."""
+    model = SimpleNamespace(terms=terms, at=lambda _: terms)
+    free = [(i, key) for i, t in enumerate(terms) for key in std if key in t.parameters]
+    handles = [SimpleNamespace(place="term", index=i, key=key) for i, key in free]
+    fit = SimpleNamespace(model=model, handles=handles, std=[std[key] for _, key in free])
+    return SimpleNamespace(model=model, fit=fit)
+
+
 @pytest.mark.parametrize(("level", "count"), [(0.0, 1), (1e-4, 1), (0.03, 0)])
 def test_a_stribeck_curve_upon_no_coulomb_friction_is_any_curve_over_the_speed(
     level: float, count: int
@@ -37,6 +46,11 @@ def test_a_stribeck_curve_upon_no_coulomb_friction_is_any_curve_over_the_speed(
     assert not patchwork.stand_on_nothing(soft, 1, 1.0)  # it stands upon itself
 
 
+def claim(effect: str, **numbers: float) -> Claim:
+    sure, what = Evidence(100.0, 15.0, np.zeros(1)), term(effect, **numbers)
+    return Claim(effect, mechanism_of(effect), what, 0.02, sure, 50.0, {}, (), (), ())
+
+
 @pytest.mark.parametrize(
     ("was", "now", "std", "drawn"),
     [(0.01, 0.032, 2e-4, True), (0.01, 0.013, 2e-4, False), (0.03, 0.01, 2e-4, False),
@@ -47,17 +61,27 @@ def test_drag_beside_which_the_known_viscous_friction_has_to_grow_is_a_piece_of_
 ) -> None:
     """As |v|^1.5 is drawn by v and v². What took up the drag before shrinks beside it."""
     drag = term("quadratic_drag", coefficient=0.0025)
-    fitted = Term("viscous", 1, {"coefficient": Quantity(now, std=std)})
-    model: Any = SimpleNamespace(terms=(fitted, drag), at=lambda _: (fitted, drag))
+    final = fitted((term("viscous", coefficient=now), drag), coefficient=std)
     given: Any = SimpleNamespace(at=lambda _: (term("viscous", coefficient=was),))
-    final: Any = SimpleNamespace(model=model)
     assert patchwork.makes_another_grow(given, final, drag) is drawn
 
 
+@pytest.mark.parametrize(
+    ("neutral", "std", "one"), [(0.1002, 1e-4, True), (0.11, 1e-4, False), (0.11, 6e-3, True)]
+)
+def test_two_springs_of_one_neutral_point_are_one_that_hardens(
+    neutral: float, std: float, one: bool
+) -> None:
+    plain = claim("stiffness", coefficient=7.3, neutral=0.1)
+    hard = claim("cubic_stiffness", coefficient=8.2, neutral=neutral)
+    final = fitted((plain.term, hard.term), neutral=std)
+    assert patchwork.one_spring(final, plain, hard) is one
+    assert not patchwork.one_spring(final, plain, plain)
+    assert not patchwork.one_spring(final, plain, wave("ripple", 20.0, 0.01))
+
+
 def wave(effect: str, order: float, amplitude: float) -> Claim:
-    sure = Evidence(100.0, 15.0, np.zeros(1))
-    what = term(effect, order=order, amplitude=amplitude, phase=0.3)
-    return Claim(effect, mechanism_of(effect), what, 0.02, sure, 50.0, {}, (), (), ())
+    return claim(effect, order=order, amplitude=amplitude, phase=0.3)
 
 
 @pytest.mark.parametrize(

@@ -21,15 +21,17 @@ from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide.assemble import beside_given_gravity, with_disagreement
 from zendsp.diagnosis.decide.clocks import apart_in_time
 from zendsp.diagnosis.decide.thresholds import BY_CHANCE, LAWFUL, OF_STATE, SURE, TOLERANCE
+from zendsp.diagnosis.measure import discrepancy as measure_discrepancy
 from zendsp.diagnosis.measure import evidence
 from zendsp.diagnosis.measure.bursts import bursts, periodic
-from zendsp.diagnosis.measure.discrepancy import at_reversals, deviation, discrepancy
+from zendsp.diagnosis.measure.discrepancy import BANDS, at_reversals, deviation, discrepancy
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import Scored, calibrate_joint, fit_scored
 from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, Structure, structure
 from zendsp.diagnosis.measure.where import Missing, mismatch, regions
 from zendsp.physics.calibration.fit import Data, Fit, fit, joint_handles
 from zendsp.physics.calibration.handles import free_handles, get_values
+from zendsp.physics.calibration.joint import JointRecord
 from zendsp.physics.model import Model, Quantity, Term
 
 
@@ -189,6 +191,23 @@ def test_a_recording_whose_rows_are_shifted_is_told_from_the_others(
     assert apart_in_time(besides, model) == []
     monkeypatch.setattr(clocks, "_explains", lambda *_: True)
     assert apart_in_time(besides, model) != []
+
+
+def test_what_lacks_at_most_is_more_than_what_lacks_where_the_sensor_is_said_to_be_noisier(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """With a noise that is stated too large the fastest observer sees nothing at all."""
+    made = reality.simulate(reality.Machine(ripple=0.004), reality.multisine(6.0, RATE, 3), RATE)
+    data = data_of(made, model := model_of(VISCOUS, COULOMB))
+    honest = discrepancy(data, model, 1)
+    noise = measure_discrepancy.noise
+
+    def noisier(record: JointRecord, model: Model, band: float, *, even: bool) -> float:
+        return noise(record, model, band, even=even) + 9.0 * (band == BANDS[0])
+
+    monkeypatch.setattr(measure_discrepancy, "noise", noisier)
+    found = discrepancy(data, model, 1)
+    assert found.value < found.high and honest.value < found.high
 
 
 @pytest.mark.parametrize("rows", [60, 120])

@@ -25,6 +25,7 @@ from zendsp.diagnosis.measure.likelihood import (
 )
 from zendsp.diagnosis.search import rounds
 from zendsp.diagnosis.search.candidates import as_given, simulated
+from zendsp.diagnosis.search.forward import Searcher
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival, Step
 from zendsp.diagnosis.search.rounds import Rounds
 from zendsp.diagnosis.search.screen import Candidate, Screen, with_candidate
@@ -54,6 +55,16 @@ def test_an_asymmetry_of_equal_directions_is_the_symmetric_effect_and_another_on
     )
     assert kept in {t.effect for t in best.model.terms}
     assert {t.effect for t in best.model.terms} <= {"viscous", kept}
+
+
+def test_what_a_step_came_to_stays_where_the_next_one_is_not_accepted() -> None:
+    machine = reality.Machine(push=(0.012, 0.0, 99.0), swirl=0.01)
+    columns = reality.simulate(machine, reality.multisine(6.0, RATE, 3), RATE)
+    data = data_of(columns, model := model_of(VISCOUS))
+    steps = Searcher(data, 1, lambda _, r: r.effect == "coulomb_asymmetry", 1, lambda _: None)
+    found = steps.search(calibrate_joint(data, model, 1, jobs=1))
+    assert [s.chosen.effect for s in found.steps] == ["coulomb_asymmetry"]
+    assert {t.effect for t in found.final.model.terms} == {"viscous", "coulomb", "torque_offset"}
 
 
 def test_a_hysteresis_of_a_force_that_no_motion_reaches_is_a_spring() -> None:

@@ -16,6 +16,7 @@ from zendsp.diagnosis.decide.patchwork import (
     draws_a_curve,
     is_curve,
     makes_another_grow,
+    one_spring,
     part_of_a_wave,
     repeats,
     stand_on_nothing,
@@ -187,7 +188,8 @@ def _alone(
     rubs = any(c.mechanism == DRY and c.effect != "unknown" for c in claims)
 
     def stays(c: Claim) -> bool:  # Coulomb friction beside another law of it: every machine has it
-        return c.mechanism == DRY and (needed or (rubs and get_effect(c.term.effect).common))
+        rubs_as_any = c.mechanism == DRY and (needed or (rubs and get_effect(c.term.effect).common))
+        return rubs_as_any or any(one_spring(final, k, c) for k in claims)
 
     terms = [c.term for c in more if not stays(c)]
     terms = [t for t in final.model.terms if any(t is x for x in terms)]

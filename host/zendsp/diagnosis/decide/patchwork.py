@@ -11,7 +11,7 @@ import numpy as np
 from zendsp.diagnosis.decide.claims import Claim, Piece
 from zendsp.diagnosis.decide.thresholds import CURVE, FINEST, GROWN, HARMONIC, PLAIN, TWINS
 from zendsp.diagnosis.measure.likelihood import Scored
-from zendsp.diagnosis.measure.significance import counterpart
+from zendsp.diagnosis.measure.significance import counterpart, deviation
 from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.model import Model, Term
 
@@ -40,8 +40,8 @@ def makes_another_grow(given: Model, final: Scored, law: Term) -> bool:
 
     def grows(known: Term) -> bool:
         key = get_effect(known.effect).parameters[0].name
-        was, now = known.value(key), counterpart(final.model.terms, known).parameters[key]
-        return 0.0 < GROWN * was < now.value - PLAIN * now.std
+        was, now = known.value(key), counterpart(final.model.terms, known).value(key)
+        return 0.0 < GROWN * was < now - PLAIN * deviation(final.fit, known, key)
 
     left = {t.effect for t in final.model.at(law.joint)}
     return any(
@@ -65,6 +65,17 @@ def twins(claims: Sequence[Claim]) -> tuple[Claim, ...]:
         )
 
     return tuple(a for a in claims if any(alike(a, b) for b in claims))
+
+
+def one_spring(final: Scored, law: Claim, other: Claim) -> bool:
+    """Whether two springs have one neutral point, each by its own numbers: a spring that hardens,
+    which two laws write down. Pieces of a curve have each their own.
+    """
+    terms = [c.term for c in (law, other)]
+    if law.term.effect == other.term.effect or not all("neutral" in t.parameters for t in terms):
+        return False
+    apart = abs(terms[0].value("neutral") - terms[1].value("neutral"))
+    return apart <= PLAIN * math.hypot(*(deviation(final.fit, t, "neutral") for t in terms))
 
 
 def draws_a_curve(claim: Claim) -> bool:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -188,10 +188,11 @@ def discrepancy(data: Data, model: Model, joint: int) -> Size:
     -------
     Size
         Of several observers the one that shows most beyond its own uncertainty decides; the fastest
-        sees most of a torque, and says how large it may be at most.
+        sees most of a torque, and says how large it may be at most. Where that is less than another
+        shows, the noise is less than the model of the sensor says, and the other says it.
     """
     scale = mean_square(data, joint)
-    best = Size(0.0, 0.0, 0.0)
+    best, own = Size(0.0, 0.0, 0.0), 0.0  # own: at most, by the observer that shows most
     for band in BANDS:
         found = _lasting(data, model, joint, band)
         of_sensor = [noise(rec[joint - 1], model, band, even=True) for rec in data.records]
@@ -202,9 +203,10 @@ def discrepancy(data: Data, model: Model, joint: int) -> Size:
         # what the noise model itself may be wrong by
         spread = float(np.hypot(spread, 0.1 * float(np.mean(of_sensor)) / scale))
         value, low, high = (float(np.sqrt(max(0.0, mean + k * spread))) for k in (-1.0, -2.0, 2.0))
+        own = high if value > best.value else own
         most = high if band == BANDS[0] else best.high
         best = Size(max(best.value, value), max(best.low, low), most)
-    return Size(best.value, best.low, max(best.high, best.value))
+    return best if best.high > best.value else replace(best, high=max(own, best.value))
 
 
 def _lasting(data: Data, model: Model, joint: int, band: float) -> list[Array]:

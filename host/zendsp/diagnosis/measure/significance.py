@@ -71,6 +71,12 @@ def essential_deviation(fitted: Fit, term: Term, key: str) -> float:
     return math.sqrt(max(variance, 0.0))
 
 
+def deviation(fitted: Fit, term: Term, key: str) -> float:
+    """Standard deviation of one number of a term; 0 where it is held."""
+    at = _numbers_of(fitted, term).get(key)
+    return 0.0 if at is None else float(fitted.std[at])
+
+
 def _numbers_of(fitted: Fit, term: Term) -> dict[str, int]:
     """Where a term's free numbers stand in a fit."""
     same = counterpart(fitted.model.terms, term)

@@ -143,7 +143,7 @@ class Searcher:
         together.
         """
         found = JointSearch(self.joint, base)
-        current = base
+        current = held = base  # held: what all steps but those that wait came to
         waiting: list[Step] = []
         while len(found.steps) + len(waiting) < most:
             if is_white(current, self.joint):
@@ -180,9 +180,9 @@ class Searcher:
             current = rivals[0].scored
             if not waiting:
                 current = split_asymmetry(found, current, self.jobs)
-                current = straightened(found, current, self.jobs)
+                current = held = straightened(found, current, self.jobs)
         if found.steps:
-            found.best = current if not waiting else found.steps[-1].chosen.scored
+            found.best = held
             found.best, found.dropped = simplify(found, self.rounds.n, self.jobs)
         return found
 

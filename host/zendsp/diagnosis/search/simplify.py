@@ -44,23 +44,24 @@ def _refitted(data: Data, model: Model, joint: int, jobs: int, rounds: int) -> S
 
 
 def split_asymmetry(found: JointSearch, current: Scored, jobs: int) -> Scored:
-    """Asymmetric Coulomb friction is Coulomb friction and an offset: where the model had neither,
-    they stand for themselves.
+    """Asymmetric Coulomb friction is Coulomb friction and an offset: where the model had no such
+    friction, they stand for themselves. An offset that the model holds is then another.
     """
     had = {t.effect for t in found.base.model.at(found.joint)}
-    term = next((t for t in current.model.at(found.joint) if t.effect == "coulomb_asymmetry"), None)
-    if (
-        term is None
-        or had & {"coulomb", "coulomb_asymmetry"}
-        or "torque_offset" in {t.effect for t in current.model.at(found.joint)}
-    ):
+    here = {t.effect: t for t in current.model.at(found.joint)}
+    term, offset = here.get("coulomb_asymmetry"), here.get("torque_offset")
+    if term is None or had & {"coulomb", "coulomb_asymmetry"}:
+        return current
+    if offset is not None and offset.parameters["level"].free:
         return current
     up, down = term.value("level_pos"), term.value("level_neg")
+    level = 0.5 * (up - down) + (offset.value("level") if offset else 0.0)
     parts = (
         make_term(get_effect("coulomb"), found.joint, {"level": 0.5 * (up + down)}),
-        make_term(get_effect("torque_offset"), found.joint, {"level": 0.5 * (up - down)}),
+        make_term(get_effect("torque_offset"), found.joint, {"level": level}),
     )
-    model = current.model.with_terms((*(t for t in current.model.terms if t is not term), *parts))
+    rest = (t for t in current.model.terms if t is not term and t is not offset)
+    model = current.model.with_terms((*rest, *parts))
     other = _refitted(current.data, model, found.joint, jobs, 1)
     return other if other.deviance < current.deviance + NO_WORSE else current
 
