@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from small_models import COULOMB, VISCOUS, model_of
 
 from zendsp.diagnosis import joints
-from zendsp.diagnosis.decide import absorbed, laws, patchwork, pieces
-from zendsp.diagnosis.decide import decide as decision
+from zendsp.diagnosis.decide import absorbed, laws, nameless, patchwork, pieces
 from zendsp.diagnosis.decide.claims import Claim, Decision, unclaimed
 from zendsp.diagnosis.decide.confidence import confidence, least_stated, stated
 from zendsp.diagnosis.decide.notes import bent
@@ -76,7 +76,7 @@ DOUBTFUL = Evidence(50.0, 4.0, np.zeros(1))
 def test_a_law_that_is_not_believed_leaves_its_mechanism_where_it_explains_more_than_it_leaves(
     size: float, stands: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(laws, "_told_apart", lambda *_: True)
+    monkeypatch.setattr(laws, "told_apart", lambda *_: True)
     lag = of_one_claim(claim_of(Term("lag", 1, {}), size, DOUBTFUL), 0.1, 0.01)
     outcome = laws.believed(lag, None, None, 1)  # type: ignore[arg-type]
     assert [c.effect for c in outcome.claims] == (["unknown"] if stands else [])
@@ -107,7 +107,7 @@ def test_a_mechanism_without_a_law_is_one_whose_variables_alone_predict_what_lac
     def predicted(*to: Any, turning: bool = True) -> Structure:
         return Structure(sizes.get(to[-1][0], 0.0), 0.9, 5.0)
 
-    monkeypatch.setattr(laws, "structure", predicted)
+    monkeypatch.setattr(nameless, "structure", predicted)
     model: Any = SimpleNamespace(model=SimpleNamespace(at=lambda _: ()))
     found = replace(of_one_claim(claim, 0.03, 0.01, model), state=Structure(left, 0.9, 5.0))
     outcome = laws.believed(found, SimpleNamespace(each=()), None, 1)  # type: ignore[arg-type]
@@ -119,7 +119,7 @@ def test_a_doubted_law_that_predicts_surely_better_than_its_neighbours_is_named(
     ahead: float, named: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(laws, "_ahead", lambda *_: ahead)
-    monkeypatch.setattr(laws, "_told_apart", lambda *_: True)
+    monkeypatch.setattr(laws, "told_apart", lambda *_: True)
     doubted = of_one_claim(claim_of(Term("dead_zone", 1, {}), 0.02), 0.025, 0.01)
     outcome = laws.believed(doubted, None, None, 1)  # type: ignore[arg-type]
     assert [c.effect for c in outcome.claims] == ["dead_zone" if named else "unknown"]
@@ -148,8 +148,9 @@ def test_a_law_is_no_surer_than_that_it_predicts_better_than_its_neighbours(
 def test_how_a_known_friction_turns_round_is_no_missing_mechanism(
     monkeypatch: pytest.MonkeyPatch, moving: float, stands: bool
 ) -> None:
-    monkeypatch.setattr(laws, "structure", lambda *_, turning=True: Structure(moving, 0.6, 5.0))
-    monkeypatch.setattr(laws, "_told_apart", lambda *_: True)
+    for room in (laws, nameless):
+        monkeypatch.setattr(room, "structure", lambda *_, turning=True: Structure(moving, 0.6, 5.0))
+    monkeypatch.setattr(laws, "told_apart", lambda *_: True)
     monkeypatch.setattr(laws, "_ahead", lambda *_: 0.0)
     friction = Term("coulomb", 1, {})
     base = SimpleNamespace(model=SimpleNamespace(at=lambda _: (friction,)))
@@ -311,12 +312,12 @@ def test_friction_beside_a_curve_of_the_position_stands_where_nothing_is_left(
     curve = replace(claim_of(Term("gravity", 1, {}), 0.88), effect="unknown")
     rubs = claim_of(Term("coulomb", 1, {}), 0.1)
     ripple = claim_of(Term("ripple", 1, {}), 0.1)  # of a curve over position it is a part
-    monkeypatch.setattr(laws, "structure", lambda *_: Structure(0.5, 9.0, 1.0))
+    monkeypatch.setattr(nameless, "structure", lambda *_: Structure(0.5, 9.0, 1.0))
     monkeypatch.setattr(laws, "_ahead", lambda *_: 0.0)
     outcome = replace(of_one_claim(curve, 1.2, left), claims=(curve, rubs, ripple))
     nothing: Any = SimpleNamespace(each=(), model=None, test=None)
     monkeypatch.setattr(laws, "_alone", lambda *_: nothing)
-    monkeypatch.setattr(laws, "beside_unknown", lambda *_: None)
+    monkeypatch.setattr(nameless, "beside_unknown", lambda *_: None)
     monkeypatch.setattr(laws, "discrepancy", lambda *_: outcome.after)
     outcome = replace(outcome, final=nothing)
     decided = laws.believed(replace(outcome, base=nothing), nothing, nothing, 1)
@@ -337,8 +338,8 @@ def test_a_torque_without_a_law_is_known_beside_the_laws_that_are_named(
     def most(_: Any, model: str, __: int, mechanisms: list[str], **___: Any) -> Structure:
         return Structure(0.1 if of[model] in mechanisms else 0.0, 9.0, 1.0)
 
-    monkeypatch.setattr(laws, "structure", most)
-    monkeypatch.setattr(laws, "beside_unknown", lambda *_: beside)
+    monkeypatch.setattr(nameless, "structure", most)
+    monkeypatch.setattr(nameless, "beside_unknown", lambda *_: beside)
     monkeypatch.setattr(laws, "confidence", lambda *_: named)
     monkeypatch.setattr(laws, "stated", lambda claim, _: named > 0.5)
     monkeypatch.setattr(laws, "_ahead", lambda *_: 0.0)
@@ -419,6 +420,25 @@ def test_a_friction_that_creeps_stands_once_where_a_joint_is_decided_again(
     assert seen[0].terms == (coulomb, creep)
 
 
+@pytest.mark.parametrize(
+    ("level", "coefficient", "name"),
+    [(0.0, 0.013, "fluid_friction"), (0.0, 0.005, "dry_friction"), (0.01, 0.013, "dry_friction")],
+)
+def test_what_drives_dry_friction_to_nothing_and_viscous_up_is_fluid(
+    level: float, coefficient: float, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A line through |v|^1.6 crosses below nothing at rest; then what lacks has the given step."""
+    sizes = {"dry_friction": 0.09, "fluid_friction": 0.07}
+    monkeypatch.setattr(nameless, "structure", lambda *a: Structure(sizes[a[3][0]], 0.6, 5.0))
+    given: Any = SimpleNamespace(at=lambda _: model_of(VISCOUS, COULOMB).terms)
+    now = model_of({**VISCOUS, "coefficient": coefficient}, {**COULOMB, "level": level})
+    base = SimpleNamespace(model=SimpleNamespace(at=lambda _: now.terms))
+    claim = replace(claim_of(Term("coulomb", 1, {}), 0.05), effect="unknown")
+    found = replace(of_one_claim(claim, 0.06, 0.06, base), scale=0.1)
+    parts: Any = SimpleNamespace(each=())
+    assert nameless.by_its_variables(claim, found, parts, given).mechanism == name
+
+
 @pytest.mark.parametrize(("share", "claimed"), [(0.92, True), (0.74, False)])
 def test_an_actuator_is_not_blamed_for_what_its_command_has_to_bear(
     share: float, claimed: bool, monkeypatch: pytest.MonkeyPatch
@@ -430,12 +450,12 @@ def test_an_actuator_is_not_blamed_for_what_its_command_has_to_bear(
     ) -> Structure:
         return Structure(0.9 * lacks if by == ["actuator"] else 0.1 * lacks, share, 9.0)
 
-    monkeypatch.setattr(decision, "structure", predicted)
+    monkeypatch.setattr(nameless, "structure", predicted)
     base, size = SimpleNamespace(model=None), Size(lacks, 0.9 * lacks, 1.1 * lacks)
     state = Structure(0.9 * lacks, 0.8, 9.0)
     out: Any = SimpleNamespace(joint=1, base=base, before=size, state=state)
     parts: Any = SimpleNamespace(each=())
-    claim = decision._without_law(parts, out, True)
+    claim = nameless.only_mechanism(parts, base.model, out, True)
     assert (claim is not None and claim.mechanism == "actuator") is claimed
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Claim, Decision
-from zendsp.diagnosis.decide.laws import without_law
+from zendsp.diagnosis.decide.nameless import without_law
 from zendsp.diagnosis.decide.pushes import unpushed
 from zendsp.diagnosis.decide.thresholds import A_PART, OF_STATE, PREDICTED, SURE
 from zendsp.diagnosis.measure.curve import FRICTION

@@ -16,9 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.data.signals import Parts
-from zendsp.diagnosis.decide.claims import Claim, Decision, Piece
+from zendsp.diagnosis.decide.claims import Decision, Piece
 from zendsp.diagnosis.decide.findings import new_terms, percent
-from zendsp.diagnosis.decide.laws import believed, by_its_variables, named
+from zendsp.diagnosis.decide.laws import believed, named
+from zendsp.diagnosis.decide.nameless import only_mechanism
 from zendsp.diagnosis.decide.pieces import (
     finest,
     grouped,
@@ -44,18 +45,15 @@ from zendsp.diagnosis.decide.thresholds import (
     AMISS,
     BEYOND_SENSOR,
     CLAIMED,
-    COMMANDED,
     LAWFUL,
     MACHINE,
     OF_STATE,
     PREDICTED,
-    RIVAL,
     RUN_AWAY,
     SURE,
 )
 from zendsp.diagnosis.measure.bursts import periodic
 from zendsp.diagnosis.measure.discrepancy import Size, beyond, discrepancy
-from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.likelihood import Scored, informative
 from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, structure
 from zendsp.diagnosis.measure.windows import noise_floor, rms, window_error
@@ -230,7 +228,7 @@ def _nothing_named(
     push = pushed(out, parts, jobs)
     if push is not None and not of_the_motion(push, parts, turning):
         return push
-    asked = _asked(out, parts, turning)
+    asked = _asked(out, parts, given, turning)
     # something acts there surely, though what it is drowns in what stays unexplained
     drowned = any(sure(parts.test, p) and beyond(p.size, out.known.all) > OF_STATE for p in pieces)
     if drowned and asked.kind == "complete" and not _half_a_row(out, parts, jobs):
@@ -241,9 +239,8 @@ def _nothing_named(
     whole = fitted_to(parts.all, base, joint, jobs)
     size = discrepancy(parts.test, whole.model, joint)
     state = structure(parts.each, whole.model, joint, STRUCTURED, turning)
-    again = _asked(
-        replace(out, base=whole, final=whole, before=size, after=size, state=state), parts, turning
-    )
+    fitted = replace(out, base=whole, final=whole, before=size, after=size, state=state)
+    again = _asked(fitted, parts, given, turning)
     if again.kind != "complete" or _contradicted(parts.fit, base, whole, joint):
         return asked
     return replace(out, final=whole, after=size, state=state)
@@ -275,14 +272,14 @@ def _contradicted(fit: Data, base: Scored, whole: Scored, joint: int) -> bool:
     return others.low > own.high and beyond(others.value, own.value) > LAWFUL
 
 
-def _asked(out: Decision, parts: Parts, turning: bool) -> Decision:
+def _asked(out: Decision, parts: Parts, given: Model, turning: bool) -> Decision:
     """The decision by what the calibrated model lacks as a function of the state, of the motion
     before, of time, or of nothing.
     """
     lacks = beyond(out.before.value, out.known.all)
     of_state = beyond(out.state.size, out.known.of_state)
     if of_state > OF_STATE and predicts(out.state):
-        claim = _without_law(parts, out, turning)
+        claim = only_mechanism(parts, given, out, turning)
         if claim is not None:
             return replace(out, kind="missing", claims=(claim,))
         return replace(out, kind="unexplained")
@@ -333,27 +330,3 @@ def _why(
         else "is not what is missing, on the recordings held out"
     )
     return rival.effect, why, 0.5 * gain
-
-
-def _without_law(parts: Parts, out: Decision, turning: bool) -> Claim | None:
-    """The one mechanism whose own variables predict most of what lacks, and of what any function of
-    state does; None where several do, or none.
-    """
-    joint, base = out.joint, out.base
-    alone = {m: structure(parts.each, base.model, joint, [m], turning) for m in STRUCTURED}
-    order = sorted(alone, key=lambda m: -alone[m].size)
-    best = alone[order[0]]
-    least = PREDICTED * max(out.state.size, out.before.value) ** 2
-    if best.z < SURE or best.size**2 < least or best.share < PREDICTED:
-        return None
-    if order[0] == "actuator" and best.share < COMMANDED:
-        return None
-    other = next(alone[m] for m in order[1:] if m not in kind_of(order[0]))
-    if other.size**2 > RIVAL * best.size**2:
-        return None
-    evidence = Evidence(0.0, best.z, np.zeros(1))
-    term = Term("unknown", joint, {})
-    claim = Claim(
-        "unknown", order[0], term, best.size, evidence, 0.0, {"unknown": 1.0}, (), (), (), best
-    )
-    return by_its_variables(claim, out, parts)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy.typing as npt
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Claim, Decision, Piece
 from zendsp.diagnosis.decide.confidence import confidence, stated
+from zendsp.diagnosis.decide.nameless import by_its_variables, told_apart, without_law
 from zendsp.diagnosis.decide.patchwork import (
     draws_a_curve,
     is_curve,
@@ -23,7 +24,6 @@ from zendsp.diagnosis.decide.patchwork import (
     twins,
 )
 from zendsp.diagnosis.decide.pieces import (
-    beside_unknown,
     kept_laws,
     kind_of,
     known_discrepancy,
@@ -54,7 +54,7 @@ from zendsp.diagnosis.measure.discrepancy import Size, discrepancy
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
 from zendsp.diagnosis.measure.neighbours import against_neighbours
 from zendsp.diagnosis.measure.significance import counterpart
-from zendsp.diagnosis.measure.structure import STRUCTURED, TAKEN, Structure, structure
+from zendsp.diagnosis.measure.structure import STRUCTURED, Structure, structure
 from zendsp.diagnosis.search.hypothesis import JointSearch
 from zendsp.diagnosis.search.rounds import Rounds
 from zendsp.physics.calibration.fit import Data, joint_handles
@@ -218,7 +218,7 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
     doubted: set[str] = set()  # mechanisms: what stood beside a doubted law may be a part of it
     for claim in decision.claims:
         if claim.effect == "unknown":
-            if _told_apart(claim, decision, parts, given, laws):
+            if told_apart(claim, decision, parts, given, laws):
                 keep.append(without_law(claim, decision))
         elif (
             claim.mechanism not in doubted
@@ -229,9 +229,10 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
         elif (
             claim is decision.claims[0]
             and claim.mechanism in STRUCTURED
+            and not get_effect(claim.effect).constant  # a function of any variable
             and claim.size > decision.after.value
             and not _turns_otherwise(claim, decision, parts)
-            and _told_apart(claim, decision, parts, given, laws - {claim.effect})
+            and told_apart(claim, decision, parts, given, laws - {claim.effect})
         ):
             keep.append(without_law(claim, decision))
             doubted.add(claim.mechanism)
@@ -239,7 +240,7 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
             more.append(claim)
             doubted.add(claim.mechanism)
     keep, parts_of_it = _beside_unknown(keep, decision.after.value)
-    keep = [by_its_variables(c, decision, parts) for c in keep]
+    keep = [by_its_variables(c, decision, parts, given) for c in keep]
     return replace(decision, claims=tuple(keep), refinements=tuple(more + parts_of_it))
 
 
@@ -300,52 +301,6 @@ def _behind_a_transmission(claim: Claim, decision: Decision, parts: Parts) -> bo
     return most and (
         structure(parts.each, decision.base.model, decision.joint, STRUCTURED).share < PREDICTED
     )
-
-
-def without_law(claim: Claim, decision: Decision) -> Claim:
-    """A claim of the mechanism alone, with its laws as likely as the one that is doubted; one that
-    leaves too much in its own variables is hardly.
-    """
-    most = STATED_ALONE if claim.effect == "unknown" else 0.5
-    sure = min(confidence(replace(claim, effect=claim.term.effect), decision), most)
-    laws = {name: sure * weight for name, weight in claim.laws.items()}
-    return replace(claim, effect="unknown", laws={**laws, "unknown": 1.0 - sure})
-
-
-def by_its_variables(claim: Claim, decision: Decision, parts: Parts) -> Claim:
-    """Friction without a law under the name whose variables predict it, beside what calibration
-    took up: fluid, where it needs no step at standstill (which shows where the joint turns round).
-    """
-    if claim.effect != "unknown" or claim.mechanism not in FRICTION:
-        return claim
-    model, joint = decision.base.model, decision.joint
-    of = {m: structure(parts.each, model, joint, [m, TAKEN]).size for m in FRICTION}
-    steps = of[FLUID] < (1.0 - LAW_ERROR) * of[DRY]
-    name = DRY if steps else FLUID
-    if name == claim.mechanism:
-        return claim
-    return replace(claim, mechanism=name, laws={"unknown": 1.0})
-
-
-def _told_apart(
-    claim: Claim, decision: Decision, parts: Parts, given: Model, laws: Collection[str]
-) -> bool:
-    """Whether no other mechanism's variables predict more of what lacks beside the ``laws`` that
-    are named, or not much more where its laws together leave nothing that depends on the state: a
-    mechanism without a law is known by its variables alone, where anything is left. (A constant is
-    a function of any.)
-    """
-    if claim.mechanism not in STRUCTURED or get_effect(claim.term.effect).constant:
-        return True
-    if decision.after.value < SIMULATORS_DIFFER:
-        return True
-    model, joint = decision.base.model, decision.joint
-    if laws:
-        model = beside_unknown(given, decision.final.model, joint, claim.mechanism, laws)
-    of = {m: structure(parts.each, model, joint, [m]).size ** 2 for m in STRUCTURED}
-    others = max(of[m] for m in STRUCTURED if m not in kind_of(claim.mechanism))
-    more = A_PART if decision.state.size < SIMULATORS_DIFFER else 0.0
-    return others <= (1.0 + more) * of[claim.mechanism]
 
 
 def _goes_on(claim: Claim, alone: Scored, parts: Parts) -> float | None:

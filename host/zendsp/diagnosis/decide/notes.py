@@ -101,16 +101,10 @@ def _hardly_moves(fit: Data, joint: int) -> str:
     )
 
 
-def _held(fit: Data, given: Model, joint: int) -> str:
-    """What is said where commands are taken as held from row to row."""
-    hold = given.actuator.hold
-    if any(rec[joint - 1].between for rec in fit.records):
+def _held(fit: Data, given: Model) -> str:
+    """What is said where commands are taken as held from row to row, and nobody said so."""
+    if given.actuator.hold is not None or any(r.between for rec in fit.records for r in rec):
         return ""
-    if hold is not None:
-        return (
-            " (if the loop is faster than the rows, its [actuator] hold is less than the"
-            f" {hold:.4g} s that the model says)"
-        )
     return (
         " (if the rows are samples of a faster loop, say how long it holds a command: [actuator]"
         " hold)"
@@ -155,7 +149,7 @@ def left_over(decisions: Sequence[Decision], given: Model, fit: Data) -> str:
                 f"Joint {d.joint}: a torque of {two_digits(d.after.value * d.scale)} {unit} RMS"
                 f" ({percent(d.after.value)} % of the torque) is missing that neither a known"
                 " effect nor any function of the joint's state predicts"
-                + (_hardly_moves(fit, d.joint) or _held(fit, given, d.joint))
+                + (_hardly_moves(fit, d.joint) or _held(fit, given))
             )
         elif d.kind == "missing" and d.after.low > OF_STATE:
             words.append(

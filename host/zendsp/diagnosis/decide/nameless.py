@@ -1,0 +1,118 @@
+"""A mechanism that acts and has no law: which one, by the variables on which what lacks depends."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import replace
+
+import numpy as np
+
+from zendsp.diagnosis.data.signals import Parts
+from zendsp.diagnosis.decide.claims import Claim, Decision
+from zendsp.diagnosis.decide.confidence import confidence
+from zendsp.diagnosis.decide.pieces import beside_unknown, kind_of
+from zendsp.diagnosis.decide.thresholds import (
+    A_PART,
+    COMMANDED,
+    FINEST,
+    GROWN,
+    LAW_ERROR,
+    PREDICTED,
+    RIVAL,
+    SIMULATORS_DIFFER,
+    STATED_ALONE,
+    SURE,
+)
+from zendsp.diagnosis.measure.curve import DRY, FLUID, FRICTION
+from zendsp.diagnosis.measure.evidence import Evidence
+from zendsp.diagnosis.measure.structure import STRUCTURED, TAKEN, structure
+from zendsp.physics.effects import get_effect, mechanism_of
+from zendsp.physics.model import Model, Term
+
+
+def only_mechanism(parts: Parts, given: Model, out: Decision, turning: bool) -> Claim | None:
+    """The one mechanism whose own variables predict most of what lacks, and of what any function of
+    state does; None where several do, or none.
+    """
+    joint, base = out.joint, out.base
+    alone = {m: structure(parts.each, base.model, joint, [m], turning) for m in STRUCTURED}
+    order = sorted(alone, key=lambda m: -alone[m].size)
+    best = alone[order[0]]
+    least = PREDICTED * max(out.state.size, out.before.value) ** 2
+    if best.z < SURE or best.size**2 < least or best.share < PREDICTED:
+        return None
+    if order[0] == "actuator" and best.share < COMMANDED:
+        return None
+    other = next(alone[m] for m in order[1:] if m not in kind_of(order[0]))
+    if other.size**2 > RIVAL * best.size**2:
+        return None
+    evidence = Evidence(0.0, best.z, np.zeros(1))
+    term = Term("unknown", joint, {})
+    claim = Claim(
+        "unknown", order[0], term, best.size, evidence, 0.0, {"unknown": 1.0}, (), (), (), best
+    )
+    return by_its_variables(claim, out, parts, given)
+def without_law(claim: Claim, decision: Decision) -> Claim:
+    """A claim of the mechanism alone, with its laws as likely as the one that is doubted; one that
+    leaves too much in its own variables is hardly.
+    """
+    most = STATED_ALONE if claim.effect == "unknown" else 0.5
+    sure = min(confidence(replace(claim, effect=claim.term.effect), decision), most)
+    laws = {name: sure * weight for name, weight in claim.laws.items()}
+    return replace(claim, effect="unknown", laws={**laws, "unknown": 1.0 - sure})
+
+
+def by_its_variables(claim: Claim, decision: Decision, parts: Parts, given: Model) -> Claim:
+    """Friction without a law under the name whose variables predict it, beside what calibration
+    took up: fluid, where it needs no step at standstill (which shows where the joint turns round).
+    """
+    if claim.effect != "unknown" or claim.mechanism not in FRICTION:
+        return claim
+    model, joint = decision.base.model, decision.joint
+    of = {m: structure(parts.each, model, joint, [m, TAKEN]).size for m in FRICTION}
+    steps = of[FLUID] < (1.0 - LAW_ERROR) * of[DRY] and not _rises(given, decision)
+    name = DRY if steps else FLUID
+    if name == claim.mechanism:
+        return claim
+    return replace(claim, mechanism=name, laws={"unknown": 1.0})
+
+
+def _rises(given: Model, decision: Decision) -> bool:
+    """Whether calibration drove a dry friction to nothing and made a viscous one several times
+    larger: the line that fits best what rises faster than the speed crosses below nothing there.
+    """
+    now = {t.effect: t for t in decision.base.model.at(decision.joint)}
+
+    def moved(mechanism: str) -> list[tuple[float, float]]:
+        """What was given, and what it became."""
+        known = [t for t in given.at(decision.joint) if t.effect in now]
+        return [
+            (t.value(key), now[t.effect].value(key))
+            for t in known
+            if mechanism_of(t.effect) == mechanism
+            for key in [get_effect(t.effect).parameters[0].name]
+        ]
+
+    gone = any(new < FINEST * decision.scale < old for old, new in moved(DRY))
+    return gone and any(new > GROWN * old for old, new in moved(FLUID))
+
+
+def told_apart(
+    claim: Claim, decision: Decision, parts: Parts, given: Model, laws: Collection[str]
+) -> bool:
+    """Whether no other mechanism's variables predict more of what lacks beside the ``laws`` that
+    are named, or not much more where its laws together leave nothing that depends on the state: a
+    mechanism without a law is known by its variables alone, where anything is left. (A constant is
+    a function of any.)
+    """
+    if claim.mechanism not in STRUCTURED or get_effect(claim.term.effect).constant:
+        return True
+    if decision.after.value < SIMULATORS_DIFFER:
+        return True
+    model, joint = decision.base.model, decision.joint
+    if laws:
+        model = beside_unknown(given, decision.final.model, joint, claim.mechanism, laws)
+    of = {m: structure(parts.each, model, joint, [m]).size ** 2 for m in STRUCTURED}
+    others = max(of[m] for m in STRUCTURED if m not in kind_of(claim.mechanism))
+    more = A_PART if decision.state.size < SIMULATORS_DIFFER else 0.0
+    return others <= (1.0 + more) * of[claim.mechanism]
