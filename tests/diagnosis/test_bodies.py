@@ -459,8 +459,11 @@ def test_beside_a_body_a_mechanism_without_a_law_stands_but_for_a_constant(
     claim: Any = SimpleNamespace(effect="unknown", mechanism="actuator", size=0.001, term=term)
     nothing: Any = None
     decision = Decision(1, "missing", (claim,), (), *[nothing] * 8)
-    body: Any = SimpleNamespace(sizes={1: 0.9})
-    (beside,) = beside_bodies([body], [decision])
+    found = SimpleNamespace(term=SimpleNamespace(parameters={}))
+    body: Any = SimpleNamespace(sizes={1: 0.9}, found=found)
+    record: Any = SimpleNamespace(n=1, scale=SimpleNamespace(torque=1.0))
+    test: Any = SimpleNamespace(records=[[record]])
+    (beside,) = beside_bodies([body], [decision], test)
     assert (beside.claims == (claim,)) == stands
     assert beside.kind == ("missing" if stands else "complete")
 

@@ -10,11 +10,16 @@ import numpy as np
 import pytest
 
 from zendsp.diagnosis import joints, machine
-from zendsp.diagnosis.decide.decide_bodies import Heard, borne, unsure
+from zendsp.diagnosis.decide.absorbed import bodies_wrong
+from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.decide_bodies import Heard, beside_bodies, borne, unsure
+from zendsp.diagnosis.search.bodies import own_mass
 from zendsp.diagnosis.search.body_columns import NUISANCE
 from zendsp.diagnosis.search.body_explain import Explained, explain, first_of
 from zendsp.diagnosis.search.body_hypotheses import COST, LIMITS, Hypothesis
 from zendsp.diagnosis.search.body_solver import Solver
+from zendsp.physics.files.model_file import parse_model
+from zendsp.physics.model import Model, Quantity, Term
 
 BLOCKS, SAMPLES = 16, 150
 # how far the arm swings in each block: it does most of its motion in three of them
@@ -128,8 +133,7 @@ def test_fewer_numbers_of_a_link_must_predict_as_well_as_more_of_it() -> None:
 
 
 def test_numbers_of_a_link_of_which_none_is_known_do_not_stand_for_one_that_is() -> None:
-    """0.12 kg of a link that moves one joint of a Z1 were 0.9 ± 20 kg, 0.04 ± 0.7 m off: no body.
-    """
+    """0.12 kg of a link that moves one joint of a Z1 were 0.9 ± 20 kg, 0.7 m off: no body."""
     mass = explained(2, "mass", cost=2.0, behind=1.9)
     every = explained(2, "mass", "com_x", "com_z", cost=4.0, behind=0.0)
     assert first_of([mass, every], LIMITS) is every
@@ -185,3 +189,103 @@ def test_what_needs_a_rotor_as_well_goes_behind_what_does_not(rotors: float, fir
     ]
     rigid = gaining(gravity=rotors, body=898.0 - rotors)
     assert explain(gaining(gravity=600.0, body=600.0), tried, rigid)[0].hypothesis.effect == first
+
+
+@pytest.mark.parametrize(("behind", "first"), [(0.5, "torque_gain"), (2.2, "body")])
+def test_what_falls_behind_pays_for_it(behind: float, first: str) -> None:
+    """A centre of mass that was 5 cm off was a gain of one joint of half its gain in likelihood,
+    2.2 standard deviations behind, since that has three numbers less.
+    """
+    centre = Hypothesis("body", 1, "upper", ("com_x", "com_z"), COST["body"] + 2)
+    tried = [Hypothesis("torque_gain", 1, "", ("ratio",), COST["torque_gain"]), centre]
+    solver = gaining(torque_gain=1200.0, body=2700.0)
+    solver.better = lambda x, other: {"nothing": 9.0, "torque_gain": behind}.get(other, 0.0)
+    assert explain(solver, tried, solver)[0].hypothesis.effect == first
+
+
+def test_what_is_hardly_better_than_nothing_does_not_predict_as_well_as_what_is() -> None:
+    """A gain of one joint, two deviations better than nothing, stood before a link of 16 % more
+    mass, and nothing was proposed.
+    """
+    tried = [
+        Hypothesis("torque_gain", 1, "", ("ratio",), COST["torque_gain"]),
+        Hypothesis("body", 1, "fore", ("mass",), COST["body"] + 1),
+    ]
+    solver = gaining(torque_gain=465.0, body=1200.0)
+    unsure = {("torque_gain", "nothing"): 2.1, ("body", "torque_gain"): 1.0}
+    solver.better = lambda x, other: unsure.get((x, other), 9.0 if other == "nothing" else 0.0)
+    assert explain(solver, tried, solver)[0].hypothesis.effect == "body"
+
+
+@pytest.mark.parametrize(("mass", "kept"), [(0.5, False), (3.0, True)])
+def test_a_centre_of_mass_is_wrong_alone_where_the_mass_may_be_right(
+    mass: float, kept: bool
+) -> None:
+    names = ("mass", "com_x", "com_z")
+    both, centre = (
+        explained(1, *names, cost=4.0, behind=0.0),
+        explained(1, *names[1:], cost=3.0, behind=2.8),
+    )
+    both = replace(both, values=np.array([mass, 0.02, -0.05]), std=np.array([1.0, 0.01, 0.01]))
+    link: Any = SimpleNamespace(bodies=[SimpleNamespace(mass=8.0, com=np.zeros(3))])
+    found = own_mass(both, [both, centre], link, LIMITS)
+    assert found is (both if kept else centre)
+
+
+def test_not_all_actuators_give_a_third_less_at_once() -> None:
+    """A payload in the plane, of three fifths of what its link turns, was a gain of both joints."""
+    solver: Any = SimpleNamespace(
+        layout=SimpleNamespace(links=SimpleNamespace(bodies=())), limits=LIMITS
+    )
+    ratio = np.array([-0.35])
+    assert not Solver.plausible(solver, Hypothesis("torque_gain", free=("ratio",)), ratio)
+    assert Solver.plausible(solver, Hypothesis("torque_gain", 2, free=("ratio",)), ratio)
+    assert Solver.plausible(solver, Hypothesis("torque_gain", free=("ratio",)), 0.5 * ratio)
+
+
+@pytest.mark.parametrize(("p2", "wrong"), [(0.17, 0), (0.26, 1)])
+def test_a_plane_arms_numbers_far_from_the_given_ones_are_no_calibration(
+    p2: float, wrong: int
+) -> None:
+    given = planar(0.15)
+    assert bodies_wrong(given, planar(p2)) == wrong
+    rough = replace(given.mechanism["p2"][0], std=0.05)
+    loose = replace(given, mechanism={**given.mechanism, "p2": (rough,)})
+    assert bodies_wrong(loose, planar(p2)) == 0
+
+
+def planar(p2: float) -> Model:
+    """An arm in the plane of which one number is free."""
+    numbers = {"p1": 2.2, "p2": {"value": p2}, "p3": 0.2, "l1": 0.36, "l2": 0.34}
+    held = {
+        k: v if isinstance(v, dict) else {"value": v, "free": False} for k, v in numbers.items()
+    }
+    return parse_model(
+        {"sample_time": 0.001, "mechanism": {"kind": "planar2r", "parameters": held}, "effect": []}
+    )
+
+
+@pytest.mark.parametrize(("com_std", "stands"), [(0.004, False), (0.0004, True)])
+def test_a_constant_that_the_centre_of_a_body_may_be_wrong_by_is_the_bodys(
+    com_std: float, stands: bool
+) -> None:
+    """Of 8 kg, 4 mm are 0.3 N m, however much more the body weighs."""
+    arm = SimpleNamespace(inertia=np.zeros(5), bias=np.zeros(5))
+
+    def change(terms: list[Term], _joint: int) -> Any:
+        weight = 80.0 * terms[0].value("com_x")  # N m a metre
+        return SimpleNamespace(inertia=arm.inertia, bias=arm.bias + weight)
+
+    record: Any = SimpleNamespace(
+        n=5, links=SimpleNamespace(change=change), others=np.zeros((1, 3, 5)),
+        scale=SimpleNamespace(torque=40.0),
+    )  # fmt: skip
+    test: Any = SimpleNamespace(records=[[record]])
+    term = Term("body", 1, {"com_x": Quantity(0.02, free=False, std=com_std)})
+    law = SimpleNamespace(effect="torque_offset")
+    claim: Any = SimpleNamespace(effect="torque_offset", mechanism="actuator", size=0.02, term=law)
+    nothing: Any = None
+    decision = Decision(1, "missing", (claim,), (), *[nothing] * 8)
+    body: Any = SimpleNamespace(sizes={1: 0.03}, found=SimpleNamespace(term=term))
+    (beside,) = beside_bodies([body], [decision], test)
+    assert (beside.claims == (claim,)) is stands

@@ -16,7 +16,7 @@ from typing import Any
 
 from zendsp.diagnosis.data.inertia import inertia_ranges
 from zendsp.diagnosis.data.signals import Parts
-from zendsp.diagnosis.decide.absorbed import shifted
+from zendsp.diagnosis.decide.absorbed import bodies_wrong, shifted
 from zendsp.diagnosis.decide.across import pushed_alone, same_timing
 from zendsp.diagnosis.decide.assemble import Assembled, assemble
 from zendsp.diagnosis.decide.claims import Decision, unclaimed
@@ -69,10 +69,11 @@ def plainer(test: Data, given: Model, one: Explained, other: Explained, bodies: 
 def findings_at(test: Data, given: Model, explained: Explained) -> int:
     """How many findings an explanation has at the joints, with stated figures that are wrong."""
     _, decisions, whole = explained
-    return sum(
+    at_joints = sum(
         len(d.claims) + len(shifted(given, d, whole, {c.term.effect for c in d.claims}, test))
         for d in decisions
     )
+    return at_joints + bodies_wrong(given, whole.improved)
 
 
 def with_their_links(

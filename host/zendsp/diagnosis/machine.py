@@ -49,6 +49,7 @@ from zendsp.physics.model import Model
 
 # where joints claim what a body may be, a small one is asked for too
 BESIDE = replace(LIMITS, little=0.0, least=0.0)
+ROUNDING = 1e-6  # of an error: a body that calibration can take up errs as it does
 
 
 @dataclass(frozen=True)
@@ -124,7 +125,8 @@ def _once(measured_motion: Parts, given: Model, jobs: int, tell: Progress) -> Fo
             found = again if again.claims else found
     finished = _finished(found, given, jobs, tell)
     test, whole = finished.parts.test, finished.whole
-    if finished.claims and model_error(test, whole.improved) > model_error(test, whole.calibrated):
+    least = (1.0 + ROUNDING) * model_error(test, whole.calibrated)
+    if finished.claims and model_error(test, whole.improved) > least:
         none = replace(bodies, model=given, found=())
         found = _beneath(none, measured_motion, parts, given, jobs, tell)
         finished = _finished(found, given, jobs, tell)
@@ -210,7 +212,10 @@ def _finished(found: Found, given: Model, jobs: int, tell: Progress) -> Found:
         searches, decisions, whole = explain(parts, given, beneath, jobs, tell, done)
     if claims:
         claims, improved = settled(parts, claims, whole.improved, jobs)
-        whole, decisions = replace(whole, improved=improved), beside_bodies(claims, decisions)
+        if any("calibration" in c.found.indistinguishable for c in claims):
+            improved = _calibrated_beside(parts.fit, given, improved, jobs)
+        whole = replace(whole, improved=improved)
+        decisions = beside_bodies(claims, decisions, parts.test)
     if claims or any(m.terms for m in found.measured):  # these are no calibration
         bases = [
             calibrate_joint(bare.fit, given, joint, jobs) for joint in range(1, given.joints + 1)
@@ -225,6 +230,21 @@ def _finished(found: Found, given: Model, jobs: int, tell: Progress) -> Found:
         claims=claims,
         fine=tuple(fine),
     )
+
+
+def _calibrated_beside(fit: Data, given: Model, improved: Model, jobs: int) -> Model:
+    """The improved model calibrated beside its bodies: its own numbers were held while a body was
+    looked for that they could have taken up.
+    """
+    mechanism = {
+        key: tuple(
+            replace(q, free=was.free) for q, was in zip(items, given.mechanism[key], strict=True)
+        )
+        for key, items in improved.mechanism.items()
+    }
+    free = replace(improved, mechanism=mechanism)
+    bases = [calibrate_joint(fit, free, joint, jobs) for joint in range(1, given.joints + 1)]
+    return calibrated_machine(fit, free, bases, jobs)
 
 
 def _loaded(found: Found, given: Model, jobs: int) -> Found:

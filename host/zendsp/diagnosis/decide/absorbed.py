@@ -21,6 +21,7 @@ from zendsp.diagnosis.measure.discrepancy import difference
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import fit_scored
 from zendsp.diagnosis.measure.significance import INTEGRATION_ERROR
+from zendsp.diagnosis.search.body_hypotheses import LIMITS, calibrated
 from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.effects import get_effect, library, mechanism_of
 from zendsp.physics.model import CALLED, TREES, Model, Quantity
@@ -171,6 +172,21 @@ def moved(given: Model, calibrated: Model) -> list[str]:
                 )
             out.append(text)
     return out
+
+
+def bodies_wrong(given: Model, improved: Model) -> int:
+    """How many numbers of a plane arm's bodies are farther off than calibration would have them."""
+    if given.kind != "planar2r":
+        return 0
+    moves = [
+        (q, improved.mechanism[key][i])
+        for key in calibrated(given)
+        for i, q in enumerate(given.mechanism[key])
+    ]
+    return sum(
+        abs(new.value - q.value) > max(LIMITS.calibrated * abs(q.value), LIMITS.far * q.std)
+        for q, new in moves
+    )
 
 
 def _far(given: Quantity, calibrated: Quantity) -> bool:

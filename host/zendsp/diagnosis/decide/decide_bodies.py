@@ -21,7 +21,7 @@ from zendsp.diagnosis.decide.confidence import SUREST
 from zendsp.diagnosis.decide.pieces import log_e_value
 from zendsp.diagnosis.decide.result import Estimate, Finding, Rejected, number
 from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES, LAW_ERROR, OWN_SHARE, PLAIN, SURE
-from zendsp.diagnosis.measure.discrepancy import difference
+from zendsp.diagnosis.measure.discrepancy import difference, mean_square
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import fit_scored
 from zendsp.diagnosis.measure.significance import INTEGRATION_ERROR
@@ -29,9 +29,9 @@ from zendsp.diagnosis.search.bodies import BodySearch, FoundBody, refined, state
 from zendsp.diagnosis.search.body_columns import Layout
 from zendsp.diagnosis.search.body_explain import Explained
 from zendsp.diagnosis.search.body_hypotheses import COM, LIMITS
-from zendsp.physics.calibration.fit import joint_handles
+from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.effects import get_effect
-from zendsp.physics.model import Model
+from zendsp.physics.model import Model, Term
 from zendsp.physics.robots.bodies import Links
 
 # of a body's squared torque, over the joints: at so much it has to be larger than what is left
@@ -178,7 +178,9 @@ def _claim(found: FoundBody, heard: dict[int, Heard], gain: float, ratio: float)
     return BodyClaim(found, sizes, gain, float(min(SUREST, max(0.05, sure))))
 
 
-def beside_bodies(claims: Sequence[BodyClaim], decisions: Sequence[Decision]) -> list[Decision]:
+def beside_bodies(
+    claims: Sequence[BodyClaim], decisions: Sequence[Decision], test: Data
+) -> list[Decision]:
     """Decisions in which a constant, by a law or without one, or a function of the position that is
     no larger than what a body's weight may be wrong by refines the fit, and so does little inertia:
     the body's own.
@@ -186,11 +188,12 @@ def beside_bodies(claims: Sequence[BodyClaim], decisions: Sequence[Decision]) ->
     out = []
     for decision in decisions:
         largest = max((c.sizes.get(decision.joint, 0.0) for c in claims), default=0.0)
+        wrong = max((_wrong_by(c.found.term, decision.joint, test) for c in claims), default=0.0)
         weight = [
             c
             for c in decision.claims
             if (
-                c.size < LAW_ERROR * largest
+                c.size < max(LAW_ERROR * largest, SURE * wrong)
                 and (
                     c.mechanism == "position_torque"
                     or get_effect(c.term.effect).constant
@@ -205,6 +208,24 @@ def beside_bodies(claims: Sequence[BodyClaim], decisions: Sequence[Decision]) ->
             decision = replace(decision, kind=kind, claims=keep, refinements=more)
         out.append(decision)
     return out
+
+
+def _wrong_by(term: Term, joint: int, test: Data) -> float:
+    """RMS torque at a joint by which a body may be wrong, as a part of the RMS torque: each of its
+    numbers one standard deviation off.
+    """
+    total = 0.0
+    for key, q in term.parameters.items():
+        off = replace(q, value=q.value + q.std)
+        both = (replace(term, parameters={**term.parameters, key: off}), term)
+        for rec in test.records if q.std > 0.0 else ():
+            record = rec[joint - 1]
+            assert record.links is not None
+            there, here = (record.links.change([t], joint - 1) for t in both)
+            pulled = (there.inertia - here.inertia) * record.others[joint - 1, 2]
+            total += float(np.sum((there.bias - here.bias + pulled) ** 2))
+    count = sum(rec[joint - 1].n for rec in test.records)
+    return math.sqrt(total / max(count, 1) / mean_square(test, joint))
 
 
 def unsure(explained: Explained) -> bool:

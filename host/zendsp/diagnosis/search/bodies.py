@@ -174,10 +174,15 @@ def _round(
 def own_mass(
     best: Explained, tried: Sequence[Explained], links: Links, limits: BodyLimits
 ) -> Explained:
-    """The wrong mass of a link in place of a body that sits at its centre of mass."""
+    """The wrong mass of a link in place of a body that sits at its centre of mass, and its wrong
+    centre in place of both where the mass may be right.
+    """
     h = best.hypothesis
     if "mass" not in h.free or h.free == ("mass",):
         return best
+    if h.effect == "body" and abs(best.values[0]) < limits.shown * best.std[0]:
+        centre = replace(h, free=h.free[1:], cost=h.cost - 1.0)
+        return next((e for e in tried if e.hypothesis == centre and seen(e, limits)), best)
     body = links.bodies[h.joint - 1]
     known = dict(zip(h.free, best.values.tolist(), strict=True))
     mass, com = known["mass"], np.array([known.get(key, 0.0) for key in COM])

@@ -63,8 +63,9 @@ def explain(solver: Solver, tried: Sequence[Hypothesis], rigid: Solver) -> list[
     """All hypotheses after their linear fits, the best first.
 
     Those that predict as well as the best one that is seen are ordered by what they cost, a rotor
-    that they need as well included, then by what they explain with the model's rotors (``rigid``):
-    a weight at one joint with a rotor of its own is any body there. All others are ordered by gain.
+    that they need as well and by how little they fall behind included, in units of log-likelihood,
+    then by what they explain with the model's rotors (``rigid``): a weight at one joint with a
+    rotor of its own is any body there. All others are ordered by gain.
     """
     nothing = solver.at(Hypothesis("nothing"), np.zeros(0))
     none, before = solver.points(nothing), solver.squares(nothing)
@@ -100,10 +101,16 @@ def explain(solver: Solver, tried: Sequence[Hypothesis], rigid: Solver) -> list[
         )
         for e in out
     ]
-    ties = [e for e in out if tied(e, top, solver.limits)]
+    # what is not surely better than nothing does not predict as well as what is
+    ties = [
+        e
+        for e in out
+        if tied(e, top, solver.limits) and (not sure or seen(e, solver.limits))
+    ]
     stiff = {id(e): float(none.sum()) - deviance_of(e.hypothesis, rigid) for e in ties}
     short = {id(e): stiff[id(e)] < (1.0 - solver.limits.share) * e.gain for e in ties}
-    ties.sort(key=lambda e: (price_of(e, solver) + short[id(e)], -stiff[id(e)]))
+    cost = {id(e): price_of(e, solver) + short[id(e)] + 0.5 * e.behind**2 for e in ties}
+    ties.sort(key=lambda e: (round(cost[id(e)]), -stiff[id(e)]))
     first = first_of(ties, solver.limits)
     ties.sort(key=lambda e: e is not first)
     others = sorted((e for e in out if not any(e is t for t in ties)), key=lambda e: -e.gain)

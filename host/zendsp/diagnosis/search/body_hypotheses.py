@@ -42,6 +42,7 @@ class BodyLimits:
     reach: float = 1.0  # m: farther from its link's centre of mass nothing is carried
     gain: float = 0.5  # no actuator gives half as much again, or half
     constant: float = 0.05  # relative standard deviation of the torque constants that makers state
+    gains: float = 0.2  # not all of them are off by more at once: four of these
     halvings: int = 6  # of what that does to a body, until the body is one
     step: float = 1e-6  # relative, of numerical derivatives
     # a free parameter of the mechanism farther off than so much of itself is no calibration

@@ -166,7 +166,8 @@ class Solver:
                 and abs(known.get("inertia", 0.0)) <= most
             )
         if h.effect in ("torque_gain", "gravity_scale"):
-            return bool(abs(known["ratio"]) < self.limits.gain)
+            most = self.limits.gain if h.joint or h.effect != "torque_gain" else self.limits.gains
+            return bool(abs(known["ratio"]) < most)
         return True
 
     def std(self, h: Hypothesis, values: Array) -> Array:
