@@ -14,6 +14,7 @@ import reality
 from click.testing import CliRunner
 
 from zendsp.cli.model import check
+from zendsp.diagnosis.data import checks
 from zendsp.diagnosis.data.checks import check_signals
 from zendsp.diagnosis.data.plausibility import scaled
 from zendsp.diagnosis.data.reading import read_signals
@@ -58,6 +59,10 @@ def _infinite(c: Columns) -> None:
 
 def _huge(c: Columns) -> None:
     c["q"][2000] = -1e300
+
+
+def _refreshed(c: Columns) -> None:
+    c["q"] = np.repeat(c["q"][::5], 5)[: len(c["q"])]
 
 
 def _constant(c: Columns) -> None:
@@ -111,6 +116,7 @@ BAD: dict[str, tuple[Callable[[Columns], None], str]] = {
     "infinite": (_infinite, "row 8: inf"),
     "too large to be squared": (_huge, "row 2001: -1e+300"),
     "constant position": (_constant, "constant"),
+    "position read more seldom than it is logged": (_refreshed, "every 5th row only"),
     "constant command": (_unexcited, "constant"),
     "no command": (_silent, "zero throughout"),
     "one count of motion": (_dither, "counts"),
@@ -370,3 +376,9 @@ def test_a_unit_that_is_not_known_is_told_with_those_that_are(
     degrees.write_text(degrees.read_text().replace("q", "q [Grad]", 1))
     grad = read_signals(degrees, load_model(model))
     assert np.allclose(grad.position, read.position, atol=1e-9)
+
+
+@pytest.mark.parametrize(("kind", "way"), [("planar2r", 'kind = "rotary"'), ("urdf", "fixed")])
+def test_of_a_joint_that_is_held_is_said_how_to_describe_the_others(kind: str, way: str) -> None:
+    with pytest.raises(RecordingError, match=way):
+        checks._moves("run.csv: joint 2", np.full(9, 0.3), 1e-4, kind)

@@ -139,7 +139,7 @@ def _diagnose(
     loads = {(d.joint, name) for d in decisions for name in d.loads}
     notes += [*said(alone), *notes_of(decisions, given), *apart_in_time(parts, improved, loads)]
     notes += [*of_load(found.load), *moved(given, whole.calibrated if found.load else better)]
-    if not findings:
+    if not findings and all(d.final is d.base for d in decisions):  # else it is told by then
         notes += bent(test, noise_floor(parts.test))
     return Diagnosis(
         verdict=verdict,

@@ -24,6 +24,9 @@ MIN_COUNTS = 8
 
 # What refuses a recording: tests/diagnosis/test_bad_input.py has recordings on either side.
 CONSTANT = 1e-9  # of the largest position: a span below is a constant
+# counts that a step has at least where a position is asked for rows between which it stands still,
+# and how many such steps tell
+REFRESHED, REFRESHES = 3.0, 50
 NOISE_SPANS = 15  # standard deviations: 20 000 samples of white noise span 8
 FOLLOWED = 0.8  # R^2 of position on reference from which the slope says unit and sign
 MOSTLY = 0.5  # of the samples
@@ -72,7 +75,10 @@ def check_signals(signals: Sequence[Signals], model: Model) -> list[str]:
         for j in range(joints):
             where = f"{s.name}: joint {j + 1}" if joints > 1 else s.name
             y = raw.position[:, j]
-            _moves(where, y, float(raw.resolution[j]))
+            _moves(where, y, float(raw.resolution[j]), model.kind)
+            _refreshed(
+                where, y, float(raw.resolution[j]), raw.sample_time, model.actuator.hold
+            )
             _glued(where, y, raw)
             _clipped(where, y, float(raw.resolution[j]), raw.sample_time)
             if raw.reference is not None:
@@ -81,13 +87,19 @@ def check_signals(signals: Sequence[Signals], model: Model) -> list[str]:
     return notes
 
 
-def _moves(where: str, y: Array, resolution: float) -> None:
+def _moves(where: str, y: Array, resolution: float, kind: str) -> None:
     span = float(np.ptp(y))
     if span <= CONSTANT * max(CONSTANT, float(np.max(np.abs(y)))):
+        instead = (
+            'describe the joint that moves alone, as kind = "rotary" with the inertia that it has'
+            " in this pose"
+            if kind == "planar2r"
+            else 'make this one fixed in the model (in a URDF: type="fixed") and name the columns'
+            " of the others"
+        )
         raise RecordingError(
             f"{where}: the position is constant; what does not move cannot be diagnosed: let every"
-            " joint of the model move, or make this one fixed in the model (in a URDF:"
-            ' type="fixed") and name the columns of the others'
+            f" joint of the model move, or {instead}"
         )
     if resolution > 0 and span < MIN_COUNTS * resolution:
         raise RecordingError(
@@ -99,6 +111,27 @@ def _moves(where: str, y: Array, resolution: float) -> None:
         raise RecordingError(
             f"{where}: the position spans {span:.3g}, {span / noise:.0f} times its own noise of"
             f" {noise:.2g}: it is noise, not motion; excite the joint more"
+        )
+
+
+def _refreshed(
+    where: str, y: Array, resolution: float, sample_time: float, hold: float | None
+) -> None:
+    """A position that steps every few rows, and stands still between, was read more seldom than it
+    was logged: half of that time it is late, which no sensor of the rows' rate is.
+    """
+    steps = np.flatnonzero(np.abs(np.diff(y)) > REFRESHED * resolution)
+    if len(steps) < REFRESHES:
+        return
+    apart = np.diff(steps)
+    every = int(np.gcd.reduce(apart))
+    if every > 1 and float(np.mean(apart == every)) > 0.5:
+        raise RecordingError(
+            f"{where}: the position is new in every {every}th row only, though it moves on: the"
+            f" sensor was read at {1.0 / (every * sample_time):.4g} Hz and logged at"
+            f" {1.0 / sample_time:.4g} Hz. Keep those rows alone, with sample_time ="
+            f" {every * sample_time:.4g} and [actuator] hold = {hold or sample_time:.4g} in the"
+            " model, or read the sensor in every row"
         )
 
 

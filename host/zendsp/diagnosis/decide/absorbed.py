@@ -8,14 +8,14 @@ where all of them have moved by one factor, it is named with them.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from zendsp.diagnosis.decide.assemble import Assembled
 from zendsp.diagnosis.decide.claims import Decision
-from zendsp.diagnosis.decide.result import Estimate, Finding
+from zendsp.diagnosis.decide.result import Estimate, Finding, number
 from zendsp.diagnosis.decide.thresholds import TOLERANCE
 from zendsp.diagnosis.measure.discrepancy import difference
 from zendsp.diagnosis.measure.evidence import compare
@@ -36,6 +36,8 @@ ONE_GAIN = 0.5  # of the inertia's change: numbers that move within it may be on
 GAINED = 0.9  # stated of one gain for three numbers and more; not learned: the cases have too few
 INSISTS = 100.0  # deviance on the recordings of the fit that the given value costs at least
 PAYS, SURELY = 50.0, 3.0  # the same on untouched ones, and in standard deviations over blocks
+BOTH = ("inertia", "gravity")
+G = 9.81  # m/s²
 ROTOR = "inertia amount"  # what a joint of a tree adds to its bodies
 
 
@@ -107,6 +109,7 @@ def shifted(
     text = (
         f"Calibration moves the {main} of joint {joint} by {_by(amount, ratio, unit)}"
         f"{_weight(given, joint, moves)}, far beyond the tolerance of a given number: {what}."
+        f"{_as_point(moves)}"
     )
     if same:
         text += f" This recording cannot tell it from {', '.join(same)}."
@@ -130,6 +133,26 @@ def _weight(
     if abs(z) < FAR:
         return ""
     return f" and its gravity torque by {_by(amount, ratio, given.torque_unit(joint))}"
+
+
+def point_of(inertia: Estimate, weight: Estimate) -> dict[str, Estimate]:
+    """The point on the axis of a pendulum that adds so much inertia (kg m²) and weight (N m)."""
+    of_weight, of_inertia = weight.std / weight.value, inertia.std / inertia.value
+    mass, reach = weight.value**2 / (G**2 * inertia.value), G * inertia.value / weight.value
+    return {
+        "mass": Estimate(mass, abs(mass) * math.hypot(2.0 * of_weight, of_inertia), "kg"),
+        "com_x": Estimate(reach, reach * math.hypot(of_weight, of_inertia), "m"),
+    }
+
+
+def _as_point(moves: Mapping[str, tuple[float, float, float, float]]) -> str:
+    """The payload that would do both, where inertia and weight have grown."""
+    if not all(key in moves and moves[key][1] > NEAR for key in BOTH):
+        return ""
+    inertia, weight = (Estimate(*moves[key][2:], key) for key in BOTH)
+    body = point_of(inertia, weight)
+    mass, reach = (number(body[key]) for key in ("mass", "com_x"))
+    return f" A payload of {mass} at {reach} from the axis would do both."
 
 
 def _gain(joint: int, factor: float, std: float) -> Finding:

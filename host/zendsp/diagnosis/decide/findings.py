@@ -132,5 +132,9 @@ def sentence(term: Term, values: dict[str, Estimate]) -> str:
             f"{number(replace(amount, value=abs(amount.value)))}"
             f" {'larger' if amount.value > 0 else 'smaller'}"
         )
+    if "ratio" in values:
+        ratio = values["ratio"]
+        part = number(Estimate(100.0 * abs(ratio.value), 100.0 * ratio.std, "%"))
+        words["relative"] = f"{part} {'more' if ratio.value > 0 else 'less'}"
     words |= {name: str(what) for name, what in chosen(term).items()}
     return get_effect(term.effect).sentence.format(**words)

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from zendsp.diagnosis.data.signals import Parts
+from zendsp.diagnosis.decide.absorbed import point_of
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.result import Estimate, Finding, number
 from zendsp.diagnosis.decide.thresholds import LAWFUL, PREDICTED, SURE
@@ -24,7 +25,6 @@ from zendsp.physics.calibration.handles import Handle
 from zendsp.physics.effects import unit_of
 from zendsp.physics.model import Model
 
-G = 9.81  # m/s²
 CONFIDENCE = 0.9  # stated of a load: as of a fast ripple; the eight so far were right
 
 
@@ -124,13 +124,8 @@ def _body(
     shows = abs(weight) > SURE * std.get("gravity", math.inf) and weight * amount.value > 0.0
     if given.joint_kind(1) == "linear" or not shows or amount.unit != "kg m²":
         return {"amount": amount}, text
-    of_weight, of_inertia = std["gravity"] / weight, amount.std / amount.value
-    mass = weight**2 / (G**2 * amount.value)
-    reach = G * amount.value / weight
-    body = {
-        "mass": Estimate(mass, abs(mass) * math.hypot(2.0 * of_weight, of_inertia), "kg"),
-        "com_x": Estimate(reach, reach * math.hypot(of_weight, of_inertia), "m"),
-    }
+    body = point_of(amount, Estimate(weight, std["gravity"], "N m"))
+    mass = body["mass"].value
     size = replace(body["mass"], value=abs(mass))
     of = f"{'a payload' if mass > 0.0 else 'a loss'} of {number(size)}"
     return body, f"{text}, as by {of} at {number(body['com_x'])} from the axis"

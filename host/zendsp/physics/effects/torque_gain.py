@@ -10,9 +10,7 @@ EFFECT = Effect(
     mechanism="actuator",
     parameters=(Parameter("ratio", "ratio", lower=-0.9, upper=5.0, meaning="ε"),),
     c="return u * (1.0 + p[0]);",
-    sentence=(
-        "The actuator of joint {joint} gives {ratio} more (or less) torque than the command says."
-    ),
+    sentence="The actuator of joint {joint} gives {relative} torque than the command says.",
     experiment=(
         "A known mass or a force gauge: no motion record alone can tell a gain from inertia,"
         " gravity and friction together."
