@@ -75,9 +75,11 @@ def test_two_springs_of_one_neutral_point_are_one_that_hardens(
     plain = claim("stiffness", coefficient=7.3, neutral=0.1)
     hard = claim("cubic_stiffness", coefficient=8.2, neutral=neutral)
     final = fitted((plain.term, hard.term), neutral=std)
-    assert patchwork.one_spring(final, plain, hard) is one
-    assert not patchwork.one_spring(final, plain, plain)
-    assert not patchwork.one_spring(final, plain, wave("ripple", 20.0, 0.01))
+    assert patchwork.both_needed(final, plain, hard) is one
+    assert not patchwork.both_needed(final, plain, plain)
+    assert not patchwork.both_needed(final, plain, wave("ripple", 20.0, 0.01))
+    late, slow = claim("delay", time=2e-3), claim("lag", time_constant=3e-3)
+    assert patchwork.both_needed(final, late, slow)
 
 
 def wave(effect: str, order: float, amplitude: float) -> Claim:

@@ -81,6 +81,24 @@ def test_a_hysteresis_of_a_force_that_no_motion_reaches_is_a_spring() -> None:
     assert spring.value("coefficient") == pytest.approx(0.5, rel=0.01)
 
 
+@pytest.mark.parametrize("lag", [0.006, 0.0])
+def test_a_lag_is_found_beside_the_delay_that_hides_it(lag: float) -> None:
+    """To first order a delay by the sum of both is the same."""
+    columns = reality.simulate(reality.Machine(), reality.multisine(8.0, RATE, 3, size=1.2), RATE)
+    keep, true = np.exp(-1.0 / RATE / max(lag, 1e-9)), columns["u"]
+    told = (true - keep * np.r_[true[:1], true[:-1]]) / (1.0 - keep)
+    columns["u"] = np.r_[told[2:], told[-2:]]  # two rows before it acts
+    data = data_of(columns, model := model_of(VISCOUS, COULOMB))
+    base = calibrate_joint(data, model, 1, jobs=1)
+    late = model_of(VISCOUS, COULOMB, {"kind": "delay", "joint": 1, "time": 2.0 / RATE + lag})
+    scored = fit_scored(base.data, late, joint_handles(data, late, 1), (1,), jobs=1)
+    found = simplify(JointSearch(1, base, best=scored), informative(data, 1), 1)[0]
+    terms = {t.effect: t for t in found.model.terms}
+    assert terms["delay"].value("time") == pytest.approx(2.0 / RATE, abs=0.5 / RATE)
+    assert ("lag" in terms) is bool(lag)
+    assert not lag or terms["lag"].value("time_constant") == pytest.approx(lag, abs=0.5 / RATE)
+
+
 def test_a_number_that_nothing_feels_asks_for_no_finer_steps(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

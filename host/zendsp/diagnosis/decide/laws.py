@@ -14,10 +14,10 @@ from zendsp.diagnosis.decide.claims import Claim, Decision, Piece
 from zendsp.diagnosis.decide.confidence import confidence, stated
 from zendsp.diagnosis.decide.nameless import by_its_variables, told_apart, without_law
 from zendsp.diagnosis.decide.patchwork import (
+    both_needed,
     draws_a_curve,
     is_curve,
     makes_another_grow,
-    one_spring,
     part_of_a_wave,
     repeats,
     stand_on_nothing,
@@ -189,7 +189,7 @@ def _alone(
 
     def stays(c: Claim) -> bool:  # Coulomb friction beside another law of it: every machine has it
         rubs_as_any = c.mechanism == DRY and (needed or (rubs and get_effect(c.term.effect).common))
-        return rubs_as_any or any(one_spring(final, k, c) for k in claims)
+        return rubs_as_any or any(both_needed(final, k, c) for k in claims)
 
     terms = [c.term for c in more if not stays(c)]
     terms = [t for t in final.model.terms if any(t is x for x in terms)]

@@ -15,7 +15,7 @@ from zendsp.diagnosis.decide.confidence import confidence
 from zendsp.diagnosis.decide.contract import listed, spans
 from zendsp.diagnosis.decide.decide_bodies import BodyClaim, body_finding
 from zendsp.diagnosis.decide.findings import estimates, new_terms, percent, sentence
-from zendsp.diagnosis.decide.patchwork import draws_a_curve, one_spring
+from zendsp.diagnosis.decide.patchwork import both_needed, draws_a_curve
 from zendsp.diagnosis.decide.pieces import beside_unknown, weight_of_payload
 from zendsp.diagnosis.decide.result import Estimate, Finding, Rejected, number
 from zendsp.diagnosis.decide.thresholds import CLAIMED, PLAIN, PREDICTED, STATED_ALONE
@@ -273,7 +273,7 @@ def _unrefined(decision: Decision, claim: Claim) -> Fit | None:
         for r in decision.refinements
         if r.mechanism == claim.mechanism
         and not (get_effect(r.effect).needs or get_effect(r.effect).common)
-        and not one_spring(final, claim, r)
+        and not both_needed(final, claim, r)
     ]
     if not beside:
         return None

@@ -67,12 +67,16 @@ def twins(claims: Sequence[Claim]) -> tuple[Claim, ...]:
     return tuple(a for a in claims if any(alike(a, b) for b in claims))
 
 
-def one_spring(final: Scored, law: Claim, other: Claim) -> bool:
-    """Whether two springs have one neutral point, each by its own numbers: a spring that hardens,
-    which two laws write down. Pieces of a curve have each their own.
+def both_needed(final: Scored, law: Claim, other: Claim) -> bool:
+    """Whether two laws of a mechanism are no pieces of a curve: two springs of one neutral point,
+    each by its own numbers, are one that hardens, and a torque may come late and slowly.
     """
     terms = [c.term for c in (law, other)]
-    if law.term.effect == other.term.effect or not all("neutral" in t.parameters for t in terms):
+    if law.mechanism != other.mechanism or law.term.effect == other.term.effect:
+        return False
+    if all(get_effect(t.effect).family == "timing" for t in terms):
+        return True
+    if not all("neutral" in t.parameters for t in terms):
         return False
     apart = abs(terms[0].value("neutral") - terms[1].value("neutral"))
     return apart <= PLAIN * math.hypot(*(deviation(final.fit, t, "neutral") for t in terms))

@@ -215,12 +215,32 @@ def _as_spring(found: JointSearch, best: Scored, jobs: int) -> Scored:
     return other if without - other.deviance > AS_MUCH * (without - best.deviance) else best
 
 
+def _as_two_times(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored:
+    """A delay that was found with the lag that it hides, or a lag with the delay: to first order
+    they are one, so that no search beside the first sees the second.
+    """
+    had = {t.effect for t in found.base.model.at(found.joint)}
+    new = {t.effect: t for t in best.model.at(found.joint) if t.effect not in had}
+    names = {"delay": "time", "lag": "time_constant"}
+    if len(names.keys() & (new.keys() | had)) != 1 or not names.keys() & new.keys():
+        return best
+    (here,) = names.keys() & new.keys()
+    (other,) = names.keys() - {here}
+    half = 0.5 * new[here].value(names[here])
+    shorter = make_term(get_effect(here), found.joint, {names[here]: half})
+    beside = make_term(get_effect(other), found.joint, {names[other]: half})
+    rest = tuple(t for t in best.model.terms if t is not new[here])
+    model = best.model.with_terms((*rest, shorter, beside))
+    both = _refitted(best.data, model, found.joint, jobs, 3)
+    return both if both.deviance < best.deviance - price((beside,), n) - NO_WORSE else best
+
+
 def simplify(found: JointSearch, n: int, jobs: int) -> tuple[Scored, tuple[str, ...]]:
     """Drop every term, given or found, that the recording does not need any more."""
     best = _resolved(straightened(found, found.final, jobs), found.joint, jobs)
     best = _as_coulomb(best, found.joint, jobs)
     best = _as_spring(found, _as_payload(found, best, n, jobs), jobs)
-    best = _as_symmetric(found, best, n, jobs)
+    best = _as_two_times(found, _as_symmetric(found, best, n, jobs), n, jobs)
     dropped: list[str] = []
     added = {t.effect for s in found.steps for t in s.chosen.terms}
     while True:
