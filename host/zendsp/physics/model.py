@@ -96,6 +96,12 @@ class Actuator:
     matrix: tuple[tuple[float, ...], ...] = ()
     unit: str = ""
 
+    @property
+    def command_unit(self) -> str:
+        """Unit of a command in words; empty where it is that of the torque."""
+        scaled = any(abs(gain) != 1.0 for gain in self.gain)
+        return self.unit or ("command units" if scaled else "")
+
 
 @dataclass(frozen=True)
 class Sensor:

@@ -123,7 +123,7 @@ def _joint(test: Data, given: Model, decision: Decision, jobs: int) -> list[Dete
         unit = unit_of(
             parameter.size,
             given.joint_kind(joint),
-            given.actuator.unit,
+            given.actuator.command_unit,
             given.torque_unit(joint),
         )
         out.append(Detectable(joint, mechanism_of(name), name, size[0], unit, size[1] / scale))

@@ -18,7 +18,14 @@ from zendsp.diagnosis.decide.findings import estimates, new_terms, percent, sent
 from zendsp.diagnosis.decide.patchwork import both_needed, draws_a_curve
 from zendsp.diagnosis.decide.pieces import beside_unknown, weight_of_payload
 from zendsp.diagnosis.decide.result import Estimate, Finding, Rejected, number
-from zendsp.diagnosis.decide.thresholds import CLAIMED, PLAIN, PREDICTED, STATED_ALONE
+from zendsp.diagnosis.decide.thresholds import (
+    CLAIMED,
+    LEFT_BY_A_LAW,
+    PLAIN,
+    PREDICTED,
+    SIMULATORS_DIFFER,
+    STATED_ALONE,
+)
 from zendsp.diagnosis.measure.bursts import Bursts
 from zendsp.diagnosis.measure.curve import DRY, FLUID, curve_of
 from zendsp.diagnosis.measure.likelihood import fit_scored
@@ -149,6 +156,7 @@ def _finding(
     sure = confidence(claim, decision)
     values = _numbers(given, decision, whole, claim)
     text = _held_otherwise(given, term, values) or sentence(term, values)
+    numbers: dict[str, object] = dict(chosen(term))
     if term.effect == "inertia":
         weight = [
             t
@@ -156,11 +164,9 @@ def _finding(
             if weight_of_payload(given, decision.final.model, t)
         ]
         if weight:
-            text += (
-                " It weighs: gravity grows by"
-                f" {weight[0].value('torque') * math.cos(weight[0].value('angle')):.3g} N m"
-                " with it."
-            )
+            grown = weight[0].value("torque") * math.cos(weight[0].value("angle"))
+            text += f" It weighs: gravity grows by {grown:.3g} N m with it."
+            numbers["details"] = {"weight": grown}
     if claim.replaces:
         text += f" It makes {', '.join(claim.replaces)} unnecessary."
     if claim.same:
@@ -174,7 +180,7 @@ def _finding(
         claim.same,
         claim.replaces,
         text,
-        chosen(term),
+        numbers,
         claim.mechanism,
         claim.laws,
     )
@@ -221,7 +227,7 @@ def _numbers(
             fit,
             claim.term,
             given.joint_kind(joint),
-            given.actuator.unit,
+            given.actuator.command_unit,
             given.torque_unit(joint),
             left=left,
             record=record,
@@ -262,7 +268,8 @@ def may_be_nothing(effect: str, values: Mapping[str, Estimate]) -> bool:
 def _unrefined(decision: Decision, claim: Claim) -> Fit | None:
     """The law as it is claimed: fitted without the refinements of its own mechanism, which may have
     taken a part of its numbers; not without what every machine has. None where it has none, needs
-    them, or acts beside them as one joint's motion does upon another.
+    them, or acts beside them as one joint's motion does upon another. One without which the law
+    would leave too much to be one is no part of it; nor is any where all together leave nothing.
     """
     final, joint = decision.final, decision.joint
     effect = get_effect(claim.effect)
@@ -273,9 +280,10 @@ def _unrefined(decision: Decision, claim: Claim) -> Fit | None:
         for r in decision.refinements
         if r.mechanism == claim.mechanism
         and not (get_effect(r.effect).needs or get_effect(r.effect).common)
+        and r.size < LEFT_BY_A_LAW * claim.size
         and not both_needed(final, claim, r)
     ]
-    if not beside:
+    if not beside or decision.after.value < SIMULATORS_DIFFER:
         return None
     model = final.model.with_terms(
         tuple(t for t in final.model.terms if not any(t is b for b in beside))

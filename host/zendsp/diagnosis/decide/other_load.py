@@ -100,7 +100,7 @@ def _numbers(keys: Sequence[str], fit: Fit, given: Model) -> dict[str, Estimate]
         unit = unit_of(
             "torque" if key == "gravity" else "inertia",
             given.joint_kind(1),
-            given.actuator.unit,
+            given.actuator.command_unit,
             given.torque_unit(1),
         )
         out[key] = Estimate(value, math.hypot(float(std), INTEGRATION_ERROR * value), unit)

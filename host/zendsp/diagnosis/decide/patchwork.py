@@ -9,7 +9,15 @@ from itertools import pairwise
 import numpy as np
 
 from zendsp.diagnosis.decide.claims import Claim, Piece
-from zendsp.diagnosis.decide.thresholds import CURVE, FINEST, GROWN, HARMONIC, PLAIN, TWINS
+from zendsp.diagnosis.decide.thresholds import (
+    CURVE,
+    FINEST,
+    GROWN,
+    HARMONIC,
+    LAW_ERROR,
+    PLAIN,
+    TWINS,
+)
 from zendsp.diagnosis.measure.likelihood import Scored
 from zendsp.diagnosis.measure.significance import counterpart, deviation
 from zendsp.physics.effects import get_effect, mechanism_of
@@ -79,7 +87,9 @@ def both_needed(final: Scored, law: Claim, other: Claim) -> bool:
     if not all("neutral" in t.parameters for t in terms):
         return False
     apart = abs(terms[0].value("neutral") - terms[1].value("neutral"))
-    return apart <= PLAIN * math.hypot(*(deviation(final.fit, t, "neutral") for t in terms))
+    travel = max(rec[law.term.joint - 1].scale.position for rec in final.data.records)
+    unsure = PLAIN * math.hypot(*(deviation(final.fit, t, "neutral") for t in terms))
+    return apart <= max(unsure, LAW_ERROR * travel)
 
 
 def draws_a_curve(claim: Claim) -> bool:

@@ -19,6 +19,7 @@ from zendsp.diagnosis.decide.contract import (
     Report,
     Verdict,
     WhereReport,
+    nameless,
 )
 from zendsp.diagnosis.measure.where import Missing, Region
 from zendsp.diagnosis.search.hypothesis import JointSearch
@@ -365,6 +366,13 @@ class Diagnosis:
         if self.unexplained:
             lines.append(f"  {self.unexplained}")
         h = self.test or self.heldout
+        shares = ((x.joint, x.share) for x in self.discrepancy)
+        lines += [
+            f"  {100 * share:.2g} % of the torque of joint {joint} has no name: more is left than"
+            " the error of the sensor"
+            for joint, share in nameless(shares, h.improved, self.noise_floor)
+            if self.verdict == "complete"
+        ]
         lines.append(
             f"  untouched: given {h.given:.3g}, calibrated {h.calibrated:.3g}, improved"
             f" {h.improved:.3g} {self.unit} (noise floor {self.noise_floor:.3g})"

@@ -321,9 +321,8 @@ def findings_of(
         if not terms:
             continue
         term, joint = terms[0], claim.term.joint
-        values = estimates(
-            final.fit, term, given.joint_kind(joint), given.actuator.unit, given.torque_unit(joint)
-        )
+        units = given.actuator.command_unit, given.torque_unit(joint)
+        values = estimates(final.fit, term, given.joint_kind(joint), *units)
         same, sure = _apart(claim, rivals, term)
         had = {t.effect for t in given.at(joint)}
         replaces = tuple(n for n in get_effect(term.effect).replaces if n in had)

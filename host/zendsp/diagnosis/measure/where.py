@@ -156,7 +156,7 @@ def units(model: Model, joint: int) -> dict[str, str]:
     """Return the unit of each variable at one joint."""
     length = "m" if model.joint_kind(joint) == "linear" else "rad"
     plain = abs(per_joint(model.actuator.gain, joint, 1.0)) == 1.0 and not model.actuator.matrix
-    command = model.actuator.unit or (model.torque_unit(joint) if plain else "")
+    command = model.actuator.command_unit or (model.torque_unit(joint) if plain else "")
     return {
         "position": length,
         "velocity": f"{length}/s",

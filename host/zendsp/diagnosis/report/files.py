@@ -158,6 +158,9 @@ def stands_for(report: Report) -> set[tuple[str, int]]:
     the joint, and beside what was recorded a spring grows without end.
     """
     stand = {(f["effect"], f["joint"]) for f in report["findings"]}
+    # the weight of an inertia that was found is told with it
+    weighs = (f["joint"] for f in report["findings"] if "weight" in f.get("details", {}))
+    stand |= {("gravity", joint) for joint in weighs}
     for joint, mechanism in _without_law(report):
         drawn = [
             r["effect"]

@@ -66,7 +66,7 @@ def units_at(d: Diagnosis, joint: int) -> dict[str, str]:
         "position": q,
         "velocity": f"{q}/s",
         "acceleration": f"{q}/s²",
-        "command": d.given.actuator.unit or force,
+        "command": d.given.actuator.command_unit or force,
         "time": "s",
         "torque": force,
     }

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from zendsp.diagnosis.decide.contract import dark, listed, spans, two_digits
+from zendsp.diagnosis.decide.contract import dark, listed, nameless, spans, two_digits
 
 if TYPE_CHECKING:
     from zendsp.diagnosis.decide.contract import Verdict
@@ -16,9 +16,6 @@ REFINEMENTS = 6  # that a summary names
 SMALLEST_SHARE = 1e-4  # of a torque: less is not told from nothing
 LARGEST_SHARE = 9.99
 SMALLER = 1.05  # times: a smaller fall of the error is not told as one
-# times the sensor's error, from which on a complete model says what it leaves: 22 of 99 of a
-# campaign were off by as much (seed 229); and of a joint's torque: less is not worth a sentence
-BEYOND, LEAST_NAMELESS = 2.0, 1e-3
 OFF = 3.0  # times the calibrated model's error: what is given is not what the machine has
 
 WORDS = {
@@ -32,25 +29,6 @@ WORDS = {
     "disturbance": "a disturbance",
 }
 TILTED = "how the base stands"
-
-
-def nameless(
-    left: Iterable[tuple[int, float | None]], error: float | None, floor: float | None
-) -> tuple[tuple[int, float], ...]:
-    """What a model that is called complete leaves, though the position is off by more than the
-    sensor errs: some machines have a random torque, others what nobody has a name for.
-
-    Parameters
-    ----------
-    left : iterable of (joint, share)
-        What nothing named explains, as a part of the RMS torque: of ``discrepancy``.
-    error, floor : float
-        RMS position error on untouched recordings, and that of the sensor alone, rad or m. None of
-        any: not known.
-    """
-    if error is None or floor is None or not error > BEYOND * floor:
-        return ()
-    return tuple((joint, share) for joint, share in left if share and share > LEAST_NAMELESS)
 
 
 def word_of(mechanism: str, effects: Sequence[str]) -> str:

@@ -182,7 +182,7 @@ def _finding(
     values = {}
     for key, (value, std) in numbers.items():
         size = next((p.size for p in effect.parameters if p.name == key), "position")
-        values[key] = Estimate(value, std, unit_of(size, kind, model.actuator.unit, torque))
+        values[key] = Estimate(value, std, unit_of(size, kind, model.actuator.command_unit, torque))
     if claim.name == "loop":
         text = (
             f"The transmission of joint {joint} has hysteresis: unloaded, it stands"

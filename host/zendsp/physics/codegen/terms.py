@@ -140,7 +140,8 @@ def _line(term: Term, label: str, prefix: str, kinds: Sequence[str], actuator: A
             continue
         name = f"{label}_{parameter.name}"
         body = body.replace(f"p[{k}]", name)
-        unit = unit_of(parameter.size, kind, actuator.unit).replace("²", "^2").replace("³", "^3")
+        unit = unit_of(parameter.size, kind, actuator.command_unit)
+        unit = unit.replace("²", "^2").replace("³", "^3")
         value = term.value(parameter.name, parameter.default or 0.0)
         over = f" over {parameter.above.capitalize()}" if parameter.above else ""
         variables.append(

@@ -9,12 +9,11 @@ from dataclasses import dataclass
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.text import Text
 
-from zendsp.diagnosis.decide.contract import FindingReport, Report, dark
+from zendsp.diagnosis.decide.contract import FindingReport, Report, dark, nameless
 from zendsp.diagnosis.report.chart import Chart
 from zendsp.diagnosis.report.summary import (
     before,
     by_joint,
-    nameless,
     unnamed,
     verdict_sentence,
 )
