@@ -84,8 +84,10 @@ def _borne(
 
 
 def _variance(slow: Slow, model: Model, i: int) -> float:
-    """Of the torque of joint ``i`` (from 0)."""
+    """Of the torque of joint ``i`` (from 0); 0 where it is at its limit all the time."""
     use = ~slow.at_edge[i]
+    if not use.any():
+        return 0.0
     return float(np.var(per_joint(model.actuator.gain, i + 1, 1.0) * slow.command[i][use]))
 
 

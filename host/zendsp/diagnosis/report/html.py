@@ -137,8 +137,9 @@ def _could_not(d: Diagnosis) -> str:
         )
         rows.append(f"<li>joint {joint}: {sizes}")
     return (
-        "<p><b>What would not have been seen:</b> what is smaller than this (of what is as large,"
-        f" nine of ten would have been found).</p><ul>{''.join(rows)}</ul>"
+        "<p><b>What may have been missed:</b> what is smaller than this. Of what is as large, nine"
+        " of ten would have been found; of what is half or a third of it, many are, too.</p>"
+        f"<ul>{''.join(rows)}</ul>"
         if rows
         else ""
     )

@@ -164,13 +164,13 @@ def _left(r: Report, charts: Sequence[Chart]) -> list[Entry]:
 def _unseen_line(r: Report) -> str:
     joints = sorted({x["joint"] for x in r["detectable"]})
     if not joints:
-        return "what could not have been seen is not known for these recordings"
+        return "what may have been missed is not known for these recordings"
     seen = counted(len(r["detectable"]), "effect")
-    return f"what could not have been seen: {seen} with a smallest size"
+    return f"what may have been missed: {seen}, each with the size from which on it is surely seen"
 
 
 def _unseen(r: Report) -> str:
-    lines = ["Smaller ones these recordings would have missed (seen in 90 of 100 times):", ""]
+    lines = ["Of these sizes, seen in 90 of 100 times; smaller ones may be missed:", ""]
     lines += [
         f"joint {x['joint']}  {x['effect']:<22} {x['size']:.2g} "
         f"{'' if x['unit'] == '1' else x['unit']}"
