@@ -14,7 +14,7 @@ import reality
 from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.data.split import split
 from zendsp.diagnosis.decide.findings import estimates
-from zendsp.diagnosis.decide.naming import between, may_be_nothing
+from zendsp.diagnosis.decide.naming import between, may_be_nothing, one_number
 from zendsp.diagnosis.decide.result import Estimate
 from zendsp.diagnosis.engine import _ready
 from zendsp.diagnosis.measure.significance import counterpart, vanishes
@@ -162,3 +162,15 @@ def test_a_number_within_two_deviations_of_nothing_is_no_claim(std: float, nothi
 def test_friction_that_is_alike_both_ways_is_no_asymmetry(down: float, nothing: bool) -> None:
     values = {"level_pos": Estimate(0.333, 0.030, "N m"), "level_neg": Estimate(down, 0.030, "N m")}
     assert may_be_nothing("coulomb_asymmetry", values) is nothing
+
+
+@pytest.mark.parametrize(("std", "least", "most"), [(0.1, 0.99, 1.0), (0.24, 0.4, 0.6)])
+def test_a_law_whose_number_is_known_to_a_third_is_not_surely_the_law(
+    std: float, least: float, most: float
+) -> None:
+    """Of nine such laws of two examiners one was right: a spring with a play, a wall, a rocking
+    base.
+    """
+    values = {"coefficient": Estimate(0.7, std, "N m/rad³"), "neutral": Estimate(0.1, 0.3, "rad")}
+    assert least < one_number("cubic_stiffness", values) <= most
+    assert one_number("dead_zone", values) == 1.0

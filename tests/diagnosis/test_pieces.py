@@ -114,7 +114,7 @@ def test_two_ripples_that_the_travel_does_not_tell_apart_are_one_that_fades(
     ("size", "z", "why"),
     [
         (0.0001, 5.0, "too small to be told"),
-        (0.1, 5.0, "not clearly more than what stays unexplained: 10 % of the torque"),
+        (0.1, 5.0, "not surely this law: 10 % of the torque, and"),
         (0.1, 0.5, "is not what is missing, on the recordings held out"),
     ],
 )

@@ -209,6 +209,7 @@ def _nothing_named(
     # how a known dry friction turns round is no missing physics: bristles, a simulator's softness
     turning = not rubs(base.model, joint)
     state = structure(parts.each, base.model, joint, STRUCTURED, turning)
+    beside = discrepancy(parts.test, search.final.model, joint) if pieces else before
     out = Decision(
         joint,
         "complete",
@@ -223,7 +224,7 @@ def _nothing_named(
         base,
         rms_torque(parts.test, joint),
         known=known_discrepancy(given, parts.test, joint),
-        lost=tuple(_why(r, base, pieces, before) for r in search.tried[:6]),
+        lost=tuple(_why(r, base, pieces, beside) for r in search.tried[:6]),
     )
     push = pushed(out, parts, jobs)
     if push is not None and not of_the_motion(push, parts, turning):
@@ -313,7 +314,7 @@ def _lawful(parts: Parts, base: Scored, joint: int, turning: bool) -> bool:
 
 
 def _why(
-    rival: Rival, base: Scored, pieces: Sequence[Piece], before: Size
+    rival: Rival, base: Scored, pieces: Sequence[Piece], beside: Size
 ) -> tuple[str, str, float]:
     gain = base.deviance - rival.value
     seen = next((p for p in pieces if rival.effect in p.effects), None)
@@ -322,8 +323,9 @@ def _why(
             least = f"findings have {percent(finest(rival.effect))} % at least"
             small = f"{percent(seen.size)} % of the torque, and {least}"
             return rival.effect, f"too small to be told: {small}", 0.5 * gain
-        sizes = f"{percent(seen.size)} % of the torque beside {percent(before.value)} %"
-        return rival.effect, f"not clearly more than what stays unexplained: {sizes}", 0.5 * gain
+        left = f"{percent(beside.value)} % stays unexplained beside it"
+        why = f"not surely this law: {percent(seen.size)} % of the torque, and {left}"
+        return rival.effect, why, 0.5 * gain
     why = (
         "no more likely than the calibrated model"
         if gain < WAIT

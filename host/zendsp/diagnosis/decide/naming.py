@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from statistics import NormalDist
 
 from zendsp.diagnosis.decide.absorbed import shifted
 from zendsp.diagnosis.decide.assemble import Assembled
@@ -25,6 +26,7 @@ from zendsp.diagnosis.decide.thresholds import (
     PREDICTED,
     SIMULATORS_DIFFER,
     STATED_ALONE,
+    SURE,
 )
 from zendsp.diagnosis.measure.bursts import Bursts
 from zendsp.diagnosis.measure.curve import DRY, FLUID, curve_of
@@ -153,8 +155,8 @@ def _finding(
     given: Model, decision: Decision, whole: Assembled, claim: Claim, share: float
 ) -> Finding:
     joint, term = decision.joint, claim.term
-    sure = confidence(claim, decision)
     values = _numbers(given, decision, whole, claim)
+    sure = min(confidence(claim, decision), one_number(claim.effect, values))
     text = _held_otherwise(given, term, values) or sentence(term, values)
     numbers: dict[str, object] = dict(chosen(term))
     if term.effect == "inertia":
@@ -249,6 +251,16 @@ def _numbers(
         key: replace(v, std=min(v.std, abs(v.value) / CLAIMED)) if key in shown else v
         for key, v in values.items()
     }
+
+
+def one_number(effect: str, values: Mapping[str, Estimate]) -> float:
+    """Probability that recordings agree on the number that makes a law what it is: where it is
+    known to a third only, they follow another curve.
+    """
+    size = next((values[key] for key in essence_of(effect) if key in values), None)
+    if size is None:
+        return 1.0
+    return NormalDist().cdf(abs(size.value) / max(size.std, 1e-300) - SURE)
 
 
 def may_be_nothing(effect: str, values: Mapping[str, Estimate]) -> bool:

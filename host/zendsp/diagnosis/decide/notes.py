@@ -35,8 +35,9 @@ def notes_of(decisions: Sequence[Decision], given: Model) -> list[str]:
 def _other_loads(decisions: Sequence[Decision]) -> list[str]:
     """Which recordings are of a machine with another load."""
     return [
-        f"joint {d.joint}: numbers of its own explain {' and '.join(d.loads)}: another load, or"
-        " another machine; diagnose each recording by itself (zendsp diagnose --each)"
+        f"joint {d.joint}: numbers of its own explain {' and '.join(d.loads)}: another load,"
+        " another machine, or a law that these numbers stand for there; diagnose each recording by"
+        " itself (zendsp diagnose --each)"
         for d in decisions
         if d.loads
     ]
