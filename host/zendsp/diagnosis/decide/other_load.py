@@ -14,7 +14,7 @@ from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.absorbed import point_of
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.result import Estimate, Finding, number
-from zendsp.diagnosis.decide.thresholds import LAWFUL, PREDICTED, SURE
+from zendsp.diagnosis.decide.thresholds import LAWFUL, PREDICTED, SURE, TOLERANCE
 from zendsp.diagnosis.measure.discrepancy import discrepancy
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import fit_scored
@@ -57,7 +57,10 @@ def other_load(parts: Parts, given: Model, decision: Decision, jobs: int) -> Oth
     evidence = compare(base, own, parts.test, joint)
     if more or errors[1] > errors[0] or evidence.z < SURE:
         return None
-    body, text = _body(given, *(_numbers(keys, scored.fit, given) for scored in (base, own)))
+    both = [_numbers(keys, scored.fit, given) for scored in (base, own)]
+    if not any(_is_other(*(numbers[key] for numbers in both)) for key in keys):
+        return None
+    body, text = _body(given, *both)
     where = " and ".join(sorted(loaded))
     effect = "payload" if "mass" in body else "inertia"
     finding = Finding(
@@ -77,6 +80,12 @@ def other_load(parts: Parts, given: Model, decision: Decision, jobs: int) -> Oth
         decision, kind="missing", final=own, after=after, bare=after, alone=own, loads=()
     )
     return OtherLoad(finding, there)
+
+
+def _is_other(before: Estimate, now: Estimate) -> bool:
+    """Whether a number is surely another one, and by more than any number is known to."""
+    change = abs(now.value - before.value)
+    return change > max(SURE * math.hypot(before.std, now.std), TOLERANCE * abs(before.value))
 
 
 def of_load(finding: Finding | None) -> list[str]:

@@ -109,7 +109,10 @@ def explain(solver: Solver, tried: Sequence[Hypothesis], rigid: Solver) -> list[
     ]
     stiff = {id(e): float(none.sum()) - deviance_of(e.hypothesis, rigid) for e in ties}
     short = {id(e): stiff[id(e)] < (1.0 - solver.limits.share) * e.gain for e in ties}
-    cost = {id(e): price_of(e, solver) + short[id(e)] + 0.5 * e.behind**2 for e in ties}
+    most = solver.limits.tie  # farther behind, and as good by its gain
+    cost = {
+        id(e): price_of(e, solver) + short[id(e)] + 0.5 * min(e.behind, most) ** 2 for e in ties
+    }
     ties.sort(key=lambda e: (round(cost[id(e)]), -stiff[id(e)]))
     first = first_of(ties, solver.limits)
     ties.sort(key=lambda e: e is not first)
@@ -163,5 +166,10 @@ def price_of(e: Explained, solver: Solver) -> float:
 
 
 def tied(other: Explained, top: Explained, limits: BodyLimits = LIMITS) -> bool:
-    """Whether an explanation predicts as well as the best one."""
-    return other.behind < limits.tie or top.gain - other.gain < limits.share * abs(top.gain)
+    """Whether an explanation predicts as well as the best one. A gain of all joints is the command
+    itself, a body's torque what the motion shows: as much less sharply as that is known.
+    """
+    h = top.hypothesis
+    everywhere = h.effect == "torque_gain" and not h.joint
+    share = limits.blunt if everywhere and other.hypothesis.of_bodies else limits.share
+    return other.behind < limits.tie or top.gain - other.gain < share * abs(top.gain)
