@@ -81,6 +81,20 @@ def test_slides_are_in_metres() -> None:
     assert limits_of(machine)["m/s²"] == [], "what is not known is not drawn"
 
 
+def test_a_reference_of_another_machine_is_told_beside_start(tmp_path: Path) -> None:
+    machine = machine_of(_seen())
+    assert machine is not None
+    port: Any = _Port()
+    for change, met, words in (
+        ({}, True, "was planned for other, not for arm"),
+        ({"unit": "m"}, False, "planned for other and is in m, arm is in rad"),
+    ):
+        made = replace(make_reference("point_to_point", machine), machine="other", **change)
+        found = preflight(_seen(), (made,), (Path("w.mat"),), Setup(), False, Trial(), port)
+        said = [c for c in found if words in c.text + c.advice]
+        assert [c.met for c in said] == [met] and (said[0].warning or not met), found
+
+
 def _look(snapshot: Snapshot, folder: Path, trial: Trial, **settings: Any) -> list[Condition]:
     machine = machine_of(_seen())
     assert machine is not None

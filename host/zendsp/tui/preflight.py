@@ -15,6 +15,7 @@ from zendsp.reference import (
     Limits,
     Machine,
     Reference,
+    check_fits,
     load_machine,
     make_limited,
 )
@@ -22,7 +23,6 @@ from zendsp.tui.playing import Setup, find_player, present_position
 from zendsp.tui.port import Port
 from zendsp.tui.snapshot import Snapshot
 from zendsp.tui.trial import Plan, Trial, make_plan
-from zendsp_protocol.texts import counted
 
 
 @dataclass(frozen=True)
@@ -154,17 +154,17 @@ def _names(files: Sequence[Path]) -> str:
 
 
 def _fits(references: Sequence[Reference], machine: Machine) -> Condition:
+    told = ""
     for reference in references:
-        if reference.joints != machine.joints:
-            return Condition(
-                "within the limits",
-                False,
-                f"planned for {counted(reference.joints, 'joint')}, the machine has"
-                f" {machine.joints}",
-            )
+        try:
+            told = told or check_fits(reference, machine.name, machine.units)
+        except ReferenceError_ as error:
+            return Condition("planned for this machine", False, str(error))
         broken = machine.find_violations(reference)
         if broken:
             return Condition("within the limits", False, str(broken[0]))
+    if told:
+        return Condition(f"within the limits of {machine.name}, but {told}", True, warning=True)
     if not machine.modelled:
         return Condition(
             f"within the limits of position and speed; {UNPREDICTED}", True, warning=True
