@@ -226,6 +226,25 @@ def test_what_is_written_into_a_new_folder_makes_it(target: Target, tmp_path: Pa
     assert "rms e1" in done.stdout, "what was measured is seen"
 
 
+def test_a_joint_outside_its_limit_is_told_until_it_is_back(target: Target) -> None:
+    target.download("pd.c")
+    target.update(radius=1.0, center2=1.4)  # joint 2 is led to 2.4 rad, and trips at 2.15
+    target.start()
+    until(lambda: target.status().trip, "tripped")
+    said = re.compile(
+        r"joint 2 stands at 2\.\d+ rad, 0\.\S+ rad outside its limit of 2\.15 rad: (acknowledge"
+        r" \(zendsp drive acknowledge\), then )?home the machine \(zendsp drive home\)"
+    )
+    for tripped in (True, False):
+        for command in (("info",), ("drive",)):
+            found = said.search(zendsp_(*command).stdout)
+            assert found and bool(found[1]) == tripped, command
+        assert len(answer("info")["outside"]) == 1
+        zendsp_("drive", "acknowledge")
+    assert zendsp_("drive", "home").returncode == 0
+    assert not said.search(zendsp_("info").stdout + zendsp_("drive").stdout)
+
+
 def test_a_planned_motion_is_shown_beside_the_limits() -> None:
     shown = zendsp_("reference", "point_to_point", "--machine", "imi_planar").stdout
     assert "limit    -2.1500     2.1500     6.280     55.00   245.000" in shown

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from textual.app import App, ComposeResult
 
 from zendsp.tui.colours import THEMES
+from zendsp.tui.panels.drive import DrivePanel
 from zendsp.tui.snapshot import Snapshot, TripView
 from zendsp.tui.statusbar import StatusBar, banner_lines
 from zendsp.tui.stop_process import EMERGENCY
@@ -104,3 +107,20 @@ async def test_why_a_target_is_not_reached_is_said_on_the_bar() -> None:
         await pilot.pause()
         first, second = (s.text for s in app.screen._compositor.render_strips()[1:3])
         assert "connecting to imi" in first and why in second
+
+
+async def test_a_joint_outside_its_limit_is_told_on_every_screen_until_it_is_back() -> None:
+    words = "joint 2 stands at 2.2 rad, 0.05 rad outside its limit of 2.15 rad"
+    app = _Bar()
+    async with app.run_test(size=(120, 5)) as pilot:
+        seen = Snapshot(
+            link="up", target="imi", machine="imi", state="paused", drive="homed",
+            outside=(f"{words}: home the machine (zendsp drive home)",),
+        )
+        for shown, there in ((seen, True), (replace(seen, outside=()), False)):
+            app.query_one(StatusBar).show(shown)
+            await pilot.pause()
+            line = app.screen._compositor.render_strips()[1].text
+            assert (words in line) == there
+        told = DrivePanel().flags(seen).plain
+        assert f"{words}: home the machine (h on Console)" in told

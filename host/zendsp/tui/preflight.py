@@ -19,6 +19,7 @@ from zendsp.reference import (
     load_machine,
     make_limited,
 )
+from zendsp.tui.actions import in_keys
 from zendsp.tui.playing import Setup, find_player, present_position
 from zendsp.tui.port import Port
 from zendsp.tui.snapshot import Snapshot
@@ -112,6 +113,7 @@ def preflight(
             s.trip is None and s.drive not in ("stopped", "tripped"),
             "acknowledge with Ctrl+K",
         ),
+        *(Condition(sentence, True, warning=True) for sentence in map(in_keys, s.outside)),
         Condition(
             "drives enabled",
             s.explicit and s.drive in ("enabled", "running"),

@@ -245,6 +245,8 @@ class StatusBar(Widget):
             if len(s.target) + line.cell_len + len(words) > self._line1.size.width:
                 words = words.replace("STOP was requested by", "STOP by")
             line.append(words, Style(color=c["error"], bold=True))
+        elif s.outside:
+            line.append(s.outside[0].partition(":")[0], Style(color=c["error"], bold=True))
         return line
 
     def loop(self, s: Snapshot) -> Text:

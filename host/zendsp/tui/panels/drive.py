@@ -89,6 +89,9 @@ class DrivePanel(Vertical):
         text = Text(no_wrap=True, overflow="ellipsis")
         if s.link in ("lost", "ended"):
             return text
+        for sentence in s.outside:
+            text.append("! ", Style(color=c["error"], bold=True))
+            text.append(f"{in_keys(sentence)}\n", Style(color=c["error"]))
         unmet = [(name, advice) for name, met, advice in s.conditions if not met]
         if s.conditions and not unmet:
             text.append("✔ ", Style(color=c["success"]))
