@@ -129,6 +129,25 @@ class Rejected:
     score: float
 
 
+def not_likelier(gain: float, least: float) -> str:
+    """Why an effect is not claimed that makes a model by less than ``least`` more likely: both are
+    log-likelihoods, its price taken off.
+
+    Examples
+    --------
+    >>> not_likelier(-3.0, 20.0)
+    'no more likely than the calibrated model'
+    >>> not_likelier(7.2, 20.0)
+    'hardly more likely than the calibrated model: log-likelihood +7, and +20 at least is asked for'
+    """
+    if gain <= 0.0:
+        return "no more likely than the calibrated model"
+    return (
+        f"hardly more likely than the calibrated model: log-likelihood {gain:+.0f}, and"
+        f" {least:+.0f} at least is asked for"
+    )
+
+
 @dataclass(frozen=True)
 class FitTable:
     """RMS position error of short free simulations, rad or m: given, calibrated and improved model.

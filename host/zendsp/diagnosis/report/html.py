@@ -28,8 +28,8 @@ SHARE = (
     " small share, however large its torque is."
 )
 NO_INTERVAL = (
-    "<p>No interval of velocity, position, acceleration or command holds more of it than chance"
-    " would.</p>"
+    "No interval of velocity, position, acceleration or command holds more of it than chance"
+    " would."
 )
 CSS = """
 body{font:15px/1.5 system-ui,sans-serif;color:#222;max-width:54rem;margin:2rem auto;padding:0 1rem}
@@ -75,7 +75,8 @@ def page(d: Diagnosis, figures: list[tuple[Chart, Path]]) -> str:
     if d.refinements:
         words = "What improves the fit further, and is not claimed as physics of its own."
         parts += ["<h2>Refinements</h2>", f"<p>{words}</p>", _findings_table(d.refinements)]
-    parts += ["<h2>Where the mismatch lives</h2>", _where(d), _pictures(rest, "where")]
+    where = _pictures(rest, "where")
+    parts += ["<h2>Where the mismatch lives</h2>", _where(d, pictured=bool(where)), where]
     parts += ["<h2>What remains</h2>", _pictures(rest, "white")]
     if d.rejected:
         parts += ["<h2>Rejected rivals</h2>", _rejected(d)]
@@ -185,9 +186,12 @@ def _percent(share: float) -> str:
     return "&lt; 0.5 %" if 0.0 < share < 0.005 else f"{100 * share:.0f} %"
 
 
-def _where(d: Diagnosis) -> str:
+def _where(d: Diagnosis, *, pictured: bool = False) -> str:
     if not d.regions and not d.times:
-        return "<p>Nowhere in particular.</p>"
+        if d.verdict == "complete":
+            return "<p>Nothing is missing that these recordings show, so no place is named.</p>"
+        doubt = " What stands out in the pictures may be chance." if pictured else ""
+        return f"<p>{NO_INTERVAL} Nor does any interval of time.{doubt}</p>"
     rows = [
         "<tr><th>joint<th>variable<th>from … to<th class=n>of the mismatch<th class=n>of the time"
     ]
@@ -202,12 +206,12 @@ def _where(d: Diagnosis) -> str:
     of = d.times_of if len(set(d.times_of)) > 1 else [""] * len(d.times)
     when = escape(spans([(a - begin, b - begin) for a, b in d.times], of, len(d.times)))
     when += f", after {begin:.0f} s" if when and begin else ""
-    table = f"<table>{''.join(rows)}</table>" if d.regions else NO_INTERVAL
+    table = f"<table>{''.join(rows)}</table>" if d.regions else f"<p>{NO_INTERVAL}</p>"
     return f"{table}<p>In time: {when or 'spread evenly'}.</p>"
 
 
 def _rejected(d: Diagnosis) -> str:
-    rows = ["<tr><th>effect<th>joint<th>why not<th class=n>log-likelihood"]
+    rows = ["<tr><th>effect<th>joint<th>why not<th class=n>log-likelihood against what was chosen"]
     rows += [
         f"<tr><td>{escape(r.effect)}<td>{r.joint}<td>{escape(r.why)}<td class=n>{r.score:z.0f}"
         for r in d.rejected
