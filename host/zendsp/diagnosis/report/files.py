@@ -55,7 +55,7 @@ def write_report(
         from zendsp.reference import Reference, save_reference
 
         q, period = d.next_recording.reference
-        reference = Reference(q, period, kind="separating", unit=d.unit)
+        reference = Reference(q, period, kind="separating", unit=d.units)
         save_reference(reference, folder / "next_reference.mat", check=False)
     drawn = charts(d) if pictures else []
     for chart in drawn:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from zendsp.diagnosis.data.sampling import whole_second
 from zendsp.diagnosis.decide.contract import dark, spans
-from zendsp.diagnosis.decide.result import Diagnosis, Finding, FitTable, number
+from zendsp.diagnosis.decide.result import Diagnosis, Errors, Finding, number
 from zendsp.diagnosis.report.chart import Chart
 from zendsp.diagnosis.report.summary import (
     SMALLER,
@@ -104,20 +104,21 @@ def _sentences(d: Diagnosis) -> str:
 
 
 def _untouched(d: Diagnosis) -> str:
-    t = d.test or d.heldout
+    return "".join(_untouched_of(d, e) for e in d.errors)
+
+
+def _untouched_of(d: Diagnosis, e: Errors) -> str:
+    t, begin = e.test, f"<p><b>Untouched recordings{e.of}:</b> RMS position error"
+    floor = f"the sensor alone {e.noise_floor:.2g} {e.unit}.</p>"
     if not d.findings:
-        return (
-            f"<p><b>Untouched recordings:</b> RMS position error {t.calibrated:.3g} {d.unit}; the"
-            f" sensor alone {d.noise_floor:.2g} {d.unit}.</p>"
-        )
+        return f"{begin} {t.calibrated:.3g} {e.unit}; {floor}"
     of, error = before(t.given, t.calibrated, t.improved)
     times = error / t.improved if t.improved > 0 else float("inf")
     smaller = f"{times:.0f}" if times >= 10.0 else f"{times:.2g}"
     told = f" ({smaller} times smaller)" if times >= SMALLER else ""
     return (
-        f"<p><b>Untouched recordings:</b> RMS position error {error:.3g} {d.unit} {of},"
-        f" {t.improved:.3g} {d.unit} with what was found{told}; the sensor alone"
-        f" {d.noise_floor:.2g} {d.unit}.</p>"
+        f"{begin} {error:.3g} {e.unit} {of}, {t.improved:.3g} {e.unit} with what was found{told};"
+        f" {floor}"
     )
 
 
@@ -147,17 +148,23 @@ def _could_not(d: Diagnosis) -> str:
 
 
 def _fit_table(d: Diagnosis) -> str:
-    def row(name: str, t: FitTable) -> str:
-        return (
-            f"<tr><td>{name}<td class=n>{t.given:.3g}<td class=n>{t.calibrated:.3g}<td"
-            f" class=n><b>{t.improved:.3g}</b><td class=n>{d.noise_floor:.3g}"
-        )
+    return "".join(_fit_of(d, e) for e in d.errors)
 
-    head = (
-        f"<tr><th>RMS position error within 0.25 s [{d.unit}]<th class=n>given<th"
-        " class=n>calibrated<th class=n>improved<th class=n>noise floor"
+
+def _fit_of(d: Diagnosis, e: Errors) -> str:
+    rows = "".join(
+        f"<tr><td>{name}<td class=n>{t.given:.3g}<td class=n>{t.calibrated:.3g}<td"
+        f" class=n><b>{t.improved:.3g}</b><td class=n>{e.noise_floor:.3g}"
+        for name, t in (
+            ("recordings of the fit", e.estimation), ("held-out recordings", e.heldout),
+            ("of these, untouched", e.test),
+        )
+    )  # fmt: skip
+    return (
+        f"<table><tr><th>RMS position error within 0.25 s [{e.unit}]{e.of}"
+        f"<th class=n>given<th class=n>calibrated<th class=n>improved<th class=n>noise floor{rows}"
+        "</table>"
     )
-    return f"<table>{head}{row('recordings of the fit', d.estimation)}{row('held-out recordings', d.heldout)}{row('of these, untouched', d.test or d.heldout)}</table>"  # noqa: E501
 
 
 def _colour(d: Diagnosis) -> str:

@@ -147,13 +147,13 @@ def _read(file: Path) -> tuple[Array | None, dict[str, Array]]:
             raise ReferenceError_(
                 f"{file}: column {name} is no finite number in row {row}: mend the file"
             )
-        unit = table.units.get(name, "")
         expected = ("s",) if name == clock else UNITS[_COLUMN.match(name)[1]]  # type: ignore[index]
-        if unit and unit.replace("²", "^2").replace("Nm", "N m") not in expected:
-            raise ReferenceError_(
-                f"{file}: column {name} is in {unit}; a reference has it in"
-                f" {' or '.join(expected)}"
-            )
+        for unit in table.units.get(name, "").split(", "):
+            if unit and unit.replace("²", "^2").replace("Nm", "N m") not in expected:
+                raise ReferenceError_(
+                    f"{file}: column {name} is in {unit}; a reference has it in"
+                    f" {' or '.join(expected)}"
+                )
     return None if clock is None else np.ravel(table[clock]), arrays
 
 
