@@ -406,6 +406,20 @@ def test_ls_tells_that_what_is_elsewhere_may_refuse_a_password() -> None:
         assert said in done.stdout
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        "reference circle --radius 0,15", "reference point_to_point --machine pendulum --goal 0,15",
+        "simulate pd.c --model imi_planar.toml --seconds 0,15",
+        "simulate pd.c --model imi_planar.toml --set Kp1=0,15", "run --seconds 0,15",
+        "target --rate 0,15", "target --speed 0,15", "target --machine-option q1=0,15",
+    ],
+)  # fmt: skip
+def test_a_decimal_comma_is_refused_with_the_number_that_is_meant(words: str) -> None:
+    said = zendsp_(*words.split())
+    assert said.returncode == 2 and "with a decimal point it is 0.15" in said.stderr, said.stderr
+
+
 def test_target_refuses_a_wrong_option_in_one_line() -> None:
     done = zendsp_("target", "--nam", "bench", "--list")
     assert done.returncode == 2
