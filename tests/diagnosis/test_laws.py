@@ -13,6 +13,7 @@ from small_models import COULOMB, VISCOUS, model_of
 
 from zendsp.diagnosis import joints
 from zendsp.diagnosis.decide import absorbed, laws, nameless, patchwork, pieces
+from zendsp.diagnosis.decide.absorbed import _by
 from zendsp.diagnosis.decide.claims import Claim, Decision, unclaimed
 from zendsp.diagnosis.decide.confidence import confidence, least_stated, stated
 from zendsp.diagnosis.decide.notes import bent
@@ -476,3 +477,7 @@ def test_no_inertia_is_known_better_than_simulators_agree(monkeypatch: pytest.Mo
     amount = finding.parameters["amount"]
     assert amount.value == pytest.approx(0.005)
     assert amount.std == pytest.approx(0.002 * 0.025, rel=0.01)
+
+
+def test_what_calibration_makes_of_a_number_is_told_with_its_uncertainty() -> None:
+    assert _by(0.5, 0.25, 0.01, "kg") == "+25 % (from 2 to 2.500 ± 0.010 kg)"

@@ -430,11 +430,11 @@ class Diagnosis:
         lines += [f"  {f.sentence} (confidence {100 * f.confidence:.0f} %)" for f in self.findings]
         if self.unexplained:
             lines.append(f"  {self.unexplained}")
-        shares = ((x.joint, x.share) for x in self.discrepancy)
+        own, shares = self.errors[0], ((x.joint, x.share) for x in self.discrepancy)
         lines += [
             f"  {100 * share:.2g} % of the torque of joint {joint} has no name: more is left than"
             " the error of the sensor"
-            for joint, share in nameless(shares, (self.test or self.heldout).improved, self.noise_floor)
+            for joint, share in nameless(shares, own.test.improved, own.noise_floor)
             if self.verdict == "complete"
         ]
         lines += [
