@@ -419,3 +419,19 @@ def test_joints_that_slide_beside_joints_that_turn_have_units_that_are_known() -
     assert values("q")[0].tolist() == [1e-3, 1.0] and values("q[1]")[0] == 1.0
     odd = replace(made, channels=(replace(made.channels[0], unit="rad, furlong"),))
     assert "furlong" in units_not_known("run", odd, {"position": ["q[0]", "q[1]"]})[0]
+
+
+def test_an_arm_for_a_model_of_one_joint_is_told_which_kinds_have_more() -> None:
+    t = 0.001 * np.arange(4000)
+    q = np.stack([np.sin(3.0 * t), np.sin(5.0 * t)], axis=1)
+    arm = Recording.from_columns({"q": q, "tau": -q}, sample_time=0.001)
+    alone = {
+        "sample_time": 0.001, "mechanism": {"kind": "rotary", "parameters": {"inertia": 0.1}},
+        "columns": {"time": "t", "position": "q", "command": "tau"},
+    }  # fmt: skip
+    words = r'planar2r \(two\), urdf or mjcf.*position = "q\[0\]"'
+    with pytest.raises(RecordingError, match=words):
+        read_signals(arm, parse_model(alone))
+    each = {"time": "t", "position": ["q[0]", "q[1]"], "command": ["tau[0]", "tau[1]"]}
+    notes = read_signals(arm, parse_model({**alone, "columns": each})).notes
+    assert any("takes each joint by itself" in note for note in notes)

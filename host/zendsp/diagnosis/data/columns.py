@@ -160,8 +160,13 @@ def matrix(name: str, label: str, get: Getter, spec: Any, joints: int) -> Array:
         values = np.asarray(get(str(spec)), float)
         values = values[:, None] if values.ndim == 1 else values
     if values.shape[1] != joints:
+        more = (
+            ". Several joints that act on one another are a model of kind planar2r (two), urdf or"
+            f" mjcf (any number); one joint alone is named by its column: {label} ="
+            f' "{names_of(spec)[0].partition("[")[0]}[0]"'
+        )
         raise RecordingError(
             f"{name}: {label} {spec!r} has {counted(values.shape[1], 'column')}; the model has"
-            f" {counted(joints, 'joint')}"
+            f" {counted(joints, 'joint')}{more if values.shape[1] > joints else ''}"
         )
     return values
