@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from html import escape
 from math import ceil, floor, inf, isfinite, log10
+from sys import float_info
 from typing import Any
 
 from zendsp_protocol.values import Packed, from_wire
@@ -76,8 +77,8 @@ def short(value: Any) -> str:
 
     Examples
     --------
-    >>> short(0.1 + 0.2), short(float("nan")), short([1.0, 2.0]), short(None)
-    ('0.3', 'NaN', '[1, 2]', '–')
+    >>> short(0.1 + 0.2), short(float("nan")), short([1.0, -5e-324]), short(None)
+    ('0.3', 'NaN', '[1, 0]', '–')
     """
     if isinstance(value, Packed):
         value = from_wire(value)
@@ -92,7 +93,10 @@ def short(value: Any) -> str:
         return "NaN"
     if isinstance(value, bool):
         return "true" if value else "false"
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        # what a filter that dies away leaves is 0
+        return f"{value:.6g}" if abs(value) >= float_info.min else "0"
+    return str(value)
 
 
 def with_std(value: float, std: float, unit: str = "") -> str:

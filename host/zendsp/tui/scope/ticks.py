@@ -112,4 +112,6 @@ def number(value: float) -> str:
 
 def short(value: float) -> str:
     """Return a measured value with four significant digits."""
-    return f"{value:.4g}" if math.isfinite(value) and value else "0" if value == 0.0 else "—"
+    if abs(value) < sys.float_info.min:
+        return "0"
+    return f"{value:.4g}" if math.isfinite(value) else "—"
