@@ -160,9 +160,10 @@ def _foreign(path: Path, raw: Raw, kind: type[Kind], asked: str | None) -> Kind:
     )
     time = asked or next(times, None)
     if time is None or time not in columns:
+        said = "".join(f" ({note})" for note in raw.notes)
         raise RecordingError(
             f"{path}: has no time column ({asked or ' or '.join(TIMES[:2])}); it has"
-            f" {listing(list(columns))}. Use zendsp.recording.read_table for a table without a time"
+            f" {listing(list(columns))}{said}. Use zendsp.recording.read_table for a table without a time"
             " base"
         )
     t = columns.pop(time)
