@@ -153,7 +153,7 @@ def read_table(path: str | Path, columns: Sequence[str] | None = None) -> Table:
     >>> table["q"], table.units["q"]
     (array([1., 2.]), 'rad')
     """
-    path = Path(path)
+    path = Path(path).expanduser()
     raw = read_raw(path)
     if raw.metadata:
         body, *_ = checked(path, raw)

@@ -45,7 +45,7 @@ def write_report(
     Path
         The folder.
     """
-    folder = Path(out)
+    folder = Path(out).expanduser()
     folder.mkdir(parents=True, exist_ok=True)
     _clear(folder)
     (folder / "model.toml").write_text(_improved_text(d.improved, folder), encoding="utf-8")
