@@ -93,6 +93,7 @@ def test_a_reference_of_another_machine_is_told_beside_start(tmp_path: Path) -> 
         found = preflight(_seen(), (made,), (Path("w.mat"),), Setup(), False, Trial(), port)
         said = [c for c in found if words in c.text + c.advice]
         assert [c.met for c in said] == [met] and (said[0].warning or not met), found
+        assert any("can be played" in c.text for c in found) == met, "told once"
 
 
 def _look(snapshot: Snapshot, folder: Path, trial: Trial, **settings: Any) -> list[Condition]:

@@ -124,3 +124,22 @@ async def test_a_joint_outside_its_limit_is_told_on_every_screen_until_it_is_bac
             assert (words in line) == there
         told = DrivePanel().flags(seen).plain
         assert f"{words}: home the machine (h on Console)" in told
+
+
+@pytest.mark.parametrize("width", [80, 120])
+async def test_no_number_of_a_trip_is_cut_to_another(width: int) -> None:
+    said = (
+        "joint 2: position 2.15015 rad is beyond the limit of 2.15 rad (sample 25082); outputs are"
+        " safe until acknowledged"
+    )
+    seen = Snapshot(
+        link="up", target="imi_planar-23134-49991", machine="imi_planar", state="stopped",
+        drive="tripped", mine=True, trip=TripView("position", 25082, said),
+    )
+    app = _Bar()
+    async with app.run_test(size=(width, 5)) as pilot:
+        app.query_one(StatusBar).show(seen)
+        await pilot.pause()
+        lines = [strip.text for strip in app.screen._compositor.render_strips()[1:3]]
+        assert "▲ tripped" in lines[0]
+        assert "position 2.15015 rad is beyond the limit of 2.15 rad" in lines[1], lines

@@ -25,6 +25,8 @@ from zendsp.tui.port import Port
 from zendsp.tui.snapshot import Snapshot
 from zendsp.tui.trial import Plan, Trial, make_plan
 
+MISFIT = "planned for this machine"
+
 
 @dataclass(frozen=True)
 class Condition:
@@ -99,8 +101,10 @@ def preflight(
         Condition(f"reference chosen{_names(files)}", bool(references), "o chooses; F4 plans one"),
     ]
     if references and machine is not None:
-        found.append(_fits(references, machine))
-        if player is not None and not busy:  # where the arm is now is on the way
+        fits = _fits(references, machine)
+        found.append(fits)
+        if player is not None and not busy and fits.text != MISFIT:
+            # not while a run goes on: where the arm is then is on its way
             plan, playable = _playable(s, references, machine, setup)
             found.append(playable)
             if plan is not None:
@@ -161,7 +165,7 @@ def _fits(references: Sequence[Reference], machine: Machine) -> Condition:
         try:
             told = told or check_fits(reference, machine.name, machine.units)
         except ReferenceError_ as error:
-            return Condition("planned for this machine", False, str(error))
+            return Condition(MISFIT, False, str(error))
         broken = machine.find_violations(reference)
         if broken:
             return Condition("within the limits", False, str(broken[0]))

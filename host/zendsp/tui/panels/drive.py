@@ -102,6 +102,13 @@ class DrivePanel(Vertical):
         if s.host_lost:
             text.append("if the host is lost: ", Style(dim=True))
             text.append(f"{s.host_lost}\n")
+        if s.position and s.described is not None:
+            # by the encoders: a signal of the program is as old as its last sample
+            text.append(f"{'pos':<5}", Style(dim=True))
+            text.append(" ".join(f"{number(q):>9}" for q in s.position))
+            units = [joint.unit for joint in s.described.joints]
+            each = units if len(set(units)) > 1 else units[:1]
+            text.append(f" {', '.join(each)}\n", Style(dim=True))
         for name, unit in (
             ("enc", "counts"),
             ("aout", "mV"),
@@ -118,7 +125,7 @@ class DrivePanel(Vertical):
             )
             # nothing goes out of hardware while it is paused
             held = name == "aout" and s.state == "paused" and any(values)
-            word = f"{unit}, simulated: held with its time" if held else unit
+            word = f"{unit}, held" if held else unit
             text.append(f" {word}\n", Style(dim=True))
         if s.scheduling:
             text.append(s.scheduling, Style(dim=True))
