@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from html import escape
 from math import ceil, floor, inf, isfinite, log10
-from sys import float_info
 from typing import Any
 
 from zendsp_protocol.values import Packed, from_wire
@@ -18,6 +17,7 @@ LANE = 110  # pixels; of each where there are several
 MOST = 8  # curves
 ELEMENTS = 8  # of an array's value
 DIGITS = 7  # of a measured number, at the most: a smaller uncertainty is a formal one
+NOTHING = 1e-30  # smaller, in any unit of a machine, is what a filter that dies away leaves
 
 
 def sentence(text: str) -> str:
@@ -77,7 +77,7 @@ def short(value: Any) -> str:
 
     Examples
     --------
-    >>> short(0.1 + 0.2), short(float("nan")), short([1.0, -5e-324]), short(None)
+    >>> short(0.1 + 0.2), short(float("nan")), short([1.0, -1e-56]), short(None)
     ('0.3', 'NaN', '[1, 0]', '–')
     """
     if isinstance(value, Packed):
@@ -94,8 +94,7 @@ def short(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, float):
-        # what a filter that dies away leaves is 0
-        return f"{value:.6g}" if abs(value) >= float_info.min else "0"
+        return f"{value:.6g}" if abs(value) >= NOTHING else "0"
     return str(value)
 
 

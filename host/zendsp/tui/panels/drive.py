@@ -105,7 +105,7 @@ class DrivePanel(Vertical):
         if s.position and s.described is not None:
             # by the encoders: a signal of the program is as old as its last sample
             text.append(f"{'pos':<5}", Style(dim=True))
-            text.append(" ".join(f"{number(q):>9}" for q in s.position))
+            text.append(" ".join(f"{q:>z9.4f}" for q in s.position))
             units = [joint.unit for joint in s.described.joints]
             each = units if len(set(units)) > 1 else units[:1]
             text.append(f" {', '.join(each)}\n", Style(dim=True))
