@@ -149,7 +149,7 @@ async def test_the_reference_screen_begins_with_the_machine_of_the_target(
         labels = [str(label) for label, _ in screen.query_one("#machine", Select)._options]
         assert labels[0] == "arm (target)" and "imi_planar" in labels
         check = " ".join(str(screen.query_one("#check", Static).render()).split())
-        assert UNPREDICTED in check and "every known limit" in check
+        assert UNPREDICTED in check and "of the others that are known" in check
         plan = screen.plan
         assert plan is not None and plan.reference.machine == "arm"
         file = save_reference(plan.reference, tmp_path / "way", plan.machine)
