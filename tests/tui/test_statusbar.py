@@ -110,7 +110,7 @@ async def test_why_a_target_is_not_reached_is_said_on_the_bar() -> None:
 
 
 async def test_a_joint_outside_its_limit_is_told_on_every_screen_until_it_is_back() -> None:
-    words = "joint 2 stands at 2.2 rad, 0.05 rad outside its limit of 2.15 rad"
+    words = "joint 2 is 0.05 rad outside its limit of 2.15 rad"
     app = _Bar()
     async with app.run_test(size=(120, 5)) as pilot:
         seen = Snapshot(
@@ -123,7 +123,7 @@ async def test_a_joint_outside_its_limit_is_told_on_every_screen_until_it_is_bac
             line = app.screen._compositor.render_strips()[1].text
             assert (words in line) == there
         told = DrivePanel().flags(seen).plain
-        assert f"{words}: home the machine (h on Console)" in told
+        assert f"{words}:\n  home the machine (h on Console)" in told
 
 
 @pytest.mark.parametrize("width", [80, 120])

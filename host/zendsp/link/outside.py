@@ -34,8 +34,7 @@ def outside(status: m.Status, joints: Sequence[m.JointInfo], limits: m.Limits) -
         if not least <= q <= most:
             limit = least if q < least else most
             found.append(
-                f"{joint.name} stands at {q:.4g} {joint.unit}, {abs(q - limit):.2g} {joint.unit}"
-                f" outside its limit of {limit:.4g} {joint.unit}: {first}{BACK}; it may go no"
-                " farther out"
+                f"{joint.name} is {abs(q - limit):.2g} {joint.unit} outside its limit of"
+                f" {limit:.4g} {joint.unit}: {first}{BACK}; it may go no farther out"
             )
     return tuple(found)

@@ -91,7 +91,9 @@ class DrivePanel(Vertical):
             return text
         for sentence in s.outside:
             text.append("! ", Style(color=c["error"], bold=True))
-            text.append(f"{in_keys(sentence)}\n", Style(color=c["error"]))
+            # which and how far, and below it what is to be done: one line has no room for both
+            text.append(in_keys(sentence).replace(": ", ":\n  ", 1), Style(color=c["error"]))
+            text.append("\n")
         unmet = [(name, advice) for name, met, advice in s.conditions if not met]
         if s.conditions and not unmet:
             text.append("✔ ", Style(color=c["success"]))
