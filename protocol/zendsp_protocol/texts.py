@@ -103,6 +103,18 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
+def with_point(text: str) -> str:
+    """What is said of a number with a decimal comma; empty of everything else.
+
+    Examples
+    --------
+    >>> with_point("0,15"), with_point("1,2,3"), with_point("0.15")
+    ('; with a decimal point it is 0.15', '', '')
+    """
+    comma = re.fullmatch(r"\s*([-+]?\d+),(\d+(?:[eE][-+]?\d+)?)\s*", text)
+    return f"; with a decimal point it is {comma[1]}.{comma[2]}" if comma else ""
+
+
 def suspicious(data: bytes) -> bool:
     """Whether encoded text could hold what a terminal obeys: escapes, or what overwrites a line."""
     return len(data.translate(None, _SIGNS)) < len(data)

@@ -17,6 +17,7 @@ LANE = 110  # pixels; of each where there are several
 MOST = 8  # curves
 ELEMENTS = 8  # of an array's value
 DIGITS = 7  # of a measured number, at the most: a smaller uncertainty is a formal one
+NOTHING = 1e-30  # smaller, in any unit of a machine, is what a filter that dies away leaves
 
 
 def sentence(text: str) -> str:
@@ -76,8 +77,8 @@ def short(value: Any) -> str:
 
     Examples
     --------
-    >>> short(0.1 + 0.2), short(float("nan")), short([1.0, 2.0]), short(None)
-    ('0.3', 'NaN', '[1, 2]', '–')
+    >>> short(0.1 + 0.2), short(float("nan")), short([1.0, -1e-56]), short(None)
+    ('0.3', 'NaN', '[1, 0]', '–')
     """
     if isinstance(value, Packed):
         value = from_wire(value)
@@ -92,7 +93,9 @@ def short(value: Any) -> str:
         return "NaN"
     if isinstance(value, bool):
         return "true" if value else "false"
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        return f"{value:.6g}" if abs(value) >= NOTHING else "0"
+    return str(value)
 
 
 def with_std(value: float, std: float, unit: str = "") -> str:

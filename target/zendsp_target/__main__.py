@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, NoReturn
 from zendsp_isr.parts import machine_title
 from zendsp_protocol.errors import ZendspError
 from zendsp_protocol.files_left import need_files
+from zendsp_protocol.texts import with_point
 from zendsp_target.access.admission import settle
 from zendsp_target.access.endpoints import Security
 
@@ -60,6 +61,21 @@ class _Parser(argparse.ArgumentParser):
         self.exit(2, f"zendsp target: {message}; '{self.prog} --help' lists the options\n")
 
 
+def number(text: str) -> float:
+    """A number as typed."""
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number{with_point(text)}") from None
+
+
+def machine_option(text: str) -> str:
+    """KEY=VALUE; a decimal comma would be read as far as the comma."""
+    if point := with_point(text.partition("=")[2]):
+        raise argparse.ArgumentTypeError(f"{text!r} is no number{point}")
+    return text
+
+
 def parser() -> argparse.ArgumentParser:
     """Command line of the target."""
     p = _Parser(
@@ -83,7 +99,8 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument("--name", default="", help="name of the target (default: that of the machine)")
     p.add_argument(
-        "--rate", type=float, default=1000.0, metavar="HZ", help="sample rate in Hz (default: 1000)"
+        "--rate", type=number, default=1000.0, metavar="HZ",
+        help="sample rate in Hz (default: 1000)",
     )
     p.add_argument(
         "--clock", choices=("real", "fast"), default="real", help="fast: as fast as the CPU allows"
@@ -110,7 +127,8 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "--parent", type=int, default=0, metavar="PID", help="end when this parent process ends"
     )
-    p.add_argument("--machine-option", action="append", default=[], metavar="KEY=VALUE",
+    p.add_argument("--machine-option", action="append", type=machine_option, default=[],
+                   metavar="KEY=VALUE",
                    help="setting of the machine, e.g. its start position; may be repeated")
     p.add_argument("--ideal", action="store_true",
                    help="a simulated machine without noise and other imperfections")
@@ -124,15 +142,15 @@ def parser() -> argparse.ArgumentParser:
         "--cpu", type=int, default=-1, help="CPU of the loop (default: the last without another)"
     )
     p.add_argument(
-        "--spin", type=float, default=-1.0, metavar="US",
+        "--spin", type=number, default=-1.0, metavar="US",
         help="waited awake before each sample, in µs (default: 60; 0 on a CPU that is shared)",
     )
     p.add_argument(
-        "--memory", type=float, default=1000.0, metavar="MB",
+        "--memory", type=number, default=1000.0, metavar="MB",
         help="that user code may take (default: 1000)",
     )
     p.add_argument(
-        "--speed", type=float, default=0.0,
+        "--speed", type=number, default=0.0,
         help="fast clock: at most so many machine seconds a second",
     )
     p.add_argument("--managed", action="store_true",

@@ -13,12 +13,13 @@ from small_models import COULOMB, VISCOUS, model_of
 
 from zendsp.diagnosis import joints
 from zendsp.diagnosis.decide import absorbed, laws, nameless, patchwork, pieces
+from zendsp.diagnosis.decide.absorbed import _by
 from zendsp.diagnosis.decide.claims import Claim, Decision, unclaimed
 from zendsp.diagnosis.decide.confidence import confidence, least_stated, stated
 from zendsp.diagnosis.decide.notes import bent
 from zendsp.diagnosis.decide.pieces import may_leave
 from zendsp.diagnosis.decide.remember import remembered
-from zendsp.diagnosis.decide.result import FitTable
+from zendsp.diagnosis.decide.result import Errors, FitTable
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.structure import Structure
@@ -237,8 +238,13 @@ def test_what_only_refined_the_fit_is_held_in_the_model_file() -> None:
 
 
 def test_calibration_that_makes_untouched_recordings_worse_is_told() -> None:
-    assert bent(FitTable(1e-4, 2e-4, 2e-4), 1e-5) and not bent(FitTable(1e-4, 1.2e-4, 1e-4), 1e-5)
-    assert not bent(FitTable(1e-6, 1e-5, 1e-5), 1e-5), "both within the sensor's noise"
+    def told(*errors: float) -> list[str]:
+        table = FitTable(*errors)
+        return bent(Errors("m", (1,), table, table, table, 1e-5))
+
+    assert "(0.0002 m against 0.0001 m)" in told(1e-4, 2e-4, 2e-4)[0]
+    assert not told(1e-4, 1.2e-4, 1e-4)
+    assert not told(1e-6, 1e-5, 1e-5), "both within the sensor's noise"
 
 
 def test_an_exponent_that_is_fitted_at_the_end_does_not_count_against_a_law() -> None:
@@ -471,3 +477,7 @@ def test_no_inertia_is_known_better_than_simulators_agree(monkeypatch: pytest.Mo
     amount = finding.parameters["amount"]
     assert amount.value == pytest.approx(0.005)
     assert amount.std == pytest.approx(0.002 * 0.025, rel=0.01)
+
+
+def test_what_calibration_makes_of_a_number_is_told_with_its_uncertainty() -> None:
+    assert _by(0.5, 0.25, 0.01, "kg") == "+25 % (from 2 to 2.500 ± 0.010 kg)"

@@ -12,7 +12,9 @@ import pytest
 
 import zendsp
 from zendsp.diagnosis import Diagnosis
+from zendsp.diagnosis.report import html
 from zendsp.diagnosis.report.files import write_report
+from zendsp.diagnosis.report.summary import summary
 from zendsp.errors import ModelError, RecordingError
 from zendsp.physics.files.model_file import load_model
 from zendsp.proof.untouched import errors
@@ -179,6 +181,14 @@ def test_a_slide_joint_is_in_newton_and_metres(diagnosed) -> None:  # type: igno
     assert names(d) == {("coulomb", 3)}, d
     level = d.findings[0].parameters["level"]
     assert level.unit == "N" and level.value == pytest.approx(2.5, rel=0.03)
+    turning, sliding = d.errors
+    assert (turning.unit, turning.joints) == ("rad", (1, 2))
+    assert (sliding.unit, sliding.joints) == ("m", (3,))
+    assert sliding.test.improved < 0.5 * sliding.test.calibrated
+    assert turning.test.improved == pytest.approx(turning.test.calibrated, rel=0.2)
+    assert d.report()["fit_other_unit"][0]["unit"] == "m"
+    for told in (summary(d), html._fit_table(d)):
+        assert "[rad]" in told and "[m]" in told and "joints 1, 2" in told and "joint 3" in told
 
 
 def test_the_set_value_of_a_servo_is_no_torque(diagnosed) -> None:  # type: ignore[no-untyped-def]

@@ -21,6 +21,7 @@ from zendsp.cli import main
 from zendsp.diagnosis import diagnose
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.split import split
+from zendsp.diagnosis.decide import decide
 from zendsp.diagnosis.decide.contract import dark
 from zendsp.diagnosis.decide.result import Detectable, Estimate, Finding, number
 from zendsp.diagnosis.measure.curve import Axis, samples_of
@@ -380,11 +381,30 @@ def test_recordings_that_show_nothing_are_to_be_made_again_for_longer(tmp_path: 
 
 
 def test_the_page_does_not_say_nowhere_above_a_picture_with_shaded_spans() -> None:
-    some = SimpleNamespace(regions=(), times=((3.7, 4.2),), times_of=("a",), missing={})
+    some = SimpleNamespace(
+        verdict="missing", regions=(), times=((3.7, 4.2),), times_of=("a",), missing={}
+    )
     text = html._where(some)  # type: ignore[arg-type]
     assert "3.70–4.20 s" in text and "No interval" in text and "Nowhere" not in text
-    none = SimpleNamespace(regions=(), times=(), times_of=(), missing={})
-    assert "Nowhere in particular" in html._where(none)  # type: ignore[arg-type]
+    none = SimpleNamespace(verdict="missing", regions=(), times=(), times_of=(), missing={})
+    for pictured in (True, False):
+        said = html._where(none, pictured=pictured)  # type: ignore[arg-type]
+        assert "No interval" in said and "Nowhere" not in said
+        assert ("the pictures may be chance" in said) == pictured
+    none.verdict = "complete"
+    assert "Nothing is missing" in html._where(none)  # type: ignore[arg-type]
+
+
+def test_no_rejected_rival_with_a_positive_likelihood_is_called_no_more_likely() -> None:
+    rival = SimpleNamespace(effect="stiffness", value=100.0)
+    for deviance, words in ((90.0, "no more likely"), (114.0, "hardly more likely"), (
+        180.0, "is not what is missing")):  # fmt: skip
+        base = SimpleNamespace(deviance=deviance)
+        _, why, score = decide._why(rival, base, (), SimpleNamespace(value=0.1))  # type: ignore[arg-type]
+        assert words in why, why
+        assert (score > 0.0) != ("no more" in why)
+    assert "log-likelihood +7, and +20" in decide._why(  # type: ignore[arg-type]
+        rival, SimpleNamespace(deviance=114.0), (), SimpleNamespace(value=0.1))[1]  # type: ignore[arg-type]
 
 
 def test_a_number_that_rounds_to_nothing_has_no_sign() -> None:

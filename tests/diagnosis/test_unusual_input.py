@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,6 +15,7 @@ from reality import KNOWN, RATE
 
 from zendsp.diagnosis.data import checks
 from zendsp.diagnosis.data.checks import check_excitation, check_motion, check_signals
+from zendsp.diagnosis.data.columns import getter, units_not_known
 from zendsp.diagnosis.data.plausibility import check_driven
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
@@ -23,6 +25,7 @@ from zendsp.errors import RecordingError
 from zendsp.physics.files.model_file import load_model, parse_model
 from zendsp.physics.simulation.control import simulate_loop
 from zendsp.physics.term_numbers import kernel_model
+from zendsp.recording import Recording
 
 Columns = dict[str, np.ndarray]
 
@@ -405,3 +408,30 @@ def test_a_joint_without_a_drive_is_no_mistake_where_another_has_one(
     pole: Any = SimpleNamespace(records=[[silent, silent]])
     with pytest.raises(RecordingError, match="zero throughout"):
         check_motion(pole, model, ["run"])
+
+
+def test_joints_that_slide_beside_joints_that_turn_have_units_that_are_known() -> None:
+    made = Recording.from_columns(
+        {"q": np.ones((5, 2))}, sample_time=0.001, units={"q": "mm, rad"}
+    )
+    assert units_not_known("run", made, {"position": "q"}) == []
+    values = getter(made)[1]
+    assert values("q")[0].tolist() == [1e-3, 1.0] and values("q[1]")[0] == 1.0
+    odd = replace(made, channels=(replace(made.channels[0], unit="rad, furlong"),))
+    assert "furlong" in units_not_known("run", odd, {"position": ["q[0]", "q[1]"]})[0]
+
+
+def test_an_arm_for_a_model_of_one_joint_is_told_which_kinds_have_more() -> None:
+    t = 0.001 * np.arange(4000)
+    q = np.stack([np.sin(3.0 * t), np.sin(5.0 * t)], axis=1)
+    arm = Recording.from_columns({"q": q, "tau": -q}, sample_time=0.001)
+    alone = {
+        "sample_time": 0.001, "mechanism": {"kind": "rotary", "parameters": {"inertia": 0.1}},
+        "columns": {"time": "t", "position": "q", "command": "tau"},
+    }  # fmt: skip
+    words = r'planar2r \(two\), urdf or mjcf.*position = "q\[0\]"'
+    with pytest.raises(RecordingError, match=words):
+        read_signals(arm, parse_model(alone))
+    each = {"time": "t", "position": ["q[0]", "q[1]"], "command": ["tau[0]", "tau[1]"]}
+    notes = read_signals(arm, parse_model({**alone, "columns": each})).notes
+    assert any("takes each joint by itself" in note for note in notes)

@@ -226,6 +226,25 @@ def test_what_is_written_into_a_new_folder_makes_it(target: Target, tmp_path: Pa
     assert "rms e1" in done.stdout, "what was measured is seen"
 
 
+def test_a_joint_outside_its_limit_is_told_until_it_is_back(target: Target) -> None:
+    target.download("pd.c")
+    target.update(radius=1.0, center2=1.4)  # joint 2 is led to 2.4 rad, and trips at 2.15
+    target.start()
+    until(lambda: target.status().trip, "tripped")
+    said = re.compile(
+        r"joint 2 is 0\.\S+ rad outside its limit of 2\.15 rad: (acknowledge"
+        r" \(zendsp drive acknowledge\), then )?home the machine \(zendsp drive home\)"
+    )
+    for tripped in (True, False):
+        for command in (("info",), ("drive",)):
+            found = said.search(zendsp_(*command).stdout)
+            assert found and bool(found[1]) == tripped, command
+        assert len(answer("info")["outside"]) == 1
+        zendsp_("drive", "acknowledge")
+    assert zendsp_("drive", "home").returncode == 0
+    assert not said.search(zendsp_("info").stdout + zendsp_("drive").stdout)
+
+
 def test_a_planned_motion_is_shown_beside_the_limits() -> None:
     shown = zendsp_("reference", "point_to_point", "--machine", "imi_planar").stdout
     assert "limit    -2.1500     2.1500     6.280     55.00   245.000" in shown
@@ -385,6 +404,20 @@ def test_ls_tells_that_what_is_elsewhere_may_refuse_a_password() -> None:
     assert done.returncode == 1
     for said in ("'nobody-*'", "tcp/127.0.0.1:9", "refuses the certificate or password"):
         assert said in done.stdout
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "reference circle --radius 0,15", "reference point_to_point --machine pendulum --goal 0,15",
+        "simulate pd.c --model imi_planar.toml --seconds 0,15",
+        "simulate pd.c --model imi_planar.toml --set Kp1=0,15", "run --seconds 0,15",
+        "target --rate 0,15", "target --speed 0,15", "target --machine-option q1=0,15",
+    ],
+)  # fmt: skip
+def test_a_decimal_comma_is_refused_with_the_number_that_is_meant(words: str) -> None:
+    said = zendsp_(*words.split())
+    assert said.returncode == 2 and "with a decimal point it is 0.15" in said.stderr, said.stderr
 
 
 def test_target_refuses_a_wrong_option_in_one_line() -> None:

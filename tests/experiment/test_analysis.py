@@ -95,7 +95,7 @@ def test_intervals_of_few_measurements_hold_the_truth() -> None:
 
 def test_friction_of_each_direction_is_told_from_a_weight_that_the_model_lacks() -> None:
     rng = np.random.default_rng(6)
-    held = np.zeros(4)
+    held = np.zeros(5)
     truth = np.array([1.5, 0.5, 0.7, 0.4])
     for _ in range(200):
         part = np.repeat(np.arange(12), 10)
@@ -107,7 +107,8 @@ def test_friction_of_each_direction_is_told_from_a_weight_that_the_model_lacks()
         found = fit_friction(Sliding(part, q, speed, torque, 0 * q, 0 * q), weighs=True)
         got = np.array([*found.value["+"][:2], *found.value["-"][:2]])
         half = np.array([*found.value["+"][2:], *found.value["-"][2:]])
-        held += np.abs(got - truth) <= half
+        held[:4] += np.abs(got - truth) <= half
+        held[4] += abs(found.weight - np.abs(weight).max()) <= found.weight_half
         assert np.abs(found.lacking - weight).max() < 0.5
     # 190 of 200 are expected, give or take 3.1
     assert held.min() >= 180 and held.max() <= 199

@@ -122,6 +122,9 @@ def test_friction_of_any_machine_that_takes_torques_is_found(
             # 4: in 35 runs the shoulder had 0.494 ± 0.013, and stated 0.013 to 0.03
             assert abs(slope.value - 0.5) < 4 * slope.std < 0.4
     assert found.values["weight1"].value == 0.0, "its axis is vertical"
+    assert 0.0 < found.values["weight1"].std < 0.3, "and how surely"
+    for cell in (row["weight"] for row in found.tables["friction"]):
+        assert "±" in cell and cell.endswith(" N m"), cell
     assert found.values["weight2"].value > 2.0
     assert len(found.effects) == 6 and found.machine == target.info.machine
 
@@ -139,6 +142,7 @@ def test_the_weight_of_a_slide_is_not_taken_for_friction(tmp_path: Path) -> None
         found = run_experiment("friction", Lab(tmp_path, target)).values
     # 3 kg; a lift of 0.8 m at 0.13 to 0.8 m/s leaves the bristles' creep and noise: 2 %
     assert found["weight1"].value == pytest.approx(29.43, rel=0.02)
+    assert 0.0 < found["weight1"].std < 1.0
     for name, true in (("coulomb1", 6.0), ("viscous1", 20.0), ("coulomb1_pos", 6.0)):
         assert abs(found[name].value - true) < 3 * found[name].std < 0.3 * true, name
 

@@ -353,9 +353,22 @@ def test_equal_gains_are_not_ranked_and_different_ones_are(fast: Target) -> None
     assert [row[0] for row in found.cells()] == ["1999.9", "1999.95", "2000", "2000.05", "2000.1"]
     gains = {"Kp1": [500.0, 1000.0, 2000.0]}
     found = zendsp.sweep(fast, gains, ["e1"], seconds=2.0, settle=1.0)  # one turn
-    assert "rms e1 is least" in repr(found) and "at Kp1 = 2000; the first values" in repr(found)
+    assert "rms e1 is least" in repr(found) and "at Kp1 = 2000; its values" in repr(found)
     assert len(found.rows) == 3 and len(found.again) == 2
     assert found.spread() < 0.05 * found.best()["rms e1"] and found.best_rows() == [2]
+
+
+def test_the_best_of_a_sweep_is_told_where_the_worst_varies_more(fast: Target) -> None:
+    """What repeats badly at gains that err much was taken for the chance of those that err little.
+    """
+    fast.download("pd.c")
+    fast.update(turn_time=2.0)
+    fast.start()
+    until(lambda: fast.status().t > 2.0, "the arm is on its circle")
+    found = zendsp.sweep(fast, {"Kp1": [300.0, 1500.0, 4000.0]}, ["e1"], seconds=0.3, settle=0.2)
+    assert found.again_of == found.best_row() == 2
+    least = found.best()["rms e1"]
+    assert all(row["rms e1"] < 3.0 * least for row in found.again), "it is that one, again"
 
 
 @pytest.mark.parametrize(("second", "rows"), [(0.0041, [0, 1]), (0.0049, [0])])

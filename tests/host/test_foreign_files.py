@@ -105,6 +105,34 @@ def test_a_log_with_dates_and_words_is_read_without_the_words(tmp_path: Path) ->
     assert Recording.load(path).t[-1] == pytest.approx(0.002)
 
 
+@pytest.mark.parametrize("decimal", [",", "."])
+def test_days_that_come_first_are_dates_and_those_that_may_not_are_told(
+    tmp_path: Path, decimal: str
+) -> None:
+    path, cell = tmp_path / "log.csv", ";" if decimal == "," else ","
+    rows = [("31.1.2026 23:59:59.998", "0.1"), ("01.02.2026 00:00:00.000", "0.2"),
+            ("01.02.2026 00:00:00.002", "0.3")]  # fmt: skip
+    for slashes in (False, True):
+        lines = [
+            f"{stamp[: stamp.index(' ')]}{stamp[stamp.index(' ') :].replace('.', decimal)}{cell}"
+            f"{number.replace('.', decimal)}"
+            for stamp, number in rows
+        ]
+        if slashes:
+            lines = [
+                f"{line.partition(' ')[0].replace('.', '/')} {line.partition(' ')[2]}"
+                for line in lines
+            ]
+        path.write_text("\n".join([f"Zeit{cell}q [rad]", *lines]) + "\n")
+        if slashes:
+            with pytest.raises(RecordingError, match=r"dates, of which 2026-02-01 12:00:00\.5 is"):
+                Recording.load(path)
+        else:
+            table = read_table(path)
+            np.testing.assert_allclose(table["Zeit"], [0.0, 0.002, 0.004], atol=1e-9)
+            np.testing.assert_allclose(table["q"], [0.1, 0.2, 0.3])
+
+
 def test_time_stamps_of_parquet_are_seconds(tmp_path: Path) -> None:
     pyarrow = pytest.importorskip("pyarrow")
     parquet = pytest.importorskip("pyarrow.parquet")

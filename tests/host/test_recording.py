@@ -12,8 +12,10 @@ import pytest
 
 from zendsp import local
 from zendsp.errors import RecordingError
+from zendsp.link.parameters import ParameterSet
 from zendsp.recording import ParameterChange, Recording, read_table
 from zendsp.recording.cut import read_parts
+from zendsp.reference import Reference, load_reference, save_reference
 
 
 @pytest.fixture
@@ -310,3 +312,24 @@ def test_cut_writes_over_no_file_unless_told(
     assert status == 2 and "--force" in said and run.read_bytes() == before
     status, *_ = typed("cut", run, "--to", 0.3, "-o", run, "--force")
     assert status == 0 and len(Recording.load(run)) == 30
+
+
+def test_a_tilde_is_the_home_folder_and_missing_folders_are_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A folder that is called ``~`` in the folder of the work is nowhere that anybody looks."""
+    home, here = tmp_path / "home", tmp_path / "here"
+    here.mkdir()
+    monkeypatch.setenv("HOME", str(home))
+    monkeypatch.chdir(here)
+    made = Recording.from_columns({"q": np.arange(5.0)}, sample_time=0.001)
+    made.save("~/runs/today/a.mat")
+    made.plot(["q"], "~/pictures/a.png")
+    save_reference(Reference(np.zeros(3), 0.001), "~/references/rest")
+    ParameterSet({"Kp": 1.0}).save("~/sets/good.json")
+    assert list(here.iterdir()) == []
+    assert sorted(p.name for p in home.rglob("*.*")) == ["a.mat", "a.png", "good.json", "rest.mat"]
+    assert len(Recording.load("~/runs/today/a.mat")) == 5
+    assert read_table("~/runs/today/a.mat")["q"][4] == 4.0
+    assert load_reference("~/references/rest.mat").samples == 3
+    assert ParameterSet.load("~/sets/good.json").values == {"Kp": 1.0}

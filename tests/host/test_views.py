@@ -17,6 +17,8 @@ from zendsp.link import Target, local
 from zendsp.physics import parse_model
 from zendsp.recording import Recording, Table
 from zendsp.reference import load_machine
+from zendsp.tui.scope import ticks
+from zendsp_protocol.views import short
 
 
 def _diagnosis() -> Diagnosis:
@@ -150,3 +152,8 @@ def test_what_a_target_lists_is_a_table_at_a_prompt_and_in_a_notebook() -> None:
         reading = target.read(["Kp1", "q"])
         assert repr(reading).startswith(f"<Reading of sample {reading.tick}: Kp1 400, q [")
         assert "<td>Kp1</td><td>400</td>" in reading._repr_html_()
+
+
+def test_what_a_filter_that_dies_away_leaves_is_nothing() -> None:
+    assert short(5e-324) == ticks.short(-3e-310) == ticks.number(5e-324) == "0"
+    assert short([1e-20, -1e-56]) == "[1e-20, 0]"

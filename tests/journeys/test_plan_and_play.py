@@ -58,7 +58,7 @@ def test_default_motions_do_not_trip_the_default_program(
 
 
 REHEARSE = r"""
-import subprocess, sys
+import dataclasses, subprocess, sys
 import zendsp
 from zendsp.reference import make_reference, save_reference
 
@@ -67,11 +67,17 @@ save_reference(make_reference("point_to_point", "imi_planar", duration=0, headro
 target = zendsp.connect()
 target.download("pd.c")
 before = target.status().tick
-for name, expected in (("gentle.mat", 0), ("hasty.mat", 1)):
+save_reference(make_reference("point_to_point", "wam7"), "wam.mat")
+other = dataclasses.replace(zendsp.reference.load_reference("gentle.mat"), machine="other")
+save_reference(other, "other.mat")
+meant = {"wam.mat": "was planned for wam7 and has 7 joints, imi_planar has 2",
+         "other.mat": "was planned for other, not for imi_planar"}
+for name, expected in (("gentle.mat", 0), ("hasty.mat", 1), ("wam.mat", 2), ("other.mat", 0)):
     said = subprocess.run(["zendsp", "rehearse", name], capture_output=True, text=True)
     print(name, said.returncode, said.stdout, said.stderr)
     assert said.returncode == expected, name
-    if expected:
+    assert meant.get(name, "") in said.stderr and bool(said.stderr) == (name in meant), name
+    if expected == 1:
         for word in ("in the simulation", "exceeds the limit of", " s, ", "headroom"):
             assert word in said.stdout, word
 assert target.status().tick == before and target.status().trip is None

@@ -10,7 +10,7 @@ from benches import MODELS, STRICT, effect, every_effect, rotary, two_joints
 
 from zendsp.physics import compensation, load_model, simulate
 from zendsp.physics.codegen.terms import compensable
-from zendsp.physics.model import Actuator
+from zendsp.physics.model import Actuator, Quantity, Term
 from zendsp.reference import Reference
 from zendsp_isr.build import source_root
 
@@ -160,3 +160,34 @@ def test_joint_pd_takes_a_compensation_that_lies_beside_it() -> None:
         error[share] = float(np.sqrt(np.mean(rec["e"][2500:] ** 2)))
     # its integral does a part of it; what is left: a sign taken late, a sample of delay
     assert error[1.0] < 0.5 * error[0.0], error
+
+
+@pytest.mark.parametrize(
+    ("name", "machine", "joint", "level"),
+    [("wam_pd_gravity.c", "wam7", 4, 3.0), ("inverse_dynamics.c", "imi_planar", 2, 3.0)],
+)
+def test_the_programs_of_both_arms_take_a_compensation_too(
+    name: str, machine: str, joint: int, level: float
+) -> None:
+    """Friction that the arm lacks in its model: found, it goes out of the tracking error."""
+    model = load_model(MODELS / f"{machine}.toml")
+    found = Term("coulomb", joint, {"level": Quantity(level)})
+    rubbed = model.with_terms((*(t for t in model.terms if t.joint != joint), found))
+    own = {
+        file.name: file.read_text()
+        for file in (source_root() / "programs").iterdir()
+        if file.name in (name, "motion.h", "wam_gravity.h")
+    }
+    texts = {**own, "compensation.c": compensation([found], actuator=model.actuator)}
+    t = 0.001 * np.arange(3000)
+    rows = np.zeros((3000, model.joints))
+    rows[:, joint - 1] = 1.0 + 0.3 * np.sin(2.5 * t)
+    error = {}
+    for share in (0.0, 1.0):
+        rec = simulate(
+            texts, rubbed, reference=Reference(rows, 0.001),
+            parameters={"comp_share": share, "approach_time": 0.2},
+        )  # fmt: skip
+        error[share] = float(np.sqrt(np.mean(rec["e"][700:3200, joint - 1] ** 2)))
+    # what is left: a sign taken late, a sample of delay
+    assert error[1.0] < 0.4 * error[0.0], error

@@ -337,8 +337,19 @@ def test_joints_that_slide_are_of_the_machine_not_of_the_program(tmp_path: Path)
     units = {"q": "rad", "tau": "N m"}
     made = Recording.from_columns(both, sample_time=STEP, units=units, extra={"machine": told})
     path = made.save(tmp_path / "both.mat")
-    asked = draft_model(read_table(path), machine=machine_of(path, tmp_path)).questions
-    assert any("rail slides, wrist turns" in question for question in asked)
+    draft = draft_model(read_table(path), machine=machine_of(path, tmp_path))
+    assert any("rail slides, wrist turns" in question for question in draft.questions)
+    assert 'command = "tau"                        # N, N m' in draft.text
+    assert "# m, rad per count" in draft.text and "N, N m per unit of command" in draft.text
+    assert "unit = " not in draft.text.partition("[actuator]")[2], "one stands for both"
+    made = replace(made, channels=tuple(
+        replace(c, unit={"q": "m, rad", "tau": "N, N m"}[c.name]) for c in made.channels
+    ))  # fmt: skip
+    for name in ("both.csv", "both.mat"):
+        read = read_table(made.save(tmp_path / name))
+        assert (read.units["q"], read.units["tau"]) == ("m, rad", "N, N m")
+        asked = draft_model(read).questions
+        assert any("Joints that slide beside joints that turn" in question for question in asked)
 
 
 def test_the_drives_limit_is_known_where_the_program_left_out_the_unit(tmp_path: Path) -> None:

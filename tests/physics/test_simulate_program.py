@@ -10,11 +10,17 @@ import pytest
 from click.testing import CliRunner
 
 from zendsp.cli.simulate import command
-from zendsp.errors import AcquisitionError, CompileFailed, ModelError, RunnerDied, VariableError
+from zendsp.errors import (
+    AcquisitionError,
+    CompileFailed,
+    ReferenceError_,
+    RunnerDied,
+    VariableError,
+)
 from zendsp.physics import load_model, simulate
 from zendsp.physics.simulation.program import compile_program
 from zendsp.recording import Recording
-from zendsp.reference import load_machine, make_circle, save_reference
+from zendsp.reference import Reference, load_machine, make_circle, save_reference
 from zendsp_target.api import AcquireConfig
 from zendsp_target.runtime import Runtime
 
@@ -137,7 +143,7 @@ def test_what_is_wrong_is_said_as_a_target_says_it(pendulum: object) -> None:
             simulate(ok, pendulum, parameters=values)  # type: ignore[arg-type]
     with pytest.raises(AcquisitionError, match="no channel 'x'"):
         simulate(ok, pendulum, channels=["x"])  # type: ignore[arg-type]
-    with pytest.raises(ModelError, match="the reference 2"):
+    with pytest.raises(ReferenceError_, match="has 2 joints, pendulum has 1"):
         simulate("inverse_dynamics.c", pendulum,
             reference=make_circle(load_machine("imi_planar"), radius=0.1))  # type: ignore[arg-type]
 
@@ -160,7 +166,11 @@ def test_the_command_line_simulates_checks_the_step_and_writes(tmp_path: Path) -
         ],
     )
     assert done.exit_code == 0, done.output
-    assert "step check: settled" in done.output
+    assert re.search(
+        r"step check: settled at \d+ steps a sample; halving it changes positions by \S+ rad at the"
+        r" most \(joint [12]\)",
+        done.output,
+    )
     assert Recording.load(out)["q"].shape == (500, 2)
 
 
@@ -194,6 +204,19 @@ def test_a_run_that_leaves_the_models_positions_says_where(tmp_path: Path) -> No
     assert len(told) == 1 and told[0].startswith("joint 2 leaves its limits: 0.9"), told
     assert "allowed -0.5 … 0.5 rad" in told[0] and "--position" in told[0]
     assert not simulate("pd.c", narrow, seconds=0.1).extra["simulation"]["beyond"]
+
+
+def test_the_reference_of_another_machine_is_told_or_refused(tmp_path: Path) -> None:
+    arm = str(MODELS / "imi_planar.toml")
+    for machine, words in (
+        ("wam7", "the reference was planned for wam7 and has 7 joints, imi_planar has 2"),
+        ("other", "zendsp: the reference was planned for other, not for imi_planar: its limits"),
+    ):
+        joints = 7 if machine == "wam7" else 2
+        file = tmp_path / f"{machine}.mat"
+        save_reference(Reference(np.zeros((50, joints)), 0.001, machine=machine), file, check=False)
+        done = CliRunner().invoke(command, ["pd.c", "--model", arm, "--reference", str(file)])
+        assert words in f"{done.output}{done.exception}" and bool(done.exit_code) == (joints == 7)
 
 
 def test_seven_joints_follow_under_gravity_compensation() -> None:

@@ -20,6 +20,7 @@ from zendsp.reference import (
     KINDS,
     MACHINES,
     Reference,
+    check_fits,
     inverse_kinematics,
     load_machine,
     load_reference,
@@ -389,3 +390,29 @@ def test_the_example_in_the_help_of_each_kind_runs(
     assert words[:3] == ["zendsp", "reference", kind]
     said = CliRunner().invoke(command, words[2:])
     assert said.exit_code == 0 and (tmp_path / f"{kind}.png").exists(), said.output
+
+
+def test_a_reference_of_another_machine_is_refused_or_told(tmp_path: Path) -> None:
+    slide = tmp_path / "slide.toml"
+    slide.write_text(
+        'name = "slide"\nkind = "limits"\nunit = "m"\njoints = 1\nsample_time = 0.001\n'
+        "home = [0.0]\n[limits]\nposition_min = [-1]\nposition_max = [1]\nspeed = [1.0]\n"
+        "acceleration = [9.0]\ntorque = [20.0]\n"
+    )
+    moved = make_reference("point_to_point", load_machine(str(slide)), goal="0.2")
+    assert moved.unit == "m"
+    with pytest.raises(ReferenceError_, match=r"planned for slide and is in m, pendulum is in rad"):
+        load_machine("pendulum").check(moved)
+    with pytest.raises(ReferenceError_, match=r"imi_planar and has 2 joints, wam7 has 7: choose"):
+        load_machine("wam7").check(make_reference("circle", "imi_planar"))
+    told = check_fits(replace(moved, machine="other"), "slide", ["m"])
+    assert told.startswith("the reference was planned for other, not for slide: its limits")
+    assert "says rad, slide is in m" in check_fits(Reference(moved.q, 0.001), "slide", ["m"])
+    assert not check_fits(moved, "slide", ["m"])
+
+    file = str(save_reference(moved, tmp_path / "moved.mat"))
+    shown = CliRunner().invoke(command, ["show", file, "--machine", str(slide)])
+    assert "q max m" in shown.output and "rad" not in shown.output, shown.output
+    with pytest.raises(ReferenceError_, match="is in m, pendulum is in rad"):
+        make_from_file(load_machine("pendulum"), path=file)
+    assert make_from_file(replace(load_machine(str(slide)), name="b"), path=file).machine == "b"

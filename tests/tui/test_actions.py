@@ -328,7 +328,7 @@ async def test_how_a_run_ended_is_seen_before_the_errors_of_seven_joints(app: Ze
         await pilot.press("f3")
         await pilot.pause()
         columns = [str(c.label) for c in app.screen.query_one("#runs", DataTable).ordered_columns]
-        assert columns.index("outcome") < columns.index("rms e")
+        assert columns.index("outcome") < columns.index("worst rms")
 
 
 @pytest.mark.parametrize("width", [80, 84, 88, 100, 140, 142, 144, 200])
@@ -343,7 +343,7 @@ async def test_no_number_of_the_list_of_runs_is_cut_to_another(app: ZendspApp, w
         table = app.screen.query_one("#runs", DataTable)
         rows = [table.get_row_at(k) for k in range(table.row_count)]
         whole = {word for row in rows for cell in row for word in str(cell).split()}
-        assert {"0.0043", "0.0041"} < whole
+        assert {"0.0043", "e[0]"} < whole
         cut = 0
         for x in range(0, 40, 3):
             table.scroll_to(x=x, animate=False)

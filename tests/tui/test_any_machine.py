@@ -81,6 +81,21 @@ def test_slides_are_in_metres() -> None:
     assert limits_of(machine)["m/s²"] == [], "what is not known is not drawn"
 
 
+def test_a_reference_of_another_machine_is_told_beside_start(tmp_path: Path) -> None:
+    machine = machine_of(_seen())
+    assert machine is not None
+    port: Any = _Port()
+    for change, met, words in (
+        ({}, True, "was planned for other, not for arm"),
+        ({"unit": "m"}, False, "planned for other and is in m, arm is in rad"),
+    ):
+        made = replace(make_reference("point_to_point", machine), machine="other", **change)
+        found = preflight(_seen(), (made,), (Path("w.mat"),), Setup(), False, Trial(), port)
+        said = [c for c in found if words in c.text + c.advice]
+        assert [c.met for c in said] == [met] and (said[0].warning or not met), found
+        assert any("can be played" in c.text for c in found) == met, "told once"
+
+
 def _look(snapshot: Snapshot, folder: Path, trial: Trial, **settings: Any) -> list[Condition]:
     machine = machine_of(_seen())
     assert machine is not None
@@ -134,7 +149,7 @@ async def test_the_reference_screen_begins_with_the_machine_of_the_target(
         labels = [str(label) for label, _ in screen.query_one("#machine", Select)._options]
         assert labels[0] == "arm (target)" and "imi_planar" in labels
         check = " ".join(str(screen.query_one("#check", Static).render()).split())
-        assert UNPREDICTED in check and "every known limit" in check
+        assert UNPREDICTED in check and "of the others that are known" in check
         plan = screen.plan
         assert plan is not None and plan.reference.machine == "arm"
         file = save_reference(plan.reference, tmp_path / "way", plan.machine)

@@ -246,6 +246,21 @@ async def test_the_model_of_another_machine_is_not_taken(tmp_path: Path, until: 
         assert Path(screen.model).parent == tmp_path
 
 
+async def test_the_model_follows_the_machine_that_was_recorded_until_one_is_chosen(
+    tmp_path: Path, until: Until
+) -> None:
+    recording = Recording.from_columns({"q": np.zeros(100)}, 1e-3, units={"q": "rad"})
+    store_run(tmp_path / "runs", "circle", replace(recording, machine="imi_planar"))
+    async with _alone(tmp_path, until) as (_, screen):
+        assert Path(screen.model).name == "imi_planar.toml"
+        store_run(tmp_path / "runs", "reach", replace(recording, machine="wam7"))
+        screen.fill()
+        assert Path(screen.model).name == "wam7.toml", "the other's would be refused"
+        screen._take_model(str(Path(screen.model).with_name("imi_planar.toml")))
+        screen.fill()
+        assert Path(screen.model).name == "imi_planar.toml", "as it was chosen"
+
+
 @pytest.mark.covers("diagnose.use")
 async def test_the_last_motion_is_marked_and_others_can_be_held_out(
     tmp_path: Path, until: Until

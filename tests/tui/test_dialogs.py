@@ -313,3 +313,17 @@ async def test_what_a_dialog_says_below_its_list_is_seen_in_24_rows(
         assert box.region.bottom <= 24 and dialog.query_one(".long").size.height >= 8
         await pilot.resize_terminal(80, 60)
         await until(pilot, lambda: dialog.query_one(".long").size.height >= 16, "room is used")
+
+
+async def test_a_switch_says_in_words_what_it_is_at(app: ZendspApp, until: Until) -> None:
+    async with app.run_test(size=(80, 24)) as pilot:
+        app.push_screen(Form("f", [Field("home", "Go home after", True)]))
+        await pilot.pause()
+
+        def row() -> str:
+            lines = [strip.text for strip in app.screen._compositor.render_strips()]
+            return next(line for line in lines if "Go home after" in line)
+
+        await until(pilot, lambda: "● yes" in row(), "without a colour")
+        await pilot.press("space")
+        await until(pilot, lambda: "○ no" in row(), "switched")

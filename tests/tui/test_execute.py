@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from steps import Step, Until, opened, short_run, slow_circle
-from textual.widgets import Button, Input, OptionList
+from textual.widgets import Button, DataTable, Input, OptionList
 from waiting import PATIENCE_S
 from waiting import until as wait_for
 
@@ -168,6 +168,8 @@ async def test_a_reference_is_played_and_the_run_can_be_repeated(
         away = np.abs(np.stack((recording["r1"], recording["r2"]), axis=1)[:n] - two[:n]).max()
         assert away < 3e-3  # one sample of shift at 1.4 rad/s is 1.4e-3 rad
         assert run.errors and max(run.errors.values()) < 0.1
+        said = next(e.text for e in lab.session.events.since(0)[1] if "run complete" in e.text)
+        assert all(f"{name} {value:.3g} rad" in said for name, value in run.errors.items())
 
         await pilot.press("space")
         await pilot.pause()
@@ -436,3 +438,24 @@ async def test_a_motion_that_trips_in_its_rehearsal_moves_nothing(
         status = target.status()
         assert status.state == "paused" and status.trip is None and not target["use_table"]
         assert not list_runs(folder / "runs")
+
+
+async def test_of_seven_joints_the_worst_is_listed_and_drawn_and_all_are_told(
+    lab: ZendspApp, until: Until
+) -> None:
+    size = {3: 0.02, 5: 0.03}
+    errors = {f"e[{k}]": np.full(50, size.get(k, 0.001)) for k in range(7)}
+    made = Recording.from_columns(errors, 1e-3, units=dict.fromkeys(errors, "rad"))
+    store_run(lab.workspace.runs, "reach", made)
+    async with lab.run_test(size=(120, 36)) as pilot:
+        await pilot.press("f3")
+        screen = lab.screen
+        await until(pilot, lambda: screen.query_one("#runs", DataTable).row_count, "listed")
+        row = screen.query_one("#runs", DataTable).get_row_at(0)
+        assert "0.03 rad e[5]" in [str(cell) for cell in row]
+        told = str(screen.query_one("#progress").render())  # of the marked run
+        assert all(f"e[{k}] {size.get(k, 0.001):g} rad" in told for k in range(7)), told
+        await pilot.press("space")
+        await pilot.pause()
+        names = [c.name for c in screen.query_one("#run-preview", Scope).channels]
+        assert names == ["reach e[3]", "reach e[5]"]

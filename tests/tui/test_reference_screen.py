@@ -11,7 +11,14 @@ import pytest
 from steps import Until, nobody
 from textual.widgets import Button, Input, Select, Static
 
-from zendsp.reference import KINDS, load_machine, load_reference, make_reference, save_reference
+from zendsp.reference import (
+    KINDS,
+    Reference,
+    load_machine,
+    load_reference,
+    make_reference,
+    save_reference,
+)
 from zendsp.tui.app import ZendspApp
 from zendsp.tui.preview import views_of
 from zendsp.tui.scope import Scope
@@ -181,6 +188,12 @@ def test_peaks_are_shares_of_the_machine_s_limits() -> None:
     share, words = lines[1][1]
     assert share == pytest.approx(float(np.abs(reference.qd[:, 0]).max()) / 6.28)
     assert "rad/s" in words
+    # a range that is not about zero: the lower end of -0.9 … 3.1 rad is as near as the upper one
+    arm, rows = load_machine("wam7"), np.tile(load_machine("wam7").home, (50, 1))
+    rows[:, 3] = np.linspace(arm.limits.position_min[3], 0.0, 50)
+    at_the_end = peaks_of(arm, Reference(rows, 0.001, machine="wam7"), None, brief=True)[0]
+    assert at_the_end[1] == (pytest.approx(1.0), " 100 % at most, joint 4"), at_the_end
+    assert len(at_the_end) == 2, "seven numbers do not fit beside the form of 80 columns"
 
 
 def test_saving_checks_the_limits_below_the_screen_as_well(tmp_path: Path) -> None:

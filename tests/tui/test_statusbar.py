@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from textual.app import App, ComposeResult
 
 from zendsp.tui.colours import THEMES
+from zendsp.tui.panels.drive import DrivePanel
 from zendsp.tui.snapshot import Snapshot, TripView
 from zendsp.tui.statusbar import StatusBar, banner_lines
 from zendsp.tui.stop_process import EMERGENCY
@@ -104,3 +107,39 @@ async def test_why_a_target_is_not_reached_is_said_on_the_bar() -> None:
         await pilot.pause()
         first, second = (s.text for s in app.screen._compositor.render_strips()[1:3])
         assert "connecting to imi" in first and why in second
+
+
+async def test_a_joint_outside_its_limit_is_told_on_every_screen_until_it_is_back() -> None:
+    words = "joint 2 is 0.05 rad outside its limit of 2.15 rad"
+    app = _Bar()
+    async with app.run_test(size=(120, 5)) as pilot:
+        seen = Snapshot(
+            link="up", target="imi", machine="imi", state="paused", drive="homed",
+            outside=(f"{words}: home the machine (zendsp drive home)",),
+        )
+        for shown, there in ((seen, True), (replace(seen, outside=()), False)):
+            app.query_one(StatusBar).show(shown)
+            await pilot.pause()
+            line = app.screen._compositor.render_strips()[1].text
+            assert (words in line) == there
+        told = DrivePanel().flags(seen).plain
+        assert f"{words}:\n  home the machine (h on Console)" in told
+
+
+@pytest.mark.parametrize("width", [80, 120])
+async def test_no_number_of_a_trip_is_cut_to_another(width: int) -> None:
+    said = (
+        "joint 2: position 2.15015 rad is beyond the limit of 2.15 rad (sample 25082); outputs are"
+        " safe until acknowledged"
+    )
+    seen = Snapshot(
+        link="up", target="imi_planar-23134-49991", machine="imi_planar", state="stopped",
+        drive="tripped", mine=True, trip=TripView("position", 25082, said),
+    )
+    app = _Bar()
+    async with app.run_test(size=(width, 5)) as pilot:
+        app.query_one(StatusBar).show(seen)
+        await pilot.pause()
+        lines = [strip.text for strip in app.screen._compositor.render_strips()[1:3]]
+        assert "▲ tripped" in lines[0]
+        assert "position 2.15015 rad is beyond the limit of 2.15 rad" in lines[1], lines

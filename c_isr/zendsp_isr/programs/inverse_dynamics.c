@@ -6,8 +6,17 @@
  * Friction, where `compensate` is on, is the two sliding regions of the fast-prototyping paper: a
  * cubic below the speed `split`, a parabola above, the same for both directions. Its speed is that
  * of the reference: it does not chatter, and it knows the reversal.
+ *
+ * A compensation.c beside this file, as `zendsp diagnose --out` writes it, is added to the command,
+ * along the reference, as in pd.c; leave `compensate` off where it has friction.
  */
 #include "isr.h"
+#if __has_include("compensation.c")
+#include "compensation.c"
+#else
+#define CompensationInit() ((void)0)
+#define Compensation(joint, pos, vel, acc, torque) 0.0
+#endif
 #define N 2
 #include "motion.h"
 
@@ -23,6 +32,7 @@ static double still;
 static double tau[N], friction[N];
 
 void UserInit(void) {
+    CompensationInit();
     MotionInit();
     MotionHolds();
     PARAMETER_ARRAY(Kp, "1/s^2", 0.0, 10000.0, "position gain");
@@ -61,8 +71,10 @@ void UserISR_INT2(void) {
     const double c = p3 * cos(q[1]), s = p3 * sin(q[1]);
     tau[0] = (p1 + 2.0 * c) * a1 + (p2 + c) * a2 - s * qd[1] * (2.0 * qd[0] + qd[1]) + friction[0];
     tau[1] = (p2 + c) * a1 + p2 * a2 + s * qd[0] * qd[0] + friction[1];
-    WRITE_TORQUE(0, tau[0]);
-    WRITE_TORQUE(1, tau[1]);
+    for (int32_t j = 0; j < N; j++) {
+        tau[j] += Compensation(j, r, rd, rdd, tau[j]);
+        WRITE_TORQUE(j, tau[j]);
+    }
 }
 
 void UserBackground(void) {}

@@ -2,8 +2,17 @@
  * follows the table ref.
  *
  *     tau = Kp (r - q) + Kd (rd - qd) + g(q)
+ *
+ * A compensation.c beside this file, as `zendsp diagnose --out` writes it, is added to the command,
+ * along the reference, as in pd.c.
  */
 #include "isr.h"
+#if __has_include("compensation.c")
+#include "compensation.c"
+#else
+#define CompensationInit() ((void)0)
+#define Compensation(joint, pos, vel, acc, torque) 0.0
+#endif
 #define N 7
 #define MOTION_APPROACH 4.0 /* s: a joint may have 3 rad to go, and the drives allow 3 rad/s */
 #define MOTION_SPEED 2.0
@@ -18,6 +27,7 @@ static double share; /* of the gravity torque that acts */
 static double g[N], tau[N];
 
 void UserInit(void) {
+    CompensationInit();
     MotionInit();
     MotionHolds();
     PARAMETER_ARRAY(Kp, "N m/rad", 0.0, 10000.0, "position gain");
@@ -33,7 +43,8 @@ void UserISR_INT2(void) {
     WamGravity(q, g);
     share = MotionShare(share, compensate);
     for (int32_t j = 0; j < N; j++) {
-        const double wanted = Kp[j] * e[j] + Kd[j] * (rd[j] - qd[j]) + share * g[j];
+        double wanted = Kp[j] * e[j] + Kd[j] * (rd[j] - qd[j]) + share * g[j];
+        wanted += Compensation(j, r, rd, rdd, wanted);
         tau[j] = wanted > limit[j] ? limit[j] : wanted < -limit[j] ? -limit[j] : wanted;
         WRITE_TORQUE(j, tau[j]);
     }

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 from zendsp.cli.lines import fitted
 from zendsp.errors import ZendspError
 from zendsp_protocol.errors import nearest
-from zendsp_protocol.texts import shown
+from zendsp_protocol.texts import shown, with_point
 
 LEAST_MEMORY = 512 << 20  # bytes of addresses
 
@@ -215,6 +215,8 @@ def _wrong_use(error: click.ClickException) -> str:
     if type(error) is click.BadParameter:  # it is its own sentence
         words = error.message
     words = re.sub(r"\s+", " ", words).rstrip(".")
+    if number := re.search(r"'([^']*)' is not a valid (float|integer)", words):
+        words += with_point(number[1])
     words = (words[:1].lower() + words[1:]).replace(". Did you mean", "; did you mean")
     if context is None:
         return words

@@ -48,6 +48,8 @@ def command(
     \b
     Example:  zendsp drive on && zendsp drive home && zendsp drive enable
     """
+    from zendsp.link.outside import outside
+
     with open_target(target, connect, moves=True) as t:
         actions: dict[str, Callable[[], str]] = {
             "on": t.power_on,
@@ -78,6 +80,9 @@ def command(
             f"  {'✔' if c.met else '✖'} {c.name}{f': {c.advice}' if c.advice else ''}"
             for c in status.conditions
         ]
+        seen = t.status()
+        if seen.state != "empty":  # what limits there are is known with a program
+            lines += [f"  ! {words}" for words in outside(seen, t.machine().joints, t.limits())]
         mover = status.moved_by
         moved = f", moved by {mover}" if mover not in ("", status.commander) else ""
         lines.append(

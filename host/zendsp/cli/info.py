@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import click
@@ -24,10 +24,14 @@ def command(name: str, target: str, connect: str | None, as_json: bool) -> None:
 
     Example:  zendsp info imi
     """
+    from zendsp.link.outside import outside
+
     with open_target(name or target, connect) as t:
         status = t.status()
         # what there is to say of machine and variables comes from the code that runs
         variables, machine = ({}, None) if status.state == "empty" else (t.variables(), t.machine())
+        limits = t.limits() if machine else None
+        away = outside(status, machine.joints, limits) if machine and limits else ()
         sources = t.program().sources if status.program else {}
         readable = [v.name for v in variables.values() if v.kind != "table"]
         values = dict(t.request("read", names=readable).values) if readable else {}
@@ -37,8 +41,11 @@ def command(name: str, target: str, connect: str | None, as_json: bool) -> None:
             "machine": machine,
             "variables": list(variables.values()),
             "values": values,
+            "outside": away,
         }
-        emit(body, as_json, lambda: _text(t.info, status, machine, variables, values, sources))
+        emit(
+            body, as_json, lambda: _text(t.info, status, machine, variables, values, sources, away)
+        )
 
 
 def _program(key: str, sources: Collection[str]) -> str:
@@ -56,6 +63,7 @@ def _text(
     variables: Mapping[str, m.VariableInfo],
     values: Mapping[str, Any],
     sources: Collection[str],
+    away: Sequence[str],
 ) -> str:
     if machine is None:
         described = f"{status.machine} (joints and variables are known when a program is loaded)"
@@ -81,6 +89,7 @@ def _text(
         lines.append(f"unsafe     {status.unsafe}")
     if status.trip is not None:
         lines.append(f"trip       {status.trip.text}")
+    lines += [f"outside    {sentence}" for sentence in away]
     lines += [f"note       {sentence}" for sentence in status.own]
     return "\n".join(lines) + (f"\n\n{_table(variables, values)}" if variables else "")
 

@@ -14,6 +14,7 @@ import click
 
 # A stand-in where the machine decides: the option's help then says so.
 MACHINE_DEFAULT = "of the machine"
+COLUMNS = ((10, 4), (10, 4), (9, 3), (9, 2), (9, 3))  # width and decimals
 
 
 def _summary(reference: Any, torque: Any) -> dict[str, Any]:
@@ -28,6 +29,7 @@ def _summary(reference: Any, torque: Any) -> dict[str, Any]:
         "samples": reference.samples,
         "duration": reference.duration,
         "cyclic": reference.cyclic,
+        "unit": reference.unit,
         "position_min": reference.q.min(axis=0).tolist(),
         "position_max": reference.q.max(axis=0).tolist(),
         **{name: x.tolist() for name, x in peaks.items()},
@@ -44,9 +46,14 @@ def _print_table(summary: dict[str, Any]) -> None:
         f" {summary['mode']}{', cyclic' if summary['cyclic'] else ''}, within"
         f" {100 * summary['parameters'].get('headroom', 1.0):g} % of the limits"
     )
-    click.echo(
-        f"{'joint':>6} {'q min rad':>10} {'q max rad':>10} {'rad/s':>9} {'rad/s^2':>9} {'N m':>9}"
-    )
+    u = summary["unit"]
+    force = {"rad": "N m", "m": "N"}.get(u, "N m or N")
+    heads = (f"q min {u}", f"q max {u}", f"{u}/s", f"{u}/s^2", force)
+    if force == "N m or N":  # each joint its own: there is no room in the heads
+        heads = ("q min", "q max", "speed", "accel.", "torque")
+        click.echo(f"positions in {u}, speeds and accelerations likewise, torques in {force}")
+    cells = (f"{head:>{width}}" for head, (width, _) in zip(heads, COLUMNS, strict=True))
+    click.echo(f"{'joint':>6} {' '.join(cells)}")
     columns = zip(
         *(summary[k] for k in ("position_min", "position_max", "speed", "acceleration")),
         strict=True,
@@ -64,7 +71,7 @@ def _print_table(summary: dict[str, Any]) -> None:
 def _print_row(name: str, row: tuple[float | None, ...]) -> None:
     cells = (
         f"{'–' if x is None else f'{x:.{digits}f}':>{width}}"
-        for x, (width, digits) in zip(row, ((10, 4), (10, 4), (9, 3), (9, 2), (9, 3)), strict=True)
+        for x, (width, digits) in zip(row, COLUMNS, strict=True)
     )
     click.echo(f"{name:>6} {' '.join(cells)}")
 

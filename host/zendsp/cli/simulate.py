@@ -123,6 +123,7 @@ def command(
             "largest": _peaks(rec),
             "step_check": rec.extra.get("step_check"),
             "beyond": rec.extra["simulation"]["beyond"],
+            "reference": rec.extra["simulation"].get("reference", ""),
             **files,
         }
         click.echo(json.dumps(summary))
@@ -131,7 +132,8 @@ def command(
         for path in files.values():
             click.echo(f"wrote {path}")
     beyond = rec.extra["simulation"]["beyond"]
-    for words in beyond:
+    told = rec.extra["simulation"].get("reference")
+    for words in [*beyond, *([told] if told else [])]:
         click.echo(f"zendsp: {words}", err=True)
     found = rec.extra.get("step_check")
     if beyond or (found is not None and not found["converged"]):
@@ -159,11 +161,14 @@ def _say(rec: Recording) -> None:
         click.echo(f"  {channel.name:<12} {text} {channel.unit}".rstrip())
     found = rec.extra.get("step_check")
     if found is not None:
-        last = max(found["halvings"][-1]["change"])
+        last, unit, joint = max(
+            (change, found["units"][j], j + 1)
+            for j, change in enumerate(found["halvings"][-1]["change"])
+        )
         what = "settled" if found["converged"] else "NOT settled"
         click.echo(
             f"step check: {what} at {rec.extra['simulation']['inner']} steps a sample; halving"
-            f" it changes positions by {last:.2g}"
+            f" it changes positions by {last:.2g} {unit} at the most (joint {joint})"
         )
 
 

@@ -60,7 +60,7 @@ def command(
 
     VALUES are 100,200,400 or FIRST:LAST:COUNT: 100:500:5 is 100, 200, 300, 400, 500. Each set is
     faded in, so that no gain steps the torque; at the end the parameters go back in the same way.
-    The first set is measured again after the last: a difference that the same values have among
+    The best set is measured again after the last: a difference that the same values have among
     themselves is none. Ctrl-C ends it with the runs that are done by then: they are shown and
     written all the same. Exit status 1 where a limit tripped or the program crashed.
 

@@ -29,7 +29,15 @@ from zendsp.diagnosis.decide.notes import bent, left_over, notes_of
 from zendsp.diagnosis.decide.other_load import of_load
 from zendsp.diagnosis.decide.propose import propose
 from zendsp.diagnosis.decide.remember import remembered
-from zendsp.diagnosis.decide.result import Diagnosis, Finding, FitTable, Left, Rejected, Workings
+from zendsp.diagnosis.decide.result import (
+    Diagnosis,
+    Errors,
+    Finding,
+    FitTable,
+    Left,
+    Rejected,
+    Workings,
+)
 from zendsp.diagnosis.joints import Progress
 from zendsp.diagnosis.machine import Found, find
 from zendsp.diagnosis.measure.where import located
@@ -135,12 +143,12 @@ def _diagnose(
     proposal = propose(signals[0], given, found.searches, findings, decisions, seed)
     alone = by_one_sensor(parts, found.bodies.model, decisions)
     seen += (*(d for m in found.measured for d in m.detectable), *alone)
-    test = _table(parts.test, given, whole.calibrated, improved)
+    own, *others = _errors(parts, (given, whole.calibrated, improved))
     loads = {(d.joint, name) for d in decisions for name in d.loads}
     notes += [*said(alone), *notes_of(decisions, given), *apart_in_time(parts, improved, loads)]
     notes += [*of_load(found.load), *moved(given, whole.calibrated if found.load else better)]
     if not findings and all(d.final is d.base for d in decisions):  # else it is told by then
-        notes += bent(test, noise_floor(parts.test))
+        notes += [note for errors in (own, *others) for note in bent(errors)]
     return Diagnosis(
         verdict=verdict,
         findings=findings,
@@ -148,11 +156,10 @@ def _diagnose(
         regions=places,
         times=times,
         times_of=at,
-        unit="m" if given.joint_kind(1) == "linear" else "rad",
-        estimation=_table(parts.fit, given, whole.calibrated, improved),
-        heldout=_table(parts.held, given, whole.calibrated, improved),
-        test=test,
-        noise_floor=noise_floor(parts.test),
+        unit=own.unit,
+        estimation=own.estimation, heldout=own.heldout, test=own.test,
+        noise_floor=own.noise_floor,
+        others=tuple(others),
         discrepancy=tuple(_left(d) for d in decisions),
         detectable=seen,
         rejected=rejected,
@@ -253,7 +260,20 @@ def _lacking(found: Found, findings: Sequence[Finding], verdict: Verdict) -> set
     return {f.joint for f in findings} | {d.joint for d in found.decisions if d.kind != "complete"}
 
 
-def _table(data: Data, given: Model, calibrated: Model, improved: Model) -> FitTable:
-    return FitTable(
-        *(float(np.float64(model_error(data, m))) for m in (given, calibrated, improved))
-    )
+def _errors(parts: Parts, models: tuple[Model, Model, Model]) -> list[Errors]:
+    """The errors of the given, calibrated and improved model, once for each unit of position."""
+    units: dict[str, tuple[int, ...]] = {}
+    for joint in range(1, models[0].joints + 1):
+        unit = models[0].position_unit(joint)
+        units[unit] = (*units.get(unit, ()), joint)
+
+    def table(data: Data, joints: tuple[int, ...]) -> FitTable:
+        return FitTable(*(float(np.float64(model_error(data, m, joints))) for m in models))
+
+    return [
+        Errors(
+            unit, joints, table(parts.fit, joints), table(parts.held, joints),
+            table(parts.test, joints), noise_floor(parts.test, *joints),
+        )
+        for unit, joints in units.items()
+    ]  # fmt: skip

@@ -120,7 +120,7 @@ def _line(sliding: Sliding, may_weigh: bool) -> Friction:
     free = len(np.unique(sliding.part)) - 7
     without, within = plain.squares, found.squares
     more = free > 0 and (without - within) / 2 > fdtri(2, free, NO_CHANCE) * within / free
-    return found if more else plain
+    return found if more else replace(plain, weight_half=found.weight_half)
 
 
 def _falling(sliding: Sliding, weighs: bool) -> Friction:
@@ -149,7 +149,8 @@ def _of_slide(found: Friction) -> Friction:
     weight = 0.5 * (found.value["+"][0] - found.value["-"][0])
     value = {way: (level, viscous, half, dv) for way, (_, viscous, _, dv) in found.value.items()}
     free = found.free - weight
-    return replace(found, value=value, uneven=False, free=free, weight=abs(weight))
+    return replace(found, value=value, uneven=False, free=free, weight=abs(weight),
+                   weight_half=found.apart_half)
 
 
 def _report(result: Result, joint: int, unit: str, found: Friction) -> None:
@@ -159,12 +160,13 @@ def _report(result: Result, joint: int, unit: str, found: Friction) -> None:
         level, viscous, dl, dv = found.value[word]
         result.values[f"coulomb{joint}_{end}"] = Estimate(level, dl / NORMAL, force)
         result.values[f"viscous{joint}_{end}"] = Estimate(viscous, dv / NORMAL, f"{force} s/{unit}")
-        row |= {f"Coulomb {word}": with_std(level, dl)}
-        row |= {f"viscous {word}": with_std(viscous, dv)}
+        row |= {f"Coulomb {word}": with_std(level, dl, force)}
+        row |= {f"viscous {word}": with_std(viscous, dv, f"{force} s/{unit}")}
         if viscous - dv <= 0.0:
             result.warnings.append(
                 f"Joint {joint}, direction {word}: the viscous coefficient"
-                f" {with_std(viscous, dv)} is not told from zero at these speeds."
+                f" {with_std(viscous, dv, f'{force} s/{unit}')} is not told from zero at these"
+                " speeds."
             )
     if found.excess:
         result.warnings.append(
@@ -183,9 +185,10 @@ def _report(result: Result, joint: int, unit: str, found: Friction) -> None:
     level, viscous, dl, dv = found.mean
     result.values[f"coulomb{joint}"] = Estimate(level, dl / NORMAL, force)
     result.values[f"viscous{joint}"] = Estimate(viscous, dv / NORMAL, f"{force} s/{unit}")
-    weight = found.weight
-    result.values[f"weight{joint}"] = Estimate(weight, 0.0, force)
-    result.tables.setdefault("friction", []).append({**row, "weight": f"{weight:.3g}"})
+    weight, dw = found.weight, found.weight_half
+    result.values[f"weight{joint}"] = Estimate(weight, dw / NORMAL, force)
+    row["weight"] = with_std(weight, dw, force)
+    result.tables.setdefault("friction", []).append(row)
     if found.uneven:
         result.effects += friction_effects(joint, found)
         return

@@ -68,7 +68,7 @@ def run_next(
     q, period = proposal.reference
     folder.mkdir(parents=True, exist_ok=True)
     path = save_reference(
-        Reference(q, period, kind="separating", unit=diagnosis.unit),
+        Reference(q, period, kind="separating", unit=diagnosis.units),
         folder / "next_reference.mat",
         check=False,
     )

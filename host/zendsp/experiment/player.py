@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from zendsp.errors import Incomplete, Refused, ZendspError
 from zendsp.link import Target
+from zendsp.link.outside import positions
 from zendsp.link.put_back import Before, kept
-from zendsp.link.variables import plain
 from zendsp.recording import Recording
 from zendsp_protocol.states import ProgramState
 from zendsp_protocol.values import Assignable
@@ -168,6 +168,4 @@ def position(target: Target) -> Assignable:
     status = target.status()
     if status.tick > 0 and "q" in target.variables():
         return target["q"]
-    counts = np.ravel(np.asarray(plain(status.io.get("enc", ()))))
-    joints = target.machine().joints
-    return [(c - j.zero_counts) / j.counts_per_unit for c, j in zip(counts, joints, strict=False)]
+    return positions(status, target.machine().joints)

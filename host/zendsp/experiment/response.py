@@ -197,7 +197,8 @@ class FrequencyResponse:
         )
         if path is not None:
             try:
-                Path(path).parent.mkdir(parents=True, exist_ok=True)
+                path = Path(path).expanduser()
+                path.parent.mkdir(parents=True, exist_ok=True)
                 figure.savefig(path, dpi=120)
             except (OSError, ValueError) as error:
                 raise RecordingError(f"{path}: cannot be written ({error})") from error

@@ -14,7 +14,7 @@ from zendsp.experiment.player import Player
 from zendsp.link import Target
 from zendsp.physics.model import Model
 from zendsp.recording import Recording
-from zendsp.reference import Reference
+from zendsp.reference import Reference, check_fits
 
 REST_S = 0.3  # after the last row
 
@@ -85,19 +85,22 @@ def _ready(target: Target, model: Model, like: Recording | None) -> None:
 
 def _check(target: Target, reference: Reference) -> None:
     """Position and speed against the limits that the target enforces."""
-    limits = target.limits()
+    machine, limits = target.machine(), target.limits()
+    units = [joint.unit for joint in machine.joints]
+    check_fits(reference, machine.name, units)
     for j in range(reference.joints):
         low, high = float(reference.q[:, j].min()), float(reference.q[:, j].max())
-        if low < limits.position_min[j] or high > limits.position_max[j]:
+        least, most = limits.position_min[j], limits.position_max[j]
+        if low < least or high > most:
             raise Refused(
-                f"the reference takes joint {j + 1} to {low:.4g} … {high:.4g}; the target allows"
-                f" {limits.position_min[j]:.4g} … {limits.position_max[j]:.4g}"
+                f"the reference takes joint {j + 1} to {low:.4g} … {high:.4g} {units[j]}; the"
+                f" target allows {least:.4g} … {most:.4g} {units[j]}"
             )
         fastest = float(np.abs(reference.qd[:, j]).max())
         if fastest > limits.speed_max[j]:
             raise Refused(
-                f"the reference moves joint {j + 1} at {fastest:.4g} /s; the target allows"
-                f" {limits.speed_max[j]:.4g}"
+                f"the reference moves joint {j + 1} at {fastest:.4g} {units[j]}/s; the target"
+                f" allows {limits.speed_max[j]:.4g} {units[j]}/s"
             )
 
 

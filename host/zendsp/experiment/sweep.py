@@ -30,7 +30,7 @@ MEASURES: dict[str, Callable[[Floats], float]] = {
 }
 MOST = 10_000  # runs
 FADE_S = 1.0  # back from weak gains the planar arm asks for 123 N m at the most, in 2 s for 72
-AGAIN = 2  # measurements of the first values after the last ones: how well a result repeats
+AGAIN = 2  # measurements of the best values after the last ones: how well a result repeats
 WATCH_S = 0.2  # of the target's time: what is put back acts at once, and a speed builds up
 PATIENCE_S = 2.0  # for a slow target to come so far
 
@@ -59,7 +59,7 @@ def sweep(
     same way; so they do when this host is lost. Where a limit trips or the program crashes, the
     sweep ends; the row says why, and ``ended``, also of what came afterwards.
 
-    Every window is another piece of the motion. After the last set the first one is measured twice
+    Every window is another piece of the motion. After the last set the best one is measured twice
     more: by how much its results differ is told, and differences that are no larger are none. Of a
     periodic motion let ``seconds`` be whole periods: then all pieces are alike.
 
@@ -126,12 +126,15 @@ def sweep(
         columns = {name: name.partition(" ")[2] for name in names}
         units = {name: _unit(infos, columns.get(name, name)) for name in (*values, *names)}
         found = tuple(rows), tuple(again)
-        return Sweep(tuple(values), tuple(names), *found, why, units, planned=len(runs))
+        return Sweep(tuple(values), tuple(names), *found, why, units, len(runs), best)
 
-    todo = [*runs, *(runs[:1] * AGAIN if len(runs) > 1 else [])]
+    best, count = 0, len(runs) + (AGAIN if len(runs) > 1 else 0)
     with kept(target, values, fade=fade):
-        for number, run in enumerate(todo, 1):
-            tell = _part(progress, number - 1, len(todo))
+        for number in range(1, count + 1):
+            if number == len(runs) + 1:
+                best = so_far().best_row() or 0
+            run = runs[number - 1] if number <= len(runs) else runs[best]
+            tell = _part(progress, number - 1, count)
             recording, ended = _one(target, run, channels, settle + seconds, fade, tell)
             results = _measured(recording, measures, settle, ended)
             if number > len(runs):
@@ -143,10 +146,10 @@ def sweep(
             if on_run is not None:
                 on_run(so_far())
             if progress is not None:
-                progress(number / len(todo))
+                progress(number / count)
             if ended:
                 repeated = number > len(runs)
-                why = f"{'the first values, again' if repeated else f'run {number}'}: {ended}"
+                why = f"{'the best values, again' if repeated else f'run {number}'}: {ended}"
                 break
     if not why and (ended := _afterwards(target)):
         why = f"the parameters were put back: {ended}"

@@ -30,15 +30,17 @@ class Sweep:
         One a run: its values, its results, and ``"ended"``: why the program stopped, "" where it
         ran.
     again : tuple of dict
-        The results of the first row's values, measured again after the last row. Where the motion
-        is periodic and a window does not last whole periods, they differ as much as the pieces of
-        the motion do.
+        The results of the best row's values, measured again after the last row: what chance does
+        to a small error is small. Where the motion is periodic and a window does not last whole
+        periods, they differ as much as the pieces of the motion do.
     ended : str
         What ended the program, in a run or when the parameters were put back; "" where it goes on.
     units : dict of str to str
         Of each parameter and result.
     planned : int
         Runs that were asked for: more than there are rows where the sweep ended early.
+    again_of : int
+        Row whose values were measured again.
     """
 
     parameters: tuple[str, ...]
@@ -48,6 +50,7 @@ class Sweep:
     ended: str = ""
     units: Mapping[str, str] = field(default_factory=dict)
     planned: int = 0
+    again_of: int = 0
 
     @property
     def header(self) -> list[str]:
@@ -68,7 +71,8 @@ class Sweep:
             Default: the first.
         """
         name = result or self.results[0]
-        found = [abs(float(row[name])) for row in (self.rows[0], *self.again) if name in row]
+        every = (self.rows[self.again_of], *self.again)
+        found = [abs(float(row[name])) for row in every if name in row]
         return max(found) - min(found) if self.again else float("nan")
 
     def best_rows(self, result: str = "") -> list[int]:
@@ -159,11 +163,11 @@ class Sweep:
         what, spread = self.results[0], self.spread()
         unit = f" {self.units[what]}" if self.units.get(what) else ""
         least = f"{short(best[what])}{unit}, at {at}"
-        again = f"the first values measured again differ by {short(spread, 2)}{unit}"
+        again = f"its values measured again differ by {short(spread, 2)}{unit}"
         if (alike := len(self.best_rows())) > 1:
             return (
                 f"{head}none is best: {what} of the best {alike} differs by no more than chance"
-                f" ({again}). The least is {least}. Measure for longer, a periodic motion for whole"
+                f". The least is {least}; {again}. Measure for longer, a periodic motion for whole"
                 " periods"
             )
         return f"{head}{what} is least, {least}{f'; {again}' if spread == spread else ''}"  # NaN

@@ -31,7 +31,7 @@ def write_rows(
     RecordingError
         The name ends otherwise, or the file cannot be written.
     """
-    path = Path(path)
+    path = Path(path).expanduser()
     if path.suffix.lower() != ".csv":
         raise RecordingError(f"{path}: {what} is written as .csv")
     try:

@@ -222,6 +222,8 @@ class Friction:
     squares: float  # sum of the squared weighted residuals
     excess: float = 0.0  # N m more at rest, where friction falls with speed (Stribeck)
     slow: float = 0.0  # rad/s, at which a third of it is left
+    weight_half: float = 0.0  # N m, half width of the weight
+    apart_half: float = 0.0  # N m, half width of half of what the directions' levels differ by
 
 
 def fit_friction(
@@ -263,11 +265,14 @@ def fit_friction(
     if unknown:
         parts, places = len(np.unique(sliding.part)), sliding.places()
         alike = [(sliding.part, parts - len(x)), (places, len(np.unique(places)) - 1)]
-    every = np.vstack([np.eye(len(x)), ways])
+    carried = A[:, 4:6] @ x[4:6] if weighs else 0.0 * sliding.q
+    most = np.zeros((1, len(x)))  # the weight where it is largest
+    if weighs:
+        most[0, 4:6] = A[int(np.argmax(np.abs(carried))), 4:6]
+    every = np.vstack([np.eye(len(x)), ways, most])
     half, width = np.split(
         widest(weighted, torque - weighted @ x, inverse, every, alike), [len(x)]
     )
-    carried = A[:, 4:6] @ x[4:6] if weighs else 0.0 * sliding.q
     if unknown:  # the others give way in the direction of the move, and change that weight
         blur = NORMAL * sliding.others * float(np.hypot(*x[4:6])) if weighs else 0.0
         half[[0, 2]], width[0] = np.hypot(half[[0, 2]], blur), np.hypot(width[0], blur)
@@ -278,10 +283,13 @@ def fit_friction(
     }
     largest = float(np.abs(carried).max())
     mean = (float(both[0]), float(both[1]), float(width[0]), float(width[1]))
-    uneven = bool(np.any(np.abs(both[2:]) > width[2:]))
+    uneven = bool(np.any(np.abs(both[2:]) > width[2:4]))
     excess = float(x[others]) if slow else 0.0
     free = sliding.torque - A[:, 4:others] @ x[4:others]
-    return Friction(value, mean, uneven, carried, free, largest, squares, excess, slow)
+    return Friction(
+        value, mean, uneven, carried, free, largest, squares, excess, slow, float(width[4]),
+        float(width[2]),
+    )
 
 
 def _fit_joint(result: Result, joint: int, sliding: Sliding) -> Array:
@@ -291,7 +299,7 @@ def _fit_joint(result: Result, joint: int, sliding: Sliding) -> Array:
     fitted = fit_friction(sliding, weighs=bool(np.any(sliding.gravity)), unknown=True)
     found, points = fitted.value, sliding.points(fitted.free)
     result.values[f"gravity{joint}_lacking"] = Estimate(
-        float(np.abs(fitted.lacking).max()), 0.0, "N m"
+        fitted.weight, fitted.weight_half / NORMAL, "N m"
     )
     for word, direction, paper in (("+", 1, (0, 2)), ("-", -1, (1, 3))):
         level, viscous, dl, dv = found[word]

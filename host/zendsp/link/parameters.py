@@ -76,7 +76,7 @@ class ParameterSet:
             "zendsp_parameters": FORM, "target": self.target, "program": self.program,
             "note": self.note,
         }
-        path = Path(path)
+        path = Path(path).expanduser()
         if path.suffix not in ("", ".json"):
             raise VariableError(
                 f"{path}: sets of parameters are JSON; name it {path.with_suffix('.json')}"
@@ -99,7 +99,7 @@ class ParameterSet:
             The file is missing or not a set of parameters.
         """
         try:
-            body = written.json(Path(path).read_text(encoding="utf-8"))
+            body = written.json(Path(path).expanduser().read_text(encoding="utf-8"))
             if body["zendsp_parameters"] != FORM:
                 raise VariableError(
                     f"{path}: is of layout {body['zendsp_parameters']}, this zendsp reads {FORM}"

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 from zendsp.errors import LinkError
 from zendsp.link.connect import local
+from zendsp.link.outside import positions
 from zendsp.link.target import Target
-from zendsp.link.variables import plain
 from zendsp_protocol import messages as m
 from zendsp_protocol.lazily import Lazily
 from zendsp_protocol.values import Assignable
@@ -184,9 +184,7 @@ def _as_it_stands(info: m.MachineInfo, status: m.Status) -> list[str]:
     options = ["--no-realtime"]
     for text in info.options:
         options += ["--machine-option", text]
-    counts = np.ravel(np.asarray(plain(status.io.get("enc", ()))))
-    for number, (joint, count) in enumerate(zip(info.joints, counts, strict=False), start=1):
-        at = (float(count) - joint.zero_counts) / joint.counts_per_unit
+    for number, at in enumerate(positions(status, info.joints), start=1):
         options += ["--machine-option", f"q{number}={at!r}"]
     if any(joint.command == "voltage" for joint in info.joints):
         options += ["--machine-option", "drive=voltage"]

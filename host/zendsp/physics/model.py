@@ -245,6 +245,10 @@ class Model:
             return self.joint_kinds[min(joint, len(self.joint_kinds)) - 1]
         return "linear" if self.kind == "linear" else "rotary"
 
+    def position_unit(self, joint: int) -> str:
+        """``"rad"``, or ``"m"`` where joint 1, 2, … slides."""
+        return "m" if self.joint_kind(joint) == "linear" else "rad"
+
     def with_terms(self, terms: tuple[Term, ...]) -> Model:
         """The same model with other effects."""
         return replace(self, terms=terms)

@@ -52,7 +52,7 @@ def read_parts(
     >>> for k, part in enumerate(read_parts("run.csv", begin=1.5)):  # doctest: +SKIP
     ...     part.save(f"run_{k}.csv")
     """
-    rec = load(Path(path), Recording, time)
+    rec = load(Path(path).expanduser(), Recording, time)
     t = rec.t - rec.t[0] if len(rec) else rec.t
     keep = (t >= begin) & (t < end)
     for name in finite:

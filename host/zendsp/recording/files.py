@@ -93,7 +93,7 @@ def check_suffix(path: str | Path) -> None:
     RecordingError
         Its suffix is none of :data:`WRITERS`.
     """
-    _writer(Path(path))
+    _writer(Path(path).expanduser())
 
 
 def _writer(path: Path) -> Callable[[Samples, str, Path], None]:
@@ -160,10 +160,11 @@ def _foreign(path: Path, raw: Raw, kind: type[Kind], asked: str | None) -> Kind:
     )
     time = asked or next(times, None)
     if time is None or time not in columns:
+        said = "".join(f" ({note})" for note in raw.notes)
         raise RecordingError(
             f"{path}: has no time column ({asked or ' or '.join(TIMES[:2])}); it has"
-            f" {listing(list(columns))}. Use zendsp.recording.read_table for a table without a time"
-            " base"
+            f" {listing(list(columns))}{said}. Use zendsp.recording.read_table for a table"
+            " without a time base"
         )
     t = columns.pop(time)
     units.pop(time, None)

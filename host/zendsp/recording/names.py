@@ -53,7 +53,8 @@ def gather_vectors(
     Returns
     -------
     columns, units : dict
-        In the order in which the first element of each signal appeared.
+        In the order in which the first element of each signal appeared; the unit of a vector whose
+        elements differ has one for each: ``"m, rad"``.
     """
     groups: dict[str, dict[int, str]] = {}
     for name, values in columns.items():
@@ -75,8 +76,26 @@ def gather_vectors(
             joined_units[name] = units.get(name, "")
         elif base not in joined:
             joined[base] = np.column_stack([columns[member] for member in whole[base]])
-            joined_units[base] = units.get(name, "")
+            each = [units.get(member, "") for member in whole[base]]
+            joined_units[base] = each[0] if len(set(each)) == 1 else ", ".join(each)
     return joined, joined_units
+
+
+def units_in(units: Mapping[str, str], name: str) -> list[str]:
+    """Units of a signal by its name: one, or one for each element of a vector; of ``"q[1]"`` its
+    own.
+
+    Examples
+    --------
+    >>> units_in({"q": "m, rad", "u": "N"}, "q[1]"), units_in({"q": "m, rad", "u": "N"}, "q")
+    (['rad'], ['m', 'rad'])
+    """
+    bare = split_unit(name)[0]
+    element = split_element(bare)
+    if units.get(bare) or element is None:
+        return units.get(bare, "").split(", ")
+    each = units.get(element[0], "").split(", ")
+    return [each[min(element[1], len(each) - 1)]]
 
 
 def _bound(value: object) -> str:

@@ -49,7 +49,8 @@ def plot(recording: Samples, names: Sequence[str] | None, path: str | Path | Non
     if title:
         figure.suptitle(title, fontsize=10)
     if path is not None:
-        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        path = Path(path).expanduser()
+        path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, dpi=120)
     return figure
 

@@ -92,12 +92,13 @@ class Recording(Samples):
         ``.mcap`` or ``.mf4``.
 
         The file appears complete or not at all (written beside, then renamed). A folder that is
-        not there is made. In MATLAB a ``.mat`` has ``data``, a column per signal with the time
+        not there is made, and ``~`` is your home folder, as with everything that zendsp writes. In
+        MATLAB a ``.mat`` has ``data``, a column per signal with the time
         first, and ``names`` and ``units``, a cell per column.
         """
         from zendsp.recording.files import save
 
-        return save(self, Path(path))
+        return save(self, Path(path).expanduser())
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -111,7 +112,7 @@ class Recording(Samples):
         """
         from zendsp.recording.files import load
 
-        return load(Path(path), cls)
+        return load(Path(path).expanduser(), cls)
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return a pandas DataFrame, one column per element, indexed by ``t`` (needs

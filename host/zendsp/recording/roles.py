@@ -68,6 +68,7 @@ def role_of(name: str, unit: str = "") -> Role:
     >>> role_of("signal 3", "deg").value, role_of("joint_states.elbow.effort").value
     ('position', 'command')
     """
+    unit = unit.partition(", ")[0]  # of a vector whose elements differ: "m, rad"
     known = to_si(unit) if unit else None
     si = known[1] if known else ""
     found = _by_words(_words(name))

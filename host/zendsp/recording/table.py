@@ -11,7 +11,7 @@ import numpy as np
 
 from zendsp.errors import RecordingError
 from zendsp.recording.formats import Raw
-from zendsp.recording.names import FloatArray, gather_vectors, listing, pick, split_unit
+from zendsp.recording.names import FloatArray, gather_vectors, listing, pick, split_unit, units_in
 from zendsp.recording.own import TIME_NAME, checked
 from zendsp.recording.units import in_si
 from zendsp_protocol.texts import counted
@@ -153,7 +153,7 @@ def read_table(path: str | Path, columns: Sequence[str] | None = None) -> Table:
     >>> table["q"], table.units["q"]
     (array([1., 2.]), 'rad')
     """
-    path = Path(path)
+    path = Path(path).expanduser()
     raw = read_raw(path)
     if raw.metadata:
         body, *_ = checked(path, raw)
@@ -250,9 +250,7 @@ def _checked(path: Path, raw: Raw, wanted: Sequence[str] | None) -> Table:
 
 
 def _unit(units: Mapping[str, str], name: str) -> str:
-    return (
-        units.get(name) or units.get(split_unit(name)[0]) or units.get(name.partition("[")[0], "")
-    )
+    return units.get(name) or ", ".join(units_in(units, name))
 
 
 def _upright(values: FloatArray) -> FloatArray:

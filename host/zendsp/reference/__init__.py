@@ -6,6 +6,7 @@ from zendsp.reference.core import Mode, Reference
 from zendsp.reference.crest import crest_factor
 from zendsp.reference.dynamics import predict_motion
 from zendsp.reference.files import load_reference, save_reference
+from zendsp.reference.fits import check_fits
 from zendsp.reference.kind import Kind, Parameter
 from zendsp.reference.kinds.chirp import make_chirp
 from zendsp.reference.kinds.circle import make_circle
@@ -28,7 +29,7 @@ from zendsp.reference.registry import KINDS, make_reference
 
 __all__ = [
     "KINDS", "MACHINES", "UNPREDICTED", "Kind", "Limits", "Machine", "Mode", "Parameter",
-    "Reference", "Violation", "crest_factor", "find_violations", "forward_kinematics",
+    "Reference", "Violation", "check_fits", "crest_factor", "find_violations", "forward_kinematics",
     "inverse_kinematics", "load_machine", "load_reference", "make_chirp", "make_circle",
     "make_from_file", "make_limited", "make_line", "make_lspb", "make_multisine",
     "make_point_to_point", "make_prbs", "make_reference", "make_step", "make_swing",

@@ -58,7 +58,7 @@ def save_reference(
         machine = load_machine(reference.machine)
     if check and machine is not None:
         machine.check(reference)
-    target = Path(path)
+    target = Path(path).expanduser()
     if target.suffix != ".mat":
         target = target.with_name(target.name + ".mat")
     empty = np.zeros((0, 0))
@@ -118,7 +118,7 @@ def load_reference(path: str | Path) -> Reference:
     >>> load_reference(file).samples
     3
     """  # noqa: E501
-    file = Path(path)
+    file = Path(path).expanduser()
     data = _read_mat(file)
     if str(data.get("format", "")) != FORMAT:
         raise ReferenceError_(

@@ -14,6 +14,7 @@ import numpy as np
 from zendsp.errors import ReferenceError_
 from zendsp.reference.core import Array, Reference
 from zendsp.reference.machine import Machine
+from zendsp_protocol.texts import with_point
 
 # joints: one number, or one per joint. list: any count of numbers.
 ParameterType = Literal["float", "int", "bool", "choice", "joints", "list", "path"]
@@ -92,6 +93,9 @@ class Parameter:
                     f'{self.name} is "{value}"; expected one of {", ".join(self.choices)}'
                 )
             return value
+        one = self.type in ("int", "float") or (self.type == "joints" and machine.joints == 1)
+        if one and (point := with_point(str(value))):
+            raise ReferenceError_(f'{self.name} is "{value}"{point}')
         numbers = self._numbers(value)
         if self.type == "joints":
             return spread(machine, self.name, numbers)

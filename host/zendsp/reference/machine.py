@@ -18,6 +18,7 @@ import numpy.typing as npt
 from zendsp.errors import ReferenceError_, did_you_mean
 from zendsp.reference.core import Array, Reference
 from zendsp.reference.dynamics import Dynamics, make_dynamics
+from zendsp.reference.fits import check_fits
 from zendsp.reference.limits import Limits, Violation, find_violations, raise_violations
 from zendsp_protocol import written
 from zendsp_protocol.spelling import unknown_keys
@@ -92,6 +93,18 @@ class Machine:
         ]
         units = ("position [rad]", "speed [rad/s]", "acceleration [rad/s²]", "torque [N m]")
         return sentence(repr(self)[1:-1]) + html_table(("joint", *units), rows)
+
+    @property
+    def units(self) -> list[str]:
+        """Of its joints' positions; of a machine where both occur, each at least once.
+
+        Examples
+        --------
+        >>> load_machine("imi_planar").units
+        ['rad', 'rad']
+        """
+        own = self.unit.split(" or ")
+        return [own[min(joint, len(own) - 1)] for joint in range(self.joints)]
 
     @property
     def allowed(self) -> Limits:
@@ -173,11 +186,7 @@ class Machine:
         >>> load_machine("pendulum").find_violations(Reference(np.zeros((5, 1)), 0.001))
         []
         """
-        if reference.joints != self.joints:
-            raise ReferenceError_(
-                f"reference has {reference.joints} joint(s), {self.name} has {self.joints}: "
-                "choose the machine that it was planned for"
-            )
+        check_fits(reference, self.name, self.units)
         share = reference.headroom
         found = find_violations(reference, self.limits.scaled(share), self.torque(reference))
         return [replace(violation, headroom=share) for violation in found]
@@ -228,7 +237,8 @@ def make_limited(
     return Machine(name, title, LIMITS_ONLY, len(at), sample_time, at, limits, {}, unit=unit)
 
 
-_KEYS = ("name", "title", "kind", "joints", "sample_time", "home", "limits", "parameters")
+_KEYS = ("name", "title", "kind", "joints", "sample_time", "home", "unit", "limits", "parameters")
+_UNITS = ("rad", "m", "rad or m")
 _LIMITS = ("position_min", "position_max", "speed", "acceleration", "torque")
 _LINK = ("a", "alpha_deg", "d", "mass", "com", "inertia")
 _PARAMETERS = {
@@ -244,7 +254,11 @@ def _refuse_unknown(data: Mapping[str, Any], origin: str) -> None:
     if kind not in (*_PARAMETERS, LIMITS_ONLY):
         known = did_you_mean(str(kind), (*_PARAMETERS, LIMITS_ONLY))
         raise ReferenceError_(f"{origin}: kind {kind!r}; {known}")
-    keys = [key for key in _KEYS if key != "parameters" or kind in _PARAMETERS]
+    keys = [key for key in _KEYS if (key == "unit") <= (kind == LIMITS_ONLY)
+            and (key == "parameters") <= (kind in _PARAMETERS)]
+    unit = data.get("unit", "rad")
+    if unit not in _UNITS:
+        raise ReferenceError_(f"{origin}: unit {unit!r}; {did_you_mean(str(unit), _UNITS)}")
     tables = [(data, keys, "the file"), (data.get("limits", {}), _LIMITS, "[limits]")]
     if kind in _PARAMETERS:
         tables.append((parameters, _PARAMETERS[kind], f"[parameters] of kind {kind!r}"))
@@ -270,6 +284,7 @@ def _parse(data: Mapping[str, Any], origin: str) -> Machine:
             home=np.array(data["home"], dtype=np.float64),
             limits=Limits(**data["limits"]),
             parameters={} if data["kind"] == LIMITS_ONLY else data["parameters"],
+            unit=data.get("unit", "rad"),
         )
     except (KeyError, TypeError) as error:
         raise ReferenceError_(

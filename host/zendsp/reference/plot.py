@@ -114,6 +114,7 @@ def plot_reference(
         ax.legend(fontsize="small")
         ax.grid(alpha=0.3)
     if path is not None:
-        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        path = Path(path).expanduser()
+        path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, dpi=120)
     return figure

@@ -16,8 +16,9 @@ from functools import cached_property
 from itertools import zip_longest
 from pathlib import Path
 from textwrap import wrap
+from typing import Literal
 
-from zendsp.diagnosis.decide.contract import LeftReport, Report
+from zendsp.diagnosis.decide.contract import FitReport, LeftReport, Report
 from zendsp.diagnosis.report.chart import SUFFIX, Chart, load_chart
 from zendsp.diagnosis.report.summary import percent
 from zendsp.tui.workspace import file_name
@@ -155,14 +156,19 @@ def _findings(report: Report) -> dict[str, str]:
     return found
 
 
+def other_fits(report: Report) -> list[FitReport]:
+    """Errors in the other unit, where joints slide and turn; of an older report none."""
+    return report.get("fit_other_unit", [])
+
+
 def _errors(d: Diagnosed) -> tuple[str, str]:
     """On untouched recordings, of the calibrated and the improved model."""
-    fit = d.report["fit"]
+    def said(of: Literal["calibrated", "improved"]) -> str:
+        fits = (d.report["fit"], *other_fits(d.report))
+        values = ((fit["test"][of], fit["unit"]) for fit in fits)
+        return ", ".join("—" if x is None else f"{x:.3g} {unit}" for x, unit in values)
 
-    def said(value: float | None) -> str:
-        return "—" if value is None else f"{value:.3g} {fit['unit']}"
-
-    return said(fit["test"]["calibrated"]), said(fit["test"]["improved"])
+    return said("calibrated"), said("improved")
 
 
 def _left(item: LeftReport | None) -> str:

@@ -14,6 +14,7 @@ from zendsp.errors import CompileFailed, LinkError, RunnerDied, ZendspError
 from zendsp.here.stopped import stopped
 from zendsp.link import Rehearsal, Target, Trigger, connect, discover, local, rehearse
 from zendsp.link.live import LiveBlock
+from zendsp.link.outside import outside, positions
 from zendsp.link.put_back import Before
 from zendsp.link.variables import plain
 from zendsp.recording import Recording
@@ -116,12 +117,10 @@ class LinkPort:
             own=s.own,
             scheduling=s.scheduling,
             io=io,
-            position=tuple(
-                (float(count) - joint.zero_counts) / joint.counts_per_unit
-                for count, joint in zip(
-                    io.get("enc", ()), described.joints if described else (), strict=False
-                )
-            ),
+            position=positions(s, described.joints if described else ()),
+            outside=outside(s, described.joints, self._limits)
+            if described and self._limits
+            else (),
             conditions=tuple((c.name, c.met, c.advice) for c in drive.conditions),
             variables=self._variables,
             values=values,

@@ -15,14 +15,17 @@ from zendsp.reference import (
     Limits,
     Machine,
     Reference,
+    check_fits,
     load_machine,
     make_limited,
 )
+from zendsp.tui.actions import in_keys
 from zendsp.tui.playing import Setup, find_player, present_position
 from zendsp.tui.port import Port
 from zendsp.tui.snapshot import Snapshot
 from zendsp.tui.trial import Plan, Trial, make_plan
-from zendsp_protocol.texts import counted
+
+MISFIT = "planned for this machine"
 
 
 @dataclass(frozen=True)
@@ -98,8 +101,10 @@ def preflight(
         Condition(f"reference chosen{_names(files)}", bool(references), "o chooses; F4 plans one"),
     ]
     if references and machine is not None:
-        found.append(_fits(references, machine))
-        if player is not None and not busy:  # where the arm is now is on the way
+        fits = _fits(references, machine)
+        found.append(fits)
+        if player is not None and not busy and fits.text != MISFIT:
+            # not while a run goes on: where the arm is then is on its way
             plan, playable = _playable(s, references, machine, setup)
             found.append(playable)
             if plan is not None:
@@ -112,6 +117,7 @@ def preflight(
             s.trip is None and s.drive not in ("stopped", "tripped"),
             "acknowledge with Ctrl+K",
         ),
+        *(Condition(sentence, True, warning=True) for sentence in map(in_keys, s.outside)),
         Condition(
             "drives enabled",
             s.explicit and s.drive in ("enabled", "running"),
@@ -154,17 +160,17 @@ def _names(files: Sequence[Path]) -> str:
 
 
 def _fits(references: Sequence[Reference], machine: Machine) -> Condition:
+    told = ""
     for reference in references:
-        if reference.joints != machine.joints:
-            return Condition(
-                "within the limits",
-                False,
-                f"planned for {counted(reference.joints, 'joint')}, the machine has"
-                f" {machine.joints}",
-            )
+        try:
+            told = told or check_fits(reference, machine.name, machine.units)
+        except ReferenceError_ as error:
+            return Condition(MISFIT, False, str(error))
         broken = machine.find_violations(reference)
         if broken:
             return Condition("within the limits", False, str(broken[0]))
+    if told:
+        return Condition(f"within the limits of {machine.name}, but {told}", True, warning=True)
     if not machine.modelled:
         return Condition(
             f"within the limits of position and speed; {UNPREDICTED}", True, warning=True

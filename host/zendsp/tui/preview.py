@@ -74,30 +74,41 @@ def limits_of(machine: Machine) -> dict[str, list[float]]:
     }
 
 
+MANY = 5  # joints, from which on a narrow screen has no room for a number of each
+
+
 def peaks_of(
     machine: Machine, reference: Reference, tau: Floats | None, brief: bool = False
 ) -> list[list[tuple[float, str]]]:
     """Return for each quantity the peaks of the joints as (share of the limit, words), – for one
-    that is not known; ``brief`` leaves the values out.
+    that is not known; of positions the share of the way from the middle of the range to its end.
+    ``brief`` leaves the values out, and of many joints says which comes nearest.
     """
     lim = machine.limits
     low, high = lim.position_min, lim.position_max
-    reach = np.maximum(np.abs(low), np.abs(high))
+    half = 0.5 * (high - low)
     lines = []
     for name, (_, unit, values) in _columns(reference, tau).items():
         limit = {
-            "position": reach, "velocity": lim.speed, "acceleration": lim.acceleration,
+            "position": half, "velocity": lim.speed, "acceleration": lim.acceleration,
             "torque": lim.torque,
         }[name]
         parts: list[tuple[float, str]] = [(0.0, f"{name:<13}")]
         for joint in range(min(reference.joints, len(limit))):
             peak = float(np.abs(values[:, joint]).max())
             known = bool(np.isfinite(limit[joint]) and limit[joint] > 0)
-            share = peak / limit[joint] if known else 0.0
+            most = peak
+            if name == "position" and known:
+                most = float(np.abs(values[:, joint] - (low[joint] + half[joint])).max())
+            share = most / limit[joint] if known else 0.0
             words = f"{100 * share:4.0f} %" if known else "   – %"
             if reference.joints <= 2 and not brief:
                 words = f"{peak:9.4g} {unit:<7}{words}   "
             parts.append((share, words))
+        if brief and len(parts) - 1 >= MANY:
+            joint = max(range(1, len(parts)), key=lambda k: parts[k][0])
+            share, words = parts[joint]
+            parts = [parts[0], (share, f"{words} at most, joint {joint}")]
         lines.append(parts)
     return lines
 

@@ -60,6 +60,17 @@ class Run:
     outcome: Outcome = Outcome.COMPLETE
     why: str = ""  # of a trip or a crash
     errors: Mapping[str, float] = field(default_factory=dict)  # rms of each error signal
+    units: Mapping[str, str] = field(default_factory=dict)  # of these
+
+    def rms(self, name: str, digits: int = 3) -> str:
+        """One of the errors, with its unit where it is known."""
+        return f"{self.errors[name]:.{digits}g} {self.units.get(name, '')}".rstrip()
+
+    @property
+    def worst(self) -> str:
+        """The largest of the errors and which, with its unit; empty where there are none."""
+        name = max(self.errors, key=lambda n: self.errors[n], default="")
+        return f"{self.rms(name, 2)} {name}" if name else ""
 
     @property
     def ending(self) -> str:
@@ -111,6 +122,7 @@ def store_run(
         folder = runs / f"{stem}-{n}"
         n += 1
     beside = runs / f".{folder.name}.part"
+    errors = error_figures(recording)
     run = Run(
         folder,
         name,
@@ -124,7 +136,12 @@ def store_run(
         recording.lost,
         outcome,
         why,
-        error_figures(recording),
+        errors,
+        {
+            name: unit
+            for name, unit in zip(recording.columns, recording.column_units, strict=True)
+            if name in errors
+        },
     )
     try:
         _write_run(beside, run, recording, references, recording.sources or sources or {})
@@ -223,7 +240,7 @@ def compare(runs: Sequence[Run]) -> str:
     ):
         lines.append(f"{label:14}" + "".join(f"{v:>20}" for v in values))
     for name in dict.fromkeys(n for run in runs for n in run.errors):
-        cells = [f"{run.errors[name]:.4g}" if name in run.errors else "—" for run in runs]
+        cells = [run.rms(name, 4) if name in run.errors else "—" for run in runs]
         lines.append(f"{'rms ' + name:14}" + "".join(f"{c:>20}" for c in cells))
     lines.append("")
     different = _different_parameters(recordings)

@@ -98,6 +98,7 @@ class Snapshot:
     io: Mapping[str, npt.NDArray[np.float64]] = field(default_factory=dict)
     # of each joint by its encoder, rad or m; also while no program computes anything
     position: tuple[float, ...] = ()
+    outside: tuple[str, ...] = ()  # a sentence for each joint outside its position limits
     conditions: tuple[tuple[str, bool, str], ...] = ()  # of enabling: name, met, what to do
     variables: tuple[Variable, ...] = ()
     values: Mapping[str, Value] = field(default_factory=dict)

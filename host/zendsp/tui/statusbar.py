@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import time
 from textwrap import shorten, wrap
 
+from rich.cells import cell_len
 from rich.style import Style
 from rich.text import Text
 from textual import events
@@ -14,7 +16,7 @@ from textual.message import Message
 from textual.widget import Widget
 from textual.widgets import Static
 
-from zendsp.tui.actions import SCREENS
+from zendsp.tui.actions import SCREENS, in_keys
 from zendsp.tui.panels.lines import Lines
 from zendsp.tui.snapshot import Snapshot
 from zendsp.tui.stop_lane import Verdict
@@ -183,8 +185,16 @@ class StatusBar(Widget):
             self._tabs.right = right
             self._tabs.refresh()
         self._busy = busy
-        where = self.where(snapshot)
+        trouble = self.trouble(snapshot)
+        # up to the sample, or to what is to be done
+        first = cell_len(re.split(r" \(sample|: (?:home|acknowledge) ", trouble.plain)[0])
+        where = self.where(snapshot, first)
         lines = [where, self.loop(snapshot)]
+        if verdict is not None or where.cell_len + first <= self._line1.size.width:
+            where.append_text(trouble)
+        elif trouble:  # a number that is cut would be another number; those of the loop can wait
+            lines = [self.where(snapshot), Text(" ", no_wrap=True, overflow="ellipsis")]
+            lines[1].append_text(trouble)
         if verdict is not None:
             lines = [*self.banner(verdict), where]
         self._line1.update(lines[0])
@@ -201,8 +211,10 @@ class StatusBar(Widget):
             for line in banner_lines(verdict.text + after, width)
         ]
 
-    def where(self, s: Snapshot) -> Text:
-        """Return the line that names the target, its state and who commands."""
+    def where(self, s: Snapshot, beside: int = 0) -> Text:
+        """Return the line that names the target, its state and who commands; ``beside``: columns
+        that are wanted for what comes after.
+        """
         c = self.app.theme_variables
         line = Text(" ", no_wrap=True, overflow="ellipsis")
         if s.link != "up":
@@ -216,7 +228,7 @@ class StatusBar(Widget):
             return line.append(words.get(s.link, s.link), Style(bold=True, color=colour))
         rest = self._state(s)
         # what it does is worth more than its whole name
-        room = max(self._line1.size.width - rest.cell_len - len("  "), LEAST_NAME)
+        room = max(self._line1.size.width - rest.cell_len - beside - len("  "), LEAST_NAME)
         machine = f" on {s.machine}" if s.machine != s.target else ""
         if len(s.target) + len(machine) > room:
             machine = ""
@@ -240,12 +252,16 @@ class StatusBar(Widget):
         line.append(f"{who}  ", Style(color=c["success"] if s.mine else c["warning"]))
         if s.moved_by and s.moved_by != who:
             line.append(f"run {s.moved_by}  ", Style(color=c["warning"]))
+        return line
+
+    def trouble(self, s: Snapshot) -> Text:
+        """A trip, a crash, or a joint that stands outside its limits; empty where there is none."""
+        words = s.outside[0] if s.outside else ""
         if s.trip is not None or s.crash:
             words = s.crash if s.trip is None or s.unsafe else s.trip.text
-            if len(s.target) + line.cell_len + len(words) > self._line1.size.width:
-                words = words.replace("STOP was requested by", "STOP by")
-            line.append(words, Style(color=c["error"], bold=True))
-        return line
+            words = words.replace("STOP was requested by", "STOP by")
+        colour = self.app.theme_variables["error"]
+        return Text(in_keys(words), Style(color=colour, bold=True)) if s.link == "up" else Text()
 
     def loop(self, s: Snapshot) -> Text:
         """Return the line that says how the loop and the link do."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -11,6 +10,8 @@ import numpy as np
 
 from zendsp.tui.scope.ticks import number
 from zendsp.tui.snapshot import Variable
+from zendsp_protocol.texts import with_point
+from zendsp_protocol.views import NOTHING
 
 LARGEST = 2.0**31 - 1.0
 COUNTS = 1e7  # a whole number below it is shown whole
@@ -36,7 +37,7 @@ def show_value(value: Any, most: int = 4) -> str:
 def _element(value: float) -> str:
     """Return one of several numbers in a cell: counts whole, all else with three digits."""
     whole = value.is_integer() and abs(value) < COUNTS
-    return str(int(value)) if whole or abs(value) < sys.float_info.min else f"{value:.3g}"
+    return str(int(value)) if whole or abs(value) < NOTHING else f"{value:.3g}"
 
 
 def show_exact(value: Any) -> str:
@@ -76,12 +77,12 @@ def _scalar(variable: Variable, text: str) -> Any:
         try:
             value: float = int(word, 0)
         except ValueError:
-            raise ValueError(f"{text!r} is not a whole number") from None
+            raise ValueError(f"{text!r} is not a whole number{with_point(text)}") from None
     else:
         try:
             value = float(word)
         except ValueError:
-            raise ValueError(f"{text!r} is not a number") from None
+            raise ValueError(f"{text!r} is not a number{with_point(text)}") from None
     if not math.isfinite(value):
         raise ValueError(f"{text} is not finite")
     if not variable.minimum <= value <= variable.maximum:

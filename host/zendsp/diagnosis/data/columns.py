@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from zendsp.errors import RecordingError
 from zendsp.recording import Recording, Table
-from zendsp.recording.names import split_unit
+from zendsp.recording.names import split_unit, units_in
 from zendsp.recording.own import TIME_NAME
 from zendsp.recording.units import not_known, to_si
 from zendsp_protocol.texts import counted
@@ -74,8 +74,9 @@ def units_not_known(name: str, source: Recording | Table, columns: Columns) -> l
     for role, spec in columns.items():
         for column in [] if role == "command" else names_of(spec):
             bare = split_unit(column)[0]
-            unit = source.units.get(bare) or source.units.get(bare.partition("[")[0], "")
-            if unit and to_si(unit) is None:
+            for unit in dict.fromkeys(units_in(source.units, column)):
+                if not unit or to_si(unit) is not None:
+                    continue
                 notes.append(
                     f"{name}: {role} {bare!r} is taken in SI units: {not_known(unit)}. If it is in"
                     " another unit, nothing of this is true: write one of them in the head of the"
@@ -95,8 +96,10 @@ def getter(source: Recording | Table) -> tuple[str, Getter, tuple[str, ...]]:
             if column in ("t", "time", source.extra.get(TIME_NAME)) and column not in names:
                 return np.asarray(source.t, float)
             try:
-                known = to_si(source.units.get(column.partition("[")[0], ""))
-                return np.asarray(source[column], float) * (known[0] if known else 1.0)
+                known = [to_si(unit) for unit in units_in(source.units, column)]
+                factors = np.array([one[0] if one else 1.0 for one in known])
+                values: Array = np.asarray(source[column], float) * factors
+                return values
             except (KeyError, RecordingError):
                 raise RecordingError(
                     f"the recording has no channel {column!r}; it has {', '.join(source.names)}"
@@ -157,8 +160,13 @@ def matrix(name: str, label: str, get: Getter, spec: Any, joints: int) -> Array:
         values = np.asarray(get(str(spec)), float)
         values = values[:, None] if values.ndim == 1 else values
     if values.shape[1] != joints:
+        more = (
+            ". Several joints that act on one another are a model of kind planar2r (two), urdf or"
+            f" mjcf (any number); one joint alone is named by its column: {label} ="
+            f' "{names_of(spec)[0].partition("[")[0]}[0]"'
+        )
         raise RecordingError(
             f"{name}: {label} {spec!r} has {counted(values.shape[1], 'column')}; the model has"
-            f" {counted(joints, 'joint')}"
+            f" {counted(joints, 'joint')}{more if values.shape[1] > joints else ''}"
         )
     return values

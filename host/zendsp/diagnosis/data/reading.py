@@ -71,6 +71,11 @@ def read_signals(source: Source, model: Model) -> Signals:
     time, sample_time, notes, grid = clock(name, get, columns, model, len(position))
     extra, said = _further_columns(name, get, columns, position.shape)
     notes += [*units_not_known(name, source, columns), *said]
+    if joints > 1 and model.kind in ("rotary", "linear"):
+        notes.append(
+            f"a model of kind {model.kind} takes each joint by itself: what the links of an arm do"
+            " to one another is in it only with kind planar2r, urdf or mjcf"
+        )
     if "command" not in columns:
         notes.append(f"{name}: [columns] names no command: the motion is taken as driven by none")
     if repeated:

@@ -26,6 +26,7 @@ from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.effects import get_effect, library, mechanism_of
 from zendsp.physics.model import CALLED, TREES, Model, Quantity
 from zendsp.physics.term_numbers import file_model
+from zendsp_protocol.views import with_std
 
 FAR = 3.0  # standard deviations
 # the same of two numbers together: the root of the χ² of two that is as unlikely (0.27 %); and of
@@ -107,7 +108,7 @@ def shifted(
         same.append("gravity")
     values = {"amount": Estimate(amount, std, unit)}
     text = (
-        f"Calibration moves the {main} of joint {joint} by {_by(amount, ratio, unit)}"
+        f"Calibration moves the {main} of joint {joint} by {_by(amount, ratio, std, unit)}"
         f"{_weight(given, joint, moves)}, far beyond the tolerance of a given number: {what}."
         f"{_as_point(moves)}"
     )
@@ -129,10 +130,10 @@ def _weight(
     given: Model, joint: int, moves: dict[str, tuple[float, float, float, float]]
 ) -> str:
     """What is said of a weight that moved too."""
-    ratio, z, amount, _ = moves.get("gravity", (0.0, 0.0, 0.0, 0.0))
+    ratio, z, amount, std = moves.get("gravity", (0.0, 0.0, 0.0, 0.0))
     if abs(z) < FAR:
         return ""
-    return f" and its gravity torque by {_by(amount, ratio, given.torque_unit(joint))}"
+    return f" and its gravity torque by {_by(amount, ratio, std, given.torque_unit(joint))}"
 
 
 def point_of(inertia: Estimate, weight: Estimate) -> dict[str, Estimate]:
@@ -272,9 +273,9 @@ def _rotor(
     unit = "kg" if given.joint_kind(joint) == "linear" else "kg m²"
     text = (
         f"Calibration moves the rotor inertia of joint {joint} by"
-        f" {_by(amount, amount / before.value, unit)}, far beyond the tolerance of a given"
-        " number: it is wrong. Where only its own acceleration shows it, a link or a payload of"
-        " another mass is the same."
+        f" {_by(amount, amount / before.value, after.std, unit)}, far beyond the tolerance of a"
+        " given number: it is wrong. Where only its own acceleration shows it, a link or a"
+        " payload of another mass is the same."
     )
     values = {"amount": Estimate(amount, after.std, unit)}
     sure = min(0.9, 0.5 + 0.05 * abs(z))
@@ -323,16 +324,16 @@ def _gravity_only(
     }
     text = (
         f"Calibration moves the gravity torque of joint {joint} by"
-        f" {_by(amount, ratio, given.torque_unit(joint))}, far beyond the tolerance of a given"
-        " number: there is an unbalance, or the given number is wrong."
+        f" {_by(amount, ratio, std, given.torque_unit(joint))}, far beyond the tolerance of a"
+        " given number: there is an unbalance, or the given number is wrong."
     )
     return [(z, size, _finding("gravity", joint, values, 0.7, ("stiffness",), text))]
 
 
-def _by(amount: float, ratio: float, unit: str) -> str:
+def _by(amount: float, ratio: float, std: float, unit: str) -> str:
     """A change of a given number, with what it becomes."""
     given = amount / ratio
-    return f"{100 * ratio:+.0f} % (from {given:.3g} to {given + amount:.3g} {unit})"
+    return f"{100 * ratio:+.0f} % (from {given:.3g} to {with_std(given + amount, std, unit)})"
 
 
 def _finding(

@@ -125,6 +125,7 @@ class Report(TypedDict):
     detectable: list[DetectableReport]
     where: WhereReport
     fit: FitReport
+    fit_other_unit: list[FitReport]  # where joints slide and turn
     rejected: list[RejectedReport]
     next_recording: NextReport | None
     unexplained: str

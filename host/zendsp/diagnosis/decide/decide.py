@@ -41,6 +41,7 @@ from zendsp.diagnosis.decide.pushes import (
     pushed,
     pushed_beside,
 )
+from zendsp.diagnosis.decide.result import not_likelier
 from zendsp.diagnosis.decide.thresholds import (
     AMISS,
     BEYOND_SENSOR,
@@ -327,7 +328,7 @@ def _why(
         why = f"not surely this law: {percent(seen.size)} % of the torque, and {left}"
         return rival.effect, why, 0.5 * gain
     why = (
-        "no more likely than the calibrated model"
+        not_likelier(0.5 * gain, 0.5 * WAIT)
         if gain < WAIT
         else "is not what is missing, on the recordings held out"
     )

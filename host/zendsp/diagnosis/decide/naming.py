@@ -166,8 +166,8 @@ def _finding(
             if weight_of_payload(given, decision.final.model, t)
         ]
         if weight:
+            text += _weighs(whole.agreed[joint], weight[0], given.torque_unit(joint))
             grown = weight[0].value("torque") * math.cos(weight[0].value("angle"))
-            text += f" It weighs: gravity grows by {grown:.3g} N m with it."
             numbers["details"] = {"weight": grown}
     if claim.replaces:
         text += f" It makes {', '.join(claim.replaces)} unnecessary."
@@ -186,6 +186,16 @@ def _finding(
         claim.mechanism,
         claim.laws,
     )
+
+
+def _weighs(fit: Fit, gravity: Term, unit: str) -> str:
+    """What is said of the weight of a body; empty where it may be none."""
+    torque = estimates(fit, gravity, "rotary", "", unit)["torque"]
+    hangs = math.cos(gravity.value("angle"))
+    grows = Estimate(torque.value * hangs, torque.std * abs(hangs), unit)
+    if abs(grows.value) <= grows.std:
+        return ""
+    return f" It weighs: gravity grows by {number(grows)} with it."
 
 
 def _held_otherwise(given: Model, term: Term, values: Mapping[str, Estimate]) -> str:

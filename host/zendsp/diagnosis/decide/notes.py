@@ -11,7 +11,7 @@ import numpy as np
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.contract import spans, two_digits
 from zendsp.diagnosis.decide.findings import percent
-from zendsp.diagnosis.decide.result import FitTable
+from zendsp.diagnosis.decide.result import Errors
 from zendsp.diagnosis.decide.thresholds import AMISS, LAWFUL, OF_STATE
 from zendsp.diagnosis.measure.where import units
 from zendsp.physics.calibration.fit import Data
@@ -72,15 +72,16 @@ def _creeping(decisions: Sequence[Decision], given: Model) -> list[str]:
     ]
 
 
-def bent(test: FitTable, floor: float) -> list[str]:
-    """Where calibration makes it worse, in rad or m: what the model has not bends its numbers."""
-    if test.calibrated < MADE_WORSE * test.given or test.calibrated < MADE_WORSE * floor:
+def bent(errors: Errors) -> list[str]:
+    """Where calibration makes it worse: what the model has not bends its numbers."""
+    test, unit = errors.test, errors.unit
+    if test.calibrated < MADE_WORSE * max(test.given, errors.noise_floor):
         return []
     return [
         "calibrated, the model predicts the untouched recordings worse than as given"
-        f" ({test.calibrated:.3g} against {test.given:.3g}): something that it lacks in the"
-        " recordings of the fit, a push perhaps, bends its numbers. Keep the given ones, or fit"
-        " other recordings"
+        f" ({test.calibrated:.3g} {unit} against {test.given:.3g} {unit}): something that it lacks"
+        " in the recordings of the fit, a push perhaps, bends its numbers. Keep the given ones,"
+        " or fit other recordings"
     ]
 
 

@@ -16,6 +16,7 @@ from zendsp.diagnosis.decide.contract import (
     ErrorReport,
     EstimateReport,
     FindingReport,
+    FitReport,
     Report,
     Verdict,
     WhereReport,
@@ -129,6 +130,25 @@ class Rejected:
     score: float
 
 
+def not_likelier(gain: float, least: float) -> str:
+    """Why an effect is not claimed that makes a model by less than ``least`` more likely: both are
+    log-likelihoods, its price taken off.
+
+    Examples
+    --------
+    >>> not_likelier(-3.0, 20.0)
+    'no more likely than the calibrated model'
+    >>> not_likelier(7.2, 20.0)
+    'hardly more likely than the calibrated model: log-likelihood +7, and +20 at least is asked for'
+    """
+    if gain <= 0.0:
+        return "no more likely than the calibrated model"
+    return (
+        f"hardly more likely than the calibrated model: log-likelihood {gain:+.0f}, and"
+        f" {least:+.0f} at least is asked for"
+    )
+
+
 @dataclass(frozen=True)
 class FitTable:
     """RMS position error of short free simulations, rad or m: given, calibrated and improved model.
@@ -198,6 +218,37 @@ class SimulatorErrors:
     improved: Array
 
 
+@dataclass(frozen=True)
+class Errors:
+    """Position errors of the joints whose positions have one unit: tables and noise floor as of
+    `Diagnosis`.
+    """
+
+    unit: str
+    joints: tuple[int, ...]  # empty: all
+    estimation: FitTable
+    heldout: FitTable
+    test: FitTable
+    noise_floor: float
+
+    @property
+    def of(self) -> str:
+        """Of which joints, to be said after what they are errors of; empty: of all."""
+        which = ", ".join(map(str, self.joints))
+        return f", joint{'s' * (len(self.joints) > 1)} {which}" if which else ""
+
+    def as_dict(self) -> FitReport:
+        """For the report."""
+        return {
+            "quantity": "position",
+            "unit": self.unit,
+            "estimation": self.estimation.as_dict(),
+            "heldout": self.heldout.as_dict(),
+            "test": self.test.as_dict(),
+            "noise_floor": self.noise_floor,
+        }
+
+
 @dataclass(repr=False)
 class Diagnosis:
     """The outcome of a diagnosis; docs/diagnosis.md says how to read it.
@@ -211,7 +262,7 @@ class Diagnosis:
         Where the model lacks something: intervals of a joint's state, and of time, s; recordings
         that they are times of.
     unit : str
-        Of positions, rad or m.
+        Of positions, rad or m; where joints slide and turn, of joint 1 and those alike.
     estimation, heldout, test : FitTable
         Errors on the recordings of the fit, on those held out, and on the part of these that
         nothing has touched.
@@ -228,6 +279,8 @@ class Diagnosis:
         A sentence; empty where nothing is.
     discrepancy : tuple of Left
     detectable : tuple of Detectable
+    others : tuple of Errors
+        Where joints slide and turn: errors of those whose positions have the other unit.
     """
 
     verdict: Verdict
@@ -254,10 +307,25 @@ class Diagnosis:
     discrepancy: tuple[Left, ...] = ()
     detectable: tuple[Detectable, ...] = ()
     times_of: tuple[str, ...] = ()
+    others: tuple[Errors, ...] = ()
     test: FitTable | None = None  # on recordings that neither the fit nor any choice has touched
     # of a simulator that can only be called: its errors
     workings: Workings | SimulatorErrors | None = None
     out: Path | None = None
+
+    @property
+    def errors(self) -> tuple[Errors, ...]:
+        """Position errors, once for each unit of position that the joints have."""
+        other = {j for e in self.others for j in e.joints}
+        own = tuple(j for j in range(1, self.given.joints + 1) if other and j not in other)
+        test = self.test or self.heldout
+        first = Errors(self.unit, own, self.estimation, self.heldout, test, self.noise_floor)
+        return (first, *self.others)
+
+    @property
+    def units(self) -> str:
+        """Of all positions, as a `Reference` has it: "rad", "m", or "rad or m"."""
+        return " or ".join(u for u in ("rad", "m") if any(e.unit == u for e in self.errors))
 
     def report(self) -> Report:
         """report.json of the contract, as plain numbers and strings."""
@@ -284,14 +352,8 @@ class Diagnosis:
                 for d in self.detectable
             ],
             "where": self._where(),
-            "fit": {
-                "quantity": "position",
-                "unit": self.unit,
-                "estimation": self.estimation.as_dict(),
-                "heldout": self.heldout.as_dict(),
-                "test": (self.test or self.heldout).as_dict(),
-                "noise_floor": self.noise_floor,
-            },
+            "fit": self.errors[0].as_dict(),
+            "fit_other_unit": [e.as_dict() for e in self.others],
             "rejected": [
                 {"effect": r.effect, "joint": r.joint, "why": r.why, "score": round(r.score, 1)}
                 for r in self.rejected
@@ -347,17 +409,20 @@ class Diagnosis:
             for name, e in f.parameters.items()
         ]
         numbers = html_table(("effect", "joint", "parameter", "value"), rows) if rows else ""
-        fit = html_table(
-            (f"RMS error [{self.unit}]", "given", "calibrated", "improved", "noise floor"),
-            [
-                (name, *(f"{x:.3g}" for x in (t.given, t.calibrated, t.improved)),
-                 f"{self.noise_floor:.2g}")
-                for name, t in (
-                    ("recordings of the fit", self.estimation),
-                    ("untouched", self.test or self.heldout),
-                )
-            ],
-        )
+        fit = "".join(
+            html_table(
+                (f"RMS error [{e.unit}]{e.of}", "given", "calibrated", "improved",
+                 "noise floor"),
+                [
+                    (name, *(f"{x:.3g}" for x in (t.given, t.calibrated, t.improved)),
+                     f"{e.noise_floor:.2g}")
+                    for name, t in (
+                        ("recordings of the fit", e.estimation), ("untouched", e.test)
+                    )
+                ],
+            )
+            for e in self.errors
+        )  # fmt: skip
         return sentence(f"verdict: {self.verdict}") + said + numbers + fit
 
     def __str__(self) -> str:
@@ -365,16 +430,17 @@ class Diagnosis:
         lines += [f"  {f.sentence} (confidence {100 * f.confidence:.0f} %)" for f in self.findings]
         if self.unexplained:
             lines.append(f"  {self.unexplained}")
-        h = self.test or self.heldout
-        shares = ((x.joint, x.share) for x in self.discrepancy)
+        own, shares = self.errors[0], ((x.joint, x.share) for x in self.discrepancy)
         lines += [
             f"  {100 * share:.2g} % of the torque of joint {joint} has no name: more is left than"
             " the error of the sensor"
-            for joint, share in nameless(shares, h.improved, self.noise_floor)
+            for joint, share in nameless(shares, own.test.improved, own.noise_floor)
             if self.verdict == "complete"
         ]
-        lines.append(
-            f"  untouched: given {h.given:.3g}, calibrated {h.calibrated:.3g}, improved"
-            f" {h.improved:.3g} {self.unit} (noise floor {self.noise_floor:.3g})"
-        )
+        lines += [
+            f"  untouched{e.of}: given {e.test.given:.3g}, calibrated"
+            f" {e.test.calibrated:.3g}, improved {e.test.improved:.3g} {e.unit} (noise floor"
+            f" {e.noise_floor:.3g} {e.unit})"
+            for e in self.errors
+        ]
         return "\n".join(lines)

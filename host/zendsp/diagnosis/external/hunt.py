@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.decide.findings import estimates, new_terms, sentence
-from zendsp.diagnosis.decide.result import Finding, Next
+from zendsp.diagnosis.decide.result import Finding, Next, not_likelier
 from zendsp.diagnosis.decide.thresholds import LAW_ERROR
 from zendsp.diagnosis.external.nearby import Near, settled
 from zendsp.diagnosis.external.output_error import (
@@ -237,7 +237,7 @@ class Hunt:
         if _runs_away(c, current):
             return "drives a parameter of the simulator to the end of its range"
         if c.gain <= MIN_GAIN:
-            return "no more likely than the calibrated model"
+            return not_likelier(c.gain, MIN_GAIN)
         if c.z <= MIN_Z:
             return f"does not hold on the held-out recording (z = {c.z:.1f})"
         explained, left, found = self._parts(c, current)

@@ -8,6 +8,8 @@ noise: the noise floor.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
@@ -62,18 +64,19 @@ def rms(values: Array) -> float:
     return value if np.isfinite(value) else float("inf")
 
 
-def model_error(data: Data, model: Model) -> float:
-    """RMS over all joints and recordings, rad or m."""
-    return rms(np.concatenate([window_error(data, model, j) for j in range(1, data.joints + 1)]))
+def model_error(data: Data, model: Model, joints: Sequence[int] = ()) -> float:
+    """RMS over all recordings and over some joints, or all of them, rad or m."""
+    some = joints or range(1, data.joints + 1)
+    return rms(np.concatenate([window_error(data, model, j) for j in some]))
 
 
-def noise_floor(data: Data, joint: int = 0) -> float:
-    """What the sensor alone leaves in such windows: quantisation and noise, rad or m (RMS); of one
-    joint, or of all (0).
+def noise_floor(data: Data, *joints: int) -> float:
+    """What the sensor alone leaves in such windows: quantisation and noise, rad or m (RMS); of some
+    joints, or of all.
     """
     squares, count = 0.0, 0
     for rec in data.records:
-        for record in rec[joint - 1 : joint] if joint else rec:
+        for record in [rec[j - 1] for j in joints] or rec:
             m = record.measurement
             size = max(16, round(WINDOW / record.sample_time))
             left = 1.0 - 2.0 / size

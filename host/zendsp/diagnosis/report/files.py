@@ -45,7 +45,7 @@ def write_report(
     Path
         The folder.
     """
-    folder = Path(out)
+    folder = Path(out).expanduser()
     folder.mkdir(parents=True, exist_ok=True)
     _clear(folder)
     (folder / "model.toml").write_text(_improved_text(d.improved, folder), encoding="utf-8")
@@ -55,7 +55,7 @@ def write_report(
         from zendsp.reference import Reference, save_reference
 
         q, period = d.next_recording.reference
-        reference = Reference(q, period, kind="separating", unit=d.unit)
+        reference = Reference(q, period, kind="separating", unit=d.units)
         save_reference(reference, folder / "next_reference.mat", check=False)
     drawn = charts(d) if pictures else []
     for chart in drawn:

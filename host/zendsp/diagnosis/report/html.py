@@ -9,7 +9,7 @@ from pathlib import Path
 
 from zendsp.diagnosis.data.sampling import whole_second
 from zendsp.diagnosis.decide.contract import dark, spans
-from zendsp.diagnosis.decide.result import Diagnosis, Finding, FitTable, number
+from zendsp.diagnosis.decide.result import Diagnosis, Errors, Finding, number
 from zendsp.diagnosis.report.chart import Chart
 from zendsp.diagnosis.report.summary import (
     SMALLER,
@@ -28,8 +28,8 @@ SHARE = (
     " small share, however large its torque is."
 )
 NO_INTERVAL = (
-    "<p>No interval of velocity, position, acceleration or command holds more of it than chance"
-    " would.</p>"
+    "No interval of velocity, position, acceleration or command holds more of it than chance"
+    " would."
 )
 CSS = """
 body{font:15px/1.5 system-ui,sans-serif;color:#222;max-width:54rem;margin:2rem auto;padding:0 1rem}
@@ -75,7 +75,8 @@ def page(d: Diagnosis, figures: list[tuple[Chart, Path]]) -> str:
     if d.refinements:
         words = "What improves the fit further, and is not claimed as physics of its own."
         parts += ["<h2>Refinements</h2>", f"<p>{words}</p>", _findings_table(d.refinements)]
-    parts += ["<h2>Where the mismatch lives</h2>", _where(d), _pictures(rest, "where")]
+    where = _pictures(rest, "where")
+    parts += ["<h2>Where the mismatch lives</h2>", _where(d, pictured=bool(where)), where]
     parts += ["<h2>What remains</h2>", _pictures(rest, "white")]
     if d.rejected:
         parts += ["<h2>Rejected rivals</h2>", _rejected(d)]
@@ -103,20 +104,21 @@ def _sentences(d: Diagnosis) -> str:
 
 
 def _untouched(d: Diagnosis) -> str:
-    t = d.test or d.heldout
+    return "".join(_untouched_of(d, e) for e in d.errors)
+
+
+def _untouched_of(d: Diagnosis, e: Errors) -> str:
+    t, begin = e.test, f"<p><b>Untouched recordings{e.of}:</b> RMS position error"
+    floor = f"the sensor alone {e.noise_floor:.2g} {e.unit}.</p>"
     if not d.findings:
-        return (
-            f"<p><b>Untouched recordings:</b> RMS position error {t.calibrated:.3g} {d.unit}; the"
-            f" sensor alone {d.noise_floor:.2g} {d.unit}.</p>"
-        )
+        return f"{begin} {t.calibrated:.3g} {e.unit}; {floor}"
     of, error = before(t.given, t.calibrated, t.improved)
     times = error / t.improved if t.improved > 0 else float("inf")
     smaller = f"{times:.0f}" if times >= 10.0 else f"{times:.2g}"
     told = f" ({smaller} times smaller)" if times >= SMALLER else ""
     return (
-        f"<p><b>Untouched recordings:</b> RMS position error {error:.3g} {d.unit} {of},"
-        f" {t.improved:.3g} {d.unit} with what was found{told}; the sensor alone"
-        f" {d.noise_floor:.2g} {d.unit}.</p>"
+        f"{begin} {error:.3g} {e.unit} {of}, {t.improved:.3g} {e.unit} with what was found{told};"
+        f" {floor}"
     )
 
 
@@ -146,17 +148,23 @@ def _could_not(d: Diagnosis) -> str:
 
 
 def _fit_table(d: Diagnosis) -> str:
-    def row(name: str, t: FitTable) -> str:
-        return (
-            f"<tr><td>{name}<td class=n>{t.given:.3g}<td class=n>{t.calibrated:.3g}<td"
-            f" class=n><b>{t.improved:.3g}</b><td class=n>{d.noise_floor:.3g}"
-        )
+    return "".join(_fit_of(d, e) for e in d.errors)
 
-    head = (
-        f"<tr><th>RMS position error within 0.25 s [{d.unit}]<th class=n>given<th"
-        " class=n>calibrated<th class=n>improved<th class=n>noise floor"
+
+def _fit_of(d: Diagnosis, e: Errors) -> str:
+    rows = "".join(
+        f"<tr><td>{name}<td class=n>{t.given:.3g}<td class=n>{t.calibrated:.3g}<td"
+        f" class=n><b>{t.improved:.3g}</b><td class=n>{e.noise_floor:.3g}"
+        for name, t in (
+            ("recordings of the fit", e.estimation), ("held-out recordings", e.heldout),
+            ("of these, untouched", e.test),
+        )
+    )  # fmt: skip
+    return (
+        f"<table><tr><th>RMS position error within 0.25 s [{e.unit}]{e.of}"
+        f"<th class=n>given<th class=n>calibrated<th class=n>improved<th class=n>noise floor{rows}"
+        "</table>"
     )
-    return f"<table>{head}{row('recordings of the fit', d.estimation)}{row('held-out recordings', d.heldout)}{row('of these, untouched', d.test or d.heldout)}</table>"  # noqa: E501
 
 
 def _colour(d: Diagnosis) -> str:
@@ -185,9 +193,12 @@ def _percent(share: float) -> str:
     return "&lt; 0.5 %" if 0.0 < share < 0.005 else f"{100 * share:.0f} %"
 
 
-def _where(d: Diagnosis) -> str:
+def _where(d: Diagnosis, *, pictured: bool = False) -> str:
     if not d.regions and not d.times:
-        return "<p>Nowhere in particular.</p>"
+        if d.verdict == "complete":
+            return "<p>Nothing is missing that these recordings show, so no place is named.</p>"
+        doubt = " What stands out in the pictures may be chance." if pictured else ""
+        return f"<p>{NO_INTERVAL} Nor does any interval of time.{doubt}</p>"
     rows = [
         "<tr><th>joint<th>variable<th>from … to<th class=n>of the mismatch<th class=n>of the time"
     ]
@@ -202,12 +213,12 @@ def _where(d: Diagnosis) -> str:
     of = d.times_of if len(set(d.times_of)) > 1 else [""] * len(d.times)
     when = escape(spans([(a - begin, b - begin) for a, b in d.times], of, len(d.times)))
     when += f", after {begin:.0f} s" if when and begin else ""
-    table = f"<table>{''.join(rows)}</table>" if d.regions else NO_INTERVAL
+    table = f"<table>{''.join(rows)}</table>" if d.regions else f"<p>{NO_INTERVAL}</p>"
     return f"{table}<p>In time: {when or 'spread evenly'}.</p>"
 
 
 def _rejected(d: Diagnosis) -> str:
-    rows = ["<tr><th>effect<th>joint<th>why not<th class=n>log-likelihood"]
+    rows = ["<tr><th>effect<th>joint<th>why not<th class=n>log-likelihood against what was chosen"]
     rows += [
         f"<tr><td>{escape(r.effect)}<td>{r.joint}<td>{escape(r.why)}<td class=n>{r.score:z.0f}"
         for r in d.rejected

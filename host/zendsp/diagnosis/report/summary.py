@@ -144,18 +144,17 @@ def summary(d: Diagnosis) -> str:
     lines += by_joint(d.unexplained)
     if d.findings or d.unexplained:
         lines.append("")
-    lines.append(
-        f"{f'RMS position error over 0.25 s [{d.unit}]':<37}given    calibrated improved noise"
-        " floor"
-    )
-    for name, table in (
-        ("  recordings of the fit", d.estimation),
-        ("  untouched recordings", d.test or d.heldout),
-    ):
-        lines.append(
-            f"{name:<37}{table.given:<9.3g}{table.calibrated:<11.3g}{table.improved:<9.3g}"
-            f"{d.noise_floor:.3g}"
-        )
+    for e in d.errors:
+        head = f"RMS position error over 0.25 s [{e.unit}]"
+        lines.append(f"{head:<37}given    calibrated improved noise floor")
+        for name, table in (
+            (f"  recordings of the fit{e.of}", e.estimation),
+            (f"  untouched recordings{e.of}", e.test),
+        ):
+            lines.append(
+                f"{name:<37}{table.given:<9.3g}{table.calibrated:<11.3g}{table.improved:<9.3g}"
+                f"{e.noise_floor:.3g}"
+            )
     for r in d.regions[:2]:
         lines.append(
             f"mismatch: joint {r.joint}, {r}: {100 * r.share:.0f} % of it in"

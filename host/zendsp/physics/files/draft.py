@@ -74,8 +74,8 @@ def draft_model(table: Table, machine: Machine | None = None) -> Draft:
         )
     joints = position.values.shape[1]
     known = machine if machine is not None and len(machine.joints) == joints else None
-    if known is not None and all(known.slides):
-        groups = sliding(groups)
+    if known is not None and any(known.slides):
+        groups = sliding(groups, known.slides)
         position = best_group(groups, Role.POSITION) or position
     command = best_group(groups, Role.COMMAND, joints) or best_group(groups, Role.CURRENT, joints)
     command = command and in_order(command, position)
@@ -90,7 +90,7 @@ def draft_model(table: Table, machine: Machine | None = None) -> Draft:
     clock = best_group(groups, Role.TIME)
     step = _sample_time(page, clock, table.path.name)
     page.line()
-    linear = position.unit == "m"
+    linear = position.unit.partition(", ")[0] == "m"
     if machine is not None and known is None:
         page.line(ask=_others(machine, position))
     if known is not None and known.model:
@@ -258,6 +258,12 @@ def _unit_asked(position: Group, degrees: str) -> str:
             f"{name} has no known unit and looks like degrees ({degrees}): write '{name} [deg]' in"
             " its head, and begin anew"
         )
+    units = position.unit.split(", ")
+    if len(units) > 1 and all(unit in ("rad", "m") for unit in units):
+        return (
+            f"{', '.join(position.names)}: {position.unit}. Joints that slide beside joints that"
+            ' turn are described by kind = "urdf" or "mjcf" and its file: write them'
+        )
     if position.unit:
         return (
             f"{name}: {not_known(position.unit)}. Write one of them in its head, such as"
@@ -280,7 +286,7 @@ def _numbers(
     ]
     values = [float(f"{idea.inertia:.3g}") if idea else 0.01 for idea in ideas]
     rough = ROUGH if all(ideas) else 1.0
-    torque = command is not None and command.unit in ("N m", "Nm", "N")
+    torque = command is not None and command.is_torque
     said, ask = unit, f"the recording does not show the {key}: what does the drawing say?"
     if all(ideas):
         shares = ", ".join(f"{idea.share:.0%}" for idea in ideas if idea)

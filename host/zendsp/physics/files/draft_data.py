@@ -6,7 +6,7 @@ import json
 import math
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -20,6 +20,7 @@ from zendsp.errors import RecordingError
 from zendsp.physics.kernel.signals import find_resolution
 from zendsp.recording import Recording, Table
 from zendsp.recording.roles import Role, role_of
+from zendsp_protocol.texts import units_of
 
 CURRENT_LOOP_S = 1.6e-4  # of the drives of a MuJoCo machine (docs/machines_mujoco.md)
 Array = npt.NDArray[np.float64]
@@ -40,7 +41,12 @@ class Group:
 
     names: tuple[str, ...]
     values: Array  # (n, joints)
-    unit: str
+    unit: str  # of all columns, or one for each: "m, rad"
+
+    @property
+    def is_torque(self) -> bool:
+        """Whether its unit is that of a torque or a force."""
+        return all(unit in ("N m", "Nm", "N") for unit in self.unit.split(", "))
 
     @property
     def spec(self) -> str:
@@ -54,12 +60,24 @@ class Group:
 SLIDES = {"rad": "m", "rad/s": "m/s", "N m": "N", "Nm": "N"}
 
 
-def sliding(groups: Mapping[Role, list[Group]]) -> dict[Role, list[Group]]:
-    """The same columns, of joints that slide."""
-    return {
-        role: [replace(group, unit=SLIDES.get(group.unit, group.unit)) for group in found]
-        for role, found in groups.items()
-    }
+def sliding(groups: Mapping[Role, list[Group]], slides: list[bool]) -> dict[Role, list[Group]]:
+    """The same columns, each joint's in the unit of one that slides or turns."""
+
+    def of(group: Group) -> Group:
+        if group.values.shape[1] != len(slides):
+            return group
+        units = [
+            SLIDES.get(unit, unit) if there else unit
+            for unit, there in zip(units_of(group.unit, len(slides)), slides, strict=True)
+        ]
+        return replace(group, unit=one_or_each(units))
+
+    return {role: [of(group) for group in found] for role, found in groups.items()}
+
+
+def one_or_each(units: Sequence[str]) -> str:
+    """The unit of all, or one for each: "m, rad"."""
+    return units[0] if len(set(units)) == 1 else ", ".join(units)
 
 
 def groups_of(table: Table) -> dict[Role, list[Group]]:
@@ -72,9 +90,8 @@ def groups_of(table: Table) -> dict[Role, list[Group]]:
     groups: dict[Role, list[Group]] = {}
     for (role, _), names in found.items():
         values = np.column_stack([table.columns[n] for n in names])
-        groups.setdefault(role, []).append(
-            Group(tuple(names), values, table.units.get(names[0], ""))
-        )
+        units = [table.units.get(n, "") for n in names]
+        groups.setdefault(role, []).append(Group(tuple(names), values, one_or_each(units)))
     return groups
 
 
@@ -103,7 +120,7 @@ def best_group(groups: dict[Role, list[Group]], role: Role, joints: int = 0) -> 
         words = re.findall(r"[a-z]+", group.names[0].lower())
         return (
             not np.nanstd(group.values, axis=0).any(),  # as the effort of a JointState without one
-            group.unit not in ("N m", "Nm", "N"),
+            not group.is_torque,
             min((rank.get(w, 9) for w in words), default=9),
         )
 

@@ -15,6 +15,7 @@ from zendsp.physics.files.draft_data import (
     finite,
     in_order,
     is_behind,
+    one_or_each,
 )
 from zendsp.physics.kernel.signals import find_resolution
 from zendsp.recording import Table
@@ -67,10 +68,10 @@ def put_actuator(page: Page, command: Group | None, step: float, machine: Machin
             ask="no column looks like the command: which one is it? (see [columns])",
         )
         return
-    if command.unit in ("N m", "Nm", "N"):
-        page.line(
-            "gain = { value = 1.0, free = false }", f"{command.unit} per {command.unit} of command"
-        )
+    mixed = command.is_torque and ", " in command.unit  # joints that slide and joints that turn
+    if command.is_torque:
+        of = "unit" if mixed else command.unit
+        page.line("gain = { value = 1.0, free = false }", f"{command.unit} per {of} of command")
     elif _named_torque(command):
         page.line("gain = { value = 1.0, free = false }", ask=f"is {command.names[0]} in N m (N)?")
     else:
@@ -79,9 +80,9 @@ def put_actuator(page: Page, command: Group | None, step: float, machine: Machin
             "gain = { value = 1.0, free = false }",
             ask=f"how many N m (N) does one {unit} of {command.names[0]} make?",
         )
-    if command.unit:
+    if command.unit and not mixed:
         page.line(f"unit = {json.dumps(command.unit, ensure_ascii=False)}")
-    torque = command.unit in ("N m", "Nm", "N") or _named_torque(command)
+    torque = command.is_torque or _named_torque(command)
     if machine is not None and torque and machine.limits:
         unit = command.unit or "N m (N)"
         page.line(f"limit = {listed(machine.limits)}", f"{unit}: the machine's own")
@@ -136,11 +137,13 @@ def put_sensor(page: Page, position: Group, linear: bool, machine: Machine | Non
     page.line()
     page.line("[sensor]")
     steps = [find_resolution(finite(column)) for column in position.values.T]
-    units, told = {"m" if linear else "rad"}, "as the numbers are spaced"
+    units, told = ["m" if linear else "rad"], "as the numbers are spaced"
+    if ", " in position.unit:
+        units = position.unit.split(", ")
     if machine is not None:
         steps = [1.0 / abs(float(joint["counts_per_unit"])) for joint in machine.joints]
-        units, told = {str(joint["unit"]) for joint in machine.joints}, "as the machine says"
-    unit = " or ".join(sorted(units))
+        units, told = [str(joint["unit"]) for joint in machine.joints], "as the machine says"
+    unit = one_or_each(units)
     if all(steps):
         said = f"{unit} per count, {told}"
         turns = [2 * np.pi / s for s in steps]

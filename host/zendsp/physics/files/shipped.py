@@ -46,7 +46,7 @@ def find_model(name: str | Path) -> Path:
     True
     """
     shipped = sorted(model_folder().glob("*.toml"))
-    found = found_or_shipped(name, shipped)
+    found = found_or_shipped(Path(name).expanduser(), shipped)
     if found is None:
         raise ModelError(
             f"{name}: cannot be read: no such file, and no shipped model; give the path of a model"

@@ -92,7 +92,7 @@ def simulate_loop(
     if not model.sample_time:
         raise ModelError(f"{model.name}: lacks sample_time, which a simulation needs")
     n = joint_count(model)
-    r, feed, mode = reference_rows(reference, n, model.sample_time)
+    r, feed, mode = reference_rows(reference, model)
     if command is not None:
         extra_rows = np.asarray(command, dtype=np.float64).reshape(-1, n)
         feed = extra_rows if feed is None else feed + stretch(extra_rows, len(feed), hold=False)

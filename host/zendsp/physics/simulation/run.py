@@ -15,7 +15,7 @@ from typing import Any, NotRequired, TypedDict
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.errors import ModelError, RecordingError
+from zendsp.errors import RecordingError
 from zendsp.physics.files.model_file import load_model
 from zendsp.physics.files.model_write import model_text
 from zendsp.physics.model import Model, per_joint, position_limits
@@ -24,9 +24,9 @@ from zendsp.physics.simulation.plant import INNER, Plant, joint_count
 from zendsp.physics.simulation.program import compile_program, run_program
 from zendsp.recording import Recording
 from zendsp.recording.names import gather_vectors
-from zendsp.reference import Reference, load_reference
+from zendsp.reference import Reference, check_fits, load_reference
 from zendsp_isr.sources import Source
-from zendsp_protocol.texts import counted
+from zendsp_protocol.texts import joint_units
 from zendsp_protocol.values import Assignable
 
 Array = npt.NDArray[np.float64]
@@ -100,7 +100,7 @@ def simulate(
 
     Raises
     ------
-    CompileFailed, RunnerDied, VariableError, AcquisitionError, ModelError
+    CompileFailed, RunnerDied, VariableError, AcquisitionError, ModelError, ReferenceError_
         As a target would say it.
 
     Examples
@@ -110,11 +110,7 @@ def simulate(
     """
     model = load_model(model) if not isinstance(model, Model) else model
     planned = load_reference(reference) if isinstance(reference, str | Path) else reference
-    if planned is not None and planned.joints != joint_count(model):
-        raise ModelError(
-            f"{model.name} has {counted(joint_count(model), 'joint')}, the reference"
-            f" {planned.joints}"
-        )
+    told = check_fits(planned, model.name, _units(model)) if planned is not None else ""
     build = compile_program(program, flags)
     tables = planned.tables() if planned is not None else {}
     defaults = (
@@ -152,6 +148,8 @@ def simulate(
     if not outcome.columns:
         raise RecordingError("the program declares no SIGNAL: name channels, for example plant_q")
     extra["simulation"]["beyond"] = beyond(model, outcome)
+    if told:
+        extra["simulation"]["reference"] = told
     return Recording.from_columns(
         outcome.columns,
         sample_time=(model.sample_time or 0.0) * decimation,
@@ -168,13 +166,18 @@ def simulate(
     )
 
 
+def _units(model: Model) -> list[str]:
+    """Of each joint's position."""
+    return [model.position_unit(j + 1) for j in range(joint_count(model))]
+
+
 def beyond(model: Model, outcome: Outcome) -> list[str]:
     """Return a sentence for each limit of the model that a run left: what, how far, what to do."""
     n, period = joint_count(model), model.sample_time or 0.0
-    linear = model.joint_kind(1) == "linear"
-    unit, torque = ("m", "N") if linear else ("rad", "N m")
     said = []
     for j, r in enumerate(outcome.reached[:n], 1):
+        unit = model.position_unit(j)
+        torque = "N" if unit == "m" else "N m"
         low, high = position_limits(model, j)
         far = max(r.low, r.high, key=abs)
         if outcome.ticks < outcome.wanted and abs(far) == max(
@@ -217,6 +220,7 @@ class SimulationNote(TypedDict):
     inner: int  # integration steps a sample
     model: str  # its file
     beyond: NotRequired[list[str]]  # limits that it left
+    reference: NotRequired[str]  # what is to be said where it was planned for another machine
 
 
 class Extra(TypedDict):
@@ -230,6 +234,7 @@ class StepCheck(TypedDict):
     """Whether more steps a sample would still move the positions, as the recording keeps it."""
 
     converged: bool
+    units: list[str]  # of each joint's position
     allowed: list[float]
     halvings: list[Halving]
 
@@ -250,22 +255,23 @@ def converge(model: Model, inner: int, positions: Callable[[int], Array]) -> tup
         changes.append({"inner": inner, "change": change.tolist()})
         done = bool(len(finer) == len(last) and np.all(change <= allowed))
         if done or 2 * inner >= MAX_INNER:
-            return inner, {"converged": done, "allowed": allowed.tolist(), "halvings": changes}
+            return inner, {
+                "converged": done, "units": _units(model), "allowed": allowed.tolist(),
+                "halvings": changes,
+            }
         inner, last = 2 * inner, finer
 
 
 def reference_rows(
-    reference: Any, n: int, sample_time: float
+    reference: Any, model: Model
 ) -> tuple[Array | None, Array | None, str]:
+    n, sample_time = joint_count(model), model.sample_time or 0.0
     if reference is None:
         return None, None, ""
     if isinstance(reference, str | Path):
         reference = load_reference(reference)
     if isinstance(reference, Reference):
-        if reference.joints != n:
-            raise ModelError(
-                f"the model has {counted(n, 'joint')}, the reference {reference.joints}"
-            )
+        check_fits(reference, model.name, _units(model))
         if abs(reference.sample_time - sample_time) < 1e-9:
             return (
                 np.array(reference.q),
@@ -291,16 +297,19 @@ def stretch(rows: Array, count: int, *, hold: bool) -> Array:
 
 
 def recording(model: Model, out: dict[str, Array], r: Array | None, extra: Extra) -> Recording:
-    linear = model.joint_kind(1) == "linear"
-    unit, torque = ("m", "N") if linear else ("rad", "N m")
+    of_joints = _units(model)
+    unit, speed, torque = (
+        joint_units(words, of_joints, len(of_joints)) for words in ("{q}", "{q}/s", "{tau}")
+    )
     columns: dict[str, Array] = {}
     units: dict[str, str] = {}
 
     def put(role: str, values: Array, unit: str) -> None:
         names = model.columns.get(role, role)
         if isinstance(names, list):
+            each = unit.split(", ")  # one where all joints are alike
             for j, name in enumerate(names):
-                columns[name], units[name] = values[:, j], unit
+                columns[name], units[name] = values[:, j], each[min(j, len(each) - 1)]
         else:
             columns[str(names)] = values if values.shape[1] > 1 else values[:, 0]
             units[str(names)] = unit
@@ -313,7 +322,7 @@ def recording(model: Model, out: dict[str, Array], r: Array | None, extra: Extra
         put("temperature", out["temperature"], "°C")
     for name, key, u in (
         ("plant_q", "q", unit),
-        ("plant_qd", "qd", f"{unit}/s"),
+        ("plant_qd", "qd", speed),
         ("plant_torque", "torque", torque),
     ):
         columns[name], units[name] = out[key] if out[key].shape[1] > 1 else out[key][:, 0], u

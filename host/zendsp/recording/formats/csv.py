@@ -4,9 +4,9 @@ numbers.
 The first line of a recording is a comment for people. What belongs to the numbers, the
 metadata, is the last line, a comment too; readers that know ``#`` skip both. Separators ``,``
 ``;`` and tab are told from the header, where one may stand at the end of each line too; ``;`` with
-decimal commas is understood. A column of dates or times of the day (ISO 8601) becomes seconds since
-its first; one of nothing but words is left out. Text is UTF-8, UTF-16 with its mark, or
-Windows-1252, as spreadsheets write them. Gzip by suffix ``.gz``.
+decimal commas is understood. A column of dates or times of the day (ISO 8601, or day.month.year)
+becomes seconds since its first; one of nothing but words is left out. Text is UTF-8, UTF-16 with
+its mark, or Windows-1252, as spreadsheets write them. Gzip by suffix ``.gz``.
 """
 
 from __future__ import annotations
@@ -38,6 +38,10 @@ MARK = "# zendsp "
 TITLE = "# A recording of zendsp"
 THOUSANDS = re.compile(r"(?<!\d)[1-9]\d{0,2}(\.\d{3})+,\d")  # 1.234,5: nothing else is written so
 NO_THOUSANDS = re.compile(r"(?<![\d.])0\.|\.(?!\d{3}(\D|$))")  # 0.500, 1.5
+# 01.02.2026 12:00:00: with points the day is first; 01/02/2026 may be both
+DAY_FIRST = re.compile(r"(?<![\d.])(\d{1,2})\.(\d{1,2})\.(\d{4})(?=[ T]\d\d?:)")
+EITHER_FIRST = re.compile(r"\d{1,2}[/.-]\d{1,2}[/.-]\d{2,4}\b")
+ISO = "2026-02-01 12:00:00.5"
 NOTHING = ("", "NA", "null")  # cells that stand for a number that is not there
 EXAMPLE = ("t", "position", "torque", "reference", "...")  # of a header, for who has none
 UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
@@ -169,6 +173,7 @@ def _unit_row(line: str, delimiter: str, width: int) -> list[str]:
 def _numbers(path: Path, rows: str, raw: Raw, delimiter: str, first_line: int) -> Raw:
     """Return the columns of the file whose names are the keys of ``raw.units``."""
     names = list(raw.units)
+    rows = DAY_FIRST.sub(lambda d: f"{d[3]}-{int(d[2]):02}-{int(d[1]):02}", rows)
     decimal = _decimal(rows[:4096], delimiter)
     if not rows.strip():
         raise RecordingError(f"{path}: has column names but no rows")
@@ -224,8 +229,10 @@ def _with_words(text: str, raw: Raw, delimiter: str) -> Raw:
         if all(c == "nan" or not _is_number(c) for c in cells) and set(cells) != {"nan"}:
             seconds = _seconds(cells)
             if seconds is None:
-                refused[name] = "holds text or other things than numbers"
-                notes.append(f"{name}: left out, it holds text")
+                date = EITHER_FIRST.match(cells[0])
+                what = f"dates, of which {ISO} is read" if date else "text"
+                refused[name] = f"holds {what}" if date else "holds text and no numbers"
+                notes.append(f"{name}: left out, it holds {what}")
                 continue
             notes.append(f"{name}: seconds since {cells[0]}")
             columns[name], units[name] = seconds, "s"

@@ -5,6 +5,7 @@ and optionally a time, qd, qdd, tau.
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from zendsp.recording.roles import Role, role_of
 from zendsp.recording.table import read_raw, read_table
 from zendsp.reference.core import Array, Reference
 from zendsp.reference.files import is_reference, load_reference
+from zendsp.reference.fits import check_fits
 from zendsp.reference.kind import Kind, Parameter
 from zendsp.reference.machine import Machine
 
@@ -92,8 +94,9 @@ def make_from_file(machine: Machine, *, path: str, sample_time: float | None = N
     file = Path(path)
     if is_reference(file):
         saved = load_reference(file)
-        if abs(saved.sample_time - dt) < 1e-9 and saved.joints == machine.joints:
-            return saved
+        check_fits(saved, machine.name, machine.units)
+        if abs(saved.sample_time - dt) < 1e-9:
+            return replace(saved, machine=machine.name)
         t: Array | None = saved.t
         arrays = {"q": saved.q, "qd": saved.qd, "qdd": saved.qdd}
         if saved.tau is not None:
@@ -144,13 +147,13 @@ def _read(file: Path) -> tuple[Array | None, dict[str, Array]]:
             raise ReferenceError_(
                 f"{file}: column {name} is no finite number in row {row}: mend the file"
             )
-        unit = table.units.get(name, "")
         expected = ("s",) if name == clock else UNITS[_COLUMN.match(name)[1]]  # type: ignore[index]
-        if unit and unit.replace("²", "^2").replace("Nm", "N m") not in expected:
-            raise ReferenceError_(
-                f"{file}: column {name} is in {unit}; a reference has it in"
-                f" {' or '.join(expected)}"
-            )
+        for unit in table.units.get(name, "").split(", "):
+            if unit and unit.replace("²", "^2").replace("Nm", "N m") not in expected:
+                raise ReferenceError_(
+                    f"{file}: column {name} is in {unit}; a reference has it in"
+                    f" {' or '.join(expected)}"
+                )
     return None if clock is None else np.ravel(table[clock]), arrays
 
 

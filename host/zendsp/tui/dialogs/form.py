@@ -12,6 +12,7 @@ from textual.containers import Horizontal, VerticalScroll
 from textual.widgets import Button, Input, Select, Static, Switch
 
 from zendsp.tui.dialogs.base import Dialog
+from zendsp.tui.dialogs.yes_no import YesNo
 
 Check = Callable[[str], Any]  # returns the value, or raises ValueError with the words for the user
 
@@ -98,7 +99,7 @@ class Form(Dialog[Mapping[str, Any]]):
                 id=f"f-{field.key}",
             )
         if isinstance(field.value, bool):
-            return Switch(field.value, id=f"f-{field.key}")
+            return YesNo(field.value, id=f"f-{field.key}")
         return Line(str(field.value), compact=True, id=f"f-{field.key}", placeholder=field.hint)
 
     def on_mount(self) -> None:

@@ -89,6 +89,11 @@ class DrivePanel(Vertical):
         text = Text(no_wrap=True, overflow="ellipsis")
         if s.link in ("lost", "ended"):
             return text
+        for sentence in s.outside:
+            text.append("! ", Style(color=c["error"], bold=True))
+            # which and how far, and below it what is to be done: one line has no room for both
+            text.append(in_keys(sentence).replace(": ", ":\n  ", 1), Style(color=c["error"]))
+            text.append("\n")
         unmet = [(name, advice) for name, met, advice in s.conditions if not met]
         if s.conditions and not unmet:
             text.append("✔ ", Style(color=c["success"]))
@@ -99,6 +104,13 @@ class DrivePanel(Vertical):
         if s.host_lost:
             text.append("if the host is lost: ", Style(dim=True))
             text.append(f"{s.host_lost}\n")
+        if s.position and s.described is not None:
+            # by the encoders: a signal of the program is as old as its last sample
+            text.append(f"{'pos':<5}", Style(dim=True))
+            text.append(" ".join(f"{q:>z9.4f}" for q in s.position))
+            units = [joint.unit for joint in s.described.joints]
+            each = units if len(set(units)) > 1 else units[:1]
+            text.append(f" {', '.join(each)}\n", Style(dim=True))
         for name, unit in (
             ("enc", "counts"),
             ("aout", "mV"),
@@ -115,7 +127,7 @@ class DrivePanel(Vertical):
             )
             # nothing goes out of hardware while it is paused
             held = name == "aout" and s.state == "paused" and any(values)
-            word = f"{unit}, simulated: held with its time" if held else unit
+            word = f"{unit}, held" if held else unit
             text.append(f" {word}\n", Style(dim=True))
         if s.scheduling:
             text.append(s.scheduling, Style(dim=True))

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.text import Text
 
-from zendsp.diagnosis.decide.contract import FindingReport, Report, dark, nameless
+from zendsp.diagnosis.decide.contract import FindingReport, FitReport, Report, dark, nameless
 from zendsp.diagnosis.report.chart import Chart
 from zendsp.diagnosis.report.summary import (
     before,
@@ -17,7 +17,7 @@ from zendsp.diagnosis.report.summary import (
     unnamed,
     verdict_sentence,
 )
-from zendsp.tui.diagnoses import Diagnosed
+from zendsp.tui.diagnoses import Diagnosed, other_fits
 from zendsp_protocol.texts import counted
 from zendsp_protocol.views import with_std
 
@@ -123,24 +123,30 @@ def _finding(k: int, f: FindingReport, charts: Sequence[Chart], theme: Mapping[s
 
 
 def _errors(r: Report, charts: Sequence[Chart]) -> list[Entry]:
-    fit = r["fit"]
-    t, alone = fit["test"], f"the sensor alone {fit['noise_floor']:.2g}"
-    # null: a simulation that ran away
-    given, calibrated, improved = (
-        math.inf if x is None else x for x in (t["given"], t["calibrated"], t["improved"])
-    )
-    _, error = before(given, calibrated, improved)
-    fell = f"{error:.3g} → {improved:.3g}" if r["findings"] else f"{calibrated:.3g}"
-    fell = f"error on untouched recordings {fell} {fit['unit']}; {alone}"
+    fell = "; ".join(_fell(fit, bool(r["findings"])) for fit in (r["fit"], *other_fits(r)))
+    fell = f"error on untouched recordings {fell}"
     drawn = _of("fit", charts)
     said = [fell, *(f"joint {c.joint}: its error over time" for c in drawn[1:])]  # of all joints
     made = [Entry(c.name, _plain("fit", text), c) for c, text in zip(drawn, said, strict=False)]
     return made or [Entry("fit", _plain("fit", fell), None, fell)]
 
 
+def _fell(fit: FitReport, found: bool) -> str:
+    """The error before and after what was found, and what the sensor alone leaves."""
+    t, unit = fit["test"], fit["unit"]
+    # null: a simulation that ran away
+    given, calibrated, improved = (
+        math.inf if x is None else x for x in (t["given"], t["calibrated"], t["improved"])
+    )
+    _, error = before(given, calibrated, improved)
+    fell = f"{error:.3g} → {improved:.3g}" if found else f"{calibrated:.3g}"
+    return f"{fell} {unit}, the sensor alone {fit['noise_floor']:.2g} {unit}"
+
+
 def _where(r: Report) -> str:
     return "\n".join(
-        f"joint {w['joint']}, {w['variable']} {w['interval'][0]:.3g} … {w['interval'][1]:.3g}:"
+        f"joint {w['joint']}, {w['variable']} {w['interval'][0]:.3g} … {w['interval'][1]:.3g}"
+        f" {w['unit']}:"
         f" {100 * w['share']:.0f} % of the mismatch in {100 * w['time_share']:.0f} % of the time"
         for w in r["where"]["state"]
     )

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-import sys
+
+from zendsp_protocol.views import NOTHING
 
 STEPS = (1.0, 2.0, 5.0)
 WHOLE = 1e9  # a whole number below it is shown whole
@@ -101,7 +102,7 @@ def number(value: float) -> str:
     """
     if not math.isfinite(value):
         return "—"
-    if abs(value) < sys.float_info.min:  # what a filter that dies away leaves
+    if abs(value) < NOTHING:  # what a filter that dies away leaves
         return "0"
     if abs(value) < WHOLE and float(value).is_integer():
         return f"{value:.0f}"
@@ -112,4 +113,6 @@ def number(value: float) -> str:
 
 def short(value: float) -> str:
     """Return a measured value with four significant digits."""
-    return f"{value:.4g}" if math.isfinite(value) and value else "0" if value == 0.0 else "—"
+    if abs(value) < NOTHING:
+        return "0"
+    return f"{value:.4g}" if math.isfinite(value) else "—"

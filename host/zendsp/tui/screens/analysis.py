@@ -243,6 +243,14 @@ def fits(path: Path, machine: str = "") -> bool:
     return machine in ("", path.stem, table.get("name"))
 
 
+def is_shipped(path: Path) -> bool:
+    """Whether a model is one of those that come with zendsp."""
+    try:
+        return path.parent == model_folder()
+    except FileNotFoundError:
+        return False
+
+
 def _table(path: Path) -> dict[str, Any] | None:
     """What stands in a TOML file; None: it cannot be read."""
     try:

@@ -14,7 +14,7 @@ from zendsp.tui.scope.formula import sources
 from zendsp.tui.scope.picture import arrange
 from zendsp.tui.scope.settings import LANES, MOST_CHANNELS
 from zendsp.tui.screens.base import LabScreen
-from zendsp_protocol.texts import counted, units_of
+from zendsp_protocol.texts import counted, units_of, with_point
 
 
 def real(text: str) -> float:
@@ -22,7 +22,7 @@ def real(text: str) -> float:
     try:
         value = float(text)
     except ValueError:
-        raise ValueError(f"{text!r} is not a number") from None
+        raise ValueError(f"{text!r} is not a number{with_point(text)}") from None
     if value != value or abs(value) == float("inf"):
         raise ValueError("must be finite")
     return value

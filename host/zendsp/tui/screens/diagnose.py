@@ -27,7 +27,7 @@ from zendsp.tui.panels.findings import LOOP, Hanging, entries, headline, unseen
 from zendsp.tui.panels.table import ListTable
 from zendsp.tui.runs import DATA, Outcome, Run, list_runs
 from zendsp.tui.scope import Scope
-from zendsp.tui.screens.analysis import existing, fits, models_for
+from zendsp.tui.screens.analysis import existing, fits, is_shipped, models_for
 from zendsp.tui.screens.diagnose_loop import LoopActions
 from zendsp.tui.snapshot import Snapshot
 from zendsp_protocol.texts import counted
@@ -61,6 +61,7 @@ class DiagnoseScreen(LoopActions):
     def __init__(self) -> None:
         super().__init__()
         self.model = ""
+        self._model_by_hand = False  # in this session
         self.roles: dict[str, str] = {}  # recording -> what it is used for
         self.added: list[str] = []  # recordings that are no runs of this folder
         self.runs: list[Run] = []
@@ -134,10 +135,7 @@ class DiagnoseScreen(LoopActions):
         last = str(motions[0].folder / DATA) if motions else ""
         if last and not self._marked_by_hand and set(self.roles) <= {self._marked}:
             self.roles, self._marked = {last: "fit"}, last
-        if not self.model:
-            first, machine = next(iter(self._models()), None), self._machine()
-            meant = first if first and fits(first, machine) else ""
-            self.model = self.lab.model or str(meant)
+        self.model = self._meant()
         table: DataTable[Text] = self.query_one("#recordings", DataTable)
         at = table.cursor_row
         table.clear(columns=True)
@@ -163,6 +161,18 @@ class DiagnoseScreen(LoopActions):
 
     def _machine(self) -> str:
         return self.runs[0].machine if self.runs else self.lab.session.snapshot.machine
+
+    def _meant(self) -> str:
+        """The model as it was chosen, or remembered; where nobody chose one for the machine that
+        was recorded last, the one of that machine.
+        """
+        kept, machine = self.model or self.lab.model, self._machine()
+        first = next(iter(self._models()), None)
+        meant = str(first) if first and fits(first, machine) else ""
+        of_another = kept and is_shipped(Path(kept)) and not fits(Path(kept), machine)
+        if meant and of_another and not self._model_by_hand:
+            return meant
+        return kept or meant
 
     def _models(self) -> list[Path]:
         return models_for(self._machine(), self.lab.workspace)
@@ -232,6 +242,7 @@ class DiagnoseScreen(LoopActions):
 
     def _take_model(self, path: str) -> None:
         self.model = self.lab.model = path
+        self._model_by_hand = True
         self._painted = None
 
     # -- the diagnosis

@@ -263,8 +263,11 @@ class ExecuteScreen(MeasureActions):
         run, shown = self.this_run(), self.query_one("#progress", Static)
         if run is not None and self.job is None:
             words = f"{run.name}: {run.ending}"
-            shown.update(Text(words, Style(dim=True), no_wrap=True, overflow="ellipsis"))
-            shown.display = bool(run.why) or shorten(run.name) != run.name
+            several = len(run.errors) > 1 and not self.has_class("-narrow")
+            if several:
+                words += f"; rms {', '.join(f'{name} {run.rms(name)}' for name in run.errors)}"
+            shown.update(Text(words, Style(dim=True), no_wrap=not several, overflow="ellipsis"))
+            shown.display = several or bool(run.why) or shorten(run.name) != run.name
 
     @on(Button.Pressed, "#run-abort")
     def action_abort(self) -> None:
@@ -302,10 +305,10 @@ class ExecuteScreen(MeasureActions):
         if run is None:
             self.say("run complete, nothing acquired", "good")
             return
-        figures = ", ".join(f"rms {n} {v:.3g}" for n, v in list(run.errors.items())[:2])
+        figures = ", ".join(f"{name} {run.rms(name)}" for name in run.errors)  # of all joints
         self.say(
             f"run {run.ending}: {run.rows} rows, {run.lost}"
-            f" lost{f', {figures}' if figures else ''}",
+            f" lost{f'; rms of {figures}' if figures else ''}",
             "good" if run.outcome == Outcome.COMPLETE else "warning",
         )
         self.fill_runs(run.folder)

@@ -53,20 +53,19 @@ class RunActions(AnalysisActions):
         table = self.runs_table
         at = mark or (self.this_run().folder if self.this_run() else None)  # type: ignore[union-attr]
         table.clear(columns=True)
-        for name in ("", "name", "outcome", "rms e", "s", "lost", "time"):
+        for name in ("", "name", "outcome", "worst rms", "s", "lost", "time"):
             table.add_column(Text(name), key=name)
         self.runs = list_runs(self.lab.workspace.runs)
         colours = trace_colours(self.app.current_theme).traces
         for run in self.runs:
             k = self.marked_runs.index(run.folder) if run.folder in self.marked_runs else -1
-            figures = " ".join(f"{v:.2g}" for v in list(run.errors.values())[:2])
             table.add_row(
                 Text(
                     "▐" if k >= 0 else " ", Style(color=colours[2 * k % 8]) if k >= 0 else Style()
                 ),
                 Text(shorten(run.name), Style(bold=True)),
                 Text(run.outcome, Style(dim=run.outcome == Outcome.COMPLETE)),
-                Text(figures),
+                Text(run.worst),
                 Text(f"{run.seconds:.2f}", justify="right"),
                 Text(str(run.lost)),
                 Text(time.strftime("%m-%d %H:%M", time.localtime(run.created)), Style(dim=True)),
@@ -126,7 +125,7 @@ class RunActions(AnalysisActions):
 
     def show_overlay(self, scope: Scope) -> None:
         """Show the overlaid runs that are of the kind of the last one: frequency responses, or up
-        to two error (or position) curves of each on one time axis.
+        to two error (or position) curves of each on one time axis, those that err most.
         """
         marked = [r for folder in self.marked_runs for r in self.runs if r.folder == folder]
         responses = [run for run in marked if run.outcome == Outcome.RESPONSE]
@@ -148,7 +147,9 @@ class RunActions(AnalysisActions):
         t = np.arange(round(length / step) + 1) * step
         channels, columns = [], []
         for run, rec in loaded:
-            for name in signals_to_show(rec.columns)[: 8 // max(len(loaded), 1)][:2]:
+            there = signals_to_show(rec.columns)
+            worst = sorted(there, key=lambda n: -loaded[0][0].errors.get(n, 0.0))[:2]
+            for name in [n for n in there if n in worst]:
                 unit = rec.column_units[rec.columns.index(name)]
                 channels.append(Channel(f"{run.name} {name}", unit))
                 columns.append(np.interp(t, rec.t - rec.t[0], rec[name], right=np.nan))

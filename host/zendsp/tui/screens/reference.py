@@ -144,7 +144,8 @@ class ReferenceScreen(ReferenceForm):
         text.append(
             f"{r.duration:.3f} s, {r.samples} samples at {1.0 / r.sample_time:g} Hz", "bold"
         )
-        text.append("\n" if brief else f"   view: {self.view}   v changes\n", "dim")
+        view = f"   view: {self.view}, v changes   below: % of the limits"
+        text.append("\n" if brief else f"{view}\n", "dim")
         for line in peaks_of(self.machine, r, plan.tau, brief):
             for share, words_ in line:
                 colour = (
@@ -160,8 +161,8 @@ class ReferenceScreen(ReferenceForm):
             text.append(f"✖ {violation}\n", f"bold {c['error']}")
         if not plan.violations:
             text.append(
-                f"✔ within {100 * r.headroom:g} % of every"
-                f" {'' if plan.machine.modelled else 'known '}limit of the machine",
+                f"✔ within the limits of position, and {100 * r.headroom:g} % of the others"
+                f"{'' if plan.machine.modelled else ' that are known'}",
                 c["success"],
             )
         text.rstrip()

@@ -16,6 +16,7 @@ from textual.widgets import Button, Input, Select, Static, Switch
 from zendsp.reference import KINDS, MACHINES, Machine, Parameter, load_machine
 from zendsp.reference.registry import HEADROOM
 from zendsp.tui.dialogs.form import Label
+from zendsp.tui.dialogs.yes_no import YesNo
 from zendsp.tui.preflight import machine_of
 from zendsp.tui.scope import Scope
 from zendsp.tui.scope.path import PathPlot
@@ -147,7 +148,7 @@ class ReferenceForm(LabScreen):
                 name=p.name,
             )
         elif p.type == "bool":
-            widget = Switch(bool(value), name=p.name)
+            widget = YesNo(bool(value), name=p.name)
         else:
             widget = Input(words(value), compact=True, name=p.name)
         bounds = f"  ({p.describe_bounds()})" if p.describe_bounds() and not p.choices else ""

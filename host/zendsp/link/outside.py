@@ -1,0 +1,40 @@
+"""Where the joints stand, and which of them stand outside their limits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from zendsp.link.variables import plain
+from zendsp_protocol import messages as m
+
+BACK = "home the machine (zendsp drive home) or start a program that moves it inward"
+
+
+def positions(status: m.Status, joints: Sequence[m.JointInfo]) -> tuple[float, ...]:
+    """Position of each joint by its encoder, rad or m; also while no program computes anything."""
+    counts = plain(status.io.get("enc", ()))
+    counts = counts if isinstance(counts, list | tuple) else [counts]
+    return tuple(
+        (float(count) - joint.zero_counts) / joint.counts_per_unit
+        for count, joint in zip(counts, joints, strict=False)
+    )
+
+
+def outside(status: m.Status, joints: Sequence[m.JointInfo], limits: m.Limits) -> tuple[str, ...]:
+    """A sentence for each joint that stands outside its position limits: which, by how much, and
+    what brings it back. Nothing where the machine is not homed: nobody knows where it stands.
+    """
+    if not status.homed:
+        return ()
+    first = "acknowledge (zendsp drive acknowledge), then " if status.trip else ""
+    found = []
+    for q, joint, least, most in zip(
+        positions(status, joints), joints, limits.position_min, limits.position_max, strict=False
+    ):
+        if not least <= q <= most:
+            limit = least if q < least else most
+            found.append(
+                f"{joint.name} is {abs(q - limit):.2g} {joint.unit} outside its limit of"
+                f" {limit:.4g} {joint.unit}: {first}{BACK}; it may go no farther out"
+            )
+    return tuple(found)

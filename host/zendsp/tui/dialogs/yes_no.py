@@ -1,0 +1,14 @@
+"""A switch that says what it is at: a colour alone is not seen by everybody, nor everywhere."""
+
+from __future__ import annotations
+
+from rich.text import Text
+from textual.widgets import Switch
+
+
+class YesNo(Switch):
+    """On or off, in words."""
+
+    def render(self) -> Text:  # type: ignore[override]  # not the slider
+        """Return a mark and a word."""
+        return Text(" ● yes" if self.value else " ○ no")

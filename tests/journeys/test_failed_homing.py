@@ -1,0 +1,30 @@
+"""A homing that ends without being done takes with it what was typed meanwhile."""
+
+from __future__ import annotations
+
+import json
+
+from journey import Installed
+from screen import Screen
+
+
+def test_what_waits_behind_a_homing_that_fails_is_not_carried_out(installed: Installed) -> None:
+    """Enable and start were typed while the arm went home; then somebody paused it."""
+    installed.target("imi", "imi_planar", "--machine-option", "q2=2.0")  # seconds from home
+    assert installed.run("load", "pd.c", "-t", "imi").returncode == 0
+    screen = Screen(installed, (120, 36), "imi")
+    try:
+        screen.until("○ loaded")
+        screen.keys(b"h")
+        screen.until("… home")
+        screen.keys(b"es")
+        screen.until("enable: waits until home is done")
+        screen.keys(b"p")
+        screen.until("since home failed after it was asked")
+        screen.until("homing ended")
+        said = installed.run("drive", "-t", "imi", "--json")
+        assert json.loads(said.stdout)["state"] not in ("enabled", "running"), said.stdout
+        screen.keys(b"h")  # asked again, it is done
+        screen.until("◉ homed")
+    finally:
+        screen.end()
