@@ -17,6 +17,7 @@ typedef struct {
     int bw_whole, whole[MAXFX][MAXP]; /* of a number in all lanes: 1 or 2 where it is that */
     int two_mass, lag_on, gapped, bristled, bent, creeps, pulled, hung, late, drives, senses, wavy,
         filtered, hidden, loaded; /* whether any lane has it */
+    int at[PLACES][MAXFX], count[PLACES]; /* the effects of each place, by their rows */
 } OF(numbers);
 
 #if LANES > 1 /* a vector, which stays in a register where an array would not */
@@ -109,36 +110,60 @@ static void OF(set_up)(const zk_model *M, OF(numbers) *N)
 static void OF(begin_numbers)(const zk_model *M, OF(numbers) *N)
 {
     OF(set_up)(M, N);
+    for (int i = 0; i < M->nfx; i++) {
+        int places = 0;
+        switch (M->kind[i]) {
+/* EFFECT_CASES_PLACES */
+        default: break;
+        }
+        for (int place = 0; place < PLACES; place++)
+            if (places >> place & 1) N->at[place][N->count[place]++] = i;
+    }
     N->bw_whole = OF(whole)(N->bw_n);
     for (int i = 0; i < M->nfx; i++)
         for (int j = 0; j < MAXP; j++) N->whole[i][j] = OF(whole)(&N->p[i][j * LANES]);
 }
 
-/* torque without dry friction, and what dry friction is multiplied by; lane l looks at sample k +
- * stride l of what is recorded. What the drive cannot give at the speed is a torque that resists,
- * and S->tau then is what it gives. */
-INLINE void OF(gather)(const zk_model *M, const OF(numbers) *N, OF(state) *S, int k, int stride,
-                       OF(lane) *torque, OF(lane) *scale)
+#define AT(place)                                                                                 \
+    for (int a = 0; a < N->count[place]; a++) {                                                   \
+        const int i = N->at[place][a];                                                            \
+        const double *p = N->p[i];                                                                \
+        switch (M->kind[i])
+
+/* torque without dry friction, what dry friction is multiplied by, and viscous friction: of effects
+ * that no speed or torque changes; lane l looks at sample k + stride l of what is recorded */
+INLINE void OF(gather_still)(const zk_model *M, const OF(numbers) *N, OF(state) *S, int k,
+                             int stride, OF(lane) *torque, OF(lane) *scale, OF(lane) *thick)
 {
-    OF(lane) visc, thick;
-    EACH { (*torque)[l] = 0; (*scale)[l] = thick[l] = 1; visc[l] = 0; }
-    for (int i = 0; i < M->nfx; i++) {
-        const double *p = N->p[i];
-        switch (M->kind[i]) {
+    EACH { (*torque)[l] = 0; (*scale)[l] = (*thick)[l] = 1; }
+    AT(STILL) {
+/* EFFECT_CASES_STILL */
+        default: break;
+        }
+    }
+    (void)S; (void)k; (void)stride;
+}
+
+/* The same of the others, upon those. What the drive cannot give at the speed is a torque that
+ * resists, and S->tau then is what it gives. */
+INLINE void OF(gather)(const zk_model *M, const OF(numbers) *N, OF(state) *S, int k, int stride,
+                       OF(lane) *torque, OF(lane) *scale, OF(lane) *thick)
+{
+    OF(lane) visc;
+    EACH visc[l] = 0;
+    AT(FORCE) {
 /* EFFECT_CASES_FORCE */
         default: break;
         }
     }
-    EACH (*torque)[l] += visc[l] * thick[l];
+    EACH (*torque)[l] += visc[l] * (*thick)[l];
     (void)k; (void)stride;
 }
 
 /* what pulls at a load that turns apart from its motor, at S->q */
 INLINE void OF(hang)(const zk_model *M, const OF(numbers) *N, const OF(state) *S, OF(lane) *fall)
 {
-    for (int i = 0; i < M->nfx; i++) {
-        const double *p = N->p[i];
-        switch (M->kind[i]) {
+    AT(LOAD) {
 /* EFFECT_CASES_LOAD */
         default: break;
         }
@@ -151,9 +176,7 @@ INLINE void OF(dry)(const zk_model *M, const OF(numbers) *N, const OF(state) *S,
                     const OF(lane) *v, const OF(lane) *scale, OF(lane) *level)
 {
     EACH (*level)[l] = 0;
-    for (int i = 0; i < M->nfx; i++) {
-        const double *p = N->p[i];
-        switch (M->kind[i]) {
+    AT(DRY) {
 /* EFFECT_CASES_DRY */
         default: break;
         }
@@ -167,9 +190,7 @@ INLINE void OF(act)(const zk_model *M, const OF(numbers) *N, const OF(state) *S,
 {
     OF(lane) u;
     EACH u[l] = clip((*command)[l], N->limit[l]);
-    for (int i = 0; i < M->nfx; i++) {
-        const double *p = N->p[i];
-        switch (M->kind[i]) {
+    AT(ACTUATOR) {
 /* EFFECT_CASES_ACTUATOR */
         default: break;
         }
@@ -182,11 +203,10 @@ INLINE void OF(sense)(const zk_model *M, const OF(numbers) *N, OF(state) *S, con
                       OF(lane) *out)
 {
     EACH { S->q[l] = (*q)[l]; (*out)[l] = (*q)[l]; }
-    for (int i = 0; i < M->nfx; i++) {
-        const double *p = N->p[i];
-        switch (M->kind[i]) {
+    AT(SENSOR) {
 /* EFFECT_CASES_SENSOR */
         default: break;
         }
     }
 }
+#undef AT

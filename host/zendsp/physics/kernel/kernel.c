@@ -9,6 +9,7 @@
  * or m, s, N m or N.
  */
 #include <math.h>
+#include <stddef.h>
 #include <string.h>
 
 #if defined(__GNUC__) && !defined(__clang__) && defined(__GLIBC__) && defined(__x86_64__)
@@ -19,6 +20,8 @@ double pow(double, double) __attribute__((simd("notinbranch"), const));
 #define INLINE static inline __attribute__((always_inline))
 
 enum { MAXFX = 24, MAXP = 6 };
+/* where effects act: see effects.c */
+enum { STILL, FORCE, LOAD, DRY, ACTUATOR, SENSOR, PLACES };
 
 typedef struct {
     int n;                    /* samples */
@@ -123,8 +126,16 @@ INLINE double sine(double x)
 #define sin(x) sine(x)
 #define cos(x) sine((x) + 1.5707963267948966)
 INLINE double sgn(double x) { return (x > 0) - (x < 0); }
-INLINE double soft(double v, double lim) {
+/* v beyond lim >= 0: of one lane by a branch, which is foreseen, of many by a minimum and a maximum,
+ * for which nothing waits as long as for a choice */
+INLINE double soft_1(double v, double lim)
+{
     return v > lim ? v - lim : v < -lim ? v + lim : 0.0;
+}
+INLINE double soft_many(double v, double lim)
+{
+    const double low = v < lim ? v : lim;
+    return v - (low > -lim ? low : -lim);
 }
 
 /* the other joint's measured motion, for couplings; S: a state of effects.c */
@@ -159,7 +170,8 @@ enum { CONTACT_STEPS = 2 };
 /* Newton's steps to the speed at which a creeping friction lets a joint move. */
 enum { CREEP_STEPS = 3 };
 
-/* Samples of what the rigid body does that are brought beside one another at a time. */
+/* Samples that are taken together: of columns brought beside one another, and of looks at whether
+ * lanes have run away. */
 enum { BLOCK = 16 };
 
 #define EACH _Pragma("omp simd") for (int l = 0; l < LANES; l++)
@@ -204,7 +216,7 @@ void zk_trace(const zk_model *M, const double *motion, const double *u, double v
                       : first < n - LANES ? first
                                           : n - LANES,
                   some = n < LANES ? n : LANES; /* the last ones twice */
-        lane_many torque, scale, level, acted, asked, in = {0};
+        lane_many torque, scale, thick, level, acted, asked, in = {0};
         for (int l = 0; l < some; l++) {
             S->q[l] = motion[k + l];
             S->qd[l] = motion[n + k + l];
@@ -215,7 +227,8 @@ void zk_trace(const zk_model *M, const double *motion, const double *u, double v
             S->load[l] =
                 M->inertia[k + l] * S->qdd[l] + M->bias[k + l] + M->gravity * sin(S->q[l]);
         }
-        gather_many(M, N, S, k, some == LANES, &torque, &scale);
+        gather_still_many(M, N, S, k, some == LANES, &torque, &scale, &thick);
+        gather_many(M, N, S, k, some == LANES, &torque, &scale, &thick);
         dry_many(M, N, S, &S->qd, &scale, &level);
         act_many(M, N, S, &in, &acted);
         for (int l = 0; l < some; l++)

@@ -22,6 +22,36 @@ typedef struct { /* what is predicted, [LANES] each; pointers, so that the lanes
     double *push, *spring;               /* torques of the step, but friction and effects */
     double *ex, *mean, *fade;            /* constants of the lag and of the filter */
 } OF(motion);
+typedef struct { /* series along the recording, of which several lanes may have the same */
+    const double *of[LANES];
+    long long has[LANES][LANES]; /* -1 where a lane has it, else 0 */
+    int count;
+} OF(series);
+
+/* The series of all lanes, by where a model has its pointer. */
+static void OF(collect)(const zk_model *M, size_t offset, OF(series) *out)
+{
+    memset(out, 0, sizeof *out);
+    for (int l = 0; l < LANES; l++) {
+        const double *own = *(const double *const *)((const char *)&M[l] + offset);
+        int i = 0;
+        while (i < out->count && out->of[i] != own) i++;
+        if (i == out->count) out->of[out->count++] = own;
+        out->has[i][l] = -1;
+    }
+}
+
+/* Their values at sample k. */
+INLINE void OF(value)(const OF(series) *from, int k, OF(lane) *out)
+{
+    const double first = from->of[0][k];
+    EACH (*out)[l] = first;
+    for (int i = 1; LANES > 1 && i < from->count; i++) {
+        const double other = from->of[i][k];
+        EACH (*out)[l] = from->has[i][l] ? other : (*out)[l];
+    }
+}
+
 #define LANES_AT(lane) ((double *)&(lane))
 #define LANES_OF(name) ((OF(lane) *)X->name)
 

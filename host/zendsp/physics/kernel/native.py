@@ -25,6 +25,8 @@ Array = npt.NDArray[np.float64]
 FAST = (
     "-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros",
     "-ffp-contract=fast", "-shared", "-fPIC",
+    # nothing that an effect needs is worked out where no model has the effect
+    "-fno-tree-loop-im",
 )  # fmt: skip
 # all lanes in one register, where there is one so wide
 WIDE = ("-mprefer-vector-width=512",) if platform.machine() == "x86_64" else ()
@@ -66,7 +68,7 @@ _PLACES = {  # of an effect: the mark in effects.c, and what is done there for e
     "viscous": ("FORCE", "EACH visc[l] += OF(fx_{name})(p, S, l);"),
     "scale": (
         "FORCE",
-        "EACH {{ const double c = OF(fx_{name})(p, S, l); (*scale)[l] *= c; thick[l] *= c; }}",
+        "EACH {{ const double c = OF(fx_{name})(p, S, l); (*scale)[l] *= c; (*thick)[l] *= c; }}",
     ),
     "dry_scale": ("FORCE", "EACH (*scale)[l] *= OF(fx_{name})(p, S, l);"),
     "drive": (
@@ -88,6 +90,7 @@ _ALSO = {  # what else is done where a model has one
     "sensor": [("SETUP", "senses = 1;")],
     "load": [("SETUP", "hung = 1;"), ("LOAD", "EACH (*fall)[l] += OF(fx_{name})(p, S, l);")],
 }
+_MOVES = re.compile(r"\b(qd|qdd|u|tau|load)\b")  # within a step; the rest is worked out once
 _MORE = {"dry": ", int dir", "actuator": ", double u", "drive": ", double tau"}
 
 _POWER = re.compile(r"\bpow\((fabs\([^()]*\)[^(),]*), p\[(\d)\]\)")  # of what is not negative
@@ -98,17 +101,23 @@ def source_text(effects: dict[str, Effect]) -> str:
     mapping.
     """
     functions: list[str] = []
-    cases: dict[str, list[str]] = {mark: [] for mark in ("LOAD", *dict(_PLACES.values()))}
+    marks = ("LOAD", "STILL", "PLACES", *dict(_PLACES.values()))
+    cases: dict[str, list[str]] = {mark: [] for mark in marks}
     for i, effect in enumerate(effects.values()):
         if effect.site == "body":
             continue
         if effect.site not in _PLACES:
             raise ZendspError(f"effect {effect.name!r}: unknown site {effect.site!r}")
         looks = "".join(look for name, look in _LOOKS.items() if re.search(name, effect.c))
+        places = []
         for mark, done in (_PLACES[effect.site], *_ALSO.get(effect.site, ())):
             looked = looks if mark != "SETUP" else ""
             text = _by_power(done.format(name=effect.name, c=effect.c), effect)
-            cases[mark].append(f"case {i}: {looked}{text} break;")
+            still = effect.site not in ("viscous", "drive") and not _MOVES.search(effect.c)
+            place = "STILL" if mark == "FORCE" and still else mark
+            cases[place].append(f"case {i}: {looked}{text} break;")
+            places += [f"1 << {place}"] if mark != "SETUP" else []
+        cases["PLACES"].append(f"case {i}: places = {' | '.join(places) or '0'}; break;")
         if effect.site == "viscous":
             slopes = [k for k, p in enumerate(effect.parameters) if p.size == "torque/speed"]
             most = "".join(f"fmax(p[{k}], " for k in slopes) + "0" + ")" * len(slopes)

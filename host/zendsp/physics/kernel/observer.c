@@ -30,7 +30,7 @@ INLINE void OF(correct)(const OF(task) *O, OF(motion) *X, int k, double *out)
     const double w = M->w[k], half = M->half[k], k1 = M->k1[k], k2 = M->k2[k], m = M->m[k];
     OF(lane) e;
     EACH {
-        e[l] = w > 0 ? soft(m + N->shift[l] - X->y[l], half) : 0.0;
+        e[l] = w > 0 ? OF(soft)(m + N->shift[l] - X->y[l], half) : 0.0;
         out[l] = w * e[l];
         /* in a gap, what pushes one side does not reach the other */
         double dq = k1 * e[l], dv = k2 * e[l],
@@ -42,16 +42,23 @@ INLINE void OF(correct)(const OF(task) *O, OF(motion) *X, int k, double *out)
     if (O->filtered) EACH X->seen[l] += k1 * e[l];
 }
 
-/* Lanes that ran away by sample k are noted; returns how many have not. */
-INLINE int OF(count)(const OF(task) *O, const OF(motion) *X, int k, int left, int *gone)
+enum { OF(LOOK) = LANES > 1 ? BLOCK : 1 }; /* samples from look to look at who ran away */
+
+/* Lanes that ran away by sample k are noted; returns how many have not. away: 1 where they have, of
+ * the samples since the last look. */
+INLINE int OF(count)(const OF(task) *O, const OF(motion) *X, int k, int left,
+                     OF(lane) away[OF(LOOK)], int *gone)
 {
     const double near = O->looped && O->M->kp > 0 ? O->M->ref[k] : O->M->m[k];
-    double lost = 0;
-    _Pragma("omp simd reduction(+ : lost)") for (int l = 0; l < LANES; l++)
-        lost += (fabs(SIDE_Q - near) < 1e3) & (fabs(X->qd[l]) < 1e5) ? 0.0 : 1.0;
-    for (int l = 0; lost > 0 && l < LANES; l++)
-        if (!gone[l] && (!(fabs(SIDE_Q - near) < 1e3) || !(fabs(X->qd[l]) < 1e5))) {
-            gone[l] = 1 + k;
+    const int at = k % OF(LOOK);
+    EACH away[at][l] =
+        (fabs(SIDE_Q - near) < 1e3) & (fabs(X->qd[l]) < 1e5) ? 0.0 : 1.0;
+    if (at < OF(LOOK) - 1 && k < O->M->n - 1) return left;
+    OF(lane) sum = {0};
+    for (int i = 0; i <= at; i++) EACH sum[l] += away[i][l];
+    for (int l = 0; l < LANES; l++)
+        if (sum[l] > 0 && !gone[l]) {
+            for (gone[l] = 1 + k - at; away[gone[l] - 1 - k + at][l] == 0; gone[l]++) { }
             left--;
         }
     return left;
@@ -81,7 +88,9 @@ INLINE int OF(predict)(OF(task) *O, double *r, double *xq, double *xqd, double *
         LANES_AT(per_jl), LANES_AT(bias),   LANES_AT(load), LANES_AT(wave),  LANES_AT(slope),
         LANES_AT(bend),   LANES_AT(push),   LANES_AT(spring), LANES_AT(ex),  LANES_AT(mean),
         LANES_AT(fade)}, *X = &motion;
-    double rigid[2][BLOCK][LANES], loop[2] = {M->q0, 0};
+    double loop[2] = {M->q0, 0};
+    OF(series) rigid[2];
+    OF(lane) away[OF(LOOK)];
     int gone[LANES] = {0}, k = 0, left = LANES;
     const int sub = O->N->gapped ? CONTACT_STEPS * M->sub : M->sub, n = M->n;
     O->geared = O->wavy && !O->two_mass;
@@ -91,9 +100,11 @@ INLINE int OF(predict)(OF(task) *O, double *r, double *xq, double *xqd, double *
     const int shown = M->beyond ? !O->side : O->side; /* the load */
     memset(O->S, 0, sizeof *O->S);
     OF(begin)(O, X);
+    OF(collect)(M, offsetof(zk_model, inertia), &rigid[0]);
+    OF(collect)(M, offsetof(zk_model, bias), &rigid[1]);
     for (; k < n; k++) {
         OF(innovate)(O, X, k, loop, r + (size_t)k * LANES);
-        left = OF(count)(O, X, k, left, gone);
+        left = OF(count)(O, X, k, left, away, gone);
         if (!left) break;
         if (xq) xq[k] = shown ? X->ql[0] : X->q[0];
         if (xqd) xqd[k] = shown ? X->qdl[0] : X->qd[0];

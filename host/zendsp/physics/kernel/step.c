@@ -1,19 +1,15 @@
 /* One sample's way from state to state: command, rigid body, transmission, friction. */
 
-/* What the rigid body does at sample k. rigid: BLOCK samples of its inertia and torque, written
- * long before they are read: a lane at a time, read all at once. */
-INLINE void OF(rigid_body)(const OF(task) *O, OF(motion) *X, int k, double rigid[][BLOCK][LANES])
+/* What the rigid body does at sample k. rigid: its inertia and torque along the recording, of each
+ * lane; most lanes have the same. */
+INLINE void OF(rigid_body)(const OF(task) *O, OF(motion) *X, int k, const OF(series) *rigid)
 {
     const zk_model *M = O->M;
     const OF(numbers) *N = O->N;
-    const int ahead = k % BLOCK;
-    if (ahead == 0)
-        for (int l = 0; l < LANES; l++)
-            for (int i = 0; i < BLOCK && k + i < M->n; i++) {
-                rigid[0][i][l] = M[l].inertia[k + i];
-                rigid[1][i][l] = M[l].bias[k + i];
-            }
-    EACH { X->jm[l] = rigid[0][ahead][l] + N->j_extra[l]; X->bias[l] = rigid[1][ahead][l]; }
+    OF(lane) inertia, bias;
+    OF(value)(&rigid[0], k, &inertia);
+    OF(value)(&rigid[1], k, &bias);
+    EACH { X->jm[l] = inertia[l] + N->j_extra[l]; X->bias[l] = bias[l]; }
     if (O->geared) EACH X->load[l] = X->jm[l] - N->j_extra[l];
     if (O->two_mass && M->bias_slope) /* the load is not where the motor was measured */
         for (int l = 0; l < LANES; l++)
@@ -103,7 +99,7 @@ INLINE void OF(stretch)(const OF(task) *O, OF(motion) *X)
         double dv = (O->wavy ? X->slope[l] * X->qd[l] : X->qd[l]) - X->qdl[l],
                d = X->q[l] - X->ql[l] + (O->wavy ? X->wave[l] : 0.0), gap = N->gap[l],
                moved = h * dv;
-        double e0 = soft(d, 0.5 * gap), e1 = soft(d + moved, 0.5 * gap),
+        double e0 = OF(soft)(d, 0.5 * gap), e1 = OF(soft)(d + moved, 0.5 * gap),
                g = 0.5 * (e0 + e1); /* mean deflection */
         int moves = fabs(moved) > 1e-12 * gap;
         double per = 1.0 / (moves ? moved : 1.0),
@@ -138,10 +134,14 @@ INLINE void OF(pushes)(const OF(task) *O, OF(motion) *X, double added)
     EACH X->push[l] -= O->wavy ? X->slope[l] * X->spring[l] : X->spring[l];
 }
 
-/* What effects resist at the middle of the step, by the speed there. */
-INLINE void OF(resist)(const OF(task) *O, const OF(motion) *X, int k, OF(lane) *f, OF(lane) *scale)
+/* What effects resist at the middle of the step, by the speed there; still: those that are the same
+ * at any. */
+INLINE void OF(resist)(const OF(task) *O, const OF(motion) *X, int k, const OF(lane) still[3],
+                       OF(lane) *f, OF(lane) *scale)
 {
-    OF(gather)(O->M, O->N, O->S, k, 0, f, scale);
+    OF(lane) thick;
+    EACH { (*f)[l] = still[0][l]; (*scale)[l] = still[1][l]; thick[l] = still[2][l]; }
+    OF(gather)(O->M, O->N, O->S, k, 0, f, scale, &thick);
     if (O->geared) EACH (*f)[l] += X->bend[l] * O->S->qd[l] * O->S->qd[l];
 }
 
@@ -213,7 +213,7 @@ INLINE void OF(slide)(const OF(task) *O, OF(motion) *X, const OF(lane) *f, const
     OF(dry)(O->M, O->N, O->S, &vfree, scale, &level);
     EACH {
         level[l] = level[l] > 0 ? level[l] : 0.0;
-        vn[l] = soft(vfree[l], O->h * level[l] * X->per_jm[l]);
+        vn[l] = OF(soft)(vfree[l], O->h * level[l] * X->per_jm[l]);
     }
     if (O->hidden && O->N->creeps) OF(creep)(O, X, &level, &vfree, &vn);
     if (O->hidden && O->N->bristled) OF(bristle)(O, X, &level, &vfree, &vn);
@@ -235,17 +235,18 @@ INLINE void OF(step)(const OF(task) *O, OF(motion) *X, int k, double tl, double 
     const zk_model *M = O->M;
     const OF(numbers) *N = O->N;
     OF(state) *S = O->S;
-    OF(lane) from, f, scale;
+    OF(lane) from, f, scale, still[3];
     EACH S->t[l] = M->t0 + tl + 0.5 * O->h; /* absolute, for effects */
     if (!O->steady) OF(drive)(O, X, tl, k == 0 && tl == 0);
     if (O->filtered) EACH from[l] = SIDE_Q;
     OF(pushes)(O, X, added);
-    OF(resist)(O, X, k, &f, &scale);
+    OF(gather_still)(M, N, S, k, 0, &still[0], &still[1], &still[2]);
+    OF(resist)(O, X, k, still, &f, &scale);
     if (!M->stiff) {
         EACH S->qd[l] =
             X->qd[l] + 0.5 * O->h * (X->push[l] - f[l] - X->rub[l]) * X->per_jm[l];
         if (O->drives) EACH S->tau[l] = X->tau[l];
-        OF(resist)(O, X, k, &f, &scale);
+        OF(resist)(O, X, k, still, &f, &scale);
     }
     OF(slide)(O, X, &f, &scale);
     if (!O->two_mass) EACH { X->ql[l] = X->q[l]; X->qdl[l] = X->qd[l]; }
