@@ -28,8 +28,8 @@ class BodyLimits:
     # the same for two sets of numbers of one link: too few make faults of single joints
     same_link: float = 1.5
     share: float = 0.03  # of the best one's gain: nearer, two explanations are as good
-    # the same of a body against a gain of all joints: payloads of 0.2 and 1.2 kg in the plane, where
-    # nothing but inertia shows them, gained 4 and 5 % less than the gain did
+    # the same of a body against a gain of all joints: payloads of 0.2 and 1.2 kg in the plane,
+    # where nothing but inertia shows them, gained 4 and 5 % less than the gain did
     blunt: float = 0.1
     sure: float = 3.0  # standard deviations over the blocks from which an explanation is one
     part: float = 0.2  # of what some joint leaves has to go on the recordings that choose
