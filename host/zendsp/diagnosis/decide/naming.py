@@ -35,7 +35,7 @@ from zendsp.diagnosis.measure.significance import counterpart, essence_of, essen
 from zendsp.diagnosis.measure.where import Missing, mismatch, units
 from zendsp.physics.calibration.fit import Data, Fit, joint_handles
 from zendsp.physics.effects import get_effect, library
-from zendsp.physics.model import Model, Term
+from zendsp.physics.model import TREES, Model, Term
 from zendsp.physics.term_numbers import chosen
 
 # stated of a disturbance; not learned: the cases have too few of them
@@ -171,15 +171,17 @@ def _finding(
             numbers["details"] = {"weight": grown}
     if claim.replaces:
         text += f" It makes {', '.join(claim.replaces)} unnecessary."
-    if claim.same:
-        text += f" This recording cannot tell it from {', '.join(claim.same)}."
+    # at one joint of an arm a gravity is what a link's centre of mass elsewhere makes
+    same = claim.same + (("body",) if term.effect == "gravity" and given.kind in TREES else ())
+    if same:
+        text += f" This recording cannot tell it from {', '.join(same)}."
     return Finding(
         term.effect,
         joint,
         values,
         sure,
         share,
-        claim.same,
+        same,
         claim.replaces,
         text,
         numbers,
