@@ -49,7 +49,7 @@ from zendsp.physics.model import Model
 
 # where joints claim what a body may be, a small one is asked for too
 BESIDE = replace(LIMITS, little=0.0, least=0.0)
-ROUNDING = 1e-6  # of an error: a body that calibration can take up errs as it does
+ROUNDING = 1e-4  # of an error: a body that calibration can take up errs as it does, but for its last step
 
 
 @dataclass(frozen=True)
@@ -213,7 +213,8 @@ def _finished(found: Found, given: Model, jobs: int, tell: Progress) -> Found:
     if claims:
         claims, improved = settled(parts, claims, whole.improved, jobs)
         if any("calibration" in c.found.indistinguishable for c in claims):
-            improved = _calibrated_beside(parts.fit, given, improved, jobs)
+            beside = _calibrated_beside(parts.fit, given, improved, jobs)
+            improved = min(improved, beside, key=lambda m: model_error(parts.choose, m))
         whole = replace(whole, improved=improved)
         decisions = beside_bodies(claims, decisions, parts.test)
     if claims or any(m.terms for m in found.measured):  # these are no calibration

@@ -80,7 +80,7 @@ COST = {
 }
 TOOL = 2.0  # of a payload at the end of a chain
 RARE = 4.0  # of causes that act on the whole machine: its gravity
-RAREST = 6.0  # of all its gains, by one factor
+RAREST = 6.0  # of all its gains by one factor, of its own numbers beyond their tolerance
 
 
 @dataclass(frozen=True)
@@ -187,7 +187,7 @@ def hypotheses(model: Model, links: Links) -> list[Hypothesis]:
         out += [Hypothesis("base_tilt", free=axes, cost=cost)] if axes else []
         out.append(Hypothesis("gravity_scale", free=("ratio",), cost=RARE))
     if keys := calibrated(model):
-        out.append(Hypothesis("calibration", free=keys, cost=RARE))
+        out.append(Hypothesis("calibration", free=keys, cost=RAREST))
     out.append(Hypothesis("torque_gain", free=("ratio",), cost=RAREST))
     for j in range(1, len(links.bodies) + 1):
         for effect, free in (
