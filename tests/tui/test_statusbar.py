@@ -143,3 +143,19 @@ async def test_no_number_of_a_trip_is_cut_to_another(width: int) -> None:
         lines = [strip.text for strip in app.screen._compositor.render_strips()[1:3]]
         assert "▲ tripped" in lines[0]
         assert "position 2.15015 rad is beyond the limit of 2.15 rad" in lines[1], lines
+
+
+async def test_a_wider_terminal_shows_more_of_a_line_that_does_not_change() -> None:
+    app = _Bar()
+    seen = Snapshot(
+        link="up", target="imi", state="stopped", drive="tripped",
+        trip=TripView("position", 25082, "joint 2: position 2.2 rad is beyond its limit, all said"),
+    )
+    async with app.run_test(size=(80, 5)) as pilot:
+        app.query_one(StatusBar).show(seen)
+        await pilot.pause()
+        for width in (60, 200):
+            await pilot.resize_terminal(width, 5)
+            await pilot.pause()
+            lines = [strip.text for strip in app.screen._compositor.render_strips()[1:3]]
+            assert any("all said" in line for line in lines) == (width == 200), lines
