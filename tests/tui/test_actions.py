@@ -156,8 +156,8 @@ async def test_a_trip_does_not_hide_that_the_machine_is_not_safe(app: ZendspApp)
     seen = Snapshot(link="up", target="imi", trip=trip, crash=crash)
     async with app.run_test(size=(80, 24)):
         bar = app.screen.query_one(StatusBar)
-        assert trip.text in bar.where(seen).plain
-        assert crash in bar.where(replace(seen, unsafe="the machine is NOT SAFE")).plain
+        assert trip.text in bar.trouble(seen).plain
+        assert crash in bar.trouble(replace(seen, unsafe="the machine is NOT SAFE")).plain
 
 
 def test_stop_has_priority_and_is_always_in_the_footer() -> None:

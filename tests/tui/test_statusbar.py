@@ -12,6 +12,7 @@ from zendsp.tui.panels.drive import DrivePanel
 from zendsp.tui.snapshot import Snapshot, TripView
 from zendsp.tui.statusbar import StatusBar, banner_lines
 from zendsp.tui.stop_process import EMERGENCY
+from zendsp_protocol.messages import JointInfo, MachineInfo
 
 
 @pytest.mark.parametrize(
@@ -143,3 +144,29 @@ async def test_no_number_of_a_trip_is_cut_to_another(width: int) -> None:
         lines = [strip.text for strip in app.screen._compositor.render_strips()[1:3]]
         assert "▲ tripped" in lines[0]
         assert "position 2.15015 rad is beyond the limit of 2.15 rad" in lines[1], lines
+
+
+async def test_a_wider_terminal_shows_more_of_a_line_that_does_not_change() -> None:
+    app = _Bar()
+    seen = Snapshot(
+        link="up", target="imi", state="stopped", drive="tripped",
+        trip=TripView("position", 25082, "joint 2: position 2.2 rad is beyond its limit, all said"),
+    )
+    async with app.run_test(size=(80, 5)) as pilot:
+        app.query_one(StatusBar).show(seen)
+        await pilot.pause()
+        for width in (60, 200):
+            await pilot.resize_terminal(width, 5)
+            await pilot.pause()
+            lines = [strip.text for strip in app.screen._compositor.render_strips()[1:3]]
+            assert any("all said" in line for line in lines) == (width == 200), lines
+
+
+async def test_the_positions_of_seven_joints_have_room_beside_the_scope() -> None:
+    arm = MachineInfo("arm", joints=tuple(JointInfo(f"j{k}", unit="rad") for k in range(7)))
+    shown = Snapshot(link="up", described=arm, position=(0.0, -1.9, 0.0, 3.00171, 1e-5, -2.0, 0.5))
+    async with _Bar().run_test():
+        told = DrivePanel().flags(shown).plain.splitlines()
+    assert told[0].split() == ["pos", "0.0000", "-1.9000", "0.0000", "3.0017", "rad"]
+    assert told[1].split() == ["0.0000", "-2.0000", "0.5000", "rad"]
+    assert max(map(len, told)) <= 52  # of the panel on 120 columns

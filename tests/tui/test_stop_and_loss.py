@@ -292,7 +292,7 @@ async def test_a_runner_that_crashes_is_shown_with_its_signal(
         await pilot.press("s")
         await until(pilot, lambda: lab.session.snapshot.state == "crashed", "crashed")
         assert "SIGSEGV" in lab.session.snapshot.crash
-        assert "SIGSEGV" in lab.screen.bar.where(lab.session.snapshot).plain  # type: ignore[attr-defined]
+        assert "SIGSEGV" in lab.screen.bar.trouble(lab.session.snapshot).plain  # type: ignore[attr-defined]
         lab.source = folder / "pd.c"
         await pilot.press("b")
         await until(pilot, lambda: lab.session.snapshot.state == "loaded", "a new download works")

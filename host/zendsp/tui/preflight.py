@@ -101,9 +101,8 @@ def preflight(
         Condition(f"reference chosen{_names(files)}", bool(references), "o chooses; F4 plans one"),
     ]
     if references and machine is not None:
-        fits = _fits(references, machine)
-        found.append(fits)
-        if player is not None and not busy and fits.text != MISFIT:
+        found.append(_fits(references, machine))
+        if player is not None and not busy and found[-1].text != MISFIT:
             # not while a run goes on: where the arm is then is on its way
             plan, playable = _playable(s, references, machine, setup)
             found.append(playable)

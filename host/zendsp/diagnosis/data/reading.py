@@ -70,12 +70,7 @@ def read_signals(source: Source, model: Model) -> Signals:
     position, command, reference = _main_columns(name, get, columns, joints)
     time, sample_time, notes, grid = clock(name, get, columns, model, len(position))
     extra, said = _further_columns(name, get, columns, position.shape)
-    notes += [*units_not_known(name, source, columns), *said]
-    if joints > 1 and model.kind in ("rotary", "linear"):
-        notes.append(
-            f"a model of kind {model.kind} takes each joint by itself: what the links of an arm do"
-            " to one another is in it only with kind planar2r, urdf or mjcf"
-        )
+    notes += [*units_not_known(name, source, columns), *said, *_each_alone(model, joints)]
     if "command" not in columns:
         notes.append(f"{name}: [columns] names no command: the motion is taken as driven by none")
     if repeated:
@@ -136,6 +131,16 @@ def _as_noisy_as_read(s: Signals, rows: Array, left: float) -> Signals:
     rounded = before + moves * steps**2 / 12
     least = np.sqrt(np.maximum(after, np.where(before <= after, rounded, 0.0)))
     return replace(s, least_noise=least if s.least_noise is None else np.fmax(s.least_noise, least))
+
+
+def _each_alone(model: Model, joints: int) -> list[str]:
+    """What is to be known of a model of several joints that has no links between them."""
+    if joints < 2 or model.kind not in ("rotary", "linear"):
+        return []
+    return [
+        f"a model of kind {model.kind} takes each joint by itself: what the links of an arm do to"
+        " one another is in it only with kind planar2r, urdf or mjcf"
+    ]
 
 
 def _main_columns(

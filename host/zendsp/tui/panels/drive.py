@@ -16,6 +16,7 @@ from zendsp.tui.panels.lines import Lines
 from zendsp.tui.scope.ticks import number
 from zendsp.tui.snapshot import Snapshot
 
+A_LINE = 4  # positions, with their unit, that have room beside the scope on 120 columns
 LADDER = ("off", "ready", "homed", "enabled", "running")
 STEPS = (
     ("power", "Power o"),
@@ -106,11 +107,13 @@ class DrivePanel(Vertical):
             text.append(f"{s.host_lost}\n")
         if s.position and s.described is not None:
             # by the encoders: a signal of the program is as old as its last sample
-            text.append(f"{'pos':<5}", Style(dim=True))
-            text.append(" ".join(f"{q:>z9.4f}" for q in s.position))
             units = [joint.unit for joint in s.described.joints]
-            each = units if len(set(units)) > 1 else units[:1]
-            text.append(f" {', '.join(each)}\n", Style(dim=True))
+            for k in range(0, len(s.position), A_LINE):
+                text.append(f"{'' if k else 'pos':<5}", Style(dim=True))
+                text.append(" ".join(f"{q:>z9.4f}" for q in s.position[k : k + A_LINE]))
+                some = list(dict.fromkeys(units[k : k + A_LINE]))
+                each = some if len(some) == 1 else units[k : k + A_LINE]
+                text.append(f" {', '.join(each)}\n", Style(dim=True))
         for name, unit in (
             ("enc", "counts"),
             ("aout", "mV"),

@@ -46,13 +46,14 @@ class Lines(Widget):
 
     def on_resize(self, event: events.Resize) -> None:
         self._strips = {}
+        self.refresh()  # painted by then, perhaps, and a line that stays the same would stay cut
 
     def get_content_height(self, container: Size, viewport: Size, width: int) -> int:
         return len(self._lines)
 
     def render_line(self, y: int) -> Strip:
-        if y not in self._strips:
-            back, width = self.rich_style, self.size.width
+        back, width = self.rich_style, self.size.width
+        if y not in self._strips or self._strips[y].cell_length != width:
             line = self._lines[y].copy() if y < len(self._lines) else Text()
             line.truncate(width, overflow="ellipsis")
             segments = line.render(self.app.console)
