@@ -49,7 +49,8 @@ from zendsp.physics.model import Model
 
 # where joints claim what a body may be, a small one is asked for too
 BESIDE = replace(LIMITS, little=0.0, least=0.0)
-ROUNDING = 1e-4  # of an error: a body that calibration can take up errs as it does, but for its last step
+# of an error: a body that calibration can take up errs as it does, but for a fit's last step
+ROUNDING = 1e-4
 
 
 @dataclass(frozen=True)
