@@ -21,6 +21,7 @@ from zendsp.diagnosis.measure.likelihood import (
 from zendsp.physics.calibration.convergence import step_error, with_step_error
 from zendsp.physics.calibration.fit import Data, fit, robust_covariance
 from zendsp.physics.calibration.handles import free_handles, get_values, set_values
+from zendsp.physics.calibration.predict import run
 from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.kernel.native import native
 
@@ -155,6 +156,26 @@ def test_a_thinned_recording_says_nearly_the_same_of_the_parameters(data: Data) 
     for name, (value, _) in whole.items():
         # a first look only begins a fit: 5 % is well within the basin of any parameter
         assert short[name][0] == pytest.approx(value, rel=0.05), name
+
+
+def test_the_liveliest_part_is_that_stretch_of_the_recording_and_predicted_alike(
+    data: Data,
+) -> None:
+    record, model = data.records[0][0], parse_model(MODEL)
+    part = data.liveliest(1, 0.5 * N * T).records[0][0]
+    assert part.n == N // 2
+    lively = np.mean(part.motion.states[2] ** 2)
+    ends = (record.motion.states[2][: N // 2], record.motion.states[2][N // 2 :])
+    assert lively >= max(np.mean(end**2) for end in ends)
+    begin = part.first
+    assert part.t0 == record.t0 + begin * T
+    np.testing.assert_array_equal(part.command, record.command[begin : begin + part.n])
+    whole, cut = (run(r, model, 32.0).innovations for r in (record, part))
+    settled = part.n // 4  # an observer of 32 rad/s has forgotten where it began
+    np.testing.assert_allclose(
+        cut[settled:], whole[begin + settled : begin + part.n], atol=1e-3 * np.std(whole)
+    )
+    assert data.liveliest(1, 2 * N * T).records[0][0] is record  # as long as all of it
 
 
 def test_thinning_keeps_what_the_sensor_says(data: Data) -> None:

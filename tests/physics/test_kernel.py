@@ -30,7 +30,7 @@ from integrated import (
 
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.signals import Signals
-from zendsp.physics.calibration.predict import RAN_AWAY, run, run_many, trace
+from zendsp.physics.calibration.predict import RAN_AWAY, response, run, run_many, trace
 from zendsp.physics.effects import library
 from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.model import Model, Quantity, Term
@@ -402,3 +402,18 @@ def test_a_prediction_that_runs_away_leaves_those_beside_it_alone() -> None:
     marked = lost == RAN_AWAY
     assert marked[-1] and not marked[0]
     np.testing.assert_array_equal(marked, run(record, away, 16.0).innovations == RAN_AWAY)
+
+
+def test_a_filter_gives_the_samples_that_are_asked_for_of_doubles_and_of_floats() -> None:
+    _, record = recorded(rubbing(), [{"kind": "viscous", "coefficient": 0.01}])
+    rng = np.random.default_rng(0)
+    columns = rng.standard_normal((19, record.n))  # more than one register, not a multiple of it
+    inertia, damping = np.full(record.n, J), np.full(record.n, 0.01)
+    then = rng.random(record.n), 7
+    rows = np.arange(3, record.n - 7, 5, dtype=np.int32)
+    whole = response(record, 16.0, inertia, damping, columns, then=then)
+    some = response(record, 16.0, inertia, damping, columns, then=then, rows=rows)
+    np.testing.assert_array_equal(some, whole[:, rows])
+    single = columns.astype(np.float32)
+    rounded = response(record, 16.0, inertia, damping, single, then=then, rows=rows)
+    np.testing.assert_allclose(rounded, some, atol=1e-6 * np.abs(some).max())

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +31,7 @@ ENERGY_BLOCK = 0.5
 BLOCKS = 12  # fewer, but never less than an observer remembers
 SETTLE = 0.4  # s, of the observers, at most a tenth of a recording
 NOISE_DRAWS = 4  # of sensor noise
+MODELS = 8  # of which a recording keeps what was worked out
 TURNING = 0.1  # of a joint's speed: below, it turns round
 FASTEST = 0.98  # quantile that stands for a joint's speed: a few samples may be spikes
 
@@ -43,6 +45,31 @@ class Size:
     value: float
     low: float
     high: float
+
+
+@dataclass(frozen=True)
+class Resisting:
+    """What resists a torque along a recording in a model: inertia and damping, (n,) each.
+    ``known``: what else was worked out of both.
+    """
+
+    model: Model
+    inertia: Array
+    damping: Array
+    known: dict[Any, Any]
+
+
+def resisting(record: JointRecord, model: Model) -> Resisting:
+    """What resists a torque along a recording, worked out once for each of the latest models."""
+    found: Resisting | None = record.resists.get(id(model))
+    if found is None:
+        found = Resisting(
+            model, effective_inertia(record, model), damping_along(record, model), {}
+        )
+        record.resists[id(model)] = found  # keeps the model, so that no other gets its id
+        while len(record.resists) > MODELS:
+            record.resists.pop(list(record.resists)[0], None)  # noqa: RUF015  as in ``run``
+    return found
 
 
 def band_of(record: JointRecord, band: float) -> float:
@@ -69,7 +96,8 @@ def correction(record: JointRecord, model: Model, band: float) -> tuple[Array, i
     An error of speed that lasts is corrected in the position too: the model's damping resists it.
     """
     _, k2, w = record.gains(band)
-    resists = effective_inertia(record, model) + np.sqrt(2.0) * damping_along(record, model) / band
+    of = resisting(record, model)
+    resists = of.inertia + np.sqrt(2.0) * of.damping / band
     factor = np.where(w > 0, k2 / np.maximum(w, 1e-300), 0.0) * resists / record.sample_time
     return -factor, correction_lag(record, band)
 
@@ -80,14 +108,23 @@ def correction_lag(record: JointRecord, band: float) -> int:
 
 
 def as_seen(
-    record: JointRecord, model: Model, band: float, raw: Array, *, on_sensor: bool = False
+    record: JointRecord,
+    model: Model,
+    band: float,
+    raw: npt.NDArray[np.floating[Any]],
+    *,
+    on_sensor: bool = False,
+    rows: npt.NDArray[np.int32] | None = None,
 ) -> Array:
     """Torques over time, (m, n), as an observer of a band sees them; ``on_sensor``: what it takes
-    for torques of what the sensor adds to the position.
+    for torques of what the sensor adds to the position. ``rows``: the samples that are wanted,
+    ascending, of those that are ``kept``.
     """
-    here, inertia = band_of(record, band), effective_inertia(record, model)
-    then, damping = correction(record, model, here), damping_along(record, model)
-    return response(record, here, inertia, damping, raw, on_sensor=on_sensor, then=then)
+    here, of = band_of(record, band), resisting(record, model)
+    then = correction(record, model, here)
+    return response(
+        record, here, of.inertia, of.damping, raw, on_sensor=on_sensor, then=then, rows=rows
+    )
 
 
 def lacking(data: Data, model: Model, joint: int, band: float) -> list[Array]:
@@ -129,11 +166,22 @@ def noise(record: JointRecord, model: Model, band: float, *, even: bool = False)
     """Mean square of the torque that the sensor's noise alone makes, (N m)² or N²; and what the
     command does between rows. ``even``: as ``lasting`` sees it.
     """
-    draws = np.random.default_rng(0).standard_normal((2, NOISE_DRAWS, record.n))
-    draws[0] *= np.sqrt(np.maximum(record.measurement.variance, 0.0))
-    seen = as_seen(record, model, band, draws[0], on_sensor=True)
+    known = resisting(record, model).known
+    if ("noise", band, even) not in known:
+        known["noise", band, even] = _noise(record, model, band, even)
+    value: float = known["noise", band, even]
+    return value
+
+
+def _noise(record: JointRecord, model: Model, band: float, even: bool) -> float:
+    """As ``noise``, worked out."""
+    rng, shape = np.random.default_rng(0), (NOISE_DRAWS, record.n)
+    draws = rng.standard_normal(shape)
+    draws *= np.sqrt(np.maximum(record.measurement.variance, 0.0))
+    seen = as_seen(record, model, band, draws, on_sensor=True)
     if record.between > 0.0:
-        seen = np.stack([seen, as_seen(record, model, band, record.between * draws[1])])
+        draws = rng.standard_normal(shape)
+        seen = np.stack([seen, as_seen(record, model, band, record.between * draws)])
     seen = lasting(record, seen, band_of(record, band)) if even else seen
     squares = np.asarray(seen[..., kept(record, band)] ** 2)
     return float(np.mean(squares)) * (2.0 if record.between > 0.0 else 1.0)

@@ -19,6 +19,7 @@ from zendsp.diagnosis.measure.discrepancy import (
     lacking,
     mean_square,
     noise,
+    resisting,
     reversals,
 )
 from zendsp.physics.calibration.fit import Data
@@ -27,6 +28,7 @@ from zendsp.physics.kernel.native import swung
 from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
+Floats = npt.NDArray[np.float32]
 
 ROWS = 8000  # rows of a regression
 # pieces of a function of state, as multiples: broad shapes, and narrow ones
@@ -192,6 +194,19 @@ def structure(
     turning : bool
         Whether what acts where the joint turns round counts.
     """
+    known = resisting(parts[0].records[0][joint - 1], model).known
+    records = tuple(rec[joint - 1] for part in parts for rec in part.records)
+    key = (*map(id, records), tuple(mechanisms), turning)
+    if key not in known:  # the records are kept, so that no others get their ids
+        known[key] = _structure(parts, model, joint, mechanisms, turning), records
+    found: Structure = known[key][0]
+    return found
+
+
+def _structure(
+    parts: Sequence[Data], model: Model, joint: int, mechanisms: Sequence[str], turning: bool
+) -> Structure:
+    """As ``structure``, worked out."""
     best = Structure(0.0, 0.0, 0.0)
     whole = replace(parts[0], records=tuple(r for part in parts for r in part.records))
     scale = mean_square(whole, joint)
@@ -206,12 +221,8 @@ def structure(
         for band in BANDS[:3]
     }
     for band, detail in product(BANDS[:3], DETAILS):
-        made = [
-            _seen(part, model, joint, band, columns, lack)
-            for part, columns, lack in zip(parts, drawn[detail], lacks[band], strict=True)
-        ]
         used = [[counted(rec[joint - 1], band, turning) for rec in p.records] for p in parts]
-        guesses = _predicted(parts, made, used, joint, band)
+        guesses = _predicted(parts, model, drawn[detail], lacks[band], used, joint, band)
         if guesses is None:
             return best
         sums, counts, excess = [], [], 0.0
@@ -237,23 +248,26 @@ def structure(
 
 def _predicted(
     parts: Sequence[Data],
-    made: Sequence[Sequence[tuple[Array, Array]]],
+    model: Model,
+    drawn: Sequence[Sequence[Floats]],
+    lacks: Sequence[Sequence[Array]],
     used: Sequence[Sequence[npt.NDArray[np.bool_]]],
     joint: int,
     band: float,
 ) -> list[list[tuple[Array, Array]]] | None:
-    """What the function that was fitted to all other parts predicts, and what lacks, (n,) each, one
-    pair a recording of each part; None where there is nothing to fit, or nothing to fit it to.
+    """What the function that was fitted to all other parts predicts, as the observer sees it, and
+    what lacks, (n,) each, one pair a recording of each part; None where there is nothing to fit, or
+    nothing to fit it to.
     """
-    if not made[0][0][0].shape[0]:
+    if not drawn[0][0].shape[0]:
         return None
     stride = max(1, sum(rec[0].n for part in parts for rec in part.records) // ROWS)
     normals = [
-        _normal(part, seen, use, joint, band, stride)
-        for part, seen, use in zip(parts, made, used, strict=True)
+        _normal(part, model, raw, lack, use, joint, band, stride)
+        for part, raw, lack, use in zip(parts, drawn, lacks, used, strict=True)
     ]
     out = []
-    for k, seen in enumerate(made):
+    for k, part in enumerate(parts):
         others = [n for i, n in enumerate(normals) if i != k]
         square = np.sum([n[0] for n in others], axis=0)
         level = float(np.trace(square)) / len(square)
@@ -261,8 +275,14 @@ def _predicted(
             return None
         theta = np.linalg.solve(
             square + 1e-3 * level * np.eye(len(square)), np.sum([n[1] for n in others], axis=0)
+        ).astype(np.float32)
+        # an observer is linear: it sees the sum of what is drawn as the sum of what it sees
+        out.append(
+            [
+                (as_seen(rec[joint - 1], model, band, theta @ raw)[0], lack)
+                for rec, raw, lack in zip(part.records, drawn[k], lacks[k], strict=True)
+            ]
         )
-        out.append([(theta @ columns, lack) for columns, lack in seen])
     return out
 
 
@@ -297,46 +317,33 @@ def counted(record: JointRecord, band: float, turning: bool) -> npt.NDArray[np.b
     return np.ones(record.n, bool) if turning else ~reversals(record, band_of(record, band))
 
 
-def _seen(
-    data: Data,
-    model: Model,
-    joint: int,
-    band: float,
-    drawn: Sequence[Array],
-    lacks: Sequence[Array],
-) -> list[tuple[Array, Array]]:
-    """Columns (m, n), as the observer sees what was ``drawn``, and lacking torque (n,), one pair a
-    recording.
-    """
-    return [
-        (as_seen(rec[joint - 1], model, band, raw), lack)
-        for rec, raw, lack in zip(data.records, drawn, lacks, strict=True)
-    ]
-
-
 def _normal(
     data: Data,
-    seen: Sequence[tuple[Array, Array]],
+    model: Model,
+    drawn: Sequence[Floats],
+    lacks: Sequence[Array],
     counted: Sequence[npt.NDArray[np.bool_]],
     joint: int,
     band: float,
     stride: int,
 ) -> tuple[Array, Array]:
-    """Normal equations of a part, thinned: squares (m, m), products (m,)."""
-    m = seen[0][0].shape[0]
+    """Normal equations of a part, thinned: squares (m, m), products (m,), of what the observer sees
+    of what was ``drawn``.
+    """
+    m = drawn[0].shape[0]
     square, product = np.zeros((m, m)), np.zeros(m)
-    for (columns, lack), rec, there in zip(seen, data.records, counted, strict=True):
+    for raw, lack, rec, there in zip(drawn, lacks, data.records, counted, strict=True):
         use = kept(rec[joint - 1], band)
-        rows = (np.arange(len(lack))[use][there[use]])[::stride]
-        a, d = np.take(columns, rows, axis=1), lack[rows]
+        rows = (np.arange(len(lack), dtype=np.int32)[use][there[use]])[::stride].copy()
+        a = as_seen(rec[joint - 1], model, band, raw, rows=rows)
         square += a @ a.T
-        product += a @ d
+        product += a @ lack[rows]
     return square, product
 
 
 def _drawn(
     rec: Sequence[JointRecord], joint: int, mechanisms: Sequence[str], ranges: Ranges, detail: int
-) -> Array:
-    """The shapes of all mechanisms, (m, n)."""
+) -> Floats:
+    """The shapes of all mechanisms, (m, n), single: it takes longest to read them."""
     made = [shapes(rec, joint, m, ranges, detail) for m in mechanisms]
-    return np.ascontiguousarray(np.concatenate(made))
+    return np.concatenate(made, dtype=np.float32)

@@ -88,6 +88,17 @@ class Data:
             ),
         )
 
+    def liveliest(self, joint: int, seconds: float) -> Data:
+        """The same recordings with the part of each in which a joint (1-based) is accelerated most:
+        so long, or a quarter.
+        """
+        records = [list(rec) for rec in self.records]
+        for rec in records:
+            record = rec[joint - 1]
+            long = max(seconds, record.n * record.sample_time / 4)
+            rec[joint - 1] = record.liveliest(long)
+        return replace(self, records=tuple(map(tuple, records)))
+
     def at_bandwidth(self, joint: int, value: float) -> Data:
         """The same recordings with another observer on one joint (1-based)."""
         return replace(
@@ -222,11 +233,12 @@ class _Problem:
         central: bool,
     ) -> None:
         self.each, self.central = each, central
+        records = [(rec[j - 1], data.bandwidth[j - 1]) for rec in data.records for j in joints]
         self.works = [
-            Points(rec[j - 1], model, handles, data.bandwidth[j - 1], data.inner).innovations
-            for rec in data.records
-            for j in joints
+            Points(record, model, handles, bandwidth, data.inner) for record, bandwidth in records
         ]
+        ends = np.cumsum([record.n for record, _ in records]).tolist()
+        self.rows = [slice(a, b) for a, b in zip([0, *ends], ends, strict=False)]
         self.low, self.high, self.size = bounds_and_steps(data, model, handles)
         self.prior = np.array(
             [
@@ -234,19 +246,42 @@ class _Problem:
                 for h, size in zip(handles, self.size, strict=True)
             ]
         )
+        self.held = np.flatnonzero(self.prior)
         self.centre = get_values(model, handles)
+        # arrays written to again and again: the system takes long to give new ones
+        self._columns: dict[int, Array] = {}
+        self._spare: list[Array] = []
         # impacts make the cost rough on a fine scale: differences over a tenth of a percent look
         # past it
         self.coarse = 2e-3 if any(get_effect(t.effect).rough for t in model.terms) else 1e-4
 
     def evaluate(self, points: Sequence[Array]) -> Array:
-        """Residuals at some points, the prior's included, (N, points)."""
-        columns = _side_by_side(self.works, points, self.each)
-        if not self.prior.any():
-            return columns
-        held = self.prior > 0
-        known = [self.prior[held] * (at - self.centre)[held] for at in points]
-        return np.concatenate([columns, np.stack(known, axis=1)])
+        """Residuals at some points, the prior's included, (N, points); to be copied, since the next
+        ones are written to the same place.
+        """
+        groups = [points[i : i + LANES] for i in range(0, len(points), LANES)]
+        out = [self._place(i, len(group)) for i, group in enumerate(groups)]
+        tasks = [
+            (work, group, place[rows] if len(group) > 1 else place[rows, 0])
+            for work, rows in zip(self.works, self.rows, strict=True)
+            for group, place in zip(groups, out, strict=True)
+        ]
+        list((map if len(tasks) == 1 else self.each)(lambda t: t[0].innovations(*t[1:]), tasks))
+        last = self.rows[-1].stop
+        for group, place in zip(groups, out, strict=True):
+            for column, at in enumerate(group if len(self.held) else ()):
+                place[last:, column] = (self.prior * (at - self.centre))[self.held]
+        columns = [place[:, : len(group)] for group, place in zip(groups, out, strict=True)]
+        return columns[0] if len(columns) == 1 else np.concatenate(columns, axis=1)
+
+    def _place(self, group: int, points: int) -> Array:
+        """Where the residuals of a group of points are written, a row each."""
+        rows = self.rows[-1].stop + len(self.held)
+        if points == 1:
+            return np.empty((rows, 1))
+        if group not in self._columns:
+            self._columns[group] = np.empty((rows, LANES))
+        return self._columns[group]
 
     def jacobian(self, at: Array, base: Array | None = None) -> tuple[Array, Array]:
         """Residual and Jacobian at a point; without ``base``, its residual, one pass of the
@@ -266,18 +301,20 @@ class _Problem:
             base, columns = columns[:, 0].copy(), columns[:, 1:]
         if not ahead:
             return base, np.zeros((len(base), 0))
+        out = self._spare.pop() if self._spare else np.empty((len(base), len(at)))
         behind = columns[:, len(at) :] if self.central else base[:, None]
         widths = np.array(
             [(p - q)[i] for i, (p, q) in enumerate(zip(ahead, back or [at] * len(at), strict=True))]
         )
-        return base, np.asarray((columns[:, : len(at)] - behind) / widths)
+        np.subtract(columns[:, : len(at)], behind, out=out)
+        out /= widths
+        return base, out
 
     def ways(self, x: Array, r: Array, jac: Array) -> Callable[[Sequence[float]], list[Array]]:
         """Where Levenberg-Marquardt goes from a point, by its damping."""
         # of each number: a gap in mm and a stiffness in MN/m meet in one matrix
         unit = np.maximum(np.abs(x), self.size)
-        scaled = jac * unit
-        gradient, normal = scaled.T @ r, scaled.T @ scaled
+        gradient, normal = unit * (jac.T @ r), unit[:, None] * (jac.T @ jac) * unit
         least = 1e-12 * max(float(np.max(np.diag(normal))), 1e-300)
         diagonal = np.maximum(np.diag(normal), least)
         use = ~(((x <= self.low) & (gradient > 0)) | ((x >= self.high) & (gradient < 0)))
@@ -311,6 +348,8 @@ class _Problem:
             for value, at, row in zip(dampings, trials, rows, strict=True):
                 if float(row @ row) < cost:
                     return value, at, row, slope
+            if slope is not None:
+                self._spare.append(slope)
         return None
 
     def descend(
@@ -331,6 +370,7 @@ class _Problem:
             cost, damping = float(r @ r), max(damping / 8, 1e-9)
             done = (before - cost) / max(before, 1e-300) < tolerance
             if slope is not None:
+                self._spare.append(jac)
                 jac = slope
             elif not brief or not (done or count == iterations):
                 jac = self.jacobian(x, r)[1]

@@ -21,6 +21,7 @@ from zendsp.physics.term_numbers import added_inertia
 
 Array = npt.NDArray[np.float64]
 SMALL = 1e-4  # rad or m: a step of a derivative
+RIGID = 16  # models of which what the rigid body does is kept
 BEGIN = 2.0  # rad a row: as fast as the rows allow
 FADE = 0.05  # s, or a 250th of the recording: in which the square of the bandwidth fades
 
@@ -48,6 +49,7 @@ class JointRecord:
     origin: float = 0.0  # s, of ``t0``'s clock: where the time of effects begins
     between: float = 0.0  # N m or N, RMS: what a command does until the next row that no row says
     every: int = 1  # samples of the recording that one stands for, see ``thinned``
+    first: int = 0  # sample of the recording with which it begins, see ``liveliest``
     _gains: dict[float, tuple[Array, Array, Array]] = field(default_factory=dict)
     _integral: Array | None = None
     _facts: Facts | None = None
@@ -62,6 +64,17 @@ class JointRecord:
     _log_weights: dict[float, float] = field(default_factory=dict, init=False, repr=False)
     # what the kernel is given of it, by the bandwidth of the observer, see ``fill``
     filled: dict[float, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
+    # what the rigid body does along it in the latest models, see ``inertia_and_bias``
+    rigid: dict[Any, tuple[Array, Array]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
+    # sines of its position, see ``Along.wave``
+    waves: dict[float, tuple[Array, Array]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
+    # what resists a torque along it in the latest models, by their id, see ``resisting``
+    resists: dict[int, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _liveliest: JointRecord | None = field(default=None, init=False, repr=False, compare=False)
 
     @property
     def began(self) -> float:
@@ -172,36 +185,88 @@ class JointRecord:
                 position=np.ascontiguousarray(self.position[some]),
                 columns={key: means(column, every) for key, column in self.columns.items()},
                 every=every,
-                _gains={},
-                _integral=None,
-                _thinned=None,
-                _slope=None,
-                fits={},
-                runs={},
-                traces={},
+                **_nothing_known(),
             )
         return self._thinned
 
+    def liveliest(self, seconds: float) -> JointRecord:
+        """The part of the record, so long, in which the joint is accelerated most, for a first look
+        at a hypothesis; all of it where it is no longer.
+        """
+        count = round(seconds / self.sample_time)
+        if count >= self.n or self.every > 1:
+            return self
+        if self._liveliest is None or self._liveliest.n != count:
+            facts(self)  # those of the whole recording hold
+            energy = np.r_[0.0, np.cumsum(self.motion.states[2] ** 2)]
+            begin = int(np.argmax(energy[count:] - energy[:-count]))
+
+            def cut(series: Array) -> Array:
+                return np.ascontiguousarray(series[..., begin : begin + count])
+
+            seen = self.measurement
+            self._liveliest = replace(
+                self,
+                t0=self.t0 + begin * self.sample_time,
+                command=cut(self.command),
+                measurement=replace(
+                    seen, value=cut(seen.value), half=cut(seen.half), variance=cut(seen.variance)
+                ),
+                motion=replace(
+                    self.motion,
+                    states=cut(self.motion.states),
+                    variances=cut(self.motion.variances),
+                ),
+                basis={k: Basis(cut(b.inertia), cut(b.bias)) for k, b in self.basis.items()},
+                others=cut(self.others),
+                position=cut(self.position),
+                columns={key: cut(column) for key, column in self.columns.items()},
+                first=self.first + begin,
+                **_nothing_known(),
+            )
+        return self._liveliest
+
     def __getstate__(self) -> dict[str, Any]:
         """To another process goes what the rest follows from."""
-        empty: dict[str, Any] = {key: {} for key in ("_gains", "fits", "runs", "traces", "filled")}
-        return {**self.__dict__, **empty, "_integral": None, "_thinned": None}
+        kept: dict[str, Any] = {key: {} for key in ("filled", "rigid", "waves", "resists")}
+        return {**self.__dict__, **_nothing_known(), **kept, "_liveliest": None}
 
     def inertia_and_bias(self, model: Model) -> tuple[Array, Array]:
         """Inertia and known torque along the record for the mechanism parameters of a model, each
-        (n,).
+        (n,), to be read only: those of the latest models are kept.
         """
+        terms = body_terms(model) if self.links is not None else ()
+        values = [
+            1.0 if key == "fixed" else mechanism_value(model, key, self.joint)
+            for key in self.basis
+        ]
+        bodies = [(t.effect, t.joint, *(q.value for q in t.parameters.values())) for t in terms]
+        key = (*values, *bodies)
+        found = self.rigid.get(key)
+        if found is None:
+            found = self._inertia_and_bias(values, terms)
+            for series in found:
+                series.setflags(write=False)
+            self.rigid[key] = found
+            while len(self.rigid) > RIGID:
+                self.rigid.pop(list(self.rigid)[0], None)  # noqa: RUF015  in one step: threads
+        return found
+
+    def _inertia_and_bias(
+        self, values: Sequence[float], terms: Sequence[Term]
+    ) -> tuple[Array, Array]:
+        """As ``inertia_and_bias``, worked out."""
         inertias, biases = [], []
-        for key, basis in self.basis.items():
-            value = 1.0 if key == "fixed" else mechanism_value(model, key, self.joint)
+        for value, basis in zip(values, self.basis.values(), strict=True):
             if basis.acts[0]:
                 inertias.append(value * basis.inertia)
             if basis.acts[1]:
                 biases.append(value * basis.bias)
-        if self.links is not None and (terms := body_terms(model)):
+        if self.links is not None and terms:
             change = self.links.change(terms, self.joint - 1)
-            inertias.append(means(change.inertia, self.every))
-            biases.append(means(change.bias, self.every))
+            some = slice(self.first, self.first + self.n * self.every)
+            inertias.append(means(change.inertia[some], self.every))
+            biases.append(means(change.bias[some], self.every))
         inertia, bias = _sum(inertias, self.n), _sum(biases, self.n)
         return np.maximum(inertia, 1e-9 * self.scale.inertia), bias
 
@@ -233,6 +298,12 @@ class JointRecord:
                 for key in constant
             )
         )
+
+
+def _nothing_known() -> dict[str, Any]:
+    """What is worked out anew of another record, or of a part of one."""
+    once = dict.fromkeys(("_integral", "_thinned", "_slope"))
+    return {**once, **{key: {} for key in ("_gains", "fits", "runs", "traces")}}
 
 
 def _sum(parts: list[Array], n: int) -> Array:
@@ -338,6 +409,7 @@ def along(record: JointRecord, model: Model) -> Along:
         sample_time=record.sample_time,
         inertia=effective_inertia(record, model),
         gravity=mechanism_value(model, "gravity", record.joint) if model.kind == "rotary" else 0.0,
+        waves=record.waves,
     )
 
 

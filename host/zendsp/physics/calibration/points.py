@@ -86,21 +86,27 @@ class Points:
                 less = int(effect.parameter(handle.key).size == "joint")
                 self._cells.append((i, row, column, less))
 
-    def innovations(self, points: Sequence[Array]) -> Array:
-        """Weighted innovations, (n, points), of at most eight points; what is the same for this
-        joint is run once.
+    def innovations(self, points: Sequence[Array], out: Array) -> None:
+        """Weighted innovations at one point, ``out`` (n,), or at up to eight, the first columns of
+        ``out`` (n, 8); what is the same for this joint is run once.
         """
         places: dict[tuple[float, ...], int] = {}
         place = [
             places.setdefault(tuple(float(at[i]) for i in self._felt), len(places))
             for at in points
         ]
-        unlike = [points[place.index(i)] for i in range(len(places))]
-        out = self._run(unlike)
-        return out if len(unlike) == len(points) else out[:, place]
+        if len(places) == len(points):
+            self._run(points, out)
+        elif len(places) == 1:
+            one = np.empty(self.record.n)
+            self._run(points[:1], one)
+            out[:, : len(points)] = one[:, None]
+        else:
+            self._run([points[place.index(i)] for i in range(len(places))], out)
+            out[:, : len(points)] = out[:, place]
 
-    def _run(self, points: Sequence[Array]) -> Array:
-        lib, n, count = native(), self.record.n, len(points)
+    def _run(self, points: Sequence[Array], out: Array) -> None:
+        lib, count = native(), len(points)
         kinds, table = self.packed
         at = np.stack(points) if self._felt else np.zeros((count, 0))
         tables = np.repeat(table[None], count, axis=0)
@@ -121,16 +127,13 @@ class Points:
             for i in self._gravity:
                 m[lane].gravity = at[lane, i]
         if count == 1:
-            out = np.empty((n, 1))
             nothing = lib.ffi.NULL
             lib.lib.zk_run(m, lib.doubles(out), nothing, nothing, nothing)
-            return out
+            return
         for lane in range(count, LANES):
             m[lane] = m[0]  # idle
-        out = np.empty((n, LANES))
         lib.lib.zk_run_lanes(m, lib.doubles(out))
         del kinds, known
-        return out[:, :count]
 
     def _fill_rigid(
         self, m: Any, lane: int, at: Array, known: dict[tuple[float, ...], list[Any]]

@@ -332,7 +332,7 @@ def trace(record: JointRecord, model: Model, terms: tuple[Term, ...], speed_floo
     m.other, m.nfx, m.temperature = p(record.others), len(own_terms(terms)), p(_felt(record, terms))
     m.kind, m.p = ffi.cast("int *", ffi.from_buffer(kinds)), p(table)
     inertia, bias = record.inertia_and_bias(model)
-    inertia += added_inertia(model, record.joint)
+    inertia = inertia + added_inertia(model, record.joint)
     fill_rigid(m, record, model, inertia, bias)
     motion = np.ascontiguousarray(record.motion.states)
     out = np.empty(n)
@@ -404,21 +404,23 @@ def response(
     bandwidth: float,
     inertia: Array,
     damping: Array,
-    columns: Array,
+    columns: npt.NDArray[np.floating[Any]],
     *,
     on_sensor: bool = False,
     then: tuple[Array, int] | None = None,
+    rows: npt.NDArray[np.int32] | None = None,
 ) -> Array:
-    """What torque columns (m, n) do to the weighted innovations, to first order (m, n);
-    ``on_sensor``: position columns. ``then``: what each sample is multiplied by, (n,), and the
-    samples by which the result is earlier, its end 0.
+    """What torque columns (m, n), doubles or floats, do to the weighted innovations, to first order
+    (m, n); ``on_sensor``: position columns. ``then``: what each sample is multiplied by, (n,), and
+    the samples by which the result is earlier, its end 0. ``rows``: the samples that are wanted,
+    ascending, before that end, where not all.
     """
     lib, n = native(), record.n
-    p = lib.doubles
+    p, ffi = lib.doubles, lib.ffi
     k1, k2, w = record.gains(bandwidth)
     columns = np.ascontiguousarray(np.atleast_2d(columns))
     active = np.ones(n)
-    out = np.empty_like(columns)
+    out = np.empty((len(columns), n if rows is None else len(rows)))
     lib.lib.zk_filter(
         n,
         record.sample_time,
@@ -429,10 +431,13 @@ def response(
         p(np.ascontiguousarray(inertia)),
         p(np.ascontiguousarray(damping)),
         len(columns),
-        p(columns),
+        ffi.cast("void *", ffi.from_buffer(columns)),
+        int(columns.dtype == np.float32),
         int(on_sensor),
-        lib.ffi.NULL if then is None else p(then[0]),
+        ffi.NULL if then is None else p(then[0]),
         0 if then is None else then[1],
+        ffi.NULL if rows is None else ffi.cast("int *", ffi.from_buffer(rows)),
+        0 if rows is None else len(rows),
         p(out),
     )
     return out

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -12,6 +13,7 @@ from zendsp.errors import ModelError
 
 Array = npt.NDArray[np.float64]
 Numbers = Mapping[str, float]
+REMEMBERED = 3e7  # bytes of waves of a recording at most
 
 MECHANISMS = (
     "dry_friction", "fluid_friction", "transmission", "position_torque", "inertia", "actuator",
@@ -116,6 +118,8 @@ class Along:
         Inertia along the record.
     gravity : float
         The model's torque gravity · sin(q).
+    waves : dict
+        What ``wave`` has worked out: the recording keeps it.
     """
 
     q: Array
@@ -126,6 +130,18 @@ class Along:
     sample_time: float
     inertia: Array
     gravity: float
+    waves: dict[float, tuple[Array, Array]] = field(default_factory=dict)
+
+    def wave(self, order: float, phase: float) -> tuple[Array, Array]:
+        """Sine and cosine of ``order`` times the position and a phase, (n,) each."""
+        found = self.waves.get(order)
+        if found is None:
+            angle = order * self.q
+            found = np.sin(angle), np.cos(angle)
+            if 2 * self.q.nbytes * len(self.waves) < REMEMBERED:
+                self.waves[order] = found
+        (sine, cosine), c, s = found, math.cos(phase), math.sin(phase)
+        return c * sine + s * cosine, c * cosine - s * sine
 
 
 Axis = Sequence[float] | Callable[[Facts], Sequence[float]]

@@ -16,11 +16,12 @@ from zendsp.physics.effects.base import Along, Array, Effect, Numbers, Parameter
 def _column(along: Along, p: Numbers) -> Array:
     """What the load resists in a rigid transmission, to first order in the amplitude."""
     amplitude, order = p["amplitude"], p["order"]
-    error = np.sin(order * along.q + p["phase"])
-    slope = order * np.cos(order * along.q + p["phase"])
+    error, cosine = along.wave(order, p["phase"])
+    slope = order * cosine
     inert = along.inertia * (2 * slope * along.qdd - order**2 * error * along.qd**2)
     if along.gravity:
-        inert += along.gravity * (slope * np.sin(along.q) + error * np.cos(along.q))
+        sine, cosine = along.wave(1.0, 0.0)
+        inert += along.gravity * (slope * sine + error * cosine)
     return np.asarray(amplitude * inert)
 
 

@@ -254,23 +254,30 @@ void zk_sense(const zk_model *M, const double *q, double *out)
         for (int l = 0; l < some; l++) out[first + l] = seen[l] - at[l];
     }
 }
-/* What added torque columns d (cols x n) do to the innovations, to first order: the observer's
- * error dynamics, out (cols x n). meas: columns act on the measurement instead. per: what each
- * innovation is multiplied by (n), or null; lag: samples by which out is earlier, its end 0. */
+/* What added torque columns d (cols x n; floats where single is 1) do to the innovations, to first
+ * order: the observer's error dynamics, out (cols x n). meas: columns act on the measurement instead.
+ * per: what each innovation is multiplied by (n), or null; lag: samples by which out is earlier, its
+ * end 0. rows: the samples of out that are wanted, ascending, below n - lag, so that out is
+ * (cols x wanted); null: all. */
 void zk_filter(int n, double T, const double *k1, const double *k2, const double *w,
                const double *e_active, const double *inertia, const double *damp, int cols,
-               const double *d, int meas, const double *per, int lag, double *out) {
+               const void *d, int single, int meas, const double *per, int lag, const int *rows,
+               int wanted, double *out) {
     enum { WIDE = 4 * LANES }; /* columns side by side: each waits for itself only */
+    const size_t wide = rows ? wanted : n;
     for (int first = 0; first < cols; first += WIDE) {
         const int some = cols - first < WIDE ? cols - first : WIDE,
                   groups = (some + LANES - 1) / LANES;
-        const double *dc = d + (size_t)first * n;
-        double *oc = out + (size_t)first * n, q[WIDE] = {0}, v[WIDE] = {0}, in[BLOCK][WIDE] = {{0}},
+        const double *dc = (const double *)d + (size_t)first * n;
+        const float *fc = (const float *)d + (size_t)first * n;
+        double *oc = out + first * wide, q[WIDE] = {0}, v[WIDE] = {0}, in[BLOCK][WIDE] = {{0}},
                r[BLOCK][WIDE];
-        for (int begin = 0; begin < n; begin += BLOCK) {
+        for (int begin = 0, row = 0; begin < n; begin += BLOCK) {
             const int here = n - begin < BLOCK ? n - begin : BLOCK;
             for (int c = 0; c < some; c++)
-                for (int i = 0; i < here; i++) in[i][c] = dc[(size_t)c * n + begin + i];
+                for (int i = 0; i < here; i++)
+                    in[i][c] = single ? (double)fc[(size_t)c * n + begin + i]
+                                      : dc[(size_t)c * n + begin + i];
             for (int i = 0; i < here; i++) {
                 const int k = begin + i;
                 const double on = w[k] > 0 && e_active[k] != 0.0 ? 1.0 : 0.0,
@@ -287,11 +294,17 @@ void zk_filter(int n, double T, const double *k1, const double *k2, const double
                         v[c] = vn;
                     }
             }
+            if (rows) {
+                for (; row < wanted && rows[row] + lag < begin + here; row++)
+                    for (int c = 0; c < some; c++)
+                        oc[c * wide + row] = r[rows[row] + lag - begin][c];
+                continue;
+            }
             for (int c = 0; c < some; c++)
                 for (int i = begin < lag ? lag - begin : 0; i < here; i++)
                     oc[(size_t)c * n + begin + i - lag] = r[i][c];
         }
-        for (int c = 0; c < some; c++)
+        for (int c = 0; !rows && c < some; c++)
             for (int k = n - lag; k < n; k++) oc[(size_t)c * n + k] = 0;
     }
 }

@@ -47,8 +47,8 @@ int zk_run_lanes(const zk_model *M, double *r);
 void zk_trace(const zk_model *M, const double *motion, const double *u, double v0, double *out);
 void zk_sense(const zk_model *M, const double *q, double *out);
 void zk_filter(int n, double T, const double *k1, const double *k2, const double *w, const double *active,
-               const double *inertia, const double *damp, int cols, const double *d, int meas,
-               const double *per, int lag, double *out);
+               const double *inertia, const double *damp, int cols, const void *d, int single, int meas,
+               const double *per, int lag, const int *rows, int wanted, double *out);
 void zf_gains(int n, double T, const double *sa, const double *R, double *k1, double *k2, double *w);
 double zf_smooth(int n, double T, double sd, double sd0, const double *a_in, const double *m, const double *half, const double *R,
                  double q0, double v0, double *work, double *out, double *var);
