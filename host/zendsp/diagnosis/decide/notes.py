@@ -23,6 +23,7 @@ MADE_WORSE = 1.5
 # of a travel: a joint that goes less of it back goes one way; and s of motion below which a
 # recording is short (what no law follows is told, so that a user knows what else to do)
 ONE_WAY, SHORT = 0.05, 5.0
+SLOW_ROWS = 0.004  # s: loops are seldom slower
 
 
 def notes_of(decisions: Sequence[Decision], given: Model) -> list[str]:
@@ -104,12 +105,22 @@ def _hardly_moves(fit: Data, joint: int) -> str:
 
 
 def _held(fit: Data, given: Model) -> str:
-    """What is said where commands are taken as held from row to row, and nobody said so."""
-    if given.actuator.hold is not None or any(r.between for rec in fit.records for r in rec):
+    """What is said where commands are taken as held from row to row: by a model that does not say
+    how long, or of rows so far apart that a loop may well be faster.
+    """
+    hold, records = given.actuator.hold, [r for rec in fit.records for r in rec]
+    if any(r.between for r in records):
+        return ""
+    if hold is None:
+        return (
+            " (if the rows are samples of a faster loop, say how long it holds a command:"
+            " [actuator] hold)"
+        )
+    if max(r.sample_time for r in records) < SLOW_ROWS:
         return ""
     return (
-        " (if the rows are samples of a faster loop, say how long it holds a command: [actuator]"
-        " hold)"
+        " (if the loop is faster than the rows, its [actuator] hold is less than the"
+        f" {hold:.4g} s that the model says)"
     )
 
 
