@@ -13,6 +13,7 @@ import reality
 from reality import RATE
 from small_models import COULOMB, VISCOUS, data_of, model_of, signals_of
 
+from zendsp.diagnosis import joints
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide.propose import OTHER, motions
@@ -275,3 +276,21 @@ def test_numbers_at_which_an_effect_is_none_gain_nothing() -> None:
     screen: Any = SimpleNamespace(q=np.zeros((50, 1)), left=np.linspace(0.0, 2.0, 50))
     (none, _), (gain, theta) = Screen.groups(screen, rows, 1)
     assert none == 0.0 and gain > 1.0 and theta == pytest.approx(-2.0)
+
+
+@pytest.mark.parametrize(
+    ("alone", "goes_on", "warm"),
+    [(100.0, False, True), (500.0, False, False), (100.0, True, False)],
+)
+def test_what_was_found_is_put_upon_a_creep_that_gains_little_and_leads_to_nothing_more(
+    monkeypatch: pytest.MonkeyPatch, alone: float, goes_on: bool, warm: bool
+) -> None:
+    def scored(deviance: float) -> Any:
+        return SimpleNamespace(deviance=deviance)
+
+    first: Any = SimpleNamespace(base=scored(0.0), final=scored(-1000.0))
+    upon: Any = SimpleNamespace(final=scored(-1050.0))
+    monkeypatch.setattr(joints, "upon", lambda *_: upon)
+    again: Any = SimpleNamespace(goes_on=lambda found: found is upon.final and goes_on)
+    found = joints._upon_creep(first, scored(-alone), again, 1)
+    assert found is (upon if warm else None)

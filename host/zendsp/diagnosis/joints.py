@@ -36,6 +36,9 @@ from zendsp.physics.calibration.fit import Data
 from zendsp.physics.model import Model
 
 Progress = Callable[[str], None]
+# share of what was found that a friction that creeps gains by itself: with less, that was not
+# mistaken for it
+CREEPS = 0.15
 LOOK_S = 0.5  # between looks at what the processes of the joints are doing
 Explained = tuple[list[JointSearch], list[Decision], Assembled]
 
@@ -235,10 +238,28 @@ def _search_joint(
     if soft is not None:
         tell(f"joint {joint}: again, with a dry friction that creeps")
         creeping = given.with_terms((*given.terms, soft.model.terms[-1]))
-        other = Searcher(parts.fit, joint, accept, jobs, tell, creeping).search(soft)
+        again = Searcher(parts.fit, joint, accept, jobs, tell, creeping)
+        warm = _upon_creep(search, soft, again, jobs)
+        other = warm or again.search(soft)
         if other.final.deviance < search.final.deviance - WAIT:
-            search, given = other, creeping
+            if warm and all(t.effect != "creep" for t in warm.final.model.at(joint)):
+                search = replace(warm, base=base)  # it is not needed any more
+            else:
+                search, given = other, creeping
     return search, decide(parts, given, search, jobs, tell)
+
+
+def _upon_creep(
+    first: JointSearch, soft: Scored, again: Searcher, jobs: int
+) -> JointSearch | None:
+    """What was found before a friction creeps, fitted upon it, where it gains little beside that
+    and leads to nothing more; None where it may have been mistaken for what was found.
+    """
+    found = first.base.deviance - first.final.deviance
+    if not first.base.deviance - soft.deviance < CREEPS * found:
+        return None
+    other = upon(first, soft, jobs)
+    return None if again.goes_on(other.final) else other
 
 
 def decided_again(

@@ -19,6 +19,7 @@ from zendsp.physics.effects import Effect, get_effect, is_supported, library
 from zendsp.physics.model import Model, Term
 
 COARSE = 1e-3  # s
+LIVELY = 6.0  # s of a recording, or a quarter of it: enough to choose where a transmission begins
 SLOWEST = 8.0  # rad/s: no screen looks through a slower observer
 SAME_INERTIA = 0.05  # change, as a logarithm, that is within the basin of a gap
 
@@ -213,6 +214,8 @@ def scan(
         ]
     if effect.rough:
         data = coarse(data)
+    if effect.family == "transmission":
+        data = data.liveliest(joint, LIVELY)
     trials = [
         with_candidate(model, Candidate(effect.name, joint, (term,), gone, math.nan))
         for term, model in listed

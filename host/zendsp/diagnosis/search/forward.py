@@ -114,6 +114,12 @@ class Searcher:
         terms = scored.model.terms[-1:]
         return Rival("inertia", joint, scored, price(terms, self.rounds.n), terms, ())
 
+    def goes_on(self, current: Scored) -> bool:
+        """Whether one more effect promises something upon a model."""
+        if is_white(current, self.joint):
+            return False
+        return self.rounds.glance(current, frozenset()) < current.deviance - WAIT
+
     def softened(self, base: Scored) -> Scored | None:
         """The calibrated model with a dry friction that creeps in place of holding; None where it
         has none, or that does not pay.
