@@ -459,7 +459,7 @@ def test_beside_a_body_a_mechanism_without_a_law_stands_but_for_a_constant(
     claim: Any = SimpleNamespace(effect="unknown", mechanism="actuator", size=0.001, term=term)
     nothing: Any = None
     decision = Decision(1, "missing", (claim,), (), *[nothing] * 8)
-    found = SimpleNamespace(term=SimpleNamespace(parameters={}))
+    found = SimpleNamespace(term=SimpleNamespace(parameters={}), indistinguishable=())
     body: Any = SimpleNamespace(sizes={1: 0.9}, found=found)
     record: Any = SimpleNamespace(n=1, scale=SimpleNamespace(torque=1.0))
     test: Any = SimpleNamespace(records=[[record]])

@@ -286,6 +286,21 @@ def test_a_constant_that_the_centre_of_a_body_may_be_wrong_by_is_the_bodys(
     claim: Any = SimpleNamespace(effect="torque_offset", mechanism="actuator", size=0.02, term=law)
     nothing: Any = None
     decision = Decision(1, "missing", (claim,), (), *[nothing] * 8)
-    body: Any = SimpleNamespace(sizes={1: 0.03}, found=SimpleNamespace(term=term))
+    found = SimpleNamespace(term=term, indistinguishable=())
+    body: Any = SimpleNamespace(sizes={1: 0.03}, found=found)
     (beside,) = beside_bodies([body], [decision], test)
     assert (beside.claims == (claim,)) is stands
+
+
+@pytest.mark.parametrize("same", ["calibration", "torque_gain"])
+def test_an_inertia_beside_a_body_that_calibration_could_take_up_is_calibration(same: str) -> None:
+    term, law = SimpleNamespace(parameters={}), SimpleNamespace(effect="inertia")
+    found = SimpleNamespace(term=term, indistinguishable=(same,))
+    body: Any = SimpleNamespace(sizes={1: 0.3}, found=found)
+    record: Any = SimpleNamespace(n=1, scale=SimpleNamespace(torque=1.0))
+    test: Any = SimpleNamespace(records=[[record]])
+    claim: Any = SimpleNamespace(effect="inertia", mechanism="inertia", size=0.2, term=law)
+    nothing: Any = None
+    decision = Decision(1, "missing", (claim,), (), *[nothing] * 8)
+    (beside,) = beside_bodies([body], [decision], test)
+    assert (beside.refinements == (claim,)) is (same == "calibration")

@@ -183,9 +183,10 @@ def beside_bodies(
 ) -> list[Decision]:
     """Decisions in which a constant, by a law or without one, or a function of the position that is
     no larger than what a body's weight may be wrong by refines the fit, and so does little inertia:
-    the body's own.
+    the body's own; any, where calibration could have taken the body up and was kept from it.
     """
     out = []
+    calibrates = any("calibration" in c.found.indistinguishable for c in claims)
     for decision in decisions:
         largest = max((c.sizes.get(decision.joint, 0.0) for c in claims), default=0.0)
         wrong = max((_wrong_by(c.found.term, decision.joint, test) for c in claims), default=0.0)
@@ -199,7 +200,7 @@ def beside_bodies(
                     or get_effect(c.term.effect).constant
                 )
             )
-            or (c.effect == "inertia" and c.size**2 < OWN_SHARE * largest**2)
+            or (c.effect == "inertia" and (calibrates or c.size**2 < OWN_SHARE * largest**2))
         ]
         keep = tuple(c for c in decision.claims if not any(c is w for w in weight))
         if weight:
