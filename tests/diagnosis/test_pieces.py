@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from zendsp.diagnosis.decide import decide as decision
-from zendsp.diagnosis.decide import patchwork, pieces
+from zendsp.diagnosis.decide import notes, patchwork, pieces
 from zendsp.diagnosis.decide.claims import Claim, Decision, Known, Piece
 from zendsp.diagnosis.decide.notes import left_over
 from zendsp.diagnosis.measure.discrepancy import Size
@@ -345,3 +345,15 @@ def test_of_another_load_is_spoken_where_there_are_several_recordings(
     search: Any = SimpleNamespace(joint=1, base=one)
     given: Any = None
     assert decision._decided(parts, given, search, 1, lambda _: None).loads == loads
+
+
+@pytest.mark.parametrize(("score", "told"), [(10368.0, 1), (626.0, 0)])
+def test_what_only_the_recordings_of_the_fit_say_is_told_of_a_complete_model(
+    score: float, told: int
+) -> None:
+    """A joint that was late by 5 ms, beside a held-out motion too slow to show it."""
+    lost = (("delay", "is not what is missing", score), ("lag", "neither", 12.0))
+    d: Any = SimpleNamespace(joint=3, kind="complete", lost=lost)
+    worse: Any = SimpleNamespace(joint=3, kind="unexplained", lost=lost)
+    found = notes._likelier([d, worse])
+    assert len(found) == told and all("joint 3" in n and "delay" in n for n in found)

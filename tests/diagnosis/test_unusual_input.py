@@ -222,7 +222,7 @@ def test_a_position_that_was_not_read_anew_is_no_motion_and_said(
     for k in fast:
         stale["q"][k + 1] = stale["q"][k]
     signals = read_signals(reality.save(tmp_path / "stale.csv", stale), given)
-    assert any(f"{len(fast)} positions repeat the one before" in n for n in signals.notes)
+    assert any(f"{len(fast)} positions repeated in the midst" in n for n in signals.notes)
     assert np.abs(signals.position[:, 0] - true).max() < 0.2 * step[fast].min()
 
 

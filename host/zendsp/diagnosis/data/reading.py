@@ -43,6 +43,7 @@ from zendsp.physics.kernel.signals import measure, noise_beside_quantisation, sm
 from zendsp.physics.model import TREES, Model, per_joint
 from zendsp.physics.robots.robot import robot_path
 from zendsp.recording import Recording, Table, read_table
+from zendsp_protocol.texts import counted
 
 Array = npt.NDArray[np.float64]
 Source = str | Path | Recording | Table
@@ -85,8 +86,8 @@ def read_signals(source: Source, model: Model) -> Signals:
     position, held = read_anew(position, resolution)
     if held:
         notes.append(
-            f"{name}: {held} positions repeat the one before in the midst of a motion, so the"
-            " sensor was not read; the line between their neighbours stands there"
+            f"{name}: {counted(held, 'position')} repeated in the midst of a motion, as where the"
+            " sensor was not read; the line between the neighbours stands there"
         )
     rows = position
     if grid is not None and evenly_read(grid, time, position):
