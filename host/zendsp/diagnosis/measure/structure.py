@@ -263,7 +263,7 @@ def _predicted(
         return None
     stride = max(1, sum(rec[0].n for part in parts for rec in part.records) // ROWS)
     normals = [
-        _normal(part, model, raw, lack, use, joint, band, stride)
+        _normal([rec[joint - 1] for rec in part.records], model, raw, lack, use, band, stride)
         for part, raw, lack, use in zip(parts, drawn, lacks, used, strict=True)
     ]
     out = []
@@ -318,12 +318,11 @@ def counted(record: JointRecord, band: float, turning: bool) -> npt.NDArray[np.b
 
 
 def _normal(
-    data: Data,
+    records: Sequence[JointRecord],
     model: Model,
     drawn: Sequence[Floats],
     lacks: Sequence[Array],
     counted: Sequence[npt.NDArray[np.bool_]],
-    joint: int,
     band: float,
     stride: int,
 ) -> tuple[Array, Array]:
@@ -332,10 +331,10 @@ def _normal(
     """
     m = drawn[0].shape[0]
     square, product = np.zeros((m, m)), np.zeros(m)
-    for raw, lack, rec, there in zip(drawn, lacks, data.records, counted, strict=True):
-        use = kept(rec[joint - 1], band)
+    for raw, lack, record, there in zip(drawn, lacks, records, counted, strict=True):
+        use = kept(record, band)
         rows = (np.arange(len(lack), dtype=np.int32)[use][there[use]])[::stride].copy()
-        a = as_seen(rec[joint - 1], model, band, raw, rows=rows)
+        a = as_seen(record, model, band, raw, rows=rows)
         square += a @ a.T
         product += a @ lack[rows]
     return square, product
