@@ -260,6 +260,19 @@ def test_friction_that_differs_with_the_direction_is_friction_and_a_constant_by_
     assert all("coulomb_asymmetry" in same for same in found.values())
 
 
+def test_of_a_joint_that_moves_one_way_coulomb_friction_may_be_any_constant(tmp_path: Path) -> None:
+    t = np.arange(6000) / RATE
+    motion = 1.5 * t + 0.5 * np.sin(2.0 * t) + 0.04 * np.sin(9.0 * t)
+    machine = reality.Machine(push=(0.012, 0.0, 99.0))
+    run = reality.save(tmp_path / "run.csv", reality.simulate(machine, motion, RATE))
+    d = diagnose(run, reality.model_file(tmp_path / "m.toml", RATE, KNOWN[0]), jobs=1)
+    (found,) = (f for f in d.findings if f.effect in ("coulomb", "torque_offset"))
+    assert {found.effect, *found.indistinguishable} >= {
+        "coulomb", "torque_offset", "coulomb_asymmetry"
+    }  # fmt: skip
+    assert any("never reverses" in note for note in d.notes) and d.next_recording is not None
+
+
 def test_a_law_is_told_beside_what_the_machine_is_known_to_leave(
     decided: Decided, tmp_path: Path
 ) -> None:

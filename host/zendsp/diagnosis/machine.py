@@ -214,8 +214,7 @@ def _finished(found: Found, given: Model, jobs: int, tell: Progress) -> Found:
     if claims:
         claims, improved = settled(parts, claims, whole.improved, jobs)
         if any("calibration" in c.found.indistinguishable for c in claims):
-            beside = _calibrated_beside(parts.fit, given, improved, jobs)
-            improved = min(improved, beside, key=lambda m: model_error(parts.choose, m))
+            improved = _calibrated_beside(parts.fit, given, improved, jobs)
         whole = replace(whole, improved=improved)
         decisions = beside_bodies(claims, decisions, parts.test)
     if claims or any(m.terms for m in found.measured):  # these are no calibration

@@ -304,13 +304,17 @@ def check_motion(data: Data, model: Model, names: Sequence[str]) -> list[str]:
     return []
 
 
+def never_reverses(data: Data, joint: int) -> bool:
+    """Whether a joint (1-based) moves one way in all recordings."""
+    speeds = [rec[joint - 1].motion.states[1] for rec in data.records]
+    return not any(np.any(np.diff(np.sign(v)) != 0) for v in speeds)
+
+
 def check_excitation(data: Data) -> list[str]:
     """Notes on joints that hardly move: what cannot be told from them."""
     notes = []
     for j in range(1, data.joints + 1):
-        records = [rec[j - 1] for rec in data.records]
-        reversals = sum(int(np.sum(np.diff(np.sign(r.motion.states[1])) != 0)) for r in records)
-        if reversals == 0:
+        if never_reverses(data, j):
             notes.append(
                 f"joint {j} never reverses: Coulomb friction, offset and asymmetry cannot be told"
                 " apart"

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from statistics import NormalDist
 
+from zendsp.diagnosis.data.checks import never_reverses
 from zendsp.diagnosis.decide.absorbed import shifted
 from zendsp.diagnosis.decide.assemble import Assembled
 from zendsp.diagnosis.decide.claims import Claim, Decision
@@ -38,6 +39,8 @@ from zendsp.physics.effects import get_effect, library
 from zendsp.physics.model import TREES, Model, Term
 from zendsp.physics.term_numbers import chosen
 
+# the same torque where a joint moves one way
+ALIKE_ONE_WAY = ("coulomb", "torque_offset", "coulomb_asymmetry")
 # stated of a disturbance; not learned: the cases have too few of them
 IN_TIME = 0.85
 
@@ -171,8 +174,7 @@ def _finding(
             numbers["details"] = {"weight": grown}
     if claim.replaces:
         text += f" It makes {', '.join(claim.replaces)} unnecessary."
-    # at one joint of an arm a gravity is what a link's centre of mass elsewhere makes
-    same = claim.same + (("body",) if term.effect == "gravity" and given.kind in TREES else ())
+    same = _same(given, claim, whole.data)
     if same:
         text += f" This recording cannot tell it from {', '.join(same)}."
     return Finding(
@@ -198,6 +200,18 @@ def _weighs(fit: Fit, gravity: Term, unit: str) -> str:
     if abs(grows.value) <= grows.std:
         return ""
     return f" It weighs: gravity grows by {number(grows)} with it."
+
+
+def _same(given: Model, claim: Claim, data: Data) -> tuple[str, ...]:
+    """Effects that these recordings cannot tell from a law: what the choice among laws says, what a
+    gravity at one joint of an arm is, a link's centre of mass elsewhere, and whatever is constant
+    where a joint moves one way.
+    """
+    law = claim.effect
+    more = ["body"] if law == "gravity" and given.kind in TREES else []
+    if law in ALIKE_ONE_WAY and never_reverses(data, claim.term.joint):
+        more += [name for name in ALIKE_ONE_WAY if name != law]
+    return tuple(dict.fromkeys([*claim.same, *more]))
 
 
 def _held_otherwise(given: Model, term: Term, values: Mapping[str, Estimate]) -> str:
