@@ -238,7 +238,7 @@ def test_a_reference_is_refused_with_the_reason_where_it_cannot_be_played(fast: 
     with pytest.raises(Refused, match="no program that follows a table 'ref' of 2 columns"):
         run_reference(fast, _swing(2, 0.4), model)
     fast.download("pd.c")
-    with pytest.raises(Refused, match=r"joint 1 to .* 2\.5; the target allows -2\.15 … 2\.15"):
+    with pytest.raises(Refused, match=r"joint 1 to .* 2\.5 rad; the target allows -2\.15 … 2\.15"):
         run_reference(fast, _swing(2, 2.5), model)
 
 

@@ -191,3 +191,11 @@ def test_the_programs_of_both_arms_take_a_compensation_too(
         error[share] = float(np.sqrt(np.mean(rec["e"][700:3200, joint - 1] ** 2)))
     # what is left: a sign taken late, a sample of delay
     assert error[1.0] < 0.4 * error[0.0], error
+
+
+def test_where_a_command_is_no_torque_the_file_says_by_what_to_divide() -> None:
+    terms = [Term("coulomb", 1, {"level": Quantity(0.05)})]
+    assert "0.8 N m (N) per A: divide" in compensation(
+        terms, actuator=Actuator(gain=(0.8,), unit="A")
+    )
+    assert "divide" not in compensation(terms, actuator=Actuator())

@@ -79,6 +79,7 @@ def compensation(
         for t in terms
         if not compensable(t)
     ]
+    notes += _of_gain(actuator or (model.actuator if model is not None else None))
     about = "\n".join(
         [
             (
@@ -92,6 +93,18 @@ def compensation(
         about=c_comment(about), defined=defined, declared=declared, sign=sign_function("comp"),
         cases=_cases(made), inverse=_inverse(made),
     )  # fmt: skip
+
+
+def _of_gain(actuator: Actuator | None) -> list[str]:
+    """What is to be known where a command is no torque."""
+    if actuator is None or all(abs(gain) == 1.0 for gain in actuator.gain):
+        return []
+    gains = " and ".join(dict.fromkeys(f"{gain:.6g}" for gain in actuator.gain))
+    of = actuator.unit or "command unit"
+    return [
+        "   Torques here are in N m (forces in N). A command is that over the actuator's gain,"
+        f" {gains} N m (N) per {of}: divide what is added."
+    ]
 
 
 def compensation_values(terms: Sequence[Term], model: Model) -> dict[str, float]:

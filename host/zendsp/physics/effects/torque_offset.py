@@ -10,7 +10,7 @@ EFFECT = Effect(
     mechanism="actuator",
     parameters=(Parameter("level", "torque", meaning="τ0"),),
     c="return p[0];",
-    sentence=("A constant torque of {level} acts on joint {joint}."),
+    sentence=("The drive of joint {joint} has to overcome a constant torque of {level}."),
     experiment=("The same poses reached from both sides."),
     equation="τ0",
     linear=("level",),

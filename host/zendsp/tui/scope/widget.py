@@ -321,7 +321,7 @@ class Scope(Widget, can_focus=True):
             ""
             if not self.live
             else (
-                "PAUSED"
+                "FROZEN"
                 if self.paused
                 else "SINGLE" if self.single else "ROLL" if s.mode == "roll" else "TRIG"
             )
