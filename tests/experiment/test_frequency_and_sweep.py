@@ -367,8 +367,8 @@ def test_the_best_of_a_sweep_is_told_where_the_worst_varies_more(fast: Target) -
     until(lambda: fast.status().t > 2.0, "the arm is on its circle")
     found = zendsp.sweep(fast, {"Kp1": [300.0, 1500.0, 4000.0]}, ["e1"], seconds=0.3, settle=0.2)
     assert found.again_of == found.best_row() == 2
-    least = found.best()["rms e1"]
-    assert all(row["rms e1"] < 3.0 * least for row in found.again), "it is that one, again"
+    most = found.rows[0]["rms e1"]  # a turn is longer than a run, and errs here more than there
+    assert all(row["rms e1"] < most for row in found.again), "it is that one, again"
 
 
 @pytest.mark.parametrize(("second", "rows"), [(0.0041, [0, 1]), (0.0049, [0])])
