@@ -365,9 +365,9 @@ def test_the_best_of_a_sweep_is_told_where_the_worst_varies_more(fast: Target) -
     fast.update(turn_time=2.0)
     fast.start()
     until(lambda: fast.status().t > 2.0, "the arm is on its circle")
-    found = zendsp.sweep(fast, {"Kp1": [300.0, 1500.0, 4000.0]}, ["e1"], seconds=0.3, settle=0.2)
+    found = zendsp.sweep(fast, {"Kp1": [300.0, 1500.0, 4000.0]}, ["e1"], seconds=2.0, settle=0.2)
     assert found.again_of == found.best_row() == 2
-    most = found.rows[0]["rms e1"]  # a turn is longer than a run, and errs here more than there
+    most = found.rows[0]["rms e1"]
     assert all(row["rms e1"] < most for row in found.again), "it is that one, again"
 
 
