@@ -1,5 +1,4 @@
-"""The user of a journey: an installed wheel, an empty folder, and the processes that were started.
-"""
+"""The user of a journey: an installed wheel, an empty folder, and the processes that were started."""
 
 from __future__ import annotations
 
@@ -13,7 +12,25 @@ from pathlib import Path
 
 from waiting import PATIENCE_S, until
 
-__all__ = ["PATIENCE_S", "Installed", "until"]
+__all__ = ["BENCH", "PATIENCE_S", "STEP", "Installed", "until"]
+
+STEP = 0.004  # s, of a row of a bench's recording
+BENCH = f"""name = "bench"
+sample_time = {STEP}
+
+[mechanism]
+kind = "rotary"
+parameters = {{ inertia = 0.01 }}
+
+[sensor]
+position_resolution = 1e-5
+
+[columns]
+time = "t"
+position = "q"
+command = "u"
+"""
+
 
 @dataclass
 class Installed:
@@ -60,8 +77,13 @@ class Installed:
         """Run a Python script of the user's to its end."""
         path = self.write("script.py", text)
         return subprocess.run(
-            [str(self.python), str(path), *arguments], cwd=self.folder, env=self.env,
-            capture_output=True, text=True, timeout=timeout, check=False,
+            [str(self.python), str(path), *arguments],
+            cwd=self.folder,
+            env=self.env,
+            capture_output=True,
+            text=True,
+            timeout=timeout,
+            check=False,
         )
 
     def write(self, name: str, text: str) -> Path:
@@ -83,8 +105,13 @@ class Installed:
         """
         first = {"zendsp": self.zendsp, "python": self.python}.get(str(command[0]), command[0])
         process = subprocess.Popen(
-            [str(first), *map(str, command[1:])], cwd=self.folder, env={**self.env, **(env or {})},
-            stdin=stdin, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+            [str(first), *map(str, command[1:])],
+            cwd=self.folder,
+            env={**self.env, **(env or {})},
+            stdin=stdin,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
             start_new_session=True,
         )
         self.processes.append(process)

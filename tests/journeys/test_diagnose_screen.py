@@ -8,26 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from journey import Installed
+from journey import BENCH, STEP, Installed
 from screen import Screen
 from waiting import until
-
-STEP = 0.004  # s
-MODEL = f"""name = "bench"
-sample_time = {STEP}
-
-[mechanism]
-kind = "rotary"
-parameters = {{ inertia = 0.01 }}
-
-[sensor]
-position_resolution = 1e-5
-
-[columns]
-time = "t"
-position = "q"
-command = "u"
-"""
 
 
 def _record(path: Path, coulomb: float = 0.05, inner: int = 20) -> None:
@@ -52,7 +35,7 @@ def test_a_csv_is_diagnosed_in_the_terminal_and_the_better_model_saved(
     installed: Installed,
 ) -> None:
     _record(installed.folder / "run.csv")
-    (installed.folder / "bench.toml").write_text(MODEL)
+    (installed.folder / "bench.toml").write_text(BENCH)
     screen = Screen(installed, (100, 32), "--screen", "diagnose")
     try:
         screen.until("model  ")
@@ -70,7 +53,8 @@ def test_a_csv_is_diagnosed_in_the_terminal_and_the_better_model_saved(
         screen.until("without coulomb")
         until(
             lambda: any(0x2800 < ord(c) <= 0x28FF for c in screen.text()),
-            "the curves, beside their names", screen.text,
+            "the curves, beside their names",
+            screen.text,
         )
         kept = installed.folder / "diagnoses"  # it is there once its pictures are drawn
         until(lambda: list(kept.glob("[!.]*/report.html")), "the report is whole", screen.text)

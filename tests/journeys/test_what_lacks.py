@@ -12,25 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from journey import Installed
+from journey import BENCH, STEP, Installed
 
-STEP, INNER = 0.004, 20  # s, of a row; steps of the motion in it
+INNER = 20  # steps of the motion in a row
 PUSHES = ((2.0, 2.6), (6.0, 6.6))  # s
-MODEL = f"""name = "bench"
-sample_time = {STEP}
-
-[mechanism]
-kind = "rotary"
-parameters = {{ inertia = 0.01 }}
-
-[sensor]
-position_resolution = 1e-5
-
-[columns]
-time = "t"
-position = "q"
-command = "u"
-"""
 
 
 def _record(path: Path, waves: tuple[tuple[float, float], ...]) -> None:
@@ -54,7 +39,7 @@ def _record(path: Path, waves: tuple[tuple[float, float], ...]) -> None:
 def test_pushes_and_a_friction_that_is_missing_are_both_reported(installed: Installed) -> None:
     _record(installed.folder / "run1.csv", ((2.1, 0.0), (5.3, 1.0), (9.7, 2.0)))
     _record(installed.folder / "run2.csv", ((2.7, 0.5), (4.9, 0.0), (8.3, 1.0)))
-    installed.write("bench.toml", MODEL)
+    installed.write("bench.toml", BENCH)
     said = installed.run(
         "diagnose", "run1.csv", "--heldout", "run2.csv", "--model", "bench.toml", "--json"
     )

@@ -25,7 +25,7 @@ MIN_COUNTS = 8
 # What refuses a recording: tests/diagnosis/test_bad_input.py has recordings on either side.
 CONSTANT = 1e-9  # of the largest position: a span below is a constant
 # counts that a step has at least where a position is asked for rows between which it stands still,
-# and how many such steps tell
+# and how many such steps tell: chosen, not measured; rows that are all new have steps one apart
 REFRESHED, REFRESHES = 3.0, 50
 NOISE_SPANS = 15  # standard deviations: 20 000 samples of white noise span 8
 FOLLOWED = 0.8  # R^2 of position on reference from which the slope says unit and sign
@@ -125,7 +125,7 @@ def _refreshed(
         return
     apart = np.diff(steps)
     every = int(np.gcd.reduce(apart))
-    if every > 1 and float(np.mean(apart == every)) > 0.5:
+    if every > 1 and float(np.mean(apart == every)) > MOSTLY:
         raise RecordingError(
             f"{where}: the position is new in every {every}th row only, though it moves on: the"
             f" sensor was read at {1.0 / (every * sample_time):.4g} Hz and logged at"

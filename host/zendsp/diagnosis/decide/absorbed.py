@@ -150,7 +150,8 @@ def _as_point(moves: Mapping[str, tuple[float, float, float, float]]) -> str:
     """The payload that would do both, where inertia and weight have grown."""
     if not all(key in moves and moves[key][1] > NEAR for key in BOTH):
         return ""
-    inertia, weight = (Estimate(*moves[key][2:], key) for key in BOTH)
+    units = zip(BOTH, ("kg m²", "N m"), strict=True)
+    inertia, weight = (Estimate(*moves[key][2:], unit) for key, unit in units)
     body = point_of(inertia, weight)
     mass, reach = (number(body[key]) for key in ("mass", "com_x"))
     return f" A payload of {mass} at {reach} from the axis would do both."

@@ -52,6 +52,8 @@ def only_mechanism(parts: Parts, given: Model, out: Decision, turning: bool) -> 
         "unknown", order[0], term, best.size, evidence, 0.0, {"unknown": 1.0}, (), (), (), best
     )
     return by_its_variables(claim, out, parts, given)
+
+
 def without_law(claim: Claim, decision: Decision) -> Claim:
     """A claim of the mechanism alone, with its laws as likely as the one that is doubted; one that
     leaves too much in its own variables is hardly.

@@ -169,9 +169,10 @@ def _finding(
             if weight_of_payload(given, decision.final.model, t)
         ]
         if weight:
-            text += _weighs(whole.agreed[joint], weight[0], given.torque_unit(joint))
-            grown = weight[0].value("torque") * math.cos(weight[0].value("angle"))
-            numbers["details"] = {"weight": grown}
+            grown = _grown(whole.agreed[joint], weight[0], given.torque_unit(joint))
+            if abs(grown.value) > grown.std:
+                text += f" It weighs: gravity grows by {number(grown)} with it."
+                numbers["details"] = {"weight": grown.value}
     if claim.replaces:
         text += f" It makes {', '.join(claim.replaces)} unnecessary."
     same = _same(given, claim, whole.data)
@@ -192,14 +193,11 @@ def _finding(
     )
 
 
-def _weighs(fit: Fit, gravity: Term, unit: str) -> str:
-    """What is said of the weight of a body; empty where it may be none."""
+def _grown(fit: Fit, gravity: Term, unit: str) -> Estimate:
+    """By how much gravity grows with a body, N m."""
     torque = estimates(fit, gravity, "rotary", "", unit)["torque"]
     hangs = math.cos(gravity.value("angle"))
-    grows = Estimate(torque.value * hangs, torque.std * abs(hangs), unit)
-    if abs(grows.value) <= grows.std:
-        return ""
-    return f" It weighs: gravity grows by {number(grows)} with it."
+    return Estimate(torque.value * hangs, torque.std * abs(hangs), unit)
 
 
 def _same(given: Model, claim: Claim, data: Data) -> tuple[str, ...]:

@@ -69,7 +69,8 @@ TWINS = 0.05
 COMMANDED = 0.9
 # times what the given model has, beside another law of the same friction. Beside 13 right laws
 # viscous friction came out at 0.5 to 1.3 times its given number, beside two drags that stood for
-# |v|^1.5 at 3.2 and 5.5 times
+# |v|^1.5 at 3.2 and 5.5 times; and where calibration drove dry friction to nothing, at 10 for
+# |v|^1.6 (one case)
 GROWN = 2.0
 CURVE = 3  # so many laws of one mechanism at one joint draw a curve
 HARMONIC = 0.05  # of a whole number: a ripple's order over the lowest
