@@ -1,7 +1,8 @@
 /* The steps of reality.py's machine, whose numbers stand before this text as struct numbers. */
 #include <math.h>
 
-typedef struct { double q, v, there, speed, seen; } state; /* joint; load; filtered position */
+/* joint; load; filtered position; bend of the bristles */
+typedef struct { double q, v, there, speed, seen, bend; } state;
 
 /* Torque of the spring or the gap on the joint; the load moves on. */
 static double pull(const numbers *m, state *s, double h)
@@ -52,6 +53,12 @@ static void step(const numbers *m, state *s, double torque, double outside, doub
     torque = fmax(-m->weak, fmin(m->weak, torque)) + outside;
     torque -= resist(m, q, v, &inertia);
     if (m->soft != 0.0 || m->load != 0.0) torque -= pull(m, s, h);
+    if (m->bristle != 0.0) { /* LuGre */
+        const double flow = v - m->bristle * fabs(v) * s->bend / level;
+        torque -= m->bristle * s->bend + m->brush * flow;
+        s->bend += h * flow;
+        level = 0.0;
+    }
     /* dry friction implicitly in its slope: stable at any step */
     const double way = tanh(v / m->creep), steep = level / m->creep * (1 - way * way);
     s->v += h * (torque - level * way) / (inertia - m->load + h * steep);

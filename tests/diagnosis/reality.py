@@ -30,6 +30,9 @@ class Machine:
     viscous: float = 0.004
     coulomb: float = 0.03
     creep: float = 1e-3  # rad/s, about which dry friction changes its sign
+    # N m/rad, N m s/rad: the bristles through which dry friction acts, instead of ``creep``
+    bristle: float = 0.0
+    brush: float = 0.0
     drag: float = 0.0  # drag * |q̇|^power
     power: float = 2.0
     gravity: float = 0.0

@@ -72,6 +72,12 @@ SINGLE: dict[str, Case] = {
         {"stribeck": {"breakaway": 0.06, "velocity": 0.1, "exponent": 1.4}},
         {"size": 0.5},
     ),
+    "dry friction and its bristles": Case(
+        reality.Machine(coulomb=0.06, bristle=2.0, brush=0.006),
+        [VISCOUS],
+        {"coulomb": {"level": 0.06}, "presliding": {"stiffness": 2.0}},
+        {"size": 0.1, "low": 0.5},
+    ),
     "ripple": Case(
         reality.Machine(ripple=0.02),
         [VISCOUS, COULOMB],

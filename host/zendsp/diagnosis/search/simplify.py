@@ -22,7 +22,7 @@ from zendsp.physics.calibration.convergence import step_error, with_step_error
 from zendsp.physics.calibration.fit import Data, fit, joint_handles, residual
 from zendsp.physics.calibration.joint import facts
 from zendsp.physics.calibration.terms import make_term
-from zendsp.physics.effects import get_effect, library
+from zendsp.physics.effects import get_effect, is_supported, library
 from zendsp.physics.model import Model, Term
 
 # deviance a sample, a tenth of the innovations' energy: a term whose absence costs so much is not
@@ -136,6 +136,29 @@ def _as_coulomb(best: Scored, joint: int, jobs: int) -> Scored:
     return other if other.deviance - best.deviance < (1.0 - SUFFICIENT) * loss else best
 
 
+def _as_bristles(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored:
+    """Hysteresis where the model had no dry friction is Coulomb friction and the bristles that it
+    acts through, where that is surely likelier. No search sees the two one by one: in motion that
+    never slides for long Coulomb friction alone is worse than nothing, and bristles need it.
+    """
+    new = best.model.at(found.joint)
+    term = next((t for t in new if t.effect == "hysteresis"), None)
+    names = {t.effect for t in (*new, *found.base.model.at(found.joint))}
+    if term is None or is_supported(get_effect("presliding"), names - {"hysteresis"}):
+        return best
+    level, stiffness = term.value("force"), term.value("stiffness")
+    record = best.data.records[0][found.joint - 1]
+    damping = 0.1 * math.sqrt(stiffness * facts(record).inertia)
+    friction = make_term(get_effect("coulomb"), found.joint, {"level": level})
+    bristles = {"stiffness": stiffness, "damping": damping}
+    soft = make_term(get_effect("presliding"), found.joint, bristles)
+    rest = tuple(t for t in best.model.terms if t is not term)
+    both = _refitted(
+        best.data, best.model.with_terms((*rest, friction, soft)), found.joint, jobs, 3
+    )
+    return both if both.deviance < best.deviance - price((soft,), n) - NO_WORSE else best
+
+
 def _as_symmetric(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored:
     """An asymmetry that was found whose two directions are as good as equal is the symmetric effect
     in whose place it stands.
@@ -238,7 +261,7 @@ def _as_two_times(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored
 def simplify(found: JointSearch, n: int, jobs: int) -> tuple[Scored, tuple[str, ...]]:
     """Drop every term, given or found, that the recording does not need any more."""
     best = _resolved(straightened(found, found.final, jobs), found.joint, jobs)
-    best = _as_coulomb(best, found.joint, jobs)
+    best = _as_bristles(found, _as_coulomb(best, found.joint, jobs), n, jobs)
     best = _as_spring(found, _as_payload(found, best, n, jobs), jobs)
     best = _as_two_times(found, _as_symmetric(found, best, n, jobs), n, jobs)
     dropped: list[str] = []
