@@ -122,13 +122,10 @@ def _decided(
             if other is not None:
                 return _decided(parts, given, other, jobs, tell)
             decision = believed(first, parts, given, jobs)
-            errors = [
-                rms(window_error(parts.test, m, joint)) for m in (base.model, decision.final.model)
-            ]
-            # what makes an untouched recording worse is no finding, ever; nor what leaves more
-            # torque unexplained than there was, or than there is (a spring that holds a joint)
-            least = min(before.value, 1.0)
-            better = errors[1] <= errors[0] and decision.after.value <= least
+            better = _makes_better(decision, parts.test)
+            if decision.claims and not better and decision.alone is not decision.final:
+                decision = _unrefined_by(decision)
+                better = _makes_better(decision, parts.test)
             if decision.claims and better:
                 if any(c.effect != "unknown" for c in decision.claims):
                     return replace(decision, beside=beside(decision, parts))
@@ -147,6 +144,23 @@ def _decided(
     if nothing.kind != "unexplained" or not several:
         return nothing
     return replace(nothing, loads=by_own_numbers(nothing, parts, jobs))
+
+
+def _makes_better(decision: Decision, test: Data) -> bool:
+    """Whether untouched recordings are no worse for a decision. What makes them worse is no
+    finding, ever; nor what leaves more torque unexplained than there was, or than there is (a
+    spring that holds a joint).
+    """
+    models = (decision.base.model, decision.final.model)
+    errors = [rms(window_error(test, m, decision.joint)) for m in models]
+    return errors[1] <= errors[0] and decision.after.value <= min(decision.before.value, 1.0)
+
+
+def _unrefined_by(decision: Decision) -> Decision:
+    """The decision without what only refines its fit: likelier, and yet far off where a joint that
+    slows down may stick or not (a falling friction).
+    """
+    return replace(decision, final=decision.alone, after=decision.bare, refinements=())
 
 
 def _exchanged(

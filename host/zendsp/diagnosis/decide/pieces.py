@@ -108,11 +108,27 @@ def beside_unknown(
 
 
 def _without(given: Model, final: Scored, joint: int, terms: Sequence[Term], jobs: int) -> Scored:
-    """The same, fitted again."""
+    """The same, fitted again. What was found of other joints' motion keeps its numbers: where they
+    move at once it would explain this one's friction. So does what would run to its bounds: an
+    actuator that does next to nothing explains no friction.
+    """
     model = taken_away(given, final.model, joint, terms)
-    return fit_scored(
-        final.data, model, joint_handles(final.data, model, joint), (joint,), jobs=jobs, rounds=3
-    )
+    handles = joint_handles(final.data, model, joint)
+    found = {id(t): t for t in new_terms(given, final.model, joint)}
+    of = {
+        h: found[id(model.terms[h.index])]
+        for h in handles
+        if h.place == "term" and id(model.terms[h.index]) in found
+    }
+    held = {h for h, term in of.items() if get_effect(term.effect).coupled}
+    while True:
+        free = tuple(h for h in handles if h not in held)
+        out = fit_scored(final.data, model, free, (joint,), jobs=jobs, rounds=3)
+        bounds = zip(out.fit.handles, out.fit.at_bound, strict=True)
+        run_off = {h for h, bound in bounds if bound and h in of}
+        if not run_off:
+            return out
+        held |= run_off
 
 
 def worth_choosing(parts: Parts, given: Model, search: JointSearch, jobs: int) -> Scored:
