@@ -246,6 +246,19 @@ def test_what_comes_at_most_reversals_is_how_friction_turns_round_and_no_disturb
     assert not found(many)
 
 
+@pytest.mark.parametrize(("breakaway", "pushed"), [(0.04, True), (0.2, False)])
+def test_no_push_is_smaller_than_what_lacks_where_a_falling_friction_sticks(
+    breakaway: float, pushed: bool
+) -> None:
+    columns = reality.simulate(
+        reality.Machine(push=(0.1, 2.0, 3.0)), reality.multisine(9.0, RATE, 3), RATE
+    )
+    falling = {"kind": "stribeck", "joint": 1, "breakaway": breakaway, "velocity": 0.002}
+    model = model_of(VISCOUS, COULOMB, falling)
+    data = data_of(columns, model)
+    assert (bursts(data, model, 1, data) is not None) is pushed
+
+
 def test_numbers_on_which_other_recordings_disagree_are_less_certain() -> None:
     reference = reality.multisine(8.0, RATE, 3)
     model = model_of(VISCOUS, COULOMB)

@@ -9,6 +9,7 @@ from statistics import NormalDist
 import numpy as np
 import numpy.typing as npt
 
+from zendsp.diagnosis.measure.curve import DRY
 from zendsp.diagnosis.measure.discrepancy import (
     FASTEST,
     band_of,
@@ -20,6 +21,7 @@ from zendsp.diagnosis.measure.discrepancy import (
 from zendsp.diagnosis.measure.neighbours import TURNS_ROUND
 from zendsp.diagnosis.measure.structure import unit
 from zendsp.physics.calibration.fit import Data
+from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
@@ -150,7 +152,10 @@ def bursts(
     here, there = _lacking(data, model, joint), _lacking(beside, model, joint)
     quiet = _quiet((here, there))
     acting = _acting(here, joint, quiet)
-    as_friction = dry > 0.0 and _peak(acting) < STICKS * dry
+    peak = _peak(acting)
+    if peak < _fall(model, joint):
+        return None  # so much lacks where the model sticks and the joint slides
+    as_friction = dry > 0.0 and peak < STICKS * dry
     if as_friction and (_turns(acting, joint, often) or _holds(acting, joint)):
         return None
     covered = sum(int(high.sum()) for high in acting.masks)
@@ -172,6 +177,14 @@ def bursts(
         whole.share, all_covered / (count + rest)
     )
     return None if scattered or out.spread > many else out
+
+
+def _fall(model: Model, joint: int) -> float:
+    """How much more a model's dry friction holds a joint at rest than when it slides, N m or N: 0
+    where it does not fall with the speed.
+    """
+    terms = [t for t in model.at(joint) if mechanism_of(t.effect) == DRY]
+    return sum(t.value(p.name) for t in terms for p in get_effect(t.effect).parameters if p.above)
 
 
 def _scattered(share: float, part: float) -> bool:
