@@ -37,24 +37,18 @@ def piece(size: float, z: float, log_e: float, effect: str = "ripple") -> Piece:
 
 @pytest.fixture
 def held_apart(monkeypatch: pytest.MonkeyPatch) -> Held:
-    """Which pieces are claimed and which are not, where all of them leave ``left``; ``lacked``
-    without any of them.
-    """
+    """Which pieces are claimed and which are not, where all of them leave ``left``."""
 
     def ask(
         *found: Piece,
         left: Size,
-        lacked: float = 1.0,
         structure: Structure = NOTHING,
         known: Known | None = None,
         search: Any = SEARCH,
         final: Any = FINAL,
         beside: Sequence[Term] = (),
     ) -> tuple[list[Piece], list[Piece]]:
-        before = Size(0.0, 0.0, lacked)
-        monkeypatch.setattr(
-            pieces, "discrepancy", lambda _, model, __: before if model is WITHOUT else left
-        )
+        monkeypatch.setattr(pieces, "discrepancy", lambda *_: left)
         monkeypatch.setattr(pieces, "structure", lambda *_: structure)
         monkeypatch.setattr(pieces, "kept_laws", lambda *_: list(beside))
         monkeypatch.setattr(pieces, "known_discrepancy", lambda *_: known or Known())
@@ -177,14 +171,28 @@ def test_how_given_dry_friction_turns_round_is_no_finding_within_what_its_law_ma
     assert claimed == ([loop] if claims else [])
 
 
-@pytest.mark.usefixtures("moving")
-@pytest.mark.parametrize(("lacked", "claims"), [(0.05, False), (0.06, True)])
+@pytest.mark.parametrize(
+    ("effect", "lacked", "falls", "lacks"),
+    [
+        ("ripple", 0.05, False, False),
+        ("ripple", 0.06, False, True),
+        ("ripple", 0.0, True, True),
+        ("elasticity", 0.0, True, False),  # so looks a command that other rows would show
+    ],
+)
 def test_what_is_likelier_and_is_no_torque_that_lacked_is_not_claimed(
-    held_apart: Held, lacked: float, claims: bool
+    effect: str,
+    lacked: float,
+    falls: bool,
+    lacks: bool,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    one = piece(0.11, 5.0, 20.0)
-    claimed, _ = held_apart(one, left=Size(0.0, 0.0, 0.0), lacked=lacked)
-    assert claimed == ([one] if claims else [])
+    monkeypatch.setattr(pieces, "discrepancy", lambda *_: Size(0.0, 0.0, lacked))
+    monkeypatch.setattr(pieces, "falls", lambda *_: falls)
+    terms, none = [Term(effect, 1, {})], SimpleNamespace()
+    assert pieces._lacks(PARTS.test, none, none, terms, 0.11) is lacks  # type: ignore[arg-type]
+    one = replace(piece(0.11, 5.0, 20.0, effect), lacks=lacks)
+    assert pieces.sure(PARTS.test, one) is lacks
 
 
 @pytest.mark.usefixtures("moving")

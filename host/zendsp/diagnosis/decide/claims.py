@@ -31,6 +31,7 @@ class Piece:
     size: float  # RMS torque that nothing else gives, as a part of the RMS torque
     evidence: Evidence
     log_e: float  # logarithm of the e-value
+    lacks: bool = True  # its torque lacks without it
 
     @property
     def effects(self) -> tuple[str, ...]:

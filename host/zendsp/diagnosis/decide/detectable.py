@@ -30,6 +30,7 @@ from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES, LAW_ERROR, LEF
 from zendsp.diagnosis.measure.curve import FRICTION
 from zendsp.diagnosis.measure.discrepancy import (
     BANDS,
+    NINE_IN_TEN,
     as_torque,
     band_of,
     difference,
@@ -37,6 +38,8 @@ from zendsp.diagnosis.measure.discrepancy import (
     mean_square,
 )
 from zendsp.diagnosis.measure.windows import rms, window_error
+from zendsp.diagnosis.search.hypothesis import price
+from zendsp.diagnosis.search.rounds import PROMISING, WAIT
 from zendsp.diagnosis.search.screen import Screen
 from zendsp.physics.calibration.fit import Data, Fit, fit
 from zendsp.physics.calibration.handles import Handle
@@ -46,7 +49,6 @@ from zendsp.physics.model import Model, Term
 
 Array = npt.NDArray[np.float64]
 
-POWER = 1.28  # standard deviations: nine in ten
 NOT_SMALL = 0.3  # of the RMS torque: an effect that is larger is not small
 IMPLANTS = 8  # of growing size, until one is seen
 AMPLE = 1.05  # by which one is larger than the last seems to need
@@ -67,7 +69,7 @@ def detectable(
     """
     out = []
     for decision in decisions:
-        out += _joint(parts.test, given, decision, jobs)
+        out += _joint(parts, given, decision, jobs)
     return tuple(out)
 
 
@@ -84,18 +86,18 @@ def blind(decisions: Sequence[Decision], seen: Sequence[Detectable]) -> list[Dec
     ]
 
 
-def _joint(test: Data, given: Model, decision: Decision, jobs: int) -> list[Detectable]:
-    joint, final = decision.joint, decision.final
-    data = test.at_bandwidth(joint, final.data.bandwidth[joint - 1])
-    result = fit(data, final.model, final.fit.handles, joints=(joint,), iterations=0, jobs=jobs)
-    screen = Screen(data, result, joint, (joint,))
+def _joint(parts: Parts, given: Model, decision: Decision, jobs: int) -> list[Detectable]:
+    test, joint, final = parts.test, decision.joint, decision.final
+    data, result, screen = _screened(test, decision, jobs)
+    _, found, sought = _screened(parts.fit, decision, jobs)
+    mean = float(found.residual @ found.residual) / max(len(found.residual), 1)
     base = _beside(data, final.model, final.fit.handles, joint, jobs)
     variance = float(result.residual @ result.residual) / max(len(result.residual), 1)
     variance *= dependence(final, test, joint)
     needed = math.log(test.joints * len(LAWS_OF) / FALSE_DISCOVERIES)
     # a gain of G = |c|² s² / σ² is 2 log e in the mean, with standard deviation 2 √G
-    root = POWER + math.sqrt(POWER**2 + 2.0 * needed)
-    after = decision.after.value
+    root = NINE_IN_TEN + math.sqrt(NINE_IN_TEN**2 + 2.0 * needed)
+    after = max(decision.after.value, decision.after.often)
     sized = [effect for effect in library().values() if effect.sized]
     kinds = {mechanism_of(effect.name) for effect in sized}
     # what the model's own laws of the kind may be wrong by, where a law by itself leaves too much
@@ -114,6 +116,7 @@ def _joint(test: Data, given: Model, decision: Decision, jobs: int) -> list[Dete
         beyond = max(after, beyond, least_stated(name, decision), finest(name))
         least = root * math.sqrt(variance), beyond * scale
         term = _smallest(screen, name, *least)
+        term = _worth_a_step(sought, term, mean)
         size = None if term is None else _implanted(data, base, term, *least, jobs)
         if size is None:
             continue
@@ -128,6 +131,33 @@ def _joint(test: Data, given: Model, decision: Decision, jobs: int) -> list[Dete
         )
         out.append(Detectable(joint, mechanism_of(name), name, size[0], unit, size[1] / scale))
     return out
+
+
+def _screened(part: Data, decision: Decision, jobs: int) -> tuple[Data, Fit, Screen]:
+    """Some recordings, the final model's fit along them, and what an effect would leave there."""
+    joint, final = decision.joint, decision.final
+    data = part.at_bandwidth(joint, final.data.bandwidth[joint - 1])
+    result = fit(data, final.model, final.fit.handles, joints=(joint,), iterations=0, jobs=jobs)
+    return data, result, Screen(data, result, joint, (joint,))
+
+
+def _worth_a_step(sought: Screen, term: Term | None, mean: float) -> Term | None:
+    """An effect, at least so large that the search would take it for worth a step: in the
+    recordings of the fit, whose innovations have a ``mean`` square.
+    """
+    if term is None:
+        return None
+    key = _key(get_effect(term.effect))
+    number = term.parameters[key]
+    column = sought.series([(term,)])[0]
+    column = column - sought.q @ (sought.q.T @ column)
+    left = float(np.linalg.norm(column))
+    gain = max(WAIT + price((term,), len(column)), PROMISING * len(column))
+    needed = math.sqrt(mean) * (math.sqrt(gain) + NINE_IN_TEN)
+    if left <= 0.0:
+        return None
+    number = replace(number, value=number.value * max(1.0, needed / left))
+    return replace(term, parameters={**term.parameters, key: number})
 
 
 def _key(effect: Effect) -> str:

@@ -32,6 +32,7 @@ from zendsp.diagnosis.measure.discrepancy import (
     beyond,
     difference,
     discrepancy,
+    falls,
     mean_square,
 )
 from zendsp.diagnosis.measure.evidence import Evidence, compare
@@ -173,7 +174,19 @@ def piece_of(
     held = compare(without, final, test, joint)
     size = difference(test, without.model, final.model, joint)
     log_e = log_e_value(held, without, final, test, joint)
-    return Piece(mechanism, terms, without, size, held, log_e)
+    lacks = _lacks(test, without.model, final.model, terms, size)
+    return Piece(mechanism, terms, without, size, held, log_e, lacks)
+
+
+def _lacks(test: Data, without: Model, final: Model, terms: Sequence[Term], size: float) -> bool:
+    """Whether the torque of some terms lacks without them: what is likelier and no torque that
+    lacked is another colour of the sensor's noise.
+    """
+    joint = terms[0].joint
+    if discrepancy(test, without, joint).high > LACKED * size:
+        return True
+    stepped = any(_stepped(t.effect) for t in terms)
+    return not stepped and falls(test, without, final, joint, LACKED**2)
 
 
 def log_e_value(
@@ -242,15 +255,11 @@ def held_apart(
 
 def sure(test: Data, piece: Piece) -> bool:
     """Whether untouched recordings are surely less likely without a mechanism, by chance among all
-    of them at all joints, and its torque lacks there: what is likelier and no torque that lacked is
-    another colour of the sensor's noise.
+    of them at all joints, and its torque lacks there.
     """
     needed = math.log(test.joints * len(LAWS_OF) / FALSE_DISCOVERIES)
     even = piece.evidence.z > CLAIMED or _often(piece.evidence.blocks) > SURE
-    if piece.log_e <= needed or not even:
-        return False
-    lacks = discrepancy(test, piece.without.model, piece.terms[0].joint)
-    return lacks.high > LACKED * piece.size
+    return piece.log_e > needed and even and piece.lacks
 
 
 def _often(gains: Array) -> float:
@@ -262,7 +271,14 @@ def _often(gains: Array) -> float:
 
 def finest(effect: str) -> float:
     """The least size of an effect that is a finding, as a part of the RMS torque."""
-    return STEPPED if get_effect(effect).family in ("timing", "transmission") else FINEST
+    return STEPPED if _stepped(effect) else FINEST
+
+
+def _stepped(effect: str) -> bool:
+    """Whether a simulator that takes other steps, or rows that say little of the command between
+    them, may look like an effect: what comes late or swings.
+    """
+    return get_effect(effect).family in ("timing", "transmission")
 
 
 def _rubbing(parts: Parts, search: JointSearch, final: Scored, piece: Piece) -> list[Term]:

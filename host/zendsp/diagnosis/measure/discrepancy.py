@@ -32,6 +32,7 @@ BLOCKS = 12  # fewer, but never less than an observer remembers
 SETTLE = 0.4  # s, of the observers, at most a tenth of a recording
 NOISE_DRAWS = 4  # of sensor noise
 MODELS = 8  # of which a recording keeps what was worked out
+NINE_IN_TEN = 1.28  # standard deviations
 TURNING = 0.1  # of a joint's speed: below, it turns round
 FASTEST = 0.98  # quantile that stands for a joint's speed: a few samples may be spikes
 
@@ -39,12 +40,13 @@ FASTEST = 0.98  # quantile that stands for a joint's speed: a few samples may be
 @dataclass(frozen=True)
 class Size:
     """RMS torque as a part of the RMS torque of the recordings: the estimate, and where it lies
-    with 95 % probability.
+    with 95 % probability; ``often``: below it are the estimates of nine such recordings in ten.
     """
 
     value: float
     low: float
     high: float
+    often: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -247,13 +249,17 @@ def discrepancy(data: Data, model: Model, joint: int) -> Size:
         excess = [d**2 - v for d, v in zip(found, of_sensor, strict=True)]
         sums, counts = energy_blocks(data, excess, joint, band)
         total, error = float(sums.sum()), deviation(sums)
-        mean, spread = total / counts.sum() / scale, error / counts.sum() / scale
+        mean, chance = total / counts.sum() / scale, error / counts.sum() / scale
         # what the noise model itself may be wrong by
-        spread = float(np.hypot(spread, 0.1 * float(np.mean(of_sensor)) / scale))
-        value, low, high = (float(np.sqrt(max(0.0, mean + k * spread))) for k in (-1.0, -2.0, 2.0))
+        spread = float(np.hypot(chance, 0.1 * float(np.mean(of_sensor)) / scale))
+        by_chance = NINE_IN_TEN * chance - spread if math.isfinite(chance) else -spread
+        at = (mean - spread, mean - 2.0 * spread, mean + 2.0 * spread, mean + by_chance)
+        value, low, high, often = (math.sqrt(max(0.0, x)) for x in at)
         own = high if value > best.value else own
         most = high if band == BANDS[0] else best.high
-        best = Size(max(best.value, value), max(best.low, low), most)
+        best = Size(
+            max(best.value, value), max(best.low, low), most, max(best.often, often)
+        )
     return best if best.high > best.value else replace(best, high=max(own, best.value))
 
 
@@ -268,6 +274,22 @@ def _lasting(data: Data, model: Model, joint: int, band: float) -> list[Array]:
 def beyond(size: float, known: float) -> float:
     """What of an RMS torque is more than what is known to stay unexplained."""
     return float(np.sqrt(max(size**2 - known**2, 0.0)))
+
+
+def falls(data: Data, without: Model, having: Model, joint: int, least: float) -> bool:
+    """Whether having a term may make the energy of what lacks less by a part ``least`` of the
+    energy of the term's own torque, as slow observers see it and as fast ones: so it does where
+    that torque lacks. (The sensor's noise cancels, whatever its size.)
+    """
+    for band in BANDS:
+        pairs = zip(
+            _lasting(data, without, joint, band), _lasting(data, having, joint, band), strict=True
+        )
+        spare = [a**2 - b**2 - least * (a - b) ** 2 for a, b in pairs]
+        sums, _ = energy_blocks(data, spare, joint, band)
+        if float(sums.sum()) + 2.0 * deviation(sums) < 0.0:
+            return False
+    return True
 
 
 def difference(data: Data, one: Model, other: Model, joint: int, band: float = BANDS[0]) -> float:

@@ -16,6 +16,7 @@ import numpy as np
 
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
 from zendsp.diagnosis.search.backlash import refine
+from zendsp.diagnosis.search.candidates import screened
 from zendsp.diagnosis.search.hypothesis import (
     SUFFICIENT,
     JointSearch,
@@ -152,7 +153,7 @@ class Searcher:
         current = held = base  # held: what all steps but those that wait came to
         waiting: list[Step] = []
         while len(found.steps) + len(waiting) < most:
-            if is_white(current, self.joint):
+            if is_white(current, self.joint) and not (current is base and self._shows(base)):
                 break
             rivals = self.rounds.round(current)
             if not found.tried:
@@ -191,6 +192,14 @@ class Searcher:
             found.best = held
             found.best, found.dropped = simplify(found, self.rounds.n, self.jobs)
         return found
+
+    def _shows(self, base: Scored) -> bool:
+        """Whether white innovations hide an effect: under a slower observer one promises a step. So
+        does what is small everywhere, such as a delay of a tenth of a row.
+        """
+        data, n = base.data, self.rounds.n
+        best = screened(data, base.model, self.joint, jobs=self.jobs)[:1]
+        return any(share * n > WAIT + price(option.terms, n) for share, option in best)
 
     def _in_gap(self, current: Scored, chosen: Rival) -> Rival:
         """A step beside a gap found before, with the gap found again: its optimum is so narrow that
