@@ -407,6 +407,31 @@ def test_the_command_line_goes_through_the_sequence(target: Target) -> None:
     assert target.drive_status().commander == "", "freed"
 
 
+def test_the_commands_that_are_told_after_a_lost_host_bring_the_program_back(
+    target: Target,
+) -> None:
+    """And what is enabled is not called off."""
+    target.enable()
+    target.release_command()
+    with connect(target.name) as other:
+        other.start(attended=True)
+    until(lambda: target.status().trip, "the policy acts")
+    told, seen = [], _cli(target).stdout
+    assert "stopped, held at zero speed" in seen
+    for _ in range(3):
+        line = next(line for line in seen.splitlines() if line.startswith("next: "))
+        step = line.removeprefix("next: ").split(", then ")[0]
+        told.append(step.removesuffix(f" -t {target.name}"))
+        words = step.split()[1:]
+        call = [sys.executable, "-c", "from zendsp.cli import main; main()", *words]
+        subprocess.run(call, check=True, timeout=100, capture_output=True)
+        seen = _cli(target).stdout
+        if told[-1] == "zendsp drive enable":
+            assert "enabled, no torque before the program starts" in seen
+    assert told == ["zendsp drive acknowledge", "zendsp drive enable", "zendsp run"]
+    assert target.status().state == "running" and "next: " not in seen
+
+
 COMMANDS_AND_DIES = """
 import os, sys, zendsp
 target = zendsp.connect(sys.argv[1])
