@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,10 +12,12 @@ from steps import Step, Until, opened
 from textual.geometry import Region
 from textual.widgets import Button, DataTable, Input, Static
 
+from zendsp.errors import LinkError
 from zendsp.experiment import FrequencyResponse
 from zendsp.link import Target
 from zendsp.tui.app import ZendspApp
 from zendsp.tui.dialogs import Form
+from zendsp.tui.events import EventLog
 from zendsp.tui.measure_job import MeasureJob
 from zendsp.tui.panels.response import ResponseView
 from zendsp.tui.panels.sweep import SweepView
@@ -22,6 +26,7 @@ from zendsp.tui.scope.path import PathPlot
 from zendsp.tui.screens.console import ConsoleScreen
 from zendsp.tui.screens.diagnose import DiagnoseScreen
 from zendsp.tui.screens.execute import ExecuteScreen
+from zendsp.tui.snapshot import Snapshot
 
 
 def _type(app: ZendspApp, **values: str) -> None:
@@ -69,6 +74,8 @@ async def test_a_frequency_response_is_measured_kept_and_laid_over_another(
         )
         await until(pilot, lambda: screen.job is None, "over")
         assert not list_runs(lab.workspace.runs)
+        stays = str(screen.query_one("#progress", Static).render())
+        assert "f_min below f_max" in stays
 
         for gain, name in ((2000.0, "stiff"), (200.0, "soft")):
             await until(pilot, lambda: screen.job is None, "free")
@@ -123,6 +130,16 @@ async def test_a_sweep_shows_a_table_and_a_row_writes_its_values(
             lambda: "NAME=VALUES" in str(lab.screen.query_one("#problem", Static).render()),
             "what is typed is checked",
         )
+        for typed, why in (
+            ("Kp9=1,2", "the program has no Kp9: it has "),
+            ("", "for example Kp1=1000:4000:4"),  # of this program
+        ):
+            _type(lab, words=typed)
+            await until(
+                pilot,
+                lambda why=why: why in str(lab.screen.query_one("#problem", Static).render()),  # type: ignore[misc]
+                why,
+            )
         _type(lab, words="Kp1=500,2000 Kd1=120", channels="e1", seconds="1", settle="0")
         await pilot.press("enter")
         view = screen.query_one(SweepView)
@@ -176,3 +193,25 @@ async def test_a_measurement_can_be_aborted(
         assert view.display and view.sweep is not None and 0 < len(view.sweep.rows) < 1000
         (kept,) = (folder / "sweeps").glob("*-Kp1.csv")
         assert len(kept.read_text().splitlines()) == 1 + len(view.sweep.rows)
+
+
+@pytest.mark.parametrize("reached", [None, "one row"])
+def test_what_was_measured_until_the_link_was_lost_is_kept_and_the_loss_is_named(
+    reached: str | None,
+) -> None:
+    """Not that the connection is closed, which the terminal itself did."""
+    session = SimpleNamespace(
+        events=EventLog(), snapshot=Snapshot(link="lost"), require=lambda: None
+    )
+
+    def measure(port: object, tell: Callable[[float], None]) -> str:
+        tell(0.4)
+        job.reached = reached
+        raise LinkError("the connection to 'imi' is closed")
+
+    job = MeasureJob(session, "sweep", measure, lambda found: f"kept {found}")  # type: ignore[arg-type]
+    job.start()
+    error = job.result.exception(10.0)
+    assert str(error).startswith("the link was lost after 40 %")
+    assert job.left == (None if reached is None else "kept one row")
+    assert ("is kept" in str(error)) == (reached is not None) == ("is kept" in job.progress.why)

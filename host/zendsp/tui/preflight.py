@@ -80,9 +80,17 @@ def preflight(
     """
     s = snapshot
     plan = None
+    chosen = Condition(
+        f"reference chosen{_names(files)}", bool(references), "o chooses; F4 plans one"
+    )
+    if s.link != "up":  # nobody knows of anything else whether it is so
+        trial.look(None, port)
+        again = s.link == "lost"
+        advice = "it comes back by itself; Ctrl+O: another" if again else "Ctrl+O connects"
+        return [Condition("link to a target", False, advice), chosen]
     machine, player = machine_of(s), find_player(s.variables)
     found = [
-        Condition("link to a target", s.link == "up", "Ctrl+O connects"),
+        Condition("link to a target", True),
         Condition(
             f"machine known{f': {machine.name}' if machine else ''}",
             machine is not None,
@@ -98,7 +106,7 @@ def preflight(
             player is not None,
             "it must declare TABLE(ref, rows, joints, …), as joint_pd.c does",
         ),
-        Condition(f"reference chosen{_names(files)}", bool(references), "o chooses; F4 plans one"),
+        chosen,
     ]
     if references and machine is not None:
         found.append(_fits(references, machine))

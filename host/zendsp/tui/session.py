@@ -49,6 +49,7 @@ class Session:
         self.history = History(0)
         self._open = open_port
         self._port: Port | None = None
+        self._left: Port | None = None  # whose link was lost
         self._name = ""
         self._wake = threading.Event()
         self._closing = threading.Event()
@@ -247,7 +248,8 @@ class Session:
         except ZendspError as error:
             if not lost and self.snapshot.link != "connecting":
                 self.snapshot = Snapshot(link="connecting", target=name)
-            self.snapshot = replace(self.snapshot, complaint=str(error))
+            gone = self._left is not None and self._left.over
+            self.snapshot = replace(self.snapshot, complaint=str(error), gone=gone)
             self._complain(str(error))
             return
         with self._lock:
@@ -279,14 +281,14 @@ class Session:
             if self._port is not port:
                 return
             if ended or not port.here:
-                self._port = self._live = None
+                self._port, self._live, self._left = None, None, port
             if ended:
                 self._name = ""
         if self.snapshot.link != "lost":
             self.events.add(f"link lost: {why}", "error")
         self.snapshot = replace(
             self.snapshot, link="ended" if ended else "lost", latency_s=float("nan"),
-            recording=False,
+            recording=False, gone=port.over,
         )
         if ended or not port.here:
             background("tui-close", _close_quietly, port)

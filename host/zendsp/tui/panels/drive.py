@@ -11,7 +11,7 @@ from textual.app import ComposeResult
 from textual.containers import Horizontal, Vertical
 from textual.widgets import Button
 
-from zendsp.tui.actions import in_keys
+from zendsp.tui.actions import in_keys, keys_of
 from zendsp.tui.panels.lines import Lines
 from zendsp.tui.scope.ticks import number
 from zendsp.tui.snapshot import Snapshot
@@ -66,6 +66,10 @@ class DrivePanel(Vertical):
         if s.link in ("lost", "ended"):
             text.append(f"no word from the target; heard last: {s.drive}", Style(color=c["error"]))
             return text
+        if s.drive in ("stopped", "tripped"):  # nothing of the ladder is reached
+            colour = c["error"] if s.drive == "tripped" else c["warning"]
+            text.append(f" {s.drive} ", Style(bold=True, reverse=True, color=colour))
+            return text.append(f"  next: {keys_of(s.steps, True)}", Style(color=c["warning"]))
         reached = LADDER.index(s.drive) if s.drive in LADDER else -1
         for k, name in enumerate(LADDER):
             if k:
@@ -77,10 +81,8 @@ class DrivePanel(Vertical):
                 )
             else:
                 text.append(name, Style(color=c["success"]) if k < reached else Style(dim=True))
-        if s.drive in ("stopped", "tripped"):
-            text.append("  ")
-            colour = c["error"] if s.drive == "tripped" else c["warning"]
-            text.append(f" {s.drive}  ^k ", Style(bold=True, reverse=True, color=colour))
+        if s.steps and s.state != "running":
+            text.append(f"  next {keys_of(s.steps[:1])}", Style(color=c["warning"]))
         return text
 
     def flags(self, s: Snapshot) -> Text:
@@ -95,6 +97,9 @@ class DrivePanel(Vertical):
             # which and how far, and below it what is to be done: one line has no room for both
             text.append(in_keys(sentence).replace(": ", ":\n  ", 1), Style(color=c["error"]))
             text.append("\n")
+        if "go_on" in s.steps:
+            text.append("! ", Style(color=c["warning"], bold=True))
+            text.append("the program holds: hold = false lets it go on\n")
         unmet = [(name, advice) for name, met, advice in s.conditions if not met]
         if s.conditions and not unmet:
             text.append("✔ ", Style(color=c["success"]))

@@ -281,6 +281,13 @@ class ExecuteScreen(MeasureActions):
     def _follow(self, job: PlayJob | MeasureJob, busy: bool) -> None:
         p, shown = job.progress, self.query_one("#progress", Static)
         shown.display = True
+        if p.why and not busy:  # until something else is begun: a message goes after some seconds
+            one_line = self.has_class("-narrow")
+            words = Text(f"{job.label}: {p.why}", Style(color=self.app.theme_variables["error"]))
+            words.no_wrap, words.overflow = one_line, "ellipsis" if one_line else "fold"
+            shown.update(words)
+            self._finished(job)
+            return
         width = max(shown.size.width - 32, 4)
         done = round(p.share * width)
         c = self.app.theme_variables
