@@ -365,7 +365,7 @@ def test_a_unit_that_is_not_known_is_refused_with_those_that_are(
     turns = reality.save(tmp_path / "run.csv", {**good, "q": good["q"] / (2 * np.pi)})
     head, rest = turns.read_text().split("\n", 1)
     turns.write_text(re.sub(r"\bq\b", "q [Umdrehungen]", head) + "\n" + rest)
-    words = r"run.csv: position 'q': the unit 'Umdrehungen' is not known\. Known are rad, deg.*Write"
+    words = r"run.csv: position 'q': the unit 'Umdrehungen' is not known\. Known are rad.*Write one"
     with pytest.raises(RecordingError, match=words):
         read_signals(turns, load_model(model))
     plain = reality.save(tmp_path / "plain.csv", good)
