@@ -47,9 +47,14 @@ def command(name: str, target: str, connect: str | None, as_json: bool) -> None:
             "values": values,
             "outside": away,
         }
+        further = [
+            *(f"outside    {sentence}" for sentence in away),
+            *(f"note       {sentence}" for sentence in status.own),
+            *([f"next       {steps}"] if steps else []),
+        ]
         emit(
             body, as_json,
-            lambda: _text(t.info, status, machine, variables, values, sources, away, steps),
+            lambda: _text(t.info, status, machine, variables, values, sources, further),
         )
 
 
@@ -68,8 +73,7 @@ def _text(
     variables: Mapping[str, m.VariableInfo],
     values: Mapping[str, Any],
     sources: Collection[str],
-    away: Sequence[str],
-    steps: str,
+    further: Sequence[str],
 ) -> str:
     if machine is None:
         described = f"{status.machine} (joints and variables are known when a program is loaded)"
@@ -95,10 +99,7 @@ def _text(
         lines.append(f"unsafe     {status.unsafe}")
     if status.trip is not None:
         lines.append(f"trip       {status.trip.text}")
-    lines += [f"outside    {sentence}" for sentence in away]
-    lines += [f"note       {sentence}" for sentence in status.own]
-    lines += [f"next       {steps}"] if steps else []
-    return "\n".join(lines) + (f"\n\n{_table(variables, values)}" if variables else "")
+    return "\n".join([*lines, *further]) + (f"\n\n{_table(variables, values)}" if variables else "")
 
 
 def _table(variables: Mapping[str, m.VariableInfo], values: Mapping[str, Any]) -> str:
