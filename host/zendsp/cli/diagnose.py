@@ -136,6 +136,7 @@ class _Asked:
 def _together(asked: _Asked, run_on: str | None) -> None:
     """One diagnosis of all recordings."""
     from zendsp.cli.progress import stages
+    from zendsp.cli.steps import in_steps
     from zendsp.diagnosis import diagnose
     from zendsp.diagnosis.report.files import no_reference, report_text
     from zendsp.physics.effects import load_effects
@@ -143,7 +144,8 @@ def _together(asked: _Asked, run_on: str | None) -> None:
     for file in asked.effects:
         load_effects(file)
     out = asked.out
-    with stages(quiet=asked.as_json) as tell:
+    with stages(quiet=asked.as_json) as say:
+        tell = in_steps(say)
         result = diagnose(
             list(asked.train),
             asked.model,
