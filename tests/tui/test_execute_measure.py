@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from steps import Step, Until, opened
+from steps import Step, Until, nobody, opened
 from textual.geometry import Region
 from textual.widgets import Button, DataTable, Input, Static
 
@@ -17,7 +16,6 @@ from zendsp.experiment import FrequencyResponse
 from zendsp.link import Target
 from zendsp.tui.app import ZendspApp
 from zendsp.tui.dialogs import Form
-from zendsp.tui.events import EventLog
 from zendsp.tui.measure_job import MeasureJob
 from zendsp.tui.panels.response import ResponseView
 from zendsp.tui.panels.sweep import SweepView
@@ -26,6 +24,7 @@ from zendsp.tui.scope.path import PathPlot
 from zendsp.tui.screens.console import ConsoleScreen
 from zendsp.tui.screens.diagnose import DiagnoseScreen
 from zendsp.tui.screens.execute import ExecuteScreen
+from zendsp.tui.session import Session
 from zendsp.tui.snapshot import Snapshot
 
 
@@ -200,9 +199,9 @@ def test_what_was_measured_until_the_link_was_lost_is_kept_and_the_loss_is_named
     reached: str | None,
 ) -> None:
     """Not that the connection is closed, which the terminal itself did."""
-    session = SimpleNamespace(
-        events=EventLog(), snapshot=Snapshot(link="lost"), require=lambda: None
-    )
+    session = Session(nobody)
+    session.snapshot = Snapshot(link="lost")
+    session.require = lambda: None  # type: ignore[method-assign, return-value, assignment]
 
     def measure(port: object, tell: Callable[[float], None]) -> str:
         tell(0.4)
@@ -212,6 +211,6 @@ def test_what_was_measured_until_the_link_was_lost_is_kept_and_the_loss_is_named
     job = MeasureJob(session, "sweep", measure, lambda found: f"kept {found}")  # type: ignore[arg-type]
     job.start()
     error = job.result.exception(10.0)
-    assert str(error).startswith("the link was lost after 40 %")
+    assert str(error).startswith("the link was lost before it was done, at 40 %")
     assert job.left == (None if reached is None else "kept one row")
     assert ("is kept" in str(error)) == (reached is not None) == ("is kept" in job.progress.why)

@@ -7,7 +7,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
-from zendsp.errors import LinkError, ZendspError
+from zendsp.errors import ZendspError
 from zendsp.link.background import background
 from zendsp.tui.port import Port
 
@@ -61,11 +61,8 @@ class Job(Generic[T]):
         try:
             made = self._do(self._session.require())
         except Exception as error:
-            failure: Exception = error
-            if isinstance(error, LinkError) and self._session.snapshot.link in ("lost", "ended"):
-                # how the link says it, or that it was closed, is no news beside the status bar
-                share = 100.0 * self.progress.share
-                failure = LinkError(f"the link was lost after {share:.0f} %{self.saved()}")
+            share = f", at {100.0 * self.progress.share:.0f} %{self.saved()}"
+            failure: Exception = self._session.told(error, share)
             expected = isinstance(failure, ZendspError)
             word = str(failure) if expected else f"{type(failure).__name__}: {failure}"
             self._session.events.add(f"{self.label}: {word}", "error")

@@ -33,6 +33,10 @@ END_S = 3.0  # for all threads to end
 SILENCE_S = 3.0  # of curves while the program runs, after which they are asked for again
 
 
+class NoLink(LinkError):
+    """There is none at the moment."""
+
+
 class Session:
     """The link of one terminal to one target.
 
@@ -151,8 +155,17 @@ class Session:
         """Return the open port; raises LinkError where there is none."""
         port = self._port
         if port is None:
-            raise LinkError("there is no link to a target; connect with Ctrl+O")
+            raise NoLink("there is no link to a target; connect with Ctrl+O")
         return port
+
+    def told(self, error: Exception, more: str = "") -> Exception:
+        """Return the error of a job as it is told. Of a link that was lost meanwhile the status bar
+        has said how; that the terminal then closed the connection is no news.
+        """
+        lost = isinstance(error, LinkError) and not isinstance(error, NoLink)
+        if lost and self.snapshot.link in ("lost", "ended"):
+            return LinkError(f"the link was lost before it was done{more}")
+        return error
 
     def watch(self, channels: Sequence[Channel], history: History | None = None) -> History:
         """Follow these signals live, and no others; returns the history that fills from now on, a
@@ -356,8 +369,8 @@ class Session:
                 return
             future.set_result(job(port))
         except ZendspError as error:
-            self.events.add(f"{label}: {error}", "error")
-            future.set_exception(error)
+            self.events.add(f"{label}: {self.told(error)}", "error")
+            future.set_exception(self.told(error))
         except Exception as error:
             self.events.add(f"{label}: {type(error).__name__}: {error}", "error")
             future.set_exception(error)

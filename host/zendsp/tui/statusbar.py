@@ -275,9 +275,8 @@ class StatusBar(Widget):
         if s.link in ("none", "connecting"):
             return line.append("Reference and Diagnose work without a target", Style(dim=True))
         if s.link in ("lost", "ended"):
-            return line.append(f"all below is what was heard last, at t = {s.t:.1f} s", bad).append(
-                "; zendsp salvage: its rows" if s.gone else left_alone(s), bad
-            )
+            after = "; its rows: zendsp salvage" if s.gone else left_alone(s)
+            return line.append(f"below: what was heard last, at t = {s.t:.1f} s{after}", bad)
 
         width = self._line2.size.width
 
