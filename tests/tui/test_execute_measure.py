@@ -11,7 +11,7 @@ from steps import Step, Until, nobody, opened
 from textual.geometry import Region
 from textual.widgets import Button, DataTable, Input, Static
 
-from zendsp.errors import LinkError
+from zendsp.errors import LinkError, Refused
 from zendsp.experiment import FrequencyResponse
 from zendsp.link import Target
 from zendsp.tui.app import ZendspApp
@@ -159,6 +159,25 @@ async def test_a_sweep_shows_a_table_and_a_row_writes_its_values(
         assert target["Kp1"] == 500.0, "and writes nothing yet"
         assert await pilot.click(table, offset=(6, 2))
         await until(pilot, lambda: target["Kp1"] == 2000.0, "a click on the marked row writes")
+
+
+@pytest.mark.parametrize(("width", "rows"), [(80, 1), (160, 3)])
+async def test_why_a_measurement_failed_leaves_room_for_what_start_needs(
+    lab: ZendspApp, until: Until, width: int, rows: int
+) -> None:
+    async with lab.run_test(size=(width, 24)) as pilot:
+        await until(pilot, lambda: lab.session.snapshot.link == "up", "link")
+        screen = await opened(lab, pilot, until, ExecuteScreen)
+
+        def refuse(port: object, tell: object) -> None:
+            raise Refused("the twin was stopped: " + 12 * "a long reason ")
+
+        screen.job = MeasureJob(lab.session, "sweep", refuse, lambda found: found)  # type: ignore[arg-type]
+        screen.job.start()
+        shown = screen.query_one("#progress", Static)
+        await until(pilot, lambda: "the twin was stopped" in str(shown.render()), "why")
+        await until(pilot, lambda: (shown.size.height == 1) == (rows == 1), "its height")
+        assert shown.size.height >= rows
 
 
 async def test_a_measurement_can_be_aborted(

@@ -162,8 +162,13 @@ class Session:
         """Return the error of a job as it is told. Of a link that was lost meanwhile the status bar
         has said how; that the terminal then closed the connection is no news.
         """
-        lost = isinstance(error, LinkError) and not isinstance(error, NoLink)
-        if lost and self.snapshot.link in ("lost", "ended"):
+        if not isinstance(error, LinkError) or isinstance(error, NoLink):
+            return error
+        deadline = time.monotonic() + A_MOMENT_S  # the poller may not have seen it yet
+        while self.snapshot.link == "up" and time.monotonic() < deadline:
+            self._wake.set()
+            time.sleep(POLL_S / 5)
+        if self.snapshot.link in ("lost", "ended"):
             return LinkError(f"the link was lost before it was done{more}")
         return error
 

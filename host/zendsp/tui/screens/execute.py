@@ -282,10 +282,8 @@ class ExecuteScreen(MeasureActions):
         p, shown = job.progress, self.query_one("#progress", Static)
         shown.display = True
         if p.why and not busy:  # until something else is begun: a message goes after some seconds
-            one_line = self.has_class("-narrow")
-            words = Text(f"{job.label}: {p.why}", Style(color=self.app.theme_variables["error"]))
-            words.no_wrap, words.overflow = one_line, "ellipsis" if one_line else "fold"
-            shown.update(words)
+            colour = self.app.theme_variables["error"]
+            shown.update(Text(f"{job.label}: {p.why}", Style(color=colour)))
             self._finished(job)
             return
         width = max(shown.size.width - 32, 4)
