@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from steps import Step, Until, nobody, opened
+from textual.app import App, ComposeResult
 from textual.geometry import Region
 from textual.widgets import Button, DataTable, Input, Static
 
@@ -233,3 +234,21 @@ def test_what_was_measured_until_the_link_was_lost_is_kept_and_the_loss_is_named
     assert str(error).startswith("the link was lost before it was done, at 40 %")
     assert job.left == (None if reached is None else "kept one row")
     assert ("is kept" in str(error)) == (reached is not None) == ("is kept" in job.progress.why)
+
+
+class _Words(App[None]):
+    def compose(self) -> ComposeResult:
+        yield ResponseView()
+
+
+@pytest.mark.parametrize(("height", "cut"), [(14, True), (36, False)])
+async def test_what_is_said_of_a_response_is_cut_only_where_there_is_no_room(
+    height: int, cut: bool
+) -> None:
+    app = _Words()
+    async with app.run_test(size=(58, height)) as pilot:
+        view = app.query_one(ResponseView)
+        view._words = "not linear: measure at two amplitudes " * 6
+        view._say()
+        await pilot.pause()
+        assert ("…" in str(app.query_one("#response-words", Static).render())) == cut

@@ -74,8 +74,8 @@ class MeasureActions(RunActions):
             Field("f_max", "To", last.get("f_max", 30.0), "Hz", positive),
             Field("lines", "Frequencies at most", last.get("lines", 30), "", whole),
             Field("periods", "Periods", last.get("periods", 6), "", whole),
-            Field("input", "Input", last.get("input", ""), hint="reference, or torque"),
-            Field("output", "Output", last.get("output", ""), hint="position"),
+            Field("input", "Input", last.get("input", ""), hint="else the reference, or torque"),
+            Field("output", "Output", last.get("output", ""), hint="else the position"),
         ]  # fmt: skip
         form = Form("Frequency response", fields, f"{BODE} {MOVES}", ok="Measure")
         self.app.push_screen(form, lambda r: self._respond(r) if r else None)
