@@ -17,6 +17,7 @@ from waiting import until
 
 from zendsp.errors import Refused
 from zendsp.link import Target, connect, local
+from zendsp.recording import Recording
 from zendsp_protocol.messages import Limits, Status, Timing
 from zendsp_target.api import RuntimeApi
 from zendsp_target.serving.drives import Drives
@@ -444,7 +445,7 @@ os._exit(0)
 """
 
 
-def test_a_recording_ends_a_second_after_a_trip_by_the_loss_of_its_host() -> None:
+def test_a_recording_ends_a_second_after_a_trip_by_the_loss_of_its_host(tmp_path: Path) -> None:
     with local("imi_planar", clock="real") as target:
         target.download("pd.c")
         subprocess.run([sys.executable, "-c", COMMANDS_AND_DIES, target.name], timeout=60)
@@ -455,6 +456,13 @@ def test_a_recording_ends_a_second_after_a_trip_by_the_loss_of_its_host() -> Non
         held = target.acquire_status()
         after = (held.start_tick + held.count - tripped.tick) / 1000.0
         assert 0.5 < after < 3.0, "the second in which it comes to rest; a loaded computer's delay"
+        call = [sys.executable, "-c", "from zendsp.cli import main; main()", "acquire", "--last"]
+        file = tmp_path / "run.mat"
+        words = ["-o", str(file), "-t", target.name]
+        refused = subprocess.run([*call, "q", *words], capture_output=True, text=True, timeout=100)
+        assert refused.returncode == 2 and "without CHANNELS" in refused.stderr
+        subprocess.run([*call, *words], check=True, timeout=100)
+        assert len(Recording.load(file)) == held.count
 
 
 def test_an_emergency_stop_that_is_still_pressed_is_not_acknowledged(target: Target) -> None:

@@ -155,7 +155,9 @@ class Session:
         """Return the open port; raises LinkError where there is none."""
         port = self._port
         if port is None:
-            raise NoLink("there is no link to a target; connect with Ctrl+O")
+            lost = self.snapshot.link == "lost"
+            which = f"the link to {self.snapshot.target} is lost, and not back yet" if lost else ""
+            raise NoLink(f"{which or 'there is no link to a target'}: Ctrl+O connects")
         return port
 
     def told(self, error: Exception, more: str = "") -> Exception:
