@@ -70,6 +70,9 @@ class DrivePanel(Vertical):
             colour = c["error"] if s.drive == "tripped" else c["warning"]
             text.append(f" {s.drive} ", Style(bold=True, reverse=True, color=colour))
             return text.append(f"  next: {keys_of(s.steps, True)}", Style(color=c["warning"]))
+        if "go_on" in s.steps:
+            text.append(f" {s.drive} ", Style(bold=True, reverse=True, color=c["warning"]))
+            return text.append("  it holds: hold = false lets it go on", Style(color=c["warning"]))
         reached = LADDER.index(s.drive) if s.drive in LADDER else -1
         for k, name in enumerate(LADDER):
             if k:
@@ -97,9 +100,6 @@ class DrivePanel(Vertical):
             # which and how far, and below it what is to be done: one line has no room for both
             text.append(in_keys(sentence).replace(": ", ":\n  ", 1), Style(color=c["error"]))
             text.append("\n")
-        if "go_on" in s.steps:
-            text.append("! ", Style(color=c["warning"], bold=True))
-            text.append("the program holds: hold = false lets it go on\n")
         unmet = [(name, advice) for name, met, advice in s.conditions if not met]
         if s.conditions and not unmet:
             text.append("✔ ", Style(color=c["success"]))
