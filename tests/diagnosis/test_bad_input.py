@@ -358,16 +358,16 @@ def test_the_command_that_a_refusal_names_makes_recordings_that_are_taken(
     check_signals([read_signals(part, load_model(model)) for part in parts], load_model(model))
 
 
-def test_a_unit_that_is_not_known_is_told_with_those_that_are(
+def test_a_unit_that_is_not_known_is_refused_with_those_that_are(
     good: Columns, model: Path, tmp_path: Path
 ) -> None:
-    """It need be none: 'q (raw)' is a name."""
+    """A note was not read, and nothing of the report was true."""
     turns = reality.save(tmp_path / "run.csv", {**good, "q": good["q"] / (2 * np.pi)})
     head, rest = turns.read_text().split("\n", 1)
     turns.write_text(re.sub(r"\bq\b", "q [Umdrehungen]", head) + "\n" + rest)
-    (text,) = (n for n in read_signals(turns, load_model(model)).notes if "Umdrehungen" in n)
-    assert "run.csv: position 'q' is taken in SI units: the unit 'Umdrehungen' is not known" in text
-    assert "Known are rad, deg" in text and "write one of them in the head" in text
+    words = r"run.csv: position 'q': the unit 'Umdrehungen' is not known\. Known are rad.*Write one"
+    with pytest.raises(RecordingError, match=words):
+        read_signals(turns, load_model(model))
     plain = reality.save(tmp_path / "plain.csv", good)
     plain.write_text(plain.read_text().replace("u", "u [DAC]", 1))  # a command may have any
     read = read_signals(plain, load_model(model))

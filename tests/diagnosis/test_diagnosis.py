@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ import reality
 from reality import KNOWN, RATE
 
 from zendsp.diagnosis import Diagnosis, diagnose
+from zendsp.diagnosis.decide import naming
 from zendsp.diagnosis.report.figures import charts
 from zendsp.physics.files.draft import draft_model
 from zendsp.recording import read_table
@@ -219,6 +221,11 @@ def test_wrong_term_of_the_given_model_is_replaced(tmp_path: Path) -> None:
     d = run(Case(reality.Machine(viscous=0.0, drag=0.006), [wrong, COULOMB], {}), tmp_path)
     assert [f.effect for f in d.findings] == ["quadratic_drag"]
     assert d.findings[0].replaces == ("viscous",)
+    told = "It stands in the place of the given model's term viscous (fluid friction)."
+    assert told in d.findings[0].sentence
+    # what the search took on its way is none of the given model's terms
+    claim: Any = SimpleNamespace(replaces=("viscous", "creep"))
+    assert naming._replaced(d.given, claim, 1) == ("viscous",)
     assert {t.effect for t in d.improved.terms} == {"quadratic_drag", "coulomb"}
 
 

@@ -4,6 +4,8 @@ the model again, the compensation in C, the page offline.
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import sys
 import tomllib
@@ -61,12 +63,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
             ),
         ),
     ]
+    said = io.StringIO()
     try:
-        with pytest.raises(SystemExit) as stop:
+        with pytest.raises(SystemExit) as stop, contextlib.redirect_stdout(said):
             main()
     finally:
         sys.argv = argv
     assert stop.value.code == 0
+    (folder / "said.txt").write_text(said.getvalue())
     return folder
 
 
@@ -74,6 +78,18 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def report(folder: Path) -> dict[str, Any]:
     value: dict[str, Any] = json.loads((folder / "out" / "report.json").read_text())
     return value
+
+
+def test_it_is_said_where_the_next_motion_is_or_why_there_is_none(folder: Path) -> None:
+    line = (folder / "said.txt").read_text().splitlines()[-1]
+    reference = folder / "out" / "next_reference.mat"
+    there = reference if reference.is_file() else "none, nothing is left open"
+    assert line == f"next motion: {there}"
+    said = {
+        files.no_reference(SimpleNamespace(next_recording=proposal))  # type: ignore[arg-type]
+        for proposal in (None, SimpleNamespace(reference=None), SimpleNamespace(reference=(0, 1)))
+    }
+    assert said == {"nothing is left open", "no motion can be proposed for what is open", ""}
 
 
 def test_report_has_every_key_of_the_contract_with_its_type(report: dict[str, Any]) -> None:

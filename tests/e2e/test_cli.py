@@ -327,6 +327,21 @@ def test_watch_ends_where_nothing_more_can_come(target: Target) -> None:
         assert process.returncode != 0 and "zendsp: " in wrong, wrong
 
 
+def test_watch_in_a_pipe_repeats_no_row_of_a_program_that_is_paused(target: Target) -> None:
+    target.download("pd.c")
+    target.start()
+    command = [sys.executable, "-u", "-c", "from zendsp.cli import main; main()"]
+    words = [*command, "watch", "q", "-t", target.name, "--interval", "0.02", "--json"]
+    with subprocess.Popen(words, stdout=-1, stderr=-1, text=True) as process:
+        assert process.stdout is not None and process.stderr is not None
+        process.stdout.readline()
+        target.pause()
+        assert "waiting for samples" in process.stderr.readline()
+        process.kill()
+        times = [json.loads(line)["t"] for line in process.stdout.read().splitlines()]
+    assert times == sorted(set(times)), "each row once"
+
+
 def test_watch_says_at_once_what_stopped_the_program(target: Target) -> None:
     """It went on with zeros, or waited for ever, and said why when it was ended."""
     target.download("pd.c")

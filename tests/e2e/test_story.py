@@ -169,6 +169,7 @@ def test_an_asymmetry_is_compared_as_the_sum_that_the_machine_has() -> None:
     from typing import cast
 
     from zendsp.demo.evidence import judge
+    from zendsp.demo.story import compared
     from zendsp.diagnosis import Diagnosis, Estimate, Finding
 
     given = nominal_model(get_stage("pendulum"), (651.9,), 0.001)  # viscous 0.005 N m s/rad
@@ -183,8 +184,10 @@ def test_an_asymmetry_is_compared_as_the_sum_that_the_machine_has() -> None:
         "joint": 1,
         "parameters": {"coefficient_pos": {"value": 0.006, "unit": "N m s/rad"}},
     }
-    assert judge(diagnosis, [truth]).parameters == (
-        ("coefficient_pos", 0.011, 1e-5, pytest.approx(0.011), "N m s/rad"),
+    (row,) = judge(diagnosis, [truth]).parameters
+    assert row == ("coefficient_pos", 0.011, 1e-5, pytest.approx(0.011), "N m s/rad", 0.005)
+    assert compared(*row).endswith(
+        "true 0.011 N m s/rad: the concealed 0.006 and the given model's 0.005"
     )
 
 

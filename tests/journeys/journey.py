@@ -1,4 +1,4 @@
-"""The user of a journey: an installed wheel, an empty folder, the processes that were started."""
+"""The user of a journey: an installed wheel, an empty folder, and the processes it started."""
 
 from __future__ import annotations
 

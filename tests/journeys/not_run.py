@@ -101,6 +101,10 @@ NOT_RUN: dict[tuple[str, str], str] = {
     (
         "docs/tui.md", "zendsp tui --screenshots docs/screens",
     ): "draws every screen for a minute: tests/tui/test_coverage.py",
+    (
+        "docs/tui.md", "zendsp acquire --last -o run.mat -t imi",
+    ): "needs a host that is lost: tests/target/test_drives.py",
+    ("docs/tui.md", "zendsp salvage -t imi -o run.mat"): "needs a killed target: test_salvage.py",
     ("docs/tui.md", "off → ready → homed → enabled → running → stopped | tripped"): DRAWING,
     **{
         ("docs/results.md", f"zendsp experiment {name}"): EXPERIMENT

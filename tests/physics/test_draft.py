@@ -81,7 +81,7 @@ def test_what_the_recording_cannot_say_is_asked() -> None:
     )
     asked = "\n".join(draft.questions)
     for words in (
-        "no time column", "is it rad, degrees or m?",
+        "no time column", "q has no unit: is it rad, degrees or m?",
         "how many N m (N) does one A of iq make", "how long until",
     ):
         assert words.lower() in asked.lower()
@@ -115,6 +115,24 @@ def test_joints_are_grouped_and_sides_are_told_apart() -> None:
     assert model.columns["position_load"] == ["q_load1", "q_load2", "q_load3"]
     assert "not used: noise" in draft.text and draft.unused == ("noise",)
     assert any("act on one another" in question for question in draft.questions)
+
+
+def test_each_joint_is_asked_about_and_the_gain_where_numbers_depend_on_it() -> None:
+    one = recording()
+    still = {"q2": np.sin(7.0 * T), "i2": np.where(T % 0.1 < 0.05, 1.0, -1.0)}
+    columns = {"t": T, "q1": one["q"], "q2": still["q2"], "i1": one["tau"], "i2": still["i2"]}
+    draft = draft_model(Table(columns, {"i1": "A", "i2": "A"}, {}, Path("run.csv")))
+    asked = "\n".join(draft.questions)
+    assert "q1, q2 have no unit: is it rad, degrees or m?" in asked
+    assert "how many N m (N) does one A of i1, i2 make? One for each joint" in asked
+    assert "does not show the inertia of joint 2" in asked
+    assert "And the numbers below are for a gain of 1" in asked
+    for kind in ("planar2r", "urdf", "mjcf", "fmu", "python"):
+        assert f'"{kind}"' in asked
+    hanging = {"t": T, "q": one["q"], "i": one["tau"] + 2.0 * np.sin(one["q"])}
+    draft = draft_model(Table(hanging, {"q": "rad", "i": "A"}, {}, Path("run.csv")))
+    (gravity,) = (q for q in draft.questions if "hangs down" in q)
+    assert "And the number below is for a gain of 1: times the actuator's gain" in gravity
 
 
 def test_joint_states_name_their_joints_in_any_order() -> None:

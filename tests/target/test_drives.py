@@ -17,6 +17,7 @@ from waiting import until
 
 from zendsp.errors import Refused
 from zendsp.link import Target, connect, local
+from zendsp.recording import Recording
 from zendsp_protocol.messages import Limits, Status, Timing
 from zendsp_target.api import RuntimeApi
 from zendsp_target.serving.drives import Drives
@@ -407,6 +408,31 @@ def test_the_command_line_goes_through_the_sequence(target: Target) -> None:
     assert target.drive_status().commander == "", "freed"
 
 
+def test_the_commands_that_are_told_after_a_lost_host_bring_the_program_back(
+    target: Target,
+) -> None:
+    """And what is enabled is not called off."""
+    target.enable()
+    target.release_command()
+    with connect(target.name) as other:
+        other.start(attended=True)
+    until(lambda: target.status().trip, "the policy acts")
+    told, seen = [], _cli(target).stdout
+    assert "stopped, held at zero speed" in seen
+    for _ in range(3):
+        line = next(line for line in seen.splitlines() if line.startswith("next: "))
+        step = line.removeprefix("next: ").split(", then ")[0]
+        told.append(step.removesuffix(f" -t {target.name}"))
+        words = step.split()[1:]
+        call = [sys.executable, "-c", "from zendsp.cli import main; main()", *words]
+        subprocess.run(call, check=True, timeout=100, capture_output=True)
+        seen = _cli(target).stdout
+        if told[-1] == "zendsp drive enable":
+            assert "enabled, no torque before the program starts" in seen
+    assert told == ["zendsp drive acknowledge", "zendsp drive enable", "zendsp run"]
+    assert target.status().state == "running" and "next: " not in seen
+
+
 COMMANDS_AND_DIES = """
 import os, sys, zendsp
 target = zendsp.connect(sys.argv[1])
@@ -419,7 +445,7 @@ os._exit(0)
 """
 
 
-def test_a_recording_ends_a_second_after_a_trip_by_the_loss_of_its_host() -> None:
+def test_a_recording_ends_a_second_after_a_trip_by_the_loss_of_its_host(tmp_path: Path) -> None:
     with local("imi_planar", clock="real") as target:
         target.download("pd.c")
         subprocess.run([sys.executable, "-c", COMMANDS_AND_DIES, target.name], timeout=60)
@@ -430,6 +456,13 @@ def test_a_recording_ends_a_second_after_a_trip_by_the_loss_of_its_host() -> Non
         held = target.acquire_status()
         after = (held.start_tick + held.count - tripped.tick) / 1000.0
         assert 0.5 < after < 3.0, "the second in which it comes to rest; a loaded computer's delay"
+        call = [sys.executable, "-c", "from zendsp.cli import main; main()", "acquire", "--last"]
+        file = tmp_path / "run.mat"
+        words = ["-o", str(file), "-t", target.name]
+        refused = subprocess.run([*call, "q", *words], capture_output=True, text=True, timeout=100)
+        assert refused.returncode == 2 and "without CHANNELS" in refused.stderr
+        subprocess.run([*call, *words], check=True, timeout=100)
+        assert len(Recording.load(file)) == held.count
 
 
 def test_an_emergency_stop_that_is_still_pressed_is_not_acknowledged(target: Target) -> None:

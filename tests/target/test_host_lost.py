@@ -12,6 +12,7 @@ import zenoh
 
 from zendsp_protocol.errors import Refused
 from zendsp_target.access.hosts import Hosts
+from zendsp_target.api import RECORDER, AcquireConfig
 from zendsp_target.runtime import Runtime
 from zendsp_target.serving.drives import Drives
 
@@ -50,6 +51,27 @@ def test_a_machine_that_cannot_be_told_to_hold_stops(
     else:
         wait_for(lambda: runtime.read(["hold"])[1]["hold"] is True)
         assert runtime.status().trip is None
+
+
+def test_a_recording_ends_where_the_loop_had_stopped_the_machine_by_itself(
+    make_runtime: Callable[..., Runtime], wait_for: Callable[..., None],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The monitor stood still, so nobody had seen that the host was lost; a continuous recording
+    then went on for ever, and every screen said so.
+    """
+    monkeypatch.setattr("zendsp_target.serving.drives.AFTER_TRIP_S", 0.05)
+    runtime = make_runtime(PROGRAM, clock="real", realtime=False)
+    drives = Drives(runtime)
+    drives.take("anna@a:1", False)
+    runtime.start()
+    runtime.acquire_configure(RECORDER, AcquireConfig(("a",), continuous=True))
+    runtime.acquire_start(RECORDER)
+    runtime.trip("host lost")  # as the loop does it
+    wait_for(lambda: runtime.status().state == "stopped")
+    assert runtime.acquire_status(RECORDER).state == "running"
+    drives.host_gone("anna@a:1")
+    wait_for(lambda: runtime.acquire_status(RECORDER).state == "done")
 
 
 def test_that_a_host_is_lost_is_acted_upon_without_a_thread_of_its_own(

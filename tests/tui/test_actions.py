@@ -20,7 +20,7 @@ from textual.widgets._footer import FooterKey
 
 from zendsp.link import programs
 from zendsp.recording import Recording
-from zendsp.tui.actions import ACTIONS, SCREENS, actions, in_keys
+from zendsp.tui.actions import ACTIONS, SCREENS, actions, in_keys, keys_of
 from zendsp.tui.app import ZendspApp
 from zendsp.tui.dialogs import Message
 from zendsp.tui.panels.table import Column, LiveTable
@@ -272,17 +272,28 @@ def test_whole_numbers_and_reals_are_refused_in_words() -> None:
         real("1 V")
 
 
+def test_a_way_back_is_said_in_keys() -> None:
+    steps = ("acknowledge", "enable", "start")
+    assert keys_of(steps) == "^k, e, s"
+    assert keys_of(steps, True) == "^k acknowledge, e enable, s start"
+    assert keys_of(("release the emergency stop", *steps)) == "release the emergency stop"
+
+
 def test_the_preflight_names_the_keys_that_are_still_missing() -> None:
     def advice(drive: str, explicit: bool, *failing: str) -> str:
         found = preflight(
             Snapshot(
-                drive=drive, explicit=explicit, conditions=tuple((c, False, "") for c in failing)
+                link="up", drive=drive, explicit=explicit,
+                conditions=tuple((c, False, "") for c in failing),
             ),
             (), (), Setup(), False, Trial(), None,
         )  # fmt: skip
         (drives,) = [c for c in found if c.text == "drives enabled"]
         return "" if drives.met else drives.advice
 
+    lost = preflight(Snapshot(link="lost", drive="running"), (), (), Setup(), False, Trial(), None)
+    assert not any(c.met for c in lost), "nobody knows of anything whether it still is so"
+    assert "comes back by itself" in lost[0].advice
     assert advice("off", True, "power", "homed").endswith(": power (o), home (h), enable (e)")
     assert advice("off", True, "power").endswith(": power (o), enable (e)"), "absolute encoders"
     assert advice("homed", False).endswith(": enable (e)"), "automatic: e switches the power on"

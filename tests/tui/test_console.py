@@ -9,6 +9,7 @@ import pytest
 from console_steps import console_of, events_of, mark_variable, type_first
 from steps import Step, Until
 from textual.widgets import OptionList, TextArea
+from textual.widgets._toast import Toast
 
 from zendsp.errors import Refused
 from zendsp.link import ParameterSet, Target, connect
@@ -19,7 +20,9 @@ from zendsp.tui.dialogs.source import SourceView
 from zendsp.tui.runs import list_runs
 from zendsp.tui.scope import Scope
 from zendsp.tui.screens.analysis import ProcessView
+from zendsp.tui.screens.console_program import first_words
 from zendsp.tui.screens.diagnose import DiagnoseScreen
+from zendsp_isr.sources import shipped_programs
 
 
 @pytest.mark.covers(
@@ -91,6 +94,12 @@ async def test_a_target_without_a_program_says_which_key_builds_one(
         scope = lab.screen.query_one(Scope)
         await until(pilot, lambda: "no program is loaded" in scope.empty_text, "said")
         assert f"b builds {lab.source.name}" in scope.empty_text
+
+
+def test_what_a_shipped_program_is_for_is_said_where_it_is_chosen() -> None:
+    said = {path.name: first_words(path) for path in shipped_programs()}
+    assert said["joint_pd.c"].startswith("PID in every joint, for any machine")
+    assert all(10 < len(words) < 200 for words in said.values()), said
 
 
 async def test_a_refused_enable_names_each_condition(
@@ -317,7 +326,7 @@ async def test_a_compile_error_is_shown_at_its_line_and_mended_in_place(
         '#include "isr.h"\nstatic double a;\nvoid UserInit(void) { a = 1.0 }\n'
         "void UserISR_INT2(void) {}\nvoid UserBackground(void) {}\n"
     )
-    async with lab.run_test(size=(100, 30)) as pilot:
+    async with lab.run_test(size=(100, 30), notifications=True) as pilot:
         await built(lab, pilot)
         before = target.status().program
         await pilot.press("O")
@@ -325,6 +334,12 @@ async def test_a_compile_error_is_shown_at_its_line_and_mended_in_place(
         assert isinstance(lab.screen, Choose)
         await pilot.press("enter")  # bad.c is the first by name
         await until(pilot, lambda: lab.source == bad, "chosen")
+        said = "bad.c is chosen: b builds it"
+        assert said in events_of(lab)
+        await until(
+            pilot, lambda: any(said in str(toast.render()) for toast in lab.screen.query(Toast)),
+            "said where the log is not in sight",
+        )
         await pilot.press("b")
         await until(pilot, lambda: "bad.c:3:" in events_of(lab), "file and line in the log")
         assert target.status().program == before, "the running program is not touched"

@@ -256,6 +256,10 @@ async def test_the_model_follows_the_machine_that_was_recorded_until_one_is_chos
         store_run(tmp_path / "runs", "reach", replace(recording, machine="wam7"))
         screen.fill()
         assert Path(screen.model).name == "wam7.toml", "the other's would be refused"
+        bode = replace(recording, machine="pendulum")
+        store_run(tmp_path / "runs", "bode", bode, outcome=Outcome.RESPONSE)
+        screen.fill()
+        assert Path(screen.model).name == "wam7.toml", "of what is marked, not of the newest"
         screen._take_model(str(Path(screen.model).with_name("imi_planar.toml")))
         screen.fill()
         assert Path(screen.model).name == "imi_planar.toml", "as it was chosen"

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from steps import Until
 from textual.events import Key
-from textual.widgets import OptionList
+from textual.widgets import Input, OptionList
 from textual.widgets._toast import Toast
 
 from zendsp.tui.app import ZendspApp
@@ -65,6 +65,15 @@ async def test_screens_cannot_be_left_while_a_dialog_asks(app: ZendspApp) -> Non
         await pilot.press("escape", "f4")
         await pilot.pause()
         assert app.current_mode == "reference"
+
+
+async def test_arrows_go_from_line_to_line_of_a_form(app: ZendspApp, until: Until) -> None:
+    async with app.run_test() as pilot:
+        form = Form("f", [Field("a", "a", "1"), Field("b", "b", "2"), Field("c", "c", "3")])
+        await app.push_screen(form)
+        await until(pilot, lambda: form.focused is form.query_one("#f-a"), "the first field")
+        await pilot.press("down", "down", "up", "5")
+        assert [form.query_one(f"#f-{key}", Input).value for key in "abc"] == ["1", "5", "3"]
 
 
 async def test_a_click_on_a_label_or_a_unit_is_for_its_input(app: ZendspApp, until: Until) -> None:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from steps import Step, Until, opened
+from steps import Step, Until, nobody, opened
+from textual.app import App, ComposeResult
 from textual.geometry import Region
 from textual.widgets import Button, DataTable, Input, Static
 
+from zendsp.errors import LinkError, Refused
 from zendsp.experiment import FrequencyResponse
 from zendsp.link import Target
 from zendsp.tui.app import ZendspApp
@@ -22,6 +25,8 @@ from zendsp.tui.scope.path import PathPlot
 from zendsp.tui.screens.console import ConsoleScreen
 from zendsp.tui.screens.diagnose import DiagnoseScreen
 from zendsp.tui.screens.execute import ExecuteScreen
+from zendsp.tui.session import Session
+from zendsp.tui.snapshot import Snapshot
 
 
 def _type(app: ZendspApp, **values: str) -> None:
@@ -69,6 +74,8 @@ async def test_a_frequency_response_is_measured_kept_and_laid_over_another(
         )
         await until(pilot, lambda: screen.job is None, "over")
         assert not list_runs(lab.workspace.runs)
+        stays = str(screen.query_one("#progress", Static).render())
+        assert "f_min below f_max" in stays
 
         for gain, name in ((2000.0, "stiff"), (200.0, "soft")):
             await until(pilot, lambda: screen.job is None, "free")
@@ -123,6 +130,16 @@ async def test_a_sweep_shows_a_table_and_a_row_writes_its_values(
             lambda: "NAME=VALUES" in str(lab.screen.query_one("#problem", Static).render()),
             "what is typed is checked",
         )
+        for typed, why in (
+            ("Kp9=1,2", "the program has no Kp9: it has "),
+            ("", "for example Kp1=1000:4000:4"),  # of this program
+        ):
+            _type(lab, words=typed)
+            await until(
+                pilot,
+                lambda why=why: why in str(lab.screen.query_one("#problem", Static).render()),  # type: ignore[misc]
+                why,
+            )
         _type(lab, words="Kp1=500,2000 Kd1=120", channels="e1", seconds="1", settle="0")
         await pilot.press("enter")
         view = screen.query_one(SweepView)
@@ -143,6 +160,25 @@ async def test_a_sweep_shows_a_table_and_a_row_writes_its_values(
         assert target["Kp1"] == 500.0, "and writes nothing yet"
         assert await pilot.click(table, offset=(6, 2))
         await until(pilot, lambda: target["Kp1"] == 2000.0, "a click on the marked row writes")
+
+
+@pytest.mark.parametrize(("width", "rows"), [(80, 1), (160, 3)])
+async def test_why_a_measurement_failed_leaves_room_for_what_start_needs(
+    lab: ZendspApp, until: Until, width: int, rows: int
+) -> None:
+    async with lab.run_test(size=(width, 24)) as pilot:
+        await until(pilot, lambda: lab.session.snapshot.link == "up", "link")
+        screen = await opened(lab, pilot, until, ExecuteScreen)
+
+        def refuse(port: object, tell: object) -> None:
+            raise Refused("the twin was stopped: " + 12 * "a long reason ")
+
+        screen.job = MeasureJob(lab.session, "sweep", refuse, lambda found: found)  # type: ignore[arg-type]
+        screen.job.start()
+        shown = screen.query_one("#progress", Static)
+        await until(pilot, lambda: "the twin was stopped" in str(shown.render()), "why")
+        await until(pilot, lambda: (shown.size.height == 1) == (rows == 1), "its height")
+        assert shown.size.height >= rows
 
 
 async def test_a_measurement_can_be_aborted(
@@ -176,3 +212,43 @@ async def test_a_measurement_can_be_aborted(
         assert view.display and view.sweep is not None and 0 < len(view.sweep.rows) < 1000
         (kept,) = (folder / "sweeps").glob("*-Kp1.csv")
         assert len(kept.read_text().splitlines()) == 1 + len(view.sweep.rows)
+
+
+@pytest.mark.parametrize("reached", [None, "one row"])
+def test_what_was_measured_until_the_link_was_lost_is_kept_and_the_loss_is_named(
+    reached: str | None,
+) -> None:
+    """Not that the connection is closed, which the terminal itself did."""
+    session = Session(nobody)
+    session.snapshot = Snapshot(link="lost")
+    session.require = lambda: None  # type: ignore[method-assign, return-value, assignment]
+
+    def measure(port: object, tell: Callable[[float], None]) -> str:
+        tell(0.4)
+        job.reached = reached
+        raise LinkError("the connection to 'imi' is closed")
+
+    job = MeasureJob(session, "sweep", measure, lambda found: f"kept {found}")  # type: ignore[arg-type]
+    job.start()
+    error = job.result.exception(10.0)
+    assert str(error).startswith("the link was lost before it was done, at 40 %")
+    assert job.left == (None if reached is None else "kept one row")
+    assert ("is kept" in str(error)) == (reached is not None) == ("is kept" in job.progress.why)
+
+
+class _Words(App[None]):
+    def compose(self) -> ComposeResult:
+        yield ResponseView()
+
+
+@pytest.mark.parametrize(("height", "cut"), [(14, True), (36, False)])
+async def test_what_is_said_of_a_response_is_cut_only_where_there_is_no_room(
+    height: int, cut: bool
+) -> None:
+    app = _Words()
+    async with app.run_test(size=(58, height)) as pilot:
+        view = app.query_one(ResponseView)
+        view._words = "not linear: measure at two amplitudes " * 6
+        view._say()
+        await pilot.pause()
+        assert ("…" in str(app.query_one("#response-words", Static).render())) == cut

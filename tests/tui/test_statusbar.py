@@ -170,3 +170,45 @@ async def test_the_positions_of_seven_joints_have_room_beside_the_scope() -> Non
     assert told[0].split() == ["pos", "0.0000", "-1.9000", "0.0000", "3.0017", "rad"]
     assert told[1].split() == ["0.0000", "-2.0000", "0.5000", "rad"]
     assert max(map(len, told)) <= 52  # of the panel on 120 columns
+
+
+async def test_what_comes_next_after_a_trip_is_said_where_the_state_is() -> None:
+    seen = Snapshot(
+        link="up", target="imi", machine="imi", state="stopped", drive="stopped", explicit=True,
+        trip=TripView("host lost", 7, "the host that commanded the motion is gone"),
+        steps=("acknowledge", "enable", "start"),
+    )
+    app = _Bar()
+    async with app.run_test(size=(80, 5)) as pilot:
+        app.query_one(StatusBar).show(seen)
+        await pilot.pause()
+        assert "■ stopped  ^k" in app.screen._compositor.render_strips()[1].text
+        told = DrivePanel().ladder(seen).plain
+        assert "next: ^k acknowledge, e enable, s start" in told
+        assert len(told) <= 52  # of the panel on 120 columns
+        rest = replace(seen, state="paused", drive="homed", trip=None, steps=("enable", "start"))
+        assert DrivePanel().ladder(rest).plain.endswith("running  next e")
+        going = replace(rest, state="running", drive="running", steps=("go_on",))
+        assert DrivePanel().ladder(going).plain.endswith("hold = false lets it go on")
+
+
+@pytest.mark.parametrize(
+    ("gone", "policy", "said"),
+    [
+        (True, "stop", ("it has ended; start it again", "zendsp salvage")),
+        (False, "hold", ("reconnecting", "heard last, at t = 7.0 s; it comes to rest")),
+        (False, "stop", ("reconnecting", "heard last, at t = 7.0 s; it stops")),
+    ],
+)
+async def test_a_lost_link_says_what_becomes_of_the_machine(
+    gone: bool, policy: str, said: tuple[str, str]
+) -> None:
+    seen = Snapshot(
+        link="lost", target="imi", state="running", mine=True, t=7.0, host_lost=policy, gone=gone
+    )
+    app = _Bar()
+    async with app.run_test(size=(80, 5)) as pilot:
+        app.query_one(StatusBar).show(seen)
+        await pilot.pause()
+        lines = [strip.text for strip in app.screen._compositor.render_strips()[1:3]]
+        assert all(words in line for words, line in zip(said, lines, strict=True)), lines

@@ -250,6 +250,7 @@ async def test_a_killed_target_is_shown_nothing_freezes_and_the_link_comes_back(
         process.wait()
         await until(pilot, lambda: app.session.snapshot.link == "lost", "the loss is shown")
         assert "LINK LOST" in app.screen.bar.where(app.session.snapshot).plain  # type: ignore[attr-defined]
+        await until(pilot, lambda: app.session.snapshot.gone, "its process has ended")
         await pilot.press("f9")  # STOP without a link says so, at once
         await until(
             pilot, lambda: any("NOT STOPPED" in e.text for e in app.session.events.since(0)[1]),

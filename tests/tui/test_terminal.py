@@ -81,7 +81,7 @@ def test_what_is_typed_before_the_first_picture_is_no_command(tmp_path: Path) ->
         until(b"[?1049h")  # it reads keys from here on, and has shown nothing
         os.write(terminal, b"?")
         (tmp_path / "typed").touch()
-        until(b"no channels")
+        until(b"no target")
         until(b"goal", b"\x1bOS")  # F4, which a dialog of the keys would not let through
     finally:
         os.kill(pid, signal.SIGKILL)

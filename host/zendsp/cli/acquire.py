@@ -18,8 +18,8 @@ PICTURES = (".png", ".svg", ".pdf")
 
 
 @click.command("acquire")
-@click.argument("channels", nargs=-1, required=True, shell_complete=variables)
-@click.option("-s", "--seconds", type=float, required=True, help="How long, in the target's time.")
+@click.argument("channels", nargs=-1, shell_complete=variables)
+@click.option("-s", "--seconds", type=float, help="How long, in the target's time.")
 @click.option(
     "-o",
     "--out",
@@ -41,12 +41,15 @@ PICTURES = (".png", ".svg", ".pdf")
 )
 @click.option("--start", is_flag=True, help="Also start the program, and pause it afterwards.")
 @click.option("--take", is_flag=True, help="Also when another host is recording.")
+@click.option(
+    "--last", is_flag=True, help="Save what was recorded last, by a host that was lost, say."
+)
 @click.option("--note", default="", help="Kept in the recording.")
 @click.option("--plot", type=click.Path(path_type=Path), help="Also draw it there (PNG, SVG, PDF).")
 @target_options
 def command(
     channels: tuple[str, ...],
-    seconds: float,
+    seconds: float | None,
     out: Path,
     decimation: int,
     trigger: str | None,
@@ -55,6 +58,7 @@ def command(
     pre: float,
     start: bool,
     take: bool,
+    last: bool,
     note: str,
     plot: Path | None,
     target: str,
@@ -67,30 +71,31 @@ def command(
     the end, 130 after Ctrl-C; what was recorded until then is saved all the same. Where it cannot
     be written there, it is written to the folder for temporary files, and exit status 1.
 
+    With --last nothing is recorded: what the target holds of the recording before is saved, until
+    another one begins.
+
     Example:  zendsp acquire q tau -s 2 -o run.mat
     """
     from zendsp.cli.stats import late_since
     from zendsp.errors import AcquisitionError, Incomplete, RunnerDied
     from zendsp.link import Trigger
-    from zendsp.recording.files import check_suffix
 
-    check_suffix(out)  # before the recording, not after it
-    if plot is not None and plot.suffix.lower() not in PICTURES:
-        raise click.BadParameter(
-            f"{plot}: a picture ends in {', '.join(PICTURES)}", param_hint="--plot"
-        )
+    _check(channels, seconds, last, out, plot)
     when = Trigger(source=trigger, level=level, edge=edge, pre_s=pre) if trigger else None
     ended = ""
     with open_target(target, connect, moves=True) as t:
         before = t.status().timing
         try:
-            with progress("recording", seconds, as_json) as set_fraction:
-                recording = t.acquire(
-                    list(channels), seconds, decimation, when, start=start, take=take, note=note,
-                    progress=set_fraction,
-                )
+            if seconds is None:
+                recording = t.acquire_load(note)
+            else:
+                with progress("recording", seconds, as_json) as set_fraction:
+                    recording = t.acquire(
+                        list(channels), seconds, decimation, when, start=start, take=take,
+                        note=note, progress=set_fraction,
+                    )
             status = t.status()
-            if status.trip is not None:
+            if status.trip is not None and not last:
                 ended = f"the program was {status.state} within the recording"
         except (RunnerDied, Incomplete) as error:
             ended = str(error)
@@ -129,6 +134,25 @@ def command(
         raise click.exceptions.Exit(1)
     if wrong or not drawn:
         raise click.exceptions.Exit(1)
+
+
+def _check(
+    channels: tuple[str, ...], seconds: float | None, last: bool, out: Path, plot: Path | None
+) -> None:
+    """Refuse options that do not go together, before the recording and not after it."""
+    from zendsp.recording.files import check_suffix
+
+    check_suffix(out)
+    if last and (channels or seconds is not None):
+        raise click.UsageError("--last saves what is recorded already: without CHANNELS, --seconds")
+    if not last and (seconds is None or not channels):
+        raise click.UsageError(
+            "what, and how long? For example: zendsp acquire q tau --seconds 2 --out run.mat"
+        )
+    if plot is not None and plot.suffix.lower() not in PICTURES:
+        raise click.BadParameter(
+            f"{plot}: a picture ends in {', '.join(PICTURES)}", param_hint="--plot"
+        )
 
 
 def _draw(recording: Recording, path: Path) -> bool:

@@ -36,7 +36,8 @@ FILE = click.Path(path_type=Path)
 )
 @click.option(
     "--out", type=FILE, default=None,
-    help="Folder for report.json, report.html, figures, model.toml, compensation.c.",
+    help="Folder for report.json, report.html, figures, model.toml, compensation.c, and"
+    " next_reference.mat where another motion would settle what is open.",
 )
 @click.option(
     "--no-figures", is_flag=True, help="With --out: neither report.html nor figures; faster."
@@ -135,14 +136,16 @@ class _Asked:
 def _together(asked: _Asked, run_on: str | None) -> None:
     """One diagnosis of all recordings."""
     from zendsp.cli.progress import stages
+    from zendsp.cli.steps import in_steps
     from zendsp.diagnosis import diagnose
-    from zendsp.diagnosis.report.files import report_text
+    from zendsp.diagnosis.report.files import no_reference, report_text
     from zendsp.physics.effects import load_effects
 
     for file in asked.effects:
         load_effects(file)
     out = asked.out
-    with stages(quiet=asked.as_json) as tell:
+    with stages(quiet=asked.as_json) as say:
+        tell = in_steps(say)
         result = diagnose(
             list(asked.train),
             asked.model,
@@ -170,6 +173,8 @@ def _together(asked: _Asked, run_on: str | None) -> None:
         if out is not None:
             page = "report.html" if asked.pictures else "report.json"
             click.echo(f"\nreport: {written / page}")
+            why = no_reference(result)
+            click.echo(f"next motion: {f'none, {why}' if why else written / 'next_reference.mat'}")
     if out is not None and wrong:
         click.echo(f"zendsp: {wrong}", err=True)
         raise click.exceptions.Exit(1)

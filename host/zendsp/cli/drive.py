@@ -9,6 +9,7 @@ import click
 
 from zendsp.cli.common import acknowledge, emit, open_target, sample_option, target_options
 from zendsp.errors import Refused
+from zendsp_protocol import messages as m
 
 ACTIONS = (
     "status", "on", "off", "home", "enable", "disable", "acknowledge", "auto", "take", "host-lost",
@@ -42,13 +43,15 @@ def command(
     takes stop, hold or finish).
 
     off → ready → homed → enabled → running → stopped or tripped. Without ACTION: where the drives
-    are, and what enabling still needs. A command that ends gives the right to command back; "take
+    are, what enabling still needs, and the commands that bring the machine back into motion. A
+    command that ends gives the right to command back; "take
     --force" thus frees it from another host. A refusal names each condition.
 
     \b
     Example:  zendsp drive on && zendsp drive home && zendsp drive enable
     """
     from zendsp.link.outside import outside
+    from zendsp.link.way_back import HOLD, said, way_back
 
     with open_target(target, connect, moves=True) as t:
         actions: dict[str, Callable[[], str]] = {
@@ -72,15 +75,13 @@ def command(
                 with contextlib.suppress(Refused):
                     t.release_command()
         status = t.drive_status()
-        lines = [
-            f"{status.state}"
-            f" ({status.mode}){'' if status.explicit else ', automatic: on at start, off at pause'}"
-        ]
+        lines = [f"{status.state}, {_mode(status)}"]
         lines += [
             f"  {'✔' if c.met else '✖'} {c.name}{f': {c.advice}' if c.advice else ''}"
             for c in status.conditions
         ]
         seen = t.status()
+        held = seen.state == "running" and HOLD in t.variables() and bool(t[HOLD])
         if seen.state != "empty":  # what limits there are is known with a program
             lines += [f"  ! {words}" for words in outside(seen, t.machine().joints, t.limits())]
         mover = status.moved_by
@@ -89,4 +90,17 @@ def command(
             f"commanded by {status.commander or 'nobody'}{moved}; if the commanding host is lost:"
             f" {status.host_lost}"
         )
+        if steps := said(way_back(seen, status, t.link.author, held), target, connect):
+            lines.append(f"next: {steps}")
         emit(status, as_json, "\n".join(lines))
+
+
+def _mode(status: m.DriveStatus) -> str:
+    """What the drives do in this state, and when that changes by itself."""
+    words = {"off": "no torque", "torque": "torque mode", "velocity": "velocity mode"}
+    said = words.get(status.mode, status.mode)
+    if status.mode == "velocity" and status.state in ("stopped", "tripped"):
+        said = "held at zero speed"
+    if not status.explicit:
+        return f"{said}; automatic: on at start, off at pause"
+    return f"{said} before the program starts" if status.state == "enabled" else said

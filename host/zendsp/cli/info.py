@@ -25,6 +25,7 @@ def command(name: str, target: str, connect: str | None, as_json: bool) -> None:
     Example:  zendsp info imi
     """
     from zendsp.link.outside import outside
+    from zendsp.link.way_back import HOLD, said, way_back
 
     with open_target(name or target, connect) as t:
         status = t.status()
@@ -35,6 +36,9 @@ def command(name: str, target: str, connect: str | None, as_json: bool) -> None:
         sources = t.program().sources if status.program else {}
         readable = [v.name for v in variables.values() if v.kind != "table"]
         values = dict(t.request("read", names=readable).values) if readable else {}
+        held = status.state == "running" and bool(values.get(HOLD))
+        drive = t.drive_status()
+        steps = said(way_back(status, drive, t.link.author, held), name or target, connect)
         body = {
             "info": t.info,
             "status": status,
@@ -43,8 +47,14 @@ def command(name: str, target: str, connect: str | None, as_json: bool) -> None:
             "values": values,
             "outside": away,
         }
+        further = [
+            *(f"outside    {sentence}" for sentence in away),
+            *(f"note       {sentence}" for sentence in status.own),
+            *([f"next       {steps}"] if steps else []),
+        ]
         emit(
-            body, as_json, lambda: _text(t.info, status, machine, variables, values, sources, away)
+            body, as_json,
+            lambda: _text(t.info, status, machine, variables, values, sources, further),
         )
 
 
@@ -63,7 +73,7 @@ def _text(
     variables: Mapping[str, m.VariableInfo],
     values: Mapping[str, Any],
     sources: Collection[str],
-    away: Sequence[str],
+    further: Sequence[str],
 ) -> str:
     if machine is None:
         described = f"{status.machine} (joints and variables are known when a program is loaded)"
@@ -89,9 +99,7 @@ def _text(
         lines.append(f"unsafe     {status.unsafe}")
     if status.trip is not None:
         lines.append(f"trip       {status.trip.text}")
-    lines += [f"outside    {sentence}" for sentence in away]
-    lines += [f"note       {sentence}" for sentence in status.own]
-    return "\n".join(lines) + (f"\n\n{_table(variables, values)}" if variables else "")
+    return "\n".join([*lines, *further]) + (f"\n\n{_table(variables, values)}" if variables else "")
 
 
 def _table(variables: Mapping[str, m.VariableInfo], values: Mapping[str, Any]) -> str:

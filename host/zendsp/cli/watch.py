@@ -18,6 +18,7 @@ from zendsp_protocol.views import short
 if TYPE_CHECKING:
     from zendsp.link import LiveView, Target
 
+WAITS = "waiting for samples"
 ASK_S = 1.0  # between questions to the target: it may be stopped, or gone
 
 
@@ -40,9 +41,9 @@ def command(
     connect: str | None,
     as_json: bool,
 ) -> None:
-    """Follow channels until Ctrl-C: one line for each interval; on a terminal one that changes, or
-    as many as they need. What stops the program is said at once. Ends with a status other than 0
-    where the target is gone, or no longer lets you in.
+    """Follow channels until Ctrl-C: one line for each interval in which rows came; on a terminal
+    one that changes, or as many as they need. What stops the program is said at once. Ends with a
+    status other than 0 where the target is gone, or no longer lets you in.
 
     Example:  zendsp watch q tau --interval 0.2
     """
@@ -51,8 +52,9 @@ def command(
         open_target(target, connect) as t,
         t.live(list(channels), interval=min(interval, 0.05), history=1.0) as view,
     ):
-        shown, back, told = 0, "", ""
+        shown, back, told, waited = 0, "", "", ""
         due = asked = time.monotonic()
+        last, came = -1.0, due  # time of the newest row, and since when it is the newest
         while not count or shown < count:
             time.sleep(max(0.0, due - time.monotonic()))
             due += interval
@@ -64,10 +66,17 @@ def command(
             if not newest:
                 newest = _first(t, view)
                 due = time.monotonic() + interval  # from the first rows on
+            new, now = newest["t"] != last, time.monotonic()
+            last, came = newest["t"], now if new else came
+            still = WAITS if now > came + ASK_S else ""  # an old row is no new line
+            if not (new or rewrite):
+                waited = _say_once(still, waited)
+                continue
+            waited = ""
             parts = [
                 f"{name} {short(value):>12} {unit}".rstrip()
                 for (name, value), unit in zip(newest.items(), ("s", *view.units), strict=True)
-            ]
+            ] + [f"({still})"] * bool(still)
             if rewrite:
                 lines = in_rows(parts, shutil.get_terminal_size().columns)
                 click.echo(f"{back}\x1b[J" + "\n".join(lines), nl=False)
@@ -98,6 +107,13 @@ def in_rows(parts: Sequence[str], width: int) -> list[str]:
     return [row[: width - 1] for row in rows]
 
 
+def _say_once(text: str, told: str) -> str:
+    """Say why no line comes, unless that is said already; returns what is."""
+    if text and not told:
+        click.echo(f"{text}: is the program running?", err=True)
+    return text or told
+
+
 def _trouble(target: Target, told: str, begin: str = "") -> str:
     """Return what stopped the program, and say it once; an error says that the target is gone."""
     from zendsp.link.programs import trouble
@@ -114,6 +130,6 @@ def _first(target: Target, view: LiveView) -> dict[str, float]:
     while view.next_block(ASK_S) is None:
         told = _trouble(target, told)
         if not (told or waits):
-            click.echo("waiting for samples: is the program running?", err=True)
+            click.echo(f"{WAITS}: is the program running?", err=True)
             waits = True
     return view.latest()

@@ -180,14 +180,14 @@ class Judged:
     extra : tuple of Finding
         That are no concealed effect.
     parameters : tuple
-        (name, found, std, true, unit) of those named exactly; where the effect adds to a term of
-        the given model, the sums.
+        (name, found, std, true, unit, had) of those named exactly; where the effect adds to a term
+        of the given model, the sums, and what that term had before.
     """
 
     named: bool
     exact: bool
     extra: tuple[Finding, ...]
-    parameters: tuple[tuple[str, float, float, float, str], ...]
+    parameters: tuple[tuple[str, float, float, float, str, float], ...]
 
 
 def judge(diagnosis: Diagnosis, effects: Sequence[TrueEffect]) -> Judged:
@@ -216,7 +216,7 @@ def judge(diagnosis: Diagnosis, effects: Sequence[TrueEffect]) -> Judged:
                 rows.append(
                     (
                         name, estimate.value + has, estimate.std, float(told["value"]) + had,
-                        estimate.unit,
+                        estimate.unit, had,
                     )
                 )
     return Judged(

@@ -271,6 +271,13 @@ def _short(value: float | str) -> str:
     return value if isinstance(value, str) else f"{value:.4g}"
 
 
+def compared(name: str, value: float, std: float, true: float, unit: str, had: float) -> str:
+    """Say a number beside the truth, and of a sum what is concealed of it."""
+    of = "" if unit == "1" else f" {unit}"
+    parts = f": the concealed {true - had:.4g} and the given model's {had:.4g}" if had else ""
+    return f"{name}: found {with_std(value, std)}, true {true:.4g}{of}{parts}"
+
+
 def _reveal(machine: Machine, told: Told, narrator: Narrator) -> None:
     narrator.chapter("5  The truth")
     truth = machine.target.reveal()
@@ -300,9 +307,8 @@ def _reveal(machine: Machine, told: Told, narrator: Narrator) -> None:
         )
         narrator.say(f"not found: the diagnosis named {found}", good=False)
         told.failures.append("the concealed effect was not named")
-    for name, value, std, true, unit in judged.parameters:
-        of = "" if unit == "1" else f" {unit}"
-        narrator.say(f"{name}: found {with_std(value, std)}, true {true:.4g}{of}")
+    for row in judged.parameters:
+        narrator.say(compared(*row))
     for extra in judged.extra:
         name = f"{extra.effect} on joint {extra.joint}"
         narrator.say(

@@ -11,6 +11,7 @@ from zendsp.errors import AcquisitionError, Refused, ZendspError
 from zendsp.experiment.player import Player, position
 from zendsp.here.stopped import ended
 from zendsp.link import Target, rehearse
+from zendsp.link.rehearse import passed
 from zendsp.recording import Recording
 from zendsp_protocol.states import STOPS, ProgramState
 
@@ -66,8 +67,9 @@ def play(
     player = Player(target, tables, values, channels, length, progress=progress)
     if rehearsed and target.info.clock == "real":
         found = rehearse(target, tables, player.values, length, _sign_of_life(progress))
-        if found.simulated and not found.good:
-            raise Refused(f"not played, the twin was stopped: {found.text}; take less amplitude")
+        if found.simulated and found.trip is not None:
+            seen = passed(found.trip, target.info.rate_hz)
+            raise Refused(f"not played: {seen}; take less amplitude, or lower the gains")
     try:
         recording, begin = player.play()
     except ZendspError:

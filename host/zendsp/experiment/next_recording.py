@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from zendsp.diagnosis import Diagnosis, diagnose
+from zendsp.diagnosis.report.files import no_reference
 from zendsp.errors import ZendspError
 from zendsp.experiment.separating import run_reference
 from zendsp.link import connect
@@ -58,12 +59,8 @@ def run_next(
     """
     proposal = diagnosis.next_recording
     if proposal is None or proposal.reference is None:
-        why = (
-            "nothing is left open"
-            if proposal is None
-            else "no reference can be proposed for what is open"
-        )
-        diagnosis.notes = (*diagnosis.notes, f"--run: {why}, so nothing was run on {target}")
+        why = f"--run: {no_reference(diagnosis)}, so nothing was run on {target}"
+        diagnosis.notes = (*diagnosis.notes, why)
         return diagnosis
     q, period = proposal.reference
     folder.mkdir(parents=True, exist_ok=True)

@@ -158,7 +158,11 @@ def rehearse(
         return Rehearsal(
             True, None, f"no limit is passed in the simulation of {seconds:.1f} s{most}", peaks
         )
-    return Rehearsal(True, ended.trip, _words(ended.trip, rate))
+    return Rehearsal(
+        True, ended.trip,
+        f"{passed(ended.trip, rate)}: plan it slower or smaller (headroom), begin nearer to its"
+        " start, or lower the gains",
+    )
 
 
 def _simulation_of(info: m.MachineInfo, hostname: str) -> str:
@@ -221,9 +225,7 @@ def _peaks(record: Recording, joints: Sequence[m.JointInfo], limits: m.Limits) -
     return tuple(max(peaks, key=lambda peak: peak.share) for peaks in found.values())
 
 
-def _words(trip: m.Trip, rate: float) -> str:
+def passed(trip: m.Trip, rate: float) -> str:
+    """Which limit was passed on the twin, when and by how much."""
     beyond = f", {100 * (abs(trip.value / trip.limit) - 1):.0f} % beyond it" if trip.limit else ""
-    return (
-        f"in the simulation {trip.cause or trip.reason} at {trip.tick / rate:.2f} s{beyond}: plan"
-        " it slower or smaller (headroom), begin nearer to its start, or lower the gains"
-    )
+    return f"in the simulation {trip.cause or trip.reason} at {trip.tick / rate:.2f} s{beyond}"

@@ -53,6 +53,12 @@ BASE = ("rad", "Nm", "Hz", "m", "s", "N", "A", "V", "W", "J", "g", "K")
 PREFIX = {
     "": 1.0, "k": 1e3, "M": 1e6, "c": 1e-2, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "n": 1e-9,
 }
+_ENERGY = {"kg": 1, "m": 2, "s": -2}
+POWERS_OF: Mapping[str, Mapping[str, int]] = {
+    "1": {}, "rad": {}, "rad/s": {"s": -1}, "Hz": {"s": -1}, "m": {"m": 1}, "s": {"s": 1},
+    "N": {"kg": 1, "m": 1, "s": -2}, "N m": _ENERGY, "J": _ENERGY, "W": {**_ENERGY, "s": -3},
+    "V": {**_ENERGY, "s": -3, "A": -1}, "A": {"A": 1}, "kg": {"kg": 1}, "K": {"K": 1},
+}  # fmt: skip
 KNOWN = (
     "rad, deg, gon, rev, rpm, m, mm, in, s, ms, Hz, N, N m, mN m, Nmm, kg, g, A, mA, V, W, and what"
     " they make with blanks, powers and a slash: 'kg cm^2', 'N m s/rad', 'deg/s'"
@@ -111,6 +117,35 @@ def to_si(unit: str) -> tuple[float, str] | None:
     if factor == 1.0:
         return 1.0, text  # as its author wrote it
     return factor, known + ("/" + "/".join(below) if below else "")
+
+
+def dimension(unit: str) -> dict[str, int] | None:
+    """The powers of kg, m, s, A and K in a unit, without those that are 0; None where it is not
+    known. An angle has none; numbers such as ``counts`` are of their own kind.
+
+    Examples
+    --------
+    >>> dimension("N m") == dimension("mNm") == dimension("J"), dimension("rpm"), dimension("A")
+    (True, {'s': -1}, {'A': 1})
+    >>> dimension("counts"), dimension("furlong") is None
+    ({'counts': 1}, True)
+    """
+    text = unit.strip()
+    if text in AS_WRITTEN:
+        return {text: 1}
+    if text in WHOLE:
+        text = WHOLE[text][1]
+    over, *under = text.replace("per ", "/").split("/")
+    found: dict[str, int] = {}
+    for sign, part in [(1, over), *((-1, part.strip("()")) for part in under)]:
+        factor, names = _product(part)
+        if math.isnan(factor):
+            return None
+        for name in names:
+            symbol, _, power = name.partition("^")
+            for base, n in POWERS_OF[symbol].items():
+                found[base] = found.get(base, 0) + sign * n * int(power or 1)
+    return {base: n for base, n in found.items() if n}
 
 
 def not_known(unit: str) -> str:

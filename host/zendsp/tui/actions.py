@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from textual.binding import Binding, BindingType
@@ -237,9 +237,22 @@ def bindings(scope: str) -> list[BindingType]:
     ]
 
 
+def keys_of(steps: Sequence[str], words: bool = False) -> str:
+    """Return the steps of `zendsp.link.way_back` as keys, with what each does where `words`. What
+    no key does comes alone: nothing after it would be granted.
+    """
+    told = {
+        a.name: f"{a.shown_key} {a.label.lower()}" if words else a.shown_key
+        for a in ACTIONS
+        if a.scope in ("console", "app")
+    }
+    keys = [told[step] for step in steps if step in told]
+    return steps[0] if steps and steps[0] not in told else ", ".join(keys)
+
+
 # what the target and the link say to do, and the action that does it here
 DONE_BY = (
-    (r"Ctrl\+R in the terminal, else 'zendsp drive take --force'", "command"),
+    (r"(Ctrl\+R in the terminal, else )?'zendsp drive take --force'", "command"),
     (r"'?zendsp drive acknowledge'?( or acknowledge\(\))?", "acknowledge"),
     (r"zendsp drive on", "power"),
     (r"zendsp drive home", "home"),

@@ -284,9 +284,15 @@ class ZendspApp(TypeAhead):
             if error is not None:
                 self.call_later(self.toast, f"{label}: {error}", "error")
             else:
-                self.session.events.add(future.result() or f"{label}: done", "good")
+                self.call_later(self._say, future.result() or f"{label}: done")
 
         self.session.do(label, lambda port: port.drive(verb, **values)).add_done_callback(done)
+
+    def _say(self, text: str) -> None:
+        """Say what was done, on the screen that is shown."""
+        screen = next((s for s in self.screen_stack[::-1] if isinstance(s, LabScreen)), None)
+        if screen is not None:
+            screen.say(text, "good")
 
     def play(self, path: Path) -> None:
         """Open a planned reference on Execute."""

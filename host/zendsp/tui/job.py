@@ -22,6 +22,7 @@ class Progress:
     share: float  # 0 … 1
     t: float = 0.0  # s since the first row
     duration: float = 0.0  # s
+    why: str = ""  # it failed
 
 
 class Job(Generic[T]):
@@ -47,6 +48,10 @@ class Job(Generic[T]):
         """Whether it still goes on."""
         return not self.result.done()
 
+    def saved(self) -> str:
+        """What is left of a job whose link was lost, as the end of a sentence."""
+        return ""
+
     # -- on the thread
 
     def _do(self, port: Port) -> T:
@@ -56,10 +61,12 @@ class Job(Generic[T]):
         try:
             made = self._do(self._session.require())
         except Exception as error:
-            expected = isinstance(error, ZendspError)
-            word = str(error) if expected else f"{type(error).__name__}: {error}"
+            share = f", at {100.0 * self.progress.share:.0f} %{self.saved()}"
+            failure: Exception = self._session.told(error, share)
+            expected = isinstance(failure, ZendspError)
+            word = str(failure) if expected else f"{type(failure).__name__}: {failure}"
             self._session.events.add(f"{self.label}: {word}", "error")
-            self.progress = replace(self.progress, phase="failed")
-            self.result.set_exception(error)
+            self.progress = replace(self.progress, phase="failed", why=word)
+            self.result.set_exception(failure)
         else:
             self.result.set_result(made)

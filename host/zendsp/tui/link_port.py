@@ -17,6 +17,7 @@ from zendsp.link.live import LiveBlock
 from zendsp.link.outside import outside, positions
 from zendsp.link.put_back import Before
 from zendsp.link.variables import plain
+from zendsp.link.way_back import HOLD, way_back
 from zendsp.recording import Recording
 from zendsp.tui.port import Build, Shot, Sink, Tell
 from zendsp.tui.snapshot import Snapshot, TripView, Variable
@@ -122,6 +123,7 @@ class LinkPort:
             if described and self._limits
             else (),
             conditions=tuple((c.name, c.met, c.advice) for c in drive.conditions),
+            steps=way_back(s, drive, self.target.link.author, values.get(HOLD) is True),
             variables=self._variables,
             values=values,
         )

@@ -18,7 +18,7 @@ class MeasureJob(Job[Any]):
     """Does ``measure(port, tell)``, then ``keep(result)`` on the same thread.
 
     The result is that of ``keep``; None where it was aborted before ``reached`` was set to what
-    was measured until then.
+    was measured until then. Where it failed, ``left`` is what ``keep`` made of that.
     """
 
     def __init__(
@@ -31,6 +31,10 @@ class MeasureJob(Job[Any]):
         super().__init__(session, label)
         self._measure, self._keep = measure, keep
         self.reached: Any = None
+        self.left: Any = None
+
+    def saved(self) -> str:
+        return "" if self.left is None else "; what was measured until then is kept"
 
     def _tell(self, share: float) -> None:
         if self._abort.is_set():
@@ -43,5 +47,8 @@ class MeasureJob(Job[Any]):
         except Aborted:
             self.progress = replace(self.progress, phase="aborted")
             return None if self.reached is None else self._keep(self.reached)
+        except Exception:
+            self.left = None if self.reached is None else self._keep(self.reached)
+            raise
         self.progress = Progress("complete", 1.0)
         return kept

@@ -80,9 +80,15 @@ def preflight(
     """
     s = snapshot
     plan = None
+    chosen = Condition(
+        f"reference chosen{_names(files)}", bool(references), "o chooses; F4 plans one"
+    )
+    if s.link != "up":  # nobody knows of anything else whether it is so
+        trial.look(None, port)
+        return [_no_link(s), chosen]
     machine, player = machine_of(s), find_player(s.variables)
     found = [
-        Condition("link to a target", s.link == "up", "Ctrl+O connects"),
+        Condition("link to a target", True),
         Condition(
             f"machine known{f': {machine.name}' if machine else ''}",
             machine is not None,
@@ -98,7 +104,7 @@ def preflight(
             player is not None,
             "it must declare TABLE(ref, rows, joints, …), as joint_pd.c does",
         ),
-        Condition(f"reference chosen{_names(files)}", bool(references), "o chooses; F4 plans one"),
+        chosen,
     ]
     if references and machine is not None:
         found.append(_fits(references, machine))
@@ -111,6 +117,22 @@ def preflight(
     known = {v.name for v in s.variables}
     missing = [c for c in setup.channels if c.split("[")[0] not in known]
     found += [
+        *_drives(s),
+        Condition(
+            "channels exist",
+            not missing,
+            f"the program has no {', '.join(missing)}: choose again (a)",
+        ),
+        Condition(
+            "a run is in progress" if busy else "no run in progress", not busy, "b aborts it"
+        ),
+    ]
+    trial.look(None if busy or s.state == "running" else plan, port)
+    return found
+
+
+def _drives(s: Snapshot) -> list[Condition]:
+    return [
         Condition(
             "no trip, no STOP",
             s.trip is None and s.drive not in ("stopped", "tripped"),
@@ -127,17 +149,12 @@ def preflight(
             s.mine or not s.commander,
             f"{s.commander} commands; Ctrl+R takes over",
         ),
-        Condition(
-            "channels exist",
-            not missing,
-            f"the program has no {', '.join(missing)}: choose again (a)",
-        ),
-        Condition(
-            "a run is in progress" if busy else "no run in progress", not busy, "b aborts it"
-        ),
     ]
-    trial.look(None if busy or s.state == "running" else plan, port)
-    return found
+
+
+def _no_link(s: Snapshot) -> Condition:
+    again = "it comes back by itself; Ctrl+O: another"
+    return Condition("link to a target", False, again if s.link == "lost" else "Ctrl+O connects")
 
 
 def _steps(s: Snapshot) -> str:

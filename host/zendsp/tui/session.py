@@ -33,6 +33,10 @@ END_S = 3.0  # for all threads to end
 SILENCE_S = 3.0  # of curves while the program runs, after which they are asked for again
 
 
+class NoLink(LinkError):
+    """There is none at the moment."""
+
+
 class Session:
     """The link of one terminal to one target.
 
@@ -49,6 +53,7 @@ class Session:
         self.history = History(0)
         self._open = open_port
         self._port: Port | None = None
+        self._left: Port | None = None  # whose link was lost
         self._name = ""
         self._wake = threading.Event()
         self._closing = threading.Event()
@@ -150,8 +155,24 @@ class Session:
         """Return the open port; raises LinkError where there is none."""
         port = self._port
         if port is None:
-            raise LinkError("there is no link to a target; connect with Ctrl+O")
+            lost = self.snapshot.link == "lost"
+            which = f"the link to {self.snapshot.target} is lost, and not back yet" if lost else ""
+            raise NoLink(f"{which or 'there is no link to a target'}: Ctrl+O connects")
         return port
+
+    def told(self, error: Exception, more: str = "") -> Exception:
+        """Return the error of a job as it is told. Of a link that was lost meanwhile the status bar
+        has said how; that the terminal then closed the connection is no news.
+        """
+        if not isinstance(error, LinkError) or isinstance(error, NoLink):
+            return error
+        deadline = time.monotonic() + A_MOMENT_S  # the poller may not have seen it yet
+        while self.snapshot.link == "up" and time.monotonic() < deadline:
+            self._wake.set()
+            time.sleep(POLL_S / 5)
+        if self.snapshot.link in ("lost", "ended"):
+            return LinkError(f"the link was lost before it was done{more}")
+        return error
 
     def watch(self, channels: Sequence[Channel], history: History | None = None) -> History:
         """Follow these signals live, and no others; returns the history that fills from now on, a
@@ -247,7 +268,8 @@ class Session:
         except ZendspError as error:
             if not lost and self.snapshot.link != "connecting":
                 self.snapshot = Snapshot(link="connecting", target=name)
-            self.snapshot = replace(self.snapshot, complaint=str(error))
+            gone = self._left is not None and self._left.over
+            self.snapshot = replace(self.snapshot, complaint=str(error), gone=gone)
             self._complain(str(error))
             return
         with self._lock:
@@ -279,14 +301,14 @@ class Session:
             if self._port is not port:
                 return
             if ended or not port.here:
-                self._port = self._live = None
+                self._port, self._live, self._left = None, None, port
             if ended:
                 self._name = ""
         if self.snapshot.link != "lost":
             self.events.add(f"link lost: {why}", "error")
         self.snapshot = replace(
             self.snapshot, link="ended" if ended else "lost", latency_s=float("nan"),
-            recording=False,
+            recording=False, gone=port.over,
         )
         if ended or not port.here:
             background("tui-close", _close_quietly, port)
@@ -354,8 +376,8 @@ class Session:
                 return
             future.set_result(job(port))
         except ZendspError as error:
-            self.events.add(f"{label}: {error}", "error")
-            future.set_exception(error)
+            self.events.add(f"{label}: {self.told(error)}", "error")
+            future.set_exception(self.told(error))
         except Exception as error:
             self.events.add(f"{label}: {type(error).__name__}: {error}", "error")
             future.set_exception(error)

@@ -62,6 +62,7 @@ class Snapshot:
     link: str = "none"  # "none" | "starting" | "connecting" | "up" | "lost" | "ended"
     target: str = ""
     complaint: str = ""  # why it is not connected yet
+    gone: bool = False  # of a link that is lost: the process of the target has ended
     here: tuple[str, ...] | None = None  # targets that answer while none is connected, once known
     machine: str = ""
     joints: int = 0
@@ -100,6 +101,8 @@ class Snapshot:
     position: tuple[float, ...] = ()
     outside: tuple[str, ...] = ()  # a sentence for each joint outside its position limits
     conditions: tuple[tuple[str, bool, str], ...] = ()  # of enabling: name, met, what to do
+    # until the program runs: actions by name, or sentences (zendsp.link.way_back)
+    steps: tuple[str, ...] = ()
     variables: tuple[Variable, ...] = ()
     values: Mapping[str, Value] = field(default_factory=dict)
 

@@ -16,7 +16,7 @@ from textual.message import Message
 from textual.widget import Widget
 from textual.widgets import Static
 
-from zendsp.tui.actions import SCREENS, in_keys
+from zendsp.tui.actions import SCREENS, in_keys, keys_of
 from zendsp.tui.panels.lines import Lines
 from zendsp.tui.snapshot import Snapshot
 from zendsp.tui.stop_lane import Verdict
@@ -188,6 +188,7 @@ class StatusBar(Widget):
         trouble = self.trouble(snapshot)
         # up to the sample, or to what is to be done
         first = cell_len(re.split(r" \(sample|: (?:home|acknowledge) ", trouble.plain)[0])
+        first += trouble.cell_len > first  # the mark of what is cut
         where = self.where(snapshot, first)
         lines = [where, self.loop(snapshot)]
         if verdict is not None or where.cell_len + first <= self._line1.size.width:
@@ -221,7 +222,7 @@ class StatusBar(Widget):
             words = {
                 "none": f"no target: Ctrl+O {_offer(s)}", "starting": f"starting {s.target} …",
                 "connecting": f"connecting to {s.target} …",
-                "lost": f"LINK LOST to {s.target}: reconnecting …",
+                "lost": f"LINK LOST to {s.target}: {'it has ended; start it again' if s.gone else 'reconnecting …'}",  # noqa: E501
                 "ended": f"{s.target} HAS ENDED: Ctrl+O {_offer(s)}",
             }
             colour = c["error"] if s.link in ("lost", "ended") else c["warning"]
@@ -245,6 +246,8 @@ class StatusBar(Widget):
             if state:
                 mark, colour = STATE_MARKS.get(state, ("○", "foreground"))
                 line.append(f"{mark} {state}  ", Style(bold=True, color=c[colour]))
+                if state == s.drive and keys_of(s.steps[:1]) == "^k":
+                    line.append("^k  ", Style(color=c["warning"]))
         if self._busy:
             line.append(f"… {self._busy}  ", Style(bold=True, color=c["warning"]))
         who = "you" if s.mine else s.commander or "nobody"
@@ -272,7 +275,8 @@ class StatusBar(Widget):
         if s.link in ("none", "connecting"):
             return line.append("Reference and Diagnose work without a target", Style(dim=True))
         if s.link in ("lost", "ended"):
-            return line.append(f"all below is what was heard last, at t = {s.t:.1f} s", bad)
+            after = "; its rows: zendsp salvage" if s.gone else left_alone(s)
+            return line.append(f"below: what was heard last, at t = {s.t:.1f} s{after}", bad)
 
         width = self._line2.size.width
 
@@ -294,6 +298,13 @@ class StatusBar(Widget):
         item("lost", str(s.lost), s.lost > 0)
         item("link", latency(s.latency_s))
         return line
+
+
+def left_alone(s: Snapshot) -> str:
+    """What a machine that this terminal moved does now that the link is lost."""
+    words = {"stop": "it stops", "hold": "it comes to rest", "finish": "it goes on"}
+    moved = s.state == "running" and (s.mine or s.moved_by == "you")
+    return f"; {words[s.host_lost]}" if moved and s.host_lost in words else ""
 
 
 def _offer(s: Snapshot) -> str:

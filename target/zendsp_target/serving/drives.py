@@ -173,7 +173,10 @@ class Drives:
             if policy != "finish":
                 self._runtime.cancel(lambda author: author == host)
             try:
-                if self._runtime.status().state != ProgramState.RUNNING or policy == "finish":
+                status = self._runtime.status()
+                if status.trip is not None:  # the loop has stopped the machine by itself
+                    self._end_recording()
+                if status.state != ProgramState.RUNNING or policy == "finish":
                     return policy
                 if policy == "hold" and self._hold():
                     return policy

@@ -10,10 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.errors import RecordingError
+from zendsp.physics.model import CALLED, TREES, Model
 from zendsp.recording import Recording, Table
 from zendsp.recording.names import split_unit, units_in
 from zendsp.recording.own import TIME_NAME
-from zendsp.recording.units import not_known, to_si
+from zendsp.recording.units import dimension, not_known, to_si
 from zendsp_protocol.texts import counted
 
 Array = npt.NDArray[np.float64]
@@ -66,23 +67,48 @@ def refuse_no_number(name: str, what: str, column: str, values: Array) -> None:
     )
 
 
-def units_not_known(name: str, source: Recording | Table, columns: Columns) -> list[str]:
-    """A note for each column whose unit is named and not known; that of a command may be any, and a
-    word in brackets need be no unit.
+# what each role of a column is measured in, of a joint that turns and of one that slides
+ANGLE, SPEED, FORCE = ("rad", "m"), ("rad/s", "m/s"), ("N m", "N")
+MEASURED_IN = {
+    "time": ("s", "s"), "position": ANGLE, "reference": ANGLE, "position_load": ANGLE,
+    "velocity": SPEED, "torque_measured": FORCE,
+}  # fmt: skip
+
+
+def check_units(name: str, source: Recording | Table, columns: Columns, model: Model) -> None:
+    """Refuse a column of the model whose unit is not known, or is of another kind than the model's.
+
+    A command may be in any unit, unless the model names its own. Positions that the model's matrix
+    makes of what is measured may be too.
     """
-    notes = []
+    told = bool(model.joint_kinds) or model.kind not in (*CALLED, *TREES)
     for role, spec in columns.items():
-        for column in [] if role == "command" else names_of(spec):
-            bare = split_unit(column)[0]
-            for unit in dict.fromkeys(units_in(source.units, column)):
-                if not unit or to_si(unit) is not None:
-                    continue
-                notes.append(
-                    f"{name}: {role} {bare!r} is taken in SI units: {not_known(unit)}. If it is in"
-                    " another unit, nothing of this is true: write one of them in the head of the"
-                    f" column ('{bare} [deg]', for example)"
+        own = (model.actuator.unit,) * 2 if role == "command" else MEASURED_IN.get(role, ())
+        if role == "position" and model.sensor.matrix:
+            own = ()
+        each = [(c, unit) for c in names_of(spec) for unit in units_in(source.units, c)]
+        for k, (column, unit) in enumerate(each):
+            bare, kind = split_unit(column)[0], dimension(unit) if unit else None
+            if unit and kind is None and role != "command":
+                raise RecordingError(
+                    f"{name}: {role} {bare!r}: {not_known(unit)}. Write one of them in the head of"
+                    f" the column ('{bare} [deg]', for example), or no brackets for SI units"
                 )
-    return notes
+            slides = model.joint_kind(k + 1 if len(each) == model.joints else 1) == "linear"
+            wanted = list(own[slides : slides + 1] if told else own)
+            wanted = [u for u in wanted if dimension(u) is not None]
+            if kind is None or not wanted or kind in [dimension(u) for u in wanted]:
+                continue
+            other = f"the column in [columns], or the model: a {role} is in {' or '.join(wanted)}"
+            if role == "command":
+                other = (
+                    f"the model, whose [actuator] unit is {wanted[0]}: its unit, and its gain"
+                    f" (torque per {unit})"
+                )
+            raise RecordingError(
+                f"{name}: {role} {bare!r} is in {unit}: correct the unit in the head of the column,"
+                f" or {other}"
+            )
 
 
 def getter(source: Recording | Table) -> tuple[str, Getter, tuple[str, ...]]:

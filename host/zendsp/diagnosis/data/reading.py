@@ -11,6 +11,7 @@ import numpy.typing as npt
 from zendsp.diagnosis.data.columns import (
     Columns,
     Getter,
+    check_units,
     column_name,
     getter,
     has,
@@ -19,7 +20,6 @@ from zendsp.diagnosis.data.columns import (
     no_number,
     optional,
     refuse_no_number,
-    units_not_known,
     without_repeats,
 )
 from zendsp.diagnosis.data.sampling import (
@@ -67,11 +67,12 @@ def read_signals(source: Source, model: Model) -> Signals:
     if model.kind in TREES:
         robot_path(model)  # without its file, any number of joints is wrong
     joints = model.joints
+    check_units(name, source, columns, model)
     get, repeated = without_repeats(get, columns)
     position, command, reference = _main_columns(name, get, columns, joints)
     time, sample_time, notes, grid = clock(name, get, columns, model, len(position))
     extra, said = _further_columns(name, get, columns, position.shape)
-    notes += [*units_not_known(name, source, columns), *said, *_each_alone(model, joints)]
+    notes += [*said, *_each_alone(model, joints)]
     if "command" not in columns:
         notes.append(f"{name}: [columns] names no command: the motion is taken as driven by none")
     if repeated:

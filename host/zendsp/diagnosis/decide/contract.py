@@ -12,6 +12,18 @@ from typing import Any, Literal, NotRequired, TypedDict
 # campaign were off by as much (seed 229); and of a joint's torque: less is not worth a sentence
 BEYOND, LEAST_NAMELESS = 2.0, 1e-3
 
+# mechanisms as a person calls them
+WORDS = {
+    "dry_friction": "dry friction",
+    "fluid_friction": "fluid friction",
+    "transmission": "a flexible or loose transmission",
+    "position_torque": "a torque that depends on position",
+    "inertia": "a mass or an inertia",
+    "actuator": "the actuator",
+    "measurement": "the measurement",
+    "disturbance": "a disturbance",
+}
+
 Verdict = Literal["complete", "missing", "unexplained"]
 
 

@@ -14,7 +14,7 @@ from zendsp.diagnosis.decide.absorbed import shifted
 from zendsp.diagnosis.decide.assemble import Assembled
 from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.confidence import confidence
-from zendsp.diagnosis.decide.contract import listed, spans
+from zendsp.diagnosis.decide.contract import WORDS, listed, spans
 from zendsp.diagnosis.decide.decide_bodies import BodyClaim, body_finding
 from zendsp.diagnosis.decide.findings import estimates, new_terms, percent, sentence
 from zendsp.diagnosis.decide.patchwork import both_needed, draws_a_curve
@@ -145,7 +145,7 @@ def _unknown(
         confidence(claim, decision),
         share,
         (),
-        claim.replaces,
+        _replaced(given, claim, joint),
         f"A torque that depends on the {what} of joint {joint} is missing,"
         f" {percent(claim.size)} % of its torque; {_nearest(claim)}.{drawn}",
         numbers,
@@ -173,8 +173,11 @@ def _finding(
             if abs(grown.value) > grown.std:
                 text += f" It weighs: gravity grows by {number(grown)} with it."
                 numbers["details"] = {"weight": grown.value}
-    if claim.replaces:
-        text += f" It makes {', '.join(claim.replaces)} unnecessary."
+    replaced = _replaced(given, claim, joint)
+    if replaced:
+        named = ", ".join(f"{e} ({WORDS.get(get_effect(e).mechanism, e)})" for e in replaced)
+        several = "terms" if len(replaced) > 1 else "term"
+        text += f" It stands in the place of the given model's {several} {named}."
     same = _same(given, claim, whole.data)
     if same:
         text += f" This recording cannot tell it from {', '.join(same)}."
@@ -185,12 +188,19 @@ def _finding(
         sure,
         share,
         same,
-        claim.replaces,
+        replaced,
         text,
         numbers,
         claim.mechanism,
         claim.laws,
     )
+
+
+def _replaced(given: Model, claim: Claim, joint: int) -> tuple[str, ...]:
+    """Terms of the given model in whose place a claim stands: the search itself may have taken, and
+    replaced, others on its way.
+    """
+    return tuple(e for e in claim.replaces if any(t.effect == e for t in given.at(joint)))
 
 
 def _grown(fit: Fit, gravity: Term, unit: str) -> Estimate:

@@ -51,7 +51,7 @@ def write_report(
     (folder / "model.toml").write_text(_improved_text(d.improved, folder), encoding="utf-8")
     (folder / "calibrated.toml").write_text(model_text(d.calibrated), encoding="utf-8")
     _compensation(d, folder)
-    if d.next_recording is not None and d.next_recording.reference is not None:
+    if d.next_recording is not None and d.next_recording.reference is not None:  # see no_reference
         from zendsp.reference import Reference, save_reference
 
         q, period = d.next_recording.reference
@@ -72,6 +72,14 @@ def write_report(
         figures = draw_all(drawn, folder)
         (folder / "report.html").write_text(page(d, figures), encoding="utf-8")
     return folder
+
+
+def no_reference(d: Diagnosis) -> str:
+    """Why no next_reference.mat is written; empty where one is."""
+    if d.next_recording is None:
+        return "nothing is left open"
+    said = "no motion can be proposed for what is open"
+    return said if d.next_recording.reference is None else ""
 
 
 def _clear(folder: Path) -> None:

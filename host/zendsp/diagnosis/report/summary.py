@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from zendsp.diagnosis.decide.contract import dark, listed, nameless, spans, two_digits
+from zendsp.diagnosis.decide.contract import WORDS, dark, listed, nameless, spans, two_digits
 
 if TYPE_CHECKING:
     from zendsp.diagnosis.decide.contract import Verdict
@@ -18,16 +18,6 @@ LARGEST_SHARE = 9.99
 SMALLER = 1.05  # times: a smaller fall of the error is not told as one
 OFF = 3.0  # times the calibrated model's error: what is given is not what the machine has
 
-WORDS = {
-    "dry_friction": "dry friction",
-    "fluid_friction": "fluid friction",
-    "transmission": "a flexible or loose transmission",
-    "position_torque": "a torque that depends on position",
-    "inertia": "a mass or an inertia",
-    "actuator": "the actuator",
-    "measurement": "the measurement",
-    "disturbance": "a disturbance",
-}
 TILTED = "how the base stands"
 
 

@@ -229,10 +229,12 @@ def _mechanism(
             ' (kind = "urdf", file = "arm.urdf"), or a MuJoCo model (kind = "mjcf")'
         )
     elif joints > 1:
+        two = ' kind = "planar2r" (numbers p1, p2, p3);' if joints == 2 and not linear else ""
         page.line(
             comment="",
-            ask=f"do the {joints} joints act on one another, as in an arm? Then a URDF says it"
-            ' best: kind = "urdf", file = "arm.urdf"; or a MuJoCo model: kind = "mjcf"',
+            ask=f"do the {joints} joints act on one another, as in an arm? Then write{two} kind ="
+            ' "urdf" or "mjcf" with file = "arm.urdf" or a MuJoCo model; or kind = "fmu" or'
+            ' "python" with a simulator of yours',
         )
     page.line("[mechanism.parameters]")
     _numbers(page, position, command, step, linear)
@@ -250,13 +252,15 @@ def _unit_asked(position: Group, degrees: str) -> str:
     """The question after the unit of the position, empty where it has one. ``degrees`` is why it
     looks like degrees.
     """
-    name = position.names[0]
+    name, names = position.names[0], ", ".join(position.names)
+    no_unit = f"{names} {'has' if len(position.names) == 1 else 'have'} no"
+    head = "its head" if len(position.names) == 1 else "their heads"
     if position.unit in ("rad", "m"):
         return ""
     if degrees:
         return (
-            f"{name} has no known unit and looks like degrees ({degrees}): write '{name} [deg]' in"
-            " its head, and begin anew"
+            f"{no_unit} known unit and looks like degrees ({degrees}): write '{name} [deg]' in"
+            f" {head}, and begin anew"
         )
     units = position.unit.split(", ")
     if len(units) > 1 and all(unit in ("rad", "m") for unit in units):
@@ -266,12 +270,12 @@ def _unit_asked(position: Group, degrees: str) -> str:
         )
     if position.unit:
         return (
-            f"{name}: {not_known(position.unit)}. Write one of them in its head, such as"
+            f"{names}: {not_known(position.unit)}. Write one of them in {head}, such as"
             f" '{name} [deg]' or '{name} [mm]', and begin anew"
         )
     return (
-        f"{name} has no unit: is it rad, degrees or m? rad is taken; of another write the unit in"
-        f" its head, such as '{name} [deg]', and begin anew"
+        f"{no_unit} unit: is it rad, degrees or m? rad is taken; of another write the unit in"
+        f" {head}, such as '{name} [deg]', and begin anew"
     )
 
 
@@ -287,18 +291,25 @@ def _numbers(
     values = [float(f"{idea.inertia:.3g}") if idea else 0.01 for idea in ideas]
     rough = ROUGH if all(ideas) else 1.0
     torque = command is not None and command.is_torque
-    said, ask = unit, f"the recording does not show the {key}: what does the drawing say?"
-    if all(ideas):
+    many = len(ideas) > 1
+    hidden = [str(j + 1) for j, idea in enumerate(ideas) if idea is None]
+    of = f" of joint {', '.join(hidden)}" if many and len(hidden) < len(ideas) else ""
+    said, ask = unit, ""
+    if hidden:
+        ask = f"the recording does not show the {key}{of}: what does the drawing say?"
+    else:
         shares = ", ".join(f"{idea.share:.0%}" for idea in ideas if idea)
         said = f"{unit}: a first idea; with friction it explains {shares} of the command"
-        gain = f"the number below is for a gain of 1: times the actuator's gain it is in {unit}"
-        ask = "" if torque else gain
+    seen = f"{'numbers' if many else 'number'} below {'are' if many else 'is'}"
+    gained = "" if torque else f"the {seen} for a gain of 1: times the actuator's gain"
+    if gained and len(hidden) < len(ideas):
+        ask += f" And {gained} it is in {unit}" if ask else f"{gained} it is in {unit}"
     page.line(f"{key} = {{ {_rough(values, rough)} }}", said, ask=ask)
     gravity = [float(f"{idea.gravity:.3g}") if idea else 0.0 for idea in ideas]
     if not linear and any(gravity):
         page.line(
             f"gravity = {{ {_rough(gravity, ROUGH)} }}", "N m, times sin(q)",
-            ask="is q = 0 where it hangs down?",
+            ask="is q = 0 where it hangs down?" + (f" And {gained} it is in N m" if gained else ""),
         )
     elif not linear:
         page.choice(

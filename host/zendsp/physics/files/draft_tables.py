@@ -68,17 +68,20 @@ def put_actuator(page: Page, command: Group | None, step: float, machine: Machin
             ask="no column looks like the command: which one is it? (see [columns])",
         )
         return
+    names = ", ".join(command.names)
+    each = " One for each joint: value = [2.0, 1.5]" if command.values.shape[1] > 1 else ""
     mixed = command.is_torque and ", " in command.unit  # joints that slide and joints that turn
     if command.is_torque:
         of = "unit" if mixed else command.unit
         page.line("gain = { value = 1.0, free = false }", f"{command.unit} per {of} of command")
     elif _named_torque(command):
-        page.line("gain = { value = 1.0, free = false }", ask=f"is {command.names[0]} in N m (N)?")
+        what = f"{'is' if len(command.names) == 1 else 'are'} {names} in N m (N)?"
+        page.line("gain = { value = 1.0, free = false }", ask=what)
     else:
         unit = command.unit or "unit"
         page.line(
             "gain = { value = 1.0, free = false }",
-            ask=f"how many N m (N) does one {unit} of {command.names[0]} make?",
+            ask=f"how many N m (N) does one {unit} of {names} make?{each}",
         )
     if command.unit and not mixed:
         page.line(f"unit = {json.dumps(command.unit, ensure_ascii=False)}")

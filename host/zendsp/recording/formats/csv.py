@@ -43,6 +43,7 @@ DAY_FIRST = re.compile(r"(?<![\d.])(\d{1,2})\.(\d{1,2})\.(\d{4})(?=[ T]\d\d?:)")
 EITHER_FIRST = re.compile(r"\d{1,2}[/.-]\d{1,2}[/.-]\d{2,4}\b")
 ISO = "2026-02-01 12:00:00.5"
 NOTHING = ("", "NA", "null")  # cells that stand for a number that is not there
+SHOWN = 40  # characters of a line in a message
 EXAMPLE = ("t", "position", "torque", "reference", "...")  # of a header, for who has none
 UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
@@ -271,18 +272,26 @@ def _first_fault(
                 " columns"
             )
         if cells and len(cells) != len(names):
+            line, have = shorten(delimiter.join(cells)), counted(len(cells), "value")
             return RecordingError(
-                f"{path}: line {number} has {len(cells)} values where the header names"
-                f" {len(names)}{above}"
+                f"{path}: line {number} ({line}) has {have}, parted by {delimiter!r}, where the"
+                f" header names {len(names)}: correct it, or take it out{above}"
             )
         for name, cell in zip(names, cells, strict=False):
             text = _pointed(cell.strip()) if decimal == "," else cell.strip()
             if text not in NOTHING and not _is_number(text):
+                comma = decimal == "," and any(c.isdigit() for c in cell)
+                others = " with a decimal comma, as the others are" * comma
                 return RecordingError(
                     f"{path}: column {name!r}, line {number}: {cell.strip()!r} is not a"
-                    f" number{above}"
+                    f" number{others}: correct it, or leave it empty{above}"
                 )
     return RecordingError(f"{path}: cannot be read as a table of numbers ({error})")
+
+
+def shorten(line: str) -> str:
+    """The beginning of a line of a file, in quotes."""
+    return repr(line if len(line) <= SHOWN else f"{line[:SHOWN]}…")
 
 
 def _is_number(text: str) -> bool:

@@ -8,6 +8,7 @@ from typing import Any
 
 from textual import events, on
 from textual.app import ComposeResult
+from textual.binding import Binding
 from textual.containers import Horizontal, VerticalScroll
 from textual.widgets import Button, Input, Select, Static, Switch
 
@@ -43,6 +44,11 @@ class Line(Input):
     """An input that takes Enter in its turn. As a binding it would come back by way of the
     application, behind what was typed after it.
     """
+
+    BINDINGS = [  # noqa: RUF012
+        Binding("down", "app.focus_next", show=False),
+        Binding("up", "app.focus_previous", show=False),
+    ]
 
     async def key_enter(self, event: events.Key) -> None:
         """Hand in what was typed before."""

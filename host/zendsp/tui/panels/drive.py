@@ -11,7 +11,7 @@ from textual.app import ComposeResult
 from textual.containers import Horizontal, Vertical
 from textual.widgets import Button
 
-from zendsp.tui.actions import in_keys
+from zendsp.tui.actions import in_keys, keys_of
 from zendsp.tui.panels.lines import Lines
 from zendsp.tui.scope.ticks import number
 from zendsp.tui.snapshot import Snapshot
@@ -66,6 +66,13 @@ class DrivePanel(Vertical):
         if s.link in ("lost", "ended"):
             text.append(f"no word from the target; heard last: {s.drive}", Style(color=c["error"]))
             return text
+        if s.drive in ("stopped", "tripped"):  # nothing of the ladder is reached
+            colour = c["error"] if s.drive == "tripped" else c["warning"]
+            text.append(f" {s.drive} ", Style(bold=True, reverse=True, color=colour))
+            return text.append(f"  next: {keys_of(s.steps, True)}", Style(color=c["warning"]))
+        if "go_on" in s.steps:
+            text.append(f" {s.drive} ", Style(bold=True, reverse=True, color=c["warning"]))
+            return text.append("  it holds: hold = false lets it go on", Style(color=c["warning"]))
         reached = LADDER.index(s.drive) if s.drive in LADDER else -1
         for k, name in enumerate(LADDER):
             if k:
@@ -77,10 +84,8 @@ class DrivePanel(Vertical):
                 )
             else:
                 text.append(name, Style(color=c["success"]) if k < reached else Style(dim=True))
-        if s.drive in ("stopped", "tripped"):
-            text.append("  ")
-            colour = c["error"] if s.drive == "tripped" else c["warning"]
-            text.append(f" {s.drive}  ^k ", Style(bold=True, reverse=True, color=colour))
+        if s.steps and s.state != "running":
+            text.append(f"  next {keys_of(s.steps[:1])}", Style(color=c["warning"]))
         return text
 
     def flags(self, s: Snapshot) -> Text:

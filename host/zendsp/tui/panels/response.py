@@ -19,13 +19,14 @@ if TYPE_CHECKING:
     from zendsp.experiment.response import FrequencyResponse
 
 LEAST_ROWS = 14  # for two plots over one another
+ROOM = 6  # rows of a view for one of words
 
 
 class ResponseView(Vertical):
     """Up to four frequency responses: dB and deg over f."""
 
     DEFAULT_CSS = """
-    ResponseView #response-words { height: auto; max-height: 3; }
+    ResponseView #response-words { height: auto; }
     ResponseView #response-plots { height: 1fr; layout: vertical; }
     ResponseView.-beside #response-plots { layout: horizontal; }
     ResponseView PathPlot { width: 1fr; height: 1fr; min-height: 4; }
@@ -63,8 +64,9 @@ class ResponseView(Vertical):
         self._say()
 
     def _say(self) -> None:
-        """Three lines of words, and a mark where there were more."""
+        """Three lines of words, more in a high view, and a mark where there were more."""
         words, width = self._words, self.size.width
         if width:
-            words = "\n".join(wrap(words, width, max_lines=3, placeholder=" …"))
+            most = max(3, self.size.height // ROOM)
+            words = "\n".join(wrap(words, width, max_lines=most, placeholder=" …"))
         self.query_one("#response-words", Static).update(Text(words))

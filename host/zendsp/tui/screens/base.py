@@ -19,6 +19,7 @@ from textual.widgets._footer import FooterKey
 
 from zendsp.tui.actions import actions
 from zendsp.tui.lab import Lab
+from zendsp.tui.panels.events import EventsPanel
 from zendsp.tui.scope import Scope
 from zendsp.tui.snapshot import Snapshot
 from zendsp.tui.statusbar import StatusBar
@@ -143,9 +144,12 @@ class LabScreen(Screen[None]):
         """
 
     def say(self, text: str, level: str = "info") -> None:
-        """Put a line into the event log, and before the user's eyes where it matters."""
+        """Put a line into the event log, and before the user's eyes where it matters: also a good
+        end, where the log is not in sight.
+        """
         self.lab.session.events.add(text, level)
-        if level in ("warning", "error"):
+        unseen = not any(log.is_on_screen for log in self.query(EventsPanel))
+        if level in ("warning", "error") or (level == "good" and unseen):
             self.lab.toast(text, level)
 
     def ask(

@@ -62,7 +62,9 @@ class ConsoleScreen(ViewActions, VariableActions, ProgramActions, AnalysisAction
         if not fresh:
             return
         self.query_one(DrivePanel).show(snapshot)
-        self.scope.empty_text = self._what_first(snapshot)
+        if self.scope.empty_text != (text := self._what_first(snapshot)):
+            self.scope.empty_text = text
+            self.scope.redraw()
         plotted = [c.name for c in self.scope.channels]
         self.variables.show(snapshot, self.staged, plotted)
         if snapshot.program != self._program and snapshot.variables:
@@ -71,6 +73,8 @@ class ConsoleScreen(ViewActions, VariableActions, ProgramActions, AnalysisAction
 
     def _what_first(self, snapshot: Snapshot) -> str:
         """What is to be done where nothing is shown."""
+        if snapshot.link != "up":
+            return "no target: Ctrl+O chooses one, or starts a simulated machine"
         if snapshot.state != ProgramState.EMPTY:
             return NO_CHANNELS
         source = self.lab.source

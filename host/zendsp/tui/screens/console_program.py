@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
@@ -37,6 +38,13 @@ def whole(text: str) -> int:
     if value < 1:
         raise ValueError(f"{value} must be 1 or more")
     return value
+
+
+def first_words(path: Path) -> str:
+    """What a program that comes with zendsp says of itself first."""
+    first = path.read_text("utf-8").partition("*/")[0].split("\n *\n")[0]
+    words = " ".join(first.replace("\n *", " ").split()).partition(": ")[2]
+    return re.split(r"\.(?= |$)", words)[0]
 
 
 class ProgramActions(LabScreen):
@@ -104,7 +112,7 @@ class ProgramActions(LabScreen):
             self.say(f"no C file in {self.lab.workspace.root} or one folder below", "warning")
             return
         options = [
-            Option(str(p), p.name, "comes with zendsp" if p in shipped else str(p.parent))
+            Option(str(p), p.name, first_words(p) if p in shipped else str(p.parent))
             for p in files
         ]
         self.app.push_screen(
@@ -113,13 +121,16 @@ class ProgramActions(LabScreen):
         )
 
     def _take_source(self, path: Path) -> None:
+        self._set_source(path)
+        self.say(f"{path.name} is chosen: b builds it", "good")
+
+    def _set_source(self, path: Path) -> None:
         self.lab.source = path
         self.remarks = ()
-        self.say(f"source: {path}")
         self._pulled = None
 
     def _take_and_build(self, path: Path) -> None:
-        self._take_source(path)
+        self._set_source(path)
         self.action_build()
 
     def action_build(self) -> None:
@@ -145,7 +156,7 @@ class ProgramActions(LabScreen):
         except ZendspError as error:
             self.say(str(error), "error")
             return
-        self.say(f"building {path.name} …")
+        self.say(f"building {path} …")
         self.ask(f"build {path.name}", lambda port: port.build(sources), self._built)
 
     def _built(self, build: Build) -> None:

@@ -160,11 +160,14 @@ class DiagnoseScreen(LoopActions):
         table.add_row(mark, *(Text(cell) for cell in cells), key=path)
 
     def _machine(self) -> str:
-        return self.runs[0].machine if self.runs else self.lab.session.snapshot.machine
+        """Of what is marked, else of the newest run."""
+        used = (r for r in self.runs if self.roles.get(str(r.folder / DATA)))
+        run = next(used, self.runs[0] if self.runs else None)
+        return run.machine if run is not None else self.lab.session.snapshot.machine
 
     def _meant(self) -> str:
-        """The model as it was chosen, or remembered; where nobody chose one for the machine that
-        was recorded last, the one of that machine.
+        """The model as it was chosen, or remembered; where nobody chose one for the machine of
+        what is marked, the one of that machine.
         """
         kept, machine = self.model or self.lab.model, self._machine()
         first = next(iter(self._models()), None)

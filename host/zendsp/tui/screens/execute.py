@@ -281,6 +281,11 @@ class ExecuteScreen(MeasureActions):
     def _follow(self, job: PlayJob | MeasureJob, busy: bool) -> None:
         p, shown = job.progress, self.query_one("#progress", Static)
         shown.display = True
+        if p.why and not busy:  # until something else is begun: a message goes after some seconds
+            colour = self.app.theme_variables["error"]
+            shown.update(Text(f"{job.label}: {p.why}", Style(color=colour)))
+            self._finished(job)
+            return
         width = max(shown.size.width - 32, 4)
         done = round(p.share * width)
         c = self.app.theme_variables

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from textual import on
 from textual.widgets import Button, DataTable
 
@@ -20,7 +21,7 @@ from zendsp.tui.runs import Outcome, Run, store_run
 from zendsp.tui.screens.console_program import positive, whole
 from zendsp.tui.screens.console_scope import real
 from zendsp.tui.screens.execute_runs import RunActions
-from zendsp.tui.snapshot import Snapshot
+from zendsp.tui.snapshot import Snapshot, Variable
 
 if TYPE_CHECKING:
     from zendsp.experiment.response import FrequencyResponse
@@ -73,8 +74,8 @@ class MeasureActions(RunActions):
             Field("f_max", "To", last.get("f_max", 30.0), "Hz", positive),
             Field("lines", "Frequencies at most", last.get("lines", 30), "", whole),
             Field("periods", "Periods", last.get("periods", 6), "", whole),
-            Field("input", "Input", last.get("input", ""), hint="reference, or torque"),
-            Field("output", "Output", last.get("output", ""), hint="position"),
+            Field("input", "Input", last.get("input", ""), hint="else the reference, or torque"),
+            Field("output", "Output", last.get("output", ""), hint="else the position"),
         ]  # fmt: skip
         form = Form("Frequency response", fields, f"{BODE} {MOVES}", ok="Measure")
         self.app.push_screen(form, lambda r: self._respond(r) if r else None)
@@ -129,10 +130,12 @@ class MeasureActions(RunActions):
             self.say("a sweep is of a program that runs: start it first (F2, s)", "warning")
             return
         last = self._asked.get("sweep", {})
+        parameters = [v for v in snapshot.variables if v.kind == "parameter"]
+        known, example = {v.name: v.length for v in parameters}, _example(parameters)
         errors = [c for c in usual_channels(snapshot) if c.rstrip("0123456789") == "e"]
         fields = [
-            Field("words", "Parameters", last.get("words", ""), check=_parameters,
-                  hint="Kp1=500:2500:5 Kd1=60,120"),
+            Field("words", "Parameters", last.get("words", ""), hint=example,
+                  check=lambda text: _parameters(text, known, example)),
             Field("channels", "Measured of", last.get("channels", " ".join(errors)), check=_words),
             Field("measures", "Measures", last.get("measures", "rms max"), check=_words,
                   hint="rms max mean std p2p"),
@@ -203,11 +206,11 @@ class MeasureActions(RunActions):
 
     def measured(self, job: MeasureJob) -> None:
         """Show what a measurement found."""
-        error, found = job.result.exception(), None
-        if error is None:
-            found = job.result.result()
+        error = job.result.exception()
+        found = job.result.result() if error is None else job.left
         if error is not None:
             self.lab.toast(f"{job.label}: {error}", "error")  # the job has put it into the log
+        if error is not None and found is None:
             self.preview()
         elif found is None:
             self.say(f"{job.label} aborted; nothing is kept", "warning")
@@ -222,7 +225,7 @@ class MeasureActions(RunActions):
             self.query_one(SweepView).show(swept)
             self.show_only("#run-sweep")
             self.query_one("#sweep", DataTable).focus()
-            self.say(f"{repr(swept)[1:-1]}; {path}", "good")
+            self.say(f"{repr(swept)[1:-1]}; {path}", "info" if error else "good")
 
     def show_only(self, widget: str) -> None:
         """Show one of what the right side can show."""
@@ -252,13 +255,28 @@ def _from_zero(text: str) -> float:
     return value if value == 0.0 else positive(text)
 
 
-def _parameters(text: str) -> str:
+def _example(parameters: Sequence[Variable]) -> str:
+    """Return values of the first gain that the program has, half to twice as much."""
+    numbers = [v for v in parameters if v.length == 1 and v.type == "double" and v.initial]
+    gains = [v for v in numbers if v.name[:1] in "kK"]
+    if not gains:
+        return "Kp1=500:2500:5 Kd1=60,120"
+    value = float(np.asarray(gains[0].initial))
+    return f"{gains[0].name}={value / 2:.4g}:{2 * value:.4g}:4"
+
+
+def _parameters(text: str, known: Mapping[str, int], example: str) -> str:
     from zendsp.experiment.sweep import tried_of
 
     if not text.split():
-        raise ValueError("for example Kp1=500:2500:5 Kd1=60,120")
+        raise ValueError(f"for example {example}")
     try:
-        tried_of(text.split())
+        tried = tried_of(text.split())
     except ZendspError as error:
         raise ValueError(str(error)) from error
+    for name in tried:
+        if known.get(name, 1) > 1:
+            raise ValueError(f"{name} has {known[name]} elements: only a single number is swept")
+        if name not in known:
+            raise ValueError(f"the program has no {name}: it has {', '.join(known)}")
     return text

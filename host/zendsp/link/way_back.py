@@ -1,0 +1,72 @@
+"""What is still to be done, in order, until the program of a target runs: after a STOP, a trip, a
+lost host, or at the beginning.
+"""
+
+from __future__ import annotations
+
+from zendsp_protocol import messages as m
+from zendsp_protocol.states import DriveState, ProgramState
+
+# a step by the name of the terminal's action, and the command that takes it; any other step is a
+# sentence
+COMMANDS = {
+    "command": "zendsp drive take --force",
+    "acknowledge": "zendsp drive acknowledge",
+    "pause": "zendsp pause",
+    "build": "zendsp load FILE",
+    "power": "zendsp drive on",
+    "home": "zendsp drive home",
+    "enable": "zendsp drive enable",
+    "start": "zendsp run",
+    "go_on": "zendsp set hold=false",
+}
+HOLD = "hold"  # the parameter by which a lost host, or an abort, brings a program to rest
+
+
+def way_back(
+    status: m.Status, drive: m.DriveStatus, me: str = "", held: bool = False
+) -> tuple[str, ...]:
+    """Return the steps, by the names in `COMMANDS` or as sentences; none where the program runs.
+
+    Parameters
+    ----------
+    status : Status
+    drive : DriveStatus
+        Of the same moment.
+    me : str
+        The host that asks: it need not take the right to command from itself.
+    held : bool
+        Whether the program's parameter ``hold`` is set.
+    """
+    unmet = {c.name: c.advice for c in drive.conditions if not c.met}
+    there = "program" not in unmet
+    running = status.state == ProgramState.RUNNING and status.trip is None
+    off = drive.explicit and drive.state in (DriveState.OFF, DriveState.READY, DriveState.HOMED)
+    if running and not off:
+        steps = ["go_on"] if held else []
+    else:
+        home = there and "homed" in unmet
+        enable = (drive.explicit or home) and drive.state != DriveState.ENABLED
+        needed = {
+            "acknowledge": status.trip is not None, "pause": running, "build": not there,
+            "power": "power" in unmet, "home": home, "enable": enable, "start": True,
+        }  # fmt: skip
+        # what no command mends comes first: nothing else is granted before
+        first = [unmet[name] for name in ("stop input", "sensors", "limits") if name in unmet]
+        steps = first * there + [name for name, yes in needed.items() if yes]
+    other = drive.commander not in ("", me)
+    return tuple(["command"] * bool(steps and other) + steps)
+
+
+def said(steps: tuple[str, ...], target: str = "", connect: str | None = None) -> str:
+    """Return the steps as commands to be typed one after another, "" where there are none.
+
+    Parameters
+    ----------
+    target, connect : str
+        As the user named the target; empty where there was no need to.
+    """
+    which = f" -t {target}" * bool(target) + f" --connect {connect}" * bool(connect)
+    return ", then ".join(
+        f"{COMMANDS[step]}{which}" if step in COMMANDS else step for step in steps
+    )

@@ -1,0 +1,123 @@
+"""Text files as loggers and spreadsheets write them: dates, units, decimal commas, many columns."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from zendsp.errors import RecordingError
+from zendsp.recording import Recording, read_table
+from zendsp.recording.formats import csv
+
+
+def test_a_log_with_dates_and_words_is_read_without_the_words(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(
+        "timestamp,clock,q,mode,note\n"
+        "2026-11-23T23:59:59.999Z,10:00:00.000,1,AUTO,start\n"
+        "2026-11-24T00:00:00.001Z,10:00:00.002,2,AUTO,\n"
+    )
+    table = read_table(path)
+    assert list(table.columns) == ["timestamp", "clock", "q"] and table.units["timestamp"] == "s"
+    for name in ("timestamp", "clock"):
+        np.testing.assert_allclose(table[name], [0.0, 0.002], atol=1e-12)
+    assert table.notes == (
+        "timestamp: seconds since 2026-11-23T23:59:59.999Z",
+        "clock: seconds since 10:00:00.000",
+        "mode: left out, it holds text",
+        "note: left out, it holds text",
+    )
+    with pytest.raises(RecordingError, match="'mode' holds text"):
+        read_table(path, ["q", "mode"])
+    assert Recording.load(path).t[-1] == pytest.approx(0.002)
+
+
+@pytest.mark.parametrize("decimal", [",", "."])
+def test_days_that_come_first_are_dates_and_those_that_may_not_are_told(
+    tmp_path: Path, decimal: str
+) -> None:
+    path, cell = tmp_path / "log.csv", ";" if decimal == "," else ","
+    rows = [("31.1.2026 23:59:59.998", "0.1"), ("01.02.2026 00:00:00.000", "0.2"),
+            ("01.02.2026 00:00:00.002", "0.3")]  # fmt: skip
+    for slashes in (False, True):
+        lines = [
+            f"{stamp[: stamp.index(' ')]}{stamp[stamp.index(' ') :].replace('.', decimal)}{cell}"
+            f"{number.replace('.', decimal)}"
+            for stamp, number in rows
+        ]
+        if slashes:
+            lines = [
+                f"{line.partition(' ')[0].replace('.', '/')} {line.partition(' ')[2]}"
+                for line in lines
+            ]
+        path.write_text("\n".join([f"Zeit{cell}q [rad]", *lines]) + "\n")
+        if slashes:
+            with pytest.raises(RecordingError, match=r"dates, of which 2026-02-01 12:00:00\.5 is"):
+                Recording.load(path)
+        else:
+            table = read_table(path)
+            np.testing.assert_allclose(table["Zeit"], [0.0, 0.002, 0.004], atol=1e-9)
+            np.testing.assert_allclose(table["q"], [0.1, 0.2, 0.3])
+
+
+def test_units_in_headers_rows_of_units_and_names(tmp_path: Path) -> None:
+    (tmp_path / "header.csv").write_text("t [ms],q [deg],u [mN m]\n0,180,1000\n1,90,500\n")
+    (tmp_path / "row.tsv").write_text(
+        "t\tq\tu\tnote\nms\tdeg\tmNm\t-\n0\t180\t1000\t1\n1\t90\t500\t2\n"
+    )
+    (tmp_path / "name.csv").write_text("time_ms,q_deg,u_mNm\n0,180,1000\n1,90,500\n")
+    for name, t, q, u in (
+        ("header.csv", "t", "q", "u"),
+        ("row.tsv", "t", "q", "u"),
+        ("name.csv", "time_ms", "q_deg", "u_mNm"),
+    ):
+        table = read_table(tmp_path / name)
+        assert (
+            np.allclose(table[t], [0, 0.001])
+            and np.allclose(table[q], [np.pi, np.pi / 2])
+            and np.allclose(table[u], [1, 0.5])
+        )
+        assert table.units[q] == "rad" and any("converted" in note for note in table.notes)
+        assert Recording.load(tmp_path / name).sample_time == pytest.approx(0.001)
+    (tmp_path / "words.csv").write_text("t,q\neast,west\n0,1\n")
+    with pytest.raises(RecordingError, match=r"line 2: 'east' is not a number"):
+        read_table(tmp_path / "words.csv")
+
+
+@pytest.mark.timeout(20)  # half a second; each name looked for among all the others took a minute
+def test_so_many_columns_as_a_logger_may_have_are_told_apart(tmp_path: Path) -> None:
+    names = ["t", *(f"c{k}" for k in range(100_000))]
+    file = tmp_path / "wide.csv"
+    assert csv._header(file, ",".join(names), ",", 1)[0] == names
+    with pytest.raises(RecordingError, match="names column 'c7' twice"):
+        csv._header(file, ",".join([*names, "c7"]), ",", 1)
+
+
+@pytest.mark.parametrize("delimiter", [";", "\t"])
+def test_points_between_thousands_and_tabs_beside_decimal_commas_are_read(
+    delimiter: str, tmp_path: Path
+) -> None:
+    """As Excel writes them in Germany: the first point comes after a thousand rows."""
+    rows = [("Zeit [ms]", "q"), *((f"{k},000", "-0,25") for k in range(900))]
+    rows += [("1.000,000", "-1.234,5"), ("222.866,25", "0,5")]
+    path = tmp_path / "run.csv"
+    path.write_text("".join(f"{delimiter.join(row)}\n" for row in rows))
+    table = read_table(path)
+    assert table["Zeit"][-2:].tolist() == pytest.approx([1.0, 222.86625])
+    assert table["q"][[0, -2, -1]].tolist() == [-0.25, -1234.5, 0.5]
+
+
+def test_a_point_that_parts_no_thousands_is_no_thousands_point(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("t;q\n" + "".join(f"{k},0;1\n" for k in range(2000)) + "2000,0;1.5\n")
+    assert read_table(path)["q"][-1] == 1.5
+
+
+def test_points_beside_a_comma_in_a_text_stay_decimal_points(tmp_path: Path) -> None:
+    """0.500 would be 500, and 1.500 would be 1500."""
+    path = tmp_path / "run.csv"
+    path.write_text("t;q;note\n0.500;1.500;a,b\n1.500;2.500;a,b\n")
+    table = read_table(path)
+    assert table["t"].tolist() == [0.5, 1.5] and table["q"].tolist() == [1.5, 2.5]

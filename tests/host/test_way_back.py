@@ -1,0 +1,61 @@
+"""What is still to be done until the program runs, from wherever a target is."""
+
+from __future__ import annotations
+
+import pytest
+
+from zendsp.link.way_back import said, way_back
+from zendsp_protocol.messages import Condition, DriveStatus, Status, Trip
+
+LOST = Trip("host lost", tick=7, text="the host that commanded the motion is gone")
+
+
+def conditions(**unmet: str) -> tuple[Condition, ...]:
+    """All are met but these."""
+    names = ("power", "program", "homed", "limits", "sensors", "stop input", "no trip")
+    return tuple(
+        Condition(name=n, met=(key := n.replace(" ", "_")) not in unmet, advice=unmet.get(key, ""))
+        for n in names
+    )
+
+
+@pytest.mark.parametrize(
+    ("state", "trip", "drive", "explicit", "unmet", "steps"),
+    [
+        ("running", None, "running", True, {}, ()),
+        ("paused", None, "homed", False, {}, ("start",)),
+        ("loaded", None, "enabled", True, {}, ("start",)),
+        ("loaded", None, "homed", True, {}, ("enable", "start")),
+        ("stopped", LOST, "stopped", True, {"no_trip": "x"}, ("acknowledge", "enable", "start")),
+        ("stopped", LOST, "stopped", False, {"no_trip": "x"}, ("acknowledge", "start")),
+        # homing begins the explicit sequence
+        ("loaded", None, "ready", False, {"homed": "x"}, ("home", "enable", "start")),
+        ("loaded", None, "off", True, {"power": "x"}, ("power", "enable", "start")),
+        ("crashed", None, "ready", False, {"program": "x", "homed": "x"}, ("build", "start")),
+        # it went on while the drives were off
+        ("running", None, "homed", True, {}, ("pause", "enable", "start")),
+        (
+            "stopped", LOST, "stopped", True, {"no_trip": "x", "stop_input": "release it"},
+            ("release it", "acknowledge", "enable", "start"),
+        ),
+    ],
+)  # fmt: skip
+def test_the_steps_come_in_the_order_in_which_they_are_granted(
+    state: str, trip: Trip | None, drive: str, explicit: bool, unmet: dict[str, str],
+    steps: tuple[str, ...],
+) -> None:
+    status = Status(state, trip=trip)  # type: ignore[arg-type]
+    now = DriveStatus(state=drive, explicit=explicit, conditions=conditions(**unmet))  # type: ignore[arg-type]
+    assert way_back(status, now) == steps
+
+
+def test_the_right_of_another_comes_first_and_a_program_that_holds_is_let_go() -> None:
+    drive = DriveStatus(state="homed", explicit=True, commander="anna@a:1")  # type: ignore[arg-type]
+    paused, running = Status("paused"), Status("running")  # type: ignore[arg-type]
+    assert way_back(paused, drive)[0] == "command"
+    assert way_back(paused, drive, "anna@a:1")[0] == "enable"
+    going = DriveStatus(state="running", explicit=True)  # type: ignore[arg-type]
+    assert way_back(running, going, held=True) == ("go_on",)
+    assert said(("go_on",), "imi", "tls/lab:7447") == (
+        "zendsp set hold=false -t imi --connect tls/lab:7447"
+    )
