@@ -115,10 +115,21 @@ class Searcher:
         return Rival("inertia", joint, scored, price(terms, self.rounds.n), terms, ())
 
     def goes_on(self, current: Scored) -> bool:
-        """Whether one more effect promises something upon a model."""
+        """Whether a search would go on with one more effect upon a model."""
         if is_white(current, self.joint):
             return False
-        return self.rounds.glance(current, frozenset()) < current.deviance - WAIT
+        if self.rounds.glance(current, frozenset()) >= current.deviance - WAIT:
+            return False
+        rivals = self.rounds.round(current)
+        return any(
+            current.deviance - r.value >= WAIT
+            and (self.accept(current, r) or self._may_wait(current, r))
+            for r in rivals[:RUNNERS]
+        )
+
+    def _may_wait(self, current: Scored, rival: Rival) -> bool:
+        """Whether a step that does not hold by itself may wait for the next one."""
+        return _gain(current, rival) > max(WORTH, LOOK_AHEAD * self.rounds.n)
 
     def softened(self, base: Scored) -> Scored | None:
         """The calibrated model with a dry friction that creeps in place of holding; None where it
@@ -177,9 +188,7 @@ class Searcher:
             if holds is not None:
                 found.steps += [*waiting, step]
                 waiting = []
-            elif len(waiting) < WAITING and (
-                _gain(current, chosen) > max(WORTH, LOOK_AHEAD * self.rounds.n)
-            ):
+            elif len(waiting) < WAITING and self._may_wait(current, chosen):
                 waiting.append(replace(step, alone=False))
             else:
                 break
