@@ -24,7 +24,7 @@ from zendsp.diagnosis.measure.likelihood import (
     fit_scored,
     informative,
 )
-from zendsp.diagnosis.search import backlash, rounds
+from zendsp.diagnosis.search import backlash, forward, rounds
 from zendsp.diagnosis.search.candidates import as_given, simulated
 from zendsp.diagnosis.search.forward import Searcher
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival, Step
@@ -34,6 +34,9 @@ from zendsp.diagnosis.search.simplify import simplify
 from zendsp.physics.calibration import convergence
 from zendsp.physics.calibration.fit import Data, fit, joint_handles
 from zendsp.physics.calibration.joint import facts
+from zendsp.physics.model import Model
+
+CREEP = {"kind": "creep", "joint": 1, "speed": 0.002}
 
 
 @pytest.mark.parametrize(("offset", "kept"), [(0.0, "coulomb"), (0.01, "coulomb_asymmetry")])
@@ -279,39 +282,47 @@ def test_numbers_at_which_an_effect_is_none_gain_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    ("alone", "beside", "goes_on", "searched"),
-    [
-        (100.0, -1060.0, False, "upon"),
-        (500.0, -1060.0, False, "again"),
-        (100.0, -1060.0, True, "again"),
-        (100.0, None, True, "first"),
-    ],
+    ("alone", "goes_on", "warm"),
+    [(100.0, False, True), (500.0, False, False), (100.0, True, False)],
 )
 def test_what_was_found_is_put_upon_a_creep_that_gains_little_and_leads_to_nothing_more(
-    monkeypatch: pytest.MonkeyPatch,
-    alone: float,
-    beside: float | None,
-    goes_on: bool,
-    searched: str,
+    monkeypatch: pytest.MonkeyPatch, alone: float, goes_on: bool, warm: bool
 ) -> None:
-    """It is fitted from where it was found; a creep that gains nothing beside it changes nothing.
-    """
-
     def scored(deviance: float) -> Any:
         return SimpleNamespace(deviance=deviance)
 
     first: Any = SimpleNamespace(base=scored(0.0), final=scored(-1000.0))
     upon: Any = SimpleNamespace(final=scored(-1060.0))
-    both = None if beside is None else scored(beside)
-    begun: list[Any] = []
-    monkeypatch.setattr(joints, "upon", lambda *given: begun.append(given[3]) or upon)
+    soft: Any = SimpleNamespace(deviance=-alone, model=model_of(VISCOUS, CREEP))
+    both, begun = scored(-1055.0), []
+    monkeypatch.setattr(joints, "upon", lambda *given: begun.append(given) or upon)
     again: Any = SimpleNamespace(
         goes_on=lambda found: found is upon.final and goes_on,
-        softened=lambda found: both if found is first.final else None,
+        creeping=lambda found, speed: both if (found, speed) == (first.final, 0.002) else None,
     )
-    found = joints._upon_creep(first, scored(-alone), again, 1)
-    assert found is {"upon": upon, "first": first, "again": None}[searched]
-    assert all(b is both for b in begun)
+    found = joints._upon_creep(first, soft, again, 1)
+    assert found is (upon if warm else None)
+    assert begun == [(first, soft, 1, both)] * (alone < 150.0)
+
+
+def test_a_creep_is_fitted_beside_what_was_found_from_slow_and_fast_ones(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """From the speed that it had alone it may end where it makes the rest worse."""
+    columns = reality.simulate(reality.Machine(), reality.multisine(2.0, RATE, 3), RATE)
+    data = data_of(columns, model := model_of(VISCOUS, COULOMB))
+    base: Any = SimpleNamespace(data=data, model=model)
+    begun: list[float] = []
+
+    def fitted(_: Data, model: Model, *__: Any, **___: Any) -> Any:
+        begun.append(model.terms[-1].value("speed"))
+        return SimpleNamespace(deviance=abs(begun[-1] - begun[0]), began=begun[-1])
+
+    monkeypatch.setattr(forward, "fit_scored", fitted)
+    searcher = Searcher(data, 1, lambda *_: True, 1, print)
+    best: Any = searcher.creeping(base, 50.0)
+    assert best.began == begun[0] == 50.0
+    assert begun[1:] == pytest.approx([begun[2] / 10.0, begun[2]])
 
 
 @pytest.mark.parametrize(

@@ -253,15 +253,12 @@ def _upon_creep(
     first: JointSearch, soft: Scored, again: Searcher, jobs: int
 ) -> JointSearch | None:
     """What was found before a friction creeps, fitted with it, where it gains little beside that
-    and leads to nothing more; as it was, where it then gains nothing. None where it may have been
-    mistaken for what was found.
+    and leads to nothing more; None where it may have been mistaken for what was found.
     """
     found = first.base.deviance - first.final.deviance
     if not first.base.deviance - soft.deviance < CREEPS * found:
         return None
-    both = again.softened(first.final)
-    if both is None:
-        return first
+    both = again.creeping(first.final, soft.model.terms[-1].value("speed"))
     other = upon(first, soft, jobs, both)
     return None if again.goes_on(other.final) else other
 

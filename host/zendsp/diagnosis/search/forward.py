@@ -139,17 +139,23 @@ class Searcher:
         holds = any(get_effect(t.effect).site == "dry" for t in had)
         if not (holds and math.isfinite(base.deviance)) or any(t.effect == "creep" for t in had):
             return None
-        fast = max(rec[self.joint - 1].scale.speed for rec in self.rounds.data.records)
-        tried = []
-        for share in CREEP:
-            term = Term("creep", self.joint, {"speed": Quantity(share * fast)})
-            model = base.model.with_terms((*base.model.terms, term))
-            handles = joint_handles(base.data, model, self.joint)
-            tried.append(fit_scored(base.data, model, handles, (self.joint,), jobs=self.jobs))
-        best = min(tried, key=lambda scored: scored.deviance)
+        best = self.creeping(base)
         terms = best.model.terms[-1:]
         creep = Rival("creep", self.joint, best, price(terms, self.rounds.n), terms, ())
         return best if self.accept(base, creep) else None
+
+    def creeping(self, base: Scored, *known: float) -> Scored:
+        """A model with its dry friction creeping, the likeliest of some fits; ``known``: speeds to
+        begin from too, rad/s or m/s.
+        """
+        fast = max(rec[self.joint - 1].scale.speed for rec in self.rounds.data.records)
+        tried = []
+        for speed in (*known, *(share * fast for share in CREEP)):
+            term = Term("creep", self.joint, {"speed": Quantity(speed)})
+            model = base.model.with_terms((*base.model.terms, term))
+            handles = joint_handles(base.data, model, self.joint)
+            tried.append(fit_scored(base.data, model, handles, (self.joint,), jobs=self.jobs))
+        return min(tried, key=lambda scored: scored.deviance)
 
     def _chain(self, base: Scored, begin: Rival | None = None, most: int = 6) -> JointSearch:
         """Add effects to a calibrated model until nothing passes, the first of them ``begin`` where
