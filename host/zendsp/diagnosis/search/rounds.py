@@ -290,8 +290,8 @@ class Rounds:
 
     def _quick(self, current: Scored, group: list[Candidate]) -> Rival | None:
         """A short fit from each start; the best is followed to slower observers."""
-        data = current.data
-        if get_effect(group[0].effect).slow and data.bandwidth[self.joint - 1] > SETTLED:
+        data, slow = current.data, get_effect(group[0].effect).slow
+        if slow and data.bandwidth[self.joint - 1] > SETTLED:
             data = data.at_bandwidth(self.joint, SETTLED)
         tried: list[tuple[float, Candidate, Fit]] = []
         for candidate in group:
@@ -311,7 +311,7 @@ class Rounds:
             result = self._short(look, result.model, result.handles, 10 if rough else 5)
             value = deviance(current.data, result.model, (self.joint,))
         data = current.data
-        if value < current.deviance:
+        if slow or value < current.deviance:
             data, value = tune_bandwidth(
                 data, result.model, (self.joint,), down_only=True, known=value
             )
