@@ -146,7 +146,7 @@ class Searcher:
 
     def creeping(self, base: Scored, *known: float) -> Scored:
         """A model with its dry friction creeping, the likeliest of some fits; ``known``: speeds to
-        begin from too, rad/s or m/s.
+        begin from, rad/s or m/s, and no others where that makes it likelier.
         """
         fast = max(rec[self.joint - 1].scale.speed for rec in self.rounds.data.records)
         tried = []
@@ -155,6 +155,8 @@ class Searcher:
             model = base.model.with_terms((*base.model.terms, term))
             handles = joint_handles(base.data, model, self.joint)
             tried.append(fit_scored(base.data, model, handles, (self.joint,), jobs=self.jobs))
+            if len(tried) == len(known) and tried[-1].deviance < base.deviance:
+                break
         return min(tried, key=lambda scored: scored.deviance)
 
     def _chain(self, base: Scored, begin: Rival | None = None, most: int = 6) -> JointSearch:
