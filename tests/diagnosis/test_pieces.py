@@ -365,3 +365,31 @@ def test_what_only_the_recordings_of_the_fit_say_is_told_of_a_complete_model(
     worse: Any = SimpleNamespace(joint=3, kind="unexplained", lost=lost)
     found = notes._likelier([d, worse])
     assert len(found) == told and all("joint 3" in n and "delay" in n for n in found)
+
+
+@pytest.mark.parametrize(
+    ("hopeless", "gain", "refitted"),
+    [(True, 500.0, 0), (True, 5.0, 2), (False, 500.0, 2)],
+)
+def test_a_term_without_which_all_recordings_are_far_less_likely_is_not_fitted_away(
+    hopeless: bool, gain: float, refitted: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A long fit is for those terms only that a short one leaves in doubt."""
+    terms = tuple(Term(name, 1, {}) for name in ("coulomb", "ripple"))
+    final: Any = SimpleNamespace(model=SimpleNamespace(at=lambda _: terms))
+    other: Any = SimpleNamespace()
+    long: list[Term] = []
+    for name, does in {
+        "new_terms": lambda *_: list(terms),
+        "taken_away": lambda *_: other,
+        "informative": lambda *_: 1000,
+        "hopeless": lambda *_: other if hopeless else None,
+        "compare": lambda *_: SimpleNamespace(gain=gain),
+        "_without": lambda *given: long.append(given[3][0]) or other,
+    }.items():
+        monkeypatch.setattr(pieces, name, does)
+    search: Any = SimpleNamespace(joint=1, final=final)
+    parts: Any = SimpleNamespace(choose=None)
+    given: Any = None
+    assert pieces.worth_choosing(parts, given, search, 1) is final
+    assert len(long) == refitted

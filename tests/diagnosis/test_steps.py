@@ -24,7 +24,7 @@ from zendsp.diagnosis.measure.likelihood import (
     fit_scored,
     informative,
 )
-from zendsp.diagnosis.search import rounds
+from zendsp.diagnosis.search import backlash, forward, rounds
 from zendsp.diagnosis.search.candidates import as_given, simulated
 from zendsp.diagnosis.search.forward import Searcher
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival, Step
@@ -34,6 +34,9 @@ from zendsp.diagnosis.search.simplify import simplify
 from zendsp.physics.calibration import convergence
 from zendsp.physics.calibration.fit import Data, fit, joint_handles
 from zendsp.physics.calibration.joint import facts
+from zendsp.physics.model import Model
+
+CREEP = {"kind": "creep", "joint": 1, "speed": 0.002}
 
 
 @pytest.mark.parametrize(("offset", "kept"), [(0.0, "coulomb"), (0.01, "coulomb_asymmetry")])
@@ -289,8 +292,91 @@ def test_what_was_found_is_put_upon_a_creep_that_gains_little_and_leads_to_nothi
         return SimpleNamespace(deviance=deviance)
 
     first: Any = SimpleNamespace(base=scored(0.0), final=scored(-1000.0))
-    upon: Any = SimpleNamespace(final=scored(-1050.0))
-    monkeypatch.setattr(joints, "upon", lambda *_: upon)
-    again: Any = SimpleNamespace(goes_on=lambda found: found is upon.final and goes_on)
-    found = joints._upon_creep(first, scored(-alone), again, 1)
+    upon: Any = SimpleNamespace(final=scored(-1060.0))
+    soft: Any = SimpleNamespace(deviance=-alone, model=model_of(VISCOUS, CREEP))
+    both, begun = scored(-1055.0), []
+    monkeypatch.setattr(joints, "upon", lambda *given: begun.append(given) or upon)
+    again: Any = SimpleNamespace(
+        goes_on=lambda found: found is upon.final and goes_on,
+        creeping=lambda found, speed: both if (found, speed) == (first.final, 0.002) else None,
+    )
+    found = joints._upon_creep(first, soft, again, 1)
     assert found is (upon if warm else None)
+    assert begun == [(first, soft, 1, both)] * (alone < 150.0)
+
+
+@pytest.mark.parametrize("likelier", [True, False])
+def test_a_creep_is_fitted_from_slow_and_fast_ones_where_the_known_one_makes_the_rest_worse(
+    likelier: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    columns = reality.simulate(reality.Machine(), reality.multisine(2.0, RATE, 3), RATE)
+    data = data_of(columns, model := model_of(VISCOUS, COULOMB))
+    base: Any = SimpleNamespace(data=data, model=model, deviance=60.0 if likelier else 40.0)
+    begun: list[float] = []
+
+    def fitted(_: Data, model: Model, *__: Any, **___: Any) -> Any:
+        begun.append(model.terms[-1].value("speed"))
+        return SimpleNamespace(deviance=begun[-1], began=begun[-1])
+
+    monkeypatch.setattr(forward, "fit_scored", fitted)
+    searcher = Searcher(data, 1, lambda *_: True, 1, print)
+    best: Any = searcher.creeping(base, 50.0)
+    assert begun[0] == 50.0 and best.began == min(begun)
+    assert begun[1:] == ([] if likelier else pytest.approx([begun[-1] / 10.0, begun[-1]]))
+
+
+@pytest.mark.parametrize(
+    ("gain", "accepted", "goes_on"),
+    [(100.0, True, True), (100.0, False, False), (9000.0, False, True), (20.0, True, False)],
+)
+def test_a_search_goes_on_with_what_is_accepted_or_may_wait(
+    gain: float, accepted: bool, goes_on: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    current: Any = SimpleNamespace(deviance=0.0)
+    rival: Any = SimpleNamespace(value=-gain, rank=np.nan)
+    columns = reality.simulate(reality.Machine(), reality.multisine(2.0, RATE, 3), RATE)
+    data = data_of(columns, model_of(VISCOUS, COULOMB))
+    searcher = Searcher(data, 1, lambda *_: accepted, 1, print)
+    monkeypatch.setattr("zendsp.diagnosis.search.forward.is_white", lambda *_: False)
+    monkeypatch.setattr(Rounds, "glance", lambda *_: -1000.0)
+    monkeypatch.setattr(Rounds, "round", lambda *_: [rival])
+    assert searcher.goes_on(current) is goes_on
+
+
+def test_a_transmission_that_promises_next_to_nothing_beside_another_law_is_not_fitted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    fitted: list[str] = []
+    quick = Rounds._quick
+
+    def noted(self: Rounds, current: Scored, group: list[Candidate]) -> Rival | None:
+        fitted.append(group[0].effect)
+        return quick(self, current, group)
+
+    monkeypatch.setattr(Rounds, "_quick", noted)
+    transmissions = {"elasticity", "backlash", "stiffening"}
+    sprung = reality.Machine(load=0.004, soft=20.0)
+    for machine, missing in ((reality.Machine(viscous=0.05), set()), (sprung, {"elasticity"})):
+        columns = reality.simulate(machine, reality.multisine(4.0, RATE, 5, high=6.0), RATE)
+        data = data_of(columns, base := model_of(COULOMB))
+        fitted.clear()
+        first = Rounds(data, 1, 1, print, base).round(calibrate_joint(data, base, 1))[0]
+        assert missing <= transmissions & set(fitted)
+        if not missing:
+            assert first.effect in ("viscous", "viscous_asymmetry")
+            assert not transmissions & set(fitted)
+
+
+def test_no_move_begins_from_a_gap_that_has_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    moves: list[float] = []
+    monkeypatch.setattr(backlash, "lossy", lambda scored, *_: moves.append(1.0) or scored)
+    monkeypatch.setattr(backlash, "descend", lambda scored, *_: scored)
+    columns = reality.simulate(reality.Machine(), reality.multisine(2.0, RATE, 3), RATE)
+    for gap, moved in ((1e-9, False), (0.01, True)):
+        numbers = {"gap": gap, "stiffness": 120.0, "load_inertia": 0.004, "damping": 0.1}
+        model = model_of(VISCOUS, {"kind": "backlash", "joint": 1, **numbers})
+        data = data_of(columns, model)
+        done = fit(data, model, (), joints=(1,), iterations=0)
+        moves.clear()
+        backlash.refine(Scored(done, data, 0.0, (1,)), 1, 0.0, 400.0, 1)
+        assert bool(moves) is moved

@@ -252,13 +252,14 @@ def _search_joint(
 def _upon_creep(
     first: JointSearch, soft: Scored, again: Searcher, jobs: int
 ) -> JointSearch | None:
-    """What was found before a friction creeps, fitted upon it, where it gains little beside that
+    """What was found before a friction creeps, fitted with it, where it gains little beside that
     and leads to nothing more; None where it may have been mistaken for what was found.
     """
     found = first.base.deviance - first.final.deviance
     if not first.base.deviance - soft.deviance < CREEPS * found:
         return None
-    other = upon(first, soft, jobs)
+    both = again.creeping(first.final, soft.model.terms[-1].value("speed"))
+    other = upon(first, soft, jobs, both)
     return None if again.goes_on(other.final) else other
 
 

@@ -36,9 +36,10 @@ from zendsp.diagnosis.measure.discrepancy import (
     mean_square,
 )
 from zendsp.diagnosis.measure.evidence import Evidence, compare
-from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
+from zendsp.diagnosis.measure.likelihood import Scored, fit_scored, informative
 from zendsp.diagnosis.measure.structure import STRUCTURED, structure
 from zendsp.diagnosis.search.hypothesis import JointSearch
+from zendsp.diagnosis.search.simplify import SIMPLER_COST, hopeless
 from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.calibration.predict import run, trace
 from zendsp.physics.effects import get_effect, mechanism_of
@@ -135,6 +136,7 @@ def _without(given: Model, final: Scored, joint: int, terms: Sequence[Term], job
 def worth_choosing(parts: Parts, given: Model, search: JointSearch, jobs: int) -> Scored:
     """The proposed model without the terms that do not help on the recordings to choose by."""
     joint, final = search.joint, search.final
+    sure_gain = SIMPLER_COST * informative(parts.choose, joint)
     while True:
         new = new_terms(given, final.model, joint)
         if len(new) < 2:
@@ -147,6 +149,9 @@ def worth_choosing(parts: Parts, given: Model, search: JointSearch, jobs: int) -
                 if t is not term
             ):
                 continue
+            short = hopeless(final, taken_away(given, final.model, joint, (term,)), joint, jobs)
+            if short is not None and compare(short, final, parts.choose, joint).gain > sure_gain:
+                continue  # a long fit would not turn this round
             without = _without(given, final, joint, (term,), jobs)
             held = compare(without, final, parts.choose, joint)
             if held.gain < 0 and (worst is None or held.gain < worst[0]):

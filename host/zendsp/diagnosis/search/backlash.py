@@ -31,6 +31,7 @@ from zendsp.physics.model import Model
 
 LOSSY = 0.2  # of critical damping
 DAMPED = (0.05, 0.5)  # of critical damping: a contact outside begins again at LOSSY
+CLOSED = 1e-4  # of the travel: from a gap of less no move leads to an open one
 GAP_ROUNDS = 3
 PROGRESS = 50.0  # deviance below which a round has led nowhere
 GAPS = (0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15, 1.2)
@@ -58,6 +59,9 @@ def refine(scored: Scored, joint: int, before: float, worth: float, jobs: int) -
     jobs : int
         Threads.
     """
+    travel = max(rec[joint - 1].scale.position for rec in scored.data.records)
+    if _values(scored.model, joint)["gap"] < CLOSED * travel:
+        return scored
     best = min(scored, descend(lossy(scored, joint, jobs), joint, jobs), key=lambda s: s.deviance)
     for _ in range(GAP_ROUNDS):
         if before - best.deviance < worth:

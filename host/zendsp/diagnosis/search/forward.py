@@ -116,10 +116,21 @@ class Searcher:
         return Rival("inertia", joint, scored, price(terms, self.rounds.n), terms, ())
 
     def goes_on(self, current: Scored) -> bool:
-        """Whether one more effect promises something upon a model."""
+        """Whether a search would go on with one more effect upon a model."""
         if is_white(current, self.joint):
             return False
-        return self.rounds.glance(current, frozenset()) < current.deviance - WAIT
+        if self.rounds.glance(current, frozenset()) >= current.deviance - WAIT:
+            return False
+        rivals = self.rounds.round(current)
+        return any(
+            current.deviance - r.value >= WAIT
+            and (self.accept(current, r) or self._may_wait(current, r))
+            for r in rivals[:RUNNERS]
+        )
+
+    def _may_wait(self, current: Scored, rival: Rival) -> bool:
+        """Whether a step that does not hold by itself may wait for the next one."""
+        return _gain(current, rival) > max(WORTH, LOOK_AHEAD * self.rounds.n)
 
     def softened(self, base: Scored) -> Scored | None:
         """The calibrated model with a dry friction that creeps in place of holding; None where it
@@ -129,17 +140,25 @@ class Searcher:
         holds = any(get_effect(t.effect).site == "dry" for t in had)
         if not (holds and math.isfinite(base.deviance)) or any(t.effect == "creep" for t in had):
             return None
-        fast = max(rec[self.joint - 1].scale.speed for rec in self.rounds.data.records)
-        tried = []
-        for share in CREEP:
-            term = Term("creep", self.joint, {"speed": Quantity(share * fast)})
-            model = base.model.with_terms((*base.model.terms, term))
-            handles = joint_handles(base.data, model, self.joint)
-            tried.append(fit_scored(base.data, model, handles, (self.joint,), jobs=self.jobs))
-        best = min(tried, key=lambda scored: scored.deviance)
+        best = self.creeping(base)
         terms = best.model.terms[-1:]
         creep = Rival("creep", self.joint, best, price(terms, self.rounds.n), terms, ())
         return best if self.accept(base, creep) else None
+
+    def creeping(self, base: Scored, *known: float) -> Scored:
+        """A model with its dry friction creeping, the likeliest of some fits; ``known``: speeds to
+        begin from, rad/s or m/s, and no others where that makes it likelier.
+        """
+        fast = max(rec[self.joint - 1].scale.speed for rec in self.rounds.data.records)
+        tried = []
+        for speed in (*known, *(share * fast for share in CREEP)):
+            term = Term("creep", self.joint, {"speed": Quantity(speed)})
+            model = base.model.with_terms((*base.model.terms, term))
+            handles = joint_handles(base.data, model, self.joint)
+            tried.append(fit_scored(base.data, model, handles, (self.joint,), jobs=self.jobs))
+            if len(tried) == len(known) and tried[-1].deviance < base.deviance:
+                break
+        return min(tried, key=lambda scored: scored.deviance)
 
     def _chain(self, base: Scored, begin: Rival | None = None, most: int = 6) -> JointSearch:
         """Add effects to a calibrated model until nothing passes, the first of them ``begin`` where
@@ -178,9 +197,7 @@ class Searcher:
             if holds is not None:
                 found.steps += [*waiting, step]
                 waiting = []
-            elif len(waiting) < WAITING and (
-                _gain(current, chosen) > max(WORTH, LOOK_AHEAD * self.rounds.n)
-            ):
+            elif len(waiting) < WAITING and self._may_wait(current, chosen):
                 waiting.append(replace(step, alone=False))
             else:
                 break

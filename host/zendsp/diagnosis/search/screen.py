@@ -8,6 +8,7 @@ projected out first: the baseline of every claim is the refitted model.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -44,7 +45,9 @@ class Candidate:
     joint: int
     terms: tuple[Term, ...]
     replaces: tuple[str, ...]
-    gain: float  # decrease of the cost that the screen promises; nan where only a fit can tell
+    # decrease of the cost that the screen promises, of the deviance of a sample that a transmission
+    # does; nan where only a fit can tell
+    gain: float
     beneath: Model | None = None  # numbers to begin from in place of the calibrated ones
 
     @property
@@ -88,12 +91,7 @@ class Screen:
         jac = fit.jacobian[: len(fit.residual)][
             : sum(r.n * len(joints_fitted) for r in self.records)
         ][rows]
-        # the sensor's zero is held within a count by its prior: it must not absorb what only a
-        # larger shift could
-        jac = jac[:, [h.place != "offset" for h in fit.handles]]
-        norms = np.linalg.norm(jac, axis=0)
-        jac = jac[:, norms > 0] / norms[norms > 0]
-        self.q = np.linalg.qr(jac)[0] if jac.shape[1] else np.zeros((len(self.r), 0))
+        self.q = _imitable(fit, jac)
         self.left = self.r - self.q @ (self.q.T @ self.r)
         self.floors = [self._floor(rec) for rec in self.records]
         self.base = [
@@ -306,6 +304,30 @@ class Screen:
         return Candidate(
             effect.name, self.joint, (make_term(effect, self.joint, values),), replaces, gain
         )
+
+
+def _imitable(fit: Fit, jac: Array) -> Array:
+    """Orthonormal columns of all that the calibrated numbers can imitate, (rows, up to p)."""
+    # the sensor's zero is held within a count by its prior: it must not absorb what only a larger
+    # shift could
+    jac = jac[:, [h.place != "offset" for h in fit.handles]]
+    norms = np.linalg.norm(jac, axis=0)
+    jac = jac[:, norms > 0] / norms[norms > 0]
+    return np.linalg.qr(jac)[0] if jac.shape[1] else np.zeros((len(jac), 0))
+
+
+def promised(base: Fit, others: Array) -> float:
+    """Largest decrease of the deviance of a sample on the way from a fit to any of some other
+    innovations, (m, n): to first order, with the calibrated numbers fitted again.
+    """
+    n = others.shape[1]
+    r, q = base.residual[:n], _imitable(base, base.jacobian[:n])
+    left, ways = r - q @ (q.T @ r), others - r
+    ways -= (ways @ q) @ q.T
+    along, size = ways @ left, np.einsum("mn,mn->m", ways, ways)
+    ahead = (along < 0) & (size > 0)
+    share = np.max(along[ahead] ** 2 / size[ahead], initial=0.0) / max(float(r @ r), 1e-300)
+    return -math.log(max(1.0 - float(share), 1e-9))
 
 
 def _least_squares(gram: Array, moment: Array) -> Array:

@@ -275,7 +275,7 @@ def simplify(found: JointSearch, n: int, jobs: int) -> tuple[Scored, tuple[str, 
             model = best.model.with_terms(
                 tuple(t for k, t in enumerate(best.model.terms) if k != i)
             )
-            if _hopeless(best, model, found.joint, jobs):
+            if hopeless(best, model, found.joint, jobs) is not None:
                 continue
             trial = _refitted(best.data, model, found.joint, jobs, 2)
             idle = term.effect in added and vanishes(certain, term)
@@ -327,22 +327,22 @@ def _released(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored:
     return other if told and not at_bound else best
 
 
-def upon(first: JointSearch, base: Scored, jobs: int) -> JointSearch:
-    """What a search found, upon a base that has terms of another source by now: fitted again, and
-    without what is not needed any more.
+def upon(first: JointSearch, base: Scored, jobs: int, both: Scored | None = None) -> JointSearch:
+    """What a search found, upon a base that has terms of another source by now: fitted again, where
+    ``both`` are not yet, and without what is not needed any more.
     """
     joint, found = first.joint, first.final
     more = base.model.terms[len(first.base.model.terms) :]
     model = found.model.with_terms((*found.model.terms, *more))
-    best = _refitted(found.data, model, joint, jobs, 4)
+    best = both or _refitted(found.data, model, joint, jobs, 4)
     again = replace(first, base=base, best=best)
     again.best, dropped = simplify(again, informative(best.data, joint), jobs)
     return replace(again, dropped=(*first.dropped, *dropped))
 
 
-def _hopeless(best: Scored, model: Model, joint: int, jobs: int) -> bool:
-    """Whether a model is so much less likely after a short fit that a long one would not make up
-    for it.
+def hopeless(best: Scored, model: Model, joint: int, jobs: int) -> Scored | None:
+    """A model after a short fit, where that leaves it so much less likely that a long one would not
+    make up for it.
     """
     handles = joint_handles(best.data, model, joint)
     short = fit(
@@ -355,8 +355,10 @@ def _hopeless(best: Scored, model: Model, joint: int, jobs: int) -> bool:
         jobs=jobs,
         brief=True,
     )
-    value = tune_bandwidth(best.data, short.model, (joint,))[1]
-    return value > best.deviance + SIMPLER_COST * informative(best.data, joint)
+    data, value = tune_bandwidth(best.data, short.model, (joint,))
+    if value <= best.deviance + SIMPLER_COST * informative(best.data, joint):
+        return None
+    return Scored(short, data, value, (joint,))
 
 
 def _needed_by(model: Model, term: Term) -> bool:
