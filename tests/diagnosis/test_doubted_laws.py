@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+import reality
+from small_models import VISCOUS, data_of, model_of
 
 from zendsp.diagnosis.decide import absorbed, patchwork, pushes
 from zendsp.diagnosis.decide.claims import Claim
@@ -193,3 +196,24 @@ def test_no_torque_gain_within_half_a_percent_is_named(ratio: float, small: bool
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr("zendsp.diagnosis.search.rounds.facts", lambda _: None)
         assert Rounds._too_small(rounds, rival, gain) is small
+
+
+@pytest.mark.parametrize(("unseen", "found"), [(0.0, True), (1.0, False)])
+def test_an_inertia_that_the_command_between_the_rows_may_make_is_no_finding(
+    unseen: float, found: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a complete joint whose loop ran at 1 kHz, recorded at 125 Hz with a coarse encoder, an
+    inertia 70 % larger was claimed: a larger one feels less of the commands that no row says.
+    """
+    given, improved = model_of(VISCOUS), model_of(VISCOUS, inertia=0.017)
+    columns = reality.simulate(reality.Machine(), reality.multisine(4.0, 500.0, 1), 500.0)
+    data = data_of(columns, improved)
+    (record,) = data.records[0]
+    needed = float(np.std(0.017 * record.motion.states[2]))
+    data = replace(data, records=((replace(record, between=unseen * needed),),))
+    monkeypatch.setattr(absorbed, "_size", lambda *_: 0.1)
+    monkeypatch.setattr(absorbed, "_held", lambda *_: given)
+    search: Any = SimpleNamespace(joint=1)
+    whole: Any = SimpleNamespace(improved=improved)
+    claims = absorbed.shifted(given, search, whole, (), data)
+    assert [f.effect for _, _, f in claims] == (["inertia"] if found else [])

@@ -23,6 +23,7 @@ from zendsp.diagnosis.measure.likelihood import fit_scored
 from zendsp.diagnosis.measure.significance import INTEGRATION_ERROR
 from zendsp.diagnosis.search.body_hypotheses import LIMITS, calibrated
 from zendsp.physics.calibration.fit import Data, joint_handles
+from zendsp.physics.calibration.joint import effective_inertia
 from zendsp.physics.effects import get_effect, library, mechanism_of
 from zendsp.physics.model import CALLED, TREES, Model, Quantity
 from zendsp.physics.term_numbers import file_model
@@ -89,6 +90,8 @@ def shifted(
     if main not in moves or not (abs(moves[main][1]) > FAR or heavier):
         return _gravity_only(given, search, moves, test)
     ratio, z, amount, std = moves[main]
+    if 0.0 < ratio < _by_unseen(whole.improved, joint, test):
+        return []
     if heavier:
         z = math.copysign(math.hypot(z, moves["gravity"][1]), z)
     size = _size(_held(given, search, main), search, test)
@@ -281,6 +284,20 @@ def _rotor(
     values = {"amount": Estimate(amount, after.std, unit)}
     sure = min(0.9, 0.5 + 0.05 * abs(z))
     return [(z, size, _finding("inertia", joint, values, sure, ("body", "payload"), text))]
+
+
+def _by_unseen(improved: Model, joint: int, test: Data) -> float:
+    """The part by which an inertia may come out too large: what the command does between the rows
+    is an error of what is known to accelerate the joint, and a larger inertia feels it less (errors
+    in variables). Its mean square, over that of the torque that accelerates.
+    """
+    unseen = needed = 0.0
+    for rec in test.records:
+        record = rec[joint - 1]
+        torque = effective_inertia(record, improved) * record.motion.states[2]
+        unseen += record.between**2 * record.n
+        needed += float(torque @ torque)
+    return unseen / max(needed, 1e-300)
 
 
 def _held(given: Model, search: Decision, key: str) -> Model:
