@@ -13,6 +13,7 @@ from zendsp.diagnosis import joints, machine
 from zendsp.diagnosis.decide.absorbed import bodies_wrong
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.decide_bodies import Heard, beside_bodies, borne, unsure
+from zendsp.diagnosis.search import bodies
 from zendsp.diagnosis.search.bodies import own_mass
 from zendsp.diagnosis.search.body_columns import NUISANCE
 from zendsp.diagnosis.search.body_explain import Explained, explain, first_of
@@ -304,3 +305,44 @@ def test_an_inertia_beside_a_body_that_calibration_could_take_up_is_calibration(
     decision = Decision(1, "missing", (claim,), (), *[nothing] * 8)
     (beside,) = beside_bodies([body], [decision], test)
     assert (beside.refinements == (claim,)) is (same == "calibration")
+
+
+@pytest.mark.parametrize(("behind", "remembered"), [(0.4, True), (4.0, False)])
+def test_a_body_that_explains_as_much_as_a_joints_own_fault_is_remembered(
+    behind: float, remembered: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Link 2 of an arm, 3.6 kg heavier, moves joint 2 alone: a gain of it explains as much, the
+    joint was set aside, and by itself had a torque of the position without a law.
+    """
+    gain = replace(
+        explained(2, "ratio", cost=1.0, behind=0.0),
+        hypothesis=Hypothesis("torque_gain", 2, "", ("ratio",), 1.0),
+    )
+    body = replace(explained(2, "mass", cost=2.0, behind=behind), gain=100.0 - 10.0 * behind)
+    nothing = replace(gain, gain=0.0, z=0.0)
+    rounds = iter([[gain, body], [nothing]])
+    monkeypatch.setattr(bodies, "hypotheses", lambda *_: [])
+    monkeypatch.setattr(bodies, "Solver", lambda *_, **__: None)
+    monkeypatch.setattr(bodies, "explain", lambda *_: next(rounds))
+    layout: Any = SimpleNamespace(model=None, links=None)
+    _, aside, first = bodies._round(None, None, layout, LIMITS)  # type: ignore[arg-type]
+    assert aside == {2}
+    assert (first == [gain, body]) is remembered
+
+
+@pytest.mark.parametrize(
+    ("mechanism", "effect", "weighs"),
+    [
+        ("position_torque", "gravity", True),
+        ("actuator", "torque_offset", True),
+        ("actuator", "torque_gain", False),
+        ("dry_friction", "coulomb", False),
+    ],
+)
+def test_what_a_joint_claims_may_be_a_bodys_weight(
+    mechanism: str, effect: str, weighs: bool
+) -> None:
+    claim = SimpleNamespace(mechanism=mechanism, term=Term(effect, 2, {}))
+    decision: Any = SimpleNamespace(claims=(claim,))
+    assert machine._weighs(decision) is weighs
+    assert not machine._weighs(SimpleNamespace(claims=()))  # type: ignore[arg-type]

@@ -45,6 +45,7 @@ from zendsp.diagnosis.transmission.links import divided, with_links
 from zendsp.diagnosis.transmission.measured import Measured, measured_transmissions
 from zendsp.diagnosis.transmission.one_sensor import shown
 from zendsp.physics.calibration.fit import Data
+from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model
 
 # where joints claim what a body may be, a small one is asked for too
@@ -124,6 +125,9 @@ def _once(measured_motion: Parts, given: Model, jobs: int, tell: Progress) -> Fo
         if bodies.found:
             again = _beneath(bodies, measured_motion, parts, given, jobs, tell)
             found = again if again.claims else found
+    if not found.claims and bodies.instead and _weighs(found.decisions[bodies.instead[1] - 1]):
+        again = _beneath(bodies.taken_instead(), measured_motion, parts, given, jobs, tell)
+        found = again if again.claims else found
     finished = _finished(found, given, jobs, tell)
     test, whole = finished.parts.test, finished.whole
     least = (1.0 + ROUNDING) * model_error(test, whole.calibrated)
@@ -132,6 +136,14 @@ def _once(measured_motion: Parts, given: Model, jobs: int, tell: Progress) -> Fo
         found = _beneath(none, measured_motion, parts, given, jobs, tell)
         finished = _finished(found, given, jobs, tell)
     return finished
+
+
+def _weighs(decision: Decision) -> bool:
+    """Whether all that a joint claims by itself may be what it feels of a body."""
+    return bool(decision.claims) and all(
+        c.mechanism in ("position_torque", "inertia") or get_effect(c.term.effect).constant
+        for c in decision.claims
+    )
 
 
 def _beneath(

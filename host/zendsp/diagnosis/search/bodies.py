@@ -63,13 +63,22 @@ class BodySearch:
     """What is wrong with the bodies of a machine.
 
     ``model`` is the given one with it; ``tried`` are all explanations of the last round, ``aside``
-    the joints that had been set aside by then for a fault of their own.
+    the joints that had been set aside by then for a fault of their own; ``instead`` the body that
+    explains as much as the first of these faults, and that joint.
     """
 
     model: Model
     found: tuple[FoundBody, ...] = ()
     tried: tuple[Explained, ...] = ()
     aside: frozenset[int] = frozenset()
+    instead: tuple[FoundBody, int] | None = None
+
+    def taken_instead(self) -> BodySearch:
+        """The search with the body that stands for a joint's own fault."""
+        assert self.instead is not None
+        body = self.instead[0]
+        model = self.model.with_terms((*self.model.terms, body.term))
+        return replace(self, model=model, found=(body,))
 
 
 def find_bodies(
@@ -109,6 +118,7 @@ def find_bodies(
     found: list[FoundBody] = []
     tried: list[Explained] = []
     aside: frozenset[int] = frozenset()
+    instead: tuple[FoundBody, int] | None = None
     while len(found) < limits.bodies:
         tell("bodies: a payload, a wrong link, a tilted base, and what looks like them")
         layout = Layout(model, links)
@@ -116,8 +126,13 @@ def find_bodies(
         tell("bodies: what the recordings to choose by say")
         to_choose = Sums(choose, model, limits, jobs)
         tell("bodies: every hypothesis")
-        tried, aside = _round(to_fit, to_choose, layout, limits)
+        tried, aside, first = _round(to_fit, to_choose, layout, limits)
         best = tried[0]
+        if not found and first:
+            own = next(e for e in first if _is_body(e, first[0], limits))
+            own = own_mass(own, first, links, limits)
+            own = refined(fit, choose, layout, own, limits, jobs)
+            instead = _stated(layout, own, first, limits, frozenset()), first[0].hypothesis.joint
         taken = {(f.term.effect, f.term.joint) for f in found}
         if (
             not (best.hypothesis.of_bodies and (seen(best, limits) or clear(best, limits)))
@@ -130,20 +145,9 @@ def find_bodies(
         )
         if weight_of(choose, layout, best) < limits.least:
             break
-        h = best.hypothesis
-        alike = [
-            e.hypothesis
-            for e in tried
-            if tied(e, tried[0], limits) and e.hypothesis.effect != "unknown"
-        ]
-        same = tuple(
-            dict.fromkeys(o.name for o in alike if (o.effect, o.joint) != (h.effect, h.joint))
-        )
-        others = tuple(e for e in tried[1:] if e.hypothesis not in alike and e.gain > 0)
-        term = stated(layout, best)
         tell(f"bodies: {best.hypothesis.name}")
-        found.append(FoundBody(term, best.hypothesis.body, best, same, others, aside))
-        if "calibration" in same:  # what the body explains is not to be calibrated away
+        found.append(_stated(layout, best, tried, limits, aside))
+        if "calibration" in found[-1].indistinguishable:  # it is not to be calibrated away
             held = {
                 key: tuple(replace(q, free=False) for q in items)
                 for key, items in begun.mechanism.items()
@@ -151,15 +155,43 @@ def find_bodies(
             begun = replace(begun, mechanism=held)
         model = begun.with_terms((*begun.terms, *(f.term for f in found), *beside))
     wrong = begun.with_terms((*begun.terms, *(f.term for f in found)))
-    return BodySearch(wrong, tuple(found), tuple(tried), aside)
+    return BodySearch(wrong, tuple(found), tuple(tried), aside, instead)
+
+
+def _stated(
+    layout: Layout,
+    best: Explained,
+    tried: Sequence[Explained],
+    limits: BodyLimits,
+    aside: frozenset[int],
+) -> FoundBody:
+    """A body with its numbers, beside what predicts as well as the first of all that was tried."""
+    h = best.hypothesis
+    alike = [
+        e.hypothesis
+        for e in tried
+        if tied(e, tried[0], limits) and e.hypothesis.effect != "unknown"
+    ]
+    same = dict.fromkeys(o.name for o in alike if (o.effect, o.joint) != (h.effect, h.joint))
+    others = tuple(e for e in tried[1:] if e.hypothesis not in alike and e.gain > 0)
+    return FoundBody(stated(layout, best), h.body, best, tuple(same), others, aside)
+
+
+def _is_body(one: Explained, best: Explained, limits: BodyLimits) -> bool:
+    """Whether an explanation is a body that is seen, and predicts as well as the best."""
+    h = one.hypothesis
+    return h.effect in ("body", "payload") and seen(one, limits) and tied(one, best, limits)
 
 
 def _round(
     fit: Sums, choose: Sums, layout: Layout, limits: BodyLimits
-) -> tuple[list[Explained], frozenset[int]]:
-    """All explanations, the best first; joints with a larger fault of their own are set aside."""
+) -> tuple[list[Explained], frozenset[int], list[Explained]]:
+    """All explanations, the best first; joints with a larger fault of their own are set aside. And
+    those of the first that was, where a body is among the best of them.
+    """
     everything = hypotheses(layout.model, layout.links)
     aside: set[int] = set()
+    first: list[Explained] = []
     while True:
         solver = Solver(fit, choose, layout, limits, aside=aside)
         rigid = Solver(fit, choose, layout, limits, aside=aside, rotors=False)
@@ -167,7 +199,9 @@ def _round(
         tried = explain(solver, left, rigid)
         best = tried[0]
         if best.hypothesis.of_bodies or not best.hypothesis.joint or not seen(best, limits):
-            return tried, frozenset(aside)
+            return tried, frozenset(aside), first
+        if not aside and any(_is_body(e, best, limits) for e in tried):
+            first = tried
         aside.add(best.hypothesis.joint)
 
 
