@@ -7,6 +7,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ import reality
 from click.testing import CliRunner
 
 from zendsp.cli.model import check
-from zendsp.diagnosis.data import checks
+from zendsp.diagnosis.data import checks, plausibility
 from zendsp.diagnosis.data.checks import check_signals
 from zendsp.diagnosis.data.plausibility import scaled
 from zendsp.diagnosis.data.reading import read_signals
@@ -382,3 +384,28 @@ def test_a_unit_that_is_not_known_is_refused_with_those_that_are(
 def test_of_a_joint_that_is_held_is_said_how_to_describe_the_others(kind: str, way: str) -> None:
     with pytest.raises(RecordingError, match=way):
         checks._moves("run.csv: joint 2", np.full(9, 0.3), 1e-4, kind)
+
+
+def test_a_part_in_which_the_joints_hardly_move_accuses_no_gain_that_another_shows_right(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A table had ended after two seconds, and the arm stood for eight: the part to test on said
+    that the actuators' gain is 0.026 times the model's.
+    """
+    few = SimpleNamespace(
+        r2=0.99, slope=0.026, error=1e-4, share=0.5, excess=0.0, excess_t=0.0, alike=1.0
+    )
+    right = SimpleNamespace(**{**vars(few), "slope": 1.0})
+    looked = {"still": few, "moving": right}
+    monkeypatch.setattr(
+        plausibility, "_looked",
+        lambda part, _: SimpleNamespace(
+            found=[looked[part]] * 2, slow=None, body=None, u=np.ones((2, 1))
+        ),
+    )  # fmt: skip
+    monkeypatch.setattr(plausibility, "is_carried", lambda *_: True)
+    monkeypatch.setattr(plausibility, "is_tool", lambda *_: False)
+    ask: Any = plausibility.check_driven
+    ask(["a: joint 1", "a: joint 2"], "still", None, ["moving"])
+    with pytest.raises(RecordingError, match="divide the actuator's gain by about"):
+        ask(["a: joint 1", "a: joint 2"], "still", None)

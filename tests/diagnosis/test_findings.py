@@ -117,16 +117,18 @@ def test_what_is_held_out_is_the_last_third_of_the_motion_whenever_the_machine_c
     None
 ):
     t = np.arange(20_000) * 1e-3
-    for q, share in (
-        (np.exp(-t) * np.sin(6 * t), 0.055),
-        (np.sin(6 * t), 2 / 3),
-        (np.sin(6 * np.minimum(t, 5.0)), 1 / 6),
+    # a machine that stands at the end shows nothing more, and is left out from there on
+    for q, share, moves in (
+        (np.exp(-t) * np.sin(6 * t), 0.055, 5.9),
+        (np.sin(6 * t), 2 / 3, 20.0),
+        (np.sin(6 * np.minimum(t, 5.0)), 1 / 6, 5.25),
     ):
         s = Signals("swing", t, 1e-3, q[:, None], np.zeros((len(t), 1)), None, np.array([1e-4]))
         train, test, notes = split([s])
-        assert len(train[0].time) + len(test[0].time) == len(t)
+        assert 1e-3 * (len(train[0].time) + len(test[0].time)) == pytest.approx(moves, rel=0.05)
         assert len(train[0].time) == pytest.approx(share * len(t), rel=0.05)
-        assert "the last third of its motion" in notes[0]
+        assert "the last third of its motion" in notes[-1]
+        assert ("stands from" in notes[0]) is (moves < 20.0)
 
 
 def test_a_recording_too_short_to_be_divided_counts_once(tmp_path: Path) -> None:

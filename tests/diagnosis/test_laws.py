@@ -471,7 +471,7 @@ def test_no_inertia_is_known_better_than_simulators_agree(monkeypatch: pytest.Mo
     moved = replace(given, mechanism={"inertia": (Quantity(0.025, std=1e-7),)})
     whole: Any = SimpleNamespace(improved=moved)
     search: Any = SimpleNamespace(joint=1, final=SimpleNamespace(model=given))
-    nothing: Any = None
+    nothing: Any = SimpleNamespace(records=())
     ((_, size, finding),) = absorbed.shifted(given, search, whole, (), nothing)
     assert size == 0.1
     amount = finding.parameters["amount"]

@@ -140,7 +140,9 @@ def check_driven(
             period = records[0].sample_time
             _undo(name, found, _mistakes(here, kind == "rotary", units), period, model, i)
         _clipped(name, found, float(np.max(np.abs(here.u[i]))), model, i + 1)
-    if not is_tool(here.slow, model, here.body):
+    # a part in which the joints hardly move says nothing of a gain that another part shows right
+    shown = any(_agreeing(_looked(part, model).found) for part in beside)
+    if not shown and not is_tool(here.slow, model, here.body):
         scaled(where[0].removesuffix(": joint 1"), slopes)
 
 

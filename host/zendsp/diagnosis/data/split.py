@@ -21,6 +21,8 @@ Array = npt.NDArray[np.float64]
 # s before and after what is cut out: an observer comes late, and a joint swings on
 PUSH_MARGIN_S = 0.25
 LEFT = 0.5  # of the rows that cutting leaves at least
+STILL = 0.002  # of the travel: a joint that stays so near to where it ends stands
+REST_S = 2.0  # s: a rest at the end that is as long is left out
 
 
 def read_parts(
@@ -69,8 +71,10 @@ def split(signals: Sequence[Signals]) -> tuple[list[Signals], list[Signals], lis
     -------
     train, test, notes
     """
-    train, test, cuts = [], [], []
-    for s in signals:
+    train, test, cuts, notes = [], [], [], []
+    for whole in signals:
+        s, rest = _until_rest(whole)
+        notes += rest
         n = len(s.time)
         cut = int(
             np.clip(
@@ -85,7 +89,22 @@ def split(signals: Sequence[Signals]) -> tuple[list[Signals], list[Signals], lis
         test.append(s.part(cut, len(s.time), f"{s.name} (last part)"))
     each = "its motion" if len(cuts) == 1 else "the motion of each"
     note = f"no recording was given to judge on; held out: {', '.join(cuts)}, the last third of"
-    return train, test, [f"{note} {each}"]
+    return train, test, [*notes, f"{note} {each}"]
+
+
+def _until_rest(s: Signals) -> tuple[Signals, list[str]]:
+    """A recording until it comes to rest for good, and what is to be said of it: a machine that
+    stands says nothing of its motion, and what lacks would be a smaller part of more time.
+    """
+    span = np.ptp(s.position, axis=0)
+    away = np.any(np.abs(s.position - s.position[-1]) > STILL * span, axis=1)
+    moves = int(np.flatnonzero(away)[-1]) + 1 if away.any() else len(s.time)
+    if moves < 2 * MIN_SAMPLES or (len(s.time) - moves) * s.sample_time < REST_S:
+        return s, []
+    end = moves + round(PUSH_MARGIN_S / s.sample_time)
+    at = float(s.time[moves] - s.time[0])
+    note = f"{s.name}: stands from {at:.2f} s after its begin to its end, which is left out"
+    return s.part(0, end, s.name), [note]
 
 
 def halves(held: Sequence[Signals]) -> tuple[list[Signals], list[Signals], list[str]]:
