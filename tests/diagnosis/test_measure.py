@@ -16,7 +16,7 @@ from small_models import COULOMB, VISCOUS, data_of, model_of
 
 from zendsp.diagnosis.data.prepare import one_sensor, prepare
 from zendsp.diagnosis.data.signals import Parts, Signals
-from zendsp.diagnosis.decide import clocks
+from zendsp.diagnosis.decide import assemble, clocks
 from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide.assemble import beside_given_gravity, with_disagreement
 from zendsp.diagnosis.decide.clocks import apart_in_time
@@ -29,7 +29,7 @@ from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import Scored, calibrate_joint, fit_scored
 from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, Structure, structure
 from zendsp.diagnosis.measure.where import Missing, mismatch, regions
-from zendsp.physics.calibration.fit import Data, Fit, fit, joint_handles
+from zendsp.physics.calibration.fit import Data, Fit, bounds_and_steps, fit, joint_handles
 from zendsp.physics.calibration.handles import free_handles, get_values
 from zendsp.physics.calibration.joint import JointRecord
 from zendsp.physics.model import Model, Quantity, Term
@@ -373,3 +373,19 @@ def test_a_gravity_beside_the_models_own_is_told_beside_the_given_number() -> No
     assert std["angle"] == pytest.approx(
         TOLERANCE * 0.4108 * np.sin(told.x[2]) / told.x[1], rel=0.01
     )
+
+
+def test_a_wave_is_no_less_certain_for_a_recording_that_shows_less_than_one_of_it() -> None:
+    """Within its own limits such a recording had 33 waves a turn, and 6 were 6 ± 19."""
+    ripple = {"kind": "ripple", "joint": 1, "order": 7.0, "amplitude": 0.02, "phase": 0.4}
+    model, machine = model_of(VISCOUS, COULOMB, ripple), reality.Machine(ripple=0.02)
+    far, near = (
+        data_of(reality.simulate(machine, reality.multisine(8.0, RATE, 3, size=size), RATE), model)
+        for size in (1.0, 0.05)
+    )
+    handles = joint_handles(far, model, 1)
+    at = next(i for i, h in enumerate(handles) if h.key == "order")
+    asked = assemble._within_limits_of(far, near)
+    low = [bounds_and_steps(data, model, handles)[0][at] for data in (far, near, asked)]
+    assert low[0] == low[2] < 7.0 < low[1]
+    assert np.array_equal(asked.records[0][0].position, near.records[0][0].position)
