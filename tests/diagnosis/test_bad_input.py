@@ -86,6 +86,10 @@ def _glued(c: Columns) -> None:
     c["t"] = c["t"][: len(c["q"])]
 
 
+def _outlier(c: Columns) -> None:
+    c["q"][1000] += 17.0
+
+
 def _repeated(c: Columns) -> None:
     for name in c:
         c[name] = np.concatenate([c[name], c[name]])
@@ -127,6 +131,7 @@ BAD: dict[str, tuple[Callable[[Columns], None], str]] = {
     "clipped command": (_clip("u", 0.4), "clipped"),
     "two runs glued": (_glued, "glued"),
     "the same run twice": (_repeated, "glued"),
+    "one row that stands out": (_outlier, "the position of row 1001 alone"),
     "command of another run": (_shifted, "different runs"),
     "time in few digits": (_few_digits, "stands still at row 2, at 1700000000: is it written"),
     "time in milliseconds": (_scale(1000.0, "t"), "seconds"),

@@ -42,6 +42,7 @@ JUMP_QUANTILE = 0.999  # of the steps: what a fast step of the motion is
 JUMP_USUAL, JUMP_NEAR = 8, 20  # times that, and the median of the steps before and after
 JUMP_COUNTS = 6  # of the sensor
 JUMP_SPAN = 0.004  # of the position's span
+BACK = 0.1  # of a jump, at most, that the next row does not take back
 ARRIVAL = 0.004  # s, over which the speed before a stop is taken
 LAG = 0.02  # s, over which the usual acceleration is; a stop lasts longer
 STOP_COUNTS = 4  # of the sensor, within ARRIVAL
@@ -206,6 +207,12 @@ def _glued(where: str, y: Array, s: Signals) -> None:
         and jump > JUMP_SPAN * float(np.ptp(y))
     ):
         between = float(s.time[k] + s.time[k + 1]) / 2.0 - float(s.time[0])
+        for other, row in ((k + 1, k + 2), (k - 1, k + 1)):  # and back again
+            if 0 <= other < len(step) and abs(step[other] + step[k]) < BACK * jump:
+                raise RecordingError(
+                    f"{where}: the position of row {row} alone is {jump:.4g} off its neighbours:"
+                    " leave that row out, or correct it"
+                )
         raise RecordingError(
             f"{where}: the position jumps by {jump:.4g} after row {k + 1}, {between:.4f} s from the"
             " beginning: are two runs glued together, or were samples dropped? Give them as two"
