@@ -21,7 +21,7 @@ Array = npt.NDArray[np.float64]
 # s before and after what is cut out: an observer comes late, and a joint swings on
 PUSH_MARGIN_S = 0.25
 LEFT = 0.5  # of the rows that cutting leaves at least
-STILL = 0.002  # of the travel: a joint that stays so near to where it ends stands
+AT_REST = 0.002  # of the travel: a joint that stays so near to where it ends stands
 REST_S = 2.0  # s: a rest at the end that is as long is left out
 
 
@@ -97,7 +97,7 @@ def _until_rest(s: Signals) -> tuple[Signals, list[str]]:
     stands says nothing of its motion, and what lacks would be a smaller part of more time.
     """
     span = np.ptp(s.position, axis=0)
-    away = np.any(np.abs(s.position - s.position[-1]) > STILL * span, axis=1)
+    away = np.any(np.abs(s.position - s.position[-1]) > AT_REST * span, axis=1)
     moves = int(np.flatnonzero(away)[-1]) + 1 if away.any() else len(s.time)
     if moves < 2 * MIN_SAMPLES or (len(s.time) - moves) * s.sample_time < REST_S:
         return s, []
