@@ -110,7 +110,7 @@ def beside_unknown(
 
 
 def _without(given: Model, final: Scored, joint: int, terms: Sequence[Term], jobs: int) -> Scored:
-    """The same, fitted again. What was found of other joints' motion keeps its numbers: where they
+    """The same, fitted again. The same law of another joint's motion keeps its numbers: where both
     move at once it would explain this one's friction. So does what would run to its bounds: an
     actuator that does next to nothing explains no friction.
     """
@@ -122,7 +122,8 @@ def _without(given: Model, final: Scored, joint: int, terms: Sequence[Term], job
         for h in handles
         if h.place == "term" and id(model.terms[h.index]) in found
     }
-    held = {h for h, term in of.items() if get_effect(term.effect).coupled}
+    gone = {t.effect for t in terms}
+    held = {h for h, term in of.items() if _law_of_another(term) in gone}
     while True:
         free = tuple(h for h in handles if h not in held)
         out = fit_scored(final.data, model, free, (joint,), jobs=jobs, rounds=3)
@@ -131,6 +132,13 @@ def _without(given: Model, final: Scored, joint: int, terms: Sequence[Term], job
         if not run_off:
             return out
         held |= run_off
+
+
+def _law_of_another(term: Term) -> str:
+    """The law by which another joint's motion acts, empty where none does."""
+    effect = get_effect(term.effect)
+    choices = effect.parameter("law").choices if effect.coupled else ()
+    return choices[int(term.value("law"))] if choices else ""
 
 
 def worth_choosing(parts: Parts, given: Model, search: JointSearch, jobs: int) -> Scored:
