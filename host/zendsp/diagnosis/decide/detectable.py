@@ -149,8 +149,7 @@ def _worth_a_step(sought: Screen, term: Term | None, mean: float) -> Term | None
         return None
     key = _key(get_effect(term.effect))
     number = term.parameters[key]
-    column = sought.series([(term,)])[0]
-    column = column - sought.q @ (sought.q.T @ column)
+    column = _trace(sought, term)
     left = float(np.linalg.norm(column))
     gain = max(WAIT + price((term,), len(column)), PROMISING * len(column))
     needed = math.sqrt(mean) * (math.sqrt(gain) + NINE_IN_TEN)
@@ -158,6 +157,13 @@ def _worth_a_step(sought: Screen, term: Term | None, mean: float) -> Term | None
         return None
     number = replace(number, value=number.value * max(1.0, needed / left))
     return replace(term, parameters={**term.parameters, key: number})
+
+
+def _trace(screen: Screen, term: Term) -> Array:
+    """What an effect leaves in the innovations, (n,), that calibration cannot imitate."""
+    column = screen.series([(term,)])[0]
+    out: Array = column - screen.q @ (screen.q.T @ column)
+    return out
 
 
 def _key(effect: Effect) -> str:
@@ -179,8 +185,7 @@ def _smallest(screen: Screen, name: str, energy: float, torque: float) -> Term |
         values = screen._directions(effect, point)[0]
         unit = values.get(key, 1.0) or 1.0
         term = make_term(effect, screen.joint, {**values, key: unit})
-        column = screen.series([(term,)])[0] / unit
-        column = column - screen.q @ (screen.q.T @ column)
+        column = _trace(screen, term) / unit
         left = float(np.linalg.norm(column))
         if left <= 0:
             return None

@@ -257,9 +257,7 @@ def discrepancy(data: Data, model: Model, joint: int) -> Size:
         value, low, high, often = (math.sqrt(max(0.0, x)) for x in at)
         own = high if value > best.value else own
         most = high if band == BANDS[0] else best.high
-        best = Size(
-            max(best.value, value), max(best.low, low), most, max(best.often, often)
-        )
+        best = Size(max(best.value, value), max(best.low, low), most, max(best.often, often))
     return best if best.high > best.value else replace(best, high=max(own, best.value))
 
 
