@@ -14,7 +14,7 @@ from zendsp.diagnosis.measure.likelihood import Scored
 from zendsp.physics.calibration.convergence import with_step_error
 from zendsp.physics.calibration.fit import Data, Fit, fit
 from zendsp.physics.calibration.handles import free_handles, set_values
-from zendsp.physics.calibration.joint import facts, own_terms
+from zendsp.physics.calibration.joint import own_terms
 from zendsp.physics.model import Model, Quantity, Term
 from zendsp.physics.robots.bodies import body_terms
 
@@ -115,7 +115,7 @@ def with_disagreement(
     """
     if not fitted.handles:
         return fitted
-    others = _within_limits_of(data, held)
+    others = replace(data, records=held.records)
     other = fit(
         others, fitted.model, fitted.handles, joints=joints, jobs=jobs, start=fitted.x, iterations=6
     )
@@ -124,21 +124,6 @@ def with_disagreement(
     apart = np.where(angle, np.remainder(apart + np.pi, 2 * np.pi) - np.pi, apart)
     beyond = 0.5 * np.maximum(apart**2 - SURE**2 * (fitted.std**2 + other.std**2), 0.0)
     return replace(fitted, covariance=fitted.covariance + np.diag(beyond))
-
-
-def _within_limits_of(data: Data, held: Data) -> Data:
-    """Recordings held out, with the limits that a number has in those of the fit: a shorter travel
-    shows no wave of few turns, which would be bent to one of many.
-    """
-    limits = data.records[0]
-    records = tuple(
-        tuple(
-            replace(one, _facts=facts(fitted), fits={}, runs={})
-            for one, fitted in zip(rec, limits, strict=True)
-        )
-        for rec in held.records
-    )
-    return replace(data, records=records)
 
 
 def beside_given_gravity(given: Model, joint: int, fitted: Fit) -> Fit:

@@ -173,7 +173,9 @@ def _side_by_side(
 def bounds_and_steps(
     data: Data, model: Model, handles: Sequence[Handle]
 ) -> tuple[Array, Array, Array]:
-    """Lower and upper bounds and the natural size of each number, (p,) each."""
+    """Lower and upper bounds and the natural size of each number, (p,) each. What these recordings
+    can show bounds only a number that begins within.
+    """
     low, high, size = [], [], []
     for h in handles:
         if h.place == "term":
@@ -184,6 +186,8 @@ def bounds_and_steps(
             s = max(facts(r).scale.of(parameter.size) for r in records.values())
             pairs = [parameter_bounds(term.effect, h.key, r) for r in records.values()]
             lower, upper = min(pairs)[0], max(b for _, b in pairs)
+            if not lower <= term.parameters[h.key].value <= upper:  # other recordings show it
+                lower, upper = parameter.lower, parameter.upper
             if get_effect(term.effect).same_as:
                 lower, upper = data.ranges.get((f"inertia {term.joint}", 0), (lower, upper))
             low.append(lower)
