@@ -167,3 +167,16 @@ def test_noise_of_a_fraction_of_a_count_shows_where_a_motion_is_slow(noise: floa
     found = noise_beside_quantisation(COUNT * np.round(loud / COUNT), COUNT)
     assert found == pytest.approx(noise * COUNT, rel=0.15)
     assert noise_beside_quantisation(COUNT * np.round(motion / COUNT), COUNT) < 0.05 * COUNT
+
+
+@pytest.mark.parametrize("pace", [0.45, 0.8, 1.04, 3.3])
+def test_noise_is_told_in_motion_at_a_constant_number_of_counts_a_sample(pace: float) -> None:
+    """Rounding is then the same from sample to sample, and was taken off as white: of 0.3 counts
+    nothing was left, and what the noise did to a perfect model was a torque that it lacked.
+    """
+    r, time = np.random.default_rng(1), np.arange(14000)
+    speed = pace * np.where((time // 1700) % 2, 1, -1) * (1 + 0.02 * np.sin(time / 300))
+    path = np.cumsum(speed)
+    noisy = np.round(path + 0.3 * r.standard_normal(len(path)))
+    assert noise_beside_quantisation(noisy, 1.0) == pytest.approx(0.3, rel=0.1)
+    assert noise_beside_quantisation(np.round(path), 1.0) < 0.05

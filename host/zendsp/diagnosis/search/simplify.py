@@ -258,12 +258,28 @@ def _as_two_times(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored
     return both if both.deviance < best.deviance - price((beside,), n) - NO_WORSE else best
 
 
+def _as_delay(found: JointSearch, best: Scored, jobs: int) -> Scored:
+    """A filtered position that a late command explains as well is one: every loop has some delay,
+    and to first order the two are the same.
+    """
+    had = {t.effect for t in found.base.model.at(found.joint)}
+    here = {t.effect: t for t in best.model.at(found.joint)}
+    term = here.get("position_filter")
+    if term is None or had & {"position_filter", "delay"} or "delay" in here:
+        return best
+    late = make_term(get_effect("delay"), found.joint, {"time": term.value("time_constant")})
+    model = best.model.with_terms(tuple(late if t is term else t for t in best.model.terms))
+    other = _refitted(best.data, model, found.joint, jobs, 1)
+    return other if other.deviance < best.deviance + NO_WORSE else best
+
+
 def simplify(found: JointSearch, n: int, jobs: int) -> tuple[Scored, tuple[str, ...]]:
     """Drop every term, given or found, that the recording does not need any more."""
     best = _resolved(straightened(found, found.final, jobs), found.joint, jobs)
     best = _as_bristles(found, _as_coulomb(best, found.joint, jobs), n, jobs)
     best = _as_spring(found, _as_payload(found, best, n, jobs), jobs)
-    best = _as_two_times(found, _as_symmetric(found, best, n, jobs), n, jobs)
+    best = _as_delay(found, _as_symmetric(found, best, n, jobs), jobs)
+    best = _as_two_times(found, best, n, jobs)
     dropped: list[str] = []
     added = {t.effect for s in found.steps for t in s.chosen.terms}
     while True:

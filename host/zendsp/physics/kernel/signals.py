@@ -37,9 +37,7 @@ STEPS = 10  # that must be there to tell
 COUNTED = 200  # counts: of longer steps the digits printed no longer tell whole ones
 OFF, ON = 0.02, 0.98  # of a count off a whole one at most, in so many of the steps
 
-# sums of uniform errors have shorter tails than normal ones, which the median takes for up to a
-# fifth more variance
-SHORT_TAILS = 1.2
+STRETCH = 100  # samples that are looked at together, where impacts are kept out
 FOURTH = 70  # sum of the squared binomials of a fourth difference
 MEDIAN = 0.6745  # median absolute deviation of a normal variable of standard deviation 1
 
@@ -56,6 +54,7 @@ PASSED = 200.0  # counts that such motion must cover to tell
 BENDS = 0.1  # counts a sample: by which the speed over a longer time is another one at most
 CLEARLY = 2.0  # standard deviations of a number of changes
 BINS, LEVELS = 64, 61  # of speed, and of noise, that are looked at
+NOISIEST = 3.0  # counts: of more noise the codes of a slow motion jump rather than go to and fro
 FEW_SAMPLES = 0.4  # counts of noise at least, where all changes go back and few samples stand
 # Rounding noise of s counts, over all places between two codes: a variance of s / sqrt(pi) while s
 # is small, and s^2 + 1/12 from a third of a count on, where the two meet.
@@ -297,20 +296,16 @@ def noise_beside_quantisation(y: Array, resolution: float) -> float:
     fourth = np.diff(y, 4)
     pace = np.abs(np.gradient(moving_mean(y, PACE, "edge")))[4:] / resolution
     moving = pace > MOVING
-    if moving.sum() < ENOUGH:
-        return resolution * _dither(np.diff(y) / resolution, pace < STANDING)
-    # differences of counts are whole numbers, and so would be their median: spread evenly over one
-    # count it is not
-    spread = _spread(
-        fourth[moving]
-        + resolution * np.random.default_rng(0).uniform(-0.5, 0.5, int(moving.sum()))
-    )
-    return float(np.sqrt(max(0.0, spread**2 - SHORT_TAILS * resolution**2 / 12)))
+    if moving.sum() >= ENOUGH:
+        return float(np.sqrt(max(0.0, _usual_variance(fourth[moving]) - resolution**2 / 12)))
+    if slowly is not None:
+        return resolution * slowly
+    return resolution * _dither(np.diff(y) / resolution, pace < STANDING)
 
 
 def _to_and_fro(y: Array, resolution: float) -> float | None:
-    """Noise in counts, at most `DITHERED`, that makes the codes of a slow motion go back and forth;
-    None where there is too little of it to tell.
+    """Noise in counts, at most ``NOISIEST``, that makes the codes of a slow motion go back and
+    forth; None where there is too little of it to tell.
 
     Between samples v counts apart, with a noise of s counts, a code changes by |v + sqrt(2) s z| in
     the mean, z normal: more than v, the more so the slower the motion.
@@ -334,7 +329,7 @@ def _to_and_fro(y: Array, resolution: float) -> float | None:
         inside = np.array([math.erf(x) for x in speeds / spread / np.sqrt(2.0)])
         return float(count @ (spread * np.sqrt(2 / np.pi) * far + speeds * inside))
 
-    levels = np.linspace(1e-3, DITHERED, LEVELS)
+    levels = np.geomspace(1e-3, NOISIEST, LEVELS)
     return float(np.interp(changes, [changed(level) for level in levels], levels))
 
 
@@ -354,6 +349,15 @@ def _spread(fourth: Array) -> float:
     deviation keeps impacts out.
     """
     return float(np.median(np.abs(fourth - np.median(fourth))) / MEDIAN / np.sqrt(FOURTH))
+
+
+def _usual_variance(fourth: Array) -> float:
+    """Variance of the white noise behind fourth differences: the median over stretches of time
+    keeps impacts out. That of single ones would not do: at a whole number of counts a sample the
+    rounding is now next to none, now half a count.
+    """
+    squares = np.array_split(fourth**2, max(1, len(fourth) // STRETCH))
+    return float(np.median([np.mean(part) for part in squares])) / FOURTH
 
 
 def _coloured(y: Array) -> float:
