@@ -52,6 +52,7 @@ GLANCE = 4  # hypotheses of a round that is only looked at
 # relative gain of a step below which a first look ends: in a narrow valley the first step gains
 # little, and 1 % is a deviance of 200
 QUICK = 1e-4
+UPON = 2  # iterations on all samples of a hypothesis that lost on thinned ones
 SETTLED = 16.0  # rad/s: an observer this slow follows little of what is missing
 WAIT = 40.0  # deviance beyond its price below which a step is not worth a look
 # of a step that may wait for another, and of a gap whose narrow optimum is searched
@@ -310,12 +311,28 @@ class Rounds:
             look = first_look(current.data, result.model, self.joint)
             result = self._short(look, result.model, result.handles, 10 if rough else 5)
             value = deviance(current.data, result.model, (self.joint,))
+        if value >= current.deviance:
+            result, value = self._upon_its_numbers(current, candidate, result, value)
         data = current.data
         if slow or value < current.deviance:
             data, value = tune_bandwidth(
                 data, result.model, (self.joint,), down_only=True, known=value
             )
         return replace(best, scored=Scored(result, data, value, (self.joint,)))
+
+    def _upon_its_numbers(
+        self, current: Scored, candidate: Candidate, result: Fit, value: float
+    ) -> tuple[Fit, float]:
+        """A hypothesis as a first look found it, or upon the other numbers that the model had,
+        whichever is likelier: on thinned recordings a joint turns round in another way, and what
+        describes that may be moved far off.
+        """
+        found = result.model.terms[-len(candidate.terms) :]
+        model = with_candidate(current.model, replace(candidate, terms=found))
+        handles = joint_handles(current.data, model, self.joint)
+        other = self._short(current.data, model, handles, UPON)
+        again = deviance(current.data, other.model, (self.joint,))
+        return (other, again) if again < value else (result, value)
 
     def _full(self, current: Scored, rival: Rival, worth: float) -> Rival:
         jobs = self.jobs  # the longest of them ends alone

@@ -101,6 +101,9 @@ class Screen:
         self.inertias = [effective_inertia(rec, self.model) for rec in self.records]
         self.dampings = [damping_along(rec, self.model) for rec in self.records]
         self.motions = [along(rec, self.model) for rec in self.records]
+        self.free = [
+            self._free(rec, floor) for rec, floor in zip(self.records, self.floors, strict=True)
+        ]
         self.cost = float(self.left @ self.left)
         self.scaled = any(get_effect(t.effect).site in SCALES for t in self.model.at(joint))
 
@@ -115,6 +118,14 @@ class Screen:
             3.0 * float(np.sqrt(np.median(record.motion.variances[1]))), 0.01 * record.scale.speed
         )
 
+    def _free(self, record: JointRecord, floor: float) -> Array:
+        """1 where the joint may follow an added torque, (n,); less where it all but stands, and
+        the model's dry friction bears what is added.
+        """
+        if not any(get_effect(t.effect).site == "dry" for t in self.model.at(self.joint)):
+            return np.ones(record.n)
+        return np.tanh(np.abs(record.motion.states[1]) / floor)
+
     def series(self, columns: Sequence[tuple[Term, ...]], *, alone: bool = False) -> Array:
         """Weighted responses to the torques of some added terms, a row a column, (columns, n of all
         recordings).
@@ -125,6 +136,7 @@ class Screen:
         parts = []
         for i in range(len(self.records)):
             torques = np.stack([self._torque(i, terms, alone) for terms in columns])
+            torques = torques if on_sensor else torques * self.free[i]
             parts.append(self._respond(i, torques, on_sensor=on_sensor))
         return np.concatenate(parts, axis=1)
 
