@@ -115,7 +115,7 @@ def with_disagreement(
     """
     if not fitted.handles:
         return fitted
-    others = replace(data, records=held.records)
+    others = replace(data, records=held.records).within_limits_of(data)
     other = fit(
         others, fitted.model, fitted.handles, joints=joints, jobs=jobs, start=fitted.x, iterations=6
     )

@@ -88,7 +88,7 @@ def blind(decisions: Sequence[Decision], seen: Sequence[Detectable]) -> list[Dec
 
 def _joint(parts: Parts, given: Model, decision: Decision, jobs: int) -> list[Detectable]:
     test, joint, final = parts.test, decision.joint, decision.final
-    data, result, screen = _screened(test, decision, jobs)
+    data, result, screen = _screened(test.within_limits_of(parts.fit), decision, jobs)
     _, found, sought = _screened(parts.fit, decision, jobs)
     mean = float(found.residual @ found.residual) / max(len(found.residual), 1)
     base = _beside(data, final.model, final.fit.handles, joint, jobs)

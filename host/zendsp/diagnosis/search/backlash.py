@@ -35,7 +35,7 @@ CLOSED = 1e-4  # of the travel: from a gap of less no move leads to an open one
 GAP_ROUNDS = 3
 PROGRESS = 50.0  # deviance below which a round has led nowhere
 GAPS = (0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15, 1.2)
-STIFFNESSES = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0)
+STIFFNESSES = (0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0)
 LOSSES = (0.15, 1.0)  # a contact of metal on metal loses a fiftieth of critical
 # slower observers one after the other that lead to nothing better: so did all after them, in the
 # cases looked at

@@ -99,6 +99,20 @@ class Data:
             rec[joint - 1] = record.liveliest(long)
         return replace(self, records=tuple(map(tuple, records)))
 
+    def within_limits_of(self, other: Data) -> Data:
+        """The same recordings, with the limits that a number has in others: a shorter travel shows
+        no wave of few turns, which a fit would bend to one of many.
+        """
+        known = other.records[0]
+        records = tuple(
+            tuple(
+                replace(one, _facts=facts(first), fits={}, runs={})
+                for one, first in zip(rec, known, strict=True)
+            )
+            for rec in self.records
+        )
+        return replace(self, records=records)
+
     def at_bandwidth(self, joint: int, value: float) -> Data:
         """The same recordings with another observer on one joint (1-based)."""
         return replace(
@@ -173,9 +187,7 @@ def _side_by_side(
 def bounds_and_steps(
     data: Data, model: Model, handles: Sequence[Handle]
 ) -> tuple[Array, Array, Array]:
-    """Lower and upper bounds and the natural size of each number, (p,) each. What these recordings
-    can show bounds only a number that begins within.
-    """
+    """Lower and upper bounds and the natural size of each number, (p,) each."""
     low, high, size = [], [], []
     for h in handles:
         if h.place == "term":
@@ -186,8 +198,6 @@ def bounds_and_steps(
             s = max(facts(r).scale.of(parameter.size) for r in records.values())
             pairs = [parameter_bounds(term.effect, h.key, r) for r in records.values()]
             lower, upper = min(pairs)[0], max(b for _, b in pairs)
-            if not lower <= term.parameters[h.key].value <= upper:  # other recordings show it
-                lower, upper = parameter.lower, parameter.upper
             if get_effect(term.effect).same_as:
                 lower, upper = data.ranges.get((f"inertia {term.joint}", 0), (lower, upper))
             low.append(lower)

@@ -27,8 +27,8 @@ STANDING = 0.1  # counts a sample: below, a joint hardly moves
 ENOUGH = 200  # samples of either kind that tell a variance
 SPEED_OVER = 0.02  # s, over which the speed of measurements is taken
 SLOW = 0.5  # counts a sample: below, a constant code says only where the position may lie
-# counts of noise beside quantisation: from there on a code is a mean, no interval. Of a joint that
-# stands, codes that flip say again and again that it is at their edge, wrong by the noise each time;
+# counts of noise beside quantisation: from there on a code is a mean, no interval. Where a joint
+# stands, codes that flip say again and again that it is at their edge, each wrong by the noise;
 # their mean is wrong by exp(-2 pi^2 noise^2) / pi, which is less
 DITHERED = 0.2
 
