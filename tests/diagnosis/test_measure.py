@@ -181,7 +181,7 @@ def test_a_recording_whose_rows_are_shifted_is_told_from_the_others(
 
     same, other = read("a.csv", 0), read("c.csv", 0, viscous=0.005)
     assert apart_in_time(Parts(same, read("b.csv", 0, viscous=0.003), other), model) == []
-    (said,) = apart_in_time(Parts(same, read("b.csv", 2), other), model)
+    ((_, said),) = apart_in_time(Parts(same, read("b.csv", 2), other), model)
     assert said.startswith("joint 1: in b.csv the command column stands")
     assert "ms later against the position than in a.csv, c.csv" in said
     same_again = Parts(same, read("b.csv", 2), other)

@@ -243,3 +243,30 @@ def test_position_limits_are_one_pair_or_a_pair_a_joint(
 def test_position_limits_that_are_no_pairs_are_refused(position: object) -> None:
     with pytest.raises(ModelError, match=r"\[limits\] position .*one such pair a joint"):
         _limited(position)
+
+
+def test_a_robot_file_is_read_anew_where_it_is_another_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Folders of two arms with files of the same names, then one of the files written again."""
+    link = '<link name="l{0}"><inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1"'
+    link += ' iyz="0" izz="1"/></inertial></link>'
+    hinge = '<joint name="j{0}" type="continuous"><parent link="l{1}"/><child link="l{0}"/></joint>'
+
+    def write(folder: Path, joints: int) -> None:
+        folder.mkdir(exist_ok=True)
+        parts = [link.format(0)]
+        for k in range(1, joints + 1):
+            parts += [link.format(k), hinge.format(k, k - 1)]
+        (folder / "arm.urdf").write_text(f'<robot name="arm">{"".join(parts)}</robot>')
+        (folder / "arm.toml").write_text(
+            'name = "arm"\nsample_time = 0.01\n[mechanism]\nkind = "urdf"\nfile = "arm.urdf"\n'
+        )
+
+    for joints in (2, 3):
+        folder = tmp_path / str(joints)
+        write(folder, joints)
+        monkeypatch.chdir(folder)
+        assert load_model("arm.toml").joints == joints
+    write(tmp_path / "3", 4)
+    assert load_model("arm.toml").joints == 4

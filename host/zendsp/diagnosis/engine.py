@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,7 @@ from zendsp.diagnosis.decide.naming import name_findings
 from zendsp.diagnosis.decide.notes import bent, left_over, notes_of
 from zendsp.diagnosis.decide.other_load import of_load
 from zendsp.diagnosis.decide.propose import propose
+from zendsp.diagnosis.decide.pushes import unpushed
 from zendsp.diagnosis.decide.remember import remembered
 from zendsp.diagnosis.decide.result import (
     Diagnosis,
@@ -125,6 +127,7 @@ def _diagnose(
         )
     signals, parts, notes = _ready(recordings, heldout, given, tell)
     found = find(signals, parts, given, jobs, tell)
+    found, clocks = _by_one_clock(found)
     parts, decisions, whole = found.parts, found.decisions, found.whole
     notes += [note for m in found.measured for note in m.notes]
     findings, refinements, rejected = _name(found, given)
@@ -144,8 +147,7 @@ def _diagnose(
     alone = by_one_sensor(parts, found.bodies.model, decisions)
     seen += (*(d for m in found.measured for d in m.detectable), *alone)
     own, *others = _errors(parts, (given, whole.calibrated, improved))
-    loads = {(d.joint, name) for d in decisions for name in d.loads}
-    notes += [*said(alone), *notes_of(decisions, given), *apart_in_time(parts, improved, loads)]
+    notes += [*said(alone), *notes_of(decisions, given), *clocks]
     notes += [*of_load(found.load), *moved(given, whole.calibrated if found.load else better)]
     if not findings and all(d.final is d.base for d in decisions):  # else it is told by then
         notes += [note for errors in (own, *others) for note in bent(errors)]
@@ -174,6 +176,19 @@ def _diagnose(
         remaining={j: after for j, (_, _, after) in seen_at.items()},
         workings=Workings(found.searches, decisions, whole, shown_on, parts.test),
     )
+
+
+def _by_one_clock(found: Found) -> tuple[Found, list[str]]:
+    """What was found, and what is said of recordings whose columns stand apart in time: where one
+    does, what lacks in it alone is no push.
+    """
+    loads = {(d.joint, name) for d in found.decisions for name in d.loads}
+    said = apart_in_time(found.parts, found.whole.improved, loads)
+    late = {joint for joint, _ in said}
+    decisions = [
+        unpushed(d) if d.kind == "disturbance" and d.joint in late else d for d in found.decisions
+    ]
+    return replace(found, decisions=decisions), [sentence for _, sentence in said]
 
 
 def _verdict(findings: Sequence[Finding], decisions: Sequence[Decision]) -> Verdict:

@@ -39,11 +39,17 @@ PARAMETERS: dict[str, tuple[str, ...] | None] = {
 }
 
 
-@cache
-def _movable(path: str) -> int:
+def _movable(path: Path) -> int:
     """Number of joints that move in a URDF; 1 where it cannot be read (whoever needs the file says
     so).
     """
+    path = path.absolute()  # a notebook may go to another folder, or write the file again
+    return _moving_in(path, path.stat().st_mtime_ns) if path.is_file() else 1
+
+
+@cache
+def _moving_in(path: Path, _changed: int) -> int:
+    """The same of one state of a file."""
     try:
         root = ElementTree.parse(path).getroot()
     except (OSError, ElementTree.ParseError):
@@ -224,7 +230,7 @@ class Model:
         if isinstance(position, list):
             return len(position)
         moving = (
-            _movable(str(self.folder / self.file)) if self.kind == "urdf" else 1
+            _movable(self.folder / self.file) if self.kind == "urdf" else 1
         )  # the column may be one 2-D array
         return max(
             [

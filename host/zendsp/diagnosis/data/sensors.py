@@ -117,13 +117,13 @@ def _velocity(x: Array, q: Array, sample_time: float) -> str:
         return float(np.sqrt(np.mean(by**2))) / max(size, 1e-300)
 
     apart = off(a - slope * b)
-    if apart < SAME:
-        return "below 25 Hz it is the difference of the position column"
     if abs(slope - 1.0) > SCALED:
         return (
             f"it is {slope:.3g} times the velocity of the position column: another unit, or the"
             " motor's before its gear?"
         )
+    if apart < SAME:
+        return "below 25 Hz it is the difference of the position column"
     both = np.stack([b, -np.gradient(b, sample_time)], axis=1)
     of = np.linalg.lstsq(both, a, rcond=None)[0]
     if off(a - both @ of) < TIMED * apart:

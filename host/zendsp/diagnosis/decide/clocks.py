@@ -32,8 +32,8 @@ CLOCK_BLOCK = 0.5  # s: longer than a slow observer remembers
 
 def apart_in_time(
     parts: Parts, model: Model, explained: Collection[tuple[int, str]] = ()
-) -> list[str]:
-    """Sentences about joints whose command is late in some recordings and not in others.
+) -> list[tuple[int, str]]:
+    """Joints whose command is late in some recordings and not in others, and a sentence for each.
 
     Parameters
     ----------
@@ -54,10 +54,13 @@ def apart_in_time(
         found = {name: _mean(each) for name, each in shifts.items()}
         late, others = _late(found, ROW * parts.fit.records[0][joint - 1].sample_time)
         said += [
-            f"joint {joint}: in {name} the command column stands {abs(1e3 * at):.2g} ms"
-            f" {'later' if at > 0 else 'earlier'} against the position than in {others}. Write"
-            " command and position of one sample into one row, in all recordings alike, and"
-            " diagnose again"
+            (
+                joint,
+                f"joint {joint}: in {name} the command column stands {abs(1e3 * at):.2g} ms"
+                f" {'later' if at > 0 else 'earlier'} against the position than in {others}. Write"
+                " command and position of one sample into one row, in all recordings alike, and"
+                " diagnose again",
+            )
             for name, at in late.items()
             if (joint, name) not in explained
             and _explains(parts, model, joint, name, found[name][0])

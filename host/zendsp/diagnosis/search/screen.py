@@ -124,7 +124,8 @@ class Screen:
         """
         if not any(get_effect(t.effect).site == "dry" for t in self.model.at(self.joint)):
             return np.ones(record.n)
-        return np.tanh(np.abs(record.motion.states[1]) / floor)
+        free: Array = np.tanh(np.abs(record.motion.states[1]) / floor)
+        return free
 
     def series(self, columns: Sequence[tuple[Term, ...]], *, alone: bool = False) -> Array:
         """Weighted responses to the torques of some added terms, a row a column, (columns, n of all
