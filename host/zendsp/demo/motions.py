@@ -61,7 +61,9 @@ def _multisine(
 
 def arm_train(machine: Machine) -> Reference:
     """What the arm is recorded on: circles slow and fast, then a wide multisine."""
-    slow = make_circle(machine, radius=0.12, x=0.48, duration=3.0)
+    # So slow that the joints dwell below 0.1 rad/s: in half the time a friction that falls with
+    # speed was a foreign torque.
+    slow = make_circle(machine, radius=0.12, x=0.48, duration=6.0)
     fast = make_circle(machine, radius=0.12, x=0.48, duration=2.6, turns=-2)
     # Nearly as wide as the limits of speed allow: over 2.8 rad, a ripple of three a turn looked
     # like a spring, gravity and another ripple.
