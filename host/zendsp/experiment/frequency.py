@@ -19,7 +19,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.errors import AcquisitionError
+from zendsp.errors import AcquisitionError, Refused
 from zendsp.experiment.excite import play
 from zendsp.experiment.response import KEPT, Complex, Floats, FrequencyResponse
 from zendsp.link import Target
@@ -31,7 +31,7 @@ REACH = 0.4  # of the sample rate: a line above is too near to half of it
 LEAST_RAD, LEAST_M = 0.02, 0.002
 COUNTS = 100.0  # of the encoder: a swing of a few is its steps, and dry friction holds it
 TRAVEL = 0.1  # of all that there is between the limits of the position
-SPEED_S = 0.01  # peak over limit of the speed: 0.5 to 30 Hz reach 20 times the peak a second
+SPEED_S = 0.007  # peak over limit of the speed: 0.5 to 30 Hz reach 28 times the peak a second
 PART = 0.05  # of the torque limit: a small joint of an arm swings far by more
 BESIDE = 2  # harmonics on either side of a line that tell its distortion
 
@@ -178,11 +178,13 @@ def usual_amplitude(
 
     Raises
     ------
+    Refused
+        There is no such joint.
     AcquisitionError
-        There is no such joint, or no limit of its torque to go by.
+        There is no limit of its torque to go by.
     """
     if not 1 <= joint <= len(machine.joints):
-        raise AcquisitionError(f"joint {joint}: the machine has {len(machine.joints)}, from 1")
+        raise Refused(f"joint {joint}: the machine has {len(machine.joints)}, counted from 1")
     j, info = joint - 1, machine.joints[joint - 1]
     unit = info.unit
     if quantity == "torque":
