@@ -219,6 +219,22 @@ def test_what_calibration_took_up_is_found_where_all_of_it_was_taken_up(
     assert [r.effect for r in told.refits] == (["coulomb"] if level != 0.1 else [])
 
 
+def test_a_disturbance_is_no_concealed_effect_and_ends_no_story() -> None:
+    given = nominal_model(get_stage("pendulum"), (651.9,), 0.001)
+    finding = Finding("disturbance", 1, {}, 0.85, 0.5, (), (), "")
+    diagnosis = cast(
+        Diagnosis,
+        SimpleNamespace(
+            findings=(finding,), verdict="missing", given=given, calibrated=given, improved=given
+        ),
+    )
+    truth: TrueEffect = {
+        "effect": "coulomb", "joint": 1, "parameters": {"level": {"value": 0.05, "unit": "N m"}},
+    }  # fmt: skip
+    judged = judge(diagnosis, [truth])
+    assert not judged.named and judged.extra == (finding,)
+
+
 def test_a_machine_without_a_story_is_named() -> None:
     with pytest.raises(Refused, match=r"ur5.*imi_planar, pendulum, wam7"):
         get_stage("ur5")

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from zendsp.diagnosis import Diagnosis, Finding
 from zendsp.link.concealed import TrueEffect, TrueValue
-from zendsp.physics.effects import get_effect
+from zendsp.physics.effects import get_effect, library
 from zendsp.physics.model import Model
 from zendsp.physics.term_numbers import summed
 from zendsp.recording import Recording
@@ -158,7 +158,8 @@ def in_model_frame(effect: TrueEffect, plan: Machine) -> TrueEffect:
 
 def of_body(finding: Finding) -> bool:
     """Whether a finding is about a body, or about gravity: all joints bear it."""
-    return get_effect(finding.effect).site == "body"
+    effect = library().get(finding.effect)  # a disturbance has no law
+    return effect is not None and effect.site == "body"
 
 
 def matters(finding: Finding) -> bool:
@@ -303,5 +304,6 @@ def judge(diagnosis: Diagnosis, effects: Sequence[TrueEffect]) -> Judged:
 
 def _added(model: Model, finding: Finding) -> float:
     """What a model has itself of that to which a finding adds."""
-    symmetric = get_effect(finding.effect).symmetric
+    effect = library().get(finding.effect)
+    symmetric = effect.symmetric if effect is not None else ""
     return summed(model, finding.joint, symmetric) if symmetric else 0.0
