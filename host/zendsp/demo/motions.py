@@ -60,16 +60,16 @@ def _multisine(
 
 
 def arm_train(machine: Machine) -> Reference:
-    """What the arm is recorded on: circles slow and fast, then a wide multisine."""
-    # So slow that the joints dwell below 0.1 rad/s: in half the time a friction that falls with
-    # speed was a foreign torque.
-    slow = make_circle(machine, radius=0.12, x=0.48, duration=6.0)
+    """What the arm is recorded on: circles slow and fast, small sways, then a wide multisine."""
+    slow = make_circle(machine, radius=0.12, x=0.48, duration=3.0)
     fast = make_circle(machine, radius=0.12, x=0.48, duration=2.6, turns=-2)
+    # Both joints reverse below 0.1 rad/s, each in its own time: without that, friction that falls
+    # with speed was a foreign torque, and what one joint does to the other a disturbance.
+    sway = _multisine(machine, [0.3, 0.5], 0.06, 4.0, 0.75)
     # Nearly as wide as the limits of speed allow: over 2.8 rad, a ripple of three a turn looked
     # like a spring, gravity and another ripple.
-    return join(
-        machine, [slow, fast, _multisine(machine, [0.0, 0.5], [1.7, 1.5], 6.0, 1.0, fade=0.7)]
-    )
+    wide = _multisine(machine, [0.0, 0.5], [1.7, 1.5], 6.0, 1.0, fade=0.7)
+    return join(machine, [slow, fast, sway, wide])
 
 
 def arm_heldout(machine: Machine) -> Reference:
