@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from zendsp.diagnosis.decide.result import Detectable, Diagnosis
 
 REFINEMENTS = 6  # that a summary names
-LARGEST = 3  # of what may have been missed that a summary names
+MISSED = 3  # of what may have been missed that a summary names
 SMALLEST_SHARE = 1e-4  # of a torque: less is not told from nothing
 LARGEST_SHARE = 9.99
 SMALLER = 1.05  # times: a smaller fall of the error is not told as one
@@ -177,7 +177,7 @@ def summary(d: Diagnosis) -> str:
 
 def _missed(detectable: Sequence[Detectable]) -> str:
     """The largest that the recordings could hide, as parts of the torque, and how many more."""
-    largest = sorted(detectable, key=lambda x: -x.share)[:LARGEST]
+    largest = sorted(detectable, key=lambda x: -x.share)[:MISSED]
     named = ", ".join(f"{x.effect} below {_sized(x)} (joint {x.joint})" for x in largest)
     more = len(detectable) - len(largest)
     return named + (f", and {counted(more, 'smaller one')}" if more else "")
