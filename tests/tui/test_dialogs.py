@@ -187,6 +187,7 @@ async def test_on_a_small_terminal_the_next_key_takes_a_toast_that_was_read(
     async with app.run_test(size=(80, 24), notifications=True) as pilot:
         app.toast("one is refused", "warning")
         await until(pilot, lambda: app.screen.query(Toast), "it is shown")
+        monkeypatch.setattr("zendsp.tui.app.READ_S", 1e9)
         await pilot.press("y")
         assert app.screen.query(Toast), "not at once: nobody has read it yet"
         monkeypatch.setattr("zendsp.tui.app.READ_S", 0.0)
