@@ -114,7 +114,10 @@ def _silent(c: Columns) -> None:
 BAD: dict[str, tuple[Callable[[Columns], None], str]] = {
     "degrees": (_scale(180 / np.pi, "q", "r"), "degrees"),
     "degrees beside a reference in radians": (_scale(180 / np.pi, "q"), "degrees"),
-    "command in milli-units": (_scale(1000.0, "u"), "units"),
+    "command in milli-units": (_scale(1000.0, "u"), "[actuator], such as mA in place of A?"),
+    "command in units under a head of milli-units": (
+        _scale(0.001, "u"), "N m under a head that says mN m? Write the unit",
+    ),
     "sign of the command": (_scale(-1.0, "u"), "sign of the command or of the position is flipped"),
     "sign of the position": (_scale(-1.0, "q"), "flipped"),
     "swapped columns": (_swap, "swapped"),
@@ -335,9 +338,18 @@ def test_a_gain_that_is_wrong_by_one_factor_at_all_joints_is_refused(
     gain: float, factor: str
 ) -> None:
     with pytest.raises(RecordingError, match=f"divide the actuator's gain by about {factor}"):
-        scaled("run.csv", [gain, 1.02 * gain, gain])
-    scaled("run.csv", [gain])  # of one joint its load may be
-    scaled("run.csv", [1.0, gain])  # one of two
+        scaled("run.csv", [gain, 1.02 * gain, gain], "A")
+    scaled("run.csv", [gain], "A")  # of one joint its load may be
+    scaled("run.csv", [1.0, gain], "A")  # one of two
+
+
+@pytest.mark.parametrize("gain, cause", [(1.1e3, "mA in place of A"), (9e-4, "A under a head")])
+def test_a_thousandfold_command_at_all_joints_is_a_unit_and_no_torque_constant(
+    gain: float, cause: str
+) -> None:
+    with pytest.raises(RecordingError, match=cause) as refused:
+        scaled("run.csv", [gain, 1.02 * gain], "A")
+    assert "constant" not in str(refused.value)
 
 
 @pytest.mark.parametrize("mistake", ["two runs glued", "the same run twice", "NaN", "gap"])
@@ -411,6 +423,7 @@ def test_a_part_in_which_the_joints_hardly_move_accuses_no_gain_that_another_sho
     monkeypatch.setattr(plausibility, "is_carried", lambda *_: True)
     monkeypatch.setattr(plausibility, "is_tool", lambda *_: False)
     ask: Any = plausibility.check_driven
-    ask(["a: joint 1", "a: joint 2"], "still", None, ["moving"])
+    model = SimpleNamespace(actuator=SimpleNamespace(unit="A"))
+    ask(["a: joint 1", "a: joint 2"], "still", model, ["moving"])
     with pytest.raises(RecordingError, match="divide the actuator's gain by about"):
-        ask(["a: joint 1", "a: joint 2"], "still", None)
+        ask(["a: joint 1", "a: joint 2"], "still", model)

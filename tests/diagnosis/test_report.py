@@ -136,6 +136,16 @@ def test_report_has_every_key_of_the_contract_with_its_type(report: dict[str, An
     assert report["seconds"] > 0
 
 
+def test_the_summary_says_in_one_line_what_may_have_been_missed(
+    folder: Path, report: dict[str, Any]
+) -> None:
+    said = " ".join((folder / "said.txt").read_text().split())
+    line = said.partition("what may have been missed: ")[2].partition("note:")[0]
+    sizes = [f"{x['effect']} below {x['size']:.2g}" for x in report["detectable"]]
+    named = [size for size in sizes if size in line]
+    assert len(named) == min(3, len(sizes)) and named
+
+
 def test_found_parameters_are_in_the_units_of_the_contract(report: dict[str, Any]) -> None:
     units = {
         f["effect"]: {n: p["unit"] for n, p in f["parameters"].items()} for f in report["findings"]

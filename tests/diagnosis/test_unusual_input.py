@@ -460,6 +460,19 @@ def test_a_unit_that_contradicts_the_model_is_refused(
         check_units("run", read_table(file), {role: "x"}, model)
 
 
+@pytest.mark.parametrize("unit", ["counts", "furlong"])
+def test_a_position_in_a_unit_of_its_own_needs_what_one_is_in_the_model(
+    tmp_path: Path, unit: str
+) -> None:
+    file = tmp_path / "run.csv"
+    file.write_text("\n".join([f"x [{unit}]", *map(str, range(9))]))
+    model, columns = parse_model(ALONE), {"position": "x"}
+    with pytest.raises(RecordingError, match=rf"\[sensor\] matrix = \[\[rad \(m\) per {unit}"):
+        check_units("run", read_table(file), columns, model)
+    told = parse_model({**ALONE, "sensor": {"matrix": [[0.00153]]}})
+    check_units("run", read_table(file), columns, told)
+
+
 def test_an_arm_for_a_model_of_one_joint_is_told_which_kinds_have_more() -> None:
     t = 0.001 * np.arange(4000)
     q = np.stack([np.sin(3.0 * t), np.sin(5.0 * t)], axis=1)

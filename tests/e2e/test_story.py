@@ -9,6 +9,7 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -18,16 +19,20 @@ from waiting import PATIENCE_S
 
 import zendsp
 from zendsp.demo.controller import plan_update, slots, sources
+from zendsp.demo.evidence import judge
 from zendsp.demo.narrator import Narrator
 from zendsp.demo.picture import _missing
 from zendsp.demo.run import concealment
 from zendsp.demo.runs import prepare_machine
 from zendsp.demo.stage import get_stage, nominal_model
+from zendsp.demo.story import Recorded, Told
+from zendsp.diagnosis import Diagnosis
 from zendsp.diagnosis.decide.result import Finding
 from zendsp.diagnosis.measure.where import Missing
 from zendsp.errors import Refused
 from zendsp.experiment.separating import run_reference
 from zendsp.link import Target
+from zendsp.link.concealed import TrueEffect
 from zendsp.physics.model import Quantity, Term
 from zendsp.reference import Reference
 
@@ -166,18 +171,17 @@ def test_the_true_payload_is_taken_up_while_the_seven_joint_arm_moves(tmp_path: 
 
 def test_an_asymmetry_is_compared_as_the_sum_that_the_machine_has() -> None:
     from types import SimpleNamespace
-    from typing import cast
 
-    from zendsp.demo.evidence import judge
     from zendsp.demo.story import compared
-    from zendsp.diagnosis import Diagnosis, Estimate, Finding
+    from zendsp.diagnosis import Estimate, Finding
 
     given = nominal_model(get_stage("pendulum"), (651.9,), 0.001)  # viscous 0.005 N m s/rad
     improved = given.with_terms(tuple(t for t in given.terms if t.effect != "viscous"))
     numbers = {"coefficient_pos": Estimate(0.011, 1e-5, "N m s/rad")}
     finding = Finding("viscous_asymmetry", 1, numbers, 0.9, 0.8, (), ("viscous",), "")
     diagnosis = cast(
-        Diagnosis, SimpleNamespace(findings=(finding,), given=given, improved=improved)
+        Diagnosis,
+        SimpleNamespace(findings=(finding,), given=given, calibrated=given, improved=improved),
     )
     truth = {
         "effect": "viscous_asymmetry",
@@ -189,6 +193,46 @@ def test_an_asymmetry_is_compared_as_the_sum_that_the_machine_has() -> None:
     assert compared(*row).endswith(
         "true 0.011 N m s/rad: the concealed 0.006 and the given model's 0.005"
     )
+
+
+@pytest.mark.parametrize(("level", "right"), [(0.148, True), (0.1, False), (0.16, False)])
+def test_what_calibration_took_up_is_found_where_all_of_it_was_taken_up(
+    level: float, right: bool
+) -> None:
+    given = nominal_model(get_stage("pendulum"), (651.9,), 0.001)  # Coulomb friction of 0.1 N m
+    fitted = Term("coulomb", 1, {"level": Quantity(level, std=1e-4)})
+    terms = [fitted if t.effect == "coulomb" else t for t in given.terms]
+    calibrated = given.with_terms(tuple(terms))
+    diagnosis = cast(
+        Diagnosis,
+        SimpleNamespace(
+            findings=(), verdict="complete", given=given, calibrated=calibrated, improved=calibrated
+        ),
+    )
+    truth: TrueEffect = {
+        "effect": "coulomb", "joint": 1, "parameters": {"level": {"value": 0.048, "unit": "N m"}},
+    }  # fmt: skip
+    judged = judge(diagnosis, [truth])
+    assert judged.named is judged.exact is right
+    assert bool(judged.parameters) is right
+    told = Told(cast(Recorded, None), diagnosis)
+    assert [r.effect for r in told.refits] == (["coulomb"] if level != 0.1 else [])
+
+
+def test_a_disturbance_is_no_concealed_effect_and_ends_no_story() -> None:
+    given = nominal_model(get_stage("pendulum"), (651.9,), 0.001)
+    finding = Finding("disturbance", 1, {}, 0.85, 0.5, (), (), "")
+    diagnosis = cast(
+        Diagnosis,
+        SimpleNamespace(
+            findings=(finding,), verdict="missing", given=given, calibrated=given, improved=given
+        ),
+    )
+    truth: TrueEffect = {
+        "effect": "coulomb", "joint": 1, "parameters": {"level": {"value": 0.05, "unit": "N m"}},
+    }  # fmt: skip
+    judged = judge(diagnosis, [truth])
+    assert not judged.named and judged.extra == (finding,)
 
 
 def test_a_machine_without_a_story_is_named() -> None:

@@ -13,11 +13,18 @@ from waiting import PATIENCE_S, until
 
 import zendsp
 from zendsp.errors import AcquisitionError, RecordingError, Refused, VariableError
-from zendsp.experiment.frequency import choose_lines, distortion, estimate, make_period
+from zendsp.experiment.frequency import (
+    choose_lines,
+    distortion,
+    estimate,
+    make_period,
+    usual_amplitude,
+)
 from zendsp.experiment.response import KEPT, FrequencyResponse
 from zendsp.experiment.sweep import announced, tried_of, values_of
 from zendsp.experiment.sweep_result import Sweep
 from zendsp.link import Target, local
+from zendsp_protocol.messages import JointInfo, Limits, MachineInfo
 
 RATE = 1000.0
 
@@ -93,6 +100,38 @@ def test_the_lines_of_a_band_are_even_in_log_f_and_a_band_that_cannot_be_is_refu
         choose_lines(1000, 450.0, 30, RATE)
     with pytest.raises(AcquisitionError, match="f_min below f_max"):
         choose_lines(1000, 0.5, 30, RATE)
+
+
+@pytest.mark.parametrize(
+    ("unit", "counts", "travel", "speed", "torque", "peaks"),
+    [
+        ("rad", 651.9, 2000.0, 100.0, 0.8, (0.15, 0.04)),  # pendulum: 13 counts are 0.02 rad
+        ("rad", 24446.0, 4.3, 6.28, 245.0, (0.02, 12.0)),  # imi_planar
+        ("rad", 24446.0, 4.3, 1.0, 245.0, (0.007, 12.0)),  # slower than 28 times 0.02 rad a second
+        ("m", 1e5, 0.01, 1.0, 60.0, (0.001, 3.0)),  # a short slide
+    ],
+)
+def test_the_usual_peak_shows_over_the_encoder_and_stays_far_below_the_limits(
+    unit: str, counts: float, travel: float, speed: float, torque: float,
+    peaks: tuple[float, float],
+) -> None:  # fmt: skip
+    machine = MachineInfo("m", joints=(JointInfo("1", unit=unit, counts_per_unit=counts),))
+    limits = Limits((-travel / 2,), (travel / 2,), (speed,), (torque,), (1e4,))
+    found = usual_amplitude(machine, limits, 1), usual_amplitude(machine, limits, 1, "torque")
+    assert tuple(peak for peak, _ in found) == peaks
+    assert tuple(u for _, u in found) == (("rad", "N m") if unit == "rad" else ("m", "N"))
+    lines = choose_lines(2000, 60.0, 30, 1e3)  # the default band, 0.5 to 30 Hz
+    period = make_period(lines, peaks[0], 1, 0.5, np.arange(2000) * 1e-3)
+    assert np.abs(np.gradient(period, 1e-3)).max() < 0.25 * speed
+
+
+def test_where_no_torque_limit_is_known_the_peak_is_asked_for() -> None:
+    machine, inf = MachineInfo("m", joints=(JointInfo("1"),)), (float("inf"),)
+    limits = Limits((-float("inf"),), inf, inf, inf, inf)
+    with pytest.raises(AcquisitionError, match="give amplitude"):
+        usual_amplitude(machine, limits, 1, "torque")
+    with pytest.raises(Refused, match="has 1"):
+        usual_amplitude(machine, limits, 2)
 
 
 def test_values_as_typed() -> None:

@@ -184,3 +184,14 @@ def test_published_data_sets_read(tmp_path: Path) -> None:
     )
     assert len(swing) > 200_000
     assert read_table(folder / "tx40/pos_read_data.csv.gz")["Joint_6"].shape == (45_000,)
+
+
+def test_what_only_says_which_signal_it_is_belongs_to_the_name_and_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("t,q (raw),q (filtered) [deg],u (N m)\n0,1,2,3\n1,2,4,5\n")
+    table = read_table(path)
+    assert list(table.columns) == ["t", "q (raw)", "q (filtered)", "u"]
+    assert table["q (raw)"].tolist() == [1.0, 2.0]
+    assert table["q (filtered)"][0] == pytest.approx(np.radians(2.0))
+    assert [note for note in table.notes if "'raw' is no unit" in note]
+    assert not [note for note in table.notes if "'filtered'" in note], "its unit is written"

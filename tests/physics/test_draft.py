@@ -219,6 +219,21 @@ def test_an_unknown_unit_is_asked_about_and_time_backwards_names_the_file(tmp_pa
         draft_model(read_table(file))
 
 
+def test_a_position_in_counts_is_asked_for_what_one_is_and_refused_until_it_is_said(
+    tmp_path: Path,
+) -> None:
+    columns = recording()
+    columns["q"] = np.round(columns["q"] / (2 * np.pi / COUNTS))
+    units = {"t": "s", "q": "counts", "tau": "N m"}
+    draft = draft_model(Table(columns, units, {}, Path("run.csv")))
+    assert any("how many rad is one of the counts" in ask for ask in draft.questions)
+    model = model_of(draft.text)
+    assert model.columns["position"] == "q" and not model.sensor.matrix
+    assert model.mechanism["inertia"][0].value == pytest.approx(INERTIA, rel=0.05)
+    said = parse_model(tomllib.loads(draft.text.replace("#matrix", "matrix")), "said.toml")
+    assert said.sensor.matrix[0][0] == pytest.approx(2 * np.pi / COUNTS, rel=1e-5)
+
+
 def test_values_that_are_no_numbers_are_said_and_do_not_hide_the_encoder() -> None:
     columns = recording()
     columns["q"][5000:5003] = np.nan

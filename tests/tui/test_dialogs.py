@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from concurrent.futures import Future
 from pathlib import Path
 
 import pytest
 from steps import Until
 from textual.events import Key
-from textual.widgets import Input, OptionList
+from textual.widgets import Footer, Input, OptionList
 from textual.widgets._toast import Toast
 
+from zendsp.tui.actions import ACTIONS, SCREENS
 from zendsp.tui.app import ZendspApp
 from zendsp.tui.dialogs import Choose, Field, Form, Message, Option, Sliders
 from zendsp.tui.dialogs.source import SourceView
 from zendsp.tui.screens.analysis import ProcessView
-from zendsp.tui.snapshot import Variable
+from zendsp.tui.snapshot import Snapshot, TripView, Variable
 
 
 async def test_stop_works_under_every_dialog(
@@ -54,6 +56,36 @@ async def test_stop_works_under_every_dialog(
         await pilot.press("f9")
         await pilot.pause()
         assert pressed == [over]
+
+
+async def test_no_key_acts_on_the_machine_under_a_dialog(
+    app: ZendspApp, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+
+    def note(label: str, job: object) -> Future[str]:
+        asked.append(label)
+        return Future()
+
+    for way in ("do", "do_first", "do_beside"):
+        monkeypatch.setattr(app.session, way, note)
+    tripped = Snapshot(link="up", state="paused", drive="tripped", trip=TripView("stop", 1, "x", 1))
+    keys = [a.keys.split(",")[0] for a in ACTIONS if a.name not in ("stop", "help", "quit")]
+    async with app.run_test(size=(80, 24)) as pilot:
+        app.session.snapshot = tripped
+        app.action_help()
+        await pilot.pause()
+        dialog = app.screen
+        for key in keys:
+            await pilot.press(key)
+            if app.screen is not dialog:  # closed by a key of its own
+                app.action_help()
+                await pilot.pause()
+                dialog = app.screen
+            assert not asked, f"{key} acted beneath {dialog}"
+        await pilot.press("escape", "ctrl+k")
+        await pilot.pause()
+        assert asked == ["acknowledge"], "once it is closed, the key acts"
 
 
 async def test_screens_cannot_be_left_while_a_dialog_asks(app: ZendspApp) -> None:
@@ -134,6 +166,33 @@ async def test_on_a_small_terminal_the_newest_toast_takes_the_place_of_those_bef
 
         await until(pilot, lambda: "three" in "".join(words()), "the newest is shown")
         assert len(words()) == shown, words()
+
+
+@pytest.mark.parametrize("screen", SCREENS)
+async def test_on_a_small_terminal_a_toast_covers_the_keys_at_the_bottom_and_no_value(
+    screen: str, app: ZendspApp, until: Until
+) -> None:
+    async with app.run_test(size=(80, 24), notifications=True) as pilot:
+        await app.action_show(screen)
+        app.toast("the drives are not enabled: press e on Console, then start again", "warning")
+        await until(pilot, lambda: app.screen.query(Toast), "it is shown")
+        await until(pilot, lambda: app.screen.query_one(Toast).region.height, "it has its place")
+        keys = app.screen.query_one(Footer).region
+        assert app.screen.query_one(Toast).region.y == keys.y, "on the row of the keys alone"
+
+
+async def test_on_a_small_terminal_the_next_key_takes_a_toast_that_was_read(
+    app: ZendspApp, until: Until, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with app.run_test(size=(80, 24), notifications=True) as pilot:
+        app.toast("one is refused", "warning")
+        await until(pilot, lambda: app.screen.query(Toast), "it is shown")
+        monkeypatch.setattr("zendsp.tui.app.READ_S", 1e9)
+        await pilot.press("y")
+        assert app.screen.query(Toast), "not at once: nobody has read it yet"
+        monkeypatch.setattr("zendsp.tui.app.READ_S", 0.0)
+        await pilot.press("y")
+        await until(pilot, lambda: not app.screen.query(Toast), "it is taken away")
 
 
 async def test_a_dialog_answers_once_however_often_a_key_is_pressed(app: ZendspApp) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
+from textual.widgets import OptionList
 
 from zendsp.errors import NotStopped
 from zendsp.link import Target
@@ -47,6 +48,32 @@ async def test_leaving_a_machine_that_moves_is_asked(
             assert verdict is not None and verdict.state == "not stopped" and not lab._exit
         assert (target.status().trip is not None) is (answer == "stop")
         assert lab._exit is (answer in ("stop", "leave"))
+
+
+async def test_the_question_follows_what_becomes_of_the_machine_beneath(
+    lab: ZendspApp, target: Target, until: Until
+) -> None:
+    target.download("pd.c")
+    target.start()
+    async with lab.run_test(size=(80, 24)) as pilot:
+        await until(pilot, lambda: lab.session.snapshot.state == "running", "it runs")
+        await pilot.press("ctrl+q")
+        await until(pilot, lambda: isinstance(lab.screen, Leave), "the question")
+        await until(pilot, lambda: lab.screen.query(OptionList), "its lines")
+
+        def said() -> str:
+            rows = lab.screen.query_one(OptionList)
+            lines = [str(rows.get_option_at_index(i).prompt) for i in range(rows.option_count)]
+            return "\n".join([str(lab.screen.query_one(".box").border_title), *lines])
+
+        assert "The machine moves" in said() and "the program goes on" in said()
+        await pilot.press("down")
+        target.pause()  # by somebody else
+        await until(pilot, lambda: "The machine stands" in said(), "the title follows")
+        assert "goes on" not in said(), said()
+        assert lab.screen.query_one(OptionList).highlighted == 1, "the marked line stays marked"
+        target.stop()
+        await until(pilot, lambda: "The machine is stopped" in said(), "and once more")
 
 
 async def test_leaving_one_that_stands_is_not(

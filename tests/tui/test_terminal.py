@@ -6,10 +6,12 @@ import os
 import pty
 import select
 import signal
+import subprocess
 import sys
 import time
 from pathlib import Path
 
+import pytest
 from waiting import PATIENCE_S
 
 CALL = "from zendsp.cli import main; main()"
@@ -38,6 +40,43 @@ def test_a_terminal_that_goes_away_ends_the_program_whoever_ignored_its_signal(
         os.kill(pid, signal.SIGKILL)
         os.waitpid(pid, 0)
         raise
+
+
+def test_standard_error_may_go_to_a_file_while_the_screens_are_in_the_terminal(
+    tmp_path: Path,
+) -> None:
+    pid, terminal = pty.fork()
+    if pid == 0:
+        os.environ["TERM"] = "xterm-256color"
+        os.dup2(os.open(tmp_path / "errors", os.O_CREAT | os.O_WRONLY), 2)
+        os.execv(
+            sys.executable,
+            [sys.executable, "-c", CALL, "tui", "--folder", str(tmp_path), "--screen", "reference"],
+        )
+    deadline, seen = time.monotonic() + PATIENCE_S, b""
+    try:
+        while b"goal" not in seen:
+            assert time.monotonic() < deadline, seen[-2000:]
+            if select.select([terminal], [], [], 0.1)[0]:
+                seen += os.read(terminal, 1 << 16)
+        assert b"goal" not in (tmp_path / "errors").read_bytes()
+    finally:
+        os.kill(pid, signal.SIGKILL)
+        os.waitpid(pid, 0)
+        os.close(terminal)
+
+
+@pytest.mark.parametrize(("stream", "said"), [(0, "keys come from"), (1, "output goes")])
+def test_without_a_terminal_for_keys_and_pictures_it_is_refused(stream: int, said: str) -> None:
+    ours, theirs = pty.openpty()
+    streams = [theirs, theirs, subprocess.PIPE]
+    streams[stream] = subprocess.DEVNULL
+    ended = subprocess.run(
+        [sys.executable, "-c", CALL, "tui"],
+        stdin=streams[0], stdout=streams[1], stderr=streams[2], timeout=PATIENCE_S,
+    )  # fmt: skip
+    os.close(ours), os.close(theirs)
+    assert ended.returncode == 2 and said in ended.stderr.decode()
 
 
 SLOW = """

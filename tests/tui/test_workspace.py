@@ -34,3 +34,20 @@ def test_a_model_that_is_taken_by_itself_is_one_that_can_be_read(tmp_path: Path)
     space = workspace.Workspace(tmp_path)
     assert [p.name for p in models_for("arm", space)] == ["rig.toml", "rotor.toml", "arm.toml"]
     assert [p.name for p in models_for("", space)] == ["rig.toml", "rotor.toml", "arm.toml"]
+
+
+def test_programs_come_before_what_they_include_the_nearest_and_newest_first(
+    tmp_path: Path,
+) -> None:
+    program, part = "void UserISR_INT2(void) {\n}\n", "/* UserISR_INT2: tau += C(q); */\n"
+    texts = {
+        "a/pd.c": program, "old.c": program, "new.c": program, "compensation.c": part,
+        "a/compensation.c": part, ".hidden/pd.c": program,
+    }  # fmt: skip
+    for age, (name, text) in enumerate(texts.items()):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+        os.utime(tmp_path / name, (1e9 + age, 1e9 + age))
+    programs, parts = workspace.Workspace(tmp_path).sources()
+    assert [str(p.relative_to(tmp_path)) for p in programs] == ["new.c", "old.c", "a/pd.c"]
+    assert [str(p.relative_to(tmp_path)) for p in parts] == ["compensation.c", "a/compensation.c"]

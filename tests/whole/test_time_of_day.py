@@ -41,7 +41,7 @@ MAY = {
     "host/zendsp/tui/screens/execute_measure.py": (1, "in the name of a file that is free"),
     "host/zendsp/tui/screens/execute_runs.py": (2, "shown"),
     "host/zendsp/tui/statusbar.py": (1, "shown"),
-    "host/zendsp/tui/workspace.py": (1, "the order of a list to choose from"),
+    "host/zendsp/tui/workspace.py": (2, "the order of a list to choose from"),
     "protocol/zendsp_protocol/certificates.py": (3, "whether one has ended, as TLS judges it"),
     "protocol/zendsp_protocol/stop_page.py": (1, "shown: when somebody asked for STOP"),
     "target/zendsp_target/access/lists.py": (2, "whether a file is another one: equal or not"),

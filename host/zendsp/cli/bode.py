@@ -22,8 +22,8 @@ from zendsp_protocol.views import text_table
     help="Frequencies at the most: multiples of --f-min, every third of neighbours left out.",
 )
 @click.option(
-    "-a", "--amplitude", type=float, default=0.02, show_default=True,
-    help="Peak of what swings: rad (m), with --torque N m (N).",
+    "-a", "--amplitude", type=float, default=None,
+    help="Peak of what swings: rad (m), with --torque N m (N). Default: by the machine, and told.",
 )
 @click.option("--torque", is_flag=True, help="Swing the torque beside a held position.")
 @click.option("--input", default="", shell_complete=variables, help="Default: r, or tau.")
@@ -38,7 +38,7 @@ def command(
     f_min: float,
     f_max: float,
     lines: int,
-    amplitude: float,
+    amplitude: float | None,
     torque: bool,
     input: str,
     output: str,
@@ -60,7 +60,7 @@ def command(
 
     Example:  zendsp bode --joint 1 --f-max 20 --plot bode.png
     """
-    from zendsp.experiment.frequency import frequency_response
+    from zendsp.experiment.frequency import frequency_response, usual_amplitude
     from zendsp.experiment.response import shown_lines
 
     for path, kinds in ((out, (".csv",)), (plot, (".png", ".svg", ".pdf"))):
@@ -68,15 +68,16 @@ def command(
             raise click.BadParameter(f"{path}: must end in {' or '.join(kinds)}")
     quantity: Literal["position", "torque"] = "torque" if torque else "position"
     seconds = (periods + 1) / f_min if f_min > 0.0 else 0.0
-    with (
-        open_target(target, connect, moves=True) as t,
-        progress("measuring", seconds, as_json) as tell,
-    ):
-        found = frequency_response(
-            t, joint=joint, f_min=f_min, f_max=f_max, lines=lines, amplitude=amplitude,
-            quantity=quantity, input=input, output=output, periods=periods,
-            rehearsed=not no_rehearsal, progress=tell,
-        )  # fmt: skip
+    with open_target(target, connect, moves=True) as t:
+        if amplitude is None:
+            amplitude, unit = usual_amplitude(t.machine(), t.limits(), joint, quantity)
+            click.echo(f"joint {joint} swings by {amplitude:g} {unit}", err=True)
+        with progress("measuring", seconds, as_json) as tell:
+            found = frequency_response(
+                t, joint=joint, f_min=f_min, f_max=f_max, lines=lines, amplitude=amplitude,
+                quantity=quantity, input=input, output=output, periods=periods,
+                rehearsed=not no_rehearsal, progress=tell,
+            )  # fmt: skip
     header = ["f [Hz]", "dB", "deg", "± dB", "± deg", "coherence"]
     shown = text_table(header, shown_lines(found.rows()))
     emit(found.rows(), as_json, f"{shown}\n{found.summary()}")

@@ -9,6 +9,7 @@ import click
 from zendsp.cli.common import emit, open_target, target_options
 from zendsp.errors import ZendspError
 from zendsp.link.concealed import TrueEffect
+from zendsp_protocol.texts import counted
 
 
 @click.command("reveal")
@@ -29,7 +30,7 @@ def command(target: str, connect: str | None, as_json: bool, only_seal: bool) ->
             return
         truth = t.reveal()
         lines = [
-            f"{len(truth.effects)} concealed effect(s), from {truth.source}, friction"
+            f"{counted(len(truth.effects), 'concealed effect')}, from {truth.source}, friction"
             f" {truth.friction}, revealed at tick {truth.tick}"
         ]
         for effect in truth.effects:

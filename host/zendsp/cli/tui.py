@@ -112,11 +112,8 @@ def command(
     if web:
         _serve(target, machine, clock, path, folder, screen, theme, channels, frames, port)
         return
-    if "TEXTUAL_DRIVER" not in os.environ and not sys.stderr.isatty():
-        raise LinkError(
-            "the screens need a terminal, and the output goes elsewhere: leave out the pipe, or"
-            " see them in a browser with --web"
-        )
+    if "TEXTUAL_DRIVER" not in os.environ:
+        _need_terminal()
     from zendsp.tui.memory import keep_one_heap
 
     keep_one_heap()  # before anything of the link starts a thread
@@ -145,6 +142,16 @@ def command(
         app.run()
     finally:
         app.session.stops.release_keys()
+
+
+def _need_terminal() -> None:
+    """Refuse where keys or pictures would go by no terminal."""
+    for stream, what in ((sys.stdin, "keys come from"), (sys.stdout, "output goes")):
+        if not stream.isatty():
+            raise LinkError(
+                f"the screens need a terminal, and the {what} elsewhere: leave out the pipe, or"
+                " see them in a browser with --web"
+            )
 
 
 def found(source: str) -> Path:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from zendsp.diagnosis import Diagnosis, Finding
 from zendsp.link.concealed import TrueEffect, TrueValue
-from zendsp.physics.effects import get_effect
+from zendsp.physics.effects import get_effect, library
 from zendsp.physics.model import Model
 from zendsp.physics.term_numbers import summed
 from zendsp.recording import Recording
@@ -25,6 +25,8 @@ HIDDEN = 0.02  # of its travel: a joint that differs by less agrees with its sim
 SURE = 0.9  # confidence at which a wrong claim is no longer a doubt
 PART = 0.05  # of the mismatch: what a wrong claim may explain at most
 LEAST_FALL = 0.9  # of the error before: what counts as fallen
+MOVED = 0.05  # of a number: a change from which it is another one
+CLOSE = 0.1  # of the size of an effect: what counts as the same size
 
 
 def rms(values: Array) -> Array:
@@ -156,7 +158,8 @@ def in_model_frame(effect: TrueEffect, plan: Machine) -> TrueEffect:
 
 def of_body(finding: Finding) -> bool:
     """Whether a finding is about a body, or about gravity: all joints bear it."""
-    return get_effect(finding.effect).site == "body"
+    effect = library().get(finding.effect)  # a disturbance has no law
+    return effect is not None and effect.site == "body"
 
 
 def matters(finding: Finding) -> bool:
@@ -167,6 +170,61 @@ def matters(finding: Finding) -> bool:
 
 
 @dataclass(frozen=True)
+class Refit:
+    """A number of the given model that the machine has not: of a law that is not missing, so that
+    calibration finds it.
+    """
+
+    effect: str
+    joint: int  # 1-based
+    name: str
+    unit: str
+    had: float
+    value: float
+    std: float
+
+    @property
+    def change(self) -> float:
+        """As a part of the larger of both."""
+        larger = max(abs(self.value), abs(self.had))
+        return abs(self.value - self.had) / larger if larger else 0.0
+
+    @property
+    def moved(self) -> bool:
+        """Whether it is another number than the given one."""
+        return self.change > MOVED and abs(self.value - self.had) > 3.0 * self.std
+
+    def holds(self, truth: TrueEffect) -> bool:
+        """Whether it took up a concealed effect, all of it."""
+        if (self.effect, self.joint) != (truth["effect"], truth["joint"]):
+            return False
+        sizes = truth["parameters"]
+        size = float(sizes[self.name]["value"])
+        return abs(self.value - self.had - size) <= max(CLOSE * abs(size), 3.0 * self.std)
+
+
+def refits(diagnosis: Diagnosis) -> tuple[Refit, ...]:
+    """The given model's own numbers with what calibration made of them: the size of each term, and
+    the inertia of a single joint.
+    """
+    given, calibrated = diagnosis.given, diagnosis.calibrated
+    out = []
+    for before in given.terms:
+        after = next((t for t in calibrated.at(before.joint) if t.effect == before.effect), None)
+        if after is None:  # replaced
+            continue
+        name = get_effect(before.effect).linear[0]
+        had, has = before.parameters[name], after.parameters[name]
+        out.append(
+            Refit(before.effect, before.joint, name, had.unit, had.value, has.value, has.std)
+        )
+    if given.kind == "rotary":
+        had, has = given.mechanism["inertia"][0], calibrated.mechanism["inertia"][0]
+        out.append(Refit("inertia", 1, "amount", "kg m^2", had.value, has.value, has.std))
+    return tuple(out)
+
+
+@dataclass(frozen=True)
 class Judged:
     """The answer beside the truth.
 
@@ -174,9 +232,11 @@ class Judged:
     ----------
     named : bool
         Every concealed effect is among the findings, or among what a finding says it cannot be told
-        from.
+        from, or the calibration of what the given model has itself took it up.
     exact : bool
         And by its own name.
+    by_calibration : tuple of Refit
+        That took up a concealed effect.
     extra : tuple of Finding
         That are no concealed effect.
     parameters : tuple
@@ -186,6 +246,7 @@ class Judged:
 
     named: bool
     exact: bool
+    by_calibration: tuple[Refit, ...]
     extra: tuple[Finding, ...]
     parameters: tuple[tuple[str, float, float, float, str, float], ...]
 
@@ -199,7 +260,17 @@ def judge(diagnosis: Diagnosis, effects: Sequence[TrueEffect]) -> Judged:
         Of :class:`zendsp.link.concealed.Truth`.
     """
     found = diagnosis.findings
-    named = all(any(matches(f, truth) for f in found) for truth in effects)
+    fitted = refits(diagnosis)
+    taken = [
+        None
+        if any(matches(f, truth) for f in found)
+        else next((r for r in fitted if r.holds(truth)), None)
+        for truth in effects
+    ]
+    named = all(
+        took is not None or any(matches(f, truth) for f in found)
+        for truth, took in zip(effects, taken, strict=True)
+    )
     pairs = [
         (f, truth)
         for truth in effects
@@ -219,13 +290,20 @@ def judge(diagnosis: Diagnosis, effects: Sequence[TrueEffect]) -> Judged:
                         estimate.unit, had,
                     )
                 )
+    by_calibration = tuple(took for took in taken if took is not None)
+    for truth, took in zip(effects, taken, strict=True):
+        if took is not None:
+            true = float(truth["parameters"][took.name]["value"]) + took.had
+            rows.append((took.name, took.value, took.std, true, took.unit, took.had))
+    exact = named and len(pairs) + len(by_calibration) == len(effects)
     return Judged(
-        named and bool(found or not effects), named and len(pairs) == len(effects), extra,
+        named and bool(found or by_calibration or not effects), exact, by_calibration, extra,
         tuple(rows),
     )
 
 
 def _added(model: Model, finding: Finding) -> float:
     """What a model has itself of that to which a finding adds."""
-    symmetric = get_effect(finding.effect).symmetric
+    effect = library().get(finding.effect)
+    symmetric = effect.symmetric if effect is not None else ""
     return summed(model, finding.joint, symmetric) if symmetric else 0.0

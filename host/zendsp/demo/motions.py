@@ -60,14 +60,16 @@ def _multisine(
 
 
 def arm_train(machine: Machine) -> Reference:
-    """What the arm is recorded on: circles slow and fast, then a wide multisine."""
+    """What the arm is recorded on: circles slow and fast, small sways, then a wide multisine."""
     slow = make_circle(machine, radius=0.12, x=0.48, duration=3.0)
     fast = make_circle(machine, radius=0.12, x=0.48, duration=2.6, turns=-2)
+    # Both joints reverse below 0.1 rad/s, each in its own time: without that, friction that falls
+    # with speed was a foreign torque, and what one joint does to the other a disturbance.
+    sway = _multisine(machine, [0.3, 0.5], 0.06, 4.0, 0.75)
     # Nearly as wide as the limits of speed allow: over 2.8 rad, a ripple of three a turn looked
     # like a spring, gravity and another ripple.
-    return join(
-        machine, [slow, fast, _multisine(machine, [0.0, 0.5], [1.7, 1.5], 6.0, 1.0, fade=0.7)]
-    )
+    wide = _multisine(machine, [0.0, 0.5], [1.7, 1.5], 6.0, 1.0, fade=0.7)
+    return join(machine, [slow, fast, sway, wide])
 
 
 def arm_heldout(machine: Machine) -> Reference:
@@ -106,11 +108,16 @@ def pendulum_heldout(machine: Machine) -> Reference:
 
 
 def pendulum_work(machine: Machine) -> Reference:
-    """One lap of the pendulum's work."""
+    """One lap of the pendulum's work: it swings slower and faster in turn. At one pace all that
+    friction does near rest is done in 25 ms, sooner than a torque that is fed forward can meet it.
+    """
     dt = machine.sample_time
     t = np.arange(round(12.0 / dt) + 1) * dt
     rise = np.clip(np.minimum(t, t[-1] - t) / 1.5, 0.0, 1.0)
-    swing = 1.2 * np.sin(np.pi * t) * rise**3 * (10.0 + rise * (6.0 * rise - 15.0))
+    pace, turn, slower = 0.4, 6.0, 0.8  # Hz on average; s between slowest and slowest; of the pace
+    late = slower * turn / (2 * np.pi) * np.sin(2 * np.pi * t / turn)
+    swing = 1.2 * np.sin(2 * np.pi * pace * (t - late))
+    swing *= rise**3 * (10.0 + rise * (6.0 * rise - 15.0))
     lap = Reference(swing, dt, kind="swing", machine=machine.name)
     machine.check(lap)
     return lap

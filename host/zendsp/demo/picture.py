@@ -66,14 +66,8 @@ def _headline(told: Told) -> str:
         if told.truth
         else "?"
     )
-    found = (
-        ", ".join(
-            f"{f.effect.replace('_', ' ')} on joint {f.joint}" for f in told.diagnosis.findings
-        )
-        or "nothing"
-    )
-    gap = "      " if len(truth) + len(found) < ONE_LINE else "\n"
-    return f"concealed: {truth}{gap}found: {found}"
+    gap = "      " if len(truth) + len(told.found) < ONE_LINE else "\n"
+    return f"concealed: {truth}{gap}found: {told.found}"
 
 
 def _unit(told: Told) -> str:

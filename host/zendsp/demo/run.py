@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -123,6 +124,7 @@ def _outcome(told: Told, files: list[Path], teller: Narrator) -> dict[str, Any]:
         "source": told.truth.source if told.truth else "",
         "verdict": report["verdict"],
         "findings": report["findings"],
+        "refitted": [asdict(refit) for refit in told.refits],
         "fit": report["fit"],
         "hidden": {
             "position_rad": list(told.recorded.hidden.position),

@@ -19,14 +19,20 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.errors import AcquisitionError
+from zendsp.errors import AcquisitionError, Refused
 from zendsp.experiment.excite import play
 from zendsp.experiment.response import KEPT, Complex, Floats, FrequencyResponse
 from zendsp.link import Target
 from zendsp.prompt import shows_progress
 from zendsp.reference.crest import low_crest_phases
+from zendsp_protocol.messages import Limits, MachineInfo
 
 REACH = 0.4  # of the sample rate: a line above is too near to half of it
+LEAST_RAD, LEAST_M = 0.02, 0.002
+COUNTS = 100.0  # of the encoder: a swing of a few is its steps, and dry friction holds it
+TRAVEL = 0.1  # of all that there is between the limits of the position
+SPEED_S = 0.007  # peak over limit of the speed: 0.5 to 30 Hz reach 28 times the peak a second
+PART = 0.05  # of the torque limit: a small joint of an arm swings far by more
 BESIDE = 2  # harmonics on either side of a line that tell its distortion
 
 
@@ -38,7 +44,7 @@ def frequency_response(
     f_min: float = 0.5,
     f_max: float = 30.0,
     lines: int = 30,
-    amplitude: float = 0.02,
+    amplitude: float | None = None,
     quantity: Literal["position", "torque"] = "position",
     input: str = "",
     output: str = "",
@@ -66,8 +72,9 @@ def frequency_response(
     lines : int
         Frequencies at the most. Of neighbouring multiples every third is left out: what shows there
         is distortion.
-    amplitude : float
+    amplitude : float, optional
         Peak of the multisine, rad (m), or N m (N). Of a position, line k has amplitude ~ 1/k.
+        Default: `usual_amplitude`.
     quantity : {"position", "torque"}
         What swings: the reference ``ref``, or the torque ``ref_tau`` beside a position that is
         held.
@@ -102,6 +109,8 @@ def frequency_response(
     harmonics = choose_lines(samples, f_max / f_min, lines, rate)
     if periods < 2:
         raise AcquisitionError(f"periods = {periods}: at least 2, to tell what repeats")
+    if amplitude is None:
+        amplitude, _ = usual_amplitude(target.machine(), target.limits(), joint, quantity)
     if not 0.0 < amplitude < math.inf:
         raise AcquisitionError(f"amplitude = {amplitude:g}: expected more than 0 rad (m, N m, N)")
     power = 1 if quantity == "position" else 0
@@ -138,6 +147,57 @@ def frequency_response(
     return FrequencyResponse(
         f, gain, std, coherence, bent, given, found, unit, periods, recording
     )  # fmt: skip
+
+
+def usual_amplitude(
+    machine: MachineInfo,
+    limits: Limits,
+    joint: int,
+    quantity: Literal["position", "torque"] = "position",
+) -> tuple[float, str]:
+    """Return a peak that shows over friction and encoder, far below the limits, and its unit.
+
+    Of a position 0.02 rad (2 mm), or 100 counts of the encoder where that is more; at most a tenth
+    of the travel, and what keeps the default band below a fifth of the speed limit. Of a torque 5 %
+    of its limit.
+
+    Parameters
+    ----------
+    machine : MachineInfo
+    limits : Limits
+    joint : int
+        From 1.
+    quantity : {"position", "torque"}
+
+    Returns
+    -------
+    peak : float
+        To two digits.
+    unit : str
+        rad (m), or N m (N).
+
+    Raises
+    ------
+    Refused
+        There is no such joint.
+    AcquisitionError
+        There is no limit of its torque to go by.
+    """
+    if not 1 <= joint <= len(machine.joints):
+        raise Refused(f"joint {joint}: the machine has {len(machine.joints)}, counted from 1")
+    j, info = joint - 1, machine.joints[joint - 1]
+    unit = info.unit
+    if quantity == "torque":
+        unit = "N" if info.unit == "m" else "N m"
+        peak = PART * limits.torque_max[j]
+        if not 0.0 < peak < math.inf:
+            raise AcquisitionError(f"joint {joint} has no torque limit to go by: give amplitude")
+    else:
+        least = LEAST_M if info.unit == "m" else LEAST_RAD
+        travel = limits.position_max[j] - limits.position_min[j]
+        peak = max(least, COUNTS / abs(info.counts_per_unit or math.inf))
+        peak = min(peak, TRAVEL * travel, SPEED_S * limits.speed_max[j])
+    return float(f"{peak:.2g}"), unit
 
 
 def choose_lines(samples: int, ratio: float, most: int, rate: float) -> npt.NDArray[np.int64]:

@@ -17,6 +17,14 @@ FloatArray = npt.NDArray[np.float64]
 _ELEMENT = re.compile(r"^(.+)\[(\d+)\]$")
 # A unit must stand apart from the name by a blank, otherwise "q[0]" would have the unit "0".
 _UNIT = re.compile(r"^(.*\S)\s+[\[(]([^\[\]()]*)[\])]$")
+# What people write in brackets behind a name that says which of several signals it is. None is a
+# unit: 'q (raw)' and 'q (filtered)' are two columns in SI units.
+QUALIFIERS = {
+    "act", "actual", "axis", "calc", "calculated", "cmd", "command", "commanded", "des", "desired",
+    "est", "estimated", "fb", "feedback", "ff", "filt", "filtered", "joint", "left", "link", "load",
+    "meas", "measured", "motor", "out", "output", "raw", "ref", "reference", "right", "setpoint",
+    "sim", "simulated", "smoothed", "true", "unfiltered",
+}  # fmt: skip
 
 
 def split_element(name: str) -> tuple[str, int] | None:
@@ -27,10 +35,26 @@ def split_element(name: str) -> tuple[str, int] | None:
 
 def split_unit(header: str) -> tuple[str, str]:
     """Split ``"q1 [rad]"`` or ``"q1 (rad)"`` into name and unit; the unit is empty where none is
-    written.
+    written. What only says which signal it is stays in the name.
+
+    Examples
+    --------
+    >>> split_unit("q1 (rad)"), split_unit("q1 (raw)")
+    (('q1', 'rad'), ('q1 (raw)', ''))
     """
     match = _UNIT.match(header)
-    return (match.group(1), match.group(2)) if match else (header, "")
+    if match is None or qualified(header):
+        return header, ""
+    return match.group(1), match.group(2)
+
+
+def qualified(header: str) -> str:
+    """What stands in brackets behind a name and is no unit, such as ``raw``; empty where nothing
+    does.
+    """
+    match = _UNIT.match(header)
+    words = re.findall(r"[^\W\d_]+", match.group(2).lower()) if match else []
+    return match.group(2) if match and words and QUALIFIERS.issuperset(words) else ""
 
 
 def element_names(name: str, width: int) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from enum import Enum
 
-from zendsp.recording.units import to_si
+from zendsp.recording.units import ENCODER, to_si
 
 
 class Role(Enum):
@@ -51,8 +51,8 @@ UNITS = {
 }
 ALLOWED = {  # units that a role can have; any where the file states none
     Role.TIME: {"s"},
-    Role.POSITION: {"rad", "m"},
-    Role.REFERENCE: {"rad", "m"},
+    Role.POSITION: {"rad", "m", *ENCODER},
+    Role.REFERENCE: {"rad", "m", *ENCODER},
     Role.VELOCITY: {"rad/s", "m/s"},
     Role.CURRENT: {"A"},
 }

@@ -11,7 +11,15 @@ import numpy as np
 
 from zendsp.errors import RecordingError
 from zendsp.recording.formats import Raw
-from zendsp.recording.names import FloatArray, gather_vectors, listing, pick, split_unit, units_in
+from zendsp.recording.names import (
+    FloatArray,
+    gather_vectors,
+    listing,
+    pick,
+    qualified,
+    split_unit,
+    units_in,
+)
 from zendsp.recording.own import TIME_NAME, checked
 from zendsp.recording.units import in_si
 from zendsp_protocol.texts import counted
@@ -234,7 +242,12 @@ def _checked(path: Path, raw: Raw, wanted: Sequence[str] | None) -> Table:
     columns, in_units, notes = in_si(
         {name: _upright(values) for name, values in raw.columns.items()}, raw.units
     )
-    notes = raw.notes + notes
+    said = tuple(
+        f"{name}: {qualified(name)!r} is no unit: it is read as part of the name, and the column in"
+        " SI units"
+        for name in raw.columns if qualified(name) and not raw.units.get(name)
+    )  # fmt: skip
+    notes = raw.notes + said + notes
     joined, units = gather_vectors(columns, in_units) if _equal(columns) else (columns, in_units)
     table = Table(joined, units, raw.constants, path, notes)
     if wanted is not None:

@@ -63,7 +63,8 @@ KNOWN = (
     "rad, deg, gon, rev, rpm, m, mm, in, s, ms, Hz, N, N m, mN m, Nmm, kg, g, A, mA, V, W, and what"
     " they make with blanks, powers and a slash: 'kg cm^2', 'N m s/rad', 'deg/s'"
 )
-AS_WRITTEN = ("%", "°C", "degC", "counts", "count", "ticks")  # numbers that are left as they are
+ENCODER = ("counts", "count", "ticks")  # what the model's [sensor] matrix makes rad or m of
+AS_WRITTEN = ("%", "°C", "degC", *ENCODER)  # numbers that are left as they are
 # suffixes of names that say nothing else; `_ms` is milliseconds only where a word of the rest names
 # a time
 SUFFIXES = {

@@ -8,6 +8,7 @@ from concurrent.futures import Future
 from functools import partial
 from pathlib import Path
 
+from textual import events
 from textual.actions import SkipAction
 from textual.app import SystemCommand
 from textual.driver import Driver
@@ -28,6 +29,7 @@ from zendsp.tui.typeahead import HELD_S, TypeAhead
 from zendsp.tui.workspace import Workspace
 from zendsp_isr.sources import gather, shipped_programs
 
+READ_S = 1.0  # that a message stays, whatever is typed
 PUT_BACK_S = 5.0  # for a run that was stopped to put back what it has set
 
 
@@ -59,6 +61,7 @@ class ZendspApp(TypeAhead):
     TITLE = "zendsp"
     CSS_PATH = "zendsp.tcss"
     ENABLE_COMMAND_PALETTE = True
+    VERTICAL_BREAKPOINTS = [(0, "-low"), (TALL, "-high")]  # noqa: RUF012
     BINDINGS = bindings("app")
 
     def __init__(
@@ -87,6 +90,7 @@ class ZendspApp(TypeAhead):
         self.targets = Targets(self, find_targets, start_machine, machines)
         self._target, self._first, self._theme_name, self._begin = target, first, theme, begin
         self.chosen: tuple[Path, ...] = ()  # references that Execute will play
+        self._toasted: float | None = None  # when the last message was shown, monotonic
         self._marked = False  # the end of the first picture is told
         self._screens: dict[str, LabScreen] = {}
         self._awaited: tuple[Path, Callable[[Run], None]] | None = None
@@ -175,7 +179,9 @@ class ZendspApp(TypeAhead):
         elif not isinstance(self.screen, Leave):
             port = self.session.port
             here = port is not None and port.here
-            self.push_screen(Leave(self.session.snapshot, here, self._plays()), self._leave)
+            self.push_screen(
+                Leave(lambda: self.session.snapshot, self._plays, here=here), self._leave
+            )
 
     def action_suspend(self) -> None:
         """Say why the terminal does not sleep."""
@@ -249,13 +255,20 @@ class ZendspApp(TypeAhead):
 
     def action_acknowledge(self) -> None:
         """Acknowledge a trip or a STOP. The target would pause the program also where none is
-        latched: then the key belongs to another widget, such as an input field.
+        latched: then the key belongs to another widget, such as an input field. Under a dialog it
+        is never a command: only STOP is.
         """
         now = self.session.snapshot
         latched = now.trip is not None or now.drive in ("stopped", "tripped") or now.crash
-        if now.link == "up" and not latched and self.session.stops.verdict is None:
+        nothing = now.link == "up" and not latched and self.session.stops.verdict is None
+        beneath = isinstance(self.screen, ModalScreen)
+        if nothing or beneath:
             if not isinstance(self.focused, Input):
-                self.toast("nothing is latched, so there is nothing to acknowledge")
+                self.toast(
+                    "nothing is latched, so there is nothing to acknowledge"
+                    if nothing
+                    else "Esc closes this first; then Ctrl+K acknowledges"
+                )
             raise SkipAction
         if self.session.stops.unseen(self._typed):
             said = "the STOP was not shown yet when it was typed: acknowledge once more"
@@ -265,6 +278,15 @@ class ZendspApp(TypeAhead):
         self.drive("acknowledge", "acknowledge", trip=now.trip)
 
     # -- keys
+
+    async def on_event(self, event: events.Event) -> None:
+        """Take a message that was read off a small terminal, before what a key does."""
+        pressed = isinstance(event, events.Key) and not event.is_forwarded
+        read = self._toasted is not None and time.monotonic() > self._toasted + READ_S
+        if pressed and read and self.size.height < TALL:
+            self._toasted = None
+            self.clear_notifications()
+        await super().on_event(event)
 
     def get_driver_class(self) -> type[Driver]:
         """Read the keys that the process of STOP hands on."""
@@ -334,11 +356,13 @@ class ZendspApp(TypeAhead):
         return shipped_programs()
 
     def toast(self, text: str, level: str = "information") -> None:
-        """Show a short message over the screen; brackets of units survive. On a small terminal the
-        newest takes the place of those before: they would cover the values.
+        """Show a short message over the screen; brackets of units survive. On a small terminal it
+        takes the place of the keys at the bottom and of the message before, and goes with the next
+        key: it would cover the values.
         """
         if self.size.height < TALL:
             self.call_later(self.clear_notifications)  # also of those on their way
+        self._toasted = time.monotonic()
         severity = (
             "error" if level == "error" else "warning" if level == "warning" else "information"
         )

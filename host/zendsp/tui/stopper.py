@@ -15,8 +15,9 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from io import TextIOWrapper
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 from zendsp.tui.stop_process import HERE, Field, StopState, is_stop
 
@@ -150,7 +151,8 @@ class Stopper:
 def with_stop(
     base: type[Driver], stopper: Callable[[], Stopper | None], stop: Callable[[], object]
 ) -> type[Driver]:
-    """Make a driver like ``base`` that reads what the process hands on, and lets it do STOP.
+    """Make a driver like ``base`` that reads what the process hands on, lets it do STOP, and draws
+    on standard output: standard error is free for ``2>file``.
 
     Where the process is gone, the thread that reads the keys calls ``stop`` itself.
     """
@@ -159,6 +161,13 @@ def with_stop(
 
     class Stopping(base):  # type: ignore[misc, valid-type]
         _fileno = 0
+
+        def __init__(self, *arguments: Any, **options: Any) -> None:
+            super().__init__(*arguments, **options)
+            if getattr(self, "_file", None) is sys.__stderr__:
+                # no sign of a picture may end it where the locale cannot write it
+                cast(TextIOWrapper, sys.__stdout__).reconfigure(errors="backslashreplace")
+                self._file = sys.__stdout__
 
         @property
         def fileno(self) -> int:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from zendsp.reference.files import is_reference
 
+ENTRY = re.compile(rb"void\s+UserISR_INT2\s*\(")  # in every program (isr.h)
 MOST = 200  # files that a list is made of
 
 
@@ -67,10 +68,20 @@ class Workspace:
         dated = sorted(((p.stat().st_mtime, p) for p in found), reverse=True)
         return [p for _, p in dated[:MOST] if is_reference(p)]
 
-    def sources(self) -> list[Path]:
-        """Return the C files in this folder and beneath it, the nearest first; hidden folders are
-        left out.
+    def sources(self) -> tuple[list[Path], list[Path]]:
+        """Return the control programs in this folder and beneath it, and the C files that programs
+        include; the nearest first, then the newest. Hidden folders are left out.
         """
         found = list(self.root.glob("*.c"))
         found += [p for p in self.root.glob("*/*.c") if not p.parent.name.startswith(".")]
-        return sorted(found)[:MOST]
+        dated = sorted(found, key=lambda p: (p.parent != self.root, -p.stat().st_mtime, p))[:MOST]
+        programs = [p for p in dated if _is_program(p)]
+        return programs, [p for p in dated if p not in programs]
+
+
+def _is_program(path: Path) -> bool:
+    """Whether a C file has the function that runs every sample."""
+    try:
+        return ENTRY.search(path.read_bytes()) is not None
+    except OSError:
+        return False

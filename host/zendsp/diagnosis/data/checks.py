@@ -33,6 +33,7 @@ MOSTLY = 0.5  # of the samples
 OPPOSITE = -0.5  # slope
 UNIT_FACTOR = (0.7, 1.4)  # of a factor between units
 OTHER_UNITS = 10  # times the actuator's limit, and most of the time beyond it
+MILLI = 1000.0  # of a unit; a command within its limits is so many times as large in milli-units
 TOO_LARGE = 1.001  # of the actuator's limit: more than a rounding
 AT_TOP = 0.999  # of the largest command: there
 STUCK = 0.03  # of the time at the largest command
@@ -170,9 +171,11 @@ def _follows(where: str, y: Array, r: Array, kind: str) -> None:
 def _limits(where: str, u: Array, limit: float) -> list[str]:
     top = float(np.max(np.abs(u)))
     if limit > 0 and top > OTHER_UNITS * limit and float(np.mean(np.abs(u) > limit)) > MOSTLY:
+        milli = ", such as mA in place of A" if top < MILLI * limit else ""
         raise RecordingError(
             f"{where}: the command reaches {top:.4g} and is most of the time beyond the actuator's"
-            f" limit of {limit:.4g}: is it in other units than the model's [actuator]?"
+            f" limit of {limit:.4g}: is it in other units than the model's [actuator]{milli}? Write"
+            " the unit that its numbers have into the column's head, or give [actuator] gain for it"
         )
     if limit > 0 and top > TOO_LARGE * limit:
         return [

@@ -89,10 +89,12 @@ def check_units(name: str, source: Recording | Table, columns: Columns, model: M
         each = [(c, unit) for c in names_of(spec) for unit in units_in(source.units, c)]
         for k, (column, unit) in enumerate(each):
             bare, kind = split_unit(column)[0], dimension(unit) if unit else None
-            if unit and kind is None and role != "command":
+            mixed = role == "position" and bool(model.sensor.matrix)
+            if unit and kind is None and role != "command" and not mixed:
                 raise RecordingError(
                     f"{name}: {role} {bare!r}: {not_known(unit)}. Write one of them in the head of"
                     f" the column ('{bare} [deg]', for example), or no brackets for SI units"
+                    f"{_by_matrix(role, unit)}"
                 )
             slides = model.joint_kind(k + 1 if len(each) == model.joints else 1) == "linear"
             wanted = list(own[slides : slides + 1] if told else own)
@@ -107,8 +109,15 @@ def check_units(name: str, source: Recording | Table, columns: Columns, model: M
                 )
             raise RecordingError(
                 f"{name}: {role} {bare!r} is in {unit}: correct the unit in the head of the column,"
-                f" or {other}"
+                f" or {other}{_by_matrix(role, unit)}"
             )
+
+
+def _by_matrix(role: str, unit: str) -> str:
+    """What to write in the model file where a position stays in its own unit."""
+    if role != "position":
+        return ""
+    return f"; or leave it, and write into the model: [sensor] matrix = [[rad (m) per {unit}]]"
 
 
 def getter(source: Recording | Table) -> tuple[str, Getter, tuple[str, ...]]:

@@ -138,12 +138,13 @@ def check_driven(
             every = [agreeing, *[_agreeing(_looked(part, model).found) for part in beside]]
             units = not any(model.joint_kind(k + 1) == kind for some in every for k in some)
             period = records[0].sample_time
-            _undo(name, found, _mistakes(here, kind == "rotary", units), period, model, i)
+            likely = _mistakes(here, kind == "rotary", command_unit(model, i) if units else "")
+            _undo(name, found, likely, period, model, i)
         _clipped(name, found, float(np.max(np.abs(here.u[i]))), model, i + 1)
     # a part in which the joints hardly move says nothing of a gain that another part shows right
     shown = any(_agreeing(_looked(part, model).found) for part in beside)
     if not shown and not is_tool(here.slow, model, here.body):
-        scaled(where[0].removesuffix(": joint 1"), slopes)
+        scaled(where[0].removesuffix(": joint 1"), slopes, command_unit(model, 0))
 
 
 def _clipped(name: str, found: Regression, top: float, model: Model, joint: int) -> None:
@@ -164,19 +165,48 @@ def _clipped(name: str, found: Regression, top: float, model: Model, joint: int)
         )
 
 
-def scaled(name: str, slopes: Sequence[float]) -> None:
+def command_unit(model: Model, i: int) -> str:
+    """The unit in which the model expects the command of a joint (from 0)."""
+    return model.actuator.unit or ("N" if model.joint_kind(i + 1) == "linear" else "N m")
+
+
+def thousandfold(factor: float, unit: str) -> str:
+    """Why a command may be a thousand times, or a thousandth of, what the model expects; empty for
+    another factor.
+
+    Examples
+    --------
+    >>> thousandfold(1100.0, "A").partition("?")[0], thousandfold(10.0, "A")
+    ('the command is 1000 times what the model expects: mA in place of A', '')
+    """
+    if RIGHT[0] < factor / 1e3 < RIGHT[1]:
+        times, other = "1000 times", f"m{unit} in place of {unit}"
+    elif RIGHT[0] < factor * 1e3 < RIGHT[1]:
+        times, other = "a thousandth of", f"{unit} under a head that says m{unit}"
+    else:
+        return ""
+    return (
+        f"the command is {times} what the model expects: {other}? Write the unit that its numbers"
+        " have into the column's head, or give [actuator] gain for it"
+    )
+
+
+def scaled(name: str, slopes: Sequence[float], unit: str) -> None:
     """Refuse where the inertias of all joints that show theirs are off by one factor (``slopes``,
-    of the model's).
+    of the model's); ``unit``: of the command, as the model expects it.
     """
     low, high = min(slopes, default=1.0), max(slopes, default=1.0)
     # once the factor is undone, each is as near its model's as RIGHT allows
     alike = len(slopes) > 1 and 0.0 < high < RIGHT[1] / RIGHT[0] * low
     if alike and (low > GEARED or high < 1.0 / GEARED):
         factor = math.exp(math.fsum(map(math.log, slopes)) / len(slopes))
+        why = thousandfold(factor, unit) or (
+            f"divide the actuator's gain by about {factor:.2g} (a gear ratio, a torque constant, a"
+            " unit of the command), or correct the model's masses"
+        )
         raise RecordingError(
             f"{name}: the inertias of all joints that show theirs come out as {low:.2g} to"
-            f" {high:.2g} times the model's: divide the actuator's gain by about {factor:.2g} (a"
-            " gear ratio, a torque constant, a unit of the command), or correct the model's masses"
+            f" {high:.2g} times the model's: {why}"
         )
 
 
@@ -200,25 +230,23 @@ def _sign(name: str, found: Regression) -> None:
 
 
 def _mistakes(
-    here: _Looked, rotary: bool, units: bool
+    here: _Looked, rotary: bool, of: str
 ) -> list[tuple[str, tuple[Array, Array, Array]]]:
-    """The likely mistakes, and position, command and noise with each of them undone; ``units``:
-    those of units too, which all joints of a kind have in common.
+    """The likely mistakes, and position, command and noise with each of them undone; ``of``: the
+    unit of the command, empty where no unit is mistaken, as all joints of a kind have it in common.
     """
     y, u, noise = here.y, here.u, here.noise
     small = DEGREE if rotary else 1e3
     words = "degrees, not radians" if rotary else "millimetres, not metres"
     unit = "deg" if rotary else "mm"
     head = "write the unit in the column's head, as 'q"
-    gain = "of what the model's gain expects"
-    gains = "give [actuator] gain for the command's own unit"
     of_units = [
         (f"the position is in {words}: {head} [{unit}]'", (y / small, u, noise / small)),
-        (f"the command is in milli-units {gain}: {gains}", (y, u / 1e3, noise)),
-        (f"the command is in thousands {gain}: {gains}", (y, u * 1e3, noise)),
+        (thousandfold(1e3, of), (y, u / 1e3, noise)),
+        (thousandfold(1e-3, of), (y, u * 1e3, noise)),
     ]
     return [
-        *(of_units if units else []), ("position and command are swapped", (u, y, 0 * noise))
+        *(of_units if of else []), ("position and command are swapped", (u, y, 0 * noise))
     ]
 
 

@@ -7,12 +7,14 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from zendsp.diagnosis.decide.contract import WORDS, dark, listed, nameless, spans, two_digits
+from zendsp_protocol.texts import counted
 
 if TYPE_CHECKING:
     from zendsp.diagnosis.decide.contract import Verdict
     from zendsp.diagnosis.decide.result import Detectable, Diagnosis
 
 REFINEMENTS = 6  # that a summary names
+MISSED = 3  # of what may have been missed that a summary names
 SMALLEST_SHARE = 1e-4  # of a torque: less is not told from nothing
 LARGEST_SHARE = 9.99
 SMALLER = 1.05  # times: a smaller fall of the error is not told as one
@@ -163,18 +165,22 @@ def summary(d: Diagnosis) -> str:
         if d.verdict != "complete" or x.interval[1] < 1.0:
             left = unnamed(x.share, x.interval[1])
             lines.append(f"nothing named explains: joint {x.joint}, {left}")
-    if d.verdict == "complete" and d.detectable:
-        small = sorted(d.detectable, key=lambda x: -x.share)[:3]
-        lines.append(
-            "it would have shown: "
-            + ", ".join(f"{x.effect} of {_sized(x)} (joint {x.joint})" for x in small)
-        )
+    if d.detectable:
+        lines.append(f"what may have been missed: {_missed(d.detectable)}")
     if d.next_recording:
         lines += ["", f"next: {d.next_recording.sentence}"]
     if d.notes:
         lines += ["", *[f"note: {n}" for n in d.notes]]
     lines.append(f"({d.seconds:.1f} s)")
     return "\n".join(lines)
+
+
+def _missed(detectable: Sequence[Detectable]) -> str:
+    """The largest that the recordings could hide, as parts of the torque, and how many more."""
+    largest = sorted(detectable, key=lambda x: -x.share)[:MISSED]
+    named = ", ".join(f"{x.effect} below {_sized(x)} (joint {x.joint})" for x in largest)
+    more = len(detectable) - len(largest)
+    return named + (f", and {counted(more, 'smaller one')}" if more else "")
 
 
 def _sized(x: Detectable) -> str:

@@ -22,12 +22,20 @@ from zendsp.physics.files.draft_data import (
     unbroken,
     why_degrees,
 )
-from zendsp.physics.files.draft_tables import Page, listed, put_actuator, put_columns, put_sensor
+from zendsp.physics.files.draft_tables import (
+    COUNTS_A_TURN,
+    TURN,
+    Page,
+    listed,
+    put_actuator,
+    put_columns,
+    put_sensor,
+)
 from zendsp.physics.files.shipped import model_folder
 from zendsp.recording import Table
 from zendsp.recording.roles import Role
 from zendsp.recording.samples import is_gap
-from zendsp.recording.units import not_known
+from zendsp.recording.units import ENCODER, not_known
 from zendsp_protocol.texts import counted
 
 ROUGH = 0.15  # relative standard deviation of a first idea: what is missing bends it
@@ -97,7 +105,8 @@ def draft_model(table: Table, machine: Machine | None = None) -> Draft:
         _mujoco(page, known)
     else:
         part = unbroken(clock, len(position.values))
-        shown = replace(position, values=position.values[part])
+        turned = TURN / COUNTS_A_TURN if position.unit in ENCODER and known is None else 1.0
+        shown = replace(position, values=turned * position.values[part])
         driven = command and replace(command, values=command.values[part])
         degrees = why_degrees(position, best_group(groups, Role.VELOCITY, joints), clock)
         _mechanism(page, shown, driven, step, linear, known, degrees)
@@ -268,6 +277,8 @@ def _unit_asked(position: Group, degrees: str) -> str:
             f"{', '.join(position.names)}: {position.unit}. Joints that slide beside joints that"
             ' turn are described by kind = "urdf" or "mjcf" and its file: write them'
         )
+    if position.unit in ENCODER:
+        return ""  # asked in [sensor]
     if position.unit:
         return (
             f"{names}: {not_known(position.unit)}. Write one of them in {head}, such as"

@@ -20,7 +20,10 @@ from zendsp.physics.files.draft_data import (
 from zendsp.physics.kernel.signals import find_resolution
 from zendsp.recording import Table
 from zendsp.recording.roles import Role
+from zendsp.recording.units import ENCODER
 
+TURN = 2.0 * np.pi  # rad
+COUNTS_A_TURN = 4096  # of an encoder of which nothing is known
 SATURATED = 20  # samples at the largest command: it was cut off there
 
 
@@ -147,7 +150,15 @@ def put_sensor(page: Page, position: Group, linear: bool, machine: Machine | Non
         steps = [1.0 / abs(float(joint["counts_per_unit"])) for joint in machine.joints]
         units, told = [str(joint["unit"]) for joint in machine.joints], "as the machine says"
     unit = one_or_each(units)
-    if all(steps):
+    in_counts = position.unit in ENCODER and machine is None
+    if in_counts:
+        each = np.diag([TURN / COUNTS_A_TURN] * len(steps)).round(8).tolist()
+        page.choice(
+            f"matrix = {each}", f"{unit} per {position.unit.removesuffix('s')}",
+            f"how many {unit} is one of the {position.unit}? This and the numbers above are for"
+            f" {COUNTS_A_TURN} a turn",
+        )  # fmt: skip
+    if all(steps) and not in_counts:
         said = f"{unit} per count, {told}"
         turns = [2 * np.pi / s for s in steps]
         if unit == "rad" and all(
@@ -160,7 +171,9 @@ def put_sensor(page: Page, position: Group, linear: bool, machine: Machine | Non
     else:
         page.choice(
             "position_resolution = 0.001", f"{unit} per count",
-            "no steps are seen: what does the encoder resolve?",
+            "what does the encoder resolve?"
+            if in_counts
+            else "no steps are seen: what does the encoder resolve?",
         )
     if machine is not None and machine.model:
         return

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from zendsp.tui.dialogs.choose import Choose, Option
 from zendsp.tui.snapshot import Snapshot
 
+LOOK_S = 0.2  # between looks at the machine beneath
 LEFT = {
     "stop": "the target stops it: if the host is lost, stop",
     "hold": "its program brings it to rest: if the host is lost, hold",
@@ -23,28 +26,56 @@ def becomes(s: Snapshot) -> str:
     return LEFT.get(s.host_lost, s.host_lost) if lets_go else "the program goes on"
 
 
+def stands(s: Snapshot) -> str:
+    """Say in a title whether the machine moves, and else why not."""
+    if moves(s):
+        return "The machine moves"
+    if s.link != "up":
+        return "The link is lost"
+    latched = s.drive in ("stopped", "tripped")
+    return f"The machine is {s.drive}" if latched else "The machine stands"
+
+
 class Leave(Choose):
-    """Ask; the result is ["stay"], ["stop"] or ["leave"].
+    """Ask; the result is ["stay"], ["stop"] or ["leave"]. What it says changes with the machine.
 
     Parameters
     ----------
+    look : callable
+        Returns what is known of the target now.
+    busy : callable
+        Whether a run of Execute is under way.
     here : bool
         The machine is simulated by this terminal, and ends with it.
-    busy : bool
-        A run of Execute is under way.
     """
 
-    def __init__(self, s: Snapshot, here: bool, busy: bool) -> None:
-        left = becomes(s)
-        if here:
+    def __init__(
+        self, look: Callable[[], Snapshot], busy: Callable[[], bool], *, here: bool
+    ) -> None:
+        self._look, self._busy, self._ends = look, busy, here
+        super().__init__(stands(look()), self._ways())
+
+    def on_mount(self) -> None:
+        """Look again as often as numbers change."""
+        super().on_mount()
+        self.set_interval(LOOK_S, self._see)
+
+    def _see(self) -> None:
+        ways = self._ways()
+        self.query_one(".box").border_title = stands(self._look())
+        if ways != self._options:
+            self._options = ways
+            self._fill(self._words)
+
+    def _ways(self) -> tuple[Option, ...]:
+        s = self._look()
+        left = becomes(s) if moves(s) else ""
+        if self._ends:
             left = "the simulated machine ends with this terminal"
-        elif busy:
-            left += "; what the run has set stays"
-        super().__init__(
-            "The machine moves",
-            [
-                Option("stay", "stay"),
-                Option("stop", "STOP and quit", "stands until acknowledged"),
-                Option("leave", "quit", left),
-            ],
+        elif self._busy():
+            left = f"{left}; what the run has set stays".removeprefix("; ")
+        return (
+            Option("stay", "stay"),
+            Option("stop", "STOP and quit", "stands until acknowledged"),
+            Option("leave", "quit", left),
         )

@@ -107,14 +107,15 @@ class ProgramActions(LabScreen):
 
     def _choose_source(self, then: Callable[[Path], None]) -> None:
         shipped = self.lab.examples()
-        files = self.lab.workspace.sources() + shipped
-        if not files:
+        own, parts = self.lab.workspace.sources()
+        options = [
+            *(Option(str(p), p.name, str(p.parent)) for p in own),
+            *(Option(str(p), p.name, first_words(p)) for p in shipped),
+            *(Option(str(p), p.name, f"no program, but a part of one: {p.parent}") for p in parts),
+        ]
+        if not options:
             self.say(f"no C file in {self.lab.workspace.root} or one folder below", "warning")
             return
-        options = [
-            Option(str(p), p.name, first_words(p) if p in shipped else str(p.parent))
-            for p in files
-        ]
         self.app.push_screen(
             Choose("Source", options),
             lambda keys: then(Path(keys[0])) if keys else None,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from textual import on
@@ -57,7 +57,7 @@ class MeasureActions(RunActions):
             return
         last = self._asked.get(Outcome.RESPONSE, {})
         joints = max(snapshot.joints, 1)
-        swings = ["position"]
+        swings: list[Literal["position", "torque"]] = ["position"]
         if any(v.name == "ref_tau" for v in snapshot.variables):
             swings.append("torque")
         quantity = last.get("quantity", "position")
@@ -69,7 +69,8 @@ class MeasureActions(RunActions):
                 "quantity", "What swings", quantity if quantity in swings else "position",
                 choices=swings,
             ),
-            Field("amplitude", "Peak", last.get("amplitude", 0.02), "rad, N m", positive),
+            Field("amplitude", "Peak", last.get("amplitude") or "", "rad, N m", _or_usual,
+                  hint=_usual(snapshot, swings)),
             Field("f_min", "From", last.get("f_min", 0.5), "Hz", positive),
             Field("f_max", "To", last.get("f_max", 30.0), "Hz", positive),
             Field("lines", "Frequencies at most", last.get("lines", 30), "", whole),
@@ -235,6 +236,27 @@ class MeasureActions(RunActions):
     def follow_live(self, snapshot: Snapshot) -> None:
         """Follow the run's channels live; the screen knows how."""
         raise NotImplementedError
+
+
+def _or_usual(text: str) -> float | None:
+    return positive(text) if text.strip() else None
+
+
+def _usual(s: Snapshot, swings: Sequence[Literal["position", "torque"]]) -> str:
+    """Say how far the first joint swings where nothing is typed."""
+    from zendsp.experiment.frequency import usual_amplitude
+
+    if s.described is None or s.limits is None:
+        return "else by the machine"
+    peaks = []
+    for quantity in swings:
+        try:
+            peak, unit = usual_amplitude(s.described, s.limits, 1, quantity)
+        except ZendspError:
+            continue
+        peaks.append(f"{peak:g} {unit}")
+    of = "joint 1: " if s.joints > 1 else ""
+    return f"else by the machine, {of}{' or '.join(peaks)}"
 
 
 def _words(text: str) -> str:
