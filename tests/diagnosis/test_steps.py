@@ -380,3 +380,51 @@ def test_no_move_begins_from_a_gap_that_has_closed(monkeypatch: pytest.MonkeyPat
         moves.clear()
         backlash.refine(Scored(done, data, 0.0, (1,)), 1, 0.0, 400.0, 1)
         assert bool(moves) is moved
+
+
+def test_a_hypothesis_that_a_first_look_bends_is_fitted_upon_the_numbers_of_the_model(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of a small motor each turn round lasted less than a thinned sample: the friction that such a
+    look put beside a true torque cost more than the torque gained, and nothing was found.
+    """
+    reference = reality.multisine(6.0, RATE, 3)
+    pushed = reality.simulate(reality.Machine(push=(0.004, 0.0, 99.0)), reference, RATE)
+    model = model_of(VISCOUS, COULOMB)
+    current = calibrate_joint(data_of(pushed, model), model, 1)
+    other = reality.simulate(reality.Machine(coulomb=0.12), reference, RATE)
+    monkeypatch.setattr(rounds, "first_look", lambda *_: data_of(other, model))
+    found = Rounds(current.data, 1, 1, lambda _: None, model).round(current)
+    assert found[0].value < current.deviance - rounds.WAIT
+    assert found[0].effect == "torque_offset"
+
+
+def test_a_screen_asks_for_no_torque_where_friction_holds_the_joint() -> None:
+    """Among rests the weight of a small motor promised nothing, and was not among those fitted."""
+    reference = np.repeat([0.0, 0.7, 0.1, 0.9, 0.2, 0.6], round(1.5 * RATE))
+    machine = reality.Machine(coulomb=0.06, kp=1.0, kd=0.06)
+    columns = reality.simulate(machine, reference, RATE)
+    for terms, share in (((VISCOUS, {**COULOMB, "level": 0.06}), 0.1), ((VISCOUS,), 1.0)):
+        model = model_of(*terms)
+        data = data_of(columns, model)
+        fitted = fit(data, model, joint_handles(data, model, 1), joints=(1,), iterations=1)
+        screen = Screen(data, fitted, 1, (1,))
+        still = np.abs(data.records[0][0].motion.states[1]) < 0.1 * screen.floors[0]
+        assert np.mean(still) > 0.3
+        assert np.max(screen.free[0][still]) <= share
+
+
+def test_a_filter_that_a_delay_explains_as_well_is_called_a_delay() -> None:
+    reference = reality.multisine(6.0, RATE, 3)
+    columns = reality.simulate(reality.Machine(delay=6e-4), reference, RATE)
+    base = model_of(VISCOUS, COULOMB)
+    calibrated = calibrate_joint(data_of(columns, base), base, 1)
+    filtered = model_of(
+        VISCOUS, COULOMB, {"kind": "position_filter", "joint": 1, "time_constant": 6e-4}
+    )
+    handles = joint_handles(calibrated.data, filtered, 1)
+    scored = fit_scored(calibrated.data, filtered, handles, (1,))
+    rival = Rival("position_filter", 1, scored, 10.0, filtered.at(1)[-1:], ())
+    found = JointSearch(1, calibrated, [Step(rival, (), calibrated)], scored)
+    best, _ = simplify(found, informative(calibrated.data, 1), 1)
+    assert [t.effect for t in best.model.at(1)] == ["viscous", "coulomb", "delay"]

@@ -28,6 +28,7 @@ MAY = {
     "host/zendsp/cli/salvage.py": (2, "shown"),
     "host/zendsp/lab_keys.py": (4, "certificates are good until a day"),
     "host/zendsp/link/metadata.py": (1, "kept in the recording"),
+    "host/zendsp/physics/model.py": (1, "whether a file is another one: equal or not"),
     "host/zendsp/physics/robots/mjcf.py": (1, "whether a file is another one: equal or not"),
     "host/zendsp/physics/robots/robot.py": (1, "whether a file is another one: equal or not"),
     "host/zendsp/physics/simulation/run.py": (2, "kept in the recording"),
