@@ -17,7 +17,7 @@ from typing import Any
 from zendsp.diagnosis.data.inertia import inertia_ranges
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.absorbed import bodies_wrong, shifted
-from zendsp.diagnosis.decide.across import pushed_alone, same_timing
+from zendsp.diagnosis.decide.across import all_late, pushed_alone, same_timing
 from zendsp.diagnosis.decide.assemble import Assembled, assemble
 from zendsp.diagnosis.decide.claims import Decision, unclaimed
 from zendsp.diagnosis.decide.decide import decide
@@ -147,6 +147,7 @@ def explain(
     searched already.
     """
     searches, decisions = _search(parts, given, beneath, jobs, tell, done)
+    decisions = all_late(parts, beneath, searches, decisions, jobs)
     decisions = pushed_alone(same_timing(parts, decisions, jobs))
     tell("fitting the improved model")
     decisions, whole = _no_worse(parts, beneath, decisions, jobs)

@@ -2,27 +2,40 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 from zendsp.diagnosis.data.signals import Parts
-from zendsp.diagnosis.decide.claims import Claim, Decision
+from zendsp.diagnosis.decide.claims import LAWS_OF, Claim, Decision
 from zendsp.diagnosis.decide.nameless import without_law
+from zendsp.diagnosis.decide.pieces import piece_of
 from zendsp.diagnosis.decide.pushes import unpushed
-from zendsp.diagnosis.decide.thresholds import A_PART, OF_STATE, PREDICTED, SURE
+from zendsp.diagnosis.decide.thresholds import (
+    A_PART,
+    FALSE_DISCOVERIES,
+    OF_STATE,
+    PREDICTED,
+    SURE,
+)
 from zendsp.diagnosis.measure.curve import FRICTION
+from zendsp.diagnosis.measure.discrepancy import discrepancy
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
 from zendsp.diagnosis.measure.significance import counterpart
 from zendsp.diagnosis.measure.windows import rms, window_error
+from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
+from zendsp.diagnosis.search.rounds import WAIT
 from zendsp.physics.calibration.fit import joint_handles
 from zendsp.physics.calibration.terms import make_term
 from zendsp.physics.effects import get_effect, library, mechanism_of
-from zendsp.physics.model import Term
+from zendsp.physics.effects.column_shift import ROW
+from zendsp.physics.model import Model, Term
 
 PLACE = "position_torque"
 # ratio of the times of two joints, at most, that may be one: one filter of six joints was found as
 # times within 1.3; not measured further
 ALIKE = 1.5
+MANY = 3  # joints at least that have to be late together, where none of them says so alone
 
 
 def across_joints(decisions: Sequence[Decision]) -> list[Decision]:
@@ -138,6 +151,89 @@ def same_timing(parts: Parts, decisions: Sequence[Decision], jobs: int) -> list[
     ]
 
 
+def all_late(
+    parts: Parts,
+    given: Model,
+    searches: Sequence[JointSearch],
+    decisions: Sequence[Decision],
+    jobs: int,
+) -> list[Decision]:
+    """The decisions, with one law of timing where most joints come late by as much, and by more
+    than simulators differ in: what it is may be less at each joint than what stays unexplained
+    there, and all together say what none says alone.
+
+    Parameters
+    ----------
+    given : Model
+        What the joints were searched upon.
+    searches, decisions : sequence
+        One a joint, in their order.
+    jobs : int
+        Threads.
+    """
+    least = ROW * parts.fit.records[0][0].sample_time
+    by_name: dict[str, list[Rival]] = {}
+    for search, decision in zip(searches, decisions, strict=True):
+        free = all(c.effect == "unknown" and _comes_late(c.term) for c in decision.claims)
+        if free and not any(rec[search.joint - 1].between for rec in parts.fit.records):
+            for r in search.tried:
+                if _comes_late(r.terms[0]) and r.value < search.base.deviance - WAIT:
+                    by_name.setdefault(r.effect, []).append(r)
+    alike = [found for found in by_name.values() if _may_be_one_time(found, least, len(searches))]
+    if not alike:
+        return list(decisions)
+
+    def gain(found: Sequence[Rival]) -> float:
+        return sum(searches[r.joint - 1].base.deviance - r.value for r in found)
+
+    best = max(alike, key=gain)
+    claims = {r.joint: _of_many(parts, given, searches[r.joint - 1], r, jobs) for r in best}
+    shown = [c.log_e for c in claims.values()]
+    needed = math.log(len(searches) * len(LAWS_OF) / FALSE_DISCOVERIES)
+    if sum(shown) < needed or sum(x > 0.0 for x in shown) < MANY:
+        return list(decisions)
+    same = _alike({best[0].effect}) - {best[0].effect}
+    late = {r.joint: r.scored for r in best}
+    return [
+        _late_as_all(d, replace(claims[d.joint], same=tuple(sorted(same))), late[d.joint], parts)
+        if d.joint in late and claims[d.joint].log_e > 0.0
+        else d
+        for d in decisions
+    ]
+
+
+def _comes_late(term: Term) -> bool:
+    effect = get_effect(term.effect)
+    return effect.family == "timing" and (effect.parameters[0].lower or 0.0) >= 0.0
+
+
+def _may_be_one_time(found: Sequence[Rival], least: float, joints: int) -> bool:
+    """Whether enough joints come late, by more than ``least`` s and all by about as much."""
+    if len(found) < max(MANY, joints / 2):
+        return False
+    terms = [counterpart(r.scored.model.at(r.joint), r.terms[0]) for r in found]
+    times = [next(iter(t.parameters.values())).value for t in terms]
+    return least < min(times) >= max(times) / ALIKE
+
+
+def _of_many(parts: Parts, given: Model, search: JointSearch, rival: Rival, jobs: int) -> Claim:
+    """What a law of timing is worth at one joint, on untouched recordings."""
+    mechanism = mechanism_of(rival.effect)
+    term = counterpart(rival.scored.model.at(rival.joint), rival.terms[0])
+    piece = piece_of(parts.test, given, rival.scored, mechanism, (term,), search.base, jobs)
+    at = (piece.size, piece.evidence, piece.log_e)
+    return Claim(rival.effect, mechanism, term, *at, {rival.effect: 1.0}, (), (), ())
+
+
+def _late_as_all(decision: Decision, claim: Claim, scored: Scored, parts: Parts) -> Decision:
+    """The decision with the time by which all joints are late, and nothing else."""
+    after = discrepancy(parts.test, scored.model, decision.joint)
+    return replace(
+        decision, kind="missing", claims=(claim,), refinements=(), bursts=None,
+        final=scored, alone=scored, after=after, bare=after,
+    )  # fmt: skip
+
+
 def timing(decisions: Sequence[Decision]) -> tuple[Term, ...]:
     """The terms by which command and position are apart in time, where they are at two joints or
     more; at a joint where that does not show, as at another one.
@@ -166,10 +262,7 @@ def friction_beside_weight(decisions: Sequence[Decision]) -> tuple[Term, ...]:
 
 def _is_late(claim: Claim) -> bool:
     """Whether a claim is of a time by which the joint comes late, and nothing else."""
-    if claim.effect == "unknown":
-        return False
-    effect = get_effect(claim.effect)
-    return effect.family == "timing" and (effect.parameters[0].lower or 0.0) >= 0.0
+    return claim.effect != "unknown" and _comes_late(claim.term)
 
 
 def _with_law(
