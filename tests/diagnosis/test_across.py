@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -14,6 +14,7 @@ from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.structure import Structure
+from zendsp.diagnosis.search.hypothesis import Rival
 from zendsp.physics.calibration.terms import make_term
 from zendsp.physics.effects import get_effect, mechanism_of
 
@@ -116,6 +117,46 @@ def test_a_joint_that_is_late_like_the_others_has_their_law() -> None:
         late[k] = replace(late[k], final=fitted(claim.term))  # type: ignore[arg-type]
     found = across.same_timing(SimpleNamespace(), late, 1)  # type: ignore[arg-type]
     assert [d.claims[0].effect for d in found] == ["delay", "delay", "delay", "unknown"]
+
+
+@pytest.mark.parametrize(
+    ("times", "shown", "claimed"),
+    [
+        ((0.0041, 0.0046, 0.0039), (3.0, 4.0, 6.0), 3),
+        ((0.0041, 0.0046, 0.0009), (3.0, 4.0, 6.0), 0),  # not by as much
+        ((0.0011, 0.0012, 0.0010), (3.0, 4.0, 6.0), 0),  # by half a row: simulators differ so
+        ((0.0041, 0.0046, 0.0039), (0.5, 0.2, 0.9), 0),  # untouched recordings do not say so
+        ((0.0041, 0.0046), (30.0, 40.0), 0),  # two joints are not many
+    ],
+)
+def test_joints_that_all_come_late_say_together_what_none_says_alone(
+    times: tuple[float, ...],
+    shown: tuple[float, ...],
+    claimed: int,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """All six commands of an arm were a row late: a fifth of a percent of the torque each."""
+    searches, decisions = [], []
+    for joint, time in enumerate(times, 1):
+        term = make_term(get_effect("delay"), joint, {"time": time})
+        scored: Any = fitted(term, -100.0)
+        rival = Rival("delay", joint, scored, 10.0, (term,), ())
+        base = SimpleNamespace(deviance=0.0)
+        searches.append(SimpleNamespace(joint=joint, tried=[rival], base=base))
+        decisions.append(replace(lacking(joint, "delay", time=time), kind="complete", claims=()))
+    record = SimpleNamespace(sample_time=0.002, between=0.0)
+    parts = SimpleNamespace(fit=SimpleNamespace(records=[[record] * 3]), test=None)
+
+    def of_many(*asked: Any) -> Claim:
+        joint = asked[3].joint
+        claim = lacking(joint, "delay", time=times[joint - 1]).claims[0]
+        return replace(claim, log_e=shown[joint - 1])
+
+    monkeypatch.setattr(across, "_of_many", of_many)
+    monkeypatch.setattr(across, "discrepancy", lambda *_: Size(0.0, 0.0, 0.0))
+    found = across.all_late(parts, None, searches, decisions, 1)  # type: ignore[arg-type]
+    assert sum(len(d.claims) for d in found) == claimed
+    assert all(c.effect == "delay" and "column_shift" in c.same for d in found for c in d.claims)
 
 
 def test_joints_that_come_late_by_unlike_times_keep_their_laws() -> None:
