@@ -338,7 +338,7 @@ def _why(
             least = f"findings have {percent(finest(rival.effect))} % at least"
             small = f"{percent(seen.size)} % of the torque, and {least}"
             return rival.effect, f"too small to be told: {small}", 0.5 * gain
-        left = f"{percent(beside.value)} % stays unexplained beside it"
+        left = f"up to {percent(beside.high)} % may stay unexplained beside it"
         why = f"not surely this law: {percent(seen.size)} % of the torque, and {left}"
         return rival.effect, why, 0.5 * gain
     why = (
