@@ -392,7 +392,9 @@ def test_a_hypothesis_that_a_first_look_bends_is_fitted_upon_the_numbers_of_the_
     pushed = reality.simulate(reality.Machine(push=(0.004, 0.0, 99.0)), reference, RATE)
     model = model_of(VISCOUS, COULOMB)
     current = calibrate_joint(data_of(pushed, model), model, 1)
-    other = reality.simulate(reality.Machine(coulomb=0.12), reference, RATE)
+    other = reality.simulate(
+        reality.Machine(push=(0.004, 0.0, 99.0), coulomb=0.12), reference, RATE
+    )
     monkeypatch.setattr(rounds, "first_look", lambda *_: data_of(other, model))
     found = Rounds(current.data, 1, 1, lambda _: None, model).round(current)
     assert found[0].value < current.deviance - rounds.WAIT

@@ -90,6 +90,7 @@ class Rounds:
         self.progress, self.given = progress, given
         self.n = informative(data, joint)
         self._rounds: dict[int, tuple[Scored, list[Rival]]] = {}
+        self._levels: dict[int, tuple[Scored, float]] = {}
 
     def round(self, current: Scored) -> list[Rival]:
         """Fit the promising hypotheses on top of a model, the most likely first; one entry an
@@ -247,13 +248,19 @@ class Rounds:
         """Before nothing is found: hypotheses that gain most on the thinned recordings that they
         were fitted to. On all samples their other numbers, fitted to these, may cost more.
         """
-        look = first_look(current.data, current.model, self.joint)
-        joints = (self.joint,)
-        base = self._short(look, current.model, current.fit.handles, 6, self.jobs)
-        level = deviance(look, base.model, joints)
-        gains = [level - deviance(look, r.scored.model, joints) - r.price for r in rivals]
+        gains = [self._gain_of_look(current, r.scored.model) - r.price for r in rivals]
         best = sorted(zip(gains, range(len(rivals)), strict=True), reverse=True)[:PROMISED]
         return [rivals[i] for gain, i in best if gain > WAIT]
+
+    def _gain_of_look(self, current: Scored, model: Model) -> float:
+        """Deviance that a model gains upon another on the thinned recordings of a first look, to
+        which that one is fitted too.
+        """
+        look, joints = first_look(current.data, current.model, self.joint), (self.joint,)
+        if id(current) not in self._levels:
+            base = self._short(look, current.model, current.fit.handles, 6, self.jobs)
+            self._levels[id(current)] = (current, deviance(look, base.model, joints))
+        return self._levels[id(current)][1] - deviance(look, model, joints)
 
     def _too_small(self, rival: Rival, term: Term) -> bool:
         """Whether a term is below what its effect says that a recording can show of it."""
@@ -311,7 +318,7 @@ class Rounds:
             look = first_look(current.data, result.model, self.joint)
             result = self._short(look, result.model, result.handles, 10 if rough else 5)
             value = deviance(current.data, result.model, (self.joint,))
-        if value >= current.deviance:
+        if value >= current.deviance and self._gain_of_look(current, result.model) > WAIT:
             result, value = self._upon_its_numbers(current, candidate, result, value)
         data = current.data
         if slow or value < current.deviance:
