@@ -34,6 +34,8 @@ from zendsp.diagnosis.search.simplify import simplify
 from zendsp.physics.calibration import convergence
 from zendsp.physics.calibration.fit import Data, fit, joint_handles
 from zendsp.physics.calibration.joint import facts
+from zendsp.physics.calibration.terms import make_term
+from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model
 
 CREEP = {"kind": "creep", "joint": 1, "speed": 0.002}
@@ -396,9 +398,12 @@ def test_a_hypothesis_that_a_first_look_bends_is_fitted_upon_the_numbers_of_the_
         reality.Machine(push=(0.004, 0.0, 99.0), coulomb=0.12), reference, RATE
     )
     monkeypatch.setattr(rounds, "first_look", lambda *_: data_of(other, model))
-    found = Rounds(current.data, 1, 1, lambda _: None, model).round(current)
-    assert found[0].value < current.deviance - rounds.WAIT
-    assert found[0].effect == "torque_offset"
+    begin = make_term(get_effect("torque_offset"), 1, {"level": -0.003})
+    asked = [Candidate("torque_offset", 1, (begin,), (), 1.0)]
+    found = Rounds(current.data, 1, 1, lambda _: None, model)._quick(current, asked)
+    assert found is not None and found.value < current.deviance - rounds.WAIT
+    found_level = found.scored.model.at(1)[-1].value("level")
+    assert found_level == pytest.approx(-0.004, rel=0.1)
 
 
 def test_a_screen_asks_for_no_torque_where_friction_holds_the_joint() -> None:
