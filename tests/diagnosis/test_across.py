@@ -17,6 +17,7 @@ from zendsp.diagnosis.measure.structure import Structure
 from zendsp.diagnosis.search.hypothesis import Rival
 from zendsp.physics.calibration.terms import make_term
 from zendsp.physics.effects import get_effect, mechanism_of
+from zendsp.physics.model import Term
 
 
 def lacking(joint: int, name: str, **values: float) -> Decision:
@@ -179,3 +180,14 @@ def test_a_body_is_asked_for_beside_the_friction_that_joints_lack(
     decisions = [lacking(1, "coulomb", level=1.0), lacking(2, name, **numbers)]
     beside = [t.effect for t in across.friction_beside_weight(decisions)]
     assert ("coulomb" in beside) is asked
+
+
+def test_beside_a_mechanism_without_any_law_no_joint_is_asked_whether_it_is_late() -> None:
+    nameless = lacking(1, "coulomb", level=1.0)
+    claim = nameless.claims[0]
+    bare = replace(claim, effect="unknown", term=Term("unknown", 1, {}))
+    decisions = [replace(nameless, claims=(bare,))]
+    search = SimpleNamespace(joint=1, tried=[], base=None)
+    record = SimpleNamespace(sample_time=0.002, between=0.0)
+    parts = SimpleNamespace(fit=SimpleNamespace(records=[[record]]))
+    assert across.all_late(parts, None, [search], decisions, 1) == decisions  # type: ignore[arg-type, list-item]

@@ -203,7 +203,10 @@ def all_late(
 
 
 def _comes_late(term: Term) -> bool:
-    effect = get_effect(term.effect)
+    """Whether a term is a time by which the joint comes late; it may be no law at all."""
+    effect = library().get(term.effect)
+    if effect is None:
+        return False
     return effect.family == "timing" and (effect.parameters[0].lower or 0.0) >= 0.0
 
 
