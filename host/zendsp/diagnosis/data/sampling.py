@@ -34,7 +34,7 @@ MOST_OF_TWO = 2  # samples that a late stamp and its neighbour span; a missing r
 # of the roughness over stamps: rows that are smoother than this were read evenly. Stamps that are
 # true make it 1 and more, however slow the motion
 SMOOTHER = 0.8
-UNKNOWN = 20.0  # % of the command that lines between rows miss: a chattering loop
+LINES_MISS = 20.0  # % of the command that lines between rows miss: a chattering loop
 UNSEEN = 0.05  # of the time between rows: less is the rounding of stamps
 UNITS = 0.02  # of a factor between units
 # steps in counts that tell a lattice: below it is rounding, far above the digits printed do not do
@@ -300,7 +300,7 @@ def between_rows(s: Signals, hold: float) -> Signals:
         f" {s.sample_time:.4g} s from row to row; in between, lines stand, which miss what the"
         f" loop does there by {share:.2g} % of the command"
     )
-    if share > UNKNOWN:
+    if share > LINES_MISS:
         note += (
             ". Beside so much that nobody saw, what seems to come late, to swing or to turn with"
             " the joint may be nothing: record the command's mean from row to row, or every sample"

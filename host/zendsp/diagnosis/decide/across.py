@@ -35,7 +35,7 @@ PLACE = "position_torque"
 # ratio of the times of two joints, at most, that may be one: one filter of six joints was found as
 # times within 1.3; not measured further
 ALIKE = 1.5
-MANY = 3  # joints at least that have to be late together, where none of them says so alone
+LATE_TOGETHER = 3  # joints at least that have to be late together, where none of them says so alone
 
 
 def across_joints(decisions: Sequence[Decision]) -> list[Decision]:
@@ -190,7 +190,7 @@ def all_late(
     claims = {r.joint: _of_many(parts, given, searches[r.joint - 1], r, jobs) for r in best}
     shown = [c.log_e for c in claims.values()]
     needed = math.log(len(searches) * len(LAWS_OF) / FALSE_DISCOVERIES)
-    if sum(shown) < needed or sum(x > 0.0 for x in shown) < MANY:
+    if sum(shown) < needed or sum(x > 0.0 for x in shown) < LATE_TOGETHER:
         return list(decisions)
     same = _alike({best[0].effect}) - {best[0].effect}
     late = {r.joint: r.scored for r in best}
@@ -212,7 +212,7 @@ def _comes_late(term: Term) -> bool:
 
 def _may_be_one_time(found: Sequence[Rival], least: float, joints: int) -> bool:
     """Whether enough joints come late, by more than ``least`` s and all by about as much."""
-    if len(found) < max(MANY, joints / 2):
+    if len(found) < max(LATE_TOGETHER, joints / 2):
         return False
     terms = [counterpart(r.scored.model.at(r.joint), r.terms[0]) for r in found]
     times = [next(iter(t.parameters.values())).value for t in terms]
