@@ -187,7 +187,8 @@ def test_beside_a_mechanism_without_any_law_no_joint_is_asked_whether_it_is_late
     claim = nameless.claims[0]
     bare = replace(claim, effect="unknown", term=Term("unknown", 1, {}))
     decisions = [replace(nameless, claims=(bare,))]
-    search = SimpleNamespace(joint=1, tried=[], base=None)
+    search: Any = SimpleNamespace(joint=1, tried=[], base=None)
     record = SimpleNamespace(sample_time=0.002, between=0.0)
-    parts = SimpleNamespace(fit=SimpleNamespace(records=[[record]]))
-    assert across.all_late(parts, None, [search], decisions, 1) == decisions  # type: ignore[arg-type, list-item]
+    parts: Any = SimpleNamespace(fit=SimpleNamespace(records=[[record]]))
+    given: Any = None
+    assert across.all_late(parts, given, [search], decisions, 1) == decisions

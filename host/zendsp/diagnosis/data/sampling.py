@@ -34,7 +34,8 @@ MOST_OF_TWO = 2  # samples that a late stamp and its neighbour span; a missing r
 # of the roughness over stamps: rows that are smoother than this were read evenly. Stamps that are
 # true make it 1 and more, however slow the motion
 SMOOTHER = 0.8
-LINES_MISS = 20.0  # % of the command that lines between rows miss: a chattering loop
+# % of the command that lines between rows miss: a chattering loop. Chosen, on one arm that had 43
+LINES_MISS = 20.0
 UNSEEN = 0.05  # of the time between rows: less is the rounding of stamps
 UNITS = 0.02  # of a factor between units
 # steps in counts that tell a lattice: below it is rounding, far above the digits printed do not do

@@ -35,7 +35,8 @@ PLACE = "position_torque"
 # ratio of the times of two joints, at most, that may be one: one filter of six joints was found as
 # times within 1.3; not measured further
 ALIKE = 1.5
-LATE_TOGETHER = 3  # joints at least that have to be late together, where none of them says so alone
+# joints at least that have to be late together, where none says so alone. Chosen: seen on one arm
+LATE_TOGETHER = 3
 
 
 def across_joints(decisions: Sequence[Decision]) -> list[Decision]:

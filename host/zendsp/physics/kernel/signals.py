@@ -276,7 +276,7 @@ def noise_beside_quantisation(y: Array, resolution: float) -> float:
     """Standard deviation of sensor noise that the resolution does not explain.
 
     From codes that go to and fro where the motion is slow. Where that is too seldom, or the noise
-    larger than a third of a count, from fourth differences of fast motion: there rounding is as
+    larger than a fifth of a count, from fourth differences of fast motion: there rounding is as
     good as white. Where it is nowhere fast, from the codes of a joint that hardly moves.
 
     Parameters
