@@ -318,7 +318,8 @@ class Rounds:
             look = first_look(current.data, result.model, self.joint)
             result = self._short(look, result.model, result.handles, 10 if rough else 5)
             value = deviance(current.data, result.model, (self.joint,))
-        if value >= current.deviance and self._gain_of_look(current, result.model) > WAIT:
+        gained = max(current.deviance - value, WAIT)
+        if self._gain_of_look(current, result.model) > gained:  # and these are but part of them
             result, value = self._upon_its_numbers(current, candidate, result, value)
         data = current.data
         if slow or value < current.deviance:

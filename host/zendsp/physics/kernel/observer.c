@@ -79,12 +79,13 @@ INLINE void OF(innovate)(const OF(task) *O, OF(motion) *X, int k, double *loop, 
 INLINE int OF(predict)(OF(task) *O, double *r, double *xq, double *xqd, double *torque)
 {
     const zk_model *M = O->M;
-    OF(lane) q, qd, ql, qdl, seen, y, z, zh, rub, u = {0}, a, past, tau = {0};
+    OF(lane) q, qd, ql, qdl, seen, y, z, zh, rub, u = {0}, a, past, tau = {0}, early = {0};
     OF(lane) jm, per_jm, per_jl, bias, load, wave, slope, bend, push, spring, ex, mean, fade;
     OF(motion) motion = {
         LANES_AT(q),      LANES_AT(qd),     LANES_AT(ql),   LANES_AT(qdl),   LANES_AT(seen),
         LANES_AT(y),      LANES_AT(z),      LANES_AT(zh),   LANES_AT(rub),   LANES_AT(u),
-        LANES_AT(a),      LANES_AT(past),   LANES_AT(tau),  LANES_AT(jm),    LANES_AT(per_jm),
+        LANES_AT(a),      LANES_AT(past),   LANES_AT(tau),  LANES_AT(early), LANES_AT(jm),
+        LANES_AT(per_jm),
         LANES_AT(per_jl), LANES_AT(bias),   LANES_AT(load), LANES_AT(wave),  LANES_AT(slope),
         LANES_AT(bend),   LANES_AT(push),   LANES_AT(spring), LANES_AT(ex),  LANES_AT(mean),
         LANES_AT(fade)}, *X = &motion;

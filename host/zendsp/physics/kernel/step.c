@@ -38,13 +38,21 @@ INLINE void OF(hold)(const OF(task) *O, OF(motion) *X, int k)
     OF(act)(M, O->N, O->S, LANES_OF(u), (OF(lane) *)X->tau);
 }
 
-/* The same over a step that begins at tl, for a command that lags or is late. */
+/* The same over a step that begins at tl, for a command that lags or is late: its mean, and how far
+ * it takes the joint beyond what its mean would, times the inertia. */
 INLINE void OF(drive)(const OF(task) *O, OF(motion) *X, double tl, int first)
 {
     const OF(numbers) *N = O->N;
+    const zk_model *M = O->M;
+    const double h = O->h;
     EACH {
-        const double next = cum(O->M, tl + O->h - N->delay[l], O->per_T);
+        const double end = tl + h - N->delay[l], next = cum(M, end, O->per_T),
+                     edge = floor(clip(end * O->per_T, M->n - 1.0)), /* where the command changes */
+                     until = edge * M->T - (end - h);
+        const int within = (until > 0) & (until < h) & (edge >= 0);
+        const double then = M->ucum[within ? (int)edge : 0] - X->past[l];
         X->u[l] = (next - X->past[l]) * O->per_h;
+        X->early[l] = within ? 0.5 * N->gain[l] * (h * then - until * (next - X->past[l])) : 0.0;
         X->past[l] = next;
     }
     if (O->hidden && N->lag_on)
@@ -52,8 +60,10 @@ INLINE void OF(drive)(const OF(task) *O, OF(motion) *X, double tl, int first)
             double before = first ? X->u[l] : X->a[l], held = X->u[l];
             X->u[l] = held + (before - held) * X->mean[l];
             X->a[l] = held + (before - held) * X->ex[l];
+            X->early[l] += N->gain[l] * (before - held) * N->lag[l] * h *
+                           (0.5 * (1 + X->ex[l]) - X->mean[l]);
         }
-    OF(act)(O->M, N, O->S, LANES_OF(u), (OF(lane) *)X->tau);
+    OF(act)(M, N, O->S, LANES_OF(u), (OF(lane) *)X->tau);
 }
 
 /* The error of a transmission: the load turns by slope for each turn of the motor. */
@@ -203,20 +213,30 @@ INLINE void OF(bristle)(const OF(task) *O, OF(motion) *X, const OF(lane) *level,
     }
 }
 
-/* The motor's step, of which all but dry friction and its kin are known. */
+/* The motor's step, of which all but dry friction and its kin are known. Dry friction resists the
+ * motion until the joint stands, and from then on, within the same step, what moves it again. */
 INLINE void OF(slide)(const OF(task) *O, OF(motion) *X, const OF(lane) *f, const OF(lane) *scale)
 {
-    OF(lane) free, vfree, level, vn;
+    const double h = O->h;
+    const int soft = O->hidden && (O->N->creeps || O->N->bristled); /* of each lane or of none */
+    OF(lane) free, vfree, level, vn, way;
     EACH free[l] = X->push[l] - (*f)[l];
     if (O->hidden && O->N->bent) OF(remember)(O, X, &free);
-    EACH vfree[l] = X->qd[l] + O->h * free[l] * X->per_jm[l];
+    EACH vfree[l] = X->qd[l] + h * free[l] * X->per_jm[l];
     OF(dry)(O->M, O->N, O->S, &vfree, scale, &level);
     EACH {
         level[l] = level[l] > 0 ? level[l] : 0.0;
-        vn[l] = OF(soft)(vfree[l], O->h * level[l] * X->per_jm[l]);
+        const double a = free[l] * X->per_jm[l], b = level[l] * X->per_jm[l], v = X->qd[l];
+        const double to = v + h * (a - b * sgn(v)); /* where it would get without a stand */
+        const int turns = soft ? 0 : v * to <= 0;
+        const double stood = turns & (v != 0) ? h * v / (v - to) : 0.0, left = h - stood;
+        vn[l] = turns ? left * OF(soft)(a, b) : OF(soft)(vfree[l], h * b);
+        way[l] = turns ? 0.5 * (stood * v + left * vn[l]) : 0.5 * h * (v + vn[l]);
     }
     if (O->hidden && O->N->creeps) OF(creep)(O, X, &level, &vfree, &vn);
     if (O->hidden && O->N->bristled) OF(bristle)(O, X, &level, &vfree, &vn);
+    if (soft) EACH way[l] = 0.5 * h * (X->qd[l] + vn[l]);
+    if (!O->steady) EACH way[l] += (X->qd[l] != 0) | (vn[l] != 0) ? X->early[l] * X->per_jm[l] : 0;
     if (O->N->loaded)
         EACH O->S->load[l] =
             O->two_mass ? X->spring[l]
@@ -224,7 +244,7 @@ INLINE void OF(slide)(const OF(task) *O, OF(motion) *X, const OF(lane) *f, const
                               O->N->gravity[l] * sin(O->S->q[l]);
     EACH {
         X->rub[l] = (vfree[l] - vn[l]) * X->jm[l] * O->per_h;
-        X->q[l] += 0.5 * O->h * (X->qd[l] + vn[l]);
+        X->q[l] += way[l];
         X->qd[l] = vn[l];
     }
 }
