@@ -115,7 +115,7 @@ def test_a_step_is_hardly_felt_even_where_friction_turns_round_within_it(data: D
 
 
 def test_what_the_step_does_is_known_without_fitting_again(data: Data) -> None:
-    bristles = {"kind": "presliding", "joint": 1, "stiffness": {"value": 500.0, "free": False}}
+    bristles = {"kind": "presliding", "joint": 1, "stiffness": {"value": 2000.0, "free": False}}
     model = parse_model({**MODEL, "effect": [*MODEL["effect"], bristles]})
     handles = free_handles(model, offsets=False)
     coarse, fine = replace(data, inner=1), replace(data, inner=8)

@@ -196,20 +196,30 @@ INLINE void OF(creep)(const OF(task) *O, const OF(motion) *X, const OF(lane) *le
     }
 }
 
-/* Bristles: z' = qd - s0 |qd| z / level, implicit in z and qd. */
+/* Bristles: z' = v - s0 |v| z / level, force s0 z + s1 z'. Exact for a level and a speed that stay
+ * within the step, the speed at its middle by the trapezoidal rule; the shorter the bristles' period
+ * beside the step, the more by the speed at its end, or else they would ring for ever. */
 INLINE void OF(bristle)(const OF(task) *O, OF(motion) *X, const OF(lane) *level,
-                        const OF(lane) *vfree, OF(lane) *vn)
+                        const OF(lane) *vfree, OF(lane) *vn, OF(lane) *way)
 {
     const OF(numbers) *N = O->N;
     const double h = O->h, per_h = O->per_h;
     EACH {
-        int on = (N->s0[l] > 0) & ((*level)[l] > 0);
-        double D = 1 + h * N->s0[l] * fabs(O->S->qd[l]) / (on ? (*level)[l] : 1.0),
-               st = N->s0[l] + N->s1[l] * per_h, w = h * X->per_jm[l];
-        double v = ((*vfree)[l] + w * (N->s1[l] * per_h * X->z[l] - st * X->z[l] / D)) /
-                   (1 + w * st * h / D);
-        (*vn)[l] = on ? v : (*vn)[l];
-        X->z[l] = on ? (X->z[l] + h * v) / D : X->z[l];
+        const int on = (N->s0[l] > 0) & ((*level)[l] > 0);
+        const double s0 = N->s0[l], s1 = N->s1[l], w = h * X->per_jm[l], v = X->qd[l],
+                     x = h * s0 * fabs(O->S->qd[l]) / (on ? (*level)[l] : 1.0);
+        const int few = x < 0.01; /* or else a difference of equals */
+        const double y = few ? 1.0 : x, third = 1.0 / 3 - x * (1.0 / 12 - x / 60),
+                     part = few ? 1 - 0.5 * x * (1 - x * third) : (1 - exp(-x)) / y,
+                     stays = 1 - x * part, bent = h * (few ? 0.5 * (1 - x * third) : (1 - part) / y),
+                     of_z = part * (s0 - s1 * x * per_h), of_v = s0 * bent + s1 * part,
+                     stiff = 0.25 * w * of_v * w * of_v, end = 0.5 + 0.5 * stiff / (1 + stiff);
+        const double to = ((*vfree)[l] - w * (of_z * X->z[l] + (1 - end) * of_v * v)) /
+                          (1 + end * w * of_v),
+                     mean = (1 - end) * v + end * to;
+        (*vn)[l] = on ? to : (*vn)[l];
+        (*way)[l] = on ? h * mean : (*way)[l];
+        X->z[l] = on ? stays * X->z[l] + h * part * mean : X->z[l];
     }
 }
 
@@ -219,11 +229,14 @@ INLINE void OF(slide)(const OF(task) *O, OF(motion) *X, const OF(lane) *f, const
 {
     const double h = O->h;
     const int soft = O->hidden && (O->N->creeps || O->N->bristled); /* of each lane or of none */
-    OF(lane) free, vfree, level, vn, way;
+    OF(lane) free, vfree, along, level, vn, way;
     EACH free[l] = X->push[l] - (*f)[l];
     if (O->hidden && O->N->bent) OF(remember)(O, X, &free);
-    EACH vfree[l] = X->qd[l] + h * free[l] * X->per_jm[l];
-    OF(dry)(O->M, O->N, O->S, &vfree, scale, &level);
+    EACH {
+        vfree[l] = X->qd[l] + h * free[l] * X->per_jm[l];
+        along[l] = copysign(O->S->qd[l], vfree[l]); /* the speed at the step's middle */
+    }
+    OF(dry)(O->M, O->N, O->S, &along, scale, &level);
     EACH {
         level[l] = level[l] > 0 ? level[l] : 0.0;
         const double a = free[l] * X->per_jm[l], b = level[l] * X->per_jm[l], v = X->qd[l];
@@ -234,8 +247,8 @@ INLINE void OF(slide)(const OF(task) *O, OF(motion) *X, const OF(lane) *f, const
         way[l] = turns ? 0.5 * (stood * v + left * vn[l]) : 0.5 * h * (v + vn[l]);
     }
     if (O->hidden && O->N->creeps) OF(creep)(O, X, &level, &vfree, &vn);
-    if (O->hidden && O->N->bristled) OF(bristle)(O, X, &level, &vfree, &vn);
     if (soft) EACH way[l] = 0.5 * h * (X->qd[l] + vn[l]);
+    if (O->hidden && O->N->bristled) OF(bristle)(O, X, &level, &vfree, &vn, &way);
     if (!O->steady) EACH way[l] += (X->qd[l] != 0) | (vn[l] != 0) ? X->early[l] * X->per_jm[l] : 0;
     if (O->N->loaded)
         EACH O->S->load[l] =
