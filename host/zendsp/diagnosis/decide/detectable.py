@@ -1,13 +1,14 @@
 """What these recordings would have shown: for each joint and mechanism the smallest effect that the
 decision would have claimed.
 
-An effect of some size leaves its trace in the innovations of the model that was found; what the
-calibrated parameters can imitate is taken out of it. From the trace's energy
+An effect of some size leaves its trace in the innovations of the model that was found, less what
+the calibrated numbers, fitted to the recordings of the fit, take up of it. From the trace's energy
 in the recordings to test on follows the evidence that an effect of that size would have had there,
 and from its torque whether it would have stood out of the discrepancy, and been named: the smallest
 size that passes all of these is stated. It is looked for to first order, then implanted, and all
 calibrated numbers, the sensor's zero among them, are fitted beside it: a command that is too large
-by a part is no more than inertia, weight and friction that are.
+by a part is no more than inertia, weight and friction that are. And the predictions must surely be
+worse with it, since no finding makes them so.
 The decision itself is not run again for every size; ``zendsp prove --implant`` measures how well
 the figures hold.
 """
@@ -37,7 +38,7 @@ from zendsp.diagnosis.measure.discrepancy import (
     kept,
     mean_square,
 )
-from zendsp.diagnosis.measure.windows import rms, window_error
+from zendsp.diagnosis.measure.windows import standing_out, window_error
 from zendsp.diagnosis.search.hypothesis import price
 from zendsp.diagnosis.search.rounds import PROMISING, WAIT
 from zendsp.diagnosis.search.screen import Screen
@@ -52,8 +53,9 @@ Array = npt.NDArray[np.float64]
 NOT_SMALL = 0.3  # of the RMS torque: an effect that is larger is not small
 IMPLANTS = 8  # of growing size, until one is seen
 AMPLE = 1.05  # by which one is larger than the last seems to need
-LARGER, FARTHER = 2.0, 10.0  # times the last at least, and at most
+LARGER, FARTHER = 1.3, 10.0  # times the last at least, and at most
 BESIDE_ITERATIONS = 15  # iterations of the fit beside it
+TOLD = 1e-6  # of the best told mixture of calibrated numbers: what is told less takes nothing up
 GRID = 12  # points of an effect's grid at most; of them the one that is seen worst is stated
 
 
@@ -90,6 +92,7 @@ def _joint(parts: Parts, given: Model, decision: Decision, jobs: int) -> list[De
     test, joint, final = parts.test, decision.joint, decision.final
     data, result, screen = _screened(test.within_limits_of(parts.fit), decision, jobs)
     _, found, sought = _screened(parts.fit, decision, jobs)
+    traces = _Traces(sought, found, screen, result)
     mean = float(found.residual @ found.residual) / max(len(found.residual), 1)
     base = _beside(data, final.model, final.fit.handles, joint, jobs)
     variance = float(result.residual @ result.residual) / max(len(result.residual), 1)
@@ -115,7 +118,7 @@ def _joint(parts: Parts, given: Model, decision: Decision, jobs: int) -> list[De
         beyond = min(math.hypot(after, error[mechanism_of(name)]), after / LEFT_BY_A_LAW)
         beyond = max(after, beyond, least_stated(name, decision), finest(name))
         least = root * math.sqrt(variance), beyond * scale
-        term = _smallest(screen, name, *least)
+        term = _smallest(traces, name, *least)
         term = _worth_a_step(sought, term, mean)
         size = None if term is None else _implanted(data, base, term, *least, jobs)
         if size is None:
@@ -171,12 +174,35 @@ def _key(effect: Effect) -> str:
     return effect.linear[0] if effect.linear else effect.parameters[0].name
 
 
-def _smallest(screen: Screen, name: str, energy: float, torque: float) -> Term | None:
+class _Traces:
+    """What effects leave in the innovations of recordings to test on, where the calibrated numbers
+    take up of them what the recordings of the fit want.
+    """
+
+    def __init__(self, sought: Screen, found: Fit, screen: Screen, result: Fit) -> None:
+        self.sought, self.screen = sought, screen
+        free = [h.place != "offset" for h in found.handles]
+        there, here = (
+            f.jacobian[: len(s.r), free] for f, s in ((found, sought), (result, screen))
+        )
+        unit = np.linalg.norm(there, axis=0)
+        felt = unit > 0.0
+        self.taken = np.linalg.pinv(there[:, felt] / unit[felt], rcond=TOLD)
+        self.here = here[:, felt] / unit[felt]
+
+    def of(self, term: Term) -> Array:
+        """The trace of a term, (n,)."""
+        there, here = (s.series([(term,)])[0] for s in (self.sought, self.screen))
+        out: Array = here - self.here @ (self.taken @ there)
+        return out
+
+
+def _smallest(traces: _Traces, name: str, energy: float, torque: float) -> Term | None:
     """An effect, at the point of its grid where it is seen worst, of the size that leaves so much
     in the innovations (root of its energy) and in the torque (RMS, N m or N); None where the
     recording shows nothing of it at all.
     """
-    effect = get_effect(name)
+    screen, effect = traces.screen, get_effect(name)
     key = _key(effect)
     points = grid_of(effect, screen.records[0], screen.model) or [{}]
     points = points[:: max(1, len(points) // GRID)]
@@ -184,8 +210,7 @@ def _smallest(screen: Screen, name: str, energy: float, torque: float) -> Term |
     for point in points:
         values = screen._directions(effect, point)[0]
         unit = values.get(key, 1.0) or 1.0
-        term = make_term(effect, screen.joint, {**values, key: unit})
-        column = _trace(screen, term) / unit
+        column = traces.of(make_term(effect, screen.joint, {**values, key: unit})) / unit
         left = float(np.linalg.norm(column))
         if left <= 0:
             return None
@@ -203,7 +228,7 @@ def _implanted(
     """
     key, joint = _key(get_effect(term.effect)), term.joint
     scale = math.sqrt(mean_square(test, joint))
-    error = _error(test, base.model, joint)
+    errors = window_error(test, base.model, joint)
     for _ in range(IMPLANTS):
         number = term.parameters[key]
         model = base.model.with_terms((*base.model.terms, term))
@@ -213,17 +238,14 @@ def _implanted(
         left = math.sqrt(max(_squares(test, result, joint) - _squares(test, base, joint), 0.0))
         rms = scale * difference(test, result.model, base.model, joint)
         needed = max(energy / max(left, 1e-300), torque / max(rms, 1e-300))
-        if needed <= 1.0 and _error(test, result.model, joint) > error:
+        worse = standing_out(test, window_error(test, result.model, joint), errors, joint)
+        needed = max(needed, NINE_IN_TEN / max(worse, 1e-300))
+        if needed <= 1.0:
             return number.value, rms
         needed = max(needed, LARGER)
         number = replace(number, value=AMPLE * min(needed, FARTHER) * number.value)
         term = replace(term, parameters={**term.parameters, key: number})
     return None
-
-
-def _error(test: Data, model: Model, joint: int) -> float:
-    """RMS error of prediction, rad or m: a finding makes it less."""
-    return rms(window_error(test, model, joint))
 
 
 def _beside(

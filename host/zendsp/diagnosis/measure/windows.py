@@ -58,6 +58,16 @@ def _free(record: JointRecord, model: Model, bandwidth: float, inner: int, size:
         inner *= 4
 
 
+def standing_out(data: Data, errors: Array, others: Array, joint: int) -> float:
+    """By how many standard deviations of chance the squares of some errors, as ``window_error``
+    gives them, are expected to exceed those of others that are noise.
+    """
+    size = max(16, round(WINDOW / data.records[0][joint - 1].sample_time))
+    change = errors - others
+    by_chance = np.add.reduceat(2.0 * others * change, np.arange(0, len(change), size))
+    return float(change @ change) / max(float(np.linalg.norm(by_chance)), 1e-300)
+
+
 def rms(values: Array) -> float:
     """Root mean square; infinite where the simulation ran away."""
     value = float(np.sqrt(np.mean(np.minimum(values**2, 1e12))))
