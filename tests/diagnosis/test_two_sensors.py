@@ -204,6 +204,19 @@ def test_a_joint_without_a_second_sensor_is_left_alone() -> None:
     assert measured_transmissions(Parts(data, data, data), given, 1) == []
 
 
+@pytest.mark.parametrize(
+    ("factor", "why"),
+    [(-1.0, "it runs against the position column"), (57.3, "it moves 57.3 times as far")],
+)
+def test_a_second_sensor_of_another_sign_or_unit_is_named_and_not_used(
+    factor: float, why: str
+) -> None:
+    made = dict(columns((("load", 0.006), ("soft", 40.0)), 1))
+    made["ql"] = factor * made["ql"]
+    signals = read_signals(recording(made), model(position_load="ql"))
+    assert any(f"position_load of joint 1 was not used: {why}" in n for n in signals.notes)
+
+
 def test_half_a_column_is_refused() -> None:
     made = dict(columns((), 1))
     made["ql"] = np.where(np.arange(len(made["q"])) < 100, np.nan, made["q"])

@@ -20,6 +20,8 @@ Array = npt.NDArray[np.float64]
 
 SENSED = ("velocity", "current", "position_load", "torque_measured")
 SAME = 1e-3  # of its RMS: a velocity that is nearer to a difference of positions is one
+FOLLOWED = 0.7  # correlation of both sides of a transmission, however soft, at least
+GEARED = 3.0  # times as far as the other side: no spring stretches motion so much in all
 SCALED = 0.05  # of its slope: a velocity that is further from the position's has another unit
 FOLLOWS = 0.01  # of its RMS below 25 Hz: a current that is nearer to the command follows it
 EXACT = 1e-6  # of its size: a current that is nearer to a multiple of the command is computed
@@ -86,6 +88,8 @@ def judged(
             why = _velocity(x, position[:, j], sample_time)
         elif role == "current":
             why = _current(x, command[:, j], sample_time)
+        elif role == "position_load":
+            why = _beyond(x, position[:, j])
         else:
             continue
         if why:
@@ -134,6 +138,23 @@ def _velocity(x: Array, q: Array, sample_time: float) -> str:
         f"it is the position's velocity to {100 * apart:.2g} % below 25 Hz, and the fit predicts"
         " positions"
     )
+
+
+def _beyond(x: Array, q: Array) -> str:
+    """Why a position beyond the transmission is not used; empty where it follows the motor's."""
+    a, b = x - np.mean(x), q - np.mean(q)
+    alike = float(a @ b) / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-300)
+    slope = float(np.linalg.norm(a)) / max(float(np.linalg.norm(b)), 1e-300)
+    if abs(alike) < FOLLOWED:
+        return "it does not follow the position column"
+    if alike < 0.0:
+        return "it runs against the position column: the sign of one of them is wrong"
+    if max(slope, 1.0 / max(slope, 1e-300)) > GEARED:
+        return (
+            f"it moves {slope:.3g} times as far as the position column: degrees for rad, or the"
+            " motor's side for the load's?"
+        )
+    return ""
 
 
 def _current(x: Array, u: Array, sample_time: float) -> str:
