@@ -132,7 +132,7 @@ def _judged(slow: Sets, chosen: Chosen, term: str, scale: float, model: Model) -
     if term == "spring":
         # its damping comes second: a spring is the first term of every choice that has one. A
         # torque that is a row late looks like damping; of a gap, the rows that would say it cross
-        std = math.hypot(math.sqrt(float(chosen.fit.covariance[1, 1])), value * slow.test[0].row)
+        std = math.hypot(math.sqrt(float(chosen.fit.covariance[1, 1])), slow.test[0].row)
         std = math.inf if "gap" in chosen.terms else std / abs(value)
         damping = float(chosen.fit.x[1]) / value, std
     return Claim(term, value, spread, found, log_e, size, left, damping=damping)
