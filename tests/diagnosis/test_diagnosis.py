@@ -69,7 +69,7 @@ SINGLE: dict[str, Case] = {
         {"size": 0.5},
     ),
     "stribeck with a tail of its own": Case(
-        reality.Machine(breakaway=0.06, tail=1.4),
+        reality.Machine(breakaway=0.06, tail=1.4, creep=1e-4),
         [VISCOUS, COULOMB],
         {"stribeck": {"breakaway": 0.06, "velocity": 0.1, "exponent": 1.4}},
         {"size": 0.5},
@@ -234,7 +234,7 @@ def test_what_calibration_moves_far_is_told(tmp_path: Path) -> None:
     machine = reality.Machine(inertia=0.01 / gain, viscous=0.004 / gain, coulomb=0.03 / gain)
     d = run(Case(machine, [VISCOUS, COULOMB], {}), tmp_path)
     (note,) = (n for n in d.notes if "calibration moves" in n)
-    assert "coulomb level 0.03 to 0.02498 (-17 %)" in note and "as a torque gain of 1.2" in note
+    assert "coulomb level 0.03 to 0.02499 (-17 %)" in note and "as a torque gain of 1.2" in note
     (found,) = d.findings  # one number explains what three would
     assert (found.effect, found.indistinguishable) == ("torque_gain", ("inertia",))
     assert found.parameters["ratio"].value == pytest.approx(0.2, abs=0.01)
