@@ -223,6 +223,7 @@ def test_a_round_has_one_entry_an_effect_also_where_a_second_look_is_taken(
     monkeypatch.setattr(Rounds, "_promising", two)
     monkeypatch.setattr(rounds, "vanishes", lambda *_: False)  # nothing is missing here
     monkeypatch.setattr(Rounds, "_too_small", lambda *_: False)
+    monkeypatch.setattr(rounds, "WAIT", 200.0)  # more than the steps of this reality gain
     each = Rounds(data, 1, 1, lambda _: None)
     effects = [r.effect for r in each.round(calibrate_joint(data, model, 1))]
     assert len(looked) == 2 and set(looked) <= set(effects)
