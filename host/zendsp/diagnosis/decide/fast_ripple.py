@@ -16,6 +16,7 @@ import numpy as np
 
 from zendsp.diagnosis.decide.findings import estimates, sentence
 from zendsp.diagnosis.decide.result import Finding
+from zendsp.diagnosis.decide.thresholds import SURE
 from zendsp.diagnosis.measure.discrepancy import difference
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import FASTEST, Scored, deviance, informative
@@ -31,7 +32,6 @@ from zendsp.physics.model import Model, Term
 RIPPLE_BAND = 400.0
 RIPPLE_SHARE = 0.03  # of the fast innovations' energy that a ripple has to explain
 RIPPLE_GAIN = 60.0  # deviance beyond the price, on the training and on the held-out recordings
-Z = 4.0
 MOST_RIPPLES = 2
 
 
@@ -87,7 +87,7 @@ def fine_ripples(
             break
         turned = _rephased(after, held, joint, index, jobs)
         evidence = compare(current, turned, test, joint)
-        if evidence.gain < RIPPLE_GAIN or evidence.z < Z:
+        if evidence.gain < RIPPLE_GAIN or evidence.z < SURE:
             break
         # a transmission that errs so often a turn makes such a torque
         if displaced is not None and compare(displaced, turned, test, joint).gain <= 0.0:
