@@ -331,16 +331,18 @@ class Rounds:
     def _upon_its_numbers(
         self, current: Scored, candidate: Candidate, result: Fit, value: float
     ) -> tuple[Fit, float]:
-        """A hypothesis as a first look found it, or upon the other numbers that the model had,
-        whichever is likelier: on thinned recordings a joint turns round in another way, and what
-        describes that may be moved far off.
+        """A hypothesis as a first look found it, or upon the other numbers that the model had, from
+        there or from where it began, whichever is likeliest: on thinned recordings a joint turns
+        round in another way, and what describes that may be moved far off.
         """
-        found = result.model.terms[-len(candidate.terms) :]
-        model = with_candidate(current.model, replace(candidate, terms=found))
-        handles = joint_handles(current.data, model, self.joint)
-        other = self._short(current.data, model, handles, UPON)
-        again = deviance(current.data, other.model, (self.joint,))
-        return (other, again) if again < value else (result, value)
+        best = result, value
+        for terms in (result.model.terms[-len(candidate.terms) :], candidate.terms):
+            model = with_candidate(current.model, replace(candidate, terms=terms))
+            handles = joint_handles(current.data, model, self.joint)
+            other = self._short(current.data, model, handles, UPON)
+            again = deviance(current.data, other.model, (self.joint,))
+            best = (other, again) if again < best[1] else best
+        return best
 
     def _full(self, current: Scored, rival: Rival, worth: float) -> Rival:
         jobs = self.jobs  # the longest of them ends alone
