@@ -30,7 +30,7 @@ _INCLUDED_C = re.compile(r'^[^\S\n]*#[^\S\n]*include[^\S\n]*"([^"\n]+\.c)"', re.
 BASE_FLAGS = ("-std=gnu11", "-O2", "-g1", "-ffp-contract=off", "-Wall", "-Wextra")
 _KEPT = 1000  # compiled results of one kind
 _ABANDONED_S = 3600.0
-# -Bsymbolic: a user's own names are his own; else a global `error` would be the C library's function
+# -Bsymbolic: a program's own names are its own; without it, its `error` is the C library's
 _SHARED = ("-shared", "-fPIC", "-Wl,-z,defs", "-Wl,-z,now", "-Wl,-Bsymbolic")
 
 
