@@ -190,18 +190,18 @@ class Server:
         last, due = None, 0.0
         links = 0.0
         while not self._end.wait(PULSE_POLL_S):
-            if time.monotonic() >= links:
-                links = time.monotonic() + PULSE_S
-                close_at_once()
-            self.live.keep(self._may_look)
-            self._requests.end_commands()
-            self.service.drives.watch()
             try:
+                if time.monotonic() >= links:
+                    links = time.monotonic() + PULSE_S
+                    close_at_once()
+                self.live.keep(self._may_look)
+                self._requests.end_commands()
+                self.service.drives.watch()
                 status = self.service.do_status(verbs.Nothing(), "")
             except Later:
                 continue  # it just crashed; the next round knows how
-            except Exception:
-                log.exception("the status cannot be read")
+            except Exception:  # the next round looks after hosts and roles again
+                log.exception("the status cannot be told")
                 continue
             now = time.monotonic()
             trouble = (status.crash, status.unsafe, status.trip)
