@@ -109,7 +109,11 @@ class Server:
                     query = turns.next()
                 except zenoh.ZError:  # closed
                     return
-                answer(query)
+                try:
+                    answer(query)
+                except Exception:  # no memory, say: the next request is answered
+                    log.exception("a request was not answered")
+                    query.drop()  # type: ignore[no-untyped-call]
 
         for number, answer in enumerate(answers):
             self._threads.append(start_thread(f"{key}#{number}", partial(work, answer)))
