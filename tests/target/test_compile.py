@@ -275,6 +275,10 @@ def test_options_of_the_runtime_are_read_from_text_and_wrong_ones_are_named() ->
         ({"rate_hz": 0.0}, "rate"),
         ({"clock": "slow"}, "clock"),
         ({"priority": 0}, "priority"),
+        ({"memory_mb": float("inf")}, "MB for user code"),
+        ({"speed": float("nan")}, "speed"),
+        ({"hang_s": float("nan")}, "hang_s"),
+        ({"load_s": 0.0}, "load_s"),
     ):
         with pytest.raises(Refused, match=says):
             Settings("imi_planar", {}, **settings)  # type: ignore[arg-type]
