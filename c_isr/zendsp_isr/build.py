@@ -30,7 +30,8 @@ _INCLUDED_C = re.compile(r'^[^\S\n]*#[^\S\n]*include[^\S\n]*"([^"\n]+\.c)"', re.
 BASE_FLAGS = ("-std=gnu11", "-O2", "-g1", "-ffp-contract=off", "-Wall", "-Wextra")
 _KEPT = 1000  # compiled results of one kind
 _ABANDONED_S = 3600.0
-_SHARED = ("-shared", "-fPIC", "-Wl,-z,defs", "-Wl,-z,now")
+# -Bsymbolic: a program's own names are its own; without it, its `error` is the C library's
+_SHARED = ("-shared", "-fPIC", "-Wl,-z,defs", "-Wl,-z,now", "-Wl,-Bsymbolic")
 
 
 @dataclass(frozen=True)
@@ -202,9 +203,8 @@ def build(
     began = time.monotonic()
     compiler = find_compiler()
     all_flags = (*BASE_FLAGS, *flags)
-    key = content_key(
-        kind, sources, _headers(include), [*all_flags, *libraries, str(shared), str(compiler)]
-    )
+    wanted = (*all_flags, *(_SHARED if shared else ()))
+    key = content_key(kind, sources, _headers(include), [*wanted, *libraries, str(compiler)])
     folder = cache_root() / kind
     folder.mkdir(parents=True, exist_ok=True)
     target = folder / (key + (".so" if shared else ""))
@@ -217,7 +217,6 @@ def build(
         )
     with contextlib.suppress(OSError):  # another process may prune at the same time
         _prune(folder)
-    wanted = (*all_flags, *(_SHARED if shared else ()))
     try:
         ok, messages = _compile(compiler, sources, include, wanted, libraries, timeout_s, target)
     except OSError as error:

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import zenoh
 from helpers import children, kill, make_certificates, python, relay_to, running
 from waiting import PATIENCE_S, freeze, until
 
@@ -24,7 +25,7 @@ import zendsp
 from zendsp.errors import LinkError, Refused, RunnerDied
 from zendsp.link import Target
 from zendsp.link.link import Link
-from zendsp.link.settings import Credentials
+from zendsp.link.settings import Credentials, zenoh_config
 from zendsp_isr.compiler import find_compiler
 from zendsp_protocol import codec, registry
 
@@ -329,6 +330,23 @@ def test_a_target_may_open_as_many_files_as_the_system_allows(start: Callable[..
         resource.setrlimit(resource.RLIMIT_NOFILE, most)
     files = resource.prlimit(target.info.pid, resource.RLIMIT_NOFILE)
     assert files == (most[1], most[1])
+
+
+def test_a_target_without_a_file_left_goes_on_to_tell_its_status(fast: Target) -> None:
+    fast.download("pd.c")
+    pid, told = fast.info.pid, list[object]()
+    most = resource.prlimit(pid, resource.RLIMIT_NOFILE)
+    with zenoh.open(zenoh_config(fast.link.endpoints, Credentials(), 3.0)) as session:
+        session.declare_subscriber("zendsp/*/event", told.append)
+        until(lambda: len(told) > 0, "its status")
+        resource.prlimit(pid, resource.RLIMIT_NOFILE, (3, most[1]))
+        try:
+            with pytest.raises(Refused, match="Too many open files"):
+                fast.live(["q"])
+            before = len(told)
+            until(lambda: len(told) > before + 3, "its status, twice a second")
+        finally:
+            resource.prlimit(pid, resource.RLIMIT_NOFILE, most)
 
 
 def test_a_planted_entry_leads_nowhere(

@@ -282,6 +282,20 @@ def test_a_small_file_that_says_it_is_vast_is_refused_before_anything_is_allocat
         read_table(path)
 
 
+@pytest.mark.parametrize("name", ["taken.h5", "taken.mat"])
+def test_a_file_takes_no_bytes_of_another_file_for_its_numbers(name: str, tmp_path: Path) -> None:
+    secret = tmp_path / "secret"
+    secret.write_bytes(bytes(range(40)))
+    path = tmp_path / name
+    with pytest.importorskip("h5py").File(path, "w", userblock_size=512) as file:
+        file["t"] = np.arange(5.0)
+        file.create_dataset("q", (5,), "f8", external=[(str(secret), 0, 40)])
+    with path.open("r+b") as raw:
+        raw.write(b"MATLAB 7.3 MAT-file, written by a test")
+    with pytest.raises(RecordingError, match=r"q.? stands in another file"):
+        read_table(path, columns=["q"])
+
+
 def test_one_process_reads_many_files_and_another_follows_where_it_ended(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -113,3 +113,19 @@ def test_unknown_verbs_and_arguments_are_refused_by_name(target: Target) -> None
         target.request("dance")
     with pytest.raises(LinkError, match="unknown field `speed`"):
         target.request("status", speed=3)
+
+
+@pytest.mark.parametrize("lane", keys.LANES)
+def test_a_request_that_cannot_even_be_refused_keeps_no_later_one_from_its_answer(
+    running: Target, lane: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_memory(error: BaseException) -> bytes:
+        raise MemoryError
+
+    with raw_session(running) as session:
+        for _ in range(4):  # as many as the lane has threads, and one
+            with monkeypatch.context() as without:
+                without.setattr(codec, "encode_error", no_memory)
+                assert list(session.get(keys.rpc("fake", lane), payload=b"", timeout=5.0)) == []
+        with pytest.raises(LinkError):
+            codec.decode_reply(ask(session, keys.rpc("fake", lane), b""), m.Empty)

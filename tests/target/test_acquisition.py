@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import errno
 import itertools
+import os
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from desk import desk_of
+from waiting import until
 
+from zendsp_protocol import kept
 from zendsp_protocol.errors import AcquisitionError
-from zendsp_target.runtime import acquisition
+from zendsp_target.runtime import Runtime, acquisition, program_text
 from zendsp_target.runtime.memory.layout import layout
 
 
@@ -36,3 +42,19 @@ def test_the_runner_is_waited_for_as_long_as_so_many_bytes_may_take(
     else:
         with pytest.raises(AcquisitionError, match="did not take"):
             acquisition.attach(stream, control, 0, lambda: True)
+
+
+def test_a_recording_begins_where_no_room_is_left_to_note_what_it_is(
+    make_runtime: Callable[..., Runtime], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runtime = make_runtime(program_text("pd"), clock="real", realtime=False)
+    desk = desk_of(runtime)
+    desk.ask("acquire_configure", channels=["q"], seconds=0.05)
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(kept, "write", full)
+    runtime.start()
+    desk.ask("acquire_start")
+    until(lambda: desk.ask("acquire_status").state == "done", "all rows")

@@ -227,6 +227,22 @@ def test_the_cache_keeps_what_is_used_and_drops_the_oldest(
     assert len(list((tmp_path / "program").glob("*.so"))) <= 3
 
 
+def test_names_that_the_c_library_has_too_are_the_programs_own() -> None:
+    # one object for all programs of the process would be the library's function, written upon
+    source = """#include "isr.h"
+double error, wait;
+void pause(void) { wait += 2.0; }
+void UserInit(void) { PARAMETER(error, 1.0, "", 0.0, 5.0, ""); SIGNAL(wait, "", ""); }
+void UserISR_INT2(void) { error += 1.0; pause(); }
+"""
+    with Runtime("imi_planar", clock="fast") as runtime:
+        result = runtime.compile({"user.c": source})
+        runtime.load(result.key)
+        runtime.start(ticks=3)
+        runtime.wait_paused()
+        assert runtime.read(["error", "wait"])[1] == {"error": 4.0, "wait": 6.0}
+
+
 def test_a_program_made_for_another_header_is_refused_at_load() -> None:
     result = compile_program({"old.c": HEAD + "void UserISR_INT2(void) { x = 7.0; }\n"})
     old = program_path(result.key).read_bytes()
@@ -259,6 +275,10 @@ def test_options_of_the_runtime_are_read_from_text_and_wrong_ones_are_named() ->
         ({"rate_hz": 0.0}, "rate"),
         ({"clock": "slow"}, "clock"),
         ({"priority": 0}, "priority"),
+        ({"memory_mb": float("inf")}, "MB for user code"),
+        ({"speed": float("nan")}, "speed"),
+        ({"hang_s": float("nan")}, "hang_s"),
+        ({"load_s": 0.0}, "load_s"),
     ):
         with pytest.raises(Refused, match=says):
             Settings("imi_planar", {}, **settings)  # type: ignore[arg-type]

@@ -20,6 +20,7 @@ from waiting import PATIENCE_S, until
 from zendsp_isr.confine import landlock_version
 from zendsp_protocol.errors import Refused
 from zendsp_target.runtime import Runtime
+from zendsp_target.runtime.process.strays import Strays
 
 Make = Callable[..., Runtime]
 
@@ -398,3 +399,15 @@ def test_user_code_takes_no_more_memory_than_it_is_given(make_runtime: Make, mar
 def test_it_is_said_what_holds_user_code(make_runtime: Make, mark: str) -> None:
     runtime = make_runtime(_program("return -1;", mark, "init"), clock="real")
     assert "user code starts nothing" in runtime.status().scheduling
+
+
+def test_without_a_file_left_what_a_runner_started_is_looked_for_in_vain_and_no_more() -> None:
+    # what comes after it makes the machine safe
+    most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    strays = Strays(os.getpid(), "a mark that nobody has")
+    resource.setrlimit(resource.RLIMIT_NOFILE, (3, most[1]))
+    try:
+        strays.look()
+        strays.end()
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, most)

@@ -20,6 +20,7 @@ from zendsp_protocol.errors import Refused, RunnerDied
 from zendsp_target.api import AcquireConfig
 from zendsp_target.runtime import Runtime
 from zendsp_target.runtime.process.runner import RunnerProcess
+from zendsp_target.runtime.variables.flights import Flights
 
 CRASHING = """
 #include "isr.h"
@@ -273,6 +274,25 @@ def test_hardware_is_made_safe_by_a_fresh_process_after_a_crash(
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, most)
     assert "SIGSEGV" in runtime.status().crash
+    assert said.read_text() == "safe\n"
+
+
+def test_hardware_is_made_safe_though_its_target_had_no_memory_for_a_round_of_the_watch(
+    make_runtime: Make, wait_for: Wait, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runtime, said = crashing_on(HARDWARE, make_runtime, tmp_path)
+    wait_for(said.exists)
+    said.unlink()
+    failed: list[int] = []
+
+    def harvest(flights: Flights) -> None:
+        failed.append(1)
+        raise MemoryError
+
+    monkeypatch.setattr(Flights, "harvest", harvest)
+    wait_for(lambda: len(failed) > 2)
+    runtime.start()
+    wait_for(lambda: runtime.status().crash != "", runtime.status)
     assert said.read_text() == "safe\n"
 
 

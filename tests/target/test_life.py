@@ -196,6 +196,23 @@ def test_acquire_stores_the_row_where_it_is_called(make_runtime: Make) -> None:
     assert np.all(runtime.acquire_read(0, 0, 10) == 1.0)
 
 
+def test_the_background_stores_no_row_in_the_middle_of_a_sample(make_runtime: Make) -> None:
+    code = """
+    #include "isr.h"
+    #include <unistd.h>
+    static double x;
+    static volatile bool asked;
+    void UserInit(void) { SIGNAL(x, "", ""); }
+    void UserISR_INT2(void) { x = 1.0; for (asked = true; asked;) usleep(100); x = 2.0; }
+    void UserBackground(void) { if (asked) Acquire(); asked = false; }
+    """
+    runtime = make_runtime(code, hang_s=PATIENCE_S)
+    runtime.acquire_configure(0, AcquireConfig(("x",), seconds=0.01))
+    runtime.acquire_start(0)
+    run(runtime, 10)
+    assert np.all(runtime.acquire_read(0, 0, 10) == 2.0)
+
+
 def test_the_background_runs_beneath_the_loop(
     make_runtime: Make, wait_for: Callable[..., None]
 ) -> None:

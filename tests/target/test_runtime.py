@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from zendsp_protocol.errors import AcquisitionError, Refused, VariableError
 from zendsp_protocol.messages import Trigger
 from zendsp_target.api import AcquireConfig
 from zendsp_target.runtime import Runtime, program_text
+from zendsp_target.runtime.programs import set_up
 
 
 @pytest.fixture(params=["fast", "real"])
@@ -137,6 +140,42 @@ def test_the_loop_ends_no_trip_that_came_while_one_was_acknowledged(
     assert runtime.status().state == "stopped"
     runtime.acknowledge(seen.number + 1)
     assert runtime.status().state == "paused"
+
+
+def test_where_no_loop_runs_no_stop_is_acknowledged_but_the_one_that_is_meant(
+    runtime: Runtime,
+) -> None:
+    runtime.start()
+    runtime.stop("anna")
+    runtime_state_is(runtime, "stopped")
+    runtime.unload()
+    seen = runtime.status().trip
+    assert seen is not None
+    runtime.stop("bo")
+    runtime.acknowledge(seen.number)
+    later = runtime.status().trip
+    assert later is not None and later.number == seen.number + 1
+    runtime.acknowledge(later.number)
+    assert runtime.status().trip is None
+
+
+def test_a_stop_that_comes_while_its_page_is_set_up_stands() -> None:
+    class Head:
+        magic = version = asked = 0
+
+        @property
+        def stop(self) -> int:
+            before, self.asked = self.asked, 1  # a host asks right after the look
+            return before
+
+        @stop.setter
+        def stop(self, value: int) -> None:
+            self.asked = value
+
+    head = Head()
+    page: Any = SimpleNamespace(pointer=lambda _: head)
+    set_up(page)
+    assert head.asked == 1
 
 
 def runtime_state_is(runtime: Runtime, state: str) -> None:

@@ -439,9 +439,22 @@ def test_what_is_written_later_ends_the_fade_of_that_variable_alone(make_runtime
     there = np.select([k < 30, k < 40], [first, second], 0.0)
     assert np.allclose(rows[:, 2], there), "from where it was"
     assert [(c.tick, c.name, c.old, c.new) for c in runtime.log()] == [
-        (20, "a", 25.0, 5.0), (40, "a", 0.0, 80.0), (40, "list[1]", 0.0, 40.0),
-        (40, "list[1]", 29.53125, 0.0),
-    ]  # fmt: skip
+        (20, "a", 25.0, 5.0), (40, "list[1]", 29.53125, 0.0),
+    ], "what was never reached is no change"  # fmt: skip
+
+
+def test_a_fade_that_was_cut_short_is_not_taken_for_the_programs_own_write(
+    make_runtime: Make,
+) -> None:
+    runtime = make_runtime(FADES)
+    session = runtime.programs.session
+    assert session is not None
+    session._look()
+    runtime.write({"a": 80.0, "list": [40.0, 30.0, 20.0]}, "anna", 0, 40)
+    runtime.write({"a": 5.0, "list[1]": 0.0}, "ben", 20)
+    run(runtime, 60)
+    session._look()
+    assert runtime.status().own == () and runtime.read(["a"])[1]["a"] == 5.0
 
 
 def test_a_fade_stands_while_the_time_of_the_machine_stands(make_runtime: Make) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import time
 from collections.abc import Callable
 
@@ -52,6 +54,32 @@ def test_a_viewer_that_looks_hardly_ever_holds_up_no_other(
         before = len(messages)
         live.open(["x"], 1, 0.01, 16, "joins", "joins")  # the stream that is hardly ever looked at
         until(lambda: len(messages) > before + 20, "rows of the viewer that joined")
+    finally:
+        live.close()
+
+
+def test_a_stream_that_cannot_be_made_for_a_while_ends_no_other(
+    make_runtime: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runtime = make_runtime(PROGRAM, clock="real", realtime=False)
+    messages: list[int] = []
+    live = LiveStreams(runtime, lambda *_: messages.append(1), lambda *_: True)
+    try:
+        runtime.start()
+        live.open(["x"], 1, 0.01, 16, "me", "me")
+        until(lambda: len(messages) > 0, "rows")
+        refused: list[int] = []
+
+        def refuse(*_: object) -> None:
+            refused.append(1)
+            raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+        with monkeypatch.context() as none_left:
+            none_left.setattr(runtime, "acquire_configure", refuse)
+            runtime.acquire_stop(1)
+            until(lambda: len(refused) > 1, "a second try")
+        before = len(messages)
+        until(lambda: len(messages) > before, "rows again")
     finally:
         live.close()
 

@@ -112,7 +112,7 @@ typedef struct table {
 #define FIRST_SAMPLE (zendsp->first != 0)
 
 /* Store one row of every running acquisition here and now; without a call it is done after
- * UserISR_INT2. Never blocks. */
+ * UserISR_INT2. Never blocks. In UserBackground it does nothing. */
 #define Acquire() (zendsp->acquire())
 
 /* Value of a table at a row (a fraction interpolates linearly, ends hold), 0 while empty. */

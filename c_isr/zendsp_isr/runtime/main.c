@@ -152,7 +152,11 @@ static int load_program(runner *r) {
     return dictionary_finish(r) == 0 ? 0 : fail(c, "", NULL);
 }
 
-static void acquire(void) { stream_sample(&the_runner); }
+/* A row is of the sample that runs: the background has none. */
+static void acquire(void) {
+    if (this_thread_is == 0)
+        stream_sample(&the_runner);
+}
 
 static void close_machine(const runner *r) {
     if (r->config.machine->close)

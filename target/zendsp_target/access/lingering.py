@@ -18,9 +18,12 @@ _OFF = struct.pack("ii", 0, 0)
 
 def close_at_once() -> None:
     """Let closing any TCP connection of this process return at once; what was not sent is the
-    system's.
+    system's. Nothing is done while no file is left to look with.
     """
-    for name in os.listdir("/proc/self/fd"):
+    names: list[str] = []
+    with contextlib.suppress(OSError):
+        names = os.listdir("/proc/self/fd")
+    for name in names:
         with contextlib.suppress(OSError):
             if not stat.S_ISSOCK(os.fstat(int(name)).st_mode):
                 continue

@@ -173,7 +173,7 @@ class Motion:
         with self._programs.lock:
             ended = self._programs.runner_pid() == 0
             if ended and self._programs.latched() is not None:
-                self._programs.forget_trip()
+                self._programs.forget_trip(trip)
                 return
             session = self._programs.living()
             session.request_run(lib.RUN_PAUSED)

@@ -37,7 +37,8 @@ def set_up(file: SharedFile) -> None:
     _, lib = layout()
     head = file.pointer("stop_page")
     head.magic, head.version = lib.LAYOUT_MAGIC, lib.STOP_PAGE_VERSION
-    head.stop = head.stop == 1
+    if head.stop > 1:  # else it is not touched: a host may ask for STOP at this very moment
+        head.stop = 0
 
 
 class Programs:
@@ -189,11 +190,19 @@ class Programs:
         if trip is not None:
             raise Refused(f"{trip.text}: acknowledge it first")
 
-    def forget_trip(self) -> None:
-        """Acknowledge where no loop runs."""
+    def forget_trip(self, trip: int | None) -> None:
+        """Acknowledge where no loop runs: the trip of that number, or whatever is latched. A STOP
+        that comes meanwhile stands.
+        """
         _, lib = layout()
-        self._page.pointer("stop_page").trips = self.trips()
-        lib.monitor_store32(self._stop, 0)
+        head = self._page.pointer("stop_page")
+        asked = int(lib.monitor_load32(self._stop))
+        number = int(head.trips) + asked
+        if trip not in (None, number):
+            return
+        head.trips = number
+        if asked:
+            lib.monitor_store32(self._stop, 0)
         self._held = None
         if self.session is not None:
             control = self.session.control

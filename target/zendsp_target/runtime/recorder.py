@@ -4,6 +4,7 @@ gone.
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections.abc import Callable
 
@@ -20,6 +21,8 @@ from zendsp_target.runtime import acquisition
 from zendsp_target.runtime.memory.layout import layout
 from zendsp_target.runtime.memory.shm import SharedFolder
 from zendsp_target.runtime.session import Session
+
+log = logging.getLogger(__name__)
 
 
 class Recorder:
@@ -97,8 +100,12 @@ class Recorder:
         `zendsp_protocol.kept`.
         """
         found, session = self._stream(RECORDER)
-        if self._fed(session):
+        if not self._fed(session):
+            return
+        try:
             kept.write(self._folder.path, acquisition.note_of(found, about))
+        except OSError as error:  # shared memory is full; the recording has begun
+            log.warning("what is recorded now is lost if the target is killed: %s", error)
 
     def _forget(self) -> None:
         """What the recorder held before is not to be salvaged."""

@@ -242,7 +242,7 @@ class LiveStreams:
             if status.count <= first:
                 return stream.interval
             rows = self._runtime.acquire_read(stream.number, first, status.count - first)
-        except ZendspError as error:
+        except (ZendspError, OSError) as error:  # no file is left, or no memory
             if not stream.broken:
                 log.debug("live stream %d waits: %s", stream.number, error)
             stream.broken = True

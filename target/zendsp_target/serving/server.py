@@ -109,7 +109,11 @@ class Server:
                     query = turns.next()
                 except zenoh.ZError:  # closed
                     return
-                answer(query)
+                try:
+                    answer(query)
+                except Exception:  # no memory, say: the next request is answered
+                    log.exception("a request was not answered")
+                    query.drop()  # type: ignore[no-untyped-call]
 
         for number, answer in enumerate(answers):
             self._threads.append(start_thread(f"{key}#{number}", partial(work, answer)))
@@ -190,18 +194,18 @@ class Server:
         last, due = None, 0.0
         links = 0.0
         while not self._end.wait(PULSE_POLL_S):
-            if time.monotonic() >= links:
-                links = time.monotonic() + PULSE_S
-                close_at_once()
-            self.live.keep(self._may_look)
-            self._requests.end_commands()
-            self.service.drives.watch()
             try:
+                if time.monotonic() >= links:
+                    links = time.monotonic() + PULSE_S
+                    close_at_once()
+                self.live.keep(self._may_look)
+                self._requests.end_commands()
+                self.service.drives.watch()
                 status = self.service.do_status(verbs.Nothing(), "")
             except Later:
                 continue  # it just crashed; the next round knows how
-            except Exception:
-                log.exception("the status cannot be read")
+            except Exception:  # the next round looks after hosts and roles again
+                log.exception("the status cannot be told")
                 continue
             now = time.monotonic()
             trouble = (status.crash, status.unsafe, status.trip)

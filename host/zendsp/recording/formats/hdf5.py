@@ -27,6 +27,9 @@ def read(path: Path) -> Raw:
     def visit(name: str, item: Any) -> None:
         if not isinstance(item, h5py.Dataset):
             return
+        if item.external:  # bytes of any file of whoever reads it
+            found.refused[name] = "stands in another file"
+            return
         nonlocal total
         total += item.nbytes
         check_room(path, total)

@@ -105,6 +105,8 @@ def _hdf5_value(h5py: Any, file: Any, item: Any) -> Any:
     """Turn an HDF5 object as MATLAB writes it into what SciPy returns for version 5."""
     if isinstance(item, h5py.Group):
         return {name: _hdf5_value(h5py, file, child) for name, child in item.items()}
+    if item.external:  # bytes of any file of whoever reads it; MATLAB writes none
+        raise ValueError(f"{item.name} stands in another file")
     kind = item.attrs.get("MATLAB_class", b"")
     if item.attrs.get("MATLAB_empty", 0):
         return np.empty((0, 0))

@@ -11,6 +11,7 @@ from typing import Any
 from zendsp_protocol.errors import Refused
 
 _TRUE, _FALSE = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
+MOST_MB = 1e9  # a thousand terabytes: more has no meaning
 SPIN_US = 60.0  # waited awake where a loop has its CPU for itself
 
 
@@ -68,8 +69,17 @@ class Settings:
             raise Refused(f"clock {self.clock!r}: give 'real' or 'fast'")
         if not 1 <= self.priority <= 99:
             raise Refused(f"priority {self.priority}: SCHED_RR has 1 … 99")
-        if not self.memory_mb >= 50.0:
-            raise Refused(f"{self.memory_mb:g} MB for user code: give 50 or more")
+        if not 50.0 <= self.memory_mb <= MOST_MB:
+            raise Refused(
+                f"{self.memory_mb:g} MB for user code: give 50 or more, {MOST_MB:g} at most"
+            )
+        if not self.speed >= 0.0:
+            raise Refused(f"speed {self.speed:g}: give 0 (no limit) or more")
+        if not (self.hang_s > 0.0 and self.load_s > 0.0):
+            raise Refused(
+                f"hang_s = {self.hang_s:g}, load_s = {self.load_s:g}: give times above 0 s, after"
+                " which a program that hangs is ended"
+            )
         for key, value in self.machine_config.items():
             if "\n" in f"{key}{value}" or "=" in key:
                 raise Refused(f"machine setting {key!r}: neither newline nor '=' may be in it")

@@ -59,7 +59,7 @@ class Strays:
     def _elsewhere(self) -> set[Process]:
         known = {self._runner, *(number for number, _ in self._seen)}
         found = set()
-        for folder in Path("/proc").glob("[0-9]*"):
+        for folder in _paths("/proc", "[0-9]*"):
             number = int(folder.name)
             with contextlib.suppress(OSError, IndexError):
                 fields = (folder / "stat").read_text(errors="replace").rpartition(")")[2].split()
@@ -73,8 +73,18 @@ class Strays:
 
 def _beneath(number: int) -> set[Process]:
     found: set[Process] = set()
-    for children in Path(f"/proc/{number}/task").glob("*/children"):
+    for children in _paths(f"/proc/{number}/task", "*/children"):
         with contextlib.suppress(OSError):
             for child in children.read_text().split():
                 found |= {(int(child), born(int(child))), *_beneath(int(child))}
     return found
+
+
+def _paths(root: str, pattern: str) -> list[Path]:
+    """What there is; nothing while no file is left to look with: a runner that died is made safe
+    all the same.
+    """
+    try:
+        return list(Path(root).glob(pattern))
+    except OSError:
+        return []

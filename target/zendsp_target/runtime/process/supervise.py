@@ -4,6 +4,7 @@ state.
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from collections.abc import Callable
@@ -13,6 +14,8 @@ from pathlib import Path
 from zendsp_target.runtime.memory.layout import layout
 from zendsp_target.runtime.process.runner import RunnerProcess, ffi_address
 from zendsp_target.threads import start_thread
+
+log = logging.getLogger(__name__)
 
 _ROUND_S = 0.05
 
@@ -28,6 +31,16 @@ def processor(pid: int) -> tuple[bool, float]:
     except (OSError, IndexError):  # it has ended, or the kernel does not count
         return False, 0.0
     return state == "R", 1e-9 * int(had)
+
+
+def _do(each_round: Callable[[], None]) -> None:
+    """What fails in a round, for want of memory say, ends no watch: else nobody would see the
+    runner die, and make its machine safe.
+    """
+    try:
+        each_round()
+    except Exception:
+        log.exception("a round of the watch of a runner failed; it goes on")
 
 
 class Supervisor:
@@ -69,7 +82,7 @@ class Supervisor:
         seen, stalled, last = -1, 0.0, time.monotonic()
         while not self._process.wait_death(_ROUND_S):
             self._process.look()
-            each_round()
+            _do(each_round)
             beat, now = int(lib.monitor_load64(heartbeat)), time.monotonic()
             # a computer that stood still (or starved this thread) must not look like a program that
             # did
@@ -83,12 +96,12 @@ class Supervisor:
             seen = beat
             if stalled > allowed:
                 sentence = self._end_hung()
-                each_round()
+                _do(each_round)
                 if not self._expected.is_set():
                     on_death(sentence)
                 return
         self._process.end_group()
-        each_round()
+        _do(each_round)
         if not self._expected.is_set():
             unsafe = self._process.make_safe()
             on_death("; ".join(filter(None, (self._process.death(), unsafe))))

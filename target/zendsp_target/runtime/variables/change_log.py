@@ -48,7 +48,7 @@ class ChangeLog:
         self._lines: deque[Change] = deque()
         self._costs: deque[int] = deque()  # bytes of the values of each line
         self._held = 0  # bytes of all of them
-        self._raw: deque[tuple[Flight, int, bytes]] = deque()
+        self._raw: deque[tuple[Flight, int, bytes, int]] = deque()
         self._came = self._worded = 0  # lines, in all
         self._bytes_came = self._bytes_worded = 0
         self._lock = threading.Lock()
@@ -57,8 +57,9 @@ class ChangeLog:
         """Add a batch that took effect at a sample, with the old values in the form of a batch. One
         caller at a time.
         """
-        self._raw.append((flight, tick, old))
-        self._came += len(flight.places)
+        count = len(flight.places) - len(cut_short(flight, old))
+        self._raw.append((flight, tick, old, count))
+        self._came += count
         self._bytes_came += 2 * flight.size
 
     def settle(self, most: int = _MAX_LOG) -> None:
@@ -66,8 +67,7 @@ class ChangeLog:
         with self._lock:
             done = 0
             while self._raw and done < most:
-                flight, tick, old = self._raw.popleft()
-                count = len(flight.places)
+                flight, tick, old, count = self._raw.popleft()
                 self._worded += count
                 self._bytes_worded += 2 * flight.size
                 waiting = self._bytes_came - self._bytes_worded
@@ -93,17 +93,31 @@ class ChangeLog:
             return tuple(islice(self._lines, min(max(0, number - dropped), len(self._lines)), None))
 
 
+def cut_short(flight: Flight, old: bytes) -> set[int]:
+    """Entries of a batch whose fade a later update ended: their values were never reached."""
+    if not flight.fade:
+        return set()
+    at, new, found = 0, flight.entries(), set[int]()
+    for number in range(len(flight.places)):
+        if ENTRY.unpack_from(old, at)[3]:
+            found.add(number)
+        size = ENTRY.unpack_from(new, at)[2]
+        at += ENTRY.size + size + -size % 8
+    return found
+
+
 def _changes(flight: Flight, tick: int, old: bytes) -> list[Change]:
     found: list[Change] = []
     at = 0
-    new = flight.entries()
-    for name, place in flight.places:
+    new, left = flight.entries(), cut_short(flight, old)
+    for number, (name, place) in enumerate(flight.places):
         size = ENTRY.unpack_from(new, at)[2]
         at += ENTRY.size
         before, after = _shown(place, old, at), _shown(place, new, at)
-        found.append(
-            Change(tick, flight.host_time, name, before, after, flight.author, flight.fade)
-        )
+        if number not in left:
+            found.append(
+                Change(tick, flight.host_time, name, before, after, flight.author, flight.fade)
+            )
         at += size + -size % 8
     return found
 

@@ -16,7 +16,7 @@ from zendsp_protocol.errors import NotYet, Refused, RunnerDied
 from zendsp_target.runtime.memory.layout import layout
 from zendsp_target.runtime.memory.shm import SharedFile
 from zendsp_target.runtime.variables.banks import Banks
-from zendsp_target.runtime.variables.change_log import ChangeLog, Flight
+from zendsp_target.runtime.variables.change_log import ChangeLog, Flight, cut_short
 from zendsp_target.runtime.variables.plans import ENTRY
 
 TOGETHER = 16  # so many updates are taken back together; fewer, when the supervisor comes by
@@ -94,7 +94,8 @@ class Flights:
         self.under_way: dict[int, Flight] = {}
         self._applied: dict[int, int] = {}
         self._before = self.sequence = sequence
-        self._written: dict[int, Flight] = {}  # by variable, its last since `take_written`
+        # by variable, its last since `take_written`; None: a fade that was cut short
+        self._written: dict[int, Flight | None] = {}
 
     def variables(self) -> set[int]:
         """Variables that updates under way write."""
@@ -227,15 +228,16 @@ class Flights:
 
     def take_written(self, shown: Callable[[], None]) -> dict[int, bytes | None]:
         """Call ``shown`` while nothing is committed; returns the variables that were written since
-        the last call, and of single numbers what was. None: of an array, or about to be.
+        the last call, and of single numbers what was. None: of an array, or about to be, or by a
+        fade that was cut short.
         """
         with self.lock:
             self.take_back()
             shown()
             written, self._written = self._written, {}
             waiting = self.variables()
-        found: dict[int, bytes | None] = {}
-        for flight in {id(flight): flight for flight in written.values()}.values():
+        found: dict[int, bytes | None] = {n: None for n, flight in written.items() if not flight}
+        for flight in {id(flight): flight for flight in written.values() if flight}.values():
             entries = flight.entries()
             at = 0
             for _, place in flight.places:
@@ -265,8 +267,14 @@ class Flights:
                 self._release(sequence, flight.slot, _CANCELLED)
                 continue
             body = self._starts[slot] + self._entries_at
-            self._written.update((place.entry.index, flight) for _, place in flight.places)
-            self._log.append(flight, tick, bytes(self._view[body : body + flight.size]))
+            old = bytes(self._view[body : body + flight.size])
+            left = cut_short(flight, old)
+            for number, (_, place) in enumerate(flight.places):
+                if number in left:
+                    self._written.setdefault(place.entry.index, None)
+                else:
+                    self._written[place.entry.index] = flight
+            self._log.append(flight, tick, old)
             self._release(sequence, slot, tick)
 
     def _release(self, sequence: int, slot: int, tick: int) -> None:
