@@ -106,13 +106,14 @@ def _moves(where: str, y: Array, resolution: float, kind: str) -> None:
     if resolution > 0 and span < MIN_COUNTS * resolution:
         raise RecordingError(
             f"{where}: the position spans {span / resolution:.0f} counts of the sensor; a diagnosis"
-            f" needs at least {MIN_COUNTS}: excite the joint more"
+            f" needs at least {MIN_COUNTS}: excite the joint more, or leave this recording out"
         )
     noise = noise_beside_quantisation(y, resolution)
     if span < NOISE_SPANS * noise:
         raise RecordingError(
             f"{where}: the position spans {span:.3g}, {span / noise:.0f} times its own noise of"
-            f" {noise:.2g}: it is noise, not motion; excite the joint more"
+            f" {noise:.2g}: it is noise, not motion; excite the joint more, or leave this recording"
+            " out"
         )
 
 
@@ -296,7 +297,8 @@ def check_motion(data: Data, model: Model, names: Sequence[str]) -> list[str]:
                 if model.columns.get("command") and not any(np.any(r.command) for r in rec):
                     raise RecordingError(
                         f"{place}: the command is zero throughout; a machine that is not driven has"
-                        " no command column in [columns]"
+                        " no command column in [columns]; one among others that are driven is"
+                        " to be left out"
                     )
             elif float(np.ptp(record.command)) == 0:
                 raise RecordingError(

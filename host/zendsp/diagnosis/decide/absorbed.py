@@ -150,11 +150,16 @@ def point_of(inertia: Estimate, weight: Estimate) -> dict[str, Estimate]:
 
 
 def _as_point(moves: Mapping[str, tuple[float, float, float, float]]) -> str:
-    """The payload that would do both, where inertia and weight have grown."""
+    """The payload that would do both, where inertia and weight have grown: as uncertain as the
+    given figures, beyond which they grew.
+    """
     if not all(key in moves and moves[key][1] > NEAR for key in BOTH):
         return ""
-    units = zip(BOTH, ("kg m²", "N m"), strict=True)
-    inertia, weight = (Estimate(*moves[key][2:], unit) for key, unit in units)
+    grown = []
+    for key, unit in zip(BOTH, ("kg m²", "N m"), strict=True):
+        ratio, _, amount, std = moves[key]
+        grown.append(Estimate(amount, math.hypot(std, TOLERANCE * amount / ratio), unit))
+    inertia, weight = grown
     body = point_of(inertia, weight)
     mass, reach = (number(body[key]) for key in ("mass", "com_x"))
     return f" A payload of {mass} at {reach} from the axis would do both."

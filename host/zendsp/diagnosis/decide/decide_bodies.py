@@ -312,7 +312,7 @@ def body_finding(claim: BodyClaim, everything: float) -> Finding:
 def _sentence(found: FoundBody, values: dict[str, Estimate]) -> str:
     effect, body = found.term.effect, found.body
     name = body if body.lower().startswith("link") else f"link {body}"
-    link = f"The {name} (joint {found.term.joint})"
+    link = f"{name[0].upper()}{name[1:]} (joint {found.term.joint})"
     known = [key for key in COM if key in values]
     centre = ", ".join(
         (f"{key[-1]} = " if len(known) == 2 else "") + number(values[key]).removesuffix(" m")
