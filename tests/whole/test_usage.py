@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 import subprocess
@@ -291,3 +292,26 @@ def test_a_command_whose_output_is_not_utf_8_ends_well() -> None:
         timeout=PATIENCE_S,
     )  # fmt: skip
     assert done.returncode == 0 and not done.stderr and b"->" in done.stdout, done.stderr
+
+
+def test_a_demo_on_a_full_disk_names_its_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a write raises names no file."""
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("zendsp.demo.run_demo", full)
+    status, text = said(capsys, "demo", "-o", str(tmp_path / "d"))
+    assert status == 2
+    assert text == f"zendsp: --out {tmp_path / 'd'}: cannot be written (No space left on device)\n"
+
+
+def test_a_model_in_c_says_what_could_not_be_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    out = tmp_path / "file" / "model.c"
+    status, text = said(capsys, "model2c", "imi_planar.toml", "-o", str(out))
+    assert status == 2 and text.startswith(f"zendsp: {out}: cannot be written ("), text
