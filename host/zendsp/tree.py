@@ -182,13 +182,16 @@ def read_urdf(path: str) -> tuple[list[Body], Array]:
             f"{path}: its links hang on one another in a chain that is too long to be read: some"
             " hundreds are the limit. Make fixed joints of those that do not move, or cut it"
         ) from None
+    except ModelError:
+        raise
     except (ET.ParseError, OSError, ValueError, KeyError, AttributeError) as error:
         raise ModelError(f"{path}: is not a URDF that can be read: {error}") from error
 
 
 def _read(robot: ET.Element, path: str) -> list[Body]:
     if robot.tag != "robot":
-        raise ModelError(f"{path}: is not a URDF: its root is <{robot.tag}>, expected <robot>")
+        kind = '; a MuJoCo model is kind = "mjcf"' if robot.tag == "mujoco" else ""
+        raise ModelError(f"{path}: is not a URDF: its root is <{robot.tag}>, not <robot>{kind}")
     found = robot.findall("link")
     links = {str(link.attrib["name"]): link for link in found}
     if len(links) < len(found):

@@ -121,12 +121,13 @@ CHAIN = "".join(
     [
         (None, "no such file beside the model"),
         ("<robot", "is not a URDF"),
+        ("<mujoco/>", 'a.urdf: is not a URDF: its root is <mujoco>, not <robot>; a MuJoCo'),
         (f'<!DOCTYPE r [{BOMB}]><robot name="&a11;"/>', "amplification"),
         ('<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/passwd">]><robot name="&x;"/>', "entity"),
         (f'<robot name="r">{CHAIN}<link name="l3000"/></robot>', "too long to be read"),
-        (f'<robot name="r">{"<a>" * 90000}{"</a>" * 90000}</robot>', "is not a URDF"),
+        (f'<robot name="r">{"<a>" * 90000}{"</a>" * 90000}</robot>', "has 0 links"),
     ],
-    ids=["missing", "cut", "bomb", "foreign file", "endless chain", "deep"],
+    ids=["missing", "cut", "mujoco", "bomb", "foreign file", "endless chain", "deep"],
 )
 def test_a_check_of_a_model_reads_its_urdf(tmp_path: Path, urdf: str | None, words: str) -> None:
     (tmp_path / "arm.toml").write_text('name = "a"\n[mechanism]\nkind = "urdf"\nfile = "a.urdf"\n')

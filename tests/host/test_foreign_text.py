@@ -87,6 +87,41 @@ def test_units_in_headers_rows_of_units_and_names(tmp_path: Path) -> None:
 
 
 @pytest.mark.timeout(20)  # half a second; each name looked for among all the others took a minute
+@pytest.mark.parametrize(
+    ("head", "names"),
+    [
+        ("t/s;phi/°;M/Nm", ("t", "phi", "M")),
+        ("t / s;phi / (deg);M / (N·m)", ("t", "phi", "M")),
+        ("Time(s);Pos(deg);Trq(Nm)", ("Time", "Pos", "Trq")),
+        ("t[s];q<deg>;tau<N*m>", ("t", "q", "tau")),
+        ("Zeit in s;Winkel in Grad;Moment in N-m", ("Zeit", "Winkel", "Moment")),
+        ("time, s;motor angle, deg;torque, N.m", ("time", "motor angle", "torque")),
+        ("time_s;theta_degrees;torque_N_m", ("time_s", "theta_degrees", "torque_N_m")),
+    ],
+)
+def test_a_unit_is_read_however_the_head_sets_it_apart(
+    tmp_path: Path, head: str, names: tuple[str, ...]
+) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(f"{head}\n0.0;90.0;1.0\n0.1;180.0;2.0\n")
+    table = read_table(path)
+    assert tuple(table.columns) == names
+    np.testing.assert_allclose(table[names[1]], [np.pi / 2, np.pi])
+    assert [table.units[name].replace(" ", "") for name in names] == ["s", "rad", "Nm"]
+
+
+@pytest.mark.parametrize(
+    "head",
+    ["t;Plant/A;q(1)", "t;Root/Plant/theta;q[0,1]", "t;f(x);lp(tau, 20)", "t;state, raw;q in"],
+)
+def test_what_is_no_unit_that_is_known_stays_in_the_name(tmp_path: Path, head: str) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(f"{head}\n0.0;90.0;1.0\n0.1;180.0;2.0\n")
+    table = read_table(path)
+    assert list(table.columns) == head.split(";")
+    assert not any(table.units.values())
+
+
 def test_so_many_columns_as_a_logger_may_have_are_told_apart(tmp_path: Path) -> None:
     names = ["t", *(f"c{k}" for k in range(100_000))]
     file = tmp_path / "wide.csv"

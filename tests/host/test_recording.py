@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import json
+import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -333,3 +335,15 @@ def test_a_tilde_is_the_home_folder_and_missing_folders_are_made(
     assert read_table("~/runs/today/a.mat")["q"][4] == 4.0
     assert load_reference("~/references/rest.mat").samples == 3
     assert ParameterSet.load("~/sets/good.json").values == {"Kp": 1.0}
+
+
+@pytest.mark.parametrize("suffix", ["mat", "csv", "npz"])
+def test_a_file_that_was_read_is_closed(tmp_path: Path, suffix: str) -> None:
+    path = Recording.from_columns({"q": np.zeros(3)}, sample_time=0.1).save(
+        tmp_path / f"run.{suffix}"
+    )
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always", ResourceWarning)
+        read_table(path)
+        gc.collect()
+    assert [str(warning.message) for warning in said] == []

@@ -20,6 +20,11 @@ from zendsp.recording.units import dimension, to_si, unit_in_name
         ("mN m", 1e-3, "N m"),
         ("mNm", 1e-3, "N m"),
         ("N·mm", 1e-3, "N m"),
+        ("N*m", 1.0, "N m"),
+        ("N-m", 1.0, "N m"),
+        ("kg.m2", 1.0, "kg m2"),
+        ("Ncm", 1e-2, "N m"),
+        ("arcsec", np.pi / 648000, "rad"),
         ("mA", 1e-3, "A"),
         ("mm/s", 1e-3, "m/s"),
         ("kN", 1e3, "N"),
@@ -51,6 +56,8 @@ def test_a_unit_that_is_not_known_is_not_guessed(unknown: str) -> None:
         ("torque_Nm", "N m"),
         ("gap_nm", ""),
         ("joint.q_rad", "rad"),
+        ("ActPos_mrad", "mrad"),
+        ("torque_N_m", "N m"),
     ],
 )
 def test_ms_is_milliseconds_where_a_word_of_the_name_says_time(name: str, unit: str) -> None:

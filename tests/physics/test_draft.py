@@ -240,6 +240,7 @@ def test_values_that_are_no_numbers_are_said_and_do_not_hide_the_encoder() -> No
     draft = draft_model(Table(columns, {}, {}, Path("run.csv")))
     assert any("q has 3 values that are no finite numbers" in each for each in draft.questions)
     assert "4096 counts a turn" in draft.text
+    assert model_of(draft.text).mechanism["inertia"][0].value == pytest.approx(INERTIA, rel=0.05)
 
 
 def test_rows_that_are_missing_are_no_jitter() -> None:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
 from waiting import PATIENCE_S
 
 from zendsp.cli import COMMANDS, LazyGroup, cli, main
-from zendsp.cli.lines import fitted
+from zendsp.cli.lines import fitted, write_anywhere
 from zendsp.cli.stats import bars
 
 
@@ -246,3 +249,69 @@ def test_the_line_of_help_names_every_viewer_of_the_bridge() -> None:
     said = COMMANDS["bridge"][1].lower()
     assert set(command.commands) == {"foxglove", "rerun"}
     assert all(viewer in said for viewer in (*command.commands, "plotjuggler"))
+
+
+def options(command: click.Command, path: str) -> Iterator[tuple[str, click.Parameter]]:
+    """Every option of a command and of those below it, with the words that lead there."""
+    for parameter in command.params:
+        yield path, parameter
+    if isinstance(command, click.Group):
+        context = click.Context(command)
+        for name in command.list_commands(context):
+            below = command.get_command(context, name)
+            assert below is not None
+            yield from options(below, f"{path} {name}".strip())
+
+
+def test_what_is_written_is_named_by_the_same_letter_everywhere() -> None:
+    named = {path: p.opts for path, p in options(cli, "") if "--out" in p.opts}
+    assert "reference circle" in named and "diagnose" in named and len(named) > 10
+    assert [path for path, opts in named.items() if "-o" not in opts] == []
+
+
+@pytest.mark.parametrize(
+    ("encoding", "expected"),
+    [
+        ("latin-1", "  + power, - homed: 3 µs ± 1 ..."),
+        ("ascii", "  + power, - homed: 3 us +- 1 ..."),
+        ("utf-8", "  ✔ power, ✖ homed: 3 µs ± 1 …"),
+    ],
+)
+def test_a_stream_that_lacks_a_character_writes_another(encoding: str, expected: str) -> None:
+    written = io.BytesIO()
+    stream = io.TextIOWrapper(written, encoding=encoding)
+    write_anywhere(stream)
+    print("  ✔ power, ✖ homed: 3 µs ± 1 …", end="", file=stream, flush=True)
+    assert written.getvalue().decode(encoding) == expected
+
+
+def test_a_command_whose_output_is_not_utf_8_ends_well() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "zendsp", "drive", "--help"],
+        env={**os.environ, "PYTHONIOENCODING": "latin-1"}, capture_output=True, check=False,
+        timeout=PATIENCE_S,
+    )  # fmt: skip
+    assert done.returncode == 0 and not done.stderr and b"->" in done.stdout, done.stderr
+
+
+def test_a_demo_on_a_full_disk_names_its_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a write raises names no file."""
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("zendsp.demo.run_demo", full)
+    status, text = said(capsys, "demo", "-o", str(tmp_path / "d"))
+    assert status == 2
+    assert text == f"zendsp: --out {tmp_path / 'd'}: cannot be written (No space left on device)\n"
+
+
+def test_a_model_in_c_says_what_could_not_be_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    out = tmp_path / "file" / "model.c"
+    status, text = said(capsys, "model2c", "imi_planar.toml", "-o", str(out))
+    assert status == 2 and text.startswith(f"zendsp: {out}: cannot be written ("), text

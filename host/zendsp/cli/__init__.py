@@ -24,7 +24,7 @@ except ModuleNotFoundError:
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
-from zendsp.cli.lines import fitted
+from zendsp.cli.lines import fitted, write_anywhere
 from zendsp.errors import ZendspError
 from zendsp_protocol.errors import nearest
 from zendsp_protocol.texts import shown, with_point
@@ -145,6 +145,7 @@ class _NoNumPy:
 
 def main() -> None:
     """Entry point: expected errors end with one sentence and exit status 2, Ctrl-C with 130."""
+    write_anywhere(sys.stdout)
     warnings.formatwarning = lambda message, *_, **__: f"zendsp: {message}\n"
     if 0 <= resource.getrlimit(resource.RLIMIT_AS)[0] < LEAST_MEMORY:
         sys.meta_path.insert(0, _NoNumPy)

@@ -6,10 +6,14 @@ from pathlib import Path
 
 import click
 
+from zendsp.errors import ModelError
+
 
 @click.command("model2c")
 @click.argument("model", type=click.Path(path_type=Path))
-@click.option("--out", type=click.Path(path_type=Path), help="File to write. Default: print it.")
+@click.option(
+    "-o", "--out", type=click.Path(path_type=Path), help="File to write. Default: print it."
+)
 @click.option(
     "--effects-only", is_flag=True,
     help="Only what a torque can cancel, as Compensation(), without the rigid bodies.",
@@ -44,6 +48,9 @@ def command(model: Path, out: Path | None, effects_only: bool, sign_speed: float
     if out is None:
         click.echo(text, nl=False)
         return
-    out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(text, encoding="utf-8")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise ModelError(f"{out}: cannot be written ({error.strerror})") from error
     click.echo(f"wrote {out}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import click
 
 from zendsp.cli.common import check_writable, emit
 from zendsp.cli.completing import machines
+from zendsp.errors import ZendspError
 
 
 @click.command("demo")
@@ -70,6 +72,10 @@ def command(
     except KeyboardInterrupt:
         click.echo("ended early; the simulated machine ended with it", err=True)
         raise
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        raise ZendspError(f"--out {out}: cannot be written ({error.strerror})") from error
     emit(json.loads((out / "story.json").read_text(encoding="utf-8")), as_json)
     if web and not as_json:
         click.launch(str((out / "report.html").resolve()))

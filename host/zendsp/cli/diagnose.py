@@ -35,7 +35,7 @@ FILE = click.Path(path_type=Path)
     help="Recording to judge on; repeat for several. Default: the last third of each.",
 )
 @click.option(
-    "--out", type=FILE, default=None,
+    "-o", "--out", type=FILE, default=None,
     help="Folder for report.json, report.html, figures, model.toml, compensation.c, and"
     " next_reference.mat where another motion would settle what is open.",
 )

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 @click.command("experiment")
 @click.argument("name", required=False, shell_complete=experiments)
 @click.option(
+    "-o",
     "--out",
     type=click.Path(path_type=Path),
     default=Path("experiments"),

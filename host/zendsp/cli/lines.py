@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import codecs
+import io
 import re
 import shutil
 import textwrap
@@ -10,6 +12,27 @@ from typing import TextIO
 HEAD = re.compile(r"\s*(?:\w+: |\d+\. |- )?")  # "note: ", "1. ": further lines begin below
 COLUMNS = re.compile(r".*\S\s{2,}(?=\S)")  # what stands before the last one
 LEAST = 16  # characters, for a last column
+# for what a stream that is not UTF-8 may lack
+STAND_INS = {
+    "✔": "+", "✓": "+", "✖": "-", "✗": "-", "–": "-", "−": "-", "…": "...", "·": "-", "→": "->",
+    "█": "#", "±": "+-", "µ": "u", "²": "^2", "³": "^3", "°": "deg",
+}  # fmt: skip
+
+
+def write_anywhere(stream: TextIO) -> None:
+    """Have a stream write a stand-in for a character that its encoding lacks, such as ✔ in Latin-1,
+    and not fail on it.
+    """
+    codecs.register_error("zendsp", _stood_in)
+    if isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
+        stream.reconfigure(errors="zendsp")
+
+
+def _stood_in(error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    lacking = error.object[error.start : error.end]
+    return "".join(STAND_INS.get(character, "?") for character in lacking), error.end
 
 
 def fitted(text: str, stream: TextIO) -> str:

@@ -126,6 +126,7 @@ def realities(words: str) -> tuple[str, ...]:
     help="Folder of real recordings. Default: ZENDSP_DATA.",
 )
 @click.option(
+    "-o",
     "--out",
     type=click.Path(path_type=Path),
     default=None,

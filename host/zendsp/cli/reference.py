@@ -133,6 +133,7 @@ def _common(function: Any) -> Any:
             "--plot", type=click.Path(dir_okay=False), help="Draw it: .png, .svg or .pdf."
         ),
         click.option(
+            "-o",
             "--out",
             type=click.Path(dir_okay=False),
             help="Write it: the .mat file that Execute plays.",

@@ -58,6 +58,7 @@ if TYPE_CHECKING:
 )
 @flag_option
 @click.option(
+    "-o",
     "--out",
     type=click.Path(path_type=Path),
     help="Write the recording: .mat, .npz, .parquet, .csv, .mcap or .mf4.",

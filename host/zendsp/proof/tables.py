@@ -33,7 +33,8 @@ def read_columns(path: Path) -> dict[str, Array]:
         pq = need("pyarrow.parquet", "parquet", "a Parquet file")
         return {k: np.asarray(v, float) for k, v in pq.read_table(path).to_pydict().items()}
     if path.suffix == ".csv":
-        head = path.open(encoding="utf-8").readline().strip().split(",")
+        with path.open(encoding="utf-8") as file:
+            head = file.readline().strip().split(",")
         return dict(zip(head, np.loadtxt(path, delimiter=",", skiprows=1).T, strict=True))
     try:
         from scipy.io import loadmat

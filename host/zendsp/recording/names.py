@@ -8,15 +8,16 @@ import re
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from zendsp.errors import RecordingError
-
-FloatArray = npt.NDArray[np.float64]
+from zendsp.recording.units import FloatArray as FloatArray
+from zendsp.recording.units import to_si
 
 _ELEMENT = re.compile(r"^(.+)\[(\d+)\]$")
-# A unit must stand apart from the name by a blank, otherwise "q[0]" would have the unit "0".
+# A unit that stands apart from the name by a blank may be one that is not known; "q[0]" has none.
 _UNIT = re.compile(r"^(.*\S)\s+[\[(]([^\[\]()]*)[\])]$")
+# Only a unit that is known: "pos(deg)", "pos<deg>", "angle, deg", "angle in deg".
+_KNOWN_UNIT = re.compile(r"^(.*[^\s,])(?:[\[(<]([^\[\]()<>]*)[\])>]|(?:,| in)\s+(\S.*))$")
 # What people write in brackets behind a name that says which of several signals it is. None is a
 # unit: 'q (raw)' and 'q (filtered)' are two columns in SI units.
 QUALIFIERS = {
@@ -34,18 +35,35 @@ def split_element(name: str) -> tuple[str, int] | None:
 
 
 def split_unit(header: str) -> tuple[str, str]:
-    """Split ``"q1 [rad]"`` or ``"q1 (rad)"`` into name and unit; the unit is empty where none is
-    written. What only says which signal it is stays in the name.
+    """Split ``"q1 [rad]"``, ``"q1(rad)"``, ``"q1, rad"`` or ``"q1 in rad"`` into name and unit; the
+    unit is empty where none is written. What only says which signal it is stays in the name.
 
     Examples
     --------
-    >>> split_unit("q1 (rad)"), split_unit("q1 (raw)")
-    (('q1', 'rad'), ('q1 (raw)', ''))
+    >>> split_unit("q1 (rad)"), split_unit("q1 (raw)"), split_unit("q(1)"), split_unit("q in rad")
+    (('q1', 'rad'), ('q1 (raw)', ''), ('q(1)', ''), ('q', 'rad'))
     """
-    match = _UNIT.match(header)
-    if match is None or qualified(header):
-        return header, ""
-    return match.group(1), match.group(2)
+    if match := _UNIT.match(header):
+        return (header, "") if qualified(header) else (match.group(1), match.group(2))
+    if match := _KNOWN_UNIT.match(header):
+        unit = match.group(2) or match.group(3) or ""
+        if unit != "1" and to_si(unit):
+            return match.group(1).rstrip(), unit
+    return header, ""
+
+
+def split_quotients(headers: Sequence[str]) -> list[tuple[str, str]] | None:
+    """Split headers that are all quantity / unit, as ISO 80000 writes them; None where one is not,
+    since a slash may also part the steps of a path.
+
+    Examples
+    --------
+    >>> split_quotients(["t/s", "n / (1/min)"]), split_quotients(["t", "axis/m"])
+    ([('t', 's'), ('n', '1/min')], None)
+    """
+    halves = [header.partition("/") for header in headers]
+    split = [(name.strip(), re.sub(r"^\((.*)\)$", r"\1", unit.strip())) for name, _, unit in halves]
+    return split if all(name and unit and to_si(unit) for name, unit in split) else None
 
 
 def qualified(header: str) -> str:

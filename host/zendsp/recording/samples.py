@@ -153,7 +153,9 @@ class Samples:
             )
         rows = next(iter(lengths.values()))
         if t is None and sample_time is None:
-            raise RecordingError("give sample_time or t: a recording needs a time base")
+            raise RecordingError(
+                "a recording needs a time base: give sample_time=… or t=… beside the columns"
+            )
         time: FloatArray = np.asarray(
             np.arange(rows) * (sample_time or 0.0) if t is None else t, dtype=np.float64
         )

@@ -6,7 +6,10 @@ import math
 import re
 from collections.abc import Mapping
 
-from zendsp.recording.names import FloatArray
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
 
 # symbol: (factor to SI, what it is in SI)
 WHOLE = {
@@ -15,6 +18,8 @@ WHOLE = {
     "degrees": (math.pi / 180, "rad"),
     "°": (math.pi / 180, "rad"),
     "mdeg": (math.pi / 180e3, "rad"),
+    "arcmin": (math.pi / 10800, "rad"),
+    "arcsec": (math.pi / 648000, "rad"),
     "Grad": (math.pi / 180, "rad"),
     "gon": (math.pi / 200, "rad"),
     "rev": (2 * math.pi, "rad"),
@@ -28,6 +33,7 @@ WHOLE = {
     "U/min": (math.pi / 30, "rad/s"),
     "tr/min": (math.pi / 30, "rad/s"),
     "Nmm": (1e-3, "N m"),
+    "Ncm": (1e-2, "N m"),
     "dps": (math.pi / 180, "rad/s"),
     "rps": (2 * math.pi, "rad/s"),
     "sec": (1.0, "s"),
@@ -69,12 +75,19 @@ AS_WRITTEN = ("%", "°C", "degC", *ENCODER)  # numbers that are left as they are
 # a time
 SUFFIXES = {
     "rad": "rad",
+    "radians": "rad",
+    "mrad": "mrad",
+    "urad": "urad",
     "deg": "deg",
+    "degrees": "deg",
     "rpm": "rpm",
     "dps": "deg/s",
     "degps": "deg/s",
     "Nm": "N m",  # `_nm` may be nanometres
     "mnm": "mN m",
+    "Nmm": "Nmm",
+    "Ncm": "Ncm",
+    "kN": "kN",
     "mm": "mm",
     "ma": "mA",
 }
@@ -84,6 +97,8 @@ TIME_NAMES |= {"zeit", "tijd", "tid", "temps", "tempo", "tiempo", "czas", "aika"
 
 _FACTOR = re.compile(r"^(?P<symbol>[^\d^²³\-+]+)\^?(?P<power>[+-]?\d+|²|³)?$")
 _WORDS = re.compile(r"[^\W\d_]+")
+# between the symbols of a product: a blank, a multiplication sign, or N.m and N-m
+_TIMES = re.compile(r"[\s·*⋅]+|[.-](?=[^\W\d_])")
 _POWERS = {"²": 2, "³": 3}
 
 
@@ -116,7 +131,7 @@ def to_si(unit: str) -> tuple[float, str] | None:
         return None
     known = " ".join(names)
     if factor == 1.0:
-        return 1.0, text  # as its author wrote it
+        return 1.0, _TIMES.sub(" ", text)  # its author's symbols
     return factor, known + ("/" + "/".join(below) if below else "")
 
 
@@ -157,7 +172,7 @@ def not_known(unit: str) -> str:
 def _product(text: str) -> tuple[float, list[str]]:
     """Factor and SI symbols of a product such as ``mN m``; NaN where a symbol is unknown."""
     factor, names = 1.0, []
-    for part in re.split(r"[\s·*⋅]+", text.strip()):
+    for part in _TIMES.split(text.strip()):
         if part == "1":
             names.append("1")
             continue
@@ -191,7 +206,8 @@ def unit_in_name(name: str) -> str:
     >>> unit_in_name("theta_deg"), unit_in_name("t_ms"), unit_in_name("v_ms"), unit_in_name("Kp")
     ('deg', 'ms', '', '')
     """
-    rest, _, last = name.partition("[")[0].rpartition("_")
+    bare = name.partition("[")[0]
+    rest, _, last = re.sub("_N_m$", "_Nm", bare).rpartition("_")
     if not rest:
         return ""
     if TIME_NAMES & set(_WORDS.findall(rest.lower())):

@@ -92,7 +92,9 @@ def draft_model(table: Table, machine: Machine | None = None) -> Draft:
     for group in (position, command):
         bad = 0 if group is None else int(np.sum(~np.isfinite(group.values)))
         if group is not None and bad:
-            page.line(ask=f"{group.names[0]} has {bad} values that are no finite numbers: why?")
+            many = "values that are no finite numbers"
+            what = many if bad > 1 else "value that is no finite number"
+            page.line(ask=f"{group.names[0]} has {bad} {what}: why?")
     name = (machine.name if machine else table.path.name.partition(".")[0]) or "machine"
     page.line(f"name = {json.dumps(name, ensure_ascii=False)}")
     clock = best_group(groups, Role.TIME)

@@ -147,7 +147,12 @@ def unbroken(clock: Group | None, rows: int) -> slice:
     if clock is None:
         return slice(rows)
     steps = np.diff(clock.values[:, 0])
-    ends = np.flatnonzero(np.append(steps > 1.5 * np.median(steps), True)) + 1
+    return _longest(np.append(steps > 1.5 * np.median(steps), True))
+
+
+def _longest(last: npt.NDArray[np.bool_]) -> slice:
+    """The longest stretch between rows that are the last of theirs."""
+    ends = np.flatnonzero(last) + 1
     begins = np.concatenate([[0], ends[:-1]])
     longest = int(np.argmax(ends - begins))
     return slice(int(begins[longest]), int(ends[longest]))
@@ -293,11 +298,14 @@ class Idea:
 
 
 def first_idea(q: Array, u: Array, step: float, linear: bool) -> Idea | None:
-    """Inertia and gravity by least squares beside friction and a bias; None where the command is
-    hardly explained.
+    """Inertia and gravity by least squares beside friction and a bias, of the longest stretch of
+    finite numbers; None where the command is hardly explained.
     """
     window = max(5, 2 * round(WINDOW_S / step / 2) + 1)
-    if len(q) < 4 * window or not (np.isfinite(q).all() and np.isfinite(u).all()) or np.std(u) == 0:
+    lacking = np.append(~np.isfinite(q + u), True)  # each is the last row of its stretch
+    part = _longest(lacking)
+    q, u = (x[part.start : part.stop - 1] for x in (q, u))
+    if len(q) < 4 * window or np.std(u) == 0:
         return None
     speed, acceleration = (savgol_filter(q, window, 3, deriv=d, delta=step) for d in (1, 2))
     smooth = savgol_filter(u, window, 3)

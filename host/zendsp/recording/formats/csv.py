@@ -27,7 +27,7 @@ import numpy as np
 
 from zendsp.errors import RecordingError
 from zendsp.recording.formats.raw import Raw
-from zendsp.recording.names import FloatArray, split_unit
+from zendsp.recording.names import FloatArray, split_quotients, split_unit
 from zendsp.recording.units import to_si
 from zendsp_protocol.texts import counted
 
@@ -142,7 +142,7 @@ def _header(path: Path, line: str, delimiter: str, number: int) -> tuple[list[st
             f" {counted(len(cells), 'column')} there: put a line such as"
             f" {delimiter.join(EXAMPLE[: len(cells)])} above it"
         )
-    split = [split_unit(cell) for cell in cells]
+    split = split_quotients(cells) or [split_unit(cell) for cell in cells]
     names = [name for name, _ in split]
     seen: set[str] = set()
     for k, name in enumerate(names):

@@ -52,7 +52,8 @@ def _cells(texts: list[str]) -> npt.NDArray[np.object_]:
 def read(path: Path) -> Raw:
     """Read a MAT file of version 5 or 7.3."""
     try:
-        head = path.open("rb").read(16)
+        with path.open("rb") as file:
+            head = file.read(16)
     except OSError as error:
         raise RecordingError(f"{path}: cannot be opened ({error.strerror})") from error
     if head.startswith((b"\x89HDF", b"MATLAB 7.3")):
