@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import ast
+import time
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
 
 import zendsp.diagnosis
 from zendsp.cli.steps import ANEW, STEPS, in_steps, step_of
+from zendsp.diagnosis import joints
 
 ANY_STEP = "1 (1 simulations)"  # of a simulator: how often it was called until now
 
@@ -52,3 +58,21 @@ def test_a_progress_only_goes_forward() -> None:
     steps = [int(line.partition("/")[0]) for line in said]
     assert steps == [1, 2, 3, 3, 4, 4, 4, 6, 1, 2]
     assert said[5] == "4/6 assembling: joint 1: fitting 8 hypotheses"
+
+
+def test_an_interrupt_waits_for_no_joint(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As ``kill -INT`` of the process alone, which its children do not get."""
+
+    def endless(*given: Any) -> None:
+        given[-1]("searching")
+        time.sleep(60.0)
+
+    def interrupted(_: str) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(joints, "_search_joint", endless)
+    arm: Any = SimpleNamespace(joints=2)
+    begin = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        joints._search(SimpleNamespace(), arm, arm, 2, interrupted, {})  # type: ignore[arg-type]
+    assert time.monotonic() - begin < 30.0

@@ -211,11 +211,16 @@ def _search(
     with ProcessPoolExecutor(min(jobs, len(joints)), context, _inherit, inherited) as pool:
         searches = {joint: pool.submit(_search_inherited, joint) for joint in joints}
         waiting: Collection[Future[Any]] = searches.values()
-        while waiting:
-            _, waiting = wait(waiting, LOOK_S, FIRST_COMPLETED)
-            while not stages.empty():
-                tell(stages.get())
-        done |= {joint: search.result() for joint, search in searches.items()}
+        try:
+            while waiting:
+                _, waiting = wait(waiting, LOOK_S, FIRST_COMPLETED)
+                while not stages.empty():
+                    tell(stages.get())
+            done |= {joint: search.result() for joint, search in searches.items()}
+        except BaseException:  # an interrupt: nobody waits for what was asked
+            for process in list(pool._processes.values()):
+                process.terminate()
+            raise
     return _in_order(done)
 
 
