@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 
 from zendsp.diagnosis.transmission.claims import Claim, claims_of
 from zendsp.diagnosis.transmission.sets import Sets, torque_scale
-from zendsp.diagnosis.transmission.terms import choose
+from zendsp.diagnosis.transmission.terms import choose, may_be_off
 from zendsp.diagnosis.transmission.torsion import Motor, Twist, held_drive, lowpass
 from zendsp.diagnosis.transmission.waves import waves_of
 from zendsp.physics.files.model_file import parse_model
@@ -55,6 +56,13 @@ def claimed(torsion: Callable[[Array, Array], Array], travel: float = 3.0) -> di
     slow = sets(torsion, travel).each(lambda t: lowpass(t, 32.0))
     chosen, here, _ = choose(slow, 0.08, Motor(0.03))
     return {c.name: c for c in claims_of(here, chosen, torque_scale(here.fit), GIVEN)}
+
+
+def test_a_piece_of_a_recording_that_is_left_out_whole_says_nothing_of_a_disc() -> None:
+    moving = sets(lambda q, torque: -torque / 40.0, 3.0)
+    first = moving.fit[0]
+    still = replace(first, kept=np.zeros(len(first.q), bool))  # as between two pushes
+    assert may_be_off(Sets([still, first], moving.choose, moving.test))
 
 
 def gap(q: Array, torque: Array) -> Array:

@@ -57,7 +57,7 @@ class Chosen:
 
 def may_be_off(slow: Sets) -> bool:
     """Whether an encoder's disc off centre is a slow error here: a full turn shows what it is."""
-    return all(float(np.ptp(t.q[t.kept])) < 2 * math.pi for t in slow.fit)
+    return all(float(np.ptp(t.q[t.kept])) < 2 * math.pi for t in slow.fit if t.kept.any())
 
 
 def fitted(twists: Sequence[Twist], terms: Sequence[str], off: bool, scale: float) -> Linear:
