@@ -33,6 +33,7 @@ from zendsp.diagnosis.search.simplify import upon
 from zendsp.diagnosis.transmission.links import divided, with_links
 from zendsp.parent import die_with
 from zendsp.physics.calibration.fit import Data
+from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model
 
 Progress = Callable[[str], None]
@@ -110,8 +111,10 @@ def with_their_links(
             break
         felt, now, explained = felt | {best[1]}, best[2], best[3]
     swinging = _claimed(explained, "transmission")
+    # where a measured gap opens next depends on the last digits of its numbers
+    gaps = {t.joint for t in beneath.terms[len(given.terms) :] if get_effect(t.effect).rough}
     calm = [
-        unpushed(d) if swinging - {d.joint} and d.kind == "disturbance" else d
+        unpushed(d) if d.kind == "disturbance" and (swinging - {d.joint} or d.joint in gaps) else d
         for d in explained[1]
     ]
     return now, (explained[0], calm, explained[2])
