@@ -21,8 +21,10 @@ Array = npt.NDArray[np.float64]
 
 SENSED = ("velocity", "current", "position_load", "torque_measured")
 SAME = 1e-3  # of its RMS: a velocity that is nearer to a difference of positions is one
-ALIKE_SIDES = 0.7  # correlation, from which on sign and unit of two sensors can be compared
-SIDES_APART = 3.0  # times as far as the other side: no spring stretches motion so much in all
+# correlation from which on sign and unit of two sensors are compared, and how many times as far as
+# the other side is another unit: no spring stretches a whole motion so much. Both chosen: degrees
+# are 57 times, a wrong sign correlates by -1
+ALIKE_SIDES, SIDES_APART = 0.7, 3.0
 SCALED = 0.05  # of its slope: a velocity that is further from the position's has another unit
 FOLLOWS = 0.01  # of its RMS below 25 Hz: a current that is nearer to the command follows it
 EXACT = 1e-6  # of its size: a current that is nearer to a multiple of the command is computed

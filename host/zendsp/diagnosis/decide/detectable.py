@@ -55,7 +55,8 @@ IMPLANTS = 8  # of growing size, until one is seen
 AMPLE = 1.05  # by which one is larger than the last seems to need
 LARGER, FARTHER = 1.3, 10.0  # times the last at least, and at most
 BESIDE_ITERATIONS = 15  # iterations of the fit beside it
-TOLD = 1e-6  # of the best told mixture of calibrated numbers: what is told less takes nothing up
+# of the best told mixture of calibrated numbers: what is told less takes nothing up. Chosen
+TOLD = 1e-6
 GRID = 12  # points of an effect's grid at most; of them the one that is seen worst is stated
 
 
@@ -186,7 +187,8 @@ class _Traces:
             f.jacobian[: len(s.r), free] for f, s in ((found, sought), (result, screen))
         )
         unit = np.linalg.norm(there, axis=0)
-        felt = unit > 0.0
+        # not what nothing depends on, nor what has run away
+        felt = (unit > 0.0) & np.isfinite(unit) & np.isfinite(here).all(axis=0)
         self.taken = np.linalg.pinv(there[:, felt] / unit[felt], rcond=TOLD)
         self.here = here[:, felt] / unit[felt]
 

@@ -6,7 +6,8 @@
  * (see effects/), the lines EFFECT_CASES_* by the cases of the switches that call them. Scheme per inner step h: half
  * drift, two evaluations of the smooth torque at mid position (second order), dry friction as a
  * set-valued law (exact sticking at any step, and where a joint turns round within one), bristles
- * of second order, a late command and a lag exactly. Units: rad or m, s, N m or N.
+ * of second order, a lag and a late command exactly, but where the joint turns round in that step.
+ * Units: rad or m, s, N m or N.
  */
 #include <math.h>
 #include <stddef.h>

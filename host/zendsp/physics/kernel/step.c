@@ -197,8 +197,8 @@ INLINE void OF(creep)(const OF(task) *O, const OF(motion) *X, const OF(lane) *le
 }
 
 /* Bristles: z' = v - s0 |v| z / level, force s0 z + s1 z'. Exact for a level and a speed that stay
- * within the step, the speed at its middle by the trapezoidal rule; the shorter the bristles' period
- * beside the step, the more by the speed at its end, or else they would ring for ever. */
+ * within the step. The force acts at the speed of its middle; the shorter the bristles' period
+ * beside the step, the more at that of its end, or else they would ring for ever. */
 INLINE void OF(bristle)(const OF(task) *O, OF(motion) *X, const OF(lane) *level,
                         const OF(lane) *vfree, OF(lane) *vn, OF(lane) *way)
 {
