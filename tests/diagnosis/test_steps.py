@@ -4,10 +4,12 @@ too.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 import reality
 from reality import RATE
@@ -37,6 +39,8 @@ from zendsp.physics.calibration.joint import facts
 from zendsp.physics.calibration.terms import make_term
 from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model
+
+Array = npt.NDArray[np.float64]
 
 CREEP = {"kind": "creep", "joint": 1, "speed": 0.002}
 
@@ -407,21 +411,6 @@ def test_a_hypothesis_that_a_first_look_bends_is_fitted_upon_the_numbers_of_the_
     assert found_level == pytest.approx(-0.004, rel=0.1)
 
 
-def test_a_screen_asks_for_no_torque_where_friction_holds_the_joint() -> None:
-    """Among rests the weight of a small motor promised nothing, and was not among those fitted."""
-    reference = np.repeat([0.0, 0.7, 0.1, 0.9, 0.2, 0.6], round(1.5 * RATE))
-    machine = reality.Machine(coulomb=0.06, kp=1.0, kd=0.06)
-    columns = reality.simulate(machine, reference, RATE)
-    for terms, share in (((VISCOUS, {**COULOMB, "level": 0.06}), 0.1), ((VISCOUS,), 1.0)):
-        model = model_of(*terms)
-        data = data_of(columns, model)
-        fitted = fit(data, model, joint_handles(data, model, 1), joints=(1,), iterations=1)
-        screen = Screen(data, fitted, 1, (1,))
-        still = np.abs(data.records[0][0].motion.states[1]) < 0.1 * screen.floors[0]
-        assert np.mean(still) > 0.3
-        assert np.max(screen.free[0][still]) <= share
-
-
 def test_a_filter_that_a_delay_explains_as_well_is_called_a_delay() -> None:
     reference = reality.multisine(6.0, RATE, 3)
     columns = reality.simulate(reality.Machine(delay=6e-4), reference, RATE)
@@ -436,3 +425,55 @@ def test_a_filter_that_a_delay_explains_as_well_is_called_a_delay() -> None:
     found = JointSearch(1, calibrated, [Step(rival, (), calibrated)], scored)
     best, _ = simplify(found, informative(calibrated.data, 1), 1)
     assert [t.effect for t in best.model.at(1)] == ["viscous", "coulomb", "delay"]
+
+
+@pytest.mark.parametrize(("gain", "asked"), [(10.0, [64.0, 16.0]), (100.0, [64.0])])
+def test_what_gains_nothing_under_a_fast_observer_is_begun_again_under_a_slow_one(
+    gain: float, asked: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A spring among rests: a fast observer followed it, its fit stayed where it began, and a
+    machine was complete that lacked it.
+    """
+    model = model_of(VISCOUS, COULOMB)
+    reference = reality.multisine(6.0, RATE, 3)
+    data = data_of(reality.simulate(reality.Machine(), reference, RATE), model)
+    current = Scored(fit(data, model, (), joints=(1,), iterations=0), data, 0.0, (1,))
+    current = replace(current, data=data.at_bandwidth(1, 64.0))
+    spring = make_term(get_effect("stiffness"), 1, {"coefficient": 1.0, "neutral": 0.0})
+    begun: list[float] = []
+
+    def short(_: Rounds, base: Scored, __: list[Candidate], given: Data) -> Rival:
+        begun.append(given.bandwidth[0])
+        scored = replace(base, deviance=-gain * len(begun))
+        return Rival("stiffness", 1, scored, 0.0, (spring,), ())
+
+    monkeypatch.setattr(Rounds, "_short_fits", short)
+    found = Rounds(data, 1, 1, lambda _: None)._quick(
+        current, [Candidate("stiffness", 1, (spring,), (), 1.0)]
+    )
+    assert begun == asked
+    assert found is not None and found.value == -gain * len(asked)
+
+
+@pytest.mark.parametrize(("kept", "fitted"), [(50.0, ["stiffness"]), (5000.0, [])])
+def test_what_promises_more_than_anything_listed_keeps_is_not_overlooked(
+    kept: float, fitted: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = model_of(VISCOUS, COULOMB)
+    reference = reality.multisine(6.0, RATE, 3)
+    data = data_of(reality.simulate(reality.Machine(), reference, RATE), model)
+    current = Scored(fit(data, model, (), joints=(1,), iterations=0), data, 0.0, (1,))
+    spring = make_term(get_effect("stiffness"), 1, {"coefficient": 1.0, "neutral": 0.0})
+    wave = make_term(get_effect("ripple"), 1, {"order": 5.0, "amplitude": 0.1, "phase": 0.0})
+    listed = Rival("ripple", 1, replace(current, deviance=-kept), 0.0, (wave,), ())
+    options = [
+        (share, Candidate(term.effect, 1, (term,), (), 1.0))
+        for share, term in ((0.2, wave), (0.05, spring))
+    ]
+    monkeypatch.setattr(
+        Rounds, "_quick", lambda _, base, group: replace(listed, effect=group[0].effect)
+    )
+    each = Rounds(data, 1, 1, lambda _: None)
+    assert 100 < 0.05 * each.n < 1000
+    more = each._overlooked(current, options, [[options[0][1]]], [listed], map)
+    assert [r.effect for r in more] == fitted

@@ -25,9 +25,20 @@ import numpy.typing as npt
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import LAWS_OF, Decision
 from zendsp.diagnosis.decide.confidence import least_stated
-from zendsp.diagnosis.decide.pieces import dependence, finest, kept_laws, torque_of
+from zendsp.diagnosis.decide.pieces import (
+    dependence,
+    finest,
+    kept_laws,
+    log_e_value,
+    torque_of,
+)
 from zendsp.diagnosis.decide.result import Detectable
-from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES, LAW_ERROR, LEFT_BY_A_LAW
+from zendsp.diagnosis.decide.thresholds import (
+    CLAIMED,
+    FALSE_DISCOVERIES,
+    LAW_ERROR,
+    LEFT_BY_A_LAW,
+)
 from zendsp.diagnosis.measure.curve import FRICTION
 from zendsp.diagnosis.measure.discrepancy import (
     BANDS,
@@ -38,12 +49,13 @@ from zendsp.diagnosis.measure.discrepancy import (
     kept,
     mean_square,
 )
+from zendsp.diagnosis.measure.evidence import compare
+from zendsp.diagnosis.measure.likelihood import fit_scored, informative
 from zendsp.diagnosis.measure.windows import standing_out, window_error
 from zendsp.diagnosis.search.hypothesis import price
 from zendsp.diagnosis.search.rounds import PROMISING, WAIT
-from zendsp.diagnosis.search.screen import Screen
-from zendsp.physics.calibration.fit import Data, Fit, fit
-from zendsp.physics.calibration.handles import Handle
+from zendsp.diagnosis.search.screen import Screen, phase_of
+from zendsp.physics.calibration.fit import Data, Fit, fit, joint_handles, residual
 from zendsp.physics.calibration.terms import grid_of, make_term, usable
 from zendsp.physics.effects import Effect, get_effect, library, mechanism_of, unit_of
 from zendsp.physics.model import Model, Term
@@ -51,10 +63,11 @@ from zendsp.physics.model import Model, Term
 Array = npt.NDArray[np.float64]
 
 NOT_SMALL = 0.3  # of the RMS torque: an effect that is larger is not small
-IMPLANTS = 8  # of growing size, until one is seen
+BESIDE = 6  # iterations of the fit beside it
+ABSORBED = 2  # sizes of which calibration leaves nothing at all: a larger one is not asked
+IMPLANTS = 6  # of growing size, until one is seen
 AMPLE = 1.05  # by which one is larger than the last seems to need
-LARGER, FARTHER = 1.3, 10.0  # times the last at least, and at most
-BESIDE_ITERATIONS = 15  # iterations of the fit beside it
+LARGER, FARTHER = 1.5, 10.0  # times the last at least, and at most
 # of the best told mixture of calibrated numbers: what is told less takes nothing up. Chosen
 TOLD = 1e-6
 GRID = 12  # points of an effect's grid at most; of them the one that is seen worst is stated
@@ -90,17 +103,11 @@ def blind(decisions: Sequence[Decision], seen: Sequence[Detectable]) -> list[Dec
 
 
 def _joint(parts: Parts, given: Model, decision: Decision, jobs: int) -> list[Detectable]:
-    test, joint, final = parts.test, decision.joint, decision.final
-    data, result, screen = _screened(test.within_limits_of(parts.fit), decision, jobs)
-    _, found, sought = _screened(parts.fit, decision, jobs)
+    test, joint, final = parts.test.within_limits_of(parts.fit), decision.joint, decision.final
+    result, screen = _screened(test, decision, jobs)
+    found, sought = _screened(parts.fit, decision, jobs)
     traces = _Traces(sought, found, screen, result)
-    mean = float(found.residual @ found.residual) / max(len(found.residual), 1)
-    base = _beside(data, final.model, final.fit.handles, joint, jobs)
-    variance = float(result.residual @ result.residual) / max(len(result.residual), 1)
-    variance *= dependence(final, test, joint)
-    needed = math.log(test.joints * len(LAWS_OF) / FALSE_DISCOVERIES)
-    # a gain of G = |c|² s² / σ² is 2 log e in the mean, with standard deviation 2 √G
-    root = NINE_IN_TEN + math.sqrt(NINE_IN_TEN**2 + 2.0 * needed)
+    implant = _Implant(parts, decision, jobs)
     after = max(decision.after.value, decision.after.often)
     sized = [effect for effect in library().values() if effect.sized]
     kinds = {mechanism_of(effect.name) for effect in sized}
@@ -114,14 +121,16 @@ def _joint(parts: Parts, given: Model, decision: Decision, jobs: int) -> list[De
         name = effect.name
         if (name in have and not effect.repeatable) or not usable(effect, screen.records):
             continue
-        if any(key in given.mechanism for key in effect.same_as):
+        if any(key in given.mechanism for key in (name, *effect.same_as)):
             continue
         beyond = min(math.hypot(after, error[mechanism_of(name)]), after / LEFT_BY_A_LAW)
         beyond = max(after, beyond, least_stated(name, decision), finest(name))
-        least = root * math.sqrt(variance), beyond * scale
-        term = _smallest(traces, name, *least)
-        term = _worth_a_step(sought, term, mean)
-        size = None if term is None else _implanted(data, base, term, *least, jobs)
+        term = _smallest(traces, name, implant.energy, beyond * scale)
+        size = None if term is None else implant.seen(term, beyond)
+        phase = phase_of(effect)
+        if term is not None and size is not None and phase:  # to first order the worst, and across
+            across = term.value(phase) + 0.5 * math.pi
+            size = implant.seen(_set(term, {_key(effect): size[0], phase: across}), beyond)
         if size is None:
             continue
         parameter = effect.parameter(_key(effect))
@@ -133,41 +142,21 @@ def _joint(parts: Parts, given: Model, decision: Decision, jobs: int) -> list[De
             given.actuator.command_unit,
             given.torque_unit(joint),
         )
-        out.append(Detectable(joint, mechanism_of(name), name, size[0], unit, size[1] / scale))
+        out.append(Detectable(joint, mechanism_of(name), name, size[0], unit, size[1]))
     return out
 
 
-def _screened(part: Data, decision: Decision, jobs: int) -> tuple[Data, Fit, Screen]:
-    """Some recordings, the final model's fit along them, and what an effect would leave there."""
+def _screened(part: Data, decision: Decision, jobs: int) -> tuple[Fit, Screen]:
+    """The final model's fit along some recordings, and what an effect would leave there."""
     joint, final = decision.joint, decision.final
     data = part.at_bandwidth(joint, final.data.bandwidth[joint - 1])
     result = fit(data, final.model, final.fit.handles, joints=(joint,), iterations=0, jobs=jobs)
-    return data, result, Screen(data, result, joint, (joint,))
+    return result, Screen(data, result, joint, (joint,))
 
 
-def _worth_a_step(sought: Screen, term: Term | None, mean: float) -> Term | None:
-    """An effect, at least so large that the search would take it for worth a step: in the
-    recordings of the fit, whose innovations have a ``mean`` square.
-    """
-    if term is None:
-        return None
-    key = _key(get_effect(term.effect))
-    number = term.parameters[key]
-    column = _trace(sought, term)
-    left = float(np.linalg.norm(column))
-    gain = max(WAIT + price((term,), len(column)), PROMISING * len(column))
-    needed = math.sqrt(mean) * (math.sqrt(gain) + NINE_IN_TEN)
-    if left <= 0.0:
-        return None
-    number = replace(number, value=number.value * max(1.0, needed / left))
-    return replace(term, parameters={**term.parameters, key: number})
-
-
-def _trace(screen: Screen, term: Term) -> Array:
-    """What an effect leaves in the innovations, (n,), that calibration cannot imitate."""
-    column = screen.series([(term,)])[0]
-    out: Array = column - screen.q @ (screen.q.T @ column)
-    return out
+def _set(term: Term, values: dict[str, float]) -> Term:
+    numbers = {n: replace(term.parameters[n], value=v) for n, v in values.items()}
+    return replace(term, parameters={**term.parameters, **numbers})
 
 
 def _key(effect: Effect) -> str:
@@ -183,9 +172,7 @@ class _Traces:
     def __init__(self, sought: Screen, found: Fit, screen: Screen, result: Fit) -> None:
         self.sought, self.screen = sought, screen
         free = [h.place != "offset" for h in found.handles]
-        there, here = (
-            f.jacobian[: len(s.r), free] for f, s in ((found, sought), (result, screen))
-        )
+        there, here = (f.jacobian[: len(s.r), free] for f, s in ((found, sought), (result, screen)))
         unit = np.linalg.norm(there, axis=0)
         # not what nothing depends on, nor what has run away
         felt = (unit > 0.0) & np.isfinite(unit) & np.isfinite(here).all(axis=0)
@@ -210,9 +197,8 @@ def _smallest(traces: _Traces, name: str, energy: float, torque: float) -> Term 
     points = points[:: max(1, len(points) // GRID)]
     worst: tuple[float, dict[str, float]] | None = None
     for point in points:
-        values = screen._directions(effect, point)[0]
-        unit = values.get(key, 1.0) or 1.0
-        column = traces.of(make_term(effect, screen.joint, {**values, key: unit})) / unit
+        values, column = screen.least_seen(effect, point, traces.of)
+        column = column / (values.get(key, 1.0) or 1.0)
         left = float(np.linalg.norm(column))
         if left <= 0:
             return None
@@ -222,46 +208,78 @@ def _smallest(traces: _Traces, name: str, energy: float, torque: float) -> Term 
     return worst and make_term(effect, screen.joint, {**worst[1], key: worst[0]})
 
 
-def _implanted(
-    test: Data, base: Fit, term: Term, energy: float, torque: float, jobs: int
-) -> tuple[float, float] | None:
-    """Size of an effect that leaves so much though all calibrated numbers are fitted beside it, and
-    the torque that it leaves, N m or N; None where it does not.
+class _Implant:
+    """Effects of some size, implanted at a joint and asked as the decision asks: the calibrated
+    numbers and the observer are fitted beside them to the recordings of the fit, as on a machine
+    that has the effect where the model has not.
     """
-    key, joint = _key(get_effect(term.effect)), term.joint
-    scale = math.sqrt(mean_square(test, joint))
-    errors = window_error(test, base.model, joint)
-    for _ in range(IMPLANTS):
-        number = term.parameters[key]
-        model = base.model.with_terms((*base.model.terms, term))
-        if difference(test, model, base.model, joint) > NOT_SMALL:
-            return None
-        result = _beside(test, model, base.handles, joint, jobs)
-        left = math.sqrt(max(_squares(test, result, joint) - _squares(test, base, joint), 0.0))
-        rms = scale * difference(test, result.model, base.model, joint)
-        needed = max(energy / max(left, 1e-300), torque / max(rms, 1e-300))
-        worse = standing_out(test, window_error(test, result.model, joint), errors, joint)
-        needed = max(needed, NINE_IN_TEN / max(worse, 1e-300))
-        if needed <= 1.0:
-            return number.value, rms
-        needed = max(needed, LARGER)
-        number = replace(number, value=AMPLE * min(needed, FARTHER) * number.value)
-        term = replace(term, parameters={**term.parameters, key: number})
-    return None
+
+    def __init__(self, parts: Parts, decision: Decision, jobs: int) -> None:
+        self.test, self.joint, self.final, self.jobs = (
+            parts.test, decision.joint, decision.final, jobs
+        )  # fmt: skip
+        needed = math.log(self.test.joints * len(LAWS_OF) / FALSE_DISCOVERIES)
+        # a gain of G = |c|² s² / σ² is 2 log e in the mean, with standard deviation 2 √G
+        self.root = NINE_IN_TEN + math.sqrt(NINE_IN_TEN**2 + 2.0 * needed)
+        self.errors = window_error(self.test, self.final.model, self.joint)
+        bandwidth = self.final.data.bandwidth[self.joint - 1]
+        data = self.test.at_bandwidth(self.joint, bandwidth)
+        innovations = residual(data, self.final.model, (self.joint,))
+        mean = float(innovations @ innovations) / max(informative(data, self.joint), 1)
+        # root of the energy that an effect has to leave in the innovations
+        self.n = informative(self.final.data, self.joint)
+        self.energy = self.root * math.sqrt(mean * dependence(self.final, self.test, self.joint))
+
+    def seen(self, term: Term, least: float) -> tuple[float, float] | None:
+        """Size of an effect, as large as a term or larger, that would be found and claimed, and the
+        torque of it that calibration leaves, ``least`` or more, both as parts of the RMS torque;
+        None where an effect that is not small would not.
+        """
+        key, absorbed = _key(get_effect(term.effect)), 0
+        for _ in range(IMPLANTS):
+            held = {name: replace(q, free=False) for name, q in term.parameters.items()}
+            model = self.final.model.with_terms(
+                (*self.final.model.terms, replace(term, parameters=held))
+            )
+            if difference(self.test, model, self.final.model, self.joint) > NOT_SMALL:
+                return None
+            lacking, torque = self._short_by(term, model, least)
+            if lacking <= 1.0:
+                return term.value(key), torque
+            absorbed += not math.isfinite(lacking)
+            if absorbed == ABSORBED:
+                return None
+            larger = AMPLE * min(max(lacking, LARGER), FARTHER) * term.value(key)
+            term = _set(term, {key: larger})
+        return None
+
+    def _short_by(self, term: Term, model: Model, least: float) -> tuple[float, float]:
+        """By how many times an effect would have to be larger, 1 or less: it is seen; and its
+        torque.
+        """
+        test, joint, final = self.test, self.joint, self.final
+        handles = joint_handles(final.data, model, joint)
+        without = fit_scored(
+            final.data, model, handles, (joint,), iterations=BESIDE, jobs=self.jobs, rounds=2
+        )
+        torque = difference(test, without.model, final.model, joint)
+        worth = max(WAIT + price((term,), self.n), PROMISING * self.n)
+        found = without.deviance - final.deviance
+        held = compare(without, final, test, joint)
+        log_e = log_e_value(held, without, final, test, joint)
+        worse = standing_out(test, window_error(test, without.model, joint), self.errors, joint)
+        shown = min(
+            torque / least,
+            _root(found) / (math.sqrt(worth) + NINE_IN_TEN),
+            _root(2.0 * log_e) / self.root,
+            held.z / (CLAIMED + NINE_IN_TEN),
+            worse / NINE_IN_TEN,
+        )
+        return (1.0 / shown if shown > 0.0 else math.inf), torque
 
 
-def _beside(
-    test: Data, model: Model, handles: Sequence[Handle], joint: int, jobs: int
-) -> Fit:
-    return fit(
-        test, model, handles, joints=(joint,), iterations=BESIDE_ITERATIONS, jobs=jobs, brief=True
-    )
-
-
-def _squares(test: Data, result: Fit, joint: int) -> float:
-    """Of the innovations alone: what a prior says is no evidence of these recordings."""
-    innovations = result.residual[: sum(rec[joint - 1].n for rec in test.records)]
-    return float(innovations @ innovations)
+def _root(value: float) -> float:
+    return math.sqrt(max(value, 0.0))
 
 
 def _torque(screen: Screen, column: Array) -> float:

@@ -190,6 +190,8 @@ class Rounds:
         self.progress(f"joint {self.joint}: fitting {len(listed)} hypotheses")
         with threads(self.jobs) as each:
             quick = self._looked_at(current, listed, each, all_of_them=bool(only))
+            if not only:
+                quick += self._overlooked(current, options, listed, quick, each)
             quick.sort(key=lambda r: r.value)
             reach = 0.5 * (current.deviance - quick[0].value) if quick else 0.0
             finalists = [
@@ -226,6 +228,29 @@ class Rounds:
         quick = short([g for g in listed if not any(g is s for s in slow)])
         best = max((current.deviance - r.value for r in quick), default=0.0)
         return quick + short([g for g in slow if _promise(g) * self.n >= REACH * best])
+
+    def _overlooked(
+        self,
+        current: Scored,
+        options: Sequence[tuple[float, Candidate]],
+        listed: list[list[Candidate]],
+        quick: list[Rival],
+        each: Each,
+    ) -> list[Rival]:
+        """What was not listed, where it promises more than anything listed has kept: with a fast
+        observer a screen promises many effects much, and the true one no more than others.
+        """
+        best = max((current.deviance - r.value for r in quick), default=0.0)
+        seen = {c.effect for group in listed for c in group}
+        more = [
+            starts_of(c, current.data)
+            for share, c in options
+            if c.effect not in seen
+            and share > PROMISING
+            and -self.n * math.log1p(-min(share, 1.0 - 1e-9)) > best
+        ]
+        found = each(lambda group: self._quick(current, group), more)
+        return [r for r in found if r is not None]
 
     def _bare(self, rivals: list[Rival]) -> list[Rival]:
         """What is left of the likeliest hypothesis where it is nothing of its own: the search for a
@@ -297,10 +322,21 @@ class Rounds:
         )  # fmt: skip
 
     def _quick(self, current: Scored, group: list[Candidate]) -> Rival | None:
-        """A short fit from each start; the best is followed to slower observers."""
+        """A short fit from each start; the best is followed to slower observers. Where it gains
+        nothing, under a slow observer from the beginning: a fast one follows what is missing.
+        """
         data, slow = current.data, get_effect(group[0].effect).slow
-        if slow and data.bandwidth[self.joint - 1] > SETTLED:
-            data = data.at_bandwidth(self.joint, SETTLED)
+        settled = data
+        if data.bandwidth[self.joint - 1] > SETTLED:
+            settled = data.at_bandwidth(self.joint, SETTLED)
+        best = self._short_fits(current, group, settled if slow else data)
+        if settled is data or slow or (best and best.value < current.deviance - WAIT):
+            return best
+        other = self._short_fits(current, group, settled)
+        return other if other and not (best and best.value <= other.value) else best
+
+    def _short_fits(self, current: Scored, group: list[Candidate], data: Data) -> Rival | None:
+        """The best of a short fit from each start, at some observer's bandwidth."""
         tried: list[tuple[float, Candidate, Fit]] = []
         for candidate in group:
             model = with_candidate(current.model, candidate)
@@ -321,7 +357,7 @@ class Rounds:
         gained = max(current.deviance - value, WAIT)
         if self._gain_of_look(current, result.model) > gained:  # and these are but part of them
             result, value = self._upon_its_numbers(current, candidate, result, value)
-        data = current.data
+        slow, data = data is not current.data, current.data
         if slow or value < current.deviance:
             data, value = tune_bandwidth(
                 data, result.model, (self.joint,), down_only=True, known=value

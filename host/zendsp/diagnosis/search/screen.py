@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -56,7 +56,7 @@ class Candidate:
         return self.effect, self.joint
 
 
-def _phase_of(effect: Effect) -> str:
+def phase_of(effect: Effect) -> str:
     """Name of the parameter that is a phase of a sine with a linear amplitude, empty where there is
     none.
     """
@@ -201,8 +201,7 @@ class Screen:
             yield float(-theta @ outer), theta / norm
 
     def candidates(self, only: frozenset[str] = frozenset(), jobs: int = 1) -> list[Candidate]:
-        """Each effect of the library (or only the named ones) at its best grid point, best first.
-        """
+        """Each effect of the library (or some) at its best grid point, best first."""
         present = {t.effect for t in self.model.at(self.joint)}
         effects = [
             e
@@ -261,30 +260,54 @@ class Screen:
                 {**point, effect.linear[0]: 1.0, "neutral": s.centre + way * s.scale.position}
                 for way in (0.0, 0.5)
             ]
-        phase = _phase_of(effect)
+        phase = phase_of(effect)
         if phase:
             second = -np.pi / 2 if phase == "angle" else np.pi / 2
             return [{**point, effect.linear[0]: 1.0, phase: angle} for angle in (0.0, second)]
         return [_unit_values(effect, point, name) for name in effect.linear] or [point]
 
+    def mixed(self, effect: Effect, point: dict[str, float], theta: Array) -> dict[str, float]:
+        """The values of an effect whose torque is so much of each of its directions: those of an
+        effect with a phase or a neutral position.
+        """
+        phase = phase_of(effect)
+        if phase:
+            angle = float(np.arctan2(theta[1], theta[0])) * (-1 if phase == "angle" else 1)
+            return {**point, effect.linear[0]: float(np.hypot(*theta)), phase: angle}
+        s = facts(self.records[0])
+        k = max(
+            float(theta[0] + theta[1]), 1e-3 * s.scale.of(effect.parameter(effect.linear[0]).size)
+        )
+        neutral = s.centre + 0.5 * s.scale.position * float(theta[1]) / k
+        return {**point, effect.linear[0]: k, "neutral": neutral}
+
+    def least_seen(
+        self, effect: Effect, point: dict[str, float], trace: Callable[[Term], Array]
+    ) -> tuple[dict[str, float], Array]:
+        """The values at a grid point that leave the smallest trace for their size, and it: the
+        worst phase of what has one, the worst neutral position within the travel.
+        """
+        listed = self._directions(effect, point)
+        one = trace(make_term(effect, self.joint, listed[0]))
+        phase = bool(phase_of(effect))
+        if not phase and not _neutral_of(effect, point):
+            return listed[0], one
+        other = trace(make_term(effect, self.joint, listed[1]))
+        if phase:
+            pair = np.array([one, other])
+            mixture = np.linalg.eigh(pair @ pair.T)[1][:, 0]
+            return self.mixed(effect, point, mixture), mixture @ pair
+        way = other - one
+        along = float(np.clip(-(one @ way) / max(float(way @ way), 1e-300), -1.0, 1.0))
+        s = facts(self.records[0])
+        neutral = s.centre + 0.5 * s.scale.position * along
+        return {**listed[0], "neutral": neutral}, one + along * way
+
     def _judge(
         self, effect: Effect, point: dict[str, float], gain: float, theta: Array
     ) -> tuple[float, dict[str, float]]:
-        if _neutral_of(effect, point):
-            s = facts(self.records[0])
-            k = max(
-                float(theta[0] + theta[1]),
-                1e-3 * s.scale.of(effect.parameter(effect.linear[0]).size),
-            )
-            return gain, {
-                **point,
-                effect.linear[0]: k,
-                "neutral": s.centre + 0.5 * s.scale.position * float(theta[1]) / k,
-            }
-        phase = _phase_of(effect)
-        if phase:
-            angle = float(np.arctan2(theta[1], theta[0])) * (-1 if phase == "angle" else 1)
-            return gain, {**point, effect.linear[0]: float(np.hypot(*theta)), phase: angle}
+        if _neutral_of(effect, point) or phase_of(effect):
+            return gain, self.mixed(effect, point, theta)
         if not effect.linear:
             return (gain if theta[0] > 0 else 0.0), point
         values = {**point, **{name: float(v) for name, v in zip(effect.linear, theta, strict=True)}}
