@@ -63,7 +63,7 @@ from zendsp.physics.model import Model, Term
 Array = npt.NDArray[np.float64]
 
 NOT_SMALL = 0.3  # of the RMS torque: an effect that is larger is not small
-BESIDE = 6  # iterations of the fit beside it
+ITERATIONS = 6  # iterations of the fit beside it
 ABSORBED = 2  # sizes of which calibration leaves nothing at all: a larger one is not asked
 IMPLANTS = 6  # of growing size, until one is seen
 AMPLE = 1.05  # by which one is larger than the last seems to need
@@ -260,7 +260,7 @@ class _Implant:
         test, joint, final = self.test, self.joint, self.final
         handles = joint_handles(final.data, model, joint)
         without = fit_scored(
-            final.data, model, handles, (joint,), iterations=BESIDE, jobs=self.jobs, rounds=2
+            final.data, model, handles, (joint,), iterations=ITERATIONS, jobs=self.jobs, rounds=2
         )
         torque = difference(test, without.model, final.model, joint)
         worth = max(WAIT + price((term,), self.n), PROMISING * self.n)
