@@ -28,14 +28,15 @@ def until(
 
     Also fails as soon as the process that is to bring it is no longer `alive`.
     """
-    deadline = time.monotonic() + PATIENCE_S
+    deadline, pause = time.monotonic() + PATIENCE_S, 0.005
     while not done():
         if alive is not None and alive.poll() is not None:
             said = alive.stdout.read() if alive.stdout else ""
             raise AssertionError(f"{what}: the process ended with {alive.returncode}: {said}")
         if time.monotonic() > deadline:
             raise AssertionError(f"never happened within {PATIENCE_S:g} s: {what} {shown()}")
-        time.sleep(0.005)
+        time.sleep(pause)
+        pause = min(1.2 * pause, 0.025)  # what takes long is asked less often: asking computes
 
 
 def freeze(pid: int) -> None:

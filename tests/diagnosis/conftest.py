@@ -32,18 +32,28 @@ def model(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def decided(tmp_path: Path) -> Callable[..., Diagnosis]:
-    """Diagnose run1.csv of a machine, with run2.csv of another or the same one held out."""
+def recorded(tmp_path: Path) -> Callable[..., list[Path]]:
+    """Write run1.csv of a machine, and run2.csv of another or the same one."""
 
-    def run(fit: reality.Machine, held: reality.Machine | None = None, *effects: str) -> Diagnosis:
+    def write(fit: reality.Machine, held: reality.Machine | None = None) -> list[Path]:
         machines = ((fit, 9.0, 1), (held or fit, 12.0, 2))
-        files = [
+        return [
             reality.save(
                 tmp_path / f"run{seed}.csv",
                 reality.simulate(m, reality.multisine(s, RATE, seed), RATE, seed),
             )
             for m, s, seed in machines
         ]
+
+    return write
+
+
+@pytest.fixture
+def decided(tmp_path: Path, recorded: Callable[..., list[Path]]) -> Callable[..., Diagnosis]:
+    """Diagnose run1.csv of a machine, with run2.csv of another or the same one held out."""
+
+    def run(fit: reality.Machine, held: reality.Machine | None = None, *effects: str) -> Diagnosis:
+        files = recorded(fit, held)
         model = reality.model_file(
             tmp_path / "model.toml", RATE, *(effects or KNOWN), resolution=fit.resolution
         )

@@ -165,10 +165,11 @@ def test_numbers_fitted_to_slow_motion_that_are_off_in_a_fast_one_are_no_missing
         for k, reference in ((1, slow), (2, reality.multisine(12.0, RATE, 2)))
     ]
     model = reality.model_file(tmp_path / "model.toml", RATE, *KNOWN)
-    d = diagnose(runs[0], model, runs[1])
+    d = diagnose(runs[0], model, runs[1], jobs=1)
     assert d.verdict == "complete"
     assert any("hardly determine the numbers" in note for note in d.notes), d.notes
-    lacking = diagnose(runs[0], reality.model_file(tmp_path / "less.toml", RATE, KNOWN[0]), runs[1])
+    less = reality.model_file(tmp_path / "less.toml", RATE, KNOWN[0])
+    lacking = diagnose(runs[0], less, runs[1], jobs=1)
     assert lacking.verdict != "complete"
 
 
@@ -192,7 +193,7 @@ def test_what_a_faster_loop_does_between_rows_is_no_missing_physics(tmp_path: Pa
             run = reality.simulate(machine, reality.multisine(12.0, RATE, seed), RATE, seed)
             every = {name: column[::5] for name, column in run.items()}
             runs.append(reality.save(tmp_path / f"{seed}.csv", every))
-        return diagnose(runs[0], model, runs[1])
+        return diagnose(runs[0], model, runs[1], jobs=1)
 
     counts = 2 * np.pi / 8192
     held = reality.model_file(tmp_path / "held.toml", RATE / 5, *KNOWN, resolution=counts)
@@ -288,6 +289,7 @@ def test_a_law_is_told_beside_what_the_machine_is_known_to_leave(
         tmp_path / "run1.csv",
         parse_model(tomllib.loads(model_text(before.improved))),
         tmp_path / "run2.csv",
+        jobs=1,
     )
     assert [f.effect for f in again.findings] == ["stiffness"]
     assert again.findings[0].parameters["coefficient"].value == pytest.approx(0.06, rel=0.05)
@@ -295,14 +297,14 @@ def test_a_law_is_told_beside_what_the_machine_is_known_to_leave(
 
 @pytest.mark.parametrize(("known", "verdict"), [("", "missing"), (", std = 0.002", "complete")])
 def test_calibration_may_move_a_number_as_far_as_the_model_file_says_that_it_is_known(
-    known: str, verdict: str, decided: Decided, tmp_path: Path
+    known: str, verdict: str, recorded: Callable[..., list[Path]], tmp_path: Path
 ) -> None:
     """Given a quarter too large."""
-    decided(reality.Machine())
+    runs = recorded(reality.Machine())
     model = reality.model_file(tmp_path / "rough.toml", RATE, *KNOWN, inertia=0.0125)
     text = model.read_text().replace("value = 0.0125", f"value = 0.0125{known}")
     model.write_text(text)
-    d = diagnose(tmp_path / "run1.csv", model, tmp_path / "run2.csv")
+    d = diagnose(runs[0], model, runs[1], jobs=1)
     assert (d.verdict, [f.effect for f in d.findings]) == (
         verdict,
         ["inertia"] if verdict == "missing" else [],

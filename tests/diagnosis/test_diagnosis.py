@@ -290,7 +290,8 @@ def test_user_effect_is_named(tmp_path: Path) -> None:
             reality.simulate(machine, reality.multisine(9.0, RATE, seed, high=2.0), RATE),
         )
     reality.model_file(tmp_path / "model.toml", RATE, VISCOUS, COULOMB)
-    # a process of its own: loaded effects stay in the library
+    # a process of its own: loaded effects stay in the library; its C is that of docs/effects.md, so
+    # that the kernel with it is compiled once for this and the page
     entry = "from zendsp.cli import main; main()"
     command = [
         sys.executable,

@@ -197,11 +197,13 @@ def test_a_load_that_only_the_held_out_recording_has_is_named(
     assert d.test.improved < 0.2 * d.test.calibrated
 
 
-def test_a_load_that_gravity_shows_too_is_a_payload(decided: Decided, tmp_path: Path) -> None:
+def test_a_load_that_gravity_shows_too_is_a_payload(
+    recorded: Callable[..., list[Path]], tmp_path: Path
+) -> None:
     """0.1 kg at 0.2 m, beside inertia and weight that the model has."""
-    decided(reality.Machine(gravity=0.15), reality.Machine(gravity=0.3462, inertia=0.014))
+    runs = recorded(reality.Machine(gravity=0.15), reality.Machine(gravity=0.3462, inertia=0.014))
     model = reality.model_file(tmp_path / "heavy.toml", reality.RATE, *KNOWN, gravity=0.15)
-    d = diagnose(tmp_path / "run1.csv", model, tmp_path / "run2.csv", jobs=1)
+    d = diagnose(runs[0], model, runs[1], jobs=1)
     (found,) = d.findings
     mass, reach = (found.parameters[key] for key in ("mass", "com_x"))
     assert (found.effect, found.mechanism) == ("payload", "inertia")

@@ -168,7 +168,7 @@ def test_improved_model_given_again_is_complete(folder: Path) -> None:
     again = folder / "out" / "model.toml"
     data = tomllib.loads(again.read_text())
     assert {e["kind"] for e in data["effect"]} == {"viscous", "coulomb", "ripple"}
-    d = diagnose(folder / "train.csv", again, folder / "heldout.csv")
+    d = diagnose(folder / "train.csv", again, folder / "heldout.csv", jobs=1)
     assert d.verdict == "complete", d.findings
 
 
@@ -202,7 +202,7 @@ def test_a_given_number_that_is_wrong_is_drawn_as_given_and_calibrated(tmp_path:
         rows["t"] += 100.0  # the target had run for so long
         reality.save(tmp_path / f"{name}.csv", rows)
     model = reality.model_file(tmp_path / "model.toml", RATE, *reality.KNOWN)
-    d = diagnose(tmp_path / "train.csv", model, tmp_path / "heldout.csv")
+    d = diagnose(tmp_path / "train.csv", model, tmp_path / "heldout.csv", jobs=1)
     assert [f.effect for f in d.findings] == ["inertia"]
     drawn = charts(d)
     (chart,) = (c for c in drawn if c.finding == 0)

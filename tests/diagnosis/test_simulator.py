@@ -116,7 +116,7 @@ def files(
 
 def test_coulomb_friction_that_a_python_simulator_lacks_is_named(tmp_path: Path) -> None:
     train, test, model = files(tmp_path, reality.Machine(gravity=0.2))
-    d = diagnose(train, model, test)
+    d = diagnose(train, model, test, jobs=1)
     assert d.verdict == "missing" and [f.effect for f in d.findings] == ["coulomb"]
     level = d.findings[0].parameters["level"]
     assert level.value == pytest.approx(0.03, rel=0.04) and level.std < 0.002
@@ -132,7 +132,7 @@ def test_coulomb_friction_that_a_python_simulator_lacks_is_named(tmp_path: Path)
     out = write_report(d, tmp_path / "out")
     assert "data:image/png" in (out / "report.html").read_text()
     # its terms act on the input; the module stands beside the first model
-    again = diagnose(train, out / "model.toml", test)
+    again = diagnose(train, out / "model.toml", test, jobs=1)
     assert again.verdict == "complete", again.findings
 
 
@@ -215,7 +215,7 @@ def test_intervals_of_a_simulators_numbers_hold_the_truth(tmp_path: Path) -> Non
 
 def test_complete_simulator_raises_no_alarm(tmp_path: Path) -> None:
     train, test, model = files(tmp_path, reality.Machine(gravity=0.2, coulomb=0.0))
-    d = diagnose(train, model, test)
+    d = diagnose(train, model, test, jobs=1)
     assert d.verdict == "complete" and d.findings == ()
     assert not [note for note in d.notes if "calibration moves" in note]
 
@@ -225,7 +225,7 @@ def test_what_calibration_made_of_a_simulators_numbers_is_noted(tmp_path: Path) 
     machine = reality.Machine(gravity=0.2, coulomb=0.0)
     off = OWN.replace("gravity = { value = 0.206 }", "gravity = { value = 0.15 }")
     train, test, model = files(tmp_path, machine, parameters=off)
-    d = diagnose(train, model, test)
+    d = diagnose(train, model, test, jobs=1)
     assert d.verdict == "complete" and "(notes)" in headline(d)
     (note,) = [note for note in d.notes if "calibration moves" in note]
     assert note.startswith("calibration moves ") and "gravity 0.15 to " in note
@@ -235,7 +235,7 @@ def test_simulator_that_starts_elsewhere_is_compared_as_a_whole_and_the_report_s
     tmp_path: Path,
 ) -> None:
     train, test, model = files(tmp_path, reality.Machine(), "whole", "stiff = { value = 1.0 }")
-    d = diagnose(train, model, test)
+    d = diagnose(train, model, test, jobs=1)
     assert any("whole recordings" in n for n in d.notes)
 
 
@@ -259,13 +259,13 @@ def test_failing_simulators_are_refused_with_their_own_words(
     status, _, err = typed("diagnose", train, "--model", model)
     assert status == 2 and words in err and len(err.strip().splitlines()) == 1
     with pytest.raises(ModelError):
-        diagnose(train, model)
+        diagnose(train, model, jobs=1)
 
 
 def test_a_recording_that_a_simulator_is_fitted_to_is_not_held_out_as_well(tmp_path: Path) -> None:
     train, _, model = files(tmp_path, reality.Machine(gravity=0.2))
     with pytest.raises(RecordingError, match="held out, and the same as"):
-        diagnose(train, model, train)
+        diagnose(train, model, train, jobs=1)
 
 
 @pytest.mark.parametrize(("explained", "why"), [(5.0, "no larger than what the laws"), (50.0, "")])

@@ -151,7 +151,7 @@ def test_a_soft_contact_is_in_the_width_of_its_gap_and_the_motors_position_may_s
     """
     machine = {"gap": 0.02, "load": 0.006, "resolution": FINE}
     recordings = [recording(columns(tuple(sorted(machine.items())), seed)) for seed in (1, 2, 3)]
-    found = diagnose(recordings[:2], model(position_load="ql"), recordings[2:])
+    found = diagnose(recordings[:2], model(position_load="ql"), recordings[2:], jobs=1)
     (gap,) = found.findings
     assert gap.effect == "backlash"
     assert abs(gap.parameters["gap"].value - 0.02) < 2 * gap.parameters["gap"].std
@@ -292,7 +292,8 @@ def test_friction_over_temperature_between_recordings_that_are_each_at_one_tempe
             {"q": made["q"], "u": made["u"], "warm": warm}, sample_time=1 / RATE
         )
 
-    found = diagnose([at(20, 1), at(40, 2)], model(temperature="warm"), [at(22, 3), at(38, 4)])
+    held = [at(22, 3), at(38, 4)]
+    found = diagnose([at(20, 1), at(40, 2)], model(temperature="warm"), held, jobs=1)
     assert [f.effect for f in found.findings] == ["friction_temperature"]
     coefficient = found.findings[0].parameters["coefficient"].value
     assert coefficient == pytest.approx(-0.02, rel=0.05)

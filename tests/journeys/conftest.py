@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import site
 import subprocess
 import sys
@@ -18,6 +19,7 @@ from pathlib import Path
 
 import pytest
 from journey import Installed
+from pages import blocks
 
 ROOT = Path(__file__).parents[2]
 
@@ -47,18 +49,36 @@ def environment_of_the_wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return home
 
 
+# The kernels of the library, and of the effect that docs/effects.md adds: half a minute each, of
+# which other tests need the same.
+KERNELS = """
+from zendsp.physics.effects import library, load_effects
+from zendsp.physics.kernel.native import build, source_text
+print(build(source_text(library())))
+load_effects("film.py")
+print(build(source_text(library())))
+"""
+
+
 @pytest.fixture(scope="session")
 def cache_of_the_journeys(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What the journeys compile, and what libraries keep, is made once: it is named by its content.
 
     A first use, with an empty cache, is in tests/whole/test_wheel.py.
     """
-    return tmp_path_factory.mktemp("cache")
+    cache = tmp_path_factory.mktemp("cache")
+    (film,) = (b for b in blocks(ROOT / "docs" / "effects.md") if 'name="film"' in b.text)
+    (cache / "film.py").write_text(film.text)
+    (cache / "zendsp").mkdir()
+    for kernel in _checked([sys.executable, "-c", KERNELS], cache).split():
+        shutil.copy(kernel, cache / "zendsp")
+    return cache
 
 
-def _checked(command: Sequence[str], cwd: Path) -> None:
+def _checked(command: Sequence[str], cwd: Path) -> str:
     done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
 
 
 @pytest.fixture

@@ -37,6 +37,8 @@ class Screen:
         program: Sequence[str] = (),
     ) -> None:
         self.shown = pyte.Screen(*size)
+        self._fed = 0  # pieces that have been read
+        self._read: tuple[int, list[str]] = (-1, [])  # rows, after so many
         stream = pyte.ByteStream(self.shown)
         self.status: int | None = None  # of the end
         self.pid, self.fd = pty.fork()
@@ -51,14 +53,22 @@ class Screen:
                 while data := os.read(self.fd, 1 << 16):
                     # pyte knows no private queries of this kind
                     stream.feed(data.replace(b"\x1b[>", b"\x1b["))
+                    self._fed += 1
             except OSError:
                 return
 
         threading.Thread(target=read, daemon=True).start()
 
+    def rows(self) -> list[str]:
+        """All rows as they are now; put together once for each change."""
+        fed = self._fed
+        if self._read[0] != fed:
+            self._read = fed, list(self.shown.display)
+        return self._read[1]
+
     def text(self) -> str:
-        """All rows as they are now."""
-        return "\n".join(self.shown.display)
+        """All rows as they are now, as one text."""
+        return "\n".join(self.rows())
 
     def clock(self) -> str:
         """The time of day in the status bar, empty before it is there: it goes on while the screen
@@ -88,8 +98,7 @@ class Screen:
         self.keys(f"\x1b[<0;{at}M\x1b[<0;{at}m".encode())
 
     def _place(self, text: str) -> tuple[int, int] | None:
-        lines = list(self.shown.display)
-        found = [(line.index(text), row) for row, line in enumerate(lines) if text in line]
+        found = [(line.index(text), row) for row, line in enumerate(self.rows()) if text in line]
         return found[0] if found else None
 
     def until(self, what: str) -> None:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import importlib.util
 import re
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
 import pytest
+from waiting import PATIENCE_S
 
 from zendsp.errors import ModelError, ZendspError
 from zendsp.physics.effects import (
@@ -184,3 +187,25 @@ def test_the_scale_of_a_sensor_varies_no_more_than_with_its_disc_off_centre(
     """Damping on one half of the travel alone was a sensor's harmonic of 2.6 degrees at 95 %."""
     possible = get_effect("sensor_harmonic").possible
     assert possible is not None and possible({"order": order, "amplitude": amplitude}) is may
+
+
+def test_processes_that_need_the_same_c_at_once_compile_it_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The kernel takes half a minute: a fleet after an update would compile it in each process."""
+    calls, slow = tmp_path / "calls", tmp_path / "cc"
+    slow.write_text(f"#!/bin/sh\necho called >>{calls}\nsleep 0.3\nexec cc \"$@\"\n")
+    slow.chmod(0o755)
+    monkeypatch.setenv("ZENDSP_CACHE", str(tmp_path / "cache"))
+    code = (
+        "import sys; from types import SimpleNamespace; from zendsp.physics.kernel import native\n"
+        "native.find_compiler = lambda: SimpleNamespace(command=(sys.argv[1],))\n"
+        "print(native.build('int one(void) { return 1; }', ('-shared', '-fPIC')))"
+    )
+    both = [
+        subprocess.Popen([sys.executable, "-c", code, slow], stdout=subprocess.PIPE, text=True)
+        for _ in range(2)
+    ]
+    built = {process.communicate(timeout=PATIENCE_S)[0] for process in both}
+    assert len(built) == 1 and Path(built.pop().strip()).exists()
+    assert calls.read_text().count("called") == 1

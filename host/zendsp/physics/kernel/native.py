@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import hashlib
+import os
 import platform
 import re
 import subprocess
 import tempfile
+from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -202,7 +206,9 @@ def build(source: str, flags: tuple[str, ...] = FLAGS) -> Path:
     target = cache_root() / f"physics-{key}.so"
     if target.exists():
         return target
-    with tempfile.TemporaryDirectory(dir=cache_root()) as folder:
+    with _alone(target.parent), tempfile.TemporaryDirectory(dir=target.parent) as folder:
+        if target.exists():  # another process has built it meanwhile
+            return target
         code, out = Path(folder) / "physics.c", Path(folder) / "physics.so"
         code.write_text(source)
         run = subprocess.run(
@@ -213,8 +219,20 @@ def build(source: str, flags: tuple[str, ...] = FLAGS) -> Path:
         )
         if run.returncode:
             raise ZendspError(f"the C compiler refused the physics kernel:\n{run.stderr[-4000:]}")
-        out.replace(target)  # atomic: several processes may build at once
+        out.replace(target)  # atomic: where there are no locks, several processes build at once
     return target
+
+
+@contextlib.contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """One process at a time: the kernel takes a compiler half a minute."""
+    place = os.open(folder, os.O_RDONLY)
+    try:
+        with contextlib.suppress(OSError):  # a file system without locks
+            fcntl.flock(place, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(place)
 
 
 class Native:
