@@ -12,9 +12,9 @@ import pytest
 from zendsp.diagnosis import joints, machine
 from zendsp.diagnosis.decide.absorbed import bodies_wrong
 from zendsp.diagnosis.decide.claims import Decision
-from zendsp.diagnosis.decide.decide_bodies import Heard, beside_bodies, borne, unsure
+from zendsp.diagnosis.decide.decide_bodies import Heard, beside_bodies, borne
 from zendsp.diagnosis.search import bodies
-from zendsp.diagnosis.search.bodies import own_mass
+from zendsp.diagnosis.search.bodies import own_mass, unsure
 from zendsp.diagnosis.search.body_columns import NUISANCE
 from zendsp.diagnosis.search.body_explain import Explained, explain, first_of
 from zendsp.diagnosis.search.body_hypotheses import COST, LIMITS, Hypothesis
