@@ -296,8 +296,10 @@ def _refined(
     )
     together = both.estimate(h, values)
     std, known = one.std(h, values), both.std(h, together)
-    may = np.maximum(std**2 - known**2, limits.added * known**2)
-    apart = max(1.0, float(np.sqrt(np.mean((together - values) ** 2 / np.maximum(may, 1e-300)))))
+    # of a variance, further recordings take off as much as they have of all samples
+    more = 1.0 - one.counts.sum() / both.counts.sum()
+    may = np.maximum(more * std**2, 1e-300)
+    apart = max(1.0, float(np.sqrt(np.mean((together - values) ** 2 / may))))
     out = []
     for solver, found, spread in ((one, values, std), (both, together, known)):
         by_gain = _by_gain(solver, h, found, apart)

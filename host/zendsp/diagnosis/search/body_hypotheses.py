@@ -51,8 +51,6 @@ class BodyLimits:
     # a free parameter of the mechanism farther off than so much of itself is no calibration
     calibrated: float = 0.15
     far: float = 3.0  # of the standard deviations that the model states
-    # of a variance: what further recordings move a number by is known no better
-    added: float = 0.1
     rounds: int = 3  # estimates around the one before
     moves: float = 0.3  # standard deviations: an estimate that moves by less stands
     # with an inertia of its own beside it, a mass is known still if its standard deviation is less
