@@ -369,8 +369,9 @@ def test_a_spring_or_a_gain_fitted_beside_a_body_leaves_its_joints_weight_open(
     record = SimpleNamespace(links=SimpleNamespace())
     part = SimpleNamespace(records=[[record]])
     parts: Any = SimpleNamespace(fit=part, choose=part, test=None)
-    found = FoundBody(Term("payload", 6, {}), "tool", explained(1, "mass", cost=2.0, behind=0.0), (), ())
-    claim = BodyClaim(replace(found, aside=frozenset({5})), {}, 1.0, 0.9)
+    first = explained(1, "mass", cost=2.0, behind=0.0)
+    found = FoundBody(Term("payload", 6, {}), "tool", first, (), (), frozenset({5}))
+    claim = BodyClaim(found, {}, 1.0, 0.9)
     at: Any = [SimpleNamespace(joint=2, claims=[SimpleNamespace(mechanism=mechanism)])]
     (settled,), _ = decide_bodies.settled(parts, [claim], planar(0.15), at, 1)
     assert asked == [left_open] and settled.found.explained == "again"

@@ -356,7 +356,7 @@ def _by_gain(solver: Solver, h: Hypothesis, values: Array, apart: float) -> Arra
     # a command holds what the loop does against all that no model knows: for that, a regression is
     # off to the gain that explains it, and the gain is known no better than it is off
     seen = max(abs(float(off)), apart * float(spread))
-    by = seen * limits.constant / np.hypot(seen, limits.constant)
+    by = float(np.copysign(seen * limits.constant / np.hypot(seen, limits.constant), off))
     shift = solver.beside_gain(by).estimate(h, values) - values
     for _ in range(limits.halvings):  # no torque constant makes a body's inertia negative
         if solver.plausible(h, values + shift):
