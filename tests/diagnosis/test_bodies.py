@@ -20,7 +20,8 @@ from zendsp.diagnosis.decide.absorbed import moved
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.decide_bodies import beside_bodies
 from zendsp.diagnosis.measure.windows import rms, window_error
-from zendsp.diagnosis.search.bodies import BodySearch, find_bodies
+from zendsp.diagnosis.search.bodies import BodySearch, agreed, find_bodies, refined
+from zendsp.diagnosis.search.body_columns import Layout
 from zendsp.diagnosis.search.body_explain import price_of
 from zendsp.diagnosis.search.body_hypotheses import LIMITS, Hypothesis
 from zendsp.diagnosis.search.body_solver import Solver
@@ -177,6 +178,24 @@ def test_a_payload_is_one_body_with_its_mass_and_centre_beside_friction_that_nob
     assert np.abs(np.array(com) - (0.35, 0.05, 0.03)).max() < 0.003  # m
     std = {key: q.std for key, q in found.term.parameters.items()}
     assert abs(found.term.value("mass") - 1.5) < 4 * std["mass"] < 0.1
+
+
+def test_recordings_agree_on_a_payload_or_leave_its_mass_open(record) -> None:  # type: ignore[no-untyped-def]
+    """One recording of a real arm said 214 kg, the other 297, both together 148."""
+    model, (first, second) = record("payload", Arm(mass=1.5))
+    _, (_, heavier) = record("heavier_payload", Arm(mass=1.9))
+    fit, same, other = (
+        prepare([read_signals(path, model)], model, 64.0) for path in (first, second, heavier)
+    )
+    (found,) = find_bodies(fit, same, model, 1, lambda _text: None).found
+    links = fit.records[0][0].links
+    assert links is not None
+    layout, known = Layout(model, links), found.explained
+    one, both = (f(fit, same, layout, known) for f in (refined, agreed))
+    assert both.std[0] < one.std[0] < 0.03 and abs(both.values[0] - 1.5) < 0.015
+    apart = agreed(fit, other, layout, known)
+    assert 1.5 < apart.values[0] < 1.9
+    assert np.all(np.abs(apart.values[0] - np.array([1.5, 1.9])) < 2.0 * apart.std[0])
 
 
 def test_nothing_is_found_where_only_friction_is_missing(record) -> None:  # type: ignore[no-untyped-def]

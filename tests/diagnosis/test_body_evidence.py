@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from zendsp.diagnosis import joints, machine
+from zendsp.diagnosis.decide import decide_bodies
 from zendsp.diagnosis.decide.absorbed import bodies_wrong
 from zendsp.diagnosis.decide.claims import Decision
-from zendsp.diagnosis.decide.decide_bodies import Heard, beside_bodies, borne, unsure
+from zendsp.diagnosis.decide.decide_bodies import BodyClaim, Heard, beside_bodies, borne
 from zendsp.diagnosis.search import bodies
-from zendsp.diagnosis.search.bodies import own_mass
+from zendsp.diagnosis.search.bodies import FoundBody, own_mass, unsure
 from zendsp.diagnosis.search.body_columns import NUISANCE
 from zendsp.diagnosis.search.body_explain import Explained, explain, first_of
 from zendsp.diagnosis.search.body_hypotheses import COST, LIMITS, Hypothesis
@@ -346,3 +347,31 @@ def test_what_a_joint_claims_may_be_a_bodys_weight(
     decision: Any = SimpleNamespace(claims=(claim,))
     assert machine._weighs(decision) is weighs
     assert not machine._weighs(SimpleNamespace(claims=()))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("mechanism", "left_open"),
+    [("position_torque", {2, 5}), ("actuator", {2, 5}), ("dry_friction", {5})],
+)
+def test_a_spring_or_a_gain_fitted_beside_a_body_leaves_its_joints_weight_open(
+    monkeypatch: pytest.MonkeyPatch, mechanism: str, left_open: set[int]
+) -> None:
+    """The spring of a real arm's balancer, fitted beside 159 kg, made 175 ± 5 of them; of 150."""
+    asked: list[frozenset[int]] = []
+
+    def found_again(*args: Any) -> Any:
+        asked.append(args[-1])
+        return "again"
+
+    monkeypatch.setattr(decide_bodies, "agreed", found_again)
+    monkeypatch.setattr(decide_bodies, "stated", lambda _layout, again: again)
+    monkeypatch.setattr(decide_bodies, "Layout", lambda *_args: None)
+    record = SimpleNamespace(links=SimpleNamespace())
+    part = SimpleNamespace(records=[[record]])
+    parts: Any = SimpleNamespace(fit=part, choose=part, test=None)
+    first = explained(1, "mass", cost=2.0, behind=0.0)
+    found = FoundBody(Term("payload", 6, {}), "tool", first, (), (), frozenset({5}))
+    claim = BodyClaim(found, {}, 1.0, 0.9)
+    at: Any = [SimpleNamespace(joint=2, claims=[SimpleNamespace(mechanism=mechanism)])]
+    (settled,), _ = decide_bodies.settled(parts, [claim], planar(0.15), at, 1)
+    assert asked == [left_open] and settled.found.explained == "again"

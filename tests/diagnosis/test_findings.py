@@ -14,7 +14,7 @@ import reality
 from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.data.split import split
 from zendsp.diagnosis.decide.findings import estimates
-from zendsp.diagnosis.decide.naming import between, may_be_nothing, one_number
+from zendsp.diagnosis.decide.naming import between, may_be_nothing, one_number, runs_out
 from zendsp.diagnosis.decide.result import Estimate
 from zendsp.diagnosis.engine import _ready
 from zendsp.diagnosis.measure.significance import counterpart, vanishes
@@ -158,6 +158,25 @@ def test_a_refinement_takes_no_part_of_a_laws_number() -> None:
 def test_a_number_within_two_deviations_of_nothing_is_no_claim(std: float, nothing: bool) -> None:
     values = {"stiffness": Estimate(0.02, std, "N m/rad"), "load_inertia": Estimate(1.0, 0.1, "")}
     assert may_be_nothing("elasticity", values) is nothing
+
+
+@pytest.mark.parametrize(
+    ("effect", "ratio", "std", "gone"),
+    [
+        ("friction_drift", -0.95, 0.12, True),
+        ("friction_drift", -0.80, 0.08, True),
+        ("friction_drift", -0.35, 0.08, False),
+        ("friction_drift", 1.2, 0.3, False),
+        ("gain_drift", -0.88, 0.02, True),
+        ("gain_drift", -0.16, 0.01, False),
+    ],
+)
+def test_what_goes_until_nothing_is_left_of_it_does_not_drift(
+    effect: str, ratio: float, std: float, gone: bool
+) -> None:
+    """A real arm's friction fell by 95 % within half a second of its recording's begin."""
+    values = {"ratio": Estimate(ratio, std, ""), "time_constant": Estimate(0.56, 0.02, "s")}
+    assert runs_out(effect, values) is gone
 
 
 @pytest.mark.parametrize(("down", "nothing"), [(0.329, True), (0.2, False)])

@@ -5,17 +5,24 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
+from zendsp.diagnosis.decide.claims import Claim as JointClaim
+from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.result import Detectable
+from zendsp.diagnosis.measure.discrepancy import Size
+from zendsp.diagnosis.transmission import one_sensor
 from zendsp.diagnosis.transmission.claims import Claim, claims_of
 from zendsp.diagnosis.transmission.sets import Sets, torque_scale
 from zendsp.diagnosis.transmission.terms import choose, may_be_off
 from zendsp.diagnosis.transmission.torsion import Motor, Twist, held_drive, lowpass
 from zendsp.diagnosis.transmission.waves import waves_of
 from zendsp.physics.files.model_file import parse_model
+from zendsp.physics.model import Quantity, Term
 
 Array = npt.NDArray[np.float64]
 RATE, SECONDS = 1000.0, 12.0
@@ -129,3 +136,30 @@ def test_the_drives_torque_is_as_late_and_as_limited_as_the_model_says() -> None
     assert drive.max() <= 2.0
     assert np.all(drive[:54] == 0.0)
     assert drive[65] == pytest.approx(2.0 * (1 - np.exp(-1.0)), rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("size", "before", "after", "named"),
+    [
+        (0.0135, 0.0121, 0.0, True),  # nearly all that lacks swings with its load
+        (0.0135, 0.0150, 0.0090, False),  # as much lacks with it
+        (0.0040, 0.0040, 0.0, False),  # so much swings in complete machines
+    ],
+)
+def test_a_spring_stiffer_than_its_bending_shows_is_named_where_all_that_lacks_swings_with_it(
+    monkeypatch: pytest.MonkeyPatch, size: float, before: float, after: float, named: bool
+) -> None:
+    """4000 N m/rad at one of three joints was a refinement of a machine called complete."""
+    softest = Detectable(2, "transmission", "elasticity", 6.1e-4, "rad/(N m)", 0.0)
+    monkeypatch.setattr(one_sensor, "by_one_sensor", lambda *_args: (softest,))
+    spring = Term("elasticity", 2, {"stiffness": Quantity(4000.0), "load_inertia": Quantity(0.15)})
+    even: Any = SimpleNamespace(gain=1.0, z=10.0)
+    claim = JointClaim("elasticity", "transmission", spring, size, even, 9.0, {}, (), (), ())
+    nothing: Any = None
+    was, left = Size(before, before, before), Size(after, after, after)
+    decision = Decision(
+        2, "missing", (claim,), (), nothing, nothing, was, left, nothing, left, nothing, 1.0
+    )
+    (seen,) = one_sensor.shown(nothing, nothing, [decision])
+    assert seen.claims == ((claim,) if named else ())
+    assert bool(one_sensor.unseen(nothing, nothing, [seen])) is not named

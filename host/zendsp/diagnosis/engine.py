@@ -47,7 +47,7 @@ from zendsp.diagnosis.measure.windows import model_error, noise_floor
 from zendsp.diagnosis.report.files import left_out
 from zendsp.diagnosis.report.sides import clearest, sides
 from zendsp.diagnosis.transmission.measured import without_guesses
-from zendsp.diagnosis.transmission.one_sensor import by_one_sensor, said
+from zendsp.diagnosis.transmission.one_sensor import said, unseen
 from zendsp.diagnosis.transmission.torque_sensor import sided
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.files.model_file import load_model, parse_model
@@ -144,7 +144,7 @@ def _diagnose(
     decisions = blind(decisions, seen)
     tell("proposing the next recording")
     proposal = propose(signals[0], given, found.searches, findings, decisions, seed)
-    alone = by_one_sensor(parts, found.bodies.model, decisions)
+    alone = unseen(parts, found.bodies.model, decisions)
     seen += (*(d for m in found.measured for d in m.detectable), *alone)
     own, *others = _errors(parts, (given, whole.calibrated, improved))
     notes += [*said(alone), *notes_of(decisions, given), *clocks]

@@ -224,7 +224,7 @@ def _finished(found: Found, given: Model, jobs: int, tell: Progress) -> Found:
         }
         searches, decisions, whole = explain(parts, given, beneath, jobs, tell, done)
     if claims:
-        claims, improved = settled(parts, claims, whole.improved, jobs)
+        claims, improved = settled(parts, claims, whole.improved, decisions, jobs)
         if any("calibration" in c.found.indistinguishable for c in claims):
             improved = _calibrated_beside(parts.fit, given, improved, jobs)
         whole = replace(whole, improved=improved)

@@ -25,9 +25,8 @@ from zendsp.diagnosis.measure.discrepancy import difference, mean_square
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import fit_scored
 from zendsp.diagnosis.measure.significance import INTEGRATION_ERROR
-from zendsp.diagnosis.search.bodies import BodySearch, FoundBody, refined, stated
+from zendsp.diagnosis.search.bodies import BodySearch, FoundBody, agreed, refined, stated, unsure
 from zendsp.diagnosis.search.body_columns import Layout
-from zendsp.diagnosis.search.body_explain import Explained
 from zendsp.diagnosis.search.body_hypotheses import COM, LIMITS
 from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.effects import get_effect
@@ -229,16 +228,6 @@ def _wrong_by(term: Term, joint: int, test: Data) -> float:
     return math.sqrt(total / max(count, 1) / mean_square(test, joint))
 
 
-def unsure(explained: Explained) -> bool:
-    """Whether every number of a body, the free ones of its hypothesis, lies within two standard
-    deviations of nothing; where a mass is, three say of its place that its moment is none.
-    """
-    many = np.full(len(explained.values), PLAIN)
-    if "mass" in explained.hypothesis.free:
-        many[1:] = SURE
-    return bool(np.all(np.abs(explained.values) < many * explained.std))
-
-
 def feels(found: FoundBody, joint: int, links: Links | None) -> bool:
     """Whether a joint (1-based) bears any of it."""
     if found.term.effect == "base_tilt" or links is None:
@@ -247,11 +236,22 @@ def feels(found: FoundBody, joint: int, links: Links | None) -> bool:
 
 
 def settled(
-    parts: Parts, claims: Sequence[BodyClaim], improved: Model, jobs: int
+    parts: Parts,
+    claims: Sequence[BodyClaim],
+    improved: Model,
+    decisions: Sequence[Decision],
+    jobs: int,
 ) -> tuple[tuple[BodyClaim, ...], Model]:
     """The claims with their numbers estimated again beside all that was found at the joints, and
-    the model with these.
+    the model with these. A spring or a gain there was fitted beside the body as it was proposed,
+    and takes up what that is off: such a joint's own functions of the position stay free.
     """
+    loose = {
+        d.joint
+        for d in decisions
+        for c in d.claims
+        if c.mechanism in ("position_torque", "actuator")
+    }
     links = parts.fit.records[0][0].links
     if links is None:
         return tuple(claims), improved
@@ -260,14 +260,15 @@ def settled(
         term = claim.found.term
         rest = improved.with_terms(tuple(t for t in improved.terms if t != term))
         layout = Layout(rest, links)
-        again = refined(
+        # the recordings to test on are to stay untouched
+        again = (refined if parts.choose is parts.test else agreed)(
             parts.fit,
             parts.choose,
             layout,
             claim.found.explained,
             replace(LIMITS, rounds=2),
             jobs,
-            claim.found.aside,
+            claim.found.aside | loose,
         )
         new = stated(layout, again)
         improved = improved.with_terms(tuple(new if t == term else t for t in improved.terms))

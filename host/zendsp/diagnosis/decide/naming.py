@@ -80,7 +80,7 @@ def name_findings(
                 finding = _finding(given, decision, whole, claim, share)
             # by these recordings alone: on another day a machine's friction may be half of it, but
             # not more of it one way than the other
-            if claim.effect != "unknown" and may_be_nothing(
+            if claim.effect != "unknown" and _is_no_law(
                 claim.effect,
                 _numbers(given, decision, whole, claim, not get_effect(claim.effect).symmetric),
             ):
@@ -309,6 +309,23 @@ def may_be_nothing(effect: str, values: Mapping[str, Estimate]) -> bool:
         for key in essence_of(effect)
         if key in values
     )
+
+
+def runs_out(effect: str, values: Mapping[str, Estimate]) -> bool:
+    """Whether a number that makes a law what it is lies within two deviations of where its meaning
+    ends: a friction that drifts is there before and after; one that goes by 95 % is gone.
+    """
+    parameters = {p.name: p for p in get_effect(effect).parameters if p.limits is None}
+    return any(
+        bound != 0.0 and abs(values[key].value - bound) < PLAIN * values[key].std
+        for key in essence_of(effect)
+        if key in values and key in parameters
+        for bound in (parameters[key].lower, parameters[key].upper)
+    )
+
+
+def _is_no_law(effect: str, values: Mapping[str, Estimate]) -> bool:
+    return may_be_nothing(effect, values) or runs_out(effect, values)
 
 
 def _unrefined(decision: Decision, claim: Claim) -> Fit | None:

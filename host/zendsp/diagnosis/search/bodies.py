@@ -17,15 +17,23 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from zendsp.diagnosis.search.body_columns import Layout, Sums
 from zendsp.diagnosis.search.body_explain import Explained, clear, explain, seen, tied
-from zendsp.diagnosis.search.body_hypotheses import COM, LIMITS, BodyLimits, hypotheses
+from zendsp.diagnosis.search.body_hypotheses import (
+    COM,
+    LIMITS,
+    BodyLimits,
+    Hypothesis,
+    hypotheses,
+)
 from zendsp.diagnosis.search.body_solver import Solver
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.model import Model, Term
 from zendsp.physics.robots.bodies import Links
 
+Array = npt.NDArray[np.float64]
 Progress = Callable[[str], None]
 
 
@@ -143,7 +151,8 @@ def find_bodies(
         best = refined(
             fit, choose, layout, own_mass(best, tried, links, limits), limits, jobs, aside
         )
-        if weight_of(choose, layout, best) < limits.least:
+        # what recordings do not agree on is no body, and hides those that are
+        if weight_of(choose, layout, best) < limits.least or unsure(best, limits):
             break
         tell(f"bodies: {best.hypothesis.name}")
         found.append(_stated(layout, best, tried, limits, aside))
@@ -245,17 +254,76 @@ def refined(
     of its own where that shows.
 
     What a recording leaves unexplained pulls at the numbers by more than its blocks show, since it
-    comes back with the poses. Another recording has other poses: standard deviations grow to what
-    the two estimates differ by. They hold also where all actuators give a little more or less than
-    stated, which looks much like mass.
+    comes back with the poses. Another recording has other poses: standard deviations grow by what
+    its blocks move the numbers beyond what they may. They hold also where all actuators give a
+    little more or less than stated, which looks much like mass, as far as these recordings tell
+    one from the other.
     """
-    model, h, values = layout.model, first.hypothesis, first.values
+    return _refined(fit, choose, layout, first, limits, jobs, aside)[0]
+
+
+def agreed(
+    fit: Data,
+    choose: Data,
+    layout: Layout,
+    first: Explained,
+    limits: BodyLimits = LIMITS,
+    jobs: int = 1,
+    aside: Collection[int] = (),
+) -> Explained:
+    """The same with the numbers that the recordings of the fit and those that chose agree on: what
+    is decided needs no choice any more, and poses of both tell mass from friction and rotors.
+    """
+    return _refined(fit, choose, layout, first, limits, jobs, aside)[1]
+
+
+def _refined(
+    fit: Data,
+    choose: Data,
+    layout: Layout,
+    first: Explained,
+    limits: BodyLimits,
+    jobs: int,
+    aside: Collection[int],
+) -> tuple[Explained, Explained]:
+    """An explanation by the recordings of the fit, and by those that choose as well."""
+    h, values = _standing(fit, layout, first, limits, jobs, aside)
+    here = layout.model.with_terms((*layout.model.terms, layout.term(h, values)))
+    sums = [Sums(data, here, limits, jobs) for data in (fit, choose)]
+    origin = layout.place(h, values)
+    one, both = (
+        Solver(x, x, layout, limits, origin, aside) for x in (sums[0], sums[0].with_more(sums[1]))
+    )
+    together = both.estimate(h, values)
+    std, known = one.std(h, values), both.std(h, together)
+    # of a variance, further recordings take off as much as they have of all samples
+    more = 1.0 - one.counts.sum() / both.counts.sum()
+    may = np.maximum(more * std**2, 1e-300)
+    apart = max(1.0, float(np.sqrt(np.mean((together - values) ** 2 / may))))
+    out = []
+    for solver, found, spread in ((one, values, std), (both, together, known)):
+        by_gain = _by_gain(solver, h, found, apart)
+        out.append(
+            replace(first, hypothesis=h, values=found, std=np.hypot(apart * spread, by_gain))
+        )
+    return out[0], out[1]
+
+
+def _standing(
+    fit: Data,
+    layout: Layout,
+    first: Explained,
+    limits: BodyLimits,
+    jobs: int,
+    aside: Collection[int],
+) -> tuple[Hypothesis, Array]:
+    """Numbers estimated around themselves until they stand; with an inertia where that shows."""
+    h, values = first.hypothesis, first.values
     wider = (
         replace(h, free=(*h.free, "inertia")) if "mass" in h.free and "inertia" not in h.free else h
     )
-    last, by_gain = first, np.zeros(len(values))
     for _ in range(limits.rounds):
-        here = model.with_terms((*model.terms, layout.term(h, values)))
+        here = layout.model.with_terms((*layout.model.terms, layout.term(h, values)))
         sums = Sums(fit, here, limits, jobs)
         solver = Solver(sums, sums, layout, limits, layout.place(h, values), aside)
         new = solver.estimate(h, values)
@@ -272,22 +340,39 @@ def refined(
             len(new) == known
             and float(np.max(np.abs(new - values) / np.maximum(std, 1e-300))) < limits.moves
         )
-        last, values = replace(first, hypothesis=h, values=new, std=std), new
-        *beside, gain = solver.estimate(replace(h, free=(*h.free, "gain")), np.append(values, 0.0))
-        by_gain = (np.array(beside) - values) * min(1.0, limits.constant / max(abs(gain), 1e-12))
-        for _ in range(limits.halvings):  # no torque constant makes a body's inertia negative
-            if solver.plausible(h, values + by_gain):
-                break
-            by_gain /= 2.0
+        values = new
         if stands:
             break
-    here = model.with_terms((*model.terms, layout.term(h, values)))
-    sums = Sums(choose, here, limits, jobs)
-    solver = Solver(sums, sums, layout, limits, layout.place(h, values), aside)
-    other = solver.estimate(h, values)
-    apart = (other - values) ** 2 / np.maximum(last.std**2 + solver.std(h, other) ** 2, 1e-300)
-    std = last.std * max(1.0, float(np.sqrt(np.mean(apart))))
-    return replace(last, std=np.hypot(std, by_gain))
+    return h, values
+
+
+def _by_gain(solver: Solver, h: Hypothesis, values: Array, apart: float) -> Array:
+    """By how much the numbers move where all actuators give more or less than stated by one
+    standard deviation: that of the constants that makers state, and of what the recordings say.
+    """
+    limits = solver.limits
+    both, stated = replace(h, free=(*h.free, "gain")), np.append(values, 0.0)
+    off, spread = solver.step(both, stated)[-1], solver.std(both, stated)[-1]
+    # a command holds what the loop does against all that no model knows: for that, a regression is
+    # off to the gain that explains it, and the gain is known no better than it is off
+    seen = max(abs(float(off)), apart * float(spread))
+    by = float(np.copysign(seen * limits.constant / np.hypot(seen, limits.constant), off))
+    shift = solver.beside_gain(by).estimate(h, values) - values
+    for _ in range(limits.halvings):  # no torque constant makes a body's inertia negative
+        if solver.plausible(h, values + shift):
+            break
+        shift /= 2.0
+    return np.asarray(shift)
+
+
+def unsure(explained: Explained, limits: BodyLimits = LIMITS) -> bool:
+    """Whether every number of a body, the free ones of its hypothesis, lies within two standard
+    deviations of nothing; where a mass is, three say of its place that its moment is none.
+    """
+    many = np.full(len(explained.values), limits.shown)
+    if "mass" in explained.hypothesis.free:
+        many[1:] = limits.sure
+    return bool(np.all(np.abs(explained.values) < many * explained.std))
 
 
 def stated(layout: Layout, e: Explained) -> Term:

@@ -4,6 +4,7 @@ and block, and where the numbers of a hypothesis stand among them.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -57,6 +58,13 @@ class Sums:
             counts.append(np.stack([c for _, c in done]).astype(np.float64))
         self.grams = np.concatenate(grams, axis=1)  # (joints, blocks, columns, columns)
         self.counts = np.concatenate(counts, axis=1)  # (joints, blocks)
+
+    def with_more(self, other: Sums) -> Sums:
+        """The blocks of both."""
+        out = copy(self)
+        out.grams = np.concatenate([self.grams, other.grams], axis=1)
+        out.counts = np.concatenate([self.counts, other.counts], axis=1)
+        return out
 
     @property
     def whole(self) -> Array:

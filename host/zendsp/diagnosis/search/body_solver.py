@@ -36,6 +36,7 @@ class Solver:
     ) -> None:
         self.fit, self.choose, self.layout, self.limits = fit, choose, layout, limits
         self.origin = np.zeros((layout.joints, layout.width)) if origin is None else origin
+        self.aside, self.rotors = aside, rotors
         whole, n = fit.whole, NUISANCE
         free = list(range(n) if rotors else range(n - 1))  # the last is the rotor's
         own = list(range(layout.own, layout.width))
@@ -49,6 +50,14 @@ class Solver:
             "jab,jac,jcd->jbd", self.complete, whole, self.complete, optimize=True
         )
         self.counts = fit.counts.sum(axis=1)
+
+    def beside_gain(self, by: float) -> Solver:
+        """The same where all actuators give so much more than stated, as a part."""
+        origin = self.origin.copy()
+        origin[:, self.layout.own] -= by
+        return Solver(
+            self.fit, self.choose, self.layout, self.limits, origin, self.aside, self.rotors
+        )
 
     def _full(self, x: Array) -> Array:
         """Coefficients (joints, width) with the best nuisance and the innovations' 1, (joints,
@@ -90,17 +99,7 @@ class Solver:
         best = self.deviance(self.at(h, values))
         damping = 1e-6
         for _ in range(30):
-            x, jac = self._linear(h, values)
-            left = self._left(x)
-            # a joint that stands still tells nothing
-            told = left > 1e-12 * float(np.max(left, initial=0.0))
-            weight = np.where(told, self.counts / np.where(told, left, 1.0), 0.0)
-            tail = np.concatenate([x[:, NUISANCE:], np.ones((len(x), 1))], axis=1)
-            inner = np.einsum("jab,jbp->jap", self.rest[:, :-1, :-1], jac)
-            normal = np.einsum("j,jap,jaq->pq", weight, jac, inner)
-            slope = np.einsum(
-                "j,jap,ja->p", weight, jac, np.einsum("jab,jb->ja", self.rest[:, :-1], tail)
-            )
+            normal, slope = self._normal(h, values)
             while damping < self.limits.damped:
                 trial = values - solve(normal + damping * np.diag(np.diag(normal)), slope)
                 value = self.deviance(self.at(h, trial))
@@ -114,6 +113,23 @@ class Solver:
             if done:
                 break
         return values, best
+
+    def _normal(self, h: Hypothesis, values: Array) -> tuple[Array, Array]:
+        """Normal matrix (p, p) and slope (p,) of the deviance."""
+        x, jac = self._linear(h, values)
+        left = self._left(x)
+        # a joint that stands still tells nothing
+        told = left > 1e-12 * float(np.max(left, initial=0.0))
+        weight = np.where(told, self.counts / np.where(told, left, 1.0), 0.0)
+        tail = np.concatenate([x[:, NUISANCE:], np.ones((len(x), 1))], axis=1)
+        inner = np.einsum("jab,jbp->jap", self.rest[:, :-1, :-1], jac)
+        normal = np.einsum("j,jap,jaq->pq", weight, jac, inner)
+        left_over = np.einsum("jab,jb->ja", self.rest[:, :-1], tail)
+        return normal, np.einsum("j,jap,ja->p", weight, jac, left_over)
+
+    def step(self, h: Hypothesis, values: Array) -> Array:
+        """By how much the most likely numbers differ from these, to first order, (p,)."""
+        return -solve(*self._normal(h, values))
 
     def _linear(self, h: Hypothesis, values: Array) -> tuple[Array, Array]:
         """Coefficients and their derivatives without the nuisance, (joints, columns, p)."""

@@ -13,7 +13,8 @@ from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.contract import Verdict
 from zendsp.diagnosis.decide.pieces import finest
 from zendsp.diagnosis.decide.result import Detectable
-from zendsp.diagnosis.decide.thresholds import MACHINE
+from zendsp.diagnosis.decide.thresholds import LAWFUL, LEFT_BY_A_LAW, MACHINE
+from zendsp.diagnosis.measure.discrepancy import beyond
 from zendsp.diagnosis.transmission.sets import compliance_unit
 from zendsp.diagnosis.transmission.torsion import OF_BODIES, has_bodies, of_bodies
 from zendsp.physics.effects import get_effect
@@ -61,21 +62,22 @@ def by_one_sensor(
 
 
 def shown(parts: Parts, model: Model, decisions: Sequence[Decision]) -> list[Decision]:
-    """Decisions without the springs that are stiffer than these recordings can show: what swings
-    there is something else.
+    """Decisions without the springs that are stiffer than these recordings can show by what bends
+    slowly: what swings there is something else, unless nearly all that lacks swings with it.
     """
     least = {d.joint: d.size for d in by_one_sensor(parts, model, decisions)}
 
-    def hidden(claim: Claim) -> bool:
+    def hidden(claim: Claim, decision: Decision) -> bool:
         numbers = claim.term.parameters
         spring = "stiffness" in numbers and "gap" not in numbers
-        if not spring or get_effect(claim.term.effect).family != "transmission":
+        if not spring or not _is_transmission(claim):
             return False
-        return least.get(claim.term.joint, 0.0) * numbers["stiffness"].value > 1.0
+        stiffer = least.get(claim.term.joint, 0.0) * numbers["stiffness"].value > 1.0
+        return stiffer and not _swings(claim, decision)
 
     out = []
     for decision in decisions:
-        stiff = [c for c in decision.claims if hidden(c)]
+        stiff = [c for c in decision.claims if hidden(c, decision)]
         keep = tuple(c for c in decision.claims if not any(c is s for s in stiff))
         if stiff and not keep:
             kind: Verdict = "complete" if decision.before.value < MACHINE else "unexplained"
@@ -84,11 +86,33 @@ def shown(parts: Parts, model: Model, decisions: Sequence[Decision]) -> list[Dec
     return out
 
 
-def said(unseen: Sequence[Detectable]) -> list[str]:
+def _is_transmission(claim: Claim) -> bool:
+    return get_effect(claim.term.effect).family == "transmission"
+
+
+def _swings(claim: Claim, decision: Decision) -> bool:
+    """Whether a spring is seen by how its load swings: with it next to nothing is left of more than
+    follows from the motion before in a complete machine.
+    """
+    return (
+        beyond(claim.size, decision.known.all) > LAWFUL
+        and decision.after.value < LEFT_BY_A_LAW * decision.before.value
+    )
+
+
+def unseen(
+    parts: Parts, model: Model, decisions: Sequence[Decision]
+) -> tuple[Detectable, ...]:
+    """The smallest compliance that would have shown, at joints where none is found."""
+    sprung = {d.joint for d in decisions for c in d.claims if _is_transmission(c)}
+    return tuple(d for d in by_one_sensor(parts, model, decisions) if d.joint not in sprung)
+
+
+def said(unshown: Sequence[Detectable]) -> list[str]:
     """The note on what one sensor a joint could not have shown; none where there is nothing."""
-    if not unseen:
+    if not unshown:
         return []
-    listed = ", ".join(f"joint {d.joint} {d.size:.2g} {d.unit}" for d in unseen)
+    listed = ", ".join(f"joint {d.joint} {d.size:.2g} {d.unit}" for d in unshown)
     return [
         "one position sensor a joint: these recordings cannot show a transmission's compliance"
         f" below {listed}"
