@@ -122,6 +122,37 @@ def test_a_click_that_waits_for_the_process_to_begin_stops() -> None:
             os.close(pipe)
 
 
+def _late(escapes: stop_process.Escapes, *parts: bytes) -> list[object]:
+    """The keys that an application finds that reads all of it at once, when it comes to it."""
+    return _presses(b"".join(map(escapes.told_apart, parts)))
+
+
+def test_an_escape_and_the_key_after_it_are_two_keys_however_late_they_are_read() -> None:
+    escapes = stop_process.Escapes(web=False)
+    assert _late(escapes, b"\x1b", b"o", b"\x1b", b"\r", b"\x1b\x1b", b"") == [
+        *("escape", "o", "escape", "enter", "escape", "escape")
+    ]
+
+
+def test_a_sequence_that_comes_in_two_parts_is_one_key() -> None:
+    assert _late(stop_process.Escapes(web=False), b"\x1b", b"[20~", b"\x1b", b"OP") == ["f9", "f1"]
+
+
+def test_an_escape_that_nothing_follows_is_handed_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stop_process, "ESCAPE_S", 0.0)
+    escapes = stop_process.Escapes(web=False)
+    assert escapes.told_apart(b"s\x1b") == b"s"
+    until(escapes.alone, "nothing followed")
+    assert _late(escapes, b"", b"o") == ["escape", "o"]
+    assert not escapes.alone()
+
+
+def test_the_escape_of_a_page_is_a_packet_of_its_own() -> None:
+    page = [b"D" + len(key).to_bytes(4, "big") + key for key in (b"\x1b", b"o", F9)]
+    handed = stop_process.Escapes(web=True).told_apart(b"".join(page))
+    assert _presses(handed, web=True) == ["escape", "o", "f9"]
+
+
 Guarded = tuple[stopper.Stopper, list[str]]  # and what it told
 
 

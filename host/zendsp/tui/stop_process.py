@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from zendsp.link import Target
 
 PICTURE, _PICTURE = "f20", b"\x1b[57383u"  # the key, and how a terminal writes it
+_ESC, _ESCAPE = b"\x1b", b"\x1b[27u"  # the key Escape, and how it is written beyond doubt
 F9_MARKS = (b"\x1b[20~", b"\x1b[20;")  # with modifiers and kinds of event
 PASTE_BEGINS, PASTE_ENDS = b"\x1b[200~", b"\x1b[201~"
 HERE = "here"  # the answer to "?"
@@ -258,6 +259,40 @@ class Presses:
                 yield event.key
 
 
+class Escapes:
+    """Writes the key Escape so that it cannot be taken for the beginning of the key after it.
+
+    An application that is late reads both together: that would be Alt and a key, or no key at all.
+    Here it is seen that they came apart.
+
+    Parameters
+    ----------
+    web : bool
+        What is typed are packets of the page, of one key each.
+    """
+
+    def __init__(self, web: bool) -> None:
+        self._web = web
+        self._held, self._held_at = b"", 0.0  # one that may begin a sequence; when it came
+
+    def alone(self) -> bool:
+        """Whether an Escape is held that nothing followed in time."""
+        return bool(self._held) and time.monotonic() > self._held_at + ESCAPE_S
+
+    def told_apart(self, data: bytes) -> bytes:
+        """What is to be handed on of what was read; of no data the Escape that is held."""
+        if self._web:
+            return data.replace(_packet(_ESC), _packet(_ESCAPE))
+        sequence = data.startswith((b"[", b"O"))  # that came in two parts
+        before = self._held if sequence or not self._held else _ESCAPE
+        self._held, self._held_at = _ESC if data.endswith(_ESC) else b"", time.monotonic()
+        return before + data.removesuffix(_ESC)
+
+
+def _packet(key: bytes) -> bytes:
+    return b"D" + len(key).to_bytes(4, "big") + key
+
+
 class Keys:
     """Hands on what is typed, and does STOP where it is among it.
 
@@ -277,9 +312,9 @@ class Keys:
         self._presses = Presses(web)
         self._field = Field()
         self._line = b""  # the beginning of one of the application's
+        self._escapes = Escapes(web)
         self._waiting = b""  # for the application to take: it must never hold up the keys
-        packet = b"D" + len(_PICTURE).to_bytes(4, "big") if web else b""
-        self._picture = packet + _PICTURE
+        self._picture = _packet(_PICTURE) if web else _PICTURE
 
     def run(self) -> None:
         """Return when the application or the terminal is gone."""
@@ -298,9 +333,11 @@ class Keys:
                 if not data:
                     return
                 self._look(data)
-                self._waiting += data
+                self._waiting += self._escapes.told_apart(data)
             elif not readable:
                 self._look(b"")  # an Escape that nothing followed
+            if self._escapes.alone():
+                self._waiting += self._escapes.told_apart(b"")
             self._waiting += pictures * self._picture
             if self._waiting and here:
                 with contextlib.suppress(BlockingIOError):
