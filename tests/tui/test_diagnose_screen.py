@@ -75,8 +75,10 @@ async def test_a_file_is_diagnosed_and_the_finding_is_drawn(tmp_path: Path, unti
         await pilot.press("s")
         assert not screen.busy, "nothing to diagnose yet, and it says so"
         await pilot.press("a")
-        await _answer(pilot, str(run))
-        assert screen.chosen("fit") == [str(run)]
+        await pilot.pause()
+        assert isinstance(pilot.app.screen, Choose), "the recordings that lie here"
+        await pilot.press("enter")
+        await until(pilot, lambda: screen.chosen("fit") == [str(run)], "the one that lies here")
         await pilot.press("m")
         await pilot.pause()
         assert isinstance(pilot.app.screen, Choose)
@@ -163,6 +165,20 @@ def test_two_diagnoses_stand_side_by_side_in_80_columns(tmp_path: Path) -> None:
     at = lines[0].index("other")
     (next_line,) = (line for line in lines if line.endswith("small.mat"))
     assert next_line[:at].strip() == "", "goes on in its own column"
+
+
+async def test_a_recording_of_another_folder_is_added_by_its_path(
+    tmp_path: Path, until: Until
+) -> None:
+    run, _ = cases.bench(tmp_path)
+    (tmp_path / "here").mkdir()
+    async with _alone(tmp_path / "here", until) as (pilot, screen):
+        await pilot.press("a")
+        await _answer(pilot, str(run))
+        await until(pilot, lambda: screen.chosen("fit") == [str(run)], "none lies here: its path")
+        await pilot.press("a")
+        await _answer(pilot, str(run))
+        assert screen.added == [str(run)], "it is there once"
 
 
 async def test_a_long_finding_goes_on_beside_its_label(tmp_path: Path, until: Until) -> None:

@@ -51,3 +51,16 @@ def test_programs_come_before_what_they_include_the_nearest_and_newest_first(
     programs, parts = workspace.Workspace(tmp_path).sources()
     assert [str(p.relative_to(tmp_path)) for p in programs] == ["new.c", "old.c", "a/pd.c"]
     assert [str(p.relative_to(tmp_path)) for p in parts] == ["compensation.c", "a/compensation.c"]
+
+
+def test_recordings_are_listed_without_references_and_other_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(workspace, "is_reference", lambda path: path.stem == "circle")
+    names = ["run.mat", "circle.mat", "notes.txt", "pd.c", "lab/day.csv.gz", ".git/index.csv"]
+    for age, name in enumerate(names):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+        os.utime(tmp_path / name, (1e9 + age, 1e9 + age))
+    found = workspace.Workspace(tmp_path).recordings()
+    assert [p.name for p in found] == ["day.csv.gz", "run.mat"]

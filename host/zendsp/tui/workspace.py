@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+from zendsp.recording.table import READERS
 from zendsp.reference.files import is_reference
 
 ENTRY = re.compile(rb"void\s+UserISR_INT2\s*\(")  # in every program (isr.h)
@@ -67,6 +68,20 @@ class Workspace:
         found += [p for p in below if not p.parent.name.startswith(".") and p not in found]
         dated = sorted(((p.stat().st_mtime, p) for p in found), reverse=True)
         return [p for _, p in dated[:MOST] if is_reference(p)]
+
+    def recordings(self) -> list[Path]:
+        """Return the files of recordings in this folder and in those one below, newest first;
+        references, and hidden folders, are left out.
+        """
+        kinds = tuple(kind for kind in READERS if kind != ".txt")  # most are no recordings
+        found = [p for depth in ("*", "*/*") for p in self.root.glob(depth)]
+        files = [
+            p
+            for p in found
+            if p.name.endswith(kinds) and p.is_file() and not p.parent.name.startswith(".")
+        ]
+        dated = sorted(((p.stat().st_mtime, p) for p in files), reverse=True)
+        return [p for _, p in dated[:MOST] if not (p.suffix == ".mat" and is_reference(p))]
 
     def sources(self) -> tuple[list[Path], list[Path]]:
         """Return the control programs in this folder and beneath it, and the C files that programs

@@ -213,17 +213,28 @@ class DiagnoseScreen(LoopActions):
         self.fill()
 
     def action_add(self) -> None:
-        """Ask for the file of a recording."""
+        """Choose files of recordings: of this folder and those below, or by a path."""
         fields = [Field("path", "Recording", "", check=existing, hint="MAT, CSV, NPZ, Parquet …")]
         text = "Recorded by zendsp or anybody else; the model file names the columns."
+        form = Form("Add a recording", fields, text, "Add")
+        files = [p for p in self.lab.workspace.recordings() if str(p) not in self.added]
+        options = [Line(str(p), p.name, p.parent.name) for p in files]
+        options.append(Line("", "another file …", "its path is asked for"))
 
-        def take(r: dict[str, str] | None) -> None:
-            if r and r["path"] not in self.added:
-                self.added.append(r["path"])
-                self.roles[r["path"]] = "fit"
-                self.fill()
+        def take(keys: Sequence[str] | None) -> None:
+            if keys and "" in keys:
+                self.app.push_screen(form, lambda r: take([r["path"]]) if r else None)
+                return
+            for path in keys or ():
+                if path not in self.added:
+                    self.added.append(path)
+                self.roles[path] = "fit"
+            self.fill()
 
-        self.app.push_screen(Form("Add a recording", fields, text, "Add"), take)  # type: ignore[arg-type]
+        if files:
+            self.app.push_screen(Choose("Add recordings", options, several=True, text=text), take)
+        else:
+            take([""])
 
     def action_model(self) -> None:
         """Choose the model file."""
