@@ -66,7 +66,24 @@ def test_ms_is_milliseconds_where_a_word_of_the_name_says_time(name: str, unit: 
 
 @pytest.mark.parametrize(
     ("name", "unit"),
-    [("pos_rad", "rad"), ("torque_Nm", "N m"), ("qd_rad_s", ""), ("gap_nm", ""), ("rad", "")],
+    [
+        ("qDeg", "deg"), ("q.deg", "deg"), ("pos:grad", "deg"), ("q1Deg[0]", "deg"),
+        ("speedRpm", "rpm"), ("timeMs", "ms"), ("vMs", ""), ("Deg", ""), ("qDegree", ""),
+        ("fooled", ""), ("stamp.sec", "s"), ("motor.mode", ""),
+    ],
+)
+def test_a_unit_at_the_end_of_a_name_is_told_by_a_dot_a_colon_or_a_capital_too(
+    name: str, unit: str
+) -> None:
+    assert unit_in_name(name) == unit
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("pos_rad", "rad"), ("torque_Nm", "N m"), ("qd_rad_s", ""), ("gap_nm", ""), ("rad", ""),
+        ("q.rad", "rad"), ("posRad", "rad"), ("tauNm", "N m"), ("conRad", "rad"), ("RAD", ""),
+    ],
 )
 def test_radians_and_newton_metres_at_the_end_of_a_name_are_its_unit(name: str, unit: str) -> None:
     assert unit_in_name(name) == unit

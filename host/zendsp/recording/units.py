@@ -80,6 +80,7 @@ SUFFIXES = {
     "urad": "urad",
     "deg": "deg",
     "degrees": "deg",
+    "grad": "deg",  # German
     "rpm": "rpm",
     "dps": "deg/s",
     "degps": "deg/s",
@@ -96,6 +97,8 @@ TIME_NAMES = {"t", "time", "timestamp", "stamp", "clock", "elapsed"}
 TIME_NAMES |= {"zeit", "tijd", "tid", "temps", "tempo", "tiempo", "czas", "aika"}
 
 _FACTOR = re.compile(r"^(?P<symbol>[^\d^²³\-+]+)\^?(?P<power>[+-]?\d+|²|³)?$")
+_LAST = re.compile(r"(?P<rest>.+)[_.:](?P<last>[^_.:]+)$")
+_CAMEL = re.compile(r"(?P<rest>.*[a-z\d])(?P<last>Deg|Degrees|Grad|Rad|Mrad|Rpm|Dps|Nm|Ms|Us)$")
 _WORDS = re.compile(r"[^\W\d_]+")
 # between the symbols of a product: a blank, a multiplication sign, or N.m and N-m
 _TIMES = re.compile(r"[\s·*⋅]+|[.-](?=[^\W\d_])")
@@ -199,7 +202,8 @@ def _symbol(text: str) -> tuple[float, str] | None:
 
 
 def unit_in_name(name: str) -> str:
-    """The unit that a name ends in (``theta_deg``, ``t_ms``); empty where it says none.
+    """The unit that a name ends in (``theta_deg``, ``theta.deg``, ``thetaDeg``, ``t_ms``); empty
+    where it says none.
 
     Examples
     --------
@@ -207,9 +211,10 @@ def unit_in_name(name: str) -> str:
     ('deg', 'ms', '', '')
     """
     bare = name.partition("[")[0]
-    rest, _, last = re.sub("_N_m$", "_Nm", bare).rpartition("_")
-    if not rest:
+    parts = _LAST.match(re.sub("_N_m$", "_Nm", bare)) or _CAMEL.match(bare)
+    if parts is None:
         return ""
+    rest, last = parts["rest"], parts["last"]
     if TIME_NAMES & set(_WORDS.findall(rest.lower())):
         return TIME_SUFFIXES.get(last.lower(), "")
     return SUFFIXES.get(last) or SUFFIXES.get(last.lower(), "")
