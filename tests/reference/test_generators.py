@@ -8,9 +8,12 @@ from functools import cache
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from zendsp.cli.reference import command as reference_command
 from zendsp.errors import ReferenceError_
 from zendsp.reference import (
+    JUMPS,
     KINDS,
     MACHINES,
     Reference,
@@ -26,6 +29,7 @@ from zendsp.reference import (
     make_torque_law,
     make_trapezoid,
     make_triangle,
+    plot_reference,
     predict_motion,
 )
 
@@ -58,6 +62,21 @@ def test_velocity_and_acceleration_are_the_derivatives_of_position(machine: str,
         grown = 0.5 * dt * (xd[1:] + xd[:-1])
         jump = np.abs(np.diff(xd, axis=0)).max(axis=0)
         assert np.all(np.abs(np.diff(x, axis=0) - grown) <= dt * jump + 1e-9)
+
+
+def test_of_a_step_only_what_is_known_is_said_checked_and_drawn() -> None:
+    arm = load_machine("imi_planar")
+    step = make_reference("step", arm, amplitude=0.5)
+    assert step.jumps and arm.torque(step) is None
+    assert not any(planned(m, kind).jumps for m, kind in PAIRS if kind != "step")
+    panels = [axis.get_ylabel() for axis in plot_reference(step, arm).axes]
+    assert panels == ["q [rad]", "y [m]"]
+    said = CliRunner().invoke(reference_command, ["step", "--amplitude", "0.5"])
+    assert said.exit_code == 0 and JUMPS in said.output
+    assert "within the limits of position" in said.output
+    assert said.output.count("–") == 6, "no speed, acceleration or torque of either joint"
+    with pytest.raises(ReferenceError_, match="position"):
+        arm.check(make_reference("step", arm, amplitude=3.0))
 
 
 def test_lspb_of_the_wam_paper_cruises_at_0_083_rad_per_s() -> None:

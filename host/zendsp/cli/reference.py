@@ -19,9 +19,10 @@ COLUMNS = ((10, 4), (10, 4), (9, 3), (9, 2), (9, 3))  # width and decimals
 
 def _summary(reference: Any, torque: Any) -> dict[str, Any]:
     """What the terminal prints: duration and the largest magnitudes of each joint."""
-    peaks = {name: abs(x).max(axis=0) for name, x in
-             (("speed", reference.qd), ("acceleration", reference.qdd), ("torque", torque))
-             if x is not None}
+    told = [("torque", torque)]
+    if not reference.jumps:  # a step has neither
+        told += [("speed", reference.qd), ("acceleration", reference.qdd)]
+    peaks = {name: abs(x).max(axis=0).tolist() for name, x in told if x is not None}
     return {
         "kind": reference.kind,
         "machine": reference.machine,
@@ -32,19 +33,22 @@ def _summary(reference: Any, torque: Any) -> dict[str, Any]:
         "unit": reference.unit,
         "position_min": reference.q.min(axis=0).tolist(),
         "position_max": reference.q.max(axis=0).tolist(),
-        **{name: x.tolist() for name, x in peaks.items()},
+        **dict.fromkeys(("speed", "acceleration"), [None] * reference.joints),
+        **peaks,
+        "jumps": reference.jumps,
         "parameters": dict(reference.parameters),
     }
 
 
 def _print_table(summary: dict[str, Any]) -> None:
-    from zendsp.reference import UNPREDICTED
+    from zendsp.reference import JUMPS, UNPREDICTED
 
+    share = 100 * summary["parameters"].get("headroom", 1.0)
     click.echo(
         f"{summary['kind']} on {summary['machine'] or 'no machine'}: {summary['duration']:g} s,"
         f" {summary['samples']} samples, mode"
         f" {summary['mode']}{', cyclic' if summary['cyclic'] else ''}, within"
-        f" {100 * summary['parameters'].get('headroom', 1.0):g} % of the limits"
+        f" {'the limits of position' if summary['jumps'] else f'{share:g} % of the limits'}"
     )
     u = summary["unit"]
     force = {"rad": "N m", "m": "N"}.get(u, "N m or N")
@@ -65,7 +69,7 @@ def _print_table(summary: dict[str, Any]) -> None:
         if limits:  # of the machine itself, without the headroom
             _print_row("limit", limits[j])
     if torque is None:
-        click.echo(UNPREDICTED)
+        click.echo(JUMPS if summary["jumps"] else UNPREDICTED)
 
 
 def _print_row(name: str, row: tuple[float | None, ...]) -> None:

@@ -23,12 +23,19 @@ from zendsp.reference.kinds.trapezoid import make_trapezoid
 from zendsp.reference.kinds.triangle import make_triangle
 from zendsp.reference.kinematics import forward_kinematics, inverse_kinematics
 from zendsp.reference.limits import Limits, Violation, find_violations
-from zendsp.reference.machine import MACHINES, UNPREDICTED, Machine, load_machine, make_limited
+from zendsp.reference.machine import (
+    JUMPS,
+    MACHINES,
+    UNPREDICTED,
+    Machine,
+    load_machine,
+    make_limited,
+)
 from zendsp.reference.plot import plot_reference
 from zendsp.reference.registry import KINDS, make_reference
 
 __all__ = [
-    "KINDS", "MACHINES", "UNPREDICTED", "Kind", "Limits", "Machine", "Mode", "Parameter",
+    "JUMPS", "KINDS", "MACHINES", "UNPREDICTED", "Kind", "Limits", "Machine", "Mode", "Parameter",
     "Reference", "Violation", "check_fits", "crest_factor", "find_violations", "forward_kinematics",
     "inverse_kinematics", "load_machine", "load_reference", "make_chirp", "make_circle",
     "make_from_file", "make_limited", "make_line", "make_lspb", "make_multisine",

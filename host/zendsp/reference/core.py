@@ -187,6 +187,21 @@ class Reference:
         return float(self.parameters.get("headroom", 1.0))
 
     @property
+    def jumps(self) -> bool:
+        """Whether its position does (a step): its speed and acceleration say nothing then, and how
+        the machine moves is its loop's answer.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> still = np.zeros(4)
+        >>> Reference([0.0, 0.0, 0.1, 0.1], 0.001, still, still).jumps
+        True
+        """
+        stood = (self.qd[1:] == 0.0) & (self.qd[:-1] == 0.0)
+        return self.mode == "position" and bool(np.any(stood & (np.diff(self.q, axis=0) != 0.0)))
+
+    @property
     def joints(self) -> int:
         """Number of joints."""
         return int(self.q.shape[1])

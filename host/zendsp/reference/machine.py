@@ -28,6 +28,7 @@ from zendsp_protocol.views import html_table, sentence
 MACHINES = ("imi_planar", "pendulum", "wam7")
 LIMITS_ONLY = "limits"  # kind of a machine without a model
 UNPREDICTED = "torque is not predicted: of this machine only the limits are known"
+JUMPS = "only positions are checked: a step has no speed, and how a loop answers it is not known"
 CAREFUL_SPEED = 1.0  # rad/s or m/s, of moves where no limit is known
 CAREFUL_ACCELERATION = 10.0  # rad/s^2 or m/s^2
 
@@ -160,8 +161,8 @@ class Machine:
 
     def torque(self, reference: Reference) -> Array | None:
         """Torque that the reference needs, N m, shape (N, joints): its own in mode "torque", else
-        inverse dynamics; of a machine without a model what the reference feeds forward, None where
-        it says nothing.
+        inverse dynamics; of a machine without a model, and of a step, what the reference feeds
+        forward, None where it says nothing.
 
         Examples
         --------
@@ -172,7 +173,7 @@ class Machine:
         """
         if reference.mode == "torque" and reference.tau is not None:
             return reference.tau
-        if not self.modelled:
+        if not self.modelled or reference.jumps:
             return reference.tau
         return self.dynamics.inverse(reference.q, reference.qd, reference.qdd)
 

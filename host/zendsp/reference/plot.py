@@ -82,7 +82,8 @@ def plot_reference(
         (reference.qdd, -limits.acceleration, limits.acceleration, f"qdd [{unit}/s²]"),
         (machine.torque(reference), -limits.torque, limits.torque, "tau [N m]"),
     )
-    rows = [(x, low, high, label) for x, low, high, label in motion if x is not None]
+    shown = motion[:1] + motion[3:] if reference.jumps else motion  # a step has no speed
+    rows = [(x, low, high, label) for x, low, high, label in shown if x is not None]
     grid = figure.add_gridspec(
         len(rows), 2 if planar else 1, width_ratios=(1.5, 1) if planar else None
     )

@@ -10,6 +10,7 @@ import numpy as np
 
 from zendsp.errors import ReferenceError_
 from zendsp.reference import (
+    JUMPS,
     MACHINES,
     UNPREDICTED,
     Limits,
@@ -187,6 +188,8 @@ def _fits(references: Sequence[Reference], machine: Machine) -> Condition:
             return Condition("within the limits", False, str(broken[0]))
     if told:
         return Condition(f"within the limits of {machine.name}, but {told}", True, warning=True)
+    if any(reference.jumps for reference in references):
+        return Condition(f"within the limits of position; {JUMPS}", True, warning=True)
     if not machine.modelled:
         return Condition(
             f"within the limits of position and speed; {UNPREDICTED}", True, warning=True

@@ -89,6 +89,8 @@ def peaks_of(
     half = 0.5 * (high - low)
     lines = []
     for name, (_, unit, values) in _columns(reference, tau).items():
+        if reference.jumps and name in ("velocity", "acceleration"):
+            continue
         limit = {
             "position": half, "velocity": lim.speed, "acceleration": lim.acceleration,
             "torque": lim.torque,

@@ -14,6 +14,7 @@ from textual.widgets import Button, Select, Static
 
 from zendsp.errors import ReferenceError_, ZendspError
 from zendsp.reference import (
+    JUMPS,
     KINDS,
     MACHINES,
     UNPREDICTED,
@@ -155,16 +156,14 @@ class ReferenceScreen(ReferenceForm):
                 )
                 text.append(words_, colour)
             text.append("\n")
-        if not plan.machine.modelled:
-            text.append(f"! {UNPREDICTED}\n", c["warning"])
+        if plan.tau is None:
+            text.append(f"! {JUMPS if r.jumps else UNPREDICTED}\n", c["warning"])
         for violation in plan.violations:
             text.append(f"✖ {violation}\n", f"bold {c['error']}")
         if not plan.violations:
-            text.append(
-                f"✔ within the limits of position, and {100 * r.headroom:g} % of the others"
-                f"{'' if plan.machine.modelled else ' that are known'}",
-                c["success"],
-            )
+            known = "" if plan.machine.modelled else " that are known"
+            others = "" if r.jumps else f", and {100 * r.headroom:g} % of the others{known}"
+            text.append(f"✔ within the limits of position{others}", c["success"])
         text.rstrip()
         return text
 
