@@ -22,8 +22,8 @@ from zendsp.diagnosis.measure.curve import Curve, Samples
 from zendsp.diagnosis.measure.discrepancy import difference, discrepancy, mean_square
 from zendsp.diagnosis.measure.where import Missing, mismatch
 from zendsp.diagnosis.report import figures
-from zendsp.diagnosis.report.chart import Chart, Series
-from zendsp.diagnosis.report.drawing import draw
+from zendsp.diagnosis.report.chart import Chart, Panel, Series
+from zendsp.diagnosis.report.drawing import SPANS, draw
 from zendsp.diagnosis.report.figures import charts
 from zendsp.diagnosis.report.laws import beside_the_law, broken, unclaimed_chart
 from zendsp.physics.files.model_file import load_model, parse_model
@@ -103,6 +103,30 @@ def test_the_map_of_a_mismatch_shows_no_more_than_the_law(coarse: Diagnosis) -> 
     mesh = chart.panels[0].mesh
     assert mesh is not None and chart.panels[0].xlabel == "velocity [rad/s]"
     assert np.nanmax(mesh.values) < 2.0 * LEVEL
+
+
+def test_the_time_beside_a_map_is_drawn_as_far_as_the_mismatch(coarse: Diagnosis) -> None:
+    (chart,) = (c for c in charts(coarse) if c.name.startswith("map"))
+    bars, time = chart.panels[1].series
+    assert bars.spread is not None
+    assert time.x[0] == pytest.approx(bars.x[0] - bars.spread[0] / 2)
+    assert time.x[-1] == pytest.approx(bars.x[-1] + bars.spread[-1] / 2)
+    assert np.mean(time.y) == pytest.approx(1.0 / len(bars.x), rel=0.5)
+
+
+def test_the_label_of_a_bar_of_colours_keeps_away_from_the_next_axis(coarse: Diagnosis) -> None:
+    (chart,) = (c for c in charts(coarse) if c.name.startswith("map"))
+    figure = draw(chart)
+    figure.draw_without_rendering()
+    _, share, colours = figure.axes
+    gap = share.yaxis.label.get_window_extent().x0 - colours.yaxis.label.get_window_extent().x1
+    assert gap > colours.yaxis.label.get_window_extent().width, "as wide as a line at the least"
+
+
+def test_shaded_spans_are_told_in_the_legend() -> None:
+    span = Panel("time [s]", "torque [N m]", (), spans=((1.0, 2.0), (3.0, 4.0)))
+    (legend,) = draw(Chart("where", "", "torque", (span,))).legends
+    assert [text.get_text() for text in legend.get_texts()] == [SPANS]
 
 
 def test_what_lacks_of_a_torque_is_not_inflated_by_a_coarse_encoder(coarse: Diagnosis) -> None:

@@ -411,12 +411,13 @@ def test_the_page_does_not_say_nowhere_above_a_picture_with_shaded_spans() -> No
         verdict="missing", regions=(), times=((3.7, 4.2),), times_of=("a",), missing={}
     )
     text = html._where(some)  # type: ignore[arg-type]
-    assert "3.70–4.20 s" in text and "No interval" in text and "Nowhere" not in text
+    assert "3.70–4.20 s" in text and "Nowhere" not in text
+    assert "No interval of a joint's own velocity" in text, "the map may be over another joint's"
     none = SimpleNamespace(verdict="missing", regions=(), times=(), times_of=(), missing={})
     for pictured in (True, False):
         said = html._where(none, pictured=pictured)  # type: ignore[arg-type]
         assert "No interval" in said and "Nowhere" not in said
-        assert ("the pictures may be chance" in said) == pictured
+        assert ("a picture shows more, too few passes" in said) == pictured
     none.verdict = "complete"
     assert "Nothing is missing" in html._where(none)  # type: ignore[arg-type]
 

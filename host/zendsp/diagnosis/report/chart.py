@@ -23,8 +23,8 @@ DIGITS = 6  # of each number in a file: finer than any screen or page
 class Series:
     """Points of one curve.
 
-    ``kind``: "line", "dots", "means" (with their spread), "step" or "bars" (each as wide as its
-    spread). ``role`` chooses the colour: "before", "after", "data", "law" or "floor".
+    ``kind``: "line", "dots", "means" (with their spread) or "bars" (each as wide as its spread).
+    ``role`` chooses the colour: "before", "after", "data", "law" or "floor".
     """
 
     kind: str

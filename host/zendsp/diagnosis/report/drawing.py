@@ -21,7 +21,7 @@ COLOURS = {  # apart for colour-blind readers, and in grey
     "floor": "#3a7d44",
     "law": "black",
 }
-SPAN = "#e8c39e"
+SPAN, SPANS = "#e8c39e", "where more of it lies than elsewhere"
 STYLE: Any = {
     "font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "figure.dpi": 110,
     "axes.grid": True, "grid.alpha": 0.25,
@@ -49,6 +49,8 @@ def draw(chart: Chart) -> Figure:
             _fill(figure, axis, panel, inner=chart.same and k > 0)
             if not chart.beside and k < n - 1:
                 axis.set_xlabel("")  # that of the last one
+        if any(panel.mesh for panel in chart.panels):  # the bar's label is none of the next axis
+            figure.get_layout_engine().set(wspace=0.08)  # type: ignore[union-attr, call-arg]
         if chart.title:
             figure.suptitle(chart.title, fontsize=10)
         _legend(figure, axes)
@@ -56,8 +58,8 @@ def draw(chart: Chart) -> Figure:
 
 
 def _fill(figure: Figure, axis: Axes, panel: Panel, *, inner: bool) -> None:
-    for begin, end in panel.spans:
-        axis.axvspan(begin, end, color=SPAN, alpha=0.4, lw=0)
+    for k, (begin, end) in enumerate(panel.spans):
+        axis.axvspan(begin, end, color=SPAN, alpha=0.4, lw=0, label=None if k else SPANS)
     if panel.band is not None:
         axis.axhspan(*panel.band, color=COLOURS["floor"], alpha=0.2, lw=0)
     if panel.mesh is not None:
@@ -103,8 +105,6 @@ def _series(axis: Axes, s: Series) -> None:
     elif s.kind == "bars":
         width = 0.8 if s.spread is None else s.spread
         axis.bar(s.x, s.y, width=width, color=colour, alpha=0.8, label=label)
-    elif s.kind == "step":
-        axis.step(s.x, s.y, where="mid", color=colour, lw=1, label=label)
     else:
         raise ValueError(f"a series of kind {s.kind!r} cannot be drawn")
 

@@ -33,6 +33,12 @@ from zendsp.physics.term_numbers import kernel_model
 Array = npt.NDArray[np.float64]
 MOST_JOINTS = 7  # that get figures of their own
 JOINED = "time [s], one recording after the other"
+TIME = "of the time"
+SENSOR_ONLY = 1.5  # times the noise floor: a model that errs less leaves little but the sensor's
+SENSOR_LEFT = (
+    " So near the noise floor they may be the sensor's own: a rounded position errs alike from one"
+    " sample to the next."
+)
 FLOOR_DRAWN = 0.3  # of the noise floor: a window that errs less is drawn there
 
 
@@ -186,7 +192,7 @@ def map_chart(d: Diagnosis, joint: int) -> Chart | None:
                 "share",
                 (
                     Series("bars", "before", centre, share, "of the mismatch", np.diff(edges)),
-                    Series("step", "law", centre, time, "of the time"),
+                    Series("line", "law", np.repeat(edges, 2)[1:-1], np.repeat(time, 2), TIME),
                 ),
             ),
         ),
@@ -219,11 +225,11 @@ def finding_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Ch
     return replace(chart, section="law", caption=finding.sentence, name=name, finding=index)
 
 
-def white_chart(w: Workings, two: Sides, joint: int) -> Chart:
+def white_chart(d: Diagnosis, w: Workings, two: Sides, joint: int) -> Chart:
     """Is anything predictable left in what the improved model does not predict?"""
     record = w.test.records[0][joint - 1]
     bound = float(1.96 / np.sqrt(record.n))
-    series, outside = [], []
+    series, outside, left = [], [], ""
     for model, role, label in _models(two):
         r = run(record, model, 16.0).innovations[record.n // 20 :]
         r = r - r.mean()
@@ -233,6 +239,8 @@ def white_chart(w: Workings, two: Sides, joint: int) -> Chart:
         alike = correlation[1:] / max(correlation[0], 1e-300)
         series.append(Series("line", role, lag, alike, label))
         outside.append(f"{label} {100 * float(np.mean(np.abs(alike) > bound)):.0f} %")
+        error = float(np.sqrt(np.mean(window_error(w.test, model, joint) ** 2)))
+        left = SENSOR_LEFT if error < SENSOR_ONLY * d.noise_floor else ""
     return Chart(
         "white",
         f"Joint {joint}: whiteness",
@@ -248,7 +256,7 @@ def white_chart(w: Workings, two: Sides, joint: int) -> Chart:
         joint=joint,
         note=(
             "Where a curve leaves the band, what is left can be predicted. So many of the lags"
-            f" do: {', '.join(outside)}; of white noise 5 %."
+            f" do: {', '.join(outside)}; of white noise 5 %.{left}"
         ),
     )
 
@@ -311,6 +319,6 @@ def _charts(d: Diagnosis) -> list[Chart]:
     for j in joints:
         two = sides(d.findings, kernel_model(d.given), w.whole, j)
         curve = None if d.findings else unclaimed_chart(d, j)
-        for chart in (curve, torque_chart(d, two, j), map_chart(d, j), white_chart(w, two, j)):
+        for chart in (curve, torque_chart(d, two, j), map_chart(d, j), white_chart(d, w, two, j)):
             out += [chart] if chart else []
     return out

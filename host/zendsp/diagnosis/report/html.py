@@ -28,9 +28,10 @@ SHARE = (
     " small share, however large its torque is."
 )
 NO_INTERVAL = (
-    "No interval of velocity, position, acceleration or command holds more of it than chance"
-    " would."
+    "No interval of a joint's own velocity, position, acceleration or command holds more of its"
+    " mismatch beyond chance."
 )
+FEW_PASSES = " Where a picture shows more, too few passes went there to say so."
 CSS = """
 body{font:15px/1.5 system-ui,sans-serif;color:#222;max-width:54rem;margin:2rem auto;padding:0 1rem}
 h1{font-size:1.5rem;margin:0}h2{font-size:1.1rem;margin:2rem 0 .5rem;border-bottom:1px solid #ccc}
@@ -194,10 +195,10 @@ def _percent(share: float) -> str:
 
 
 def _where(d: Diagnosis, *, pictured: bool = False) -> str:
+    doubt = FEW_PASSES if pictured else ""
     if not d.regions and not d.times:
         if d.verdict == "complete":
             return "<p>Nothing is missing that these recordings show, so no place is named.</p>"
-        doubt = " What stands out in the pictures may be chance." if pictured else ""
         return f"<p>{NO_INTERVAL} Nor does any interval of time.{doubt}</p>"
     rows = [
         "<tr><th>joint<th>variable<th>from … to<th class=n>of the mismatch<th class=n>of the time"
@@ -213,7 +214,7 @@ def _where(d: Diagnosis, *, pictured: bool = False) -> str:
     of = d.times_of if len(set(d.times_of)) > 1 else [""] * len(d.times)
     when = escape(spans([(a - begin, b - begin) for a, b in d.times], of, len(d.times)))
     when += f", after {begin:.0f} s" if when and begin else ""
-    table = f"<table>{''.join(rows)}</table>" if d.regions else f"<p>{NO_INTERVAL}</p>"
+    table = f"<table>{''.join(rows)}</table>" if d.regions else f"<p>{NO_INTERVAL}{doubt}</p>"
     return f"{table}<p>In time: {when or 'spread evenly'}.</p>"
 
 

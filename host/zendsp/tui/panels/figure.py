@@ -13,7 +13,7 @@ from zendsp.tui.scope.path import Axes, Curve, PathPlot, extent
 
 Frame = tuple[float, float, float, float]
 TRACES = {"before": 1, "after": 0, "law": 7, "floor": 2, "data": -1}
-STYLES = {"line": "line", "step": "line", "dots": "dots", "means": "marks", "bars": "marks"}
+STYLES = {"line": "line", "dots": "dots", "means": "marks", "bars": "marks"}
 LEAST_ROWS = 12  # for two panels over one another
 
 
