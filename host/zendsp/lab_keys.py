@@ -61,6 +61,11 @@ class Holder:
     certificate: Path
     key: Path
 
+    @property
+    def ended(self) -> bool:
+        """Whether nobody is let in with it any more."""
+        return self.until < datetime.now(UTC)
+
 
 class Lab:
     """The keys of a lab in a folder.

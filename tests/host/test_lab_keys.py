@@ -9,9 +9,12 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 from waiting import until
 
 import zendsp
+from zendsp import lab_keys
+from zendsp.cli.keys import command as keys
 from zendsp.errors import LinkError, Refused
 from zendsp.lab_keys import Holder, Lab
 from zendsp.link import connect
@@ -317,3 +320,21 @@ def test_nothing_is_signed_for_longer_than_the_authority_lives(lab: Lab) -> None
     with pytest.raises(Refused, match="one day or more"):
         lab.add_user("anna", "tune", days=0)
     assert lab.holders() == []
+
+
+def test_a_certificate_that_ended_is_not_handed_out_without_a_word(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    until_then = lab.add_user("anna", "tune", days=2).until
+
+    class Later(datetime):
+        @classmethod
+        def now(cls, tz: object = None) -> datetime:  # type: ignore[override]
+            return until_then + timedelta(days=1)
+
+    monkeypatch.setattr(lab_keys, "datetime", Later)
+    folder = ["--folder", str(lab.folder)]
+    assert f"{until_then:%Y-%m-%d} ended" in CliRunner().invoke(keys, ["list", *folder]).output
+    again = ["user", "anna", "--role", "tune", *folder]
+    assert "--renew makes another" in CliRunner().invoke(keys, again).output
+    assert "ended on" not in CliRunner().invoke(keys, [*again, "--renew"]).output

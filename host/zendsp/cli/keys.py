@@ -100,6 +100,9 @@ def user(name: str, role: str, renew: bool, folder: Path, days: int) -> None:
     lab = Lab(folder)
     before = {holder.certificate: holder.until for holder in lab.holders()}
     made = lab.add_user(name, role, days, renew)
+    if made.ended:
+        day = f"{made.until:%Y-%m-%d}"
+        click.echo(f"{made.certificate} ended on {day}: --renew makes another", err=True)
     click.echo(
         f"{name} may {role}. Copy {lab.roles_file} to each target; one that runs takes a new role"
         " at once, a new name when it starts."
@@ -123,7 +126,13 @@ def list_(folder: Path, as_json: bool) -> None:
     from zendsp.lab_keys import Lab
 
     holders = Lab(folder).holders()
-    rows = [[h.name, h.kind, h.role, f"{h.until:%Y-%m-%d}", str(h.certificate)] for h in holders]
+    rows = [
+        [
+            h.name, h.kind, h.role, f"{h.until:%Y-%m-%d}{' ended' if h.ended else ''}",
+            str(h.certificate),
+        ]
+        for h in holders
+    ]
     body = [
         {
             "name": h.name, "kind": h.kind, "role": h.role, "until": h.until.isoformat(),

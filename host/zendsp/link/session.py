@@ -18,6 +18,11 @@ from zendsp_protocol.files_left import need_files
 _numbers = itertools.count(1)
 _opened: set[int] = set()  # process ids; a fork leaves the threads of Zenoh behind
 
+REFUSES = (
+    ", or it refuses the certificate or password given, or its own certificate is not of the"
+    " authority given"
+)
+
 
 def open_session(
     endpoints: Sequence[str], credentials: Credentials, timeout: float
@@ -46,7 +51,7 @@ def open_session(
     except zenoh.ZError as error:
         secured = any(endpoint.startswith(("tls/", "quic/")) for endpoint in endpoints)
         doubt = (
-            ", or it refuses the certificate or password given"
+            REFUSES
             if secured or credentials.user
             else ", or it asks for a password"
             if any(endpoint.startswith("tcp/") for endpoint in endpoints)
@@ -59,9 +64,7 @@ def open_session(
         ) from error
     if not session.info.peers_zid() and not session.info.routers_zid():
         session.close()  # type: ignore[no-untyped-call]
-        raise LinkError(
-            f"nothing answers at {where}, or it refuses the certificate or password given"
-        )
+        raise LinkError(f"nothing answers at {where}{REFUSES}")
     return session
 
 
