@@ -222,6 +222,6 @@ def _draw(curves: dict[int, Curve], static: Result, viscous: Result, lab: Lab, f
     handles, words = axes[0, 0].get_legend_handles_labels()
     figure.legend(
         handles, words, loc="outside lower center", ncols=3, fontsize=8, frameon=False,
-        markerscale=1.5,
+        markerscale=3.0,
     )
     return save(figure, folder / "fit.png")
