@@ -179,6 +179,7 @@ async def test_on_a_small_terminal_a_toast_covers_the_keys_at_the_bottom_and_no_
         await until(pilot, lambda: app.screen.query_one(Toast).region.height, "it has its place")
         keys = app.screen.query_one(Footer).region
         assert app.screen.query_one(Toast).region.y == keys.y, "on the row of the keys alone"
+        assert app.screen.query_one(Toast).region.width == keys.width, "all of it"
 
 
 async def test_on_a_small_terminal_the_next_key_takes_a_toast_that_was_read(
