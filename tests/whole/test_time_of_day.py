@@ -26,7 +26,7 @@ _TELLS[".h"] = _TELLS[".c"]
 MAY = {
     "host/zendsp/bridge/foxglove.py": (2, "stamps for a viewer, which begin again or run on"),
     "host/zendsp/cli/salvage.py": (2, "shown"),
-    "host/zendsp/lab_keys.py": (4, "certificates are good until a day"),
+    "host/zendsp/lab_keys.py": (5, "certificates are good until a day"),
     "host/zendsp/link/metadata.py": (1, "kept in the recording"),
     "host/zendsp/physics/model.py": (1, "whether a file is another one: equal or not"),
     "host/zendsp/physics/robots/mjcf.py": (1, "whether a file is another one: equal or not"),
@@ -42,7 +42,7 @@ MAY = {
     "host/zendsp/tui/screens/execute_measure.py": (1, "in the name of a file that is free"),
     "host/zendsp/tui/screens/execute_runs.py": (2, "shown"),
     "host/zendsp/tui/statusbar.py": (1, "shown"),
-    "host/zendsp/tui/workspace.py": (2, "the order of a list to choose from"),
+    "host/zendsp/tui/workspace.py": (3, "the order of a list to choose from"),
     "protocol/zendsp_protocol/certificates.py": (3, "whether one has ended, as TLS judges it"),
     "protocol/zendsp_protocol/stop_page.py": (1, "shown: when somebody asked for STOP"),
     "target/zendsp_target/access/lists.py": (2, "whether a file is another one: equal or not"),
