@@ -13,7 +13,7 @@ import pytest
 from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide import notes, patchwork, pieces
 from zendsp.diagnosis.decide.claims import Claim, Decision, Known, Piece
-from zendsp.diagnosis.decide.notes import left_over
+from zendsp.diagnosis.decide.notes import _likelier, left_over
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.structure import Structure
@@ -76,6 +76,7 @@ def test_what_is_not_twice_what_a_machine_is_known_to_leave_may_be_a_part_of_it(
 def test_a_torque_without_a_law_is_shown_free_of_what_else_was_found() -> None:
     """Its own pieces and refinements are taken away, the given friction that one replaced is back.
     """
+
     def model(*effects: str) -> Model:
         return Model("m", 1e-3, "rotary", {}, tuple(Term(e, 1, {}) for e in effects))
 
@@ -334,6 +335,45 @@ def test_what_short_or_one_way_recordings_leave_says_so(state: Structure) -> Non
         fit: Any = SimpleNamespace(records=[[record]])
         words = left_over([found], model, fit)
         assert ("1.3 s, and go one way: too little" in words) == said
+
+
+@pytest.mark.parametrize(("kind", "said"), [("planar2r", True), ("rotary", False)])
+def test_what_a_joint_lacks_beside_a_gap_of_another_one_is_told_from_missing_physics(
+    kind: str, said: bool
+) -> None:
+    """The link behind the gap moved otherwise than its motor, and joint 2 bore its torque."""
+    drive = SimpleNamespace(hold=0.001)
+    model: Any = SimpleNamespace(kind=kind, torque_unit=lambda _: "N m", actuator=drive)
+    one: Any = SimpleNamespace(model=model)
+    left, gap = Size(0.11, 0.1, 0.12), Term("backlash", 1, {})
+    claim = Claim(
+        "backlash", "transmission", gap, 0.3, Evidence(9, 9, np.ones(2)), 9, {}, (), (), ()
+    )
+    decisions = [
+        Decision(
+            1, "missing", (claim,), (), one, one, left, Size(0, 0, 0), NOTHING, left, one, 7.0
+        ),
+        Decision(2, "unexplained", (), (), one, one, left, left, NOTHING, left, one, 7.0),
+    ]
+    record = SimpleNamespace(
+        others=np.sin(np.arange(9000) / 100)[None, None].repeat(2, 0),
+        n=9000, sample_time=0.001, between=1.0,
+    )  # fmt: skip
+    fit: Any = SimpleNamespace(records=[[record, record]])
+    assert ("link behind joint 1 moves otherwise" in left_over(decisions, model, fit)) == said
+
+
+@pytest.mark.parametrize(
+    ("why", "said"), [("is not what is missing", True), ("too small to be told: 0.01 %", False)]
+)
+def test_untouched_recordings_that_show_what_is_too_small_are_not_blamed(
+    why: str, said: bool
+) -> None:
+    one: Any = SimpleNamespace(model=SimpleNamespace(at=lambda _: ()))
+    left = Size(0.0, 0.0, 0.0)
+    d = Decision(1, "complete", (), (), one, one, left, left, NOTHING, left, one, 7.0)
+    found = replace(d, lost=(("stiffness", why, 5000.0),))
+    assert bool(_likelier([found])) == said
 
 
 @pytest.mark.parametrize(("names", "loads"), [("aaa", ()), ("aab", ("b",))])

@@ -25,7 +25,7 @@ from zendsp.demo.picture import _missing
 from zendsp.demo.run import concealment
 from zendsp.demo.runs import prepare_machine
 from zendsp.demo.stage import get_stage, nominal_model
-from zendsp.demo.story import Recorded, Told
+from zendsp.demo.story import Recorded, Told, _within_limits
 from zendsp.diagnosis import Diagnosis
 from zendsp.diagnosis.decide.result import Finding
 from zendsp.diagnosis.measure.where import Missing
@@ -322,3 +322,21 @@ def test_run_needs_a_folder_for_the_new_recording() -> None:
     ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.returncode == 2 and "--run needs --out" in done.stderr
+
+
+@pytest.mark.parametrize(("limit", "size"), [(2.0, 1.0), (0.7, 0.6), (0.1, None)])
+def test_a_proposed_motion_is_played_as_large_as_the_machine_may(
+    limit: float, size: float | None
+) -> None:
+    """A chirp of 151 rad/s² was proposed to an arm that may have 140, and nothing was played."""
+
+    def violations(motion: Reference) -> list[str]:
+        return ["too far"] if np.abs(motion.q - 0.2).max() > limit else []
+
+    plan = SimpleNamespace(find_violations=violations)
+    machine = SimpleNamespace(stage=SimpleNamespace(plan=plan, machine="pendulum"))
+    q = 0.2 + np.sin(np.linspace(0.0, 2 * np.pi, 1001))[:, None]
+    played = _within_limits(machine, q, 0.001, Narrator(quiet=True))  # type: ignore[arg-type]
+    assert (played is None) == (size is None)
+    if played is not None and size is not None:
+        assert np.ptp(played.q) == pytest.approx(2 * size, rel=1e-3)

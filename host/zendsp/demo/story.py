@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from zendsp.demo.controller import BEARS, bearing, plan_update
 from zendsp.demo.evidence import (
@@ -36,6 +37,8 @@ from zendsp.recording import Recording
 from zendsp.reference import Reference
 from zendsp_protocol.texts import counted
 from zendsp_protocol.views import with_std
+
+Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -239,11 +242,8 @@ def _separate(machine: Machine, d: Diagnosis, narrator: Narrator) -> Recording |
     narrator.say(proposal.sentence)
     if proposal.reference is None:
         return None
-    q, period = proposal.reference
-    motion = Reference(np.asarray(q), period, kind="separating", machine=machine.stage.machine)
-    broken = machine.stage.plan.find_violations(motion)
-    if broken:
-        narrator.say(f"the machine may not play it: {broken[0]}")
+    motion = _within_limits(machine, *proposal.reference, narrator)
+    if motion is None:
         return None
     with narrator.step("running the separating experiment on the target"):
         try:
@@ -251,6 +251,25 @@ def _separate(machine: Machine, d: Diagnosis, narrator: Narrator) -> Recording |
         except Refused as refused:
             narrator.say(str(refused), good=False)
             return None
+
+
+def _within_limits(
+    machine: Machine, q: Array, period: float, narrator: Narrator
+) -> Reference | None:
+    """A proposed motion about its middle, as large as the machine may play it; None where not even
+    two fifths of it.
+    """
+    middle = q.mean(axis=0)
+    for part in (1.0, 0.8, 0.6, 0.4):
+        made = middle + part * (q - middle)
+        motion = Reference(made, period, kind="separating", machine=machine.stage.machine)
+        broken = machine.stage.plan.find_violations(motion)
+        if not broken:
+            if part < 1.0:
+                narrator.say(f"the machine may play {100 * part:.0f} % of its size")
+            return motion
+    narrator.say(f"the machine may not play it: {broken[0]}")
+    return None
 
 
 def _compensate(machine: Machine, told: Told, out: Path, narrator: Narrator) -> None:

@@ -41,7 +41,7 @@ from zendsp.diagnosis.decide.pushes import (
     pushed,
     pushed_beside,
 )
-from zendsp.diagnosis.decide.result import not_likelier
+from zendsp.diagnosis.decide.result import TOO_SMALL, not_likelier
 from zendsp.diagnosis.decide.thresholds import (
     AMISS,
     BEYOND_SENSOR,
@@ -337,7 +337,7 @@ def _why(
         if seen.size < finest(rival.effect):
             least = f"findings have {percent(finest(rival.effect))} % at least"
             small = f"{percent(seen.size)} % of the torque, and {least}"
-            return rival.effect, f"too small to be told: {small}", 0.5 * gain
+            return rival.effect, f"{TOO_SMALL}: {small}", 0.5 * gain
         left = f"up to {percent(beside.high)} % may stay unexplained beside it"
         why = f"not surely this law: {percent(seen.size)} % of the torque, and {left}"
         return rival.effect, why, 0.5 * gain

@@ -11,10 +11,11 @@ import numpy as np
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.contract import spans, two_digits
 from zendsp.diagnosis.decide.findings import percent
-from zendsp.diagnosis.decide.result import Errors
+from zendsp.diagnosis.decide.result import TOO_SMALL, Errors
 from zendsp.diagnosis.decide.thresholds import AMISS, LAWFUL, OF_STATE
 from zendsp.diagnosis.measure.where import units
 from zendsp.physics.calibration.fit import Data
+from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model
 
 # ratio of the errors, calibrated over given, from which on calibration made it worse: reached by 3
@@ -46,8 +47,8 @@ def _likelier(decisions: Sequence[Decision]) -> list[str]:
         f"joint {d.joint}: the recordings of the fit are by far likelier with {effect}, and the"
         " untouched ones do not say so: hold out motion as fast as theirs, or look for what is"
         " wrong with them alone"
-        for d, (effect, _, score) in best
-        if d.kind == "complete" and score > FAR_LIKELIER
+        for d, (effect, why, score) in best
+        if d.kind == "complete" and score > FAR_LIKELIER and not why.startswith(TOO_SMALL)
     ]
 
 
@@ -122,6 +123,24 @@ def _hardly_moves(fit: Data, joint: int) -> str:
     )
 
 
+def _behind_another(decisions: Sequence[Decision], given: Model, joint: int) -> str:
+    """What is said where the link of another joint moves behind a transmission that was found: this
+    joint's model knows the motion of that motor only.
+    """
+    others = [
+        str(d.joint)
+        for d in decisions
+        if d.joint != joint
+        and any(get_effect(c.term.effect).family == "transmission" for c in d.claims)
+    ]
+    if not others or given.kind in ("rotary", "linear"):  # whose joints bear no other's torque
+        return ""
+    return (
+        f". The link behind joint {' and '.join(others)} moves otherwise than its motor does, and"
+        " this joint bears its torque: the model takes the motor's motion for the link's"
+    )
+
+
 def _held(fit: Data, given: Model) -> str:
     """What is said where commands are taken as held from row to row: by a model that does not say
     how long, or of rows so far apart that a loop may well be faster.
@@ -160,7 +179,8 @@ def left_over(decisions: Sequence[Decision], given: Model, fit: Data) -> str:
             words.append(
                 f"Joint {d.joint}: a torque of {two_digits(d.state.size * d.scale)} {unit} RMS"
                 f" ({percent(d.state.size)} % of the torque) depends on the state of the joint and"
-                " is none of the known effects" + _hardly_moves(fit, d.joint)
+                " is none of the known effects"
+                + (_behind_another(decisions, given, d.joint) or _hardly_moves(fit, d.joint))
             )
         elif d.kind == "unexplained" and d.after.value < LAWFUL and d.after.high > AMISS:
             words.append(
@@ -180,7 +200,11 @@ def left_over(decisions: Sequence[Decision], given: Model, fit: Data) -> str:
                 f"Joint {d.joint}: a torque of {two_digits(d.after.value * d.scale)} {unit} RMS"
                 f" ({percent(d.after.value)} % of the torque) is missing that neither a known"
                 " effect nor any function of the joint's state predicts"
-                + (_hardly_moves(fit, d.joint) or _held(fit, given))
+                + (
+                    _behind_another(decisions, given, d.joint)
+                    or _hardly_moves(fit, d.joint)
+                    or _held(fit, given)
+                )
             )
         elif d.kind == "missing" and d.after.low > OF_STATE:
             words.append(
