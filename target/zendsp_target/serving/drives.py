@@ -431,7 +431,7 @@ class Drives:
                     name="enabled",
                     met=False,
                     advice="the drives are not enabled: enable them (zendsp drive enable), then"
-                    " start (zendsp run without a file: loading one disables them)",
+                    " start (zendsp run without a file); loading a program disables them",
                 )
             ]
             raise Refused(refusal("starting", failing))
