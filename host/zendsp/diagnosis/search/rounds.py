@@ -355,7 +355,10 @@ class Rounds:
             result = self._short(look, result.model, result.handles, 10 if rough else 5)
             value = deviance(current.data, result.model, (self.joint,))
         gained = max(current.deviance - value, WAIT)
-        if self._gain_of_look(current, result.model) > gained:  # and these are but part of them
+        # worse than the model that it contains, or a look, which is but a part, gained more
+        screened_for = get_effect(best.effect).scan is None
+        worse = screened_for and value > current.deviance + WAIT
+        if worse or self._gain_of_look(current, result.model) > gained:
             result, value = self._upon_its_numbers(current, candidate, result, value)
         slow, data = data is not current.data, current.data
         if slow or value < current.deviance:
