@@ -121,7 +121,9 @@ class Installed:
         self, name: str = "imi", machine: str = "imi_planar", *options: str
     ) -> subprocess.Popen[str]:
         """Start `zendsp target` and wait until `zendsp ls` finds it."""
-        process = self.start("zendsp", "target", "--machine", machine, "--name", name, *options)
+        # no journey asks how late a sample is: its loop sleeps until each, and spares the processor
+        command = ("zendsp", "target", "--machine", machine, "--name", name, "--spin", "0")
+        process = self.start(*command, *options)
         entry = Path(self.env["ZENDSP_RUNTIME_DIR"]) / f"{name}.json"
         # each look of the command costs half a second
         until(entry.exists, f"target {name} registered", alive=process)

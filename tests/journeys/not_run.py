@@ -5,8 +5,9 @@ from __future__ import annotations
 NETWORK = "fetches packages: tests/whole/test_wheel.py builds and installs the wheel"
 TERMINAL = "is an application in a terminal: test_stop_banner.py and test_slim_install.py open it"
 BROWSER = "serves a browser until Ctrl-C: tests/tui/test_web.py"
-# `zendsp prove` takes minutes to hours, wherever it stands: `.ci/run` has `--quick`,
-# tests/journeys/test_prove.py the others in small, tests/proof/test_real.py the recordings.
+# `zendsp prove` takes minutes to hours, wherever it stands: `.ci/run` has
+# `--quick --sample`, tests/journeys/test_prove.py the others in small, tests/proof/test_real.py
+# the recordings.
 HOURS = "zendsp prove"
 DRAWING = "is a drawing"
 CLONE = "is of a clone, or takes half an hour: tests/whole/test_mutations.py, test_endurance.py"

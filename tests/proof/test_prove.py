@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 from zendsp.proof import cases, programme, run_proof
 from zendsp.proof.answer import Answer, Finding
 from zendsp.proof.build_case import NoUsableCase, Request
+from zendsp.proof.mujoco.programme import of_bodies
 from zendsp.proof.programme import REALITIES, requests
 from zendsp.proof.seal import BrokenSeal, open_truth, write_truth
 
@@ -58,6 +60,23 @@ def test_a_sample_is_drawn_before_anything_is_made_as_many_of_each_reality() -> 
     every = requests(3, False, ("own", "mujoco"))
     assert all(r in every for r in few)
     assert len({r.seed for r in every}) == len(every)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 7])
+def test_a_small_sample_holds_every_sort_of_case(seed: int) -> None:
+    few = requests(seed, True, REALITIES, 17)
+    assert len(few) == 17 == len({(r.reality, r.seed) for r in few})
+    for reality in REALITIES:
+        kinds = lambda of, reality=reality: {r.kind for r in of if r.reality == reality}  # noqa: E731
+        assert kinds(few) == kinds(requests(seed, True, (reality,)))
+    assert any(of_bodies(r) for r in few)
+    assert not any(of_bodies(r) for r in requests(seed, True, ("mujoco",), 1)), "no room for all"
+
+
+def test_what_a_reality_cannot_fill_of_a_sample_goes_to_the_others() -> None:
+    held = Counter(r.reality for r in requests(0, True, REALITIES, 30))
+    assert held == {"machines": 4, "own": 14, "mujoco": 12}
+    assert len(requests(0, True, REALITIES, 99)) == len(requests(0, True, REALITIES)) == 36
 
 
 def test_the_same_body_cases_are_asked_given_as_mjcf_beside_urdf() -> None:

@@ -16,13 +16,14 @@ from steps import Until, nobody
 from textual.app import App, ComposeResult
 from textual.containers import VerticalScroll
 from textual.widgets import DataTable, Static
-from textual.widgets._footer import FooterKey
 
 from zendsp.link import programs
 from zendsp.recording import Recording
 from zendsp.tui.actions import ACTIONS, SCREENS, actions, in_keys, keys_of
 from zendsp.tui.app import ZendspApp
+from zendsp.tui.colours import THEMES
 from zendsp.tui.dialogs import Message
+from zendsp.tui.footer import Keys
 from zendsp.tui.panels.table import Column, LiveTable
 from zendsp.tui.playing import Setup
 from zendsp.tui.preflight import preflight
@@ -171,7 +172,7 @@ async def test_every_screen_fits_from_80_by_24_up(app: ZendspApp, until: Until) 
             await app.action_show(screen)
             for size in ((80, 24), (100, 30), (160, 48), (220, 60), (80, 24)):
                 await pilot.resize_terminal(*size)
-                bar, footer = app.screen.query_one("StatusBar"), app.screen.query_one("Footer")
+                bar, footer = app.screen.query_one("StatusBar"), app.screen.query_one(Keys)
                 await until(pilot, lambda bar=bar, wide=size[0]: bar.region.width == wide,
                     f"{screen} is laid out for {size}")  # type: ignore[misc]
                 await pilot.pause()
@@ -200,13 +201,48 @@ async def test_no_key_of_the_footer_is_cut(app: ZendspApp, until: Until) -> None
             await app.action_show(screen)
             for wide in (160, 80, 60, 100):
                 await pilot.resize_terminal(wide, 24)
-                ends = lambda: [k.region.right for k in app.screen.query("FooterKey")]  # noqa: E731
-                whole = lambda wide=wide, ends=ends: max(ends(), default=wide + 1) <= wide  # noqa: E731
-                await until(pilot, whole, f"{screen} on {wide} columns")
-                keys = app.screen.query("FooterKey").results(FooterKey)
-                shown = {key.action.removeprefix("app.") for key in keys}
+                keys = app.screen.query_one(Keys)
+                there = lambda wide=wide, keys=keys: keys.size.width == wide and keys.shown  # noqa: E731
+                await until(pilot, there, f"{screen} on {wide} columns")
+                line = keys.render().plain
+                assert keys.size.height == 1 and len(line.rstrip()) <= wide
+                for key, columns in keys.shown.items():
+                    said = line[columns.start : columns.stop]
+                    assert said == f"{key.display} {key.description}", (screen, wide)
+                shown = {key.action.removeprefix("app.") for key in keys.shown}
                 assert {"stop", "help"} < shown, (screen, wide)
                 assert ("command_palette" in shown) >= (wide == 160), (screen, wide)
+
+
+async def test_a_click_on_a_key_of_the_footer_presses_it_and_the_mouse_over_it_tells_what_it_does(
+    app: ZendspApp, until: Until
+) -> None:
+    async with app.run_test(size=(160, 24)) as pilot:
+        keys = app.screen.query_one(Keys)
+        await until(pilot, lambda: keys.shown, "the keys are there")
+        key, columns = next((k, c) for k, c in keys.shown.items() if k.action.endswith("help"))
+        before = keys.render()
+        await pilot.hover(Keys, offset=(columns.start, 0))
+        help_of = next(a.help for a in actions("app") if a.name == "help")
+        assert keys.tooltip == help_of and keys.render() != before
+        await pilot.click(Keys, offset=(columns.stop, 0))
+        assert isinstance(app.screen, LabScreen), "between two keys is none"
+        await pilot.click(Keys, offset=(columns.start, 0))
+        await until(pilot, lambda: isinstance(app.screen, Message), f"{key.description} is shown")
+
+
+async def test_the_footer_tells_key_from_words_in_every_theme_of_zendsp(
+    app: ZendspApp, until: Until
+) -> None:
+    async with app.run_test(size=(160, 24)) as pilot:
+        keys = app.screen.query_one(Keys)
+        await until(pilot, lambda: keys.shown, "the keys are there")
+        for theme in THEMES:
+            app.theme = theme.name
+            await pilot.pause()
+            key, words, *_ = keys.render().spans
+            colours = {span.style.color for span in (key, words)}  # type: ignore[union-attr]
+            assert len(colours) == 2 and None not in colours, theme.name
 
 
 async def test_themes_change_and_the_scope_follows(app: ZendspApp) -> None:

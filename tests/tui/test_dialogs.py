@@ -10,13 +10,14 @@ from pathlib import Path
 import pytest
 from steps import Until
 from textual.events import Key
-from textual.widgets import Footer, Input, OptionList
+from textual.widgets import Input, OptionList
 from textual.widgets._toast import Toast
 
 from zendsp.tui.actions import ACTIONS, SCREENS
 from zendsp.tui.app import ZendspApp
 from zendsp.tui.dialogs import Choose, Field, Form, Message, Option, Sliders
 from zendsp.tui.dialogs.source import SourceView
+from zendsp.tui.footer import Keys
 from zendsp.tui.screens.analysis import ProcessView
 from zendsp.tui.snapshot import Snapshot, TripView, Variable
 
@@ -177,7 +178,7 @@ async def test_on_a_small_terminal_a_toast_covers_the_keys_at_the_bottom_and_no_
         app.toast("the drives are not enabled: press e on Console, then start again", "warning")
         await until(pilot, lambda: app.screen.query(Toast), "it is shown")
         await until(pilot, lambda: app.screen.query_one(Toast).region.height, "it has its place")
-        keys = app.screen.query_one(Footer).region
+        keys = app.screen.query_one(Keys).region
         assert app.screen.query_one(Toast).region.y == keys.y, "on the row of the keys alone"
         assert app.screen.query_one(Toast).region.width == keys.width, "all of it"
 

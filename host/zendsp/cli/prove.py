@@ -75,7 +75,7 @@ def realities(words: str) -> tuple[str, ...]:
 )
 @click.option(
     "--sample", type=click.IntRange(1), default=None,
-    help="Only so many of the cases, drawn by the seed, as many of each reality.",
+    help="Only so many of the cases, drawn by the seed: of each reality, and of every sort.",
 )
 @click.option(
     "--given",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import random
 import shlex
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -73,6 +74,30 @@ def own(first_seed: int, turn: int, quick: bool) -> list[Request]:
     return out
 
 
+def shared_out(count: int, sizes: Sequence[int]) -> list[int]:
+    """`count` in equal parts, none above its size: what one cannot hold goes to the others."""
+    shares = [0] * len(sizes)
+    for _ in range(min(count, sum(sizes))):
+        open_ones = [k for k, size in enumerate(sizes) if shares[k] < size]
+        shares[min(open_ones, key=shares.__getitem__)] += 1
+    return shares
+
+
+def every_sort(group: Sequence[Request], taken: list[int], rng: random.Random) -> list[Request]:
+    """Those of a group that were drawn. A sort of case that is not among them takes the place of
+    one of the sort that was drawn most often: a small sample holds pairs and replaced terms, too.
+    """
+    sorts = ["body" if mujoco.of_bodies(r) else r.kind for r in group]
+    for sort in dict.fromkeys(sorts):
+        held = Counter(sorts[i] for i in taken)
+        if sort in held or max(held.values(), default=0) < 2:
+            continue
+        most = max(held, key=held.__getitem__)
+        taken.remove(next(i for i in reversed(taken) if sorts[i] == most))
+        taken.append(rng.choice([i for i, other in enumerate(sorts) if other == sort]))
+    return [group[i] for i in sorted(taken)]
+
+
 def requests(
     seed: int,
     quick: bool,
@@ -82,7 +107,8 @@ def requests(
 ) -> list[Request]:
     """Every case of a run; `seed` moves all of them.
 
-    With `sample`, so many of them drawn by the seed: as many of each reality. With `given` "mjcf",
+    With `sample`, so many of them drawn by the seed: as many of each reality, as far as it has
+    them, and some of every sort of case where there is room. With `given` "mjcf",
     those of MuJoCo's arms that conceal a body are asked a second time, their model given as MJCF.
     """
     first = FIRST_SEED + 100_000 * seed
@@ -96,11 +122,12 @@ def requests(
             groups.append(mujoco.requests(first + 50_000, quick))
     if sample:
         rng = random.Random(seed)
-        shares = [sample // len(groups) + (k < sample % len(groups)) for k in range(len(groups))]
-        groups = [
-            [group[i] for i in sorted(rng.sample(range(len(group)), min(share, len(group))))]
+        shares = shared_out(sample, [len(group) for group in groups])
+        taken = [
+            rng.sample(range(len(group)), share)
             for group, share in zip(groups, shares, strict=True)
         ]
+        groups = [every_sort(*drawn, rng) for drawn in zip(groups, taken, strict=True)]
     asked = [request for group in groups for request in group]
     if given == "mjcf":
         asked += [replace(r, given="mjcf") for r in asked if mujoco.of_bodies(r)]

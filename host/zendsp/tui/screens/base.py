@@ -14,10 +14,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 from rich.text import Text
 from textual.app import ComposeResult
 from textual.screen import Screen
-from textual.widgets import Footer
-from textual.widgets._footer import FooterKey
 
 from zendsp.tui.actions import actions
+from zendsp.tui.footer import Keys
 from zendsp.tui.lab import Lab
 from zendsp.tui.panels.events import EventsPanel
 from zendsp.tui.scope import Scope
@@ -32,32 +31,6 @@ HANGING = "\n" + 24 * " "  # under the explanation of a key
 NUMBERS_S = 0.2  # between numbers that change all the time: nobody reads faster
 WIDE = 116  # columns from which panels stand side by side
 TALL = 36  # rows from which a scope has room for a lane of every unit
-
-
-class Keys(Footer):
-    """The keys at the bottom: as many as have room, STOP and Help before all others."""
-
-    FIRST = ("stop", "help")
-    LAST = "command_palette"
-
-    def compose(self) -> ComposeResult:
-        keys = [key for key in super().compose() if isinstance(key, FooterKey)]
-        room = self.screen.size.width + 1  # nothing is beside the last one
-        kept: list[FooterKey] = []
-        for key in sorted(keys, key=self._rank):
-            room -= len(f"{key.key_display} {key.description} ")
-            if room < 0:
-                break
-            kept.append(key)
-        yield from (key for key in keys if key in kept)
-
-    def _rank(self, key: FooterKey) -> int:
-        name = key.action.removeprefix("app.")
-        return self.FIRST.index(name) - 2 if name in self.FIRST else int(name == self.LAST)
-
-    def on_resize(self) -> None:
-        """What has room changes with it."""
-        self.call_after_refresh(self.recompose)
 
 
 class LabScreen(Screen[None]):
@@ -85,7 +58,7 @@ class LabScreen(Screen[None]):
     def compose(self) -> ComposeResult:
         yield self.bar
         yield from self.body()
-        yield Keys(compact=True, show_command_palette=False)
+        yield Keys()
 
     def body(self) -> ComposeResult:
         """Yield what stands between the status bar and the footer."""
