@@ -40,7 +40,7 @@ def test_a_csv_is_diagnosed_in_the_terminal_and_the_better_model_saved(
     try:
         screen.until("model  ")
         screen.keys(b"a")
-        screen.until("Add a recording")
+        screen.until("Add recordings")
         screen.keys(b"run.csv\r")
         screen.until("run.csv")
         screen.until("bench.toml")  # the model that lies here is taken
