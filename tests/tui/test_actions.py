@@ -259,6 +259,18 @@ async def test_themes_change_and_the_scope_follows(app: ZendspApp) -> None:
         assert scope._pens[0].color is not None and scope._pens[0].color.name.lower() == "#0067b6"
 
 
+async def test_every_theme_that_can_be_chosen_has_colours_that_can_be_painted(
+    app: ZendspApp,
+) -> None:
+    """Themes that leave the colours to the terminal ended the application."""
+    async with app.run_test() as pilot:
+        await pilot.pause()
+        assert "ansi-dark" not in app.available_themes and "nord" in app.available_themes
+        for name in app.available_themes:
+            app.theme = name
+            assert Style(color=app.theme_variables["error"]).color is not None, name
+
+
 async def test_what_is_not_seen_cannot_take_the_focus(app: ZendspApp, until: Until) -> None:
     async with app.run_test(size=(80, 24)) as pilot:
         await until(

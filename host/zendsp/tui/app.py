@@ -111,6 +111,8 @@ class ZendspApp(TypeAhead):
 
         for theme in THEMES:
             self.register_theme(theme)
+        for name in [n for n, theme in self.available_themes.items() if theme.ansi]:
+            self.unregister_theme(name)  # their colours have no numbers to paint bars with
         self.theme = self._theme_name
         self.session.start()
         makers: dict[str, type[LabScreen]] = {
