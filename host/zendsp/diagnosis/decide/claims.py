@@ -12,7 +12,7 @@ from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.likelihood import Scored
 from zendsp.diagnosis.measure.structure import Structure
-from zendsp.physics.effects import MECHANISMS, laws_of
+from zendsp.physics.effects import MECHANISMS, get_effect, laws_of
 from zendsp.physics.model import Term
 
 # the laws that write a mechanism down, as the effect files say
@@ -62,6 +62,11 @@ class Claim:
     ahead: float = math.inf
     # of its confidence: laws beside it that are doubted may take up what it leaves
     most: float = 1.0
+
+    @property
+    def is_transmission(self) -> bool:
+        """Whether it is a law of what lies between motor and link."""
+        return self.effect != "unknown" and get_effect(self.effect).family == "transmission"
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,6 @@ from zendsp.diagnosis.decide.result import TOO_SMALL, Errors
 from zendsp.diagnosis.decide.thresholds import AMISS, LAWFUL, OF_STATE
 from zendsp.diagnosis.measure.where import units
 from zendsp.physics.calibration.fit import Data
-from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model
 
 # ratio of the errors, calibrated over given, from which on calibration made it worse: reached by 3
@@ -131,7 +130,7 @@ def _behind_another(decisions: Sequence[Decision], given: Model, joint: int) -> 
         str(d.joint)
         for d in decisions
         if d.joint != joint
-        and any(get_effect(c.term.effect).family == "transmission" for c in d.claims)
+        and any(c.is_transmission for c in d.claims)
     ]
     if not others or given.kind in ("rotary", "linear"):  # whose joints bear no other's torque
         return ""

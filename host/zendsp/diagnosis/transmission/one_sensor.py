@@ -17,7 +17,6 @@ from zendsp.diagnosis.decide.thresholds import LAWFUL, LEFT_BY_A_LAW, MACHINE
 from zendsp.diagnosis.measure.discrepancy import beyond
 from zendsp.diagnosis.transmission.sets import compliance_unit
 from zendsp.diagnosis.transmission.torsion import OF_BODIES, has_bodies, of_bodies
-from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model
 
 
@@ -70,7 +69,7 @@ def shown(parts: Parts, model: Model, decisions: Sequence[Decision]) -> list[Dec
     def hidden(claim: Claim, decision: Decision) -> bool:
         numbers = claim.term.parameters
         spring = "stiffness" in numbers and "gap" not in numbers
-        if not spring or not _is_transmission(claim):
+        if not spring or not claim.is_transmission:
             return False
         stiffer = least.get(claim.term.joint, 0.0) * numbers["stiffness"].value > 1.0
         return stiffer and not _swings(claim, decision)
@@ -84,10 +83,6 @@ def shown(parts: Parts, model: Model, decisions: Sequence[Decision]) -> list[Dec
             decision = replace(decision, kind=kind)
         out.append(replace(decision, claims=keep, refinements=(*decision.refinements, *stiff)))
     return out
-
-
-def _is_transmission(claim: Claim) -> bool:
-    return get_effect(claim.term.effect).family == "transmission"
 
 
 def _swings(claim: Claim, decision: Decision) -> bool:
@@ -104,7 +99,7 @@ def unseen(
     parts: Parts, model: Model, decisions: Sequence[Decision]
 ) -> tuple[Detectable, ...]:
     """The smallest compliance that would have shown, at joints where none is found."""
-    sprung = {d.joint for d in decisions for c in d.claims if _is_transmission(c)}
+    sprung = {d.joint for d in decisions for c in d.claims if c.is_transmission}
     return tuple(d for d in by_one_sensor(parts, model, decisions) if d.joint not in sprung)
 
 
