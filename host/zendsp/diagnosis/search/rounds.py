@@ -330,7 +330,8 @@ class Rounds:
         if data.bandwidth[self.joint - 1] > SETTLED:
             settled = data.at_bandwidth(self.joint, SETTLED)
         best = self._short_fits(current, group, settled if slow else data)
-        if settled is data or slow or (best and best.value < current.deviance - WAIT):
+        begun = slow or get_effect(group[0].effect).scan is not None  # by simulations, not a screen
+        if settled is data or begun or (best and best.value < current.deviance - WAIT):
             return best
         other = self._short_fits(current, group, settled)
         return other if other and not (best and best.value <= other.value) else best
