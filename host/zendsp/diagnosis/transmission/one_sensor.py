@@ -89,9 +89,11 @@ def _swings(claim: Claim, decision: Decision) -> bool:
     """Whether a spring is seen by how its load swings: with it next to nothing is left of more than
     follows from the motion before in a complete machine.
     """
+    lacks = decision.before.value
     return (
         beyond(claim.size, decision.known.all) > LAWFUL
-        and decision.after.value < LEFT_BY_A_LAW * decision.before.value
+        and claim.size > (1.0 - LEFT_BY_A_LAW) * lacks  # not of what something else explains
+        and decision.after.value < LEFT_BY_A_LAW * lacks
     )
 
 
