@@ -5,12 +5,13 @@ An effect of some size leaves its trace in the innovations of the model that was
 the calibrated numbers, fitted to the recordings of the fit, take up of it. From the trace's energy
 in the recordings to test on follows the evidence that an effect of that size would have had there,
 and from its torque whether it would have stood out of the discrepancy, and been named: the smallest
-size that passes all of these is stated. It is looked for to first order, then implanted, and all
-calibrated numbers, the sensor's zero among them, are fitted beside it: a command that is too large
-by a part is no more than inertia, weight and friction that are. And the predictions must surely be
-worse with it, since no finding makes them so.
-The decision itself is not run again for every size; ``zendsp prove --implant`` measures how well
-the figures hold.
+size that passes all of these is stated. It is looked for to first order, then implanted, and asked
+as the decision asks: calibrated numbers and observer are fitted without it to the recordings of the
+fit, and those to test on have to say that it lacks. A command that is too large by a part is no
+more than inertia, weight and friction that are. Of the phases of a wave and the neutral positions
+of a spring the one that is seen worst counts.
+The search is not run again for every size; ``zendsp prove --implant`` measures how well the figures
+hold.
 """
 
 from __future__ import annotations
@@ -226,8 +227,8 @@ class _Implant:
         data = self.test.at_bandwidth(self.joint, bandwidth)
         innovations = residual(data, self.final.model, (self.joint,))
         mean = float(innovations @ innovations) / max(informative(data, self.joint), 1)
-        # root of the energy that an effect has to leave in the innovations
         self.n = informative(self.final.data, self.joint)
+        # root of the energy that an effect has to leave in the innovations
         self.energy = self.root * math.sqrt(mean * dependence(self.final, self.test, self.joint))
 
     def seen(self, term: Term, least: float) -> tuple[float, float] | None:
