@@ -23,9 +23,8 @@ NOT_RUN: dict[tuple[str, str], str] = {
         "README.md", ".venv/bin/pip install eclipse-zenoh numpy msgpack msgspec cffi pyelftools",
     ): NETWORK,
     ("README.md", ".venv/bin/pip install --no-deps ."): NETWORK,
-    (
-        "README.md", "zendsp demo --effect ripple --seed 1",
-    ): "is what `zendsp demo` of this page runs as, here",
+    ("README.md", ".venv/bin/zendsp demo"): "test_slim_install.py runs it, the effect chosen",
+    ("README.md", "zendsp demo --effect ripple --seed 1"): "test_slim_install.py runs it",
     ("README.md", "pip install ."): NETWORK,
     (
         "docs/code_overview.md",
@@ -70,7 +69,7 @@ NOT_RUN: dict[tuple[str, str], str] = {
         "python benchmarks/tui.py --only terminal --soak 3700 --trace soak.csv",
     ): "takes an hour, of a clone",
     ("docs/machines_simulated.md", "zendsp demo --machine wam7 --seed 1"): (
-        "test_slim_install.py runs it"
+        "test_slim_install.py runs it where ZENDSP_JOURNEYS=all"
     ),
     ("docs/models.md", "[mechanism]"): SYNTAX,
     ("docs/models.md", "zendsp target --machine arm.xml"): "tests/journeys/test_any_robot.py",

@@ -92,20 +92,6 @@ def bench(user: Installed) -> None:
         user.write(f"{name}.csv", "t,q,u,q_ref\n" + "\n".join(rows) + "\n")
 
 
-ARM = """
-import zendsp
-from zendsp.reference import make_reference
-for name, amplitude in (("run1", 0.1), ("run2", 0.08), ("test", 0.09)):
-    motion = make_reference("multisine", "imi_planar", period=2.0, f_max=2.0, periods=1, amplitude=amplitude)
-    rec = zendsp.simulate("pd.c", "imi_planar.toml", reference=motion, channels=["measured", "plant_torque"])
-    q, tau = rec["measured"], rec["plant_torque"]
-    columns = {"q": q, "tau": tau}
-    recording = zendsp.Recording.from_columns(columns, t=rec.t, units={"q": "rad", "tau": "N m"})
-    recording.save(f"{name}.mat")
-recording.save("run.csv")
-"""  # noqa: E501
-
-
 def recorded(user: Installed) -> None:
     """A recording of the bench, and no model file yet."""
     bench(user)
@@ -147,8 +133,12 @@ def benches(user: Installed) -> None:
 
 
 def tour(user: Installed) -> None:
-    """For the tour: recordings of the arm."""
-    made = user.script(ARM)
+    """For the tour: recordings of the bench, in files of MATLAB too."""
+    bench(user)
+    made = user.script(
+        "import zendsp\nfor name in ('run1', 'run2', 'test'):"
+        " zendsp.Recording.load(f'{name}.csv').save(f'{name}.mat')"
+    )
     assert made.returncode == 0, made.stderr
 
 
@@ -215,10 +205,7 @@ ROBOT = {"robot.lab:7447": "localhost:PORT", "0.0.0.0:7447": "127.0.0.1:PORT"}
 
 
 PLANS: dict[str, Plan] = {
-    # what is drawn differs from time to time; a test draws the same each time
-    "README.md": Plan(
-        arm, stands_for={"bin/zendsp demo": "bin/zendsp demo --effect ripple --seed 1"}
-    ),
+    "README.md": Plan(arm),
     "docs/diagnosis.md": Plan(
         benches,
         files={
@@ -244,11 +231,16 @@ PLANS: dict[str, Plan] = {
         files={"[roles]": "roles.toml"},
         stands_for={**ROBOT, "--host robot.lab": "--host localhost"},
     ),
-    "docs/tour.md": Plan(tour),
+    # the bench in place of the arm, whose two joints take five times as long
+    "docs/tour.md": Plan(
+        tour, stands_for={"run2.mat --model imi_planar.toml": "run2.mat --model bench.toml"}
+    ),
     "docs/troubleshooting/diagnosis.md": Plan(bench),
     "docs/troubleshooting/loop.md": Plan(saved_parameters, stands_for={"FILE": "kept.json"}),
     "docs/tui.md": Plan(loaded),
+    # six seconds of the motion, of which the page plays twenty
     "docs/tutorial.md": Plan(
+        stands_for={"--f-max 0.6": "--f-max 0.6 --f-min 0.2 --period 5 --periods 1"},
         files={
             "import zendsp": "play.py",
             'name = "arm"': "arm.toml",
@@ -310,7 +302,8 @@ class Reader:
         if self._server is not None:  # the page goes on with another
             self._server.terminate()
             self._server.wait(PATIENCE_S)
-        self._server = process = self._user.start("bash", "-c", f"exec {meant}")
+        # as journey.py starts its own: its loop sleeps until each sample
+        self._server = process = self._user.start("bash", "-c", f"exec {meant} --spin 0")
         assert process.stdout is not None
         line = process.stdout.readline()
         while line and "listens on" not in line:

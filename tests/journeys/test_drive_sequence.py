@@ -39,7 +39,9 @@ from zendsp.errors import Refused
 
 machine, program, clock, ms = sys.argv[1], sys.argv[2], sys.argv[3], int(sys.argv[4])
 flags = ["-DN=1"] if (machine, program) == ("pendulum", "constant_torque.c") else []
-options = ["--machine-option", "drive=voltage"] if program == "pendulum_current.c" else []
+options = ["--spin", "0"]  # the loop sleeps until each sample
+if program == "pendulum_current.c":
+    options += ["--machine-option", "drive=voltage"]
 
 target = zendsp.local(machine, clock=clock, options=options)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -25,7 +26,7 @@ class Blocker:
 sys.meta_path.insert(0, Blocker())
 """
 
-SHORT = ("--period", "6", "--f-max", "1.5", "--periods", "1")
+SHORT = ("--period", "4", "--f-max", "2", "--periods", "1")
 RECORD = """
 import sys, zendsp
 from pathlib import Path
@@ -53,19 +54,35 @@ def slim(installed: Installed) -> Installed:
     return installed
 
 
+# Seven joints take a minute of two processors' work, where all journeys are asked for. CI has what
+# it is made of: a body that is found (tests/diagnosis/test_bodies.py, a sealed case of six joints),
+# and a payload that the running program takes up (tests/e2e/test_story.py).
+SEVEN_JOINTS = pytest.param(
+    "wam7",
+    "payload",
+    marks=pytest.mark.skipif(
+        os.environ.get("ZENDSP_JOURNEYS") != "all", reason="long: ZENDSP_JOURNEYS=all runs it"
+    ),
+)
+
+
 @pytest.mark.timeout(500)
-def test_the_demo_and_an_experiment_need_no_extra(slim: Installed) -> None:
-    words = ("--machine", "wam7", "--seed", "1", "--out", "demo", "--json")
-    demo = slim.run("demo", *words, timeout=350.0)  # a minute of two processors' work
+@pytest.mark.parametrize(("machine", "effect"), [("imi_planar", "ripple"), SEVEN_JOINTS])
+def test_the_demo_needs_no_extra(slim: Installed, machine: str, effect: str) -> None:
+    words = ("--machine", machine, "--effect", effect, "--seed", "1", "--out", "demo", "--json")
+    demo = slim.run("demo", *words, timeout=350.0)
     assert demo.returncode == 0, demo.stdout + demo.stderr
     told = json.loads(demo.stdout)
     assert told["true"] and not told["why"] and told["lost"] == 0
-    assert told["truth"][0]["effect"] == "payload"
+    assert told["truth"][0]["effect"] == effect
     before, after = (told["tracking"][f"{when}_rad"] for when in ("before", "after"))
     assert any(new < 0.9 * old for new, old in zip(after, before, strict=True))
     assert told["fit"]["heldout"]["improved"] < told["fit"]["heldout"]["calibrated"]
     for name in ("report.html", "story.png", "train.mat", "heldout.mat", "work.mat", "model.toml"):
         assert (slim.folder / "demo" / name).stat().st_size > 200
+
+
+def test_an_experiment_needs_no_extra(slim: Installed) -> None:
     made = slim.run("experiment", "pendulum-electrical")
     assert made.returncode == 0, made.stdout + made.stderr
 
@@ -85,9 +102,10 @@ def test_the_link_records_a_csv_and_refuses_parquet_by_name(slim: Installed) -> 
 @pytest.mark.parametrize(
     ("machine", "program", "amplitude"),
     [
+        # diagnosed by the demo above
         ("imi_planar", "pd.c", "0.05"),
         ("pendulum", "pendulum_track.c", "0.5"),
-        # diagnosed by the demo above
+        # what it lacks is found without any package of its own: tests/diagnosis/test_bodies.py
         ("wam7", "wam_pd_gravity.c", "0.05"),
     ],
 )
@@ -101,7 +119,7 @@ def test_a_shipped_machine_is_simulated_and_diagnosed(
     assert planned.returncode == 0, planned.stderr
     made = slim.script(RECORD, machine, program)
     assert made.returncode == 0, made.stderr
-    if machine != "wam7":
+    if machine == "pendulum":
         said = slim.run("diagnose", "run.csv", "--model", f"{machine}.toml", "--jobs", "1")
         assert said.returncode == 0, said.stdout + said.stderr
 
