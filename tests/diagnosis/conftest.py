@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -32,11 +32,17 @@ def model(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def recorded(tmp_path: Path) -> Callable[..., list[Path]]:
+def seconds() -> tuple[float, float]:
+    """Of run1.csv and run2.csv: of the second one half is chosen by, the other judged on."""
+    return 6.0, 9.0
+
+
+@pytest.fixture
+def recorded(tmp_path: Path, seconds: tuple[float, float]) -> Callable[..., list[Path]]:
     """Write run1.csv of a machine, and run2.csv of another or the same one."""
 
     def write(fit: reality.Machine, held: reality.Machine | None = None) -> list[Path]:
-        machines = ((fit, 9.0, 1), (held or fit, 12.0, 2))
+        machines = ((fit, seconds[0], 1), (held or fit, seconds[1], 2))
         return [
             reality.save(
                 tmp_path / f"run{seed}.csv",
@@ -58,6 +64,34 @@ def decided(tmp_path: Path, recorded: Callable[..., list[Path]]) -> Callable[...
             tmp_path / "model.toml", RATE, *(effects or KNOWN), resolution=fit.resolution
         )
         return diagnose(files[0], model, files[1], jobs=1)  # threads cost more than they gain
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Diagnosis]:
+    """Diagnose a machine along two motions, each machine with each model once a session: tests look
+    at what came, and alter nothing.
+    """
+    done: dict[tuple[object, ...], Diagnosis] = {}
+
+    def run(
+        machine: reality.Machine,
+        given: Sequence[str] = KNOWN,
+        seconds: float = 6.0,
+        **reference: float,
+    ) -> Diagnosis:
+        motions = [reality.multisine(seconds, RATE, seed, **reference) for seed in (1, 2)]
+        case = (repr(machine), *given, *(motion.tobytes() for motion in motions))
+        if case not in done:
+            folder, resolution = tmp_path_factory.mktemp("bench"), machine.resolution
+            model = reality.model_file(folder / "m.toml", RATE, *given, resolution=resolution)
+            train, held = (
+                reality.save(folder / f"{k}.csv", reality.simulate(machine, motion, RATE, k))
+                for k, motion in enumerate(motions, 1)
+            )
+            done[case] = diagnose(train, model, held, jobs=1)
+        return done[case]
 
     return run
 

@@ -311,6 +311,7 @@ def test_calibration_may_move_a_number_as_far_as_the_model_file_says_that_it_is_
     )
 
 
+@pytest.mark.parametrize("seconds", [(9.0, 12.0)])
 def test_the_figure_of_a_ripple_of_many_periods_is_of_one_as_large_as_the_sentence_says(
     decided: Decided,
 ) -> None:

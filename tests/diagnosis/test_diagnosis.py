@@ -42,6 +42,7 @@ class Case:
     given: list[str]
     found: dict[str, dict[str, float]]
     reference: dict[str, float] = field(default_factory=dict)
+    seconds: float = 6.0
 
 
 SINGLE: dict[str, Case] = {
@@ -79,6 +80,7 @@ SINGLE: dict[str, Case] = {
         [VISCOUS],
         {"coulomb": {"level": 0.06}, "presliding": {"stiffness": 2.0}},
         {"size": 0.1, "low": 0.5},
+        9.0,
     ),
     "ripple": Case(
         reality.Machine(ripple=0.02),
@@ -108,23 +110,18 @@ SINGLE: dict[str, Case] = {
 }
 
 
-def run(case: Case, folder: Path, resolution: float = reality.RESOLUTION) -> Diagnosis:
-    files = []
-    for name, seconds, seed in (("train", 9.0, 1), ("heldout", 7.0, 2)):
-        reference = reality.multisine(seconds, RATE, seed, **case.reference)
-        files.append(
-            reality.save(
-                folder / f"{name}.csv", reality.simulate(case.machine, reference, RATE, seed)
-            )
-        )
-    model = reality.model_file(folder / "model.toml", RATE, *case.given, resolution=resolution)
-    return diagnose(files[0], model, files[1], jobs=2)
+Run = Callable[[Case], Diagnosis]
+
+
+@pytest.fixture
+def run(bench: Callable[..., Diagnosis]) -> Run:
+    return lambda case: bench(case.machine, case.given, case.seconds, **case.reference)
 
 
 @pytest.mark.parametrize("name", SINGLE)
-def test_missing_effect_is_named_with_its_parameters(name: str, tmp_path: Path) -> None:
+def test_missing_effect_is_named_with_its_parameters(name: str, run: Run) -> None:
     case = SINGLE[name]
-    d = run(case, tmp_path)
+    d = run(case)
     assert d.verdict == "missing"
     assert {f.effect for f in d.findings} == set(case.found)
     for f in d.findings:
@@ -140,8 +137,8 @@ def test_missing_effect_is_named_with_its_parameters(name: str, tmp_path: Path) 
     assert h.calibrated - h.improved > 0.9 * (h.calibrated - d.noise_floor)
 
 
-def test_a_gap_is_named_with_its_width_and_the_inertia_behind_it(tmp_path: Path) -> None:
-    d = run(Case(reality.Machine(gap=0.03, load=0.004), [VISCOUS, COULOMB], {}), tmp_path)
+def test_a_gap_is_named_with_its_width_and_the_inertia_behind_it(run: Run) -> None:
+    d = run(Case(reality.Machine(gap=0.03, load=0.004), [VISCOUS, COULOMB], {}))
     assert [f.effect for f in d.findings] == ["backlash"]
     assert d.findings[0].parameters["gap"].value == pytest.approx(0.03, rel=0.03)
     assert d.findings[0].parameters["load_inertia"].value == pytest.approx(0.004, rel=0.03)
@@ -151,23 +148,22 @@ def test_a_gap_is_named_with_its_width_and_the_inertia_behind_it(tmp_path: Path)
 
 @pytest.mark.parametrize(("size", "high", "counts"), [(1.0, 4.0, 16384), (0.15, 1.0, 4096)])
 def test_complete_model_raises_no_alarm(
-    size: float, high: float, counts: int, tmp_path: Path
+    size: float, high: float, counts: int, run: Run
 ) -> None:
     resolution = 2 * np.pi / counts
     case = Case(
         reality.Machine(resolution=resolution), [VISCOUS, COULOMB], {}, {"size": size, "high": high}
     )
-    d = run(case, tmp_path, resolution)
+    d = run(case)
     assert d.verdict == "complete" and d.findings == () and d.regions == ()
 
 
-def test_a_known_friction_that_creeps_is_no_missing_physics_and_hides_none(tmp_path: Path) -> None:
+def test_a_known_friction_that_creeps_is_no_missing_physics_and_hides_none(run: Run) -> None:
     soft = Case(reality.Machine(creep=0.03), [VISCOUS, COULOMB], {})
-    complete = run(soft, tmp_path)
+    complete = run(soft)
     assert complete.verdict == "complete" and any("creeps" in note for note in complete.notes)
-    (tmp_path / "ripple").mkdir()
     ripple = replace(soft, machine=reality.Machine(creep=0.03, ripple=0.006))
-    (found,) = run(ripple, tmp_path / "ripple").findings
+    (found,) = run(ripple).findings
     assert found.effect == "ripple"
     assert found.parameters["amplitude"].value == pytest.approx(0.006, rel=0.05)
 
@@ -189,6 +185,7 @@ def test_a_fast_ripple_is_found_though_the_held_out_recording_has_another_zero(
         files[0],
         reality.model_file(tmp_path / "model.toml", RATE, VISCOUS, resolution=fine),
         files[1],
+        jobs=1,
     )
     assert {f.effect for f in d.findings} == {"coulomb", "ripple"}
     ripple = next(f for f in d.findings if f.effect == "ripple")
@@ -200,8 +197,8 @@ def test_a_fast_ripple_is_found_though_the_held_out_recording_has_another_zero(
     assert np.ptp(with_) < 0.3 * np.ptp(without)
 
 
-def test_what_no_effect_describes_is_unexplained(tmp_path: Path) -> None:
-    d = run(Case(reality.Machine(wave=0.05), [VISCOUS, COULOMB], {}), tmp_path)
+def test_what_no_effect_describes_is_unexplained(run: Run) -> None:
+    d = run(Case(reality.Machine(wave=0.05), [VISCOUS, COULOMB], {}))
     assert d.verdict == "unexplained" and d.findings == ()
     assert d.regions and "N m" in d.unexplained
     assert d.next_recording is not None and d.next_recording.reference is not None
@@ -210,15 +207,15 @@ def test_what_no_effect_describes_is_unexplained(tmp_path: Path) -> None:
     assert "as a multisine over the whole range does (10 s, " in d.next_recording.sentence
 
 
-def test_a_torque_that_nothing_predicts_is_not_passed_over(tmp_path: Path) -> None:
-    d = run(Case(reality.Machine(unrest=0.016), [VISCOUS, COULOMB], {}), tmp_path)
+def test_a_torque_that_nothing_predicts_is_not_passed_over(run: Run) -> None:
+    d = run(Case(reality.Machine(unrest=0.016), [VISCOUS, COULOMB], {}))
     assert d.verdict == "unexplained" and d.findings == ()
     assert "nor any function of the joint's state" in d.unexplained
 
 
-def test_wrong_term_of_the_given_model_is_replaced(tmp_path: Path) -> None:
+def test_wrong_term_of_the_given_model_is_replaced(run: Run) -> None:
     wrong = reality.effect("viscous", coefficient=0.01)
-    d = run(Case(reality.Machine(viscous=0.0, drag=0.006), [wrong, COULOMB], {}), tmp_path)
+    d = run(Case(reality.Machine(viscous=0.0, drag=0.006), [wrong, COULOMB], {}))
     assert [f.effect for f in d.findings] == ["quadratic_drag"]
     assert d.findings[0].replaces == ("viscous",)
     told = "It stands in the place of the given model's term viscous (fluid friction)."
@@ -229,16 +226,16 @@ def test_wrong_term_of_the_given_model_is_replaced(tmp_path: Path) -> None:
     assert {t.effect for t in d.improved.terms} == {"quadratic_drag", "coulomb"}
 
 
-def test_what_calibration_moves_far_is_told(tmp_path: Path) -> None:
+def test_what_calibration_moves_far_is_told(run: Run) -> None:
     gain = 1.2  # as an actuator that gives so much more
     machine = reality.Machine(inertia=0.01 / gain, viscous=0.004 / gain, coulomb=0.03 / gain)
-    d = run(Case(machine, [VISCOUS, COULOMB], {}), tmp_path)
+    d = run(Case(machine, [VISCOUS, COULOMB], {}))
     (note,) = (n for n in d.notes if "calibration moves" in n)
     assert "coulomb level 0.03 to 0.02499 (-17 %)" in note and "as a torque gain of 1.2" in note
     (found,) = d.findings  # one number explains what three would
     assert (found.effect, found.indistinguishable) == ("torque_gain", ("inertia",))
     assert found.parameters["ratio"].value == pytest.approx(0.2, abs=0.01)
-    d = run(Case(reality.Machine(), [VISCOUS, COULOMB], {}), tmp_path)
+    d = run(Case(reality.Machine(), [VISCOUS, COULOMB], {}))
     assert not any("calibration moves" in n for n in d.notes)
 
 
@@ -252,7 +249,7 @@ def test_several_recordings_are_fitted_jointly(tmp_path: Path) -> None:
         for s in (1, 2, 3)
     ]
     model = reality.model_file(tmp_path / "model.toml", RATE, VISCOUS)
-    one, three = diagnose(files[0], model), diagnose(files, model)
+    one, three = (diagnose(runs, model, jobs=1) for runs in (files[0], files))
     assert [f.effect for f in three.findings] == ["coulomb"] == [f.effect for f in one.findings]
     # three times the samples: the statistical standard deviation falls by about the root of three;
     # that of the numerics stays
@@ -287,7 +284,7 @@ def test_user_effect_is_named(tmp_path: Path) -> None:
     for name, seed in (("a", 1), ("b", 2)):
         reality.save(
             tmp_path / f"{name}.csv",
-            reality.simulate(machine, reality.multisine(9.0, RATE, seed, high=2.0), RATE),
+            reality.simulate(machine, reality.multisine(6.0, RATE, seed, high=2.0), RATE),
         )
     reality.model_file(tmp_path / "model.toml", RATE, VISCOUS, COULOMB)
     # a process of its own: loaded effects stay in the library; its C is that of docs/effects.md, so
@@ -334,7 +331,7 @@ def test_a_drafted_model_of_joints_of_unlike_inertia_leads_to_their_friction(
     light = reality.Machine(viscous=0.05, coulomb=0.1)
     heavy = reality.Machine(inertia=0.08, viscous=0.06, coulomb=0.06, kp=24.0, kd=0.96)
     runs = [
-        reality.simulate(machine, reality.multisine(14.0, RATE, seed), RATE)
+        reality.simulate(machine, reality.multisine(9.0, RATE, seed), RATE)
         for seed, machine in enumerate((light, heavy))
     ]
     both = {
@@ -345,7 +342,7 @@ def test_a_drafted_model_of_joints_of_unlike_inertia_leads_to_their_friction(
     run = reality.save(tmp_path / "run.csv", {"t [s]": runs[0]["t"]} | both)
     draft = draft_model(read_table(run)).text
     (tmp_path / "model.toml").write_text(draft)
-    found = diagnose([run], tmp_path / "model.toml")
+    found = diagnose([run], tmp_path / "model.toml", jobs=1)
     assert {(f.effect, f.joint) for f in found.findings} == {
         (effect, joint) for effect in ("coulomb", "viscous") for joint in (1, 2)
     }

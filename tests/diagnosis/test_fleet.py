@@ -25,7 +25,7 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("fleet")
     for name, machine in (("one", reality.Machine()), ("two", reality.Machine(drag=0.005))):
         reality.save(
-            folder / f"{name}.csv", reality.simulate(machine, reality.multisine(8.0, RATE, 4), RATE)
+            folder / f"{name}.csv", reality.simulate(machine, reality.multisine(6.0, RATE, 4), RATE)
         )
     (folder / "three.csv").write_text("t,q,u\n0,0,0\n")
     reality.model_file(folder / "model.toml", RATE, *KNOWN)

@@ -22,7 +22,7 @@ from zendsp.proof.untouched import errors
 mujoco = pytest.importorskip("mujoco")
 pytestmark = pytest.mark.timeout(600)  # seconds of work, minutes on a machine that has other work
 
-RATE, SUB, SECONDS = 250, 20, 8.0
+RATE, SUB, SECONDS = 250, 20, 6.0
 RESOLUTION = 2e-5  # rad, m
 
 # two hanging links, and a tool that slides along the second one

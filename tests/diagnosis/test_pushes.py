@@ -23,6 +23,12 @@ from zendsp.diagnosis.report.figures import charts
 Decided = Callable[..., Diagnosis]
 
 
+@pytest.fixture
+def seconds() -> tuple[float, float]:
+    """Pushes that last, and time enough beside them."""
+    return 9.0, 12.0
+
+
 def test_what_acts_in_the_recordings_to_choose_by_alone_is_not_complete(
     decided: Decided, monkeypatch: pytest.MonkeyPatch
 ) -> None:
