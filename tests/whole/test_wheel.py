@@ -28,8 +28,9 @@ for package in (zendsp, zendsp_isr, zendsp_protocol, zendsp_target):
 from zendsp_isr.parts import build_machine, machine_names
 for name in machine_names():
     assert build_machine(name).exists()
-from zendsp.physics.kernel.native import native
-native()
+from zendsp.physics.effects import library
+from zendsp.physics.kernel.native import FLAGS, build, source_text
+assert build(source_text(library()), (*FLAGS, "-O0")).exists()  # half a minute with what FLAGS say
 from zendsp.reference import MACHINES, load_machine
 for name in MACHINES:
     load_machine(name)
