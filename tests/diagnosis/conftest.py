@@ -78,10 +78,12 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Diagnosis]:
     def run(
         machine: reality.Machine,
         given: Sequence[str] = KNOWN,
-        seconds: float = 6.0,
+        seconds: tuple[float, float] = (6.0, 6.0),
         **reference: float,
     ) -> Diagnosis:
-        motions = [reality.multisine(seconds, RATE, seed, **reference) for seed in (1, 2)]
+        motions = [
+            reality.multisine(each, RATE, seed, **reference) for seed, each in enumerate(seconds, 1)
+        ]
         case = (repr(machine), *given, *(motion.tobytes() for motion in motions))
         if case not in done:
             folder, resolution = tmp_path_factory.mktemp("bench"), machine.resolution

@@ -177,6 +177,7 @@ def test_a_law_beside_which_something_is_left_says_so(left: float, said: bool) -
     )
 
 
+@pytest.mark.parametrize("seconds", [(9.0, 12.0)])
 def test_a_stribeck_curve_is_drawn_with_the_level_on_which_it_stands(decided: Decided) -> None:
     """The sentence names the breakaway torque, so the figure shows it."""
     d = decided(reality.Machine(coulomb=0.02, breakaway=0.06, stribeck=0.3), None, KNOWN[0])
@@ -200,6 +201,7 @@ def test_a_law_with_a_memory_is_drawn_over_time(decided: Decided) -> None:
     assert np.nanstd(before.y - law.y) < 0.2 * np.nanstd(before.y)
 
 
+@pytest.mark.parametrize("seconds", [(9.0, 12.0)])
 def test_nothing_claimed_is_one_model_in_every_figure(decided: Decided) -> None:
     """What only improves the fit is in no figure: the words compare with no improved model."""
     d = decided(reality.Machine(wave=0.02))
