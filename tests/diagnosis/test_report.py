@@ -198,7 +198,7 @@ def test_time_stamps_of_a_calendar_are_drawn_from_a_whole_second_that_the_axis_n
 def test_a_given_number_that_is_wrong_is_drawn_as_given_and_calibrated(tmp_path: Path) -> None:
     heavy = reality.Machine(inertia=0.016)
     for name, seed in (("train", 1), ("heldout", 2)):
-        rows = reality.simulate(heavy, reality.multisine(6.0, RATE, seed), RATE)
+        rows = reality.simulate(heavy, reality.multisine(9.0, RATE, seed), RATE)
         rows["t"] += 100.0  # the target had run for so long
         reality.save(tmp_path / f"{name}.csv", rows)
     model = reality.model_file(tmp_path / "model.toml", RATE, *reality.KNOWN)
