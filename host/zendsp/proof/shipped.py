@@ -268,8 +268,8 @@ def given(r: Rig, columns: Columns, rng: Rng, name: str) -> ModelTable:
 def requests(first_seed: int, quick: bool = False) -> list[Request]:
     """Every case of this reality; with `quick`, four."""
     if quick:
-        few = (("c_planar", "single", "stiffness", 0.1), ("c_planar", "foreign", "strap", 0.1),
-               ("c_planar", "complete", "plain", 1.0), ("c_pendulum", "single", "ripple", 0.2))
+        few = (("c_planar", "single", "stiffness", 0.1), ("c_pendulum", "foreign", "strap", 0.1),
+               ("c_pendulum", "complete", "plain", 1.0), ("c_pendulum", "single", "ripple", 0.2))
         return [
             Request(first_seed + k, kind, m, e, x, "machines")
             for k, (m, kind, e, x) in enumerate(few)
