@@ -128,6 +128,19 @@ def test_code_that_hangs_or_crashes_ends_alone(body: str, words: str, pendulum: 
         simulate(program(body), pendulum, seconds=1.0, timeout=2.0)  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize(("declared", "said"), [
+    ('const double k = 4; PARAMETER(k, 4.0, "", 0, 9, "");', "'k': it is const"),
+    ('int32_t k; PARAMETER(k, 1.5, "", 0, 9, "");', "'k': initial value 1.5 is not a 32-bit int"),
+    ('double k; PARAMETER(k, 12.0, "", 0, 9, "");', "'k': initial value 12 is outside its limits"),
+])  # fmt: skip
+def test_a_declaration_that_a_target_refuses_is_refused_here(
+    declared: str, said: str, pendulum: object
+) -> None:
+    code = '#include "isr.h"\nvoid UserInit(void) { static ' + declared + " }\n"
+    with pytest.raises(CompileFailed, match=said):
+        simulate({"p.c": code + "void UserISR_INT2(void) {}\n"}, pendulum)  # type: ignore[arg-type]
+
+
 def test_what_is_wrong_is_said_as_a_target_says_it(pendulum: object) -> None:
     ok = program("a = k;")
     with pytest.raises(CompileFailed, match=r"p\.c:6:\d+: error"):

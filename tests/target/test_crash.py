@@ -212,6 +212,27 @@ def test_a_crash_in_the_background_is_told_as_such(
             'PARAMETER(x, 0.0, "", 2.5, -1.0, "");', Refused,
             "'x': its limits are 2.5 and -1: the first must not be above the second",
         ),
+        *(
+            (f'static {given}', Refused, f"'k': {why}")
+            for given, why in {
+                'const double k = 4; PARAMETER(k, 4.0, "", 0, 9, "");': "it is const, so nobody",
+                'const int32_t k[2] = {1, 2}; PARAMETER_ARRAY(k, "", 0, 9, "");': "it is const",
+                'const table k; TABLE(k, 10, 2, "", "");': "it is const, so nobody could write",
+                'double k; PARAMETER(k, INFINITY, "", 0, NO_MAX, "");':
+                    "initial value inf is no finite number",
+                'double k[2] = {0, NAN}; PARAMETER_ARRAY(k, "", NO_MIN, NO_MAX, "");':
+                    "initial value -?nan of element 1 is no finite number",
+                'double k[2] = {1, 12}; PARAMETER_ARRAY(k, "", 0, 9, "");':
+                    "initial value 12 of element 1 is outside its limits 0 and 9",
+                'int32_t k; PARAMETER(k, 1.5, "", 0, 9, "");':
+                    "initial value 1.5 is not a 32-bit integer: declare it double",
+                'int32_t k; PARAMETER(k, 1e300, "", 0, NO_MAX, "");':
+                    r"initial value 1e\+300 is not a 32-bit integer",
+                'bool k; PARAMETER(k, 2, "", 0, 9, "");': "initial value 2 is neither true nor",
+                'float k; PARAMETER(k, 1e39, "", 0, NO_MAX, "");':
+                    r"initial value 1e\+39 exceeds the range of float",
+            }.items()
+        ),
         (
             "".join(f'static double v{k}; SIGNAL(v{k}, "", "");' for k in range(1100)),
             Refused,

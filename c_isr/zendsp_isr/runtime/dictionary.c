@@ -8,6 +8,7 @@
 #include <string.h>   /* strcmp, strerror, memcpy */
 #include <unistd.h>   /* ftruncate, close */
 
+#include "declared.h"
 #include "runner.h"
 
 static const int32_t size_of_type[] = {0, sizeof(double), sizeof(float), sizeof(int32_t),
@@ -73,7 +74,8 @@ static bool is_local(const void *address) {
 
 /* What is wrong with a declaration, NULL where nothing is; the text lasts until the next call. */
 static const char *objection(const zendsp_declaration *d) {
-    static char text[160];
+    if (d->kind != KIND_SIGNAL && is_constant(d->address))
+        return "it is const, so nobody could write it: leave const out";
     if (d->kind < KIND_PARAMETER || d->kind > KIND_TABLE || d->type < TYPE_DOUBLE ||
         d->type > TYPE_BOOL || !d->address)
         return "not a declaration of isr.h";
@@ -87,17 +89,7 @@ static const char *objection(const zendsp_declaration *d) {
         return "it has no element";
     if (d->kind != KIND_TABLE && d->bytes / size_of_type[d->type] > LAYOUT_ELEMENTS)
         return "more than 4096 elements: declare it as a TABLE";
-    if (!(d->minimum <= d->maximum))
-        snprintf(text, sizeof text,
-                 "its limits are %g and %g: the first must not be above the second", d->minimum,
-                 d->maximum);
-    else if (d->set && !(d->initial >= d->minimum && d->initial <= d->maximum))
-        snprintf(text, sizeof text,
-                 "initial value %g is outside its limits %g and %g: change one of them in UserInit",
-                 d->initial, d->minimum, d->maximum);
-    else
-        return NULL;
-    return text;
+    return no_parameter(d, d->kind == KIND_TABLE ? 0 : d->bytes / size_of_type[d->type]);
 }
 
 /* What PARAMETER, SIGNAL and TABLE do. */

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from importlib import resources
 from typing import Any
 
@@ -38,7 +37,7 @@ _HEADS = {
     "actuator": "(const double *p, const zs *s, double u)",
     "drive": "(const double *p, const zs *s, double tau)",
 }
-_FLAGS = (*FAST, "-std=gnu11")
+_FLAGS = (*FAST, "-std=gnu11", "-D_GNU_SOURCE")  # dl_iterate_phdr, of declared.h
 
 CDEF = """
 typedef struct {
@@ -136,8 +135,12 @@ def source_text(effects: dict[str, Effect]) -> str:
     for name, lines in parts.items():
         mark = "EFFECT_FUNCTIONS" if name == "FUNCTIONS" else f"EFFECT_CASES_{name}"
         text = text.replace(f"/* {mark} */", "\n".join(lines))
-    isr = resources.files("zendsp_isr").joinpath("include", "isr.h").read_text(encoding="utf-8")
-    host = re.sub(r'#include "isr.h"', lambda _: isr, _read("program.c"))
+    root = resources.files("zendsp_isr")
+    isr = root.joinpath("include", "isr.h").read_text(encoding="utf-8")
+    declared = root.joinpath("runtime", "declared.h").read_text(encoding="utf-8")
+    host = _read("program.c")
+    for name, header in (("declared.h", declared), ("isr.h", isr)):
+        host = host.replace(f'#include "{name}"', header)
     return text + _TREE_ENTRY + host
 
 

@@ -7,6 +7,7 @@
 #include <dlfcn.h> /* dlopen, dlsym */
 #include <stdio.h> /* snprintf */
 
+#include "declared.h"
 #include "isr.h"
 
 enum { HOST_VARIABLES = 512 };
@@ -58,6 +59,15 @@ static void declare(const zendsp_declaration *d) {
             snprintf(h->problem, sizeof h->problem, "variable '%s' is declared twice", d->name);
             return;
         }
+    const int32_t length =
+        d->kind == ZENDSP_TABLE || !d->type ? 0 : d->bytes / size_of[d->type];
+    const char *why = d->kind != ZENDSP_SIGNAL && is_constant(d->address)
+                          ? "it is const, so nobody could write it: leave const out"
+                          : no_parameter(d, length);
+    if (why) {
+        snprintf(h->problem, sizeof h->problem, "variable '%s': %s", d->name, why);
+        return;
+    }
     host_variable *v = &h->variable[h->variables++];
     snprintf(v->name, sizeof v->name, "%s", d->name);
     snprintf(v->unit, sizeof v->unit, "%s", d->unit ? d->unit : "");
