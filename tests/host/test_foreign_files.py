@@ -296,6 +296,44 @@ def test_a_file_takes_no_bytes_of_another_file_for_its_numbers(name: str, tmp_pa
         read_table(path, columns=["q"])
 
 
+@pytest.mark.parametrize("name", ["run.mat", "run.h5"])
+@pytest.mark.parametrize("how", ["link", "virtual", "link in a group"])
+def test_a_file_follows_no_link_to_another_file(name: str, how: str, tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    other, path = tmp_path / "other.h5", tmp_path / name
+    with h5py.File(other, "w") as file:
+        file["q"] = np.arange(5.0)
+    with h5py.File(path, "w", userblock_size=512) as file:
+        file["t"] = np.arange(5.0)
+        if how == "virtual":
+            layout = h5py.VirtualLayout((5,), "f8")
+            layout[:] = h5py.VirtualSource(str(other), "q", (5,))
+            file.create_virtual_dataset("q", layout)
+        else:
+            group = file.create_group("run") if how == "link in a group" else file
+            group["q"] = h5py.ExternalLink(str(other), "q")
+    with path.open("r+b") as raw:
+        raw.write(b"MATLAB 7.3 MAT-file, written by a test")
+    with pytest.raises(RecordingError, match=r"q.? stands in another file"):
+        read_table(path, columns=["run.q" if how == "link in a group" else "q"])
+
+
+def test_cells_that_hold_one_another_are_refused_soon(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "run.mat"
+    with h5py.File(path, "w", userblock_size=512) as file:
+        file["t"] = np.arange(5.0)
+        file["#refs#/0"] = np.arange(5.0)
+        for k in range(12):  # ten of ten of ten …: 10^12 parts
+            inner = np.full((10, 1), file[f"#refs#/{k}"].ref, dtype=h5py.ref_dtype)
+            file.create_dataset(f"#refs#/{k + 1}", data=inner)
+        file.create_dataset("q", data=inner)
+    with path.open("r+b") as raw:
+        raw.write(b"MATLAB 7.3 MAT-file, written by a test")
+    with pytest.raises(RecordingError, match="cells that hold one another"):
+        read_table(path, columns=["q"])
+
+
 def test_one_process_reads_many_files_and_another_follows_where_it_ended(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -14,6 +14,7 @@ from zendsp.extras import need
 from zendsp.recording.formats.raw import Raw, check_room
 
 UNITS = ("units", "unit", "Units", "Unit")
+ELSEWHERE = "stands in another file"
 
 
 def read(path: Path) -> Raw:
@@ -26,9 +27,11 @@ def read(path: Path) -> Raw:
 
     def visit(name: str, item: Any) -> None:
         if not isinstance(item, h5py.Dataset):
+            found.refused.update(
+                {f"{name}/{n}".lstrip("/"): ELSEWHERE for n in item if leads_out(h5py, item, n)}
+            )
             return
-        if item.external:  # bytes of any file of whoever reads it
-            found.refused[name] = "stands in another file"
+        if name in found.refused:
             return
         nonlocal total
         total += item.nbytes
@@ -43,6 +46,7 @@ def read(path: Path) -> Raw:
             found.units[name] = unit
 
     with h5py.File(path, "r") as file:
+        visit("", file)
         file.visititems(visit)
     short = _short(list(found.columns))
     return Raw(
@@ -52,6 +56,15 @@ def read(path: Path) -> Raw:
         "",
         {n.replace("/", "."): why for n, why in found.refused.items()},
     )
+
+
+def leads_out(h5py: Any, group: Any, name: str) -> bool:
+    """Whether what a name stands for is in another file: of whoever reads it, any."""
+    link = group.get(name, getlink=True)
+    if not isinstance(link, h5py.HardLink):
+        return isinstance(link, h5py.ExternalLink)
+    item = group[name]
+    return isinstance(item, h5py.Dataset) and bool(item.external or item.is_virtual)
 
 
 def _text(value: Any) -> str:

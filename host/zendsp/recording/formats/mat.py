@@ -8,6 +8,7 @@ In foreign files, structures and cells are walked: the fields become names such 
 
 from __future__ import annotations
 
+import posixpath
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,12 +18,15 @@ import numpy.typing as npt
 
 from zendsp.errors import RecordingError
 from zendsp.extras import need
+from zendsp.recording.formats.hdf5 import ELSEWHERE, leads_out
 from zendsp.recording.formats.raw import Raw, check_room
 
 if TYPE_CHECKING:
     from zendsp.recording.recording import Recording
 
 KEY = "zendsp"
+SHARED = 10  # times that a part of a file may be met, in the mean, and FEW more: MATLAB shares few
+FEW = 1000
 OWN = ("data", "names", "units", KEY)
 
 
@@ -89,11 +93,7 @@ def _read_hdf5(path: Path) -> dict[str, Any]:
             sizes: list[int] = []
             file.visititems(lambda _, item: sizes.append(getattr(item, "nbytes", 0)))
             check_room(path, sum(sizes))
-            return {
-                name: _hdf5_value(h5py, file, item)
-                for name, item in file.items()
-                if not name.startswith("#")
-            }
+            return _Parts(h5py, file, SHARED * len(sizes) + FEW).of(file)
     except RecordingError:
         raise
     except (OSError, KeyError, RuntimeError, ValueError) as error:
@@ -102,25 +102,41 @@ def _read_hdf5(path: Path) -> dict[str, Any]:
         ) from error
 
 
-def _hdf5_value(h5py: Any, file: Any, item: Any) -> Any:
-    """Turn an HDF5 object as MATLAB writes it into what SciPy returns for version 5."""
-    if isinstance(item, h5py.Group):
-        return {name: _hdf5_value(h5py, file, child) for name, child in item.items()}
-    if item.external:  # bytes of any file of whoever reads it; MATLAB writes none
-        raise ValueError(f"{item.name} stands in another file")
-    kind = item.attrs.get("MATLAB_class", b"")
-    if item.attrs.get("MATLAB_empty", 0):
-        return np.empty((0, 0))
-    values = item[()]
-    if isinstance(values, np.ndarray) and values.dtype == h5py.ref_dtype:
-        cells = np.empty(values.T.shape, dtype=object)
-        for index, reference in np.ndenumerate(values.T):
-            cells[index] = _hdf5_value(h5py, file, file[reference])
-        return cells
-    if kind == b"char":
-        return np.array(["".join(map(chr, np.asarray(values).T.reshape(-1, order="C")))])
-    # MATLAB stores by columns and HDF5 by rows: every matrix arrives transposed.
-    return np.atleast_2d(np.asarray(values)).T
+class _Parts:
+    """Turns HDF5 objects as MATLAB writes them into what SciPy returns for version 5."""
+
+    def __init__(self, h5py: Any, file: Any, most: int) -> None:
+        self.h5py, self.file, self.left = h5py, file, most
+
+    def of(self, group: Any) -> dict[str, Any]:
+        """The parts of a structure; MATLAB keeps those of cells under names with a #."""
+        found = {}
+        for name in group:
+            if leads_out(self.h5py, group, name):
+                raise ValueError(f"{posixpath.join(group.name, name)} {ELSEWHERE}")
+            if not name.startswith("#") and name in group:
+                found[name] = self._value(group[name])
+        return found
+
+    def _value(self, item: Any) -> Any:
+        self.left -= 1
+        if self.left < 0:
+            raise ValueError("it has cells that hold one another")
+        if isinstance(item, self.h5py.Group):
+            return self.of(item)
+        kind = item.attrs.get("MATLAB_class", b"")
+        if item.attrs.get("MATLAB_empty", 0):
+            return np.empty((0, 0))
+        values = item[()]
+        if isinstance(values, np.ndarray) and values.dtype == self.h5py.ref_dtype:
+            cells = np.empty(values.T.shape, dtype=object)
+            for index, reference in np.ndenumerate(values.T):
+                cells[index] = self._value(self.file[reference])
+            return cells
+        if kind == b"char":
+            return np.array(["".join(map(chr, np.asarray(values).T.reshape(-1, order="C")))])
+        # MATLAB stores by columns and HDF5 by rows: every matrix arrives transposed.
+        return np.atleast_2d(np.asarray(values)).T
 
 
 def _walk(name: str, value: Any, found: Raw) -> None:
