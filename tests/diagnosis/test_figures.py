@@ -23,7 +23,7 @@ from zendsp.diagnosis.measure.discrepancy import difference, discrepancy, mean_s
 from zendsp.diagnosis.measure.where import Missing, mismatch
 from zendsp.diagnosis.report import figures
 from zendsp.diagnosis.report.chart import Chart, Panel, Series
-from zendsp.diagnosis.report.drawing import SPANS, draw
+from zendsp.diagnosis.report.drawing import SPANS, draw, places
 from zendsp.diagnosis.report.figures import charts
 from zendsp.diagnosis.report.laws import beside_the_law, broken, unclaimed_chart
 from zendsp.physics.files.model_file import load_model, parse_model
@@ -161,20 +161,32 @@ def test_a_torque_that_the_model_holds_by_dry_friction_is_not_known(tmp_path: Pa
     assert np.max(np.abs(lacks.torque[known])) < 1.5 * (0.3 - 0.1 + 0.02)
 
 
-@pytest.mark.parametrize(("left", "said"), [(0.004, False), (0.02, True)])
-def test_a_law_beside_which_something_is_left_says_so(left: float, said: bool) -> None:
+@pytest.mark.parametrize(("low", "high"), [
+    (0.00039, 0.0016), (3e-8, 4e-4), (0.2, 0.9), (1.0, 1e9), (0.95, 1.15), (1e-7, 1.0),
+])  # fmt: skip
+def test_the_numbers_of_a_logarithmic_axis_have_room(low: float, high: float) -> None:
+    found = places(low, high)
+    assert 3 <= len(found) <= 8 and low <= found[0] and found[-1] <= high
+    assert np.all(np.diff(np.log(found)) > np.log(high / low) / 8.0)
+
+
+BARS = "Bars are standard errors: "
+
+
+@pytest.mark.parametrize(("left", "said"), [
+    (0.0009, BARS + "the means lie on the law within them."),
+    (0.0035, BARS + "the means lie on the law within 4 of them."),
+    (0.0045, BARS + "what lies beside the law is less than a tenth of it."),
+    (0.02, "Beside the law something is left: 0.02 N m at velocity 0.5 rad/s, 20 standard errors"
+           " (the bars)."),
+])  # fmt: skip
+def test_a_law_beside_which_something_is_left_says_so(left: float, said: str) -> None:
     """Bars of 0.001 N m; what is less than a tenth of the law is no other law."""
     x, zero = np.linspace(-1.0, 1.0, 9), np.zeros(9)
     none = Samples(zero, zero, zero, zero.astype(int))
     law = Curve("velocity", none, x, 0.05 * np.sign(x), zero + 0.001, against=False)
     after = Curve("velocity", none, x, left * (x == 0.5), zero + 0.001, against=False)
-    text = beside_the_law(law, after, "velocity [rad/s]", "N m")
-    assert text == (
-        "Beside the law something is left: 0.02 N m at velocity 0.5 rad/s, 20 standard errors (the"
-        " bars)."
-        if said
-        else "Bars are standard errors: the means lie on the law within them."
-    )
+    assert beside_the_law(law, after, "velocity [rad/s]", "N m") == said
 
 
 @pytest.mark.parametrize("seconds", [(9.0, 12.0)])

@@ -21,6 +21,7 @@ COLOURS = {  # apart for colour-blind readers, and in grey
     "floor": "#3a7d44",
     "law": "black",
 }
+NUMBERS = 7  # for as many there is room along an axis
 SPAN, SPANS = "#e8c39e", "where more of it lies than elsewhere"
 STYLE: Any = {
     "font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "figure.dpi": 110,
@@ -73,7 +74,7 @@ def _fill(figure: Figure, axis: Axes, panel: Panel, *, inner: bool) -> None:
         axis.axhline(value, color=COLOURS["floor"], ls="--", lw=1, label=label)
     if panel.log:
         axis.set_yscale("log")
-        axis.yaxis.set_major_locator(FixedLocator(_places(*axis.get_ylim())))
+        axis.yaxis.set_major_locator(FixedLocator(places(*axis.get_ylim())))
         axis.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.yaxis.set_minor_formatter(NullFormatter())
     if panel.limits is not None:
@@ -81,15 +82,20 @@ def _fill(figure: Figure, axis: Axes, panel: Panel, *, inner: bool) -> None:
     axis.set(xlabel=panel.xlabel, ylabel="" if inner else panel.ylabel, title=panel.title)
 
 
-def _places(low: float, high: float) -> list[float]:
+def places(low: float, high: float) -> list[float]:
     """Where a logarithmic axis has numbers, some six of them: at powers of 10, or closer."""
     powers = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1)
-    places: list[float] = []
+    found: list[float] = []
     for steps in ((1,), (1, 2, 5), range(1, 10), np.arange(10, 100) / 10):
-        places = [float(p * s) for p in powers for s in steps if low <= p * s <= high]
-        if len(places) > 2:
+        found = [float(p * s) for p in powers for s in steps if low <= p * s <= high]
+        if len(found) > 2:
             break
-    return places[:: max(1, len(places) // 5)]
+    apart = (high / low) ** (1 / NUMBERS)  # 0.0009 and 0.001 would touch one another
+    kept = found[-1:]
+    for place in found[-2::-1]:
+        if kept[-1] >= apart * place:
+            kept.append(place)
+    return kept[::-1]
 
 
 def _series(axis: Axes, s: Series) -> None:

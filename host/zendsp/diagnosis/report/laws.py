@@ -4,6 +4,7 @@ time, without the law and with it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -205,7 +206,10 @@ def beside_the_law(law: Curve, after: Curve, xlabel: str, unit: str) -> str:
     apart = np.abs(after.mean) / np.maximum(after.spread, 1e-300)
     beside = (apart > CONTRADICTS) & (np.abs(after.mean) > LITTLE * size)
     if not beside.any():
-        return "Bars are standard errors: the means lie on the law within them."
+        bars, most = "Bars are standard errors", math.ceil(np.max(apart, initial=0.0))
+        if most > CONTRADICTS:
+            return f"{bars}: what lies beside the law is less than a tenth of it."
+        return f"{bars}: the means lie on the law within {f'{most} of ' if most > 1 else ''}them."
     k = int(np.argmax(np.where(beside, np.abs(after.mean), 0.0)))
     what, _, of = xlabel.rstrip("]").partition(" [")
     at = f"{what} {after.at[k]:.2g} {of}".rstrip()
