@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import io
 import json
 import os
@@ -13,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.io
 
 from zendsp.errors import RecordingError
 from zendsp.recording import Recording, read_table
@@ -316,6 +318,22 @@ def test_a_file_follows_no_link_to_another_file(name: str, how: str, tmp_path: P
         raw.write(b"MATLAB 7.3 MAT-file, written by a test")
     with pytest.raises(RecordingError, match=r"q.? stands in another file"):
         read_table(path, columns=["run.q" if how == "link in a group" else "q"])
+
+
+@pytest.mark.parametrize("name", ["run.csv.gz", "run.mat"])
+def test_a_small_file_that_unpacks_to_more_than_there_is_room_for_is_refused(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    memory, path = tmp_path / "meminfo", tmp_path / name
+    memory.write_text("MemAvailable: 1000 kB\n")
+    monkeypatch.setattr("zendsp.recording.formats.raw.MEMORY", memory)
+    if name.endswith(".gz"):
+        path.write_bytes(gzip.compress(b"t,q\n" + b"0.001,0\n" * 100_000))
+    else:
+        scipy.io.savemat(path, {"q": np.zeros(100_000)}, do_compression=True)
+    assert path.stat().st_size < 20_000
+    with pytest.raises(RecordingError, match=r"says that it holds 0\.0 GB"):
+        read_table(path, columns=["q"])
 
 
 def test_cells_that_hold_one_another_are_refused_soon(tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from zendsp.errors import RecordingError
-from zendsp.recording.formats.raw import Raw
+from zendsp.recording.formats.raw import Raw, check_room
 from zendsp.recording.names import FloatArray, split_quotients, split_unit
 from zendsp.recording.units import to_si
 from zendsp_protocol.texts import counted
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from zendsp.recording.recording import Recording
 
 MARK = "# zendsp "
+PIECE = 1 << 26  # bytes that are unpacked at a time
 TITLE = "# A recording of zendsp"
 THOUSANDS = re.compile(r"(?<!\d)[1-9]\d{0,2}(\.\d{3})+,\d")  # 1.234,5: nothing else is written so
 NO_THOUSANDS = re.compile(r"(?<![\d.])0\.|\.(?!\d{3}(\D|$))")  # 0.500, 1.5
@@ -112,7 +113,7 @@ def _apart(text: str) -> tuple[str, str]:
 
 def _text(path: Path) -> str:
     try:
-        raw = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
+        raw = _unpacked(path) if path.suffix == ".gz" else path.read_bytes()
         return _decoded(path, raw).replace("\r\n", "\n").replace("\r", "\n")
     except (gzip.BadGzipFile, EOFError, zlib.error) as error:
         raise RecordingError(
@@ -120,6 +121,16 @@ def _text(path: Path) -> str:
         ) from error
     except OSError as error:
         raise RecordingError(f"{path}: cannot be opened ({error.strerror})") from error
+
+
+def _unpacked(path: Path) -> bytes:
+    """A few bytes can hold a thousand times as many: no more is unpacked than there is room for."""
+    raw = bytearray()
+    with gzip.open(path) as file:
+        while piece := file.read(PIECE):
+            raw += piece
+            check_room(path, len(raw))
+    return bytes(raw)
 
 
 def _decoded(path: Path, raw: bytes) -> str:

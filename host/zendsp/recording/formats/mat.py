@@ -8,6 +8,7 @@ In foreign files, structures and cells are walked: the fields become names such 
 
 from __future__ import annotations
 
+import math
 import posixpath
 from collections.abc import Mapping
 from pathlib import Path
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 KEY = "zendsp"
 SHARED = 10  # times that a part of a file may be met, in the mean, and FEW more: MATLAB shares few
 FEW = 1000
+WIDE = ("double", "single", "int64", "uint64", "int32", "uint32")  # as columns 8 bytes a number
 OWN = ("data", "names", "units", KEY)
 
 
@@ -76,7 +78,11 @@ def _read_v5(path: Path) -> dict[str, Any]:
     import scipy.io
 
     try:
+        sizes = [8 * math.prod(shape) for _, shape, kind in scipy.io.whosmat(path) if kind in WIDE]
+        check_room(path, sum(sizes))
         contents = scipy.io.loadmat(path, squeeze_me=False, chars_as_strings=True)
+    except RecordingError:
+        raise
     # SciPy raises whatever its parser stumbles over (struct, zlib, Type, Value, Key, NotImplemented
     # …).
     except Exception as error:
