@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -125,15 +126,42 @@ def check(file: Path, recording: Path | None, as_json: bool) -> None:
     emit(body, as_json, "\n".join(lines))
 
 
+def together(named: Sequence[tuple[str, int]]) -> list[str]:
+    """Each name once, with its joints.
+
+    Examples
+    --------
+    >>> together([("viscous", 1), ("coulomb", 1), ("viscous", 2), ("viscous", 3)])
+    ['viscous at joints 1 to 3', 'coulomb at joint 1']
+    """
+    found: dict[str, list[int]] = {}
+    for name, joint in named:
+        found.setdefault(name, []).append(joint)
+    return [f"{name} at {_joints(sorted(set(joints)))}" for name, joints in found.items()]
+
+
+def _joints(numbers: list[int]) -> str:
+    if len(numbers) == 1:
+        return f"joint {numbers[0]}"
+    if len(numbers) > 2 and numbers[-1] - numbers[0] == len(numbers) - 1:
+        return f"joints {numbers[0]} to {numbers[-1]}"
+    return f"joints {', '.join(map(str, numbers[:-1]))} and {numbers[-1]}"
+
+
 def _about(model: Model) -> dict[str, Any]:
-    free = [
-        key for key, quantities in model.mechanism.items() if any(q.free for q in quantities)
-    ] + [f"{t.effect} {name}" for t in model.terms for name, q in t.parameters.items() if q.free]
+    own = [key for key, quantities in model.mechanism.items() if any(q.free for q in quantities)]
+    numbers = [
+        (f"{t.effect} {name}", t.joint)
+        for t in model.terms for name, q in t.parameters.items() if q.free
+    ]  # fmt: skip
+    free = own + [number for number, _ in numbers]
     effects = [f"{t.effect} at joint {t.joint}" for t in model.terms]
+    has = together([(t.effect, t.joint) for t in model.terms])
+    fitted = own + (together(numbers) if model.joints > 1 else free[len(own) :])
     joints = f"{model.joints} joint{'s' if model.joints > 1 else ''}"
     text = (
-        f"{model.name}, {model.kind}, {joints}; effects: {', '.join(effects) or 'none'}; "
-        f"to be calibrated: {', '.join(free) or 'nothing'}"
+        f"{model.name}, {model.kind}, {joints}; effects: {', '.join(has) or 'none'}; "
+        f"to be calibrated: {', '.join(fitted) or 'nothing'}"
     )
     return {
         "name": model.name, "kind": model.kind, "joints": model.joints, "effects": effects,
