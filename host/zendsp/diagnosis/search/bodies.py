@@ -72,7 +72,8 @@ class BodySearch:
 
     ``model`` is the given one with it; ``tried`` are all explanations of the last round, ``aside``
     the joints that had been set aside by then for a fault of their own; ``instead`` the body that
-    explains as much as the first of these faults, and that joint.
+    explains as much as the first of these faults, and that joint; ``small`` the body that explains
+    best, where it is too small a part of what the joints leave to be proposed.
     """
 
     model: Model
@@ -80,11 +81,10 @@ class BodySearch:
     tried: tuple[Explained, ...] = ()
     aside: frozenset[int] = frozenset()
     instead: tuple[FoundBody, int] | None = None
+    small: FoundBody | None = None
 
-    def taken_instead(self) -> BodySearch:
-        """The search with the body that stands for a joint's own fault."""
-        assert self.instead is not None
-        body = self.instead[0]
+    def taken(self, body: FoundBody) -> BodySearch:
+        """The search with a body that had not been proposed."""
         model = self.model.with_terms((*self.model.terms, body.term))
         return replace(self, model=model, found=(body,))
 
@@ -127,6 +127,7 @@ def find_bodies(
     tried: list[Explained] = []
     aside: frozenset[int] = frozenset()
     instead: tuple[FoundBody, int] | None = None
+    small: FoundBody | None = None
     while len(found) < limits.bodies:
         tell("bodies: a payload, a wrong link, a tilted base, and what looks like them")
         layout = Layout(model, links)
@@ -142,8 +143,12 @@ def find_bodies(
             own = refined(fit, choose, layout, own, limits, jobs)
             instead = _stated(layout, own, first, limits, frozenset()), first[0].hypothesis.joint
         taken = {(f.term.effect, f.term.joint) for f in found}
+        proposed = seen(best, limits) or clear(best, limits)
+        if not found and not proposed and _carried(best, limits):
+            own = refined(fit, choose, layout, own_mass(best, tried, links, limits), limits, jobs)
+            small = None if unsure(own, limits) else _stated(layout, own, tried, limits, aside)
         if (
-            not (best.hypothesis.of_bodies and (seen(best, limits) or clear(best, limits)))
+            not (best.hypothesis.of_bodies and proposed)
             or (best.hypothesis.effect, max(best.hypothesis.joint, 1)) in taken
         ):
             break
@@ -164,7 +169,7 @@ def find_bodies(
             begun = replace(begun, mechanism=held)
         model = begun.with_terms((*begun.terms, *(f.term for f in found), *beside))
     wrong = begun.with_terms((*begun.terms, *(f.term for f in found)))
-    return BodySearch(wrong, tuple(found), tuple(tried), aside, instead)
+    return BodySearch(wrong, tuple(found), tuple(tried), aside, instead, small)
 
 
 def _stated(
@@ -190,6 +195,11 @@ def _is_body(one: Explained, best: Explained, limits: BodyLimits) -> bool:
     """Whether an explanation is a body that is seen, and predicts as well as the best."""
     h = one.hypothesis
     return h.effect in ("body", "payload") and seen(one, limits) and tied(one, best, limits)
+
+
+def _carried(one: Explained, limits: BodyLimits) -> bool:
+    """Whether an explanation is a body that predicts better than none, however little it is."""
+    return one.hypothesis.effect in ("body", "payload") and one.z > limits.sure
 
 
 def _round(
