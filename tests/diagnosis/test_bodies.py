@@ -212,6 +212,21 @@ def test_recordings_agree_on_a_payload_or_leave_its_mass_open(record) -> None:  
     assert np.all(np.abs(apart.values[0] - np.array([1.5, 1.9])) < 2.0 * apart.std[0])
 
 
+def test_a_payload_is_as_sure_as_the_torque_constants_that_the_model_states(record) -> None:  # type: ignore[no-untyped-def]
+    model, paths = record("payload", Arm(mass=1.5))
+    fit, choose = (prepare([read_signals(path, model)], model, 64.0) for path in paths)
+    (found,) = find_bodies(fit, choose, model, 1, lambda _text: None).found
+    links = fit.records[0][0].links
+    assert links is not None
+    sure = []
+    one, three = (1.0,), (1.0, 1.0, 1.0)
+    for gain, std in ((one, ()), (one, (0.05,)), (one, (1e-3,)), (three, (0.0, 1e-3, 1e-4))):
+        actuator = replace(model.actuator, gain=gain, gain_std=std)
+        layout = Layout(replace(model, actuator=actuator), links)
+        sure.append(float(refined(fit, choose, layout, found.explained).std[0]))
+    assert sure[0] == sure[1] > 2.0 * sure[2] and sure[2] == sure[3]
+
+
 def test_nothing_is_found_where_only_friction_is_missing(record) -> None:  # type: ignore[no-untyped-def]
     search = searched(record("none", Arm()))
     assert search.found == () and search.tried, "hypotheses were tried, and none holds"

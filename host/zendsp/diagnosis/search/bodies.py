@@ -358,15 +358,17 @@ def _standing(
 
 def _by_gain(solver: Solver, h: Hypothesis, values: Array, apart: float) -> Array:
     """By how much the numbers move where all actuators give more or less than stated by one
-    standard deviation: that of the constants that makers state, and of what the recordings say.
+    standard deviation: what the model states of its gains, else that of the constants of makers,
+    and of what the recordings say.
     """
     limits = solver.limits
+    constant = solver.layout.model.actuator.gain_known or limits.constant
     both, stated = replace(h, free=(*h.free, "gain")), np.append(values, 0.0)
     off, spread = solver.step(both, stated)[-1], solver.std(both, stated)[-1]
     # a command holds what the loop does against all that no model knows: for that, a regression is
     # off to the gain that explains it, and the gain is known no better than it is off
     seen = max(abs(float(off)), apart * float(spread))
-    by = float(np.copysign(seen * limits.constant / np.hypot(seen, limits.constant), off))
+    by = float(np.copysign(seen * constant / np.hypot(seen, constant), off))
     shift = solver.beside_gain(by).estimate(h, values) - values
     for _ in range(limits.halvings):  # no torque constant makes a body's inertia negative
         if solver.plausible(h, values + shift):
