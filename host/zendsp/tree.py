@@ -138,6 +138,73 @@ def inverse_dynamics(
     return torque
 
 
+def torque_slope(
+    bodies: Sequence[Body], gravity: Array, q: Array, qd: Array, qdd: Array, joint: int
+) -> Array:
+    """Change of a joint's torque with its own position along a motion (n, joints), (n,) N m/rad or
+    N/m: the derivative of ``inverse_dynamics``. ``joint`` counts from 0.
+
+    Only the links that the joint carries feel it, as if all before it turned the other way.
+    """
+    m = link_motion(bodies, gravity, q, qd, qdd)
+    axis = bodies[joint].axis
+    changes: dict[int, tuple[Array, Array, Array]] = {}  # of spin, its rate and push
+    for k in range(joint, len(bodies)):
+        b = bodies[k]
+        if k == joint:
+            changes[k] = _slope_at(b, qd[:, k, None], m, k)
+        elif b.parent in changes:
+            changes[k] = _slope_beyond(b, qd[:, k, None], changes[b.parent], m, k)
+    forces: dict[int, Array] = {}
+    moments: dict[int, Array] = {}
+    for k, (dw, dwd, da) in changes.items():
+        b, w = bodies[k], m.spin[k]
+        whirl = _cross(dw, _cross(w, b.com)) + _cross(w, _cross(dw, b.com))
+        forces[k] = b.mass * (da + _cross(dwd, b.com) + whirl)
+        gyro = _cross(dw, w @ b.inertia) + _cross(w, dw @ b.inertia)
+        moments[k] = dwd @ b.inertia + gyro + _cross(b.com, forces[k])
+    for k in reversed(list(changes)[1:]):
+        up, turn = bodies[k].parent, m.turn[k]
+        force = _turned(turn, forces[k])
+        forces[up] = forces[up] + force
+        moments[up] = moments[up] + _turned(turn, moments[k]) + _cross(m.place[k], force)
+    slope: Array = (forces if bodies[joint].slides else moments)[joint] @ axis
+    if any(b.lifted for b in bodies):
+        still = np.zeros_like(q)
+        slope -= torque_slope([_carried(b) for b in bodies], gravity, q, still, still, joint)
+    return slope
+
+
+def _slope_at(b: Body, qd: Array, m: LinkMotion, k: int) -> tuple[Array, Array, Array]:
+    """How the motion of a link changes with the position of its own joint: spin, rate, push."""
+    if b.slides:
+        w, wd = m.spin[k], m.spin_rate[k]
+        none = np.zeros_like(w)
+        return none, none, _cross(wd, b.axis) + _cross(w, _cross(w, b.axis))
+    dw = _cross(m.spin[k], b.axis)
+    way = qd * b.axis
+    before = m.spin_rate[k] - _cross(m.spin[k], way)  # but for what is along the axis
+    return dw, _cross(before, b.axis) + _cross(dw, way), _cross(m.push[k], b.axis)
+
+
+def _slope_beyond(
+    b: Body, qd: Array, change: tuple[Array, Array, Array], m: LinkMotion, k: int
+) -> tuple[Array, Array, Array]:
+    """How the motion of a link changes with that of its parent: spin, rate, push."""
+    dw, dwd, da = change
+    w, place, turn = m.spin[b.parent], m.place[k], m.turn[k]
+    da = da + _cross(dwd, place) + _cross(dw, _cross(w, place)) + _cross(w, _cross(dw, place))
+    dw, dwd, da = (_turned(np.swapaxes(turn, -1, -2), v) for v in (dw, dwd, da))
+    way = qd * b.axis
+    return (dw, dwd, da + 2.0 * _cross(dw, way)) if b.slides else (dw, dwd + _cross(dw, way), da)
+
+
+def _turned(turn: Array, v: Array) -> Array:
+    """Vectors (n, 3) turned by matrices, (3, 3) or (n, 3, 3)."""
+    out: Array = (turn @ v[:, :, None])[:, :, 0]
+    return out
+
+
 def _carried(b: Body) -> Body:
     """The part of a link whose weight is compensated, as a point mass."""
     bare = replace(b, mass=0.0, com=np.zeros(3), inertia=np.zeros((3, 3)), lifted=())

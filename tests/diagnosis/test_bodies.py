@@ -180,6 +180,20 @@ def test_a_payload_is_one_body_with_its_mass_and_centre_beside_friction_that_nob
     assert abs(found.term.value("mass") - 1.5) < 4 * std["mass"] < 0.1
 
 
+def test_a_body_that_is_little_of_what_the_joints_leave_is_kept_for_them(record) -> None:  # type: ignore[no-untyped-def]
+    """A coarse encoder: a centre of mass 3 cm off hid beside the joints' free constants."""
+    none = replace(LIMITS, part=2.0, clear=1e3)  # no explanation is large enough
+    for arm, name in ((Arm(mass=1.5), "payload"), (Arm(), "none")):
+        model, paths = record(name, arm)
+        fit, choose = (prepare([read_signals(path, model)], model, 64.0) for path in paths)
+        search = find_bodies(fit, choose, model, 1, lambda _text: None, none)
+        assert search.found == () and (search.small is not None) == (name == "payload")
+        if search.small is not None:
+            assert search.small.term.value("mass") == pytest.approx(1.5, rel=0.05)
+            taken = search.taken(search.small)
+            assert taken.found == (search.small,) and taken.model.terms[-1] is search.small.term
+
+
 def test_recordings_agree_on_a_payload_or_leave_its_mass_open(record) -> None:  # type: ignore[no-untyped-def]
     """One recording of a real arm said 214 kg, the other 297, both together 148."""
     model, (first, second) = record("payload", Arm(mass=1.5))
@@ -196,6 +210,21 @@ def test_recordings_agree_on_a_payload_or_leave_its_mass_open(record) -> None:  
     apart = agreed(fit, other, layout, known)
     assert 1.5 < apart.values[0] < 1.9
     assert np.all(np.abs(apart.values[0] - np.array([1.5, 1.9])) < 2.0 * apart.std[0])
+
+
+def test_a_payload_is_as_sure_as_the_torque_constants_that_the_model_states(record) -> None:  # type: ignore[no-untyped-def]
+    model, paths = record("payload", Arm(mass=1.5))
+    fit, choose = (prepare([read_signals(path, model)], model, 64.0) for path in paths)
+    (found,) = find_bodies(fit, choose, model, 1, lambda _text: None).found
+    links = fit.records[0][0].links
+    assert links is not None
+    sure = []
+    one, three = (1.0,), (1.0, 1.0, 1.0)
+    for gain, std in ((one, ()), (one, (0.05,)), (one, (1e-3,)), (three, (0.0, 1e-3, 1e-4))):
+        actuator = replace(model.actuator, gain=gain, gain_std=std)
+        layout = Layout(replace(model, actuator=actuator), links)
+        sure.append(float(refined(fit, choose, layout, found.explained).std[0]))
+    assert sure[0] == sure[1] > 2.0 * sure[2] and sure[2] == sure[3]
 
 
 def test_nothing_is_found_where_only_friction_is_missing(record) -> None:  # type: ignore[no-untyped-def]

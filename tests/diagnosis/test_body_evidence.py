@@ -375,3 +375,19 @@ def test_a_spring_or_a_gain_fitted_beside_a_body_leaves_its_joints_weight_open(
     at: Any = [SimpleNamespace(joint=2, claims=[SimpleNamespace(mechanism=mechanism)])]
     (settled,), _ = decide_bodies.settled(parts, [claim], planar(0.15), at, 1)
     assert asked == [left_open] and settled.found.explained == "again"
+
+
+@pytest.mark.parametrize(("several", "proposed"), [(True, False), (False, False), (True, True)])
+def test_a_small_body_is_asked_for_where_two_joints_claim_what_it_may_be(
+    several: bool, proposed: bool
+) -> None:
+    offset = SimpleNamespace(mechanism="actuator", term=Term("torque_offset", 1, {}))
+    rubs = SimpleNamespace(mechanism="dry_friction", term=Term("coulomb", 2, {}))
+    claims = [(offset,), (offset,) if several else (rubs,), ()]
+    found: Any = SimpleNamespace(claims=(), decisions=[SimpleNamespace(claims=c) for c in claims])
+    small: Any = object()
+    search: Any = SimpleNamespace(instead=None, small=small, found=(object(),) * proposed)
+    asked = machine._for_the_joints(search, found)
+    assert (asked is small) is (several and not proposed)
+    found.claims = (object(),)  # a body is claimed already
+    assert machine._for_the_joints(search, found) is None

@@ -16,7 +16,7 @@ from zendsp.physics.files.model_write import model_text
 from zendsp.physics.model import Quantity, Term
 from zendsp.physics.robots.bodies import Links, change_of, changed, numbers_of, turned_gravity
 from zendsp.physics.robots.rigid import bases
-from zendsp.tree import inverse_dynamics, mass_matrices, own_inertias, read_urdf
+from zendsp.tree import inverse_dynamics, mass_matrices, own_inertias, read_urdf, torque_slope
 
 MODELS = Path(__file__).parents[2] / "examples" / "models"
 ARM = MODELS / "wam7.urdf"
@@ -91,6 +91,27 @@ def test_a_joints_own_inertia_is_the_mass_matrixs(
     q = motion[:, 0].T
     whole = np.diagonal(mass_matrices(bodies, q), axis1=1, axis2=2)
     np.testing.assert_allclose(own_inertias(bodies, q), whole, rtol=1e-10)
+
+
+@pytest.mark.parametrize("slides", [(), (0, 3, 5)])
+def test_a_torques_slope_is_how_it_answers_to_the_joints_own_position(
+    slides: tuple[int, ...], motion: np.ndarray
+) -> None:
+    bodies, gravity = read_urdf(str(ARM))
+    carried = ((2.0, np.array([0.1, -0.2, 0.05])),)  # what a gravity compensation bears
+    some = [
+        replace(b, slides=k in slides, lifted=carried if k == 4 else ())
+        for k, b in enumerate(bodies)
+    ]
+    q, qd, qdd = (motion[:, i].T for i in range(3))
+    for j in range(7):
+        step = 1e-5 * np.eye(7)[j]
+        ahead, back = (inverse_dynamics(some, gravity, q + way, qd, qdd)[:, j]
+                       for way in (step, -step))  # fmt: skip
+        slope = torque_slope(some, gravity, q, qd, qdd, j)
+        np.testing.assert_allclose(
+            slope, (ahead - back) / 2e-5, atol=1e-8 * max(1.0, np.abs(slope).max())
+        )
 
 
 def test_columns_are_pinocchios_regressor(motion: np.ndarray) -> None:

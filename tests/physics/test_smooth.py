@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy.linalg.blas import dtbsv
 from scipy.ndimage import binary_dilation, gaussian_filter1d, uniform_filter1d
+from scipy.signal import butter, sosfiltfilt
 
 from zendsp.physics.kernel.native import swung
-from zendsp.physics.kernel.smooth import gaussian, moving_mean, widened
+from zendsp.physics.kernel.smooth import gaussian, lowpassed, moving_mean, widened
 
 SIZES = (5, 50, 2001)
 
@@ -29,6 +30,18 @@ def test_gaussian_smoothing_is_that_of_scipy(n: int, sigma: float) -> None:
     # sums of at most 321 terms of order 1: rounding
     np.testing.assert_allclose(
         gaussian(x, sigma), gaussian_filter1d(x, sigma, axis=1, mode="nearest"), atol=1e-14
+    )
+
+
+@pytest.mark.parametrize(("n", "rate", "cutoff"), [(2000, 500.0, 10.0), (901, 100.0, 20.0)])
+def test_a_low_pass_is_the_butterworth_of_scipy_away_from_the_ends(
+    n: int, rate: float, cutoff: float
+) -> None:
+    x = np.cumsum(np.random.default_rng(n).normal(size=n))
+    expected = sosfiltfilt(butter(4, cutoff, fs=rate, output="sos"), x)
+    edge = round(0.5 * rate)  # what begins in another way is forgotten
+    np.testing.assert_allclose(
+        lowpassed(x, cutoff, rate)[edge:-edge], expected[edge:-edge], atol=1e-5 * x.std()
     )
 
 

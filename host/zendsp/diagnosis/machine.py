@@ -38,7 +38,7 @@ from zendsp.diagnosis.measure.bursts import everywhere
 from zendsp.diagnosis.measure.discrepancy import beyond
 from zendsp.diagnosis.measure.likelihood import calibrate_joint
 from zendsp.diagnosis.measure.windows import model_error, noise_floor, rms, window_error
-from zendsp.diagnosis.search.bodies import BodySearch, find_bodies
+from zendsp.diagnosis.search.bodies import BodySearch, FoundBody, find_bodies
 from zendsp.diagnosis.search.body_hypotheses import LIMITS
 from zendsp.diagnosis.search.hypothesis import JointSearch
 from zendsp.diagnosis.transmission.links import divided, with_links
@@ -125,8 +125,9 @@ def _once(measured_motion: Parts, given: Model, jobs: int, tell: Progress) -> Fo
         if bodies.found:
             again = _beneath(bodies, measured_motion, parts, given, jobs, tell)
             found = again if again.claims else found
-    if not found.claims and bodies.instead and _weighs(found.decisions[bodies.instead[1] - 1]):
-        again = _beneath(bodies.taken_instead(), measured_motion, parts, given, jobs, tell)
+    own = _for_the_joints(bodies, found)
+    if own is not None:
+        again = _beneath(bodies.taken(own), measured_motion, parts, given, jobs, tell)
         found = again if again.claims else found
     finished = _finished(found, given, jobs, tell)
     test, whole = finished.parts.test, finished.whole
@@ -136,6 +137,18 @@ def _once(measured_motion: Parts, given: Model, jobs: int, tell: Progress) -> Fo
         found = _beneath(none, measured_motion, parts, given, jobs, tell)
         finished = _finished(found, given, jobs, tell)
     return finished
+
+
+def _for_the_joints(bodies: BodySearch, found: Found) -> FoundBody | None:
+    """A body in the place of what joints claim by themselves: of one, where it explains as much, or
+    of two and more. A constant at each of them is free in the search for bodies, and hides one.
+    """
+    if found.claims:
+        return None
+    if bodies.instead and _weighs(found.decisions[bodies.instead[1] - 1]):
+        return bodies.instead[0]
+    several = sum(_weighs(d) for d in found.decisions) > 1
+    return bodies.small if several and not bodies.found else None
 
 
 def _weighs(decision: Decision) -> bool:

@@ -92,15 +92,24 @@ class Term:
 
 @dataclass(frozen=True)
 class Actuator:
-    """Command to torque: gain per joint, limits in command units (0: none), hold and delay in s."""
+    """Command to torque: gain per joint and its standard deviation where one is stated, limits in
+    command units (0: none), hold and delay in s.
+    """
 
     gain: tuple[float, ...] = (1.0,)
+    gain_std: tuple[float, ...] = ()
     gain_free: bool = False
     limit: tuple[float, ...] = ()
     hold: float | None = None
     delay: float = 0.0
     matrix: tuple[tuple[float, ...], ...] = ()
     unit: str = ""
+
+    @property
+    def gain_known(self) -> float:
+        """Relative standard deviation that the model states of its gains, the largest; 0: none."""
+        many = self.gain_std * (len(self.gain) if len(self.gain_std) == 1 else 1)
+        return max((s / abs(g) for s, g in zip(many, self.gain, strict=False)), default=0.0)
 
     @property
     def command_unit(self) -> str:

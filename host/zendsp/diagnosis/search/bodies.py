@@ -72,7 +72,8 @@ class BodySearch:
 
     ``model`` is the given one with it; ``tried`` are all explanations of the last round, ``aside``
     the joints that had been set aside by then for a fault of their own; ``instead`` the body that
-    explains as much as the first of these faults, and that joint.
+    explains as much as the first of these faults, and that joint; ``small`` the body that explains
+    best, where it is too small a part of what the joints leave to be proposed.
     """
 
     model: Model
@@ -80,11 +81,10 @@ class BodySearch:
     tried: tuple[Explained, ...] = ()
     aside: frozenset[int] = frozenset()
     instead: tuple[FoundBody, int] | None = None
+    small: FoundBody | None = None
 
-    def taken_instead(self) -> BodySearch:
-        """The search with the body that stands for a joint's own fault."""
-        assert self.instead is not None
-        body = self.instead[0]
+    def taken(self, body: FoundBody) -> BodySearch:
+        """The search with a body that had not been proposed."""
         model = self.model.with_terms((*self.model.terms, body.term))
         return replace(self, model=model, found=(body,))
 
@@ -127,6 +127,7 @@ def find_bodies(
     tried: list[Explained] = []
     aside: frozenset[int] = frozenset()
     instead: tuple[FoundBody, int] | None = None
+    small: FoundBody | None = None
     while len(found) < limits.bodies:
         tell("bodies: a payload, a wrong link, a tilted base, and what looks like them")
         layout = Layout(model, links)
@@ -142,8 +143,12 @@ def find_bodies(
             own = refined(fit, choose, layout, own, limits, jobs)
             instead = _stated(layout, own, first, limits, frozenset()), first[0].hypothesis.joint
         taken = {(f.term.effect, f.term.joint) for f in found}
+        proposed = seen(best, limits) or clear(best, limits)
+        if not found and not proposed and _carried(best, limits):
+            own = refined(fit, choose, layout, own_mass(best, tried, links, limits), limits, jobs)
+            small = None if unsure(own, limits) else _stated(layout, own, tried, limits, aside)
         if (
-            not (best.hypothesis.of_bodies and (seen(best, limits) or clear(best, limits)))
+            not (best.hypothesis.of_bodies and proposed)
             or (best.hypothesis.effect, max(best.hypothesis.joint, 1)) in taken
         ):
             break
@@ -164,7 +169,7 @@ def find_bodies(
             begun = replace(begun, mechanism=held)
         model = begun.with_terms((*begun.terms, *(f.term for f in found), *beside))
     wrong = begun.with_terms((*begun.terms, *(f.term for f in found)))
-    return BodySearch(wrong, tuple(found), tuple(tried), aside, instead)
+    return BodySearch(wrong, tuple(found), tuple(tried), aside, instead, small)
 
 
 def _stated(
@@ -190,6 +195,11 @@ def _is_body(one: Explained, best: Explained, limits: BodyLimits) -> bool:
     """Whether an explanation is a body that is seen, and predicts as well as the best."""
     h = one.hypothesis
     return h.effect in ("body", "payload") and seen(one, limits) and tied(one, best, limits)
+
+
+def _carried(one: Explained, limits: BodyLimits) -> bool:
+    """Whether an explanation is a body that predicts better than none, however little it is."""
+    return one.hypothesis.effect in ("body", "payload") and one.z > limits.sure
 
 
 def _round(
@@ -348,15 +358,17 @@ def _standing(
 
 def _by_gain(solver: Solver, h: Hypothesis, values: Array, apart: float) -> Array:
     """By how much the numbers move where all actuators give more or less than stated by one
-    standard deviation: that of the constants that makers state, and of what the recordings say.
+    standard deviation: what the model states of its gains, else that of the constants of makers,
+    and of what the recordings say.
     """
     limits = solver.limits
+    constant = solver.layout.model.actuator.gain_known or limits.constant
     both, stated = replace(h, free=(*h.free, "gain")), np.append(values, 0.0)
     off, spread = solver.step(both, stated)[-1], solver.std(both, stated)[-1]
     # a command holds what the loop does against all that no model knows: for that, a regression is
     # off to the gain that explains it, and the gain is known no better than it is off
     seen = max(abs(float(off)), apart * float(spread))
-    by = float(np.copysign(seen * limits.constant / np.hypot(seen, limits.constant), off))
+    by = float(np.copysign(seen * constant / np.hypot(seen, constant), off))
     shift = solver.beside_gain(by).estimate(h, values) - values
     for _ in range(limits.halvings):  # no torque constant makes a body's inertia negative
         if solver.plausible(h, values + shift):

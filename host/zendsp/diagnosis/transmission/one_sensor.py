@@ -17,6 +17,7 @@ from zendsp.diagnosis.decide.thresholds import LAWFUL, LEFT_BY_A_LAW, MACHINE
 from zendsp.diagnosis.measure.discrepancy import beyond
 from zendsp.diagnosis.transmission.sets import compliance_unit
 from zendsp.diagnosis.transmission.torsion import OF_BODIES, has_bodies, of_bodies
+from zendsp.physics.kernel.smooth import lowpassed
 from zendsp.physics.model import Model
 
 
@@ -31,8 +32,6 @@ def by_one_sensor(
     """
     if not has_bodies(model):
         return ()
-    from scipy.signal import butter, sosfiltfilt  # takes half a second
-
     out = []
     for decision in decisions:
         joint = decision.joint
@@ -42,9 +41,8 @@ def by_one_sensor(
         squares = count = 0.0
         for record in records:
             fs = 1.0 / record.sample_time
-            sos = butter(4, min(OF_BODIES, 0.2 * fs), fs=fs, output="sos")
             inertia, _ = record.inertia_and_bias(model)
-            torque = sosfiltfilt(sos, of_bodies(record, model))
+            torque = lowpassed(of_bodies(record, model), min(OF_BODIES, 0.2 * fs), fs)
             bend = inertia * np.gradient(np.gradient(torque, 1.0 / fs), 1.0 / fs)
             edge = max(2, round(0.5 * fs))
             squares += float(np.sum(bend[edge:-edge] ** 2))

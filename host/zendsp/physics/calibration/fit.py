@@ -288,6 +288,11 @@ class _Problem:
         columns = [place[:, : len(group)] for group, place in zip(groups, out, strict=True)]
         return columns[0] if len(columns) == 1 else np.concatenate(columns, axis=1)
 
+    def remember(self, found: Fit) -> None:
+        """Keep the predictions that a fit ended with: they are asked for again."""
+        for work, rows in zip(self.works, self.rows, strict=True):
+            work.remember(found.model, found.residual[rows])
+
     def _place(self, group: int, points: int) -> Array:
         """Where the residuals of a group of points are written, a row each."""
         rows = self.rows[-1].stop + len(self.held)
@@ -452,6 +457,7 @@ def fit(
     found = Fit(
         set_values(model, handles, x), handles, x, covariance, float(r @ r), at_bound, jac, r,
     )
+    problem.remember(found)
     known[key] = found, data.records  # kept alive, so that no other record gets its id
     while len(known) > REMEMBERED:
         known.pop(list(known)[0], None)  # noqa: RUF015  in one step: other threads add to it

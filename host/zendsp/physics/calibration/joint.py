@@ -16,11 +16,10 @@ from zendsp.physics.kernel.native import native
 from zendsp.physics.kernel.signals import Measurement, Motion, means, thin_measurement
 from zendsp.physics.model import Model, Term, per_joint
 from zendsp.physics.robots.bodies import Links, body_terms
-from zendsp.physics.robots.rigid import Basis, bases
+from zendsp.physics.robots.rigid import Basis, bias_slope
 from zendsp.physics.term_numbers import added_inertia
 
 Array = npt.NDArray[np.float64]
-SMALL = 1e-4  # rad or m: a step of a derivative
 RIGID = 16  # models of which what the rigid body does is kept
 BEGIN = 2.0  # rad a row: as fast as the rows allow
 FADE = 0.05  # s, or a 250th of the recording: in which the square of the bandwidth fades
@@ -275,14 +274,9 @@ class JointRecord:
         gravity and the other joints do at a load that is not where its motor is.
         """
         if self._slope is None:
-            slope = np.zeros(self.n)
-            for off in (-SMALL, SMALL):
-                moved = self.others.copy()
-                moved[self.joint - 1, 0] += off
-                for key, basis in bases(model, list(moved))[self.joint - 1].items():
-                    value = 1.0 if key == "fixed" else mechanism_value(model, key, self.joint)
-                    slope += 0.5 * value / off * basis.bias
-            self._slope = slope
+            values = {key: mechanism_value(model, key, self.joint) for key in self.basis}
+            slope = bias_slope(model, list(self.others), self.joint, values)
+            self._slope = np.ascontiguousarray(slope)
         return self._slope
 
     def reference_inertia(self, model: Model, inertia: Array) -> float:

@@ -13,7 +13,15 @@ import numpy.typing as npt
 
 from zendsp.physics.calibration.handles import Handle, set_values
 from zendsp.physics.calibration.joint import JointRecord
-from zendsp.physics.calibration.predict import fill, fill_rigid, fill_shift, pack
+from zendsp.physics.calibration.predict import (
+    fill,
+    fill_rigid,
+    fill_shift,
+    pack,
+    ran_away,
+    remember,
+    steps,
+)
 from zendsp.physics.effects import get_effect
 from zendsp.physics.kernel.native import LANES, native
 from zendsp.physics.model import Model
@@ -45,6 +53,7 @@ class Points:
         inner: int,
     ) -> None:
         self.record, self.model, self.handles = record, model, handles
+        self.bandwidth, self.inner = bandwidth, inner
         self.packed = pack(model.at(record.joint))
         self._base = native().ffi.new("zk_model *")
         self._alive = fill(self._base, record, model, bandwidth, inner, packed=self.packed)
@@ -104,6 +113,15 @@ class Points:
         else:
             self._run([points[place.index(i)] for i in range(len(places))], out)
             out[:, : len(points)] = out[:, place]
+
+    def remember(self, model: Model, innovations: Array) -> None:
+        """Keep the innovations of a model that differs in these numbers only, (n,), where ``run``
+        would take the same steps.
+        """
+        inertia, _ = self.record.inertia_and_bias(model)
+        taken = int(self._base.sub), bool(self._base.stiff)
+        if not ran_away(innovations) and taken == steps(self.record, model, inertia, self.inner):
+            remember(self.record, model, self.bandwidth, self.inner, innovations)
 
     def _run(self, points: Sequence[Array], out: Array) -> None:
         lib, count = native(), len(points)

@@ -100,7 +100,7 @@ def run(
     lib, n = native(), record.n
     p = lib.doubles
     packed = pack(model.at(record.joint))
-    key = (id(record), _all_numbers(record, model, packed), bandwidth, inner, free_every)
+    key = _key(record, model, packed, bandwidth, inner, free_every)
     asked_again = not states and extra is None
     if asked_again and key in record.runs:
         known: Run = record.runs[key][0]
@@ -124,10 +124,26 @@ def run(
     r.setflags(write=False)
     done = Run(r, xq, xqd, torque, diverged)
     if asked_again:
-        record.runs[key] = done, record  # kept alive, so that no other record gets its id
-        while len(record.runs) > REMEMBERED:
-            record.runs.pop(list(record.runs)[0], None)  # noqa: RUF015  in one step: threads
+        _keep(record, key, done)
     return done
+
+
+def remember(
+    record: JointRecord, model: Model, bandwidth: float, inner: int, innovations: Array
+) -> None:
+    """Let ``run`` answer with what a fit has predicted already: the weighted innovations of a model
+    (n,), not to be written to.
+    """
+    packed = pack(model.at(record.joint))
+    innovations.setflags(write=False)
+    key = _key(record, model, packed, bandwidth, inner, 0)
+    _keep(record, key, Run(innovations, None, None, None, 0))
+
+
+def _keep(record: JointRecord, key: tuple[object, ...], done: Run) -> None:
+    record.runs[key] = done, record  # kept alive, so that no other record gets its id
+    while len(record.runs) > REMEMBERED:
+        record.runs.pop(list(record.runs)[0], None)  # noqa: RUF015  in one step: threads
 
 
 def _unseen(
@@ -207,14 +223,20 @@ def _numbers(record: JointRecord, model: Model, table: Array) -> bytes:
     return table.tobytes() + np.array(numbers).tobytes()
 
 
-def _all_numbers(
-    record: JointRecord, model: Model, packed: tuple[npt.NDArray[np.int32], Array]
+def _key(
+    record: JointRecord,
+    model: Model,
+    packed: tuple[npt.NDArray[np.int32], Array],
+    bandwidth: float,
+    inner: int,
+    free_every: int,
 ) -> tuple[object, ...]:
-    """All that one joint's prediction depends on in a model; ``packed``: its effects."""
+    """All that one joint's prediction depends on; ``packed``: its effects."""
     kinds, table = packed
     bodies = tuple((t.effect, t.joint) for t in body_terms(model))
     numbers = _numbers(record, model, table)
-    return model.kind, model.sensor.side, kinds.tobytes(), numbers, bodies
+    whole = model.kind, model.sensor.side, kinds.tobytes(), numbers, bodies
+    return id(record), whole, bandwidth, inner, free_every
 
 
 def _body_numbers(model: Model) -> tuple[float, ...]:

@@ -322,6 +322,7 @@ def _actuator(read: _Reader, data: Mapping[str, Any]) -> Actuator:
     explicit = isinstance(data.get("gain"), Mapping) and data["gain"].get("free", False)
     return Actuator(
         gain=tuple(q.value for q in gain),
+        gain_std=tuple(q.std for q in gain) if any(q.std for q in gain) else (),
         gain_free=bool(explicit),
         limit=read.numbers("[actuator] limit", data["limit"], least=0.0) if "limit" in data else (),
         hold=(

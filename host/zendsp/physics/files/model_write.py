@@ -96,7 +96,11 @@ def _term_table(term: Term) -> dict[str, Any]:
 def _actuator_table(model: Model, beside: bool) -> dict[str, Any]:
     a = model.actuator
     gain: Any = _number(a.gain[0]) if len(a.gain) == 1 else [_number(g) for g in a.gain]
-    actuator: dict[str, Any] = {"gain": {"value": gain, "free": a.gain_free}, "delay": a.delay}
+    stated: dict[str, Any] = {"value": gain, "free": a.gain_free}
+    if a.gain_std:
+        stds = [_number(s) for s in a.gain_std]
+        stated["std"] = stds[0] if len(stds) == 1 else stds
+    actuator: dict[str, Any] = {"gain": stated, "delay": a.delay}
     if beside and not model.robot.commands:
         del actuator["gain"]
     if a.limit:

@@ -8,6 +8,7 @@ tau_i. Both are linear in the parameters of the mechanism.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,10 +18,13 @@ import numpy.typing as npt
 from zendsp.errors import ModelError
 from zendsp.physics.model import TREES, Model
 from zendsp.physics.robots.robot import robot_tree
-from zendsp.tree import Body, inverse_dynamics, own_inertias
+from zendsp.tree import Body, inverse_dynamics, own_inertias, torque_slope
 from zendsp_protocol.texts import counted
 
 Array = npt.NDArray[np.float64]
+
+
+SMALL = 1e-4  # rad or m: a step of a derivative
 
 
 @dataclass(frozen=True)
@@ -92,10 +96,42 @@ def recorded_tree(model: Model, joints: int) -> tuple[list[Body], Array]:
     return bodies, gravity
 
 
+def bias_slope(
+    model: Model, motion: list[Array], joint: int, values: Mapping[str, float]
+) -> Array:
+    """Change of a joint's bias with its own position, (n,) N m/rad or N/m.
+
+    Parameters
+    ----------
+    motion : list of ndarray, shape (3, n)
+        Smoothed q, qd, qdd of each joint.
+    joint : int
+        1-based.
+    values : mapping
+        Of the mechanism's parameters.
+    """
+    if model.kind in TREES:  # the inertia that a joint feels of itself is the same at all angles
+        bodies, gravity = recorded_tree(model, len(motion))
+        return torque_slope(bodies, gravity, *_side_by_side(motion), joint - 1)
+    slope = np.zeros(motion[0].shape[1])
+    for off in (-SMALL, SMALL):
+        moved = [m.copy() for m in motion]
+        moved[joint - 1][0] += off
+        for key, basis in bases(model, moved)[joint - 1].items():
+            slope += 0.5 * values[key] / off * basis.bias
+    return slope
+
+
+def _side_by_side(motion: list[Array]) -> tuple[Array, Array, Array]:
+    """Position, speed and acceleration of all joints, (n, joints) each."""
+    q, qd, qdd = (np.ascontiguousarray(np.stack([m[i] for m in motion], axis=1)) for i in range(3))
+    return q, qd, qdd
+
+
 def _tree_bases(model: Model, motion: list[Array]) -> list[Basis]:
     bodies, gravity = recorded_tree(model, len(motion))
     joints = len(bodies)
-    q, qd, qdd = (np.ascontiguousarray(np.stack([m[i] for m in motion], axis=1)) for i in range(3))
+    q, qd, qdd = _side_by_side(motion)
     torque, inertias = inverse_dynamics(bodies, gravity, q, qd, qdd), own_inertias(bodies, q)
     return [
         Basis(np.ascontiguousarray(inertias[:, i]), torque[:, i] - inertias[:, i] * qdd[:, i])
