@@ -64,7 +64,7 @@ print(build(source_text(library())))
 def cache_of_the_journeys(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What the journeys compile, and what libraries keep, is made once: it is named by its content.
 
-    A first use, with an empty cache, is in tests/whole/test_wheel.py.
+    tests/whole/test_wheel.py compiles the kernel of the wheel into an empty cache.
     """
     cache = tmp_path_factory.mktemp("cache")
     (film,) = (b for b in blocks(ROOT / "docs" / "effects.md") if 'name="film"' in b.text)

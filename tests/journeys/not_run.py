@@ -49,7 +49,7 @@ NOT_RUN: dict[tuple[str, str], str] = {
         "zendsp experiment wam-friction -t wam --connect tls/robot.lab:7447",
     ): EXPERIMENT,
     ("docs/experiments.md", "zendsp experiment imi-static"): (
-        "the page's Python makes it again; test_full_disk.py types it"
+        "tests/experiment makes it; test_full_disk.py types it"
     ),
     ("docs/experiments.md", "zendsp experiment friction -t arm"): EXPERIMENT,
     ("docs/experiments.md", "zendsp experiment imi-fit --into my_imi.toml"): EXPERIMENT,
