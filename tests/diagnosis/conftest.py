@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,9 @@ import reality
 from reality import KNOWN, RATE
 
 from zendsp.diagnosis import Diagnosis, diagnose
+from zendsp.diagnosis.measure.likelihood import Scored
+from zendsp.diagnosis.search.forward import Searcher
+from zendsp.diagnosis.search.hypothesis import JointSearch
 
 
 @pytest.fixture(scope="session")
@@ -66,6 +70,32 @@ def decided(tmp_path: Path, recorded: Callable[..., list[Path]]) -> Callable[...
         return diagnose(files[0], model, files[1], jobs=1)  # threads cost more than they gain
 
     return run
+
+
+@pytest.fixture(scope="session")
+def searches() -> dict[tuple[object, ...], JointSearch]:
+    """What was found, by model and recordings."""
+    return {}
+
+
+@pytest.fixture
+def searched_once(
+    searches: dict[tuple[object, ...], JointSearch], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """For tests that alter the decision alone: of the same recordings, the search before it is made
+    once a session.
+    """
+    search = Searcher.search
+
+    def once(self: Searcher, base: Scored) -> JointSearch:
+        records = (*self.rounds.data.records, *self.accept.choose.records)  # type: ignore[attr-defined]
+        commands = (each.command.tobytes() for joints in records for each in joints)
+        key = (repr(base.model), self.joint, *commands)
+        if key not in searches:
+            searches[key] = search(self, base)
+        return replace(searches[key])
+
+    monkeypatch.setattr(Searcher, "search", once)
 
 
 @pytest.fixture(scope="session")

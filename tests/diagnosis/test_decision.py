@@ -54,6 +54,7 @@ def test_what_acts_in_the_shorter_of_two_recordings_alone_has_its_right_size(
     assert level.value == pytest.approx(0.5, rel=0.01) and level.std < 0.01
 
 
+@pytest.mark.usefixtures("searched_once")
 def test_a_joint_that_only_turns_round_tells_no_function_of_its_state(
     decided: Decided, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -173,6 +174,7 @@ def test_numbers_fitted_to_slow_motion_that_are_off_in_a_fast_one_are_no_missing
     assert lacking.verdict != "complete"
 
 
+@pytest.mark.usefixtures("searched_once")
 def test_a_position_far_off_in_recordings_too_short_to_say_by_what_torque_is_not_complete(
     decided: Decided, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -209,6 +211,7 @@ def test_what_a_faster_loop_does_between_rows_is_no_missing_physics(tmp_path: Pa
     assert verdict(replace(machine, wave=0.06), faster).verdict != "complete"
 
 
+@pytest.mark.usefixtures("searched_once")
 def test_what_acts_surely_and_drowns_in_what_stays_unexplained_is_not_complete(
     decided: Decided, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -225,6 +228,7 @@ def test_one_mechanism_is_one_finding(decided: Decided) -> None:
     assert [f.mechanism for f in d.findings] == ["dry_friction"]
 
 
+@pytest.mark.usefixtures("searched_once")
 def test_complete_says_what_would_have_been_seen_and_an_effect_of_twice_that_is_named(
     decided: Decided,
 ) -> None:
@@ -236,6 +240,7 @@ def test_complete_says_what_would_have_been_seen_and_an_effect_of_twice_that_is_
     assert [f.effect for f in again.findings] == ["ripple"]
 
 
+@pytest.mark.usefixtures("searched_once")
 @pytest.mark.parametrize(
     ("shown", "word"), [("delay", "Cannot tell: "), ("stiffness", "Complete: ")]
 )
