@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from steps import Until
 
 ENDED_S = 10.0  # for what an application that has ended leaves behind
+LOOK_S, RARELY_S = 0.02, 0.1  # between looks, at first and where it takes long
 
 
 @pytest.fixture(autouse=True)
@@ -133,6 +134,7 @@ def until() -> Until:
 
     async def wait(pilot: Pilot[None], condition: Callable[[], object], what: str) -> None:
         ended, deadline = False, time.monotonic() + PATIENCE_S
+        look = LOOK_S
         while not condition():
             if pilot.app._exit and not ended:  # nothing that the screen does comes any more
                 ended, deadline = True, time.monotonic() + ENDED_S
@@ -144,7 +146,8 @@ def until() -> Until:
                     else []
                 )
                 raise AssertionError(f"did not happen: {what}; events: {events[-8:]}")
-            await pilot.pause(0.02)
+            await pilot.pause(look)
+            look = min(1.2 * look, RARELY_S)  # each look takes some ms of the processor
 
     return wait
 

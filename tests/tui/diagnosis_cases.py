@@ -28,7 +28,7 @@ GIVEN: dict[str, Any] = {
 }
 
 
-def bench(folder: Path, seconds: float = 6.0) -> tuple[Path, Path]:
+def bench(folder: Path, seconds: float = 4.0) -> tuple[Path, Path]:
     """A recording of a joint with dry friction, and its model without."""
     real = parse_model({**GIVEN, "effect": [{"kind": "coulomb", "joint": 1, "level": 0.05}]})
     t = np.arange(int(seconds * RATE)) / RATE
