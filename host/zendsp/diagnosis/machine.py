@@ -45,7 +45,6 @@ from zendsp.diagnosis.transmission.links import divided, with_links
 from zendsp.diagnosis.transmission.measured import Measured, measured_transmissions
 from zendsp.diagnosis.transmission.one_sensor import shown
 from zendsp.physics.calibration.fit import Data
-from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model
 
 # where joints claim what a body may be, a small one is asked for too
@@ -154,8 +153,7 @@ def _for_the_joints(bodies: BodySearch, found: Found) -> FoundBody | None:
 def _weighs(decision: Decision) -> bool:
     """Whether all that a joint claims by itself may be what it feels of a body."""
     return bool(decision.claims) and all(
-        c.mechanism in ("position_torque", "inertia") or get_effect(c.term.effect).constant
-        for c in decision.claims
+        c.mechanism in ("position_torque", "inertia") or c.is_constant for c in decision.claims
     )
 
 

@@ -85,7 +85,7 @@ def _pulls(claim: Claim) -> bool:
 
 
 def _may_be_one(claim: Claim) -> bool:
-    return claim.effect != "unknown" and (_pulls(claim) or get_effect(claim.effect).constant)
+    return claim.effect != "unknown" and (_pulls(claim) or claim.is_constant)
 
 
 def _section(claim: Claim, decision: Decision) -> Claim:
@@ -259,7 +259,7 @@ def friction_beside_weight(decisions: Sequence[Decision]) -> tuple[Term, ...]:
     an inertia, a constant. Before it was known, such a body was small beside it.
     """
     claims = [c for d in decisions for c in d.claims if c.effect != "unknown"]
-    if not any(c.mechanism in (PLACE, "inertia") or get_effect(c.effect).constant for c in claims):
+    if not any(c.mechanism in (PLACE, "inertia") or c.is_constant for c in claims):
         return ()
     return tuple(c.term for c in claims if c.mechanism in FRICTION)
 

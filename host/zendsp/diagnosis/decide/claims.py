@@ -68,6 +68,11 @@ class Claim:
         """Whether it is a law of what lies between motor and link."""
         return self.effect != "unknown" and get_effect(self.effect).family == "transmission"
 
+    @property
+    def is_constant(self) -> bool:
+        """Whether it is a law that is the same everywhere, and so a function of any variable."""
+        return self.effect != "unknown" and get_effect(self.effect).constant
+
 
 @dataclass(frozen=True)
 class Known:

@@ -29,7 +29,6 @@ from zendsp.diagnosis.search.bodies import BodySearch, FoundBody, agreed, refine
 from zendsp.diagnosis.search.body_columns import Layout
 from zendsp.diagnosis.search.body_hypotheses import COM, LIMITS
 from zendsp.physics.calibration.fit import Data, joint_handles
-from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model, Term
 from zendsp.physics.robots.bodies import Links
 
@@ -194,10 +193,7 @@ def beside_bodies(
             for c in decision.claims
             if (
                 c.size < max(LAW_ERROR * largest, SURE * wrong)
-                and (
-                    c.mechanism == "position_torque"
-                    or get_effect(c.term.effect).constant
-                )
+                and (c.mechanism == "position_torque" or c.is_constant)
             )
             or (c.effect == "inertia" and (calibrates or c.size**2 < OWN_SHARE * largest**2))
         ]

@@ -229,7 +229,7 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
         elif (
             claim is decision.claims[0]
             and claim.mechanism in STRUCTURED
-            and not get_effect(claim.effect).constant  # a function of any variable
+            and not claim.is_constant  # a function of any variable
             and claim.size > decision.after.value
             and not _turns_otherwise(claim, decision, parts)
             and told_apart(claim, decision, parts, given, laws - {claim.effect})
