@@ -415,6 +415,59 @@ def test_a_hypothesis_that_a_first_look_bends_is_fitted_upon_the_numbers_of_the_
     assert found_level == pytest.approx(-0.004, rel=0.1)
 
 
+def test_where_thinned_recordings_mislead_a_hypothesis_is_fitted_to_every_sample(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Friction that a look finds six times as large costs the model itself more than any hypothesis
+    gains: of 18 looks of a complete machine none told anything, and the right law of another was
+    the fourth.
+    """
+    reference = reality.multisine(6.0, RATE, 3)
+    pushed = reality.simulate(reality.Machine(push=(0.004, 0.0, 99.0)), reference, RATE)
+    model = model_of(VISCOUS, COULOMB)
+    current = calibrate_joint(data_of(pushed, model), model, 1)
+    other = data_of(reality.simulate(reality.Machine(coulomb=0.12), reference, RATE), model)
+    monkeypatch.setattr(rounds, "first_look", lambda *_: other)
+    fitted: list[Data] = []
+    short = Rounds._short
+
+    def noted(self: Rounds, data: Data, *rest: Any) -> Any:
+        fitted.append(data)
+        return short(self, data, *rest)
+
+    monkeypatch.setattr(Rounds, "_short", noted)
+    begin = make_term(get_effect("torque_offset"), 1, {"level": -0.003})
+    each = Rounds(current.data, 1, 1, lambda _: None, model)
+    found = each._quick(current, [Candidate("torque_offset", 1, (begin,), (), 1.0)])
+    assert found is not None and found.value < current.deviance - rounds.WAIT
+    assert [data is other for data in fitted] == [True, False]  # the model, then the hypothesis
+
+
+@pytest.mark.parametrize(("whole", "asked"), [(-500.0, [True]), (500.0, [True, False])])
+def test_a_hypothesis_that_ends_worse_on_every_sample_is_looked_at_on_thinned_ones_after_all(
+    whole: float, asked: list[bool], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = model_of(VISCOUS, COULOMB)
+    reference = reality.multisine(6.0, RATE, 3)
+    data = data_of(reality.simulate(reality.Machine(), reference, RATE), model)
+    done = fit(data, model, (), joints=(1,), iterations=0)
+    begin = make_term(get_effect("torque_offset"), 1, {"level": -0.003})
+    option = Candidate("torque_offset", 1, (begin,), (), 1.0)
+    begun: list[bool] = []
+
+    def starts(*given: Any) -> Any:
+        begun.append(given[-1])
+        return option, done, whole if given[-1] else 1000.0
+
+    monkeypatch.setattr(Rounds, "_misleads", lambda *_: True)
+    monkeypatch.setattr(Rounds, "_from_starts", starts)
+    monkeypatch.setattr(Rounds, "_upon_its_numbers", lambda *_: (done, -70.0))
+    current = Scored(done, data, 0.0, (1,))
+    found = Rounds(data, 1, 1, lambda _: None)._short_fits(current, [option], data)
+    assert begun == asked
+    assert found is not None
+
+
 def test_a_filter_that_a_delay_explains_as_well_is_called_a_delay() -> None:
     reference = reality.multisine(6.0, RATE, 3)
     columns = reality.simulate(reality.Machine(delay=6e-4), reference, RATE)

@@ -173,16 +173,18 @@ def fit_scored(
 
 
 def calibrate_joint(data: Data, model: Model, joint: int, jobs: int = 1) -> Scored:
-    """The given model with the free parameters that act on one joint refitted.
-
-    A slower observer is tried with numbers of its own too: those of a faster one, which a small
-    discrepancy may bend, hide how well it does.
-    """
+    """The given model with the free parameters that act on one joint refitted."""
     handles, joints = joint_handles(data, model, joint), (joint,)
-    best = fit_scored(data, model, handles, joints, jobs=jobs)
+    return slower(fit_scored(data, model, handles, joints, jobs=jobs), joint, jobs)
+
+
+def slower(best: Scored, joint: int, jobs: int = 1) -> Scored:
+    """A fit of one joint, or the same under a slower observer, which is tried with numbers of its
+    own: those of a faster one, which a small discrepancy may bend, hide how well it does.
+    """
     while (half := 0.5 * best.data.bandwidth[joint - 1]) >= SLOWEST:
-        slower = best.data.at_bandwidth(joint, half)
-        other = fit_scored(slower, best.model, handles, joints, jobs=jobs, rounds=1)
+        data, handles = best.data.at_bandwidth(joint, half), best.fit.handles
+        other = fit_scored(data, best.model, handles, (joint,), jobs=jobs, rounds=1)
         if not other.deviance < best.deviance - BETTER:
             break
         best = other

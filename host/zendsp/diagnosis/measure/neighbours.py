@@ -144,6 +144,9 @@ def _ahead(
 
     energy = sum(float(made[0] ** 2 @ there) for made, there in zip(own, use, strict=True))
     worst = float("inf")
+    if sum(float(each.sum()) for each in left) > energy:
+        # more stays than the law is: a neighbour that is likelier takes up some of that
+        return behind([made[:0] for made in own])[0], worst
     for k in range(len(law.bent[0])):
         bent = seen([s * by[k] for s, by in zip(law.slopes, law.bent, strict=True)])
         z, more, times = behind(bent)

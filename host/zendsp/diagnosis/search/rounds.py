@@ -17,6 +17,7 @@ from zendsp.diagnosis.measure.likelihood import (
     deviance,
     fit_scored,
     informative,
+    slower,
     tune_bandwidth,
 )
 from zendsp.diagnosis.measure.significance import counterpart, vanishes
@@ -90,7 +91,8 @@ class Rounds:
         self.progress, self.given = progress, given
         self.n = informative(data, joint)
         self._rounds: dict[int, tuple[Scored, list[Rival]]] = {}
-        self._levels: dict[int, tuple[Scored, float]] = {}
+        self._levels: dict[int, tuple[Scored, float, float]] = {}
+        self._under_others: dict[int, tuple[Scored, Scored]] = {}
 
     def round(self, current: Scored) -> list[Rival]:
         """Fit the promising hypotheses on top of a model, the most likely first; one entry an
@@ -273,19 +275,34 @@ class Rounds:
         """Before nothing is found: hypotheses that gain most on the thinned recordings that they
         were fitted to. On all samples their other numbers, fitted to these, may cost more.
         """
+        if self._misleads(current):
+            return []
         gains = [self._gain_of_look(current, r.scored.model) - r.price for r in rivals]
         best = sorted(zip(gains, range(len(rivals)), strict=True), reverse=True)[:PROMISED]
         return [rivals[i] for gain, i in best if gain > WAIT]
+
+    def _looked_through(self, current: Scored) -> tuple[float, float]:
+        """Of a model fitted to its thinned recordings: its deviance there, and on all samples."""
+        if id(current) not in self._levels:
+            joints = (self.joint,)
+            look = first_look(current.data, current.model, self.joint)
+            base = self._short(look, current.model, current.fit.handles, 6, self.jobs).model
+            seen = deviance(look, base, joints), deviance(current.data, base, joints)
+            self._levels[id(current)] = (current, *seen)
+        return self._levels[id(current)][1:]
+
+    def _misleads(self, current: Scored) -> bool:
+        """Whether a model's numbers are others on thinned recordings, where a joint turns round in
+        another way. What is fitted to these then begins with a loss, whatever it gains.
+        """
+        return self._looked_through(current)[1] > current.deviance + WAIT
 
     def _gain_of_look(self, current: Scored, model: Model) -> float:
         """Deviance that a model gains upon another on the thinned recordings of a first look, to
         which that one is fitted too.
         """
-        look, joints = first_look(current.data, current.model, self.joint), (self.joint,)
-        if id(current) not in self._levels:
-            base = self._short(look, current.model, current.fit.handles, 6, self.jobs)
-            self._levels[id(current)] = (current, deviance(look, base.model, joints))
-        return self._levels[id(current)][1] - deviance(look, model, joints)
+        look = first_look(current.data, current.model, self.joint)
+        return self._looked_through(current)[0] - deviance(look, model, (self.joint,))
 
     def _too_small(self, rival: Rival, term: Term) -> bool:
         """Whether a term is below what its effect says that a recording can show of it."""
@@ -337,36 +354,62 @@ class Rounds:
         return other if other and not (best and best.value <= other.value) else best
 
     def _short_fits(self, current: Scored, group: list[Candidate], data: Data) -> Rival | None:
-        """The best of a short fit from each start, at some observer's bandwidth."""
-        tried: list[tuple[float, Candidate, Fit]] = []
-        for candidate in group:
-            model = with_candidate(current.model, candidate)
-            handles = joint_handles(data, model, self.joint)
-            look = first_look(data, model, self.joint)
-            result = self._short(look, model, handles, 3 if len(group) > 1 else 6)
-            tried.append((result.cost, candidate, result))
-        _, candidate, result = min(tried, key=lambda t: t[0])
-        value = deviance(current.data, result.model, (self.joint,))
-        best = self._rival(candidate, Scored(result, current.data, value, (self.joint,)))
-        if not math.isfinite(best.value):
+        """The best of a short fit from each start, at some observer's bandwidth: to thinned
+        recordings, or to all samples where those mislead.
+        """
+        screened_for = get_effect(group[0].effect).scan is None
+        whole = screened_for and self._misleads(current)
+        begin = current if data is current.data else self._under(current, data)
+        candidate, result, value = self._from_starts(current, group, begin, whole)
+        if not math.isfinite(value):
             return None
-        rough = get_effect(best.effect).rough
-        if len(group) > 1 and (best.value < current.deviance or rough):
-            look = first_look(current.data, result.model, self.joint)
-            result = self._short(look, result.model, result.handles, 10 if rough else 5)
-            value = deviance(current.data, result.model, (self.joint,))
-        gained = max(current.deviance - value, WAIT)
         # worse than the model that it contains, or a look, which is but a part, gained more
-        screened_for = get_effect(best.effect).scan is None
         worse = screened_for and value > current.deviance + WAIT
-        if worse or self._gain_of_look(current, result.model) > gained:
+        if worse and whole:
+            candidate, result, value = self._from_starts(current, group, begin, False)
+        gained = max(current.deviance - value, WAIT)
+        if worse or (not whole and self._gain_of_look(current, result.model) > gained):
             result, value = self._upon_its_numbers(current, candidate, result, value)
         slow, data = data is not current.data, current.data
         if slow or value < current.deviance:
             data, value = tune_bandwidth(
                 data, result.model, (self.joint,), down_only=True, known=value
             )
-        return replace(best, scored=Scored(result, data, value, (self.joint,)))
+        return self._rival(candidate, Scored(result, data, value, (self.joint,)))
+
+    def _under(self, current: Scored, data: Data) -> Scored:
+        """A model with the numbers that another observer wants, to begin with there."""
+        if id(current) not in self._under_others:
+            handles, joints = current.fit.handles, (self.joint,)
+            found = self._short(data, current.model, handles, 6, self.jobs)
+            other = Scored(found, data, deviance(data, found.model, joints), joints)
+            self._under_others[id(current)] = current, other
+        return self._under_others[id(current)][1]
+
+    def _from_starts(
+        self, current: Scored, group: list[Candidate], begin: Scored, whole: bool
+    ) -> tuple[Candidate, Fit, float]:
+        """The best of a short fit from each start, upon the numbers and under the observer to begin
+        with, to all samples or to thinned recordings; and its deviance under the model's own.
+        """
+        tried: list[tuple[float, Candidate, Fit]] = []
+        data = begin.data
+        for candidate in group:
+            model = with_candidate(begin.model, candidate)
+            handles = joint_handles(data, model, self.joint)
+            look = data if whole else first_look(data, model, self.joint)
+            result = self._short(look, model, handles, 3 if len(group) > 1 else 6)
+            tried.append((result.cost, candidate, result))
+        _, candidate, result = min(tried, key=lambda t: t[0])
+        value = deviance(current.data, result.model, (self.joint,))
+        rough = get_effect(candidate.effect).rough
+        paid = self._rival(candidate, Scored(result, data, value, ())).price
+        if len(group) > 1 and (value + paid < current.deviance or rough):
+            here = current.data
+            look = here if whole else first_look(here, result.model, self.joint)
+            result = self._short(look, result.model, result.handles, 10 if rough else 5)
+            value = deviance(here, result.model, (self.joint,))
+        return candidate, result, value
 
     def _upon_its_numbers(
         self, current: Scored, candidate: Candidate, result: Fit, value: float
@@ -409,7 +452,8 @@ class Rounds:
                         rounds=2,
                     )
                 )
-        return replace(rival, scored=min(options, key=lambda s: s.deviance))
+        best = min(options, key=lambda s: s.deviance)
+        return replace(rival, scored=slower(best, self.joint, jobs))
 
     def _rival(self, candidate: Candidate, scored: Scored) -> Rival:
         other_law = candidate.replaces and candidate.effect not in candidate.replaces
