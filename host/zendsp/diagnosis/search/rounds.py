@@ -294,7 +294,12 @@ class Rounds:
     def _misleads(self, current: Scored) -> bool:
         """Whether a model's numbers are others on thinned recordings, where a joint turns round in
         another way. What is fitted to these then begins with a loss, whatever it gains.
+
+        Of a model that needs a fast observer much is missing: its numbers are off anyhow, and a
+        look says well enough which hypothesis brings most.
         """
+        if current.data.bandwidth[self.joint - 1] > SETTLED:
+            return False
         return self._looked_through(current)[1] > current.deviance + WAIT
 
     def _gain_of_look(self, current: Scored, model: Model) -> float:
