@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_models import COULOMB, VISCOUS, model_of
+import reality
+from reality import RATE
+from small_models import COULOMB, VISCOUS, data_of, model_of
 
 from zendsp.diagnosis import joints
 from zendsp.diagnosis.decide import absorbed, laws, nameless, patchwork, pieces
@@ -20,10 +22,14 @@ from zendsp.diagnosis.decide.notes import bent
 from zendsp.diagnosis.decide.pieces import may_leave
 from zendsp.diagnosis.decide.remember import remembered
 from zendsp.diagnosis.decide.result import Errors, FitTable
+from zendsp.diagnosis.decide.thresholds import BEHIND, LAW_ERROR
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
+from zendsp.diagnosis.measure.likelihood import fit_scored
+from zendsp.diagnosis.measure.neighbours import against_neighbours
 from zendsp.diagnosis.measure.structure import Structure
 from zendsp.diagnosis.search import simplify
+from zendsp.physics.calibration.fit import joint_handles
 from zendsp.physics.calibration.terms import make_term
 from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.files.model_file import parse_model
@@ -481,3 +487,19 @@ def test_no_inertia_is_known_better_than_simulators_agree(monkeypatch: pytest.Mo
 
 def test_what_calibration_makes_of_a_number_is_told_with_its_uncertainty() -> None:
     assert _by(0.5, 0.25, 0.01, "kg") == "+25 % (from 2 to 2.500 ± 0.010 kg)"
+
+
+@pytest.mark.parametrize(("drag", "swirl", "refuted"), [(0.0005, 0.02, False), (0.001, 0.01, True)])
+def test_a_neighbour_says_nothing_against_a_law_beside_which_more_stays_than_it_is(
+    drag: float, swirl: float, refuted: bool
+) -> None:
+    """swirl * sin(2 q̇), which no law of the library is, beside a drag that acts as well."""
+    machine = reality.Machine(drag=drag, swirl=swirl)
+    base = model_of(
+        VISCOUS, COULOMB, {"kind": "quadratic_drag", "joint": 1, "coefficient": drag}
+    )
+    data = data_of(reality.simulate(machine, reality.multisine(6.0, RATE, 3), RATE), base)
+    fitted = fit_scored(data, base, joint_handles(data, base, 1), (1,))
+    ahead = against_neighbours(data, fitted, fitted.model.at(1)[-1], 1, LAW_ERROR)
+    assert (ahead <= -BEHIND) is refuted
+    assert ahead <= 0.0  # a neighbour predicts better

@@ -82,9 +82,9 @@ def against_neighbours(
     -------
     float
         Standard deviations over blocks of time, by the observer that sees the law best; below 0 a
-        neighbour predicts better, by more than any law may be wrong. Infinite where the law is no
-        function of the state, has no neighbours that differ by more, or hardly acts where it
-        counts.
+        neighbour predicts better, by more than any law may be wrong, and no more stays beside the
+        law than it is itself. Infinite where the law is no function of the state, has no neighbours
+        that differ by more, or hardly acts where it counts.
     """
     slopes = [_slopes(rec[joint - 1], fitted.model, term) for rec in data.records]
     rms = float(np.sqrt(np.mean(np.concatenate([law[0] for law in slopes]) ** 2)))
@@ -144,9 +144,6 @@ def _ahead(
 
     energy = sum(float(made[0] ** 2 @ there) for made, there in zip(own, use, strict=True))
     worst = float("inf")
-    if sum(float(each.sum()) for each in left) > energy:
-        # more stays than the law is: a neighbour that is likelier takes up some of that
-        return behind([made[:0] for made in own])[0], worst
     for k in range(len(law.bent[0])):
         bent = seen([s * by[k] for s, by in zip(law.slopes, law.bent, strict=True)])
         z, more, times = behind(bent)
@@ -154,6 +151,8 @@ def _ahead(
         # one that has to be larger is next to another number of the model, and no bent law
         if not same and times < LARGER:
             worst = min(worst, z)
+    if sum(float(each.sum()) for each in left) > energy:
+        worst = max(worst, 0.0)  # more stays than the law is: a neighbour takes up some of that
     return behind([made[:0] for made in own])[0], worst
 
 
