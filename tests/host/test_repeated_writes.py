@@ -22,14 +22,17 @@ VALUES = st.dictionaries(NAMES, NUMBERS | st.integers(-3, 3) | st.booleans(), ma
 REQUESTS = st.tuples(
     st.sampled_from(["write", "update", "check", "read"]),
     st.fixed_dictionaries({"values": VALUES}, optional={"at_tick": st.integers(0, 9)}),
+    st.sampled_from([AUTHOR, "another"]),
 )
 
 
 @hyp.given(st.lists(REQUESTS, max_size=12))
 def test_random_requests_become_the_same_bytes_on_either_way(asked: list[Any]) -> None:
-    writes = RepeatedWrites(AUTHOR)
-    for verb, arguments in asked:
-        assert writes.encode(verb, arguments) == codec.encode_request(verb, arguments, AUTHOR)
+    writes = RepeatedWrites()
+    for verb, arguments, author in asked:
+        assert writes.encode(verb, arguments, author) == codec.encode_request(
+            verb, arguments, author
+        )
 
 
 @hyp.given(
@@ -43,7 +46,7 @@ def test_random_replies_are_read_alike_on_either_way(
 ) -> None:
     reply = codec.encode_result({name: number}) + more
     found: list[Any] = []
-    for decode in (RepeatedWrites(AUTHOR).decode, codec.decode_reply):
+    for decode in (RepeatedWrites().decode, codec.decode_reply):
         try:
             found.append(decode(reply, kind))
         except ZendspError as error:
@@ -54,24 +57,24 @@ def test_random_replies_are_read_alike_on_either_way(
 def test_a_write_of_names_that_came_before_is_not_packed_again(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    writes = RepeatedWrites(AUTHOR)
+    writes = RepeatedWrites()
     first = codec.encode_request("write", {"values": {"a": 1.0, "b": 2.0}}, AUTHOR)
-    writes.encode("write", {"values": {"a": 0.5, "b": -0.1}})
+    writes.encode("write", {"values": {"a": 0.5, "b": -0.1}}, AUTHOR)
     long = codec.encode_result(Written(sequence=2**63))
     monkeypatch.setattr(repeated_writes, "codec", None)
-    assert writes.encode("write", {"values": {"a": 1.0, "b": 2.0}}) == first
+    assert writes.encode("write", {"values": {"a": 1.0, "b": 2.0}}, AUTHOR) == first
     assert writes.decode(long, Written) == Written(sequence=2**63)
 
 
 def test_a_host_that_writes_ever_new_names_keeps_no_more_than_a_few() -> None:
-    writes = RepeatedWrites(AUTHOR)
+    writes = RepeatedWrites()
     for number in range(3 * MOST):
-        writes.encode("write", {"values": {f"v{number}": 1.0}})
+        writes.encode("write", {"values": {f"v{number}": 1.0}}, AUTHOR)
     assert len(writes._known) <= MOST
 
 
 def test_a_reply_of_another_version_or_cut_short_says_so() -> None:
-    writes = RepeatedWrites(AUTHOR)
+    writes = RepeatedWrites()
     whole = codec.encode_result(Written(sequence=2**63))
     with pytest.raises(LinkError, match="malformed"):
         writes.decode(whole[:-1], Written)

@@ -65,7 +65,7 @@ class Link:
         self.identity = credentials.identity
         self.own = credentials.own  # of the same user on the same computer, by the target's entry
         self.author = new_author(self.identity)
-        self._writes = RepeatedWrites(self.author)
+        self._writes = RepeatedWrites()
         self._alive = threading.Event()
         self._lost = threading.Event()
         self._returned: list[Callable[[], None]] = []
@@ -151,7 +151,7 @@ class Link:
             Whatever the target says.
         """
         row, querier = self._ready.get(verb) or self._make_ready(verb)
-        payload = self._writes.encode(verb, arguments)
+        payload = self._writes.encode(verb, arguments, self.author)
         number, instance = next(self._requests) if row.once else 0, self.instance
         first = stamp(self._name, number, instance, FIRST) if row.once else None
         limit = timeout or (STOP_S if row.lane == "stop" else row.timeout)

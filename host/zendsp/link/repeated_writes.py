@@ -28,20 +28,13 @@ _LENGTH = len(_YES) + _COUNT.size
 
 
 class RepeatedWrites:
-    """Packs the requests of one author, and reads the replies to them.
+    """Packs requests, and reads the replies to them."""
 
-    Parameters
-    ----------
-    author : str
-        Who asks.
-    """
-
-    def __init__(self, author: str) -> None:
-        self._author = author
-        # by verb and names: the request, and where its numbers stand
+    def __init__(self) -> None:
+        # by author, verb and names: the request, and where its numbers stand
         self._known: dict[tuple[str, ...], tuple[bytes, tuple[int, ...]]] = {}
 
-    def encode(self, verb: str, arguments: Any) -> bytes:
+    def encode(self, verb: str, arguments: Any, author: str) -> bytes:
         """Return what `codec.encode_request` does, byte for byte.
 
         Raises
@@ -50,19 +43,21 @@ class RepeatedWrites:
             As there.
         """
         if verb not in _REPEATED or type(arguments) is not dict or len(arguments) > 1:
-            return codec.encode_request(verb, arguments, self._author)
+            return codec.encode_request(verb, arguments, author)
         values = arguments.get("values")
         if type(values) is not dict or not _FLOATS.issuperset(map(type, values.values())):
-            return codec.encode_request(verb, arguments, self._author)
-        known = self._known.get((verb, *values)) or self._learn(verb, values)
+            return codec.encode_request(verb, arguments, author)
+        known = self._known.get((author, verb, *values)) or self._learn(verb, values, author)
         request = bytearray(known[0])
         for place, value in zip(known[1], values.values(), strict=True):
             _FLOAT.pack_into(request, place, value)
         return bytes(request)
 
-    def _learn(self, verb: str, values: dict[str, float]) -> tuple[bytes, tuple[int, ...]]:
+    def _learn(
+        self, verb: str, values: dict[str, float], author: str
+    ) -> tuple[bytes, tuple[int, ...]]:
         probes = {"values": dict.fromkeys(values, _PROBE)}
-        request = codec.encode_request(verb, probes, self._author)
+        request = codec.encode_request(verb, probes, author)
         places: list[int] = []
         at = 0
         for _ in values:
@@ -72,7 +67,7 @@ class RepeatedWrites:
         if all(isinstance(name, str) for name in values):  # 1 and True are one key, and no name
             if len(self._known) >= MOST:
                 self._known = {}
-            self._known[verb, *values] = known
+            self._known[author, verb, *values] = known
         return known
 
     def decode(self, reply: bytes, kind: Any) -> Any:
