@@ -17,7 +17,7 @@ import zendsp
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.decide.absorbed import moved
-from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.decide_bodies import beside_bodies
 from zendsp.diagnosis.measure.windows import rms, window_error
 from zendsp.diagnosis.search.bodies import BodySearch, agreed, find_bodies, refined
@@ -30,7 +30,7 @@ from zendsp.physics.calibration.joint import JointRecord
 from zendsp.physics.calibration.terms import make_term
 from zendsp.physics.effects import get_effect
 from zendsp.physics.files.model_file import load_model, parse_model
-from zendsp.physics.model import Model
+from zendsp.physics.model import Model, Term
 from zendsp.physics.term_numbers import kernel_model
 
 RATE, SUB = 500.0, 4
@@ -503,9 +503,9 @@ def test_beside_a_body_a_mechanism_without_a_law_stands_but_for_a_constant(
     law: str, stands: bool
 ) -> None:
     """A constant is what a body's weight may be wrong by, whatever it is called."""
-    term = SimpleNamespace(effect=law)
-    claim: Any = SimpleNamespace(effect="unknown", mechanism="actuator", size=0.001, term=term)
     nothing: Any = None
+    term = Term(law, 1, {})
+    claim = Claim("unknown", "actuator", term, 0.001, nothing, 0.0, {}, (), (), ())
     decision = Decision(1, "missing", (claim,), (), *[nothing] * 8)
     found = SimpleNamespace(term=SimpleNamespace(parameters={}), indistinguishable=())
     body: Any = SimpleNamespace(sizes={1: 0.9}, found=found)

@@ -12,7 +12,7 @@ import pytest
 from zendsp.diagnosis import joints, machine
 from zendsp.diagnosis.decide import decide_bodies
 from zendsp.diagnosis.decide.absorbed import bodies_wrong
-from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.decide_bodies import BodyClaim, Heard, beside_bodies, borne
 from zendsp.diagnosis.search import bodies
 from zendsp.diagnosis.search.bodies import FoundBody, own_mass, unsure
@@ -284,9 +284,9 @@ def test_a_constant_that_the_centre_of_a_body_may_be_wrong_by_is_the_bodys(
     )  # fmt: skip
     test: Any = SimpleNamespace(records=[[record]])
     term = Term("body", 1, {"com_x": Quantity(0.02, free=False, std=com_std)})
-    law = SimpleNamespace(effect="torque_offset")
-    claim: Any = SimpleNamespace(effect="torque_offset", mechanism="actuator", size=0.02, term=law)
     nothing: Any = None
+    law = Term("torque_offset", 1, {})
+    claim = Claim("torque_offset", "actuator", law, 0.02, nothing, 0.0, {}, (), (), ())
     decision = Decision(1, "missing", (claim,), (), *[nothing] * 8)
     found = SimpleNamespace(term=term, indistinguishable=())
     body: Any = SimpleNamespace(sizes={1: 0.03}, found=found)
@@ -343,10 +343,14 @@ def test_a_body_that_explains_as_much_as_a_joints_own_fault_is_remembered(
 def test_what_a_joint_claims_may_be_a_bodys_weight(
     mechanism: str, effect: str, weighs: bool
 ) -> None:
-    claim = SimpleNamespace(mechanism=mechanism, term=Term(effect, 2, {}))
+    nothing: Any = None
+    term = Term(effect, 2, {})
+    claim = Claim(effect, mechanism, term, 0.1, nothing, 0.0, {}, (), (), ())
     decision: Any = SimpleNamespace(claims=(claim,))
     assert machine._weighs(decision) is weighs
     assert not machine._weighs(SimpleNamespace(claims=()))  # type: ignore[arg-type]
+    nameless = replace(claim, effect="unknown", mechanism="dry", term=Term("unknown", 2, {}))
+    assert not machine._weighs(SimpleNamespace(claims=(nameless,)))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -381,8 +385,11 @@ def test_a_spring_or_a_gain_fitted_beside_a_body_leaves_its_joints_weight_open(
 def test_a_small_body_is_asked_for_where_two_joints_claim_what_it_may_be(
     several: bool, proposed: bool
 ) -> None:
-    offset = SimpleNamespace(mechanism="actuator", term=Term("torque_offset", 1, {}))
-    rubs = SimpleNamespace(mechanism="dry_friction", term=Term("coulomb", 2, {}))
+    nothing: Any = None
+    offset, rubs = (
+        Claim(effect, mechanism, Term(effect, 1, {}), 0.1, nothing, 0.0, {}, (), (), ())
+        for effect, mechanism in (("torque_offset", "actuator"), ("coulomb", "dry_friction"))
+    )
     claims = [(offset,), (offset,) if several else (rubs,), ()]
     found: Any = SimpleNamespace(claims=(), decisions=[SimpleNamespace(claims=c) for c in claims])
     small: Any = object()

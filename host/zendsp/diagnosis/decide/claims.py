@@ -70,8 +70,10 @@ class Claim:
 
     @property
     def is_constant(self) -> bool:
-        """Whether it is a law that is the same everywhere, and so a function of any variable."""
-        return self.effect != "unknown" and get_effect(self.effect).constant
+        """Whether its torque is the same everywhere, and so a function of any variable, whatever it
+        is called.
+        """
+        return self.term.effect != "unknown" and get_effect(self.term.effect).constant
 
 
 @dataclass(frozen=True)
