@@ -17,7 +17,7 @@ from zendsp_protocol.messages import Applied, Written
 AUTHOR = "me@here:7"
 NUMBERS = st.floats(width=64, allow_nan=True)
 # few names, so that they come again; two are alike in length, one is no text at all
-NAMES = st.sampled_from(["a", "b", "Kp1", "q[0]", "größe", 1, True])
+NAMES = st.sampled_from(["a", "b", "Kp1", "q[0]", "größe", "%b", 1, True])
 VALUES = st.dictionaries(NAMES, NUMBERS | st.integers(-3, 3) | st.booleans(), max_size=4)
 REQUESTS = st.tuples(
     st.sampled_from(["write", "update", "check", "read"]),

@@ -31,8 +31,8 @@ class RepeatedWrites:
     """Packs requests, and reads the replies to them."""
 
     def __init__(self) -> None:
-        # by author, verb and names: the request, and where its numbers stand
-        self._known: dict[tuple[str, ...], tuple[bytes, tuple[int, ...]]] = {}
+        # by author, verb and names: the request, with %b where a number stands
+        self._known: dict[tuple[str, ...], bytes] = {}
 
     def encode(self, verb: str, arguments: Any, author: str) -> bytes:
         """Return what `codec.encode_request` does, byte for byte.
@@ -48,22 +48,12 @@ class RepeatedWrites:
         if type(values) is not dict or not _FLOATS.issuperset(map(type, values.values())):
             return codec.encode_request(verb, arguments, author)
         known = self._known.get((author, verb, *values)) or self._learn(verb, values, author)
-        request = bytearray(known[0])
-        for place, value in zip(known[1], values.values(), strict=True):
-            _FLOAT.pack_into(request, place, value)
-        return bytes(request)
+        return known % tuple(map(_FLOAT.pack, values.values()))
 
-    def _learn(
-        self, verb: str, values: dict[str, float], author: str
-    ) -> tuple[bytes, tuple[int, ...]]:
+    def _learn(self, verb: str, values: dict[str, float], author: str) -> bytes:
         probes = {"values": dict.fromkeys(values, _PROBE)}
         request = codec.encode_request(verb, probes, author)
-        places: list[int] = []
-        at = 0
-        for _ in values:
-            at = request.index(_ANY, at) + len(_ANY)
-            places.append(at - _FLOAT.size)
-        known = request, tuple(places)
+        known = request.replace(b"%", b"%%").replace(_ANY, _ANY[:1] + b"%b")
         if all(isinstance(name, str) for name in values):  # 1 and True are one key, and no name
             if len(self._known) >= MOST:
                 self._known = {}
