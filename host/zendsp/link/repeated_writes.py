@@ -22,7 +22,7 @@ _FLOAT = struct.Struct(">d")  # what MessagePack puts behind the byte that annou
 _COUNT = struct.Struct(">Q")  # likewise, of a whole number
 _PROBE = -0.1  # its nine bytes stand in no text of UTF-8
 _ANY = b"\xcb" + _FLOAT.pack(_PROBE)
-# a yes to a write, up to a number that takes all of its eight bytes
+# a yes to a write, up to its number: a target that repeats its answer gives that eight bytes
 _YES = codec.encode_result(Written(sequence=2**64 - 1))[: -_COUNT.size]
 _LENGTH = len(_YES) + _COUNT.size
 
