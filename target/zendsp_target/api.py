@@ -102,9 +102,9 @@ class RuntimeApi(Protocol):
     # Of the next two, None: there is no shorter way; what they return gives 0, and nothing has
     # happened, where the whole way has to be gone.
     def repeat_read(self, names: Sequence[str], reply: Blank) -> Callable[[], int] | None: ...
-    # takes a request as long as the given one -> sequence, which goes into the reply, if any
+    # takes a request as long as the given one -> sequence, which goes into the reply
     def repeat_write(
-        self, names: Sequence[str], author: str, request: Blank, reply: Blank | None
+        self, names: Sequence[str], author: str, request: Blank, reply: Blank
     ) -> Callable[[bytes], int] | None: ...
     # its tick; NotYet: not within the timeout
     def wait_applied(self, sequence: int, timeout: float) -> int: ...

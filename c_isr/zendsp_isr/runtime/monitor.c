@@ -183,8 +183,7 @@ int monitor_write_again(const repeated_write *w, const unsigned char *request, b
     }
     if (memcmp(request + at, w->request + at, w->length - at) != 0)
         return 0;
-    if (w->reply)
-        to_message(w->reply + w->sequence_at, sequence);
+    to_message(w->reply + w->sequence_at, sequence);
     return monitor_write(w->plan, w->values, b, index, sequence, 0, 0);
 }
 

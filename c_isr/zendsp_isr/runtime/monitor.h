@@ -30,8 +30,8 @@ typedef struct repeated_write {
     uint32_t length;              /* of it, bytes */
     const uint32_t *places;       /* of the doubles in it, one a part, rising; bytes */
     double *values;               /* room for them */
-    unsigned char *reply;         /* in which only the sequence number is missing; or 0 */
-    uint32_t sequence_at;         /* in the reply, bytes */
+    unsigned char *reply;         /* in which only numbers are missing */
+    uint32_t sequence_at;         /* of the write's number in the reply, bytes */
 } repeated_write;
 
 /* A reading of doubles that came before, and its reply, in which only numbers are missing. */

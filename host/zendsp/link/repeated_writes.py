@@ -3,7 +3,7 @@ other numbers.
 
 A host that wakes up for a reply finds little of its Python in the caches, and pays several times
 for every function on the way. So a write or an update of doubles is packed once; the next one of
-these names is the same bytes with its own numbers in them, and a reply that differs in its number
+these names is the same bytes with its own numbers in them, and a reply that differs in its numbers
 only is read without unpacking. What is not plainly so goes through `codec`, with the same result.
 """
 
@@ -13,7 +13,7 @@ import struct
 from typing import Any
 
 from zendsp_protocol import codec
-from zendsp_protocol.messages import Written
+from zendsp_protocol.messages import Applied, Written
 
 MOST = 64  # requests that are kept; a host that sends ever new ones starts over
 _REPEATED = frozenset(("write", "update"))
@@ -22,9 +22,14 @@ _FLOAT = struct.Struct(">d")  # what MessagePack puts behind the byte that annou
 _COUNT = struct.Struct(">Q")  # likewise, of a whole number
 _PROBE = -0.1  # its nine bytes stand in no text of UTF-8
 _ANY = b"\xcb" + _FLOAT.pack(_PROBE)
-# a yes to a write, up to its number: a target that repeats its answer gives that eight bytes
-_YES = codec.encode_result(Written(sequence=2**64 - 1))[: -_COUNT.size]
-_LENGTH = len(_YES) + _COUNT.size
+_LARGEST = 2**64 - 1
+# a yes to a write and to an update: a target that repeats its answers gives each number eight bytes
+_WRITTEN = codec.encode_result(Written(sequence=_LARGEST))[: -_COUNT.size]
+_APPLIED, _AT, _ = codec.encode_result(Applied(sequence=_LARGEST, tick=_LARGEST)).split(
+    _COUNT.pack(_LARGEST)
+)
+_ONE = struct.Struct(f">{len(_WRITTEN)}sQ")
+_TWO = struct.Struct(f">{len(_APPLIED)}sQ{len(_AT)}sQ")
 
 
 class RepeatedWrites:
@@ -68,6 +73,12 @@ class RepeatedWrites:
         ZendspError
             As there.
         """
-        if kind is Written and len(reply) == _LENGTH and reply.startswith(_YES):
-            return Written(sequence=_COUNT.unpack_from(reply, len(_YES))[0])
+        if kind is Applied and len(reply) == _TWO.size:
+            yes, sequence, at, tick = _TWO.unpack(reply)
+            if yes == _APPLIED and at == _AT:
+                return Applied(sequence=sequence, tick=tick)
+        elif kind is Written and len(reply) == _ONE.size:
+            yes, sequence = _ONE.unpack(reply)
+            if yes == _WRITTEN:
+                return Written(sequence=sequence)
         return codec.decode_reply(reply, kind)

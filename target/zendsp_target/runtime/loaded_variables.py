@@ -78,7 +78,7 @@ class LoadedVariables:
         return None if session is None else session.repeat_read(names, reply)
 
     def repeat_write(
-        self, names: Sequence[str], author: str, request: Blank, reply: Blank | None
+        self, names: Sequence[str], author: str, request: Blank, reply: Blank
     ) -> Callable[[bytes], int] | None:
         """What writes the same doubles again, see `RuntimeApi.repeat_write`; None: nothing does."""
         session = self._programs.session

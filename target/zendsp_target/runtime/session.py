@@ -272,7 +272,7 @@ class Session:
         return plan.again(self._ended, control, data, self._slots_at, self._stride, reply)
 
     def repeat_write(
-        self, names: Sequence[str], author: str, request: Blank, reply: Blank | None
+        self, names: Sequence[str], author: str, request: Blank, reply: Blank
     ) -> Callable[[bytes], int] | None:
         """Make what writes doubles again; see `RuntimeApi.repeat_write`."""
         return self.updates.repeat(self._ended, names, author, request, reply)

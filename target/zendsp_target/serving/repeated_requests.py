@@ -17,11 +17,12 @@ from typing import Any
 from msgspec.structs import replace
 
 from zendsp_protocol import codec, verbs
+from zendsp_protocol import messages as m
 from zendsp_protocol.errors import LinkError, NotYet, Refused, RunnerDied
 from zendsp_protocol.values import WireValue
 from zendsp_target.api import Blank, RuntimeApi
 from zendsp_target.serving.drives import Drives
-from zendsp_target.serving.variable_verbs import APPLY_INLINE_S, applied
+from zendsp_target.serving.variable_verbs import APPLY_INLINE_S, applied_at
 
 LONGEST = 65536  # bytes of a request that is kept
 MOST = 64  # requests; a host that asks for ever new ones starts over
@@ -158,11 +159,15 @@ class Repeats:
             _FLOAT.pack_into(other, at, probe)
         if not self._means(bytes(other), verb, verbs.Write(values=probes), said):
             return
-        # the reply to a write tells its number only, that to an update when it took effect
-        data = bytearray(codec.encode_result({"sequence": _LARGEST}))
-        told = Blank(data, data.index(_COUNT.pack(_LARGEST))) if verb.name == "write" else None
-        runtime, drives = self._runtime, self._drives
-        write = runtime.repeat_write(list(given), author, Blank(request, values=places), told)
+        # the reply to a write tells its number only, that to an update when it took effect as well
+        waits = verb.name == "update"
+        told: m.Message = m.Written(sequence=_LARGEST)
+        if waits:
+            told = m.Applied(sequence=_LARGEST, tick=_LARGEST)
+        data = bytearray(codec.encode_result(told))
+        count, tick = data.index(_COUNT.pack(_LARGEST)), data.rindex(_COUNT.pack(_LARGEST))
+        runtime, drives, reply = self._runtime, self._drives, Blank(data, count)
+        write = runtime.repeat_write(list(given), author, Blank(request, values=places), reply)
         if write is None:
             self._keep(request, places[0], None, ())
             return
@@ -172,7 +177,9 @@ class Repeats:
             if not commander or commander == author:
                 sequence = write(request)
                 if sequence:
-                    return data if told else codec.encode_result(applied(runtime, sequence))
+                    if waits:
+                        _COUNT.pack_into(data, tick, applied_at(runtime, sequence))
+                    return data
             return None
 
         self._keep(request, places[0], answer, (len(request) - places[0],))

@@ -152,14 +152,25 @@ def fade_of(runtime: RuntimeApi, seconds: float) -> int:
 
 def applied(runtime: RuntimeApi, sequence: int) -> m.Applied:
     """Answer once an update is in effect; another thread does where that takes long."""
+    return m.Applied(sequence=sequence, tick=applied_at(runtime, sequence))
 
-    def within(timeout: float) -> m.Applied:
-        return m.Applied(sequence=sequence, tick=runtime.wait_applied(sequence, timeout))
 
+def applied_at(runtime: RuntimeApi, sequence: int) -> int:
+    """Return the sample at which an update took effect.
+
+    Raises
+    ------
+    Later
+        That takes long: the rest is for another thread.
+    """
     try:
-        return within(APPLY_INLINE_S)
+        return runtime.wait_applied(sequence, APPLY_INLINE_S)
     except NotYet:
-        raise Later(lambda: within(APPLY_LIMIT_S)) from None
+        raise Later(
+            lambda: m.Applied(
+                sequence=sequence, tick=runtime.wait_applied(sequence, APPLY_LIMIT_S)
+            )
+        ) from None
 
 
 def _light(info: m.VariableInfo) -> m.VariableInfo:

@@ -119,7 +119,7 @@ class WritePlan:
         return bytes(entries)
 
     def again(
-        self, ended: Any, request: Blank, reply: Blank | None
+        self, ended: Any, request: Blank, reply: Blank
     ) -> Callable[[bytes, Any, int, int], int] | None:
         """Make ``commit`` for requests that differ in their doubles only: takes request, batch,
         slot and sequence, and fills the reply.
@@ -135,8 +135,8 @@ class WritePlan:
             length=len(request.data),
             places=ffi.new("uint32_t[]", request.values),
             values=ffi.new("double[]", len(self.places)),
-            reply=ffi.NULL if reply is None else ffi.from_buffer("unsigned char[]", reply.data),
-            sequence_at=0 if reply is None else reply.count,
+            reply=ffi.from_buffer("unsigned char[]", reply.data),
+            sequence_at=reply.count,
         )
         return partial(self._lib.monitor_write_again, again)
 

@@ -175,7 +175,7 @@ class Updates:
         names: Sequence[str],
         author: str,
         request: Blank,
-        reply: Blank | None,
+        reply: Blank,
     ) -> Callable[[bytes], int] | None:
         """Make what commits doubles again, out of the bytes of a request; see
         `RuntimeApi.repeat_write`.
