@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.image import imsave
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
 from zendsp.diagnosis.report.chart import Chart, Panel, Series
@@ -137,6 +139,9 @@ def draw_all(charts: Sequence[Chart], folder: Path) -> list[tuple[Chart, Path]]:
     done = []
     for chart in charts:
         path = folder / f"{chart.name}.png"
-        draw(chart).savefig(path)
+        figure = draw(chart)
+        canvas: Any = FigureCanvasAgg(figure)
+        canvas.draw()  # once: savefig would draw it a second time
+        imsave(path, canvas.buffer_rgba(), format="png", dpi=figure.dpi)
         done.append((chart, path))
     return done
