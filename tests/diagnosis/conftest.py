@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import reality
-from reality import KNOWN, RATE
+from reality import FAST, KNOWN, RATE
 
 from zendsp.diagnosis import Diagnosis, diagnose
 from zendsp.diagnosis.measure.likelihood import Scored
@@ -20,19 +20,19 @@ from zendsp.diagnosis.search.hypothesis import JointSearch
 @pytest.fixture(scope="session")
 def good() -> dict[str, np.ndarray]:
     """Ten seconds of a machine with Coulomb and viscous friction."""
-    return reality.simulate(reality.Machine(), reality.multisine(10.0, RATE, 1), RATE)
+    return reality.simulate(reality.Machine(), reality.multisine(10.0, FAST, 1), FAST)
 
 
 @pytest.fixture(scope="session")
 def other() -> dict[str, np.ndarray]:
     """The same machine along another reference."""
-    return reality.simulate(reality.Machine(), reality.multisine(8.0, RATE, 2), RATE)
+    return reality.simulate(reality.Machine(), reality.multisine(8.0, FAST, 2), FAST)
 
 
 @pytest.fixture
 def model(tmp_path: Path) -> Path:
     """A complete model of it, inertia off by 2 %."""
-    return reality.model_file(tmp_path / "model.toml", RATE, *KNOWN)
+    return reality.model_file(tmp_path / "model.toml", FAST, *KNOWN)
 
 
 @pytest.fixture
@@ -109,17 +109,18 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Diagnosis]:
         machine: reality.Machine,
         given: Sequence[str] = KNOWN,
         seconds: tuple[float, float] = (6.0, 6.0),
+        rate: float = RATE,
         **reference: float,
     ) -> Diagnosis:
         motions = [
-            reality.multisine(each, RATE, seed, **reference) for seed, each in enumerate(seconds, 1)
+            reality.multisine(each, rate, seed, **reference) for seed, each in enumerate(seconds, 1)
         ]
         case = (repr(machine), *given, *(motion.tobytes() for motion in motions))
         if case not in done:
             folder, resolution = tmp_path_factory.mktemp("bench"), machine.resolution
-            model = reality.model_file(folder / "m.toml", RATE, *given, resolution=resolution)
+            model = reality.model_file(folder / "m.toml", rate, *given, resolution=resolution)
             train, held = (
-                reality.save(folder / f"{k}.csv", reality.simulate(machine, motion, RATE, k))
+                reality.save(folder / f"{k}.csv", reality.simulate(machine, motion, rate, k))
                 for k, motion in enumerate(motions, 1)
             )
             done[case] = diagnose(train, model, held, jobs=1)

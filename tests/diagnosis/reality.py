@@ -19,7 +19,8 @@ import numpy as np
 from zendsp_isr.build import build
 
 RESOLUTION = 2 * math.pi / 16384
-RATE = 500.0
+RATE = 250.0  # Hz, of a recording
+FAST = 500.0  # where what is to be told needs it
 
 
 @dataclass

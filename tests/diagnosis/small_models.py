@@ -13,11 +13,11 @@ from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.model import Model
 
 
-def signals_of(columns: dict[str, np.ndarray]) -> Signals:
+def signals_of(columns: dict[str, np.ndarray], rate: float = RATE) -> Signals:
     return Signals(
         "run",
         columns["t"],
-        1.0 / RATE,
+        1.0 / rate,
         columns["q"][:, None],
         columns["u"][:, None],
         None,
@@ -25,14 +25,16 @@ def signals_of(columns: dict[str, np.ndarray]) -> Signals:
     )
 
 
-def data_of(columns: dict[str, np.ndarray], model: Model) -> Data:
-    return prepare([signals_of(columns)], model, 64.0)
+def data_of(columns: dict[str, np.ndarray], model: Model, rate: float = RATE) -> Data:
+    return prepare([signals_of(columns, rate)], model, 64.0)
 
 
-def model_of(*terms: dict[str, object], inertia: float = 0.010) -> Model:
+def model_of(
+    *terms: dict[str, object], inertia: float = 0.010, rate: float = RATE
+) -> Model:
     return parse_model(
         {
-            "sample_time": 1.0 / RATE,
+            "sample_time": 1.0 / rate,
             "mechanism": {"kind": "rotary", "parameters": {"inertia": {"value": inertia}}},
             "effect": list(terms),
         }

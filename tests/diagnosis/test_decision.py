@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import reality
-from reality import KNOWN, RATE
+from reality import FAST, KNOWN, RATE
 
 from zendsp.diagnosis import Diagnosis, diagnose, engine
 from zendsp.diagnosis.decide import decide as decision
@@ -192,15 +192,15 @@ def test_what_a_faster_loop_does_between_rows_is_no_missing_physics(tmp_path: Pa
     def verdict(machine: reality.Machine, model: Path) -> Diagnosis:
         runs = []
         for seed in (1, 2):
-            run = reality.simulate(machine, reality.multisine(12.0, RATE, seed), RATE, seed)
+            run = reality.simulate(machine, reality.multisine(12.0, FAST, seed), FAST, seed)
             every = {name: column[::5] for name, column in run.items()}
             runs.append(reality.save(tmp_path / f"{seed}.csv", every))
         return diagnose(runs[0], model, runs[1], jobs=1)
 
     counts = 2 * np.pi / 8192
-    held = reality.model_file(tmp_path / "held.toml", RATE / 5, *KNOWN, resolution=counts)
+    held = reality.model_file(tmp_path / "held.toml", FAST / 5, *KNOWN, resolution=counts)
     faster = tmp_path / "faster.toml"
-    faster.write_text(held.read_text().replace("hold = 0.01", f"hold = {1 / RATE}"))
+    faster.write_text(held.read_text().replace("hold = 0.01", f"hold = {1 / FAST}"))
     machine = reality.Machine(resolution=counts)
     taken_as_held = verdict(machine, held)
     assert taken_as_held.verdict == "unexplained"

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 import reality
-from reality import KNOWN, RATE
+from reality import FAST, KNOWN, RATE
 
 from zendsp.diagnosis import Diagnosis, diagnose
 from zendsp.diagnosis.decide import naming
@@ -44,6 +44,7 @@ class Case:
     found: dict[str, dict[str, float]]
     reference: dict[str, float] = field(default_factory=dict)
     seconds: tuple[float, float] = (6.0, 6.0)
+    rate: float = RATE
 
 
 SINGLE: dict[str, Case] = {
@@ -75,6 +76,7 @@ SINGLE: dict[str, Case] = {
         [VISCOUS, COULOMB],
         {"stribeck": {"breakaway": 0.06, "velocity": 0.1, "exponent": 1.4}},
         {"size": 0.5},
+        rate=FAST,
     ),
     "dry friction and its bristles": Case(
         reality.Machine(coulomb=0.06, bristle=2.0, brush=0.006),
@@ -117,7 +119,7 @@ Run = Callable[[Case], Diagnosis]
 
 @pytest.fixture
 def run(bench: Callable[..., Diagnosis]) -> Run:
-    return lambda case: bench(case.machine, case.given, case.seconds, **case.reference)
+    return lambda case: bench(case.machine, case.given, case.seconds, case.rate, **case.reference)
 
 
 @pytest.mark.parametrize("name", SINGLE)
@@ -161,7 +163,7 @@ def test_complete_model_raises_no_alarm(
 
 
 def test_a_known_friction_that_creeps_is_no_missing_physics_and_hides_none(run: Run) -> None:
-    soft = Case(reality.Machine(creep=0.03), [VISCOUS, COULOMB], {}, seconds=LONGER)
+    soft = Case(reality.Machine(creep=0.03), [VISCOUS, COULOMB], {}, seconds=LONGER, rate=FAST)
     complete = run(soft)
     assert complete.verdict == "complete" and any("creeps" in note for note in complete.notes)
     ripple = replace(soft, machine=reality.Machine(creep=0.03, ripple=0.006))
@@ -177,7 +179,7 @@ def test_a_fast_ripple_is_found_though_the_held_out_recording_has_another_zero(
     machine = reality.Machine(ripple=0.003, order=57, kp=8.0, kd=0.3, resolution=fine)
     files = []
     for name, seed, zero in (("train", 1, 0.0), ("heldout", 2, 4000 * fine)):
-        run = reality.simulate(machine, reality.multisine(8.0, RATE, seed, size=2.0), RATE)
+        run = reality.simulate(machine, reality.multisine(8.0, FAST, seed, size=2.0), FAST)
         files.append(
             reality.save(
                 tmp_path / f"{name}.csv", {**run, "q": run["q"] + zero, "r": run["r"] + zero}
@@ -185,7 +187,7 @@ def test_a_fast_ripple_is_found_though_the_held_out_recording_has_another_zero(
         )
     d = diagnose(
         files[0],
-        reality.model_file(tmp_path / "model.toml", RATE, VISCOUS, resolution=fine),
+        reality.model_file(tmp_path / "model.toml", FAST, VISCOUS, resolution=fine),
         files[1],
         jobs=1,
     )
@@ -231,7 +233,7 @@ def test_wrong_term_of_the_given_model_is_replaced(run: Run) -> None:
 def test_what_calibration_moves_far_is_told(run: Run) -> None:
     gain = 1.2  # as an actuator that gives so much more
     machine = reality.Machine(inertia=0.01 / gain, viscous=0.004 / gain, coulomb=0.03 / gain)
-    d = run(Case(machine, [VISCOUS, COULOMB], {}, seconds=LONGER))
+    d = run(Case(machine, [VISCOUS, COULOMB], {}, seconds=LONGER, rate=FAST))
     (note,) = (n for n in d.notes if "calibration moves" in n)
     assert "coulomb level 0.03 to 0.02499 (-17 %)" in note and "as a torque gain of 1.2" in note
     (found,) = d.findings  # one number explains what three would

@@ -520,7 +520,7 @@ def test_what_promises_more_than_anything_listed_keeps_is_not_overlooked(
     kept: float, fitted: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     model = model_of(VISCOUS, COULOMB)
-    reference = reality.multisine(6.0, RATE, 3)
+    reference = reality.multisine(12.0, RATE, 3)
     data = data_of(reality.simulate(reality.Machine(), reference, RATE), model)
     current = Scored(fit(data, model, (), joints=(1,), iterations=0), data, 0.0, (1,))
     spring = make_term(get_effect("stiffness"), 1, {"coefficient": 1.0, "neutral": 0.0})

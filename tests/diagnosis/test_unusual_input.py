@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import reality
-from reality import KNOWN, RATE
+from reality import FAST, KNOWN, RATE
 
 from zendsp.diagnosis.data import checks
 from zendsp.diagnosis.data.checks import check_excitation, check_motion, check_signals
@@ -68,7 +68,7 @@ def test_a_jittered_clock_is_resampled_and_the_report_says_so(
     good: Columns, model: Path, tmp_path: Path
 ) -> None:
     r = np.random.default_rng(5)
-    t = good["t"] + r.uniform(-0.2, 0.2, len(good["t"])) / RATE
+    t = good["t"] + r.uniform(-0.2, 0.2, len(good["t"])) / FAST
     columns = {"t": t, **{k: np.interp(t, good["t"], good[k]) for k in ("q", "r")}, "u": good["u"]}
     notes = _accepted(reality.save(tmp_path / "run.csv", columns), model)
     assert any("jitter" in n and "no row is missing" in n for n in notes), notes
@@ -80,7 +80,7 @@ def test_stamps_that_jitter_beside_rows_that_do_not_are_not_believed(
 ) -> None:
     """A tenth of a sample made 2.5 % of the torque missing, and told of seven rows that lacked."""
     r = np.random.default_rng(7)
-    t = good["t"] + 0.1 * r.standard_normal(len(good["t"])) / RATE
+    t = good["t"] + 0.1 * r.standard_normal(len(good["t"])) / FAST
     file = reality.save(tmp_path / "run.csv", {**good, "t": t})
     notes = _accepted(file, model)
     assert any("no row is missing" in n for n in notes) and any("evenly spaced" in n for n in notes)
@@ -90,7 +90,7 @@ def test_stamps_that_jitter_beside_rows_that_do_not_are_not_believed(
 
 def test_a_row_that_lacks_is_no_late_stamp(good: Columns, model: Path, tmp_path: Path) -> None:
     r = np.random.default_rng(8)
-    t = good["t"] + 0.1 * r.standard_normal(len(good["t"])) / RATE
+    t = good["t"] + 0.1 * r.standard_normal(len(good["t"])) / FAST
     lacks = np.delete(np.arange(len(t)), [400, 900, 901])
     columns = {**good, "t": t}
     file = reality.save(tmp_path / "run.csv", {key: x[lacks] for key, x in columns.items()})
@@ -101,7 +101,7 @@ def test_lines_between_jittered_rows_hide_no_noise_of_the_sensor(
     good: Columns, model: Path, tmp_path: Path
 ) -> None:
     r = np.random.default_rng(6)
-    t = good["t"] + r.uniform(-0.25, 0.25, len(good["t"])) / RATE
+    t = good["t"] + r.uniform(-0.25, 0.25, len(good["t"])) / FAST
     noise = 0.002  # rad
     q = np.interp(t, good["t"], good["q"]) + noise * r.standard_normal(len(t))
     file = reality.save(tmp_path / "run.csv", {**good, "t": t, "q": q})
