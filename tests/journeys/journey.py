@@ -8,11 +8,13 @@ import signal
 import subprocess
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import sin, tanh
 from pathlib import Path
 
+import numpy as np
 from waiting import PATIENCE_S, until
 
-__all__ = ["BENCH", "PATIENCE_S", "STEP", "Installed", "until"]
+__all__ = ["BENCH", "PATIENCE_S", "STEP", "Installed", "record_bench", "until"]
 
 STEP = 0.004  # s, of a row of a bench's recording
 BENCH = f"""name = "bench"
@@ -30,6 +32,23 @@ time = "t"
 position = "q"
 command = "u"
 """
+
+
+def record_bench(path: Path, coulomb: float = 0.05, inner: int = 20) -> None:
+    """Write the recording of a PD-controlled joint with dry friction that `BENCH` does not have."""
+    h = STEP / inner
+    q = qd = 0.0
+    rows = []
+    for k in range(1000):
+        t = k * STEP
+        r = sum(0.3 * sin(w * t + p) for w, p in ((2.1, 0.0), (5.3, 1.0), (9.7, 2.0)))
+        seen = round(q / 1e-5) * 1e-5
+        u = 4.0 * (r - seen) - 0.2 * qd
+        rows.append((t, seen, u))
+        for _ in range(inner):
+            qd += h * (u - coulomb * tanh(qd / 1e-3)) / 0.01
+            q += h * qd
+    np.savetxt(path, rows, delimiter=",", header="t,q,u", comments="")
 
 
 @dataclass

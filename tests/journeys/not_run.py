@@ -13,6 +13,7 @@ DRAWING = "is a drawing"
 CLONE = "is of a clone, or takes half an hour: tests/whole/test_mutations.py, test_endurance.py"
 SYNTAX = "shows how a file or a message looks"
 EXPERIMENT = "takes up to a minute: tests/experiment/ makes each experiment"
+DIAGNOSIS = "docs/diagnosis.md types it, of CSV files"
 # (page, first line of the block or the command) -> why it is not run
 NOT_RUN: dict[tuple[str, str], str] = {
     ("README.md", "python3 -m venv .venv"): NETWORK,
@@ -42,6 +43,9 @@ NOT_RUN: dict[tuple[str, str], str] = {
     ): DRAWING,
     ("docs/code_overview.md", "python -m tests.mutations"): CLONE,
     ("docs/diagnosis.md", "pip install 'zendsp[fleet]'"): NETWORK,
+    (
+        "docs/diagnosis.md", "zendsp diagnose fleet/*.mat --model arm.toml --each --out reports",
+    ): "tests/diagnosis/test_fleet.py types it",
     ("docs/tutorial.md", "zendsp tui arm"): TERMINAL,
     ("docs/diagnosis.md", "python benchmarks/confidence.py CASES"): CLONE,
     (
@@ -54,6 +58,9 @@ NOT_RUN: dict[tuple[str, str], str] = {
     ("docs/experiments.md", "zendsp experiment friction -t arm"): EXPERIMENT,
     ("docs/experiments.md", "zendsp experiment imi-fit --into my_imi.toml"): EXPERIMENT,
     ("docs/experiments.md", "zendsp experiment all --report docs/results.md"): EXPERIMENT,
+    ("docs/experiments.md", "from zendsp.experiment import Lab, run_experiment"): (
+        "tests/experiment makes it in Python; test_slim_install.py types it"
+    ),
     ("docs/experiments.md", "[[effect]]"): SYNTAX,
     (
         "docs/experiments.md",
@@ -83,6 +90,10 @@ NOT_RUN: dict[tuple[str, str], str] = {
     ("docs/security.md", "pip install 'zendsp[keys]'"): NETWORK,
     ("docs/tour.md", "pip install 'zendsp[foxglove]'"): NETWORK,
     ("docs/tour.md", "pip install 'zendsp[rerun]'"): NETWORK,
+    (
+        "docs/tour.md",
+        "zendsp diagnose run1.mat run2.mat --model imi_planar.toml --heldout test.mat --out report",
+    ): DIAGNOSIS,
     ("docs/tour.md", "zendsp bridge rerun"): "needs its viewer: tests/host/test_rerun.py",
     ("docs/tour.md", "zendsp tui --web"): BROWSER,
     (

@@ -3,38 +3,18 @@
 from __future__ import annotations
 
 import tomllib
-from math import sin, tanh
-from pathlib import Path
 
-import numpy as np
 import pytest
-from journey import BENCH, STEP, Installed
+from journey import BENCH, Installed, record_bench
 from screen import Screen
 from waiting import until
-
-
-def _record(path: Path, coulomb: float = 0.05, inner: int = 20) -> None:
-    """A PD-controlled joint with dry friction that the model does not have."""
-    h = STEP / inner
-    q = qd = 0.0
-    rows = []
-    for k in range(1000):
-        t = k * STEP
-        r = sum(0.3 * sin(w * t + p) for w, p in ((2.1, 0.0), (5.3, 1.0), (9.7, 2.0)))
-        seen = round(q / 1e-5) * 1e-5
-        u = 4.0 * (r - seen) - 0.2 * qd
-        rows.append((t, seen, u))
-        for _ in range(inner):
-            qd += h * (u - coulomb * tanh(qd / 1e-3)) / 0.01
-            q += h * qd
-    np.savetxt(path, rows, delimiter=",", header="t,q,u", comments="")
 
 
 @pytest.mark.timeout(300)  # the diagnosis goes at low priority
 def test_a_csv_is_diagnosed_in_the_terminal_and_the_better_model_saved(
     installed: Installed,
 ) -> None:
-    _record(installed.folder / "run.csv")
+    record_bench(installed.folder / "run.csv")
     (installed.folder / "bench.toml").write_text(BENCH)
     screen = Screen(installed, (100, 32), "--screen", "diagnose")
     try:

@@ -120,28 +120,6 @@ def arm(user: Installed) -> None:
     user.write("arm.xml", (ROOT / "tests" / "machines" / "models" / "bench_arm.xml").read_text())
 
 
-def benches(user: Installed) -> None:
-    """For docs/diagnosis.md: recordings of the bench, and a fleet of two like it."""
-    bench(user)
-    (user.folder / "fleet").mkdir()
-    motion = user.script(
-        "import zendsp\nfor name in ('run1', 'run2'):"
-        " zendsp.Recording.load(f'{name}.csv').save(f'fleet/{name}.mat')"
-    )
-    assert motion.returncode == 0, motion.stderr
-    (user.folder / "arm.toml").write_text((user.folder / "bench.toml").read_text())
-
-
-def tour(user: Installed) -> None:
-    """For the tour: recordings of the bench, in files of MATLAB too."""
-    bench(user)
-    made = user.script(
-        "import zendsp\nfor name in ('run1', 'run2', 'test'):"
-        " zendsp.Recording.load(f'{name}.csv').save(f'{name}.mat')"
-    )
-    assert made.returncode == 0, made.stderr
-
-
 def running(user: Installed) -> None:
     """A target `imi` that runs pd.c."""
     user.target("imi")
@@ -207,7 +185,7 @@ ROBOT = {"robot.lab:7447": "localhost:PORT", "0.0.0.0:7447": "127.0.0.1:PORT"}
 PLANS: dict[str, Plan] = {
     "README.md": Plan(arm),
     "docs/diagnosis.md": Plan(
-        benches,
+        bench,
         files={
             "def simulate(recording, parameters):": "pendulum_sim.py",
             "[mechanism]": "pendulum.toml",
@@ -216,7 +194,15 @@ PLANS: dict[str, Plan] = {
     "docs/effects.md": Plan(
         bench, files={"from zendsp.physics.effects import Effect, Parameter": "film.py"}
     ),
-    "docs/experiments.md": Plan(running),
+    # shorter measurements of the same kind
+    "docs/experiments.md": Plan(
+        running,
+        stands_for={
+            "-s 2 --settle 0.2": "-s 0.3 --settle 0.1 --fade 0.1",
+            "--lines 10 --periods 3": "--lines 6 --periods 2",
+            "seconds=2.0, settle=0.2": "seconds=0.3, settle=0.1",
+        },
+    ),
     "docs/isr.md": Plan(running, files={'#include "isr.h"': "control.c"}),
     "docs/machines.md": Plan(files={"#include <math.h>": "my_axis.c"}),
     "docs/machines_simulated.md": Plan(files={'friction = "plain"': "hidden.toml"}),
@@ -231,16 +217,16 @@ PLANS: dict[str, Plan] = {
         files={"[roles]": "roles.toml"},
         stands_for={**ROBOT, "--host robot.lab": "--host localhost"},
     ),
-    # the bench in place of the arm, whose two joints take five times as long
-    "docs/tour.md": Plan(
-        tour, stands_for={"run2.mat --model imi_planar.toml": "run2.mat --model bench.toml"}
-    ),
+    "docs/tour.md": Plan(bench),
     "docs/troubleshooting/diagnosis.md": Plan(bench),
     "docs/troubleshooting/loop.md": Plan(saved_parameters, stands_for={"FILE": "kept.json"}),
     "docs/tui.md": Plan(loaded),
-    # six seconds of the motion, of which the page plays twenty
+    # six seconds of the motion, of which the page plays twenty; docs/diagnosis.md has the figures
     "docs/tutorial.md": Plan(
-        stands_for={"--f-max 0.6": "--f-max 0.6 --f-min 0.2 --period 5 --periods 1"},
+        stands_for={
+            "--f-max 0.6": "--f-max 0.6 --f-min 0.2 --period 5 --periods 1",
+            "--model arm.toml --out report": "--model arm.toml --out report --no-figures",
+        },
         files={
             "import zendsp": "play.py",
             'name = "arm"': "arm.toml",
@@ -320,6 +306,8 @@ class Reader:
 
     def python(self, text: str) -> str:
         """Run the page's Python as one script."""
+        for written, here in self._plan.stands_for.items():
+            text = text.replace(written, here)
         done = self._user.script(
             self._plan.prelude + text, *self._plan.arguments(self._user), timeout=LIMIT_S
         )

@@ -16,7 +16,7 @@ pytest.importorskip("mujoco")
 
 def test_cases_are_made_once_and_judged_where_they_lie(installed: Installed) -> None:
     made = installed.run(
-        "prove", "--make", "cases", "--quick", "--reality", "mujoco", "--sample", "1", "--seed", "2"
+        "prove", "--make", "cases", "--quick", "--reality", "mujoco", "--sample", "1", "--seed", "7"
     )
     assert made.returncode == 0, made.stdout + made.stderr
     assert "1 cases in cases/cases; truth sealed in cases/truth" in made.stdout

@@ -52,8 +52,12 @@ def running(
     return process, screens[-1]
 
 
-@pytest.mark.parametrize("name", ["console", "execute", "reference"])
-@pytest.mark.parametrize("size", [(80, 24), (200, 60)], ids=["small", "large"])
+SMALL, LARGE = (80, 24), (200, 60)
+
+
+@pytest.mark.parametrize(
+    ("size", "name"), [(SMALL, "console"), (SMALL, "execute"), (LARGE, "reference")]
+)
 def test_stop_ends_in_the_right_banner(
     installed: Installed, screens: list[Screen], name: str, size: tuple[int, int]
 ) -> None:
