@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +17,18 @@ from zendsp.proof.programme import REALITIES, requests
 from zendsp.proof.seal import BrokenSeal, open_truth, write_truth
 
 FEW = [Request(71, "complete", "rotary"), Request(72, "single", "rotary", "ripple", 1.0)]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> programme.Prepared:
+    """The few cases, made once: tests look at copies."""
+    return programme.prepare(tmp_path_factory.mktemp("few"), FEW, 1)
+
+
+@pytest.fixture
+def made(whole: programme.Prepared, tmp_path: Path) -> Path:
+    """A folder in which they are made."""
+    return Path(shutil.copytree(whole.folder, tmp_path / "made"))
 
 
 def say(verdict: str, *effects: str) -> Answer:
@@ -40,9 +53,9 @@ def answer_with(monkeypatch: pytest.MonkeyPatch, table: dict[str, Answer]) -> li
     return asked
 
 
-def test_run_counts_and_writes_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_run_counts_and_writes_the_page(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     answer_with(monkeypatch, {"case_0001": say("complete"), "case_0002": say("missing", "ripple")})
-    outcome = go(tmp_path)
+    outcome = go(made)
     assert [j.alarm for j in outcome.judged] == [False, None] and outcome.judged[1].named is True
     page = outcome.page.read_text()
     assert (
@@ -93,37 +106,36 @@ def test_the_same_body_cases_are_asked_given_as_mjcf_beside_urdf() -> None:
     assert [r for r in few if not r.given] == requests(3, False, ("mujoco",), 40)
 
 
-def test_failures_are_on_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failures_are_on_the_page(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     answer_with(monkeypatch, {"case_0001": say("missing", "coulomb"), "case_0002": say("complete")})
-    page = go(tmp_path).page.read_text()
+    page = go(made).page.read_text()
     assert "case_0001 rotary complete" in page and "truth ripple; said complete" in page
 
 
 def test_truth_altered_while_diagnosing_stops_the_proof(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    made: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def meddling(folders: list[Path], *_: object, **__: object) -> list[tuple[str, Answer]]:
-        write_truth(tmp_path / "truth", "case_0002", {"case": "case_0002", "effects": []})
+        write_truth(made / "truth", "case_0002", {"case": "case_0002", "effects": []})
         return [(f.name, say("complete")) for f in folders]
 
     monkeypatch.setattr(run_proof, "answers", meddling)
     with pytest.raises(BrokenSeal):
-        go(tmp_path)
+        go(made)
 
 
-def test_second_run_keeps_the_cases_and_other_cases_are_refused(tmp_path: Path) -> None:
-    first = programme.prepare(tmp_path, FEW, 1)
-    before = (tmp_path / "cases" / "case_0001" / "model.toml").stat().st_mtime_ns
-    assert programme.prepare(tmp_path, FEW, 1) == first == programme.found(tmp_path)
-    assert (tmp_path / "cases" / "case_0001" / "model.toml").stat().st_mtime_ns == before
+def test_second_run_keeps_the_cases_and_other_cases_are_refused(made: Path) -> None:
+    first = programme.prepare(made, FEW, 1)
+    before = (made / "cases" / "case_0001" / "model.toml").stat().st_mtime_ns
+    assert programme.prepare(made, FEW, 1) == first == programme.found(made)
+    assert (made / "cases" / "case_0001" / "model.toml").stat().st_mtime_ns == before
     with pytest.raises(FileExistsError, match="another run"):
-        programme.prepare(tmp_path, FEW[:1], 1)
+        programme.prepare(made, FEW[:1], 1)
 
 
 def test_interrupted_making_goes_on_to_the_same_cases(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    whole: programme.Prepared, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = programme.prepare(tmp_path / "whole", FEW, 1)
     made, write = [], cases.write_case
 
     def cut(order: cases.Order) -> str:
