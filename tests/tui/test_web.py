@@ -37,9 +37,10 @@ class Served:
     process: subprocess.Popen[bytes]
 
 
-@pytest.fixture
-def served(tmp_path: Path) -> Iterator[Served]:
-    with _serve(tmp_path, "--screen", "reference") as served:
+@pytest.fixture(scope="module")
+def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    """One server for all tests that leave it as it is: each page has a process of its own."""
+    with _serve(tmp_path_factory.mktemp("pages"), "--screen", "reference") as served:
         yield served
 
 
@@ -136,7 +137,10 @@ async def _all_ended(pids: set[int]) -> None:
         await asyncio.sleep(0.02)
 
 
-async def test_the_page_shows_the_screen_and_needs_no_other_computer(served: Served) -> None:
+async def test_the_page_needs_no_other_computer_and_its_clock_goes_on_under_a_dialog(
+    served: Served,
+) -> None:
+    """The clock tells a page that hears nothing that its picture is old."""
     base = served.base
     async with aiohttp.ClientSession() as session:
         page = await (await session.get(base)).text()
@@ -151,10 +155,14 @@ async def test_the_page_shows_the_screen_and_needs_no_other_computer(served: Ser
     async with _open(served) as shown:
         words = "Reference and Diagnose work without a target"
         await shown.until(lambda: words in "".join(shown.lines))
+        await shown.until(lambda: "Help" in "".join(shown.lines[-3:]))  # its keys are drawn
+        await shown.press("?")
+        await shown.until(lambda: "Everywhere" in "".join(shown.lines))
+        first = shown.lines[0]
+        await shown.until(lambda: shown.lines[0] != first)
 
 
-@pytest.mark.parametrize("press", ["\x1b[20~", "\x1b[<0;114;2M\x1b[<0;114;2m"], ids=["F9", "click"])
-async def test_stop_from_a_page(target: Target, tmp_path: Path, press: str) -> None:
+async def test_a_key_and_a_click_stop_from_a_page(target: Target, tmp_path: Path) -> None:
     target.download("pd.c")
     target.start()
     with _serve(tmp_path, target.name) as served:
@@ -163,14 +171,17 @@ async def test_stop_from_a_page(target: Target, tmp_path: Path, press: str) -> N
             def clock() -> list[str]:
                 return re.findall(r"\d\d:\d\d:\d\d", page.lines[0])
 
-            await page.until(lambda: "● running" in page.lines[1] and clock())
-            first = clock()
-            # where the field is was told before this picture
-            await page.until(lambda: clock() != first)
-            await page.press(press)
-            await page.until(lambda: "stopped, at sample" in page.lines[1])
-    trip = target.status().trip
-    assert trip is not None and trip.reason == "stop"
+            for press in ("\x1b[20~", "\x1b[<0;114;2M\x1b[<0;114;2m"):  # F9, and on the field
+                await page.until(lambda: "● running" in page.lines[1] and clock())
+                first = clock()
+                # where the field is was told before this picture
+                await page.until(lambda first=first: clock() != first)
+                await page.press(press)
+                await page.until(lambda: "stopped, at sample" in page.lines[1])
+                trip = target.status().trip
+                assert trip is not None and trip.reason == "stop"
+                target.acknowledge()
+                target.start()
 
 
 @pytest.mark.parametrize("how", ["asked", "page hangs", "killed"])
@@ -213,26 +224,17 @@ async def test_a_page_whose_process_died_is_closed(served: Served) -> None:
             pass
 
 
-async def test_a_browser_that_hangs_does_not_hold_the_server(served: Served) -> None:
+async def test_a_browser_that_hangs_does_not_hold_the_server(tmp_path: Path) -> None:
     """It reads nothing and answers no goodbye."""
-    async with _open(served) as page:
-        await page.until(lambda: "zendsp" in page.lines[0])
-        everything = {served.process.pid, *_below(served.process.pid)}
-        served.process.terminate()
-        deadline = time.monotonic() + END_S
-        while any(map(_running, everything)):  # nothing is read meanwhile
-            assert time.monotonic() < deadline
-            time.sleep(0.02)
-
-
-async def test_the_clock_goes_on_under_a_dialog(served: Served) -> None:
-    """So that a page which hears nothing knows that its picture is old."""
-    async with _open(served) as page:
-        await page.until(lambda: "Help" in "".join(page.lines[-3:]))  # its keys are drawn
-        await page.press("?")
-        await page.until(lambda: "Everywhere" in "".join(page.lines))
-        first = page.lines[0]
-        await page.until(lambda: page.lines[0] != first)
+    with _serve(tmp_path, "--screen", "reference") as served:
+        async with _open(served) as page:
+            await page.until(lambda: "zendsp" in page.lines[0])
+            everything = {served.process.pid, *_below(served.process.pid)}
+            served.process.terminate()
+            deadline = time.monotonic() + END_S
+            while any(map(_running, everything)):  # nothing is read meanwhile
+                assert time.monotonic() < deadline
+                time.sleep(0.02)
 
 
 BROWSER = """
