@@ -87,7 +87,7 @@ def test_without_dask_the_scheduler_option_says_what_to_install(
 def test_on_a_dask_cluster_the_outcome_is_the_same(fleet: Path, here: list[Item]) -> None:
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
+        n_workers=1, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
     ) as cluster:
         there = diagnose_each(
             [fleet / "one.csv", fleet / "two.csv"], fleet / "model.toml",

@@ -44,7 +44,7 @@ class Screen:
         self.pid, self.fd = pty.fork()
         if self.pid == 0:
             os.chdir(installed.folder)
-            command = list(program) or [str(installed.zendsp), "tui", *options, "--frames", "8"]
+            command = list(program) or [str(installed.zendsp), "tui", *options, "--frames", "4"]
             os.execve(command[0], command, installed.env)
         fcntl.ioctl(self.fd, termios.TIOCSWINSZ, struct.pack("HHHH", size[1], size[0], 0, 0))
 
