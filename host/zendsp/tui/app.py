@@ -24,6 +24,7 @@ from zendsp.tui.runs import Outcome, Run
 from zendsp.tui.screens.base import TALL, LabScreen
 from zendsp.tui.session import Session
 from zendsp.tui.stopper import with_stop
+from zendsp.tui.styles import OnceParsed
 from zendsp.tui.targets import Targets
 from zendsp.tui.typeahead import HELD_S, TypeAhead
 from zendsp.tui.workspace import Workspace
@@ -81,6 +82,7 @@ class ZendspApp(TypeAhead):
         channels: Sequence[str] = (),
     ) -> None:
         super().__init__()
+        self.stylesheet = OnceParsed(variables=self.get_css_variables())
         self.session = Session(open_port)
         self.frame_s = 1.0 / frames
         self.channels = tuple(channels)
