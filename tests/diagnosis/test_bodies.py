@@ -265,6 +265,7 @@ def test_a_larger_fault_of_one_joint_does_not_hide_a_body(record) -> None:  # ty
     assert found.term.value("angle_x") == pytest.approx(np.deg2rad(0.5), rel=0.1)
 
 
+@pytest.mark.long("a wrong link and a late column are each found by quicker tests")
 def test_a_wrong_link_is_found_beside_a_command_column_that_is_late(record,
     tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     model, paths = record("heavier", Arm(heavier=0.5), True)
@@ -303,6 +304,7 @@ def test_gravity_acts_on_the_load_of_an_elastic_joint_where_the_load_is(record,
     assert there < 2e-4 < 0.5 * error()
 
 
+@pytest.mark.long("where only friction is missing nothing is found: without the joints' search")
 def test_a_body_that_is_not_there_is_proposed_in_vain(record, monkeypatch,
     tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     from zendsp.diagnosis import machine

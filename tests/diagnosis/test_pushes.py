@@ -80,7 +80,10 @@ def test_pushes_in_every_recording_and_a_friction_that_is_missing_are_both_found
     assert dry.parameters["level"].value == pytest.approx(0.03, rel=0.02)
 
 
-@pytest.mark.parametrize("push", [0.01, 0.15])
+LARGE = pytest.param(0.15, marks=pytest.mark.long("the smaller push bends the calibration too"))
+
+
+@pytest.mark.parametrize("push", [0.01, LARGE])
 def test_a_push_in_the_recording_of_the_fit_alone_is_told_though_it_bends_the_calibration(
     push: float, decided: Decided
 ) -> None:
@@ -104,7 +107,9 @@ def test_several_pushes_in_the_recording_of_the_fit_alone_are_told(decided: Deci
     assert spans == pytest.approx(np.array([[1.5, 2.2], [3.6, 4.2], [6.0, 6.8]]), abs=0.2)
 
 
-@pytest.mark.parametrize("size", [0.06, 0.15])
+@pytest.mark.parametrize(
+    "size", [0.06, pytest.param(0.15, marks=pytest.mark.long("the smaller push is harder"))]
+)
 def test_a_push_through_most_of_what_is_judged_on_leaves_nothing_beside_it(
     size: float, decided: Decided
 ) -> None:

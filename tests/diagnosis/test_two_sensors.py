@@ -145,6 +145,7 @@ def test_a_gap_is_measured() -> None:
     assert gap.findings[0].parameters["gap"].value == pytest.approx(0.02, rel=0.1)
 
 
+@pytest.mark.long("a gap is measured, and guessed ones only refine: two quicker tests")
 def test_a_soft_contact_is_in_the_width_of_its_gap_and_the_motors_position_may_say_both() -> None:
     """The contacts yield by a fifth of the gap. With their stiffness held, a sixth off, everything
     was a sixth too small, and a torque gain of -17 % stood beside the gap.

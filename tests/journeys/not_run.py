@@ -13,6 +13,7 @@ DRAWING = "is a drawing"
 CLONE = "is of a clone, or takes half an hour: tests/whole/test_mutations.py, test_endurance.py"
 SYNTAX = "shows how a file or a message looks"
 EXPERIMENT = "takes up to a minute: tests/experiment/ makes each experiment"
+DEMO = "test_slim_install.py has it, of the pendulum, and this one as a long one"
 DIAGNOSIS = "docs/diagnosis.md types it, of CSV files"
 # (page, first line of the block or the command) -> why it is not run
 NOT_RUN: dict[tuple[str, str], str] = {
@@ -24,8 +25,8 @@ NOT_RUN: dict[tuple[str, str], str] = {
         "README.md", ".venv/bin/pip install eclipse-zenoh numpy msgpack msgspec cffi pyelftools",
     ): NETWORK,
     ("README.md", ".venv/bin/pip install --no-deps ."): NETWORK,
-    ("README.md", ".venv/bin/zendsp demo"): "test_slim_install.py runs it, the effect chosen",
-    ("README.md", "zendsp demo --effect ripple --seed 1"): "test_slim_install.py runs it",
+    ("README.md", ".venv/bin/zendsp demo"): DEMO,
+    ("README.md", "zendsp demo --effect ripple --seed 1"): DEMO,
     ("README.md", "pip install ."): NETWORK,
     (
         "docs/code_overview.md",
@@ -76,7 +77,7 @@ NOT_RUN: dict[tuple[str, str], str] = {
         "python benchmarks/tui.py --only terminal --soak 3700 --trace soak.csv",
     ): "takes an hour, of a clone",
     ("docs/machines_simulated.md", "zendsp demo --machine wam7 --seed 1"): (
-        "test_slim_install.py runs it where ZENDSP_JOURNEYS=all"
+        "test_slim_install.py runs it, as a long one"
     ),
     ("docs/models.md", "[mechanism]"): SYNTAX,
     ("docs/models.md", "zendsp target --machine arm.xml"): "tests/journeys/test_any_robot.py",

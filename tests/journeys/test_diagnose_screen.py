@@ -24,7 +24,7 @@ def test_a_csv_is_diagnosed_in_the_terminal_and_the_better_model_saved(
         screen.keys(b"run.csv\r")
         screen.until("run.csv")
         screen.until("bench.toml")  # the model that lies here is taken
-        screen.click("Start s")
+        screen.keys(b"s")
         screen.until("reading the recordings")
         screen.keys(b"\x03")
         screen.until("— cancelled —")

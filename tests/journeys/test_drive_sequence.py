@@ -156,6 +156,7 @@ def test_no_order_of_the_sequence_trips_a_shipped_program(
     assert said.returncode == 0, said.stdout + said.stderr
 
 
+@pytest.mark.long("every order on the fast clock above; tests/target keeps time on the real one")
 def test_nor_on_the_real_clock(installed: Installed) -> None:
     """All at once: they wait for the time to pass."""
     script = installed.write("orders.py", SCRIPT)

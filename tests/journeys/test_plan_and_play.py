@@ -46,7 +46,12 @@ sys.exit(bool(bad))
 """  # noqa: E501
 
 
-@pytest.mark.parametrize("machine", DEFAULT)
+SEVEN = pytest.mark.long("two machines play every default; test_drive_sequence.py moves this one")
+
+
+@pytest.mark.parametrize(
+    "machine", [pytest.param(m, marks=[SEVEN] if m == "wam7" else []) for m in DEFAULT]
+)
 def test_default_motions_do_not_trip_the_default_program(
     installed: Installed, machine: str
 ) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 from pathlib import Path
 
@@ -54,20 +53,21 @@ def slim(installed: Installed) -> Installed:
     return installed
 
 
-# Seven joints take a minute of two processors' work, where all journeys are asked for. CI has what
-# it is made of: a body that is found (tests/diagnosis/test_bodies.py, a sealed case of six joints),
-# and a payload that the running program takes up (tests/e2e/test_story.py).
-SEVEN_JOINTS = pytest.param(
-    "wam7",
-    "payload",
-    marks=pytest.mark.skipif(
-        os.environ.get("ZENDSP_JOURNEYS") != "all", reason="long: ZENDSP_JOURNEYS=all runs it"
-    ),
-)
+# More joints take up to a minute of two processors' work. CI has what they are made of: effects and
+# bodies that are found (tests/diagnosis, sealed cases of two and six joints), and what the running
+# program takes up (tests/e2e/test_story.py).
+MORE_JOINTS = pytest.mark.long("the pendulum tells the same story; the parts have quicker tests")
 
 
 @pytest.mark.timeout(500)
-@pytest.mark.parametrize(("machine", "effect"), [("imi_planar", "ripple"), SEVEN_JOINTS])
+@pytest.mark.parametrize(
+    ("machine", "effect"),
+    [
+        ("pendulum", "ripple"),
+        pytest.param("imi_planar", "ripple", marks=MORE_JOINTS),
+        pytest.param("wam7", "payload", marks=MORE_JOINTS),
+    ],
+)
 def test_the_demo_needs_no_extra(slim: Installed, machine: str, effect: str) -> None:
     words = ("--machine", machine, "--effect", effect, "--seed", "1", "--out", "demo", "--json")
     demo = slim.run("demo", *words, timeout=350.0)
