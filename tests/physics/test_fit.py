@@ -4,8 +4,10 @@ integrator.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from math import copysign, sin, tanh
+from typing import Any
 
 import numpy as np
 import pytest
@@ -128,6 +130,45 @@ def test_what_the_step_does_is_known_without_fitting_again(data: Data) -> None:
     assert large.any() and (np.sign(told) == np.sign(really))[large].all()
     certain = with_step_error(coarse, one, (1,))
     assert (certain.std >= np.abs(told)).all() and (certain.std >= one.std).all()
+
+
+@pytest.mark.parametrize(
+    ("begin", "added", "expected"),
+    [
+        (  # small and far off: what brings it there makes neutral position and stiffness one number
+            {"kind": "stiffness", "coefficient": 0.001, "neutral": -3.0},
+            lambda q: 0.08 * (q - 0.3),
+            {"coefficient": 0.08, "neutral": 0.3},
+        ),
+        (  # half a turn off, where a step along the phase alone leads nowhere
+            {"kind": "ripple", "order": 6.0, "amplitude": 0.002, "phase": -2.4},
+            lambda q: 0.02 * np.sin(6.0 * q + 0.6),
+            {"amplitude": 0.02, "phase": 0.6},
+        ),
+    ],
+)
+def test_few_steps_lead_to_a_spring_and_a_wave_from_far_off(
+    data: Data, begin: dict[str, object], added: Any, expected: dict[str, float]
+) -> None:
+    signals = []
+    for seed in (1, 2):
+        seen = recording(seed)  # moved as before by a command that also bears the added torque
+        signals.append(replace(seen, command=seen.command + added(seen.position)))
+    held = {k: {"value": v, "free": k != "order"} for k, v in begin.items() if k != "kind"}
+    term = {"kind": begin["kind"], "joint": 1, **held}
+    known = {"inertia": {"value": 0.0103}, "gravity": {"value": TRUE[3], "free": False}}
+    mechanism = {"kind": "rotary", "parameters": known}
+    model = parse_model({**MODEL, "mechanism": mechanism, "effect": [*MODEL["effect"], term]})
+    found = fit(
+        prepare(signals, model, 16.0),
+        model,
+        free_handles(model, offsets=False),
+        iterations=4,
+    )
+    for name, value in expected.items():
+        number = found.model.terms[-1].value(name)
+        number = math.remainder(number, 2 * math.pi) if name == "phase" else number
+        assert number == pytest.approx(value, rel=0.05), name
 
 
 def test_handles_read_and_write_the_same_numbers() -> None:

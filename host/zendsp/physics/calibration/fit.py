@@ -18,7 +18,14 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.physics.calibration.bounds import parameter_bounds
-from zendsp.physics.calibration.handles import Handle, free_handles, get_values, set_values
+from zendsp.physics.calibration.handles import (
+    Handle,
+    free_handles,
+    get_values,
+    pairs_of,
+    set_values,
+    straight,
+)
 from zendsp.physics.calibration.joint import JointRecord, facts
 from zendsp.physics.calibration.points import Points
 from zendsp.physics.calibration.predict import ran_away, run, run_many
@@ -261,6 +268,7 @@ class _Problem:
             ]
         )
         self.held = np.flatnonzero(self.prior)
+        self.pairs = pairs_of(model, handles)
         self.centre = get_values(model, handles)
         # arrays written to again and again: the system takes long to give new ones
         self._columns: dict[int, Array] = {}
@@ -343,7 +351,7 @@ class _Problem:
             if use.any():
                 a = normal[np.ix_(use, use)] + damping * np.diag(diagonal[use])
                 step[use] = -unit[use] * np.linalg.lstsq(a, gradient[use], rcond=1e-14)[0]
-            return np.clip(x + step, self.low, self.high)
+            return np.clip(straight(x, step, self.pairs), self.low, self.high)
 
         return lambda dampings: [way(damping) for damping in dampings]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -117,3 +118,38 @@ def set_values(model: Model, handles: Sequence[Handle], x: Array) -> Model:
         actuator=actuator,
         sensor=sensor,
     )
+
+
+def pairs_of(model: Model, handles: Sequence[Handle]) -> list[tuple[int, int, str]]:
+    """Which two numbers of a term make a torque together, by their places among the handles: a size
+    and a "phase", or a size and a "neutral" position.
+    """
+    place = {(h.index, h.key): i for i, h in enumerate(handles) if h.place == "term"}
+    found = []
+    for i, term in enumerate(model.terms):
+        effect = get_effect(term.effect)
+        size = effect.linear[0] if effect.linear else ""
+        for name, kind in (("phase", "phase"), ("angle", "phase"), ("neutral", "neutral")):
+            if (i, size) in place and (i, name) in place:
+                found.append((place[i, size], place[i, name], kind))
+    return found
+
+
+def straight(x: Array, step: Array, pairs: Sequence[tuple[int, int, str]]) -> Array:
+    """Where a step leads in the numbers that a torque is linear in: the sine and the cosine of a
+    wave, stiffness and torque of a spring.
+
+    In amplitude and phase, stiffness and neutral position the same way is bent, and a long step
+    leaves it.
+    """
+    moved = x + step
+    for size, other, kind in pairs:
+        if kind == "phase":
+            along, across = moved[size], x[size] * step[other]
+            moved[size] = np.hypot(along, across)
+            moved[other] = x[other] + np.arctan2(across, along)
+            if abs(moved[other]) > 2.0 * math.pi:
+                moved[other] = math.remainder(moved[other], 2.0 * math.pi)
+        elif moved[size] > 0.0:
+            moved[other] = x[other] + x[size] * step[other] / moved[size]
+    return moved
