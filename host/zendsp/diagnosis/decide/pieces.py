@@ -28,11 +28,14 @@ from zendsp.diagnosis.decide.thresholds import (
 )
 from zendsp.diagnosis.measure.curve import DRY, FRICTION
 from zendsp.diagnosis.measure.discrepancy import (
+    BANDS,
+    as_seen,
     at_reversals,
     beyond,
     difference,
     discrepancy,
     falls,
+    kept,
     mean_square,
 )
 from zendsp.diagnosis.measure.evidence import Evidence, compare
@@ -186,9 +189,28 @@ def piece_of(
     without = min(without, base, key=lambda scored: scored.deviance)
     held = compare(without, final, test, joint)
     size = difference(test, without.model, final.model, joint)
+    size *= _unseen(test, final.model, terms, joint)
     log_e = log_e_value(held, without, final, test, joint)
     lacks = _lacks(test, without.model, final.model, terms, size)
     return Piece(mechanism, terms, without, size, held, log_e, lacks)
+
+
+def _unseen(test: Data, model: Model, terms: Sequence[Term], joint: int) -> float:
+    """How many times larger the torque of some terms is than an observer sees it: waves along the
+    travel may pass faster than it follows. 1 where one of them is none.
+    """
+    effects = [get_effect(t.effect) for t in terms]
+    if not all("order" in e.names and e.site == "torque" for e in effects):
+        return 1.0
+    whole = seen = 0.0
+    for rec in test.records:
+        record = rec[joint - 1]
+        use = kept(record, BANDS[0])
+        torque = trace(record, model, tuple(terms), 0.0)
+        as_it_is = as_seen(record, model, BANDS[0], torque[None])[0]
+        whole += float(np.sum(torque[use] ** 2))
+        seen += float(np.sum(as_it_is[use] ** 2))
+    return max(1.0, math.sqrt(whole / seen)) if seen > 0.0 else 1.0
 
 
 def _lacks(test: Data, without: Model, final: Model, terms: Sequence[Term], size: float) -> bool:
