@@ -279,9 +279,11 @@ def held_apart(
         if piece.mechanism not in kind_of(DRY):
             beside += _rubbing(parts, search, final, piece)
         larger = max(larger, torque_of(parts.test, beside, final.model, joint))
-        # an error of a larger law is not taken up whole by the law of something else, nor with time
+        # an error of a larger law is not taken up whole by the law of something else, nor with
+        # time; what stays then depends on the variables of both, where it is friction
         timed = all(get_effect(e).over == "time" for e in piece.effects)
-        own = timed or (unknown <= may_leave(piece) and not second)
+        whole = left if piece.mechanism in FRICTION else unknown
+        own = timed or (whole <= may_leave(piece) and not second)
         error = 0.0 if own else LAW_ERROR * larger
         least = max(*map(finest, piece.effects), part, math.hypot(left, error))
         (claimed if sure(parts.test, piece) and piece.size > least else rest).append(piece)
