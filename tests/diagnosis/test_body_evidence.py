@@ -234,6 +234,25 @@ def test_a_centre_of_mass_is_wrong_alone_where_the_mass_may_be_right(
     assert found is (both if kept else centre)
 
 
+@pytest.mark.parametrize(("blur", "own"), [(0.08, True), (0.004, False)])
+def test_a_payload_that_may_sit_at_its_links_centre_is_that_links_mass(
+    blur: float, own: bool
+) -> None:
+    """A link 10 % heavier was a payload 5 cm from the link's centre, known to 8 cm."""
+    payload = explained(1, "mass", "com_x", "com_z", cost=COST["payload"], behind=0.0)
+    payload = replace(
+        payload,
+        hypothesis=replace(payload.hypothesis, effect="payload"),
+        values=np.array([0.23, 0.25, 0.006]),
+        std=np.array([0.03, blur, 0.005]),
+    )
+    heavier = explained(1, "mass", cost=COST["body"] + 1, behind=0.9)
+    centre = np.array([0.2, -0.01, 0.0])  # nobody feels where it lies along y
+    link: Any = SimpleNamespace(bodies=[SimpleNamespace(mass=2.3, com=centre)])
+    found = own_mass(payload, [payload, heavier], link, LIMITS)
+    assert found is (heavier if own else payload)
+
+
 def test_not_all_actuators_give_a_third_less_at_once() -> None:
     """A payload in the plane, of three fifths of what its link turns, was a gain of both joints."""
     solver: Any = SimpleNamespace(

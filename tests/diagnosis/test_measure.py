@@ -18,7 +18,11 @@ from zendsp.diagnosis.data.prepare import one_sensor, prepare
 from zendsp.diagnosis.data.signals import Parts, Signals
 from zendsp.diagnosis.decide import clocks
 from zendsp.diagnosis.decide import decide as decision
-from zendsp.diagnosis.decide.assemble import beside_given_gravity, with_disagreement
+from zendsp.diagnosis.decide.assemble import (
+    beside_given_gravity,
+    with_disagreement,
+    with_slower_observer,
+)
 from zendsp.diagnosis.decide.clocks import apart_in_time
 from zendsp.diagnosis.decide.thresholds import BY_CHANCE, LAWFUL, OF_STATE, SURE, TOLERANCE
 from zendsp.diagnosis.measure import discrepancy as measure_discrepancy
@@ -273,6 +277,20 @@ def test_numbers_on_which_other_recordings_disagree_are_less_certain() -> None:
     )
     assert agreed < 2.0 * fitted.std[at]
     assert apart == pytest.approx(0.003 / np.sqrt(2), rel=0.1)
+
+
+@pytest.mark.parametrize("soft", [False, True])
+def test_numbers_that_a_slower_observer_has_otherwise_are_less_certain(soft: bool) -> None:
+    """A load behind a spring rings where the model has none: which inertia that makes depends on
+    the observer, and its blocks do not show it.
+    """
+    machine = reality.Machine(soft=20.0, load=0.005) if soft else reality.Machine()
+    model = model_of(VISCOUS, COULOMB)
+    columns = reality.simulate(machine, reality.multisine(8.0, RATE, 3), RATE, 1)
+    data = data_of(columns, model).at_bandwidth(1, 32.0)
+    fitted = fit(data, model, joint_handles(data, model, 1), joints=(1,))
+    wider = with_slower_observer(data, fitted, 1, 1)
+    assert (float(np.max(wider.std / fitted.std)) > 3.0) is soft
 
 
 def test_a_recording_in_which_the_joint_hardly_moves_has_the_noise_of_the_sensor() -> None:

@@ -169,9 +169,14 @@ def _beneath(
     measured = measured_transmissions(parts, bodies.model, jobs)
     known = tuple(t for m in measured for t in m.terms)
     beneath, bare = bodies.model.with_terms((*bodies.model.terms, *known)), parts
-    explained = explain(with_bodies(bare, beneath), given, beneath, jobs, tell)
-    bare, explained = with_their_links(measured_motion, bare, given, beneath, explained, jobs, tell)
-    parts, decisions = with_bodies(bare, beneath), explained[1]
+    parts = with_bodies(bare, beneath)
+    explained = explain(parts, given, beneath, jobs, tell)
+    linked, explained = with_their_links(
+        measured_motion, bare, given, beneath, explained, jobs, tell
+    )
+    if linked is not bare:
+        bare, parts = linked, with_bodies(linked, beneath)
+    decisions = explained[1]
     claims = decide_bodies(parts, bodies, decisions, jobs)
     if len(claims) < len(bodies.found):  # what is no body has to be explained at the joints
         beneath = given.with_terms((*given.terms, *(c.found.term for c in claims), *known))

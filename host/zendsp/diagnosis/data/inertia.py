@@ -59,11 +59,7 @@ def inertia_ranges(
         given = (
             mechanism_value(model, key, joint) if own_mechanism else added_inertia(model, joint)
         )
-        around = [
-            _around(*_estimate(own, model, window, coupled=coupled))
-            for coupled in (True, False)
-            for window in WINDOWS
-        ]
+        around = [_around(*found) for window in WINDOWS for found in _estimates(own, model, window)]
         # of bodies without a rotor any of them is better than none
         if around[0] or (not own_mechanism and not given and any(around)):
             lows, highs = zip(*filter(None, around), strict=True)
@@ -86,16 +82,20 @@ def _around(value: float, t: float) -> tuple[float, float] | None:
     return value / spread, value * spread
 
 
-def _estimate(
-    records: list[JointRecord], model: Model, window: float, *, coupled: bool
-) -> tuple[float, float]:
-    """The inertia, and its ratio to its standard deviation."""
-    rows, targets = [], []
-    for rec in records:
-        a, y = _system(rec, model, window, coupled)
-        rows.append(a)
-        targets.append(y)
-    a, y = np.concatenate(rows), np.concatenate(targets)
+def _estimates(
+    records: list[JointRecord], model: Model, window: float
+) -> list[tuple[float, float]]:
+    """The inertia, and its ratio to its standard deviation; with the columns of the other joints,
+    and without them.
+    """
+    systems = [_system(record, model, window) for record in records]
+    a, y = (np.concatenate(parts) for parts in zip(*systems, strict=True))
+    others = len(records[0].others) - 1 if model.kind in TREES else 0
+    return [_estimate(a[:, :count], y) for count in (a.shape[1], a.shape[1] - 3 * others)]
+
+
+def _estimate(a: Array, y: Array) -> tuple[float, float]:
+    """The first number of a regression, and its ratio to its standard deviation."""
     if len(y) < LEAST_ROWS:
         return 0.0, 0.0
     scale = np.linalg.norm(a, axis=0)
@@ -110,7 +110,8 @@ def _estimate(
     return float(theta[0] / scale[0]), float(theta[0] / max(np.sqrt(max(spread, 0.0)), 1e-300))
 
 
-def _system(rec: JointRecord, model: Model, window: float, coupled: bool) -> tuple[Array, Array]:
+def _system(rec: JointRecord, model: Model, window: float) -> tuple[Array, Array]:
+    """Columns, those of the other joints last, and the torque that they explain."""
     width = max(3, round(window / rec.sample_time))
 
     def low(v: Array) -> Array:
@@ -144,7 +145,7 @@ def _system(rec: JointRecord, model: Model, window: float, coupled: bool) -> tup
     ]
     if model.kind == "rotary":
         columns += [np.sin(q), np.cos(q)]
-    for other in range(rec.others.shape[0] if coupled else 0):
+    for other in range(rec.others.shape[0]):
         if other + 1 != rec.joint and model.kind in TREES:
             _, vd, vdd = rec.others[other]
             columns += [vd, vdd, np.tanh((qd + vd) / slow)]

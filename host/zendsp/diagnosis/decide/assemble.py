@@ -126,6 +126,20 @@ def with_disagreement(
     return replace(fitted, covariance=fitted.covariance + np.diag(beyond))
 
 
+def with_slower_observer(data: Data, fitted: Fit, joint: int, jobs: int) -> Fit:
+    """The fit with what an observer half as fast says otherwise in its covariance: the square by
+    which its numbers differ beyond what both are uncertain by (Hausman 1978). Any observer finds
+    the numbers of a right model; how fast one swings that nobody sees, behind the counts of a
+    coarse sensor, each tells in another way.
+    """
+    slow = data.at_bandwidth(joint, 0.5 * data.bandwidth[joint - 1])
+    other = fit(
+        slow, fitted.model, fitted.handles, joints=(joint,), jobs=jobs, start=fitted.x, iterations=6
+    )
+    apart = (other.x - fitted.x) ** 2 - fitted.std**2 - other.std**2
+    return replace(fitted, covariance=fitted.covariance + np.diag(np.maximum(apart, 0.0)))
+
+
 def beside_given_gravity(given: Model, joint: int, fitted: Fit) -> Fit:
     """A gravity found beside the model's own as one that acts beside the given number, which is
     known to TOLERANCE: G sin q + A sin(q - φ) is the same torque for any G, with another A and φ.
@@ -172,6 +186,10 @@ def assemble(parts: Parts, given: Model, searches: Sequence[Decision], jobs: int
             for s in searches
             if s.claims
         }
+        for s in searches:
+            if any(c.is_transmission for c in s.claims):
+                told = agreed[s.joint]
+                agreed[s.joint] = with_slower_observer(s.final.data, told, s.joint, jobs)
         agreed = {**certain, **agreed}
         for s in searches:
             if given.mechanism.get("gravity") and any(c.effect == "gravity" for c in s.claims):

@@ -156,6 +156,9 @@ def find_bodies(
         best = refined(
             fit, choose, layout, own_mass(best, tried, links, limits), limits, jobs, aside
         )
+        own = own_mass(best, [e for e in tried if tied(e, tried[0], limits)], links, limits)
+        if own is not best:  # what is known of its place is known by now
+            best = refined(fit, choose, layout, own, limits, jobs, aside)
         # what recordings do not agree on is no body, and hides those that are
         if weight_of(choose, layout, best) < limits.least or unsure(best, limits):
             break
@@ -227,8 +230,8 @@ def _round(
 def own_mass(
     best: Explained, tried: Sequence[Explained], links: Links, limits: BodyLimits
 ) -> Explained:
-    """The wrong mass of a link in place of a body that sits at its centre of mass, and its wrong
-    centre in place of both where the mass may be right.
+    """The wrong mass of a link in place of a body that sits at its centre of mass, as far as its
+    place is known, and its wrong centre in place of both where the mass may be right.
     """
     h = best.hypothesis
     if "mass" not in h.free or h.free == ("mass",):
@@ -239,8 +242,13 @@ def own_mass(
     body = links.bodies[h.joint - 1]
     known = dict(zip(h.free, best.values.tolist(), strict=True))
     mass, com = known["mass"], np.array([known.get(key, 0.0) for key in COM])
-    away = com - body.com if h.effect == "payload" else com * (body.mass + mass) / (mass or 1e-12)
-    if abs(mass) > limits.own_mass * body.mass or float(np.linalg.norm(away)) > limits.same:
+    moment = (body.mass + mass) / (mass or 1e-12)
+    away = com - body.com if h.effect == "payload" else com * moment
+    spread = dict(zip(h.free, best.std.tolist(), strict=True))
+    blur = np.array([spread.get(key, np.inf) for key in COM])
+    blur *= 1.0 if h.effect == "payload" else abs(moment)
+    there = float(np.linalg.norm(away)) <= limits.same or np.all(np.abs(away) < limits.shown * blur)
+    if abs(mass) > limits.own_mass * body.mass or not there:
         return best
     plain = [
         e

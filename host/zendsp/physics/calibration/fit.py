@@ -41,6 +41,9 @@ T = TypeVar("T")
 # own
 TOO_FAR = 3.0
 TRIES = 8  # ever shorter steps before a fit ends
+# of the tolerance: what a step has to promise, to first order, to be tried; of a look, and of a fit
+# whose numbers are stated
+WORTH_A_STEP = 0.1, 1e-3
 FEW_BLOCKS = 20  # as many blocks as the classical variance counts for
 BLOCK_S = 0.25
 UNKNOWN = 1e30  # variance of a number of which nothing is known
@@ -275,7 +278,8 @@ class _Problem:
         self._spare: list[Array] = []
         # impacts make the cost rough on a fine scale: differences over a tenth of a percent look
         # past it
-        self.coarse = 2e-3 if any(get_effect(t.effect).rough for t in model.terms) else 1e-4
+        self.rough = any(get_effect(t.effect).rough for t in model.terms)
+        self.coarse = 2e-3 if self.rough else 1e-4
 
     def evaluate(self, points: Sequence[Array]) -> Array:
         """Residuals at some points, the prior's included, (N, points); to be copied, since the next
@@ -337,8 +341,12 @@ class _Problem:
         out /= widths
         return base, out
 
-    def ways(self, x: Array, r: Array, jac: Array) -> Callable[[Sequence[float]], list[Array]]:
-        """Where Levenberg-Marquardt goes from a point, by its damping."""
+    def ways(
+        self, x: Array, r: Array, jac: Array
+    ) -> tuple[Callable[[Sequence[float]], list[Array]], float]:
+        """Where Levenberg-Marquardt goes from a point, by its damping; and by how much the cost
+        would fall without any, were the residual linear.
+        """
         # of each number: a gap in mm and a stiffness in MN/m meet in one matrix
         unit = np.maximum(np.abs(x), self.size)
         gradient, normal = unit * (jac.T @ r), unit[:, None] * (jac.T @ jac) * unit
@@ -346,24 +354,31 @@ class _Problem:
         diagonal = np.maximum(np.diag(normal), least)
         use = ~(((x <= self.low) & (gradient > 0)) | ((x >= self.high) & (gradient < 0)))
 
-        def way(damping: float) -> Array:
-            step = np.zeros_like(x)
+        def step(damping: float) -> Array:
+            out = np.zeros_like(x)
             if use.any():
                 a = normal[np.ix_(use, use)] + damping * np.diag(diagonal[use])
-                step[use] = -unit[use] * np.linalg.lstsq(a, gradient[use], rcond=1e-14)[0]
-            return np.clip(straight(x, step, self.pairs), self.low, self.high)
+                out[use] = -np.linalg.lstsq(a, gradient[use], rcond=1e-14)[0]
+            return out
 
-        return lambda dampings: [way(damping) for damping in dampings]
+        def ways(dampings: Sequence[float]) -> list[Array]:
+            bent = (straight(x, unit * step(d), self.pairs) for d in dampings)
+            return [np.clip(way, self.low, self.high) for way in bent]
+
+        return ways, -float(gradient @ step(0.0))
 
     def better(
-        self, x: Array, r: Array, jac: Array, damping: float, last: bool
+        self, x: Array, r: Array, jac: Array, damping: float, last: bool, least: float
     ) -> tuple[float, Array, Array, Array | None] | None:
         """A point whose cost is smaller: damping, point, residual, and its Jacobian where that came
-        with it, as it does but for the ``last`` step. None where no step helps.
+        with it, as it does but for the ``last`` step. None where no step helps, or none promises
+        so much as the ``least`` part of the cost.
         """
         cost = float(r @ r)
         shorter = [max(damping, 1e-6 / 6.0) * 6.0**i for i in range(1, TRIES)]
-        ways = self.ways(x, r, jac)
+        ways, promised = self.ways(x, r, jac)
+        if promised < least * cost and not self.rough:
+            return None
         for dampings in ([damping], shorter):  # then shorter steps, all of them at once
             trials = ways(dampings)
             slope: Array | None = None
@@ -386,9 +401,10 @@ class _Problem:
         x = np.clip(x, self.low, self.high)
         r, jac = self.jacobian(x)
         cost, damping, done, count = float(r @ r), 1e-3, not len(x), 0
+        least = WORTH_A_STEP[0 if brief else 1] * tolerance
         while not done and count < iterations:
             count += 1
-            better = self.better(x, r, jac, damping, brief and count == iterations)
+            better = self.better(x, r, jac, damping, brief and count == iterations, least)
             if not better:
                 done = True
                 break

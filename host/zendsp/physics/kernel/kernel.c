@@ -126,7 +126,7 @@ INLINE double sine(double x)
 }
 #define sin(x) sine(x)
 #define cos(x) sine((x) + 1.5707963267948966)
-INLINE double sgn(double x) { return (x > 0) - (x < 0); }
+INLINE double sgn(double x) { return x > 0 ? 1.0 : x < 0 ? -1.0 : 0.0; }
 /* v beyond lim >= 0: of one lane by a branch, which is foreseen, of many by a minimum and a maximum,
  * for which nothing waits as long as for a choice */
 INLINE double soft_1(double v, double lim)
@@ -175,6 +175,8 @@ enum { CREEP_STEPS = 3 };
  * lanes have run away. */
 enum { BLOCK = 16 };
 
+/* What is true of a lane is a _Bool: an int is half as wide as a double, so that vectors would be
+ * halved. */
 #define EACH _Pragma("omp simd") for (int l = 0; l < LANES; l++)
 
 #define LANES 1

@@ -31,6 +31,9 @@ FAST = (
     "-ffp-contract=fast", "-shared", "-fPIC",
     # nothing that an effect needs is worked out where no model has the effect
     "-fno-tree-loop-im",
+    # lanes are copied as they are worked with: a copy by memcpy is written in other pieces than it
+    # is read, and what reads it waits until all of them have reached the cache
+    "-fno-tree-loop-distribute-patterns",
 )  # fmt: skip
 # all lanes in one register, where there is one so wide
 WIDE = ("-mprefer-vector-width=512",) if platform.machine() == "x86_64" else ()

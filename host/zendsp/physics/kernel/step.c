@@ -49,7 +49,7 @@ INLINE void OF(drive)(const OF(task) *O, OF(motion) *X, double tl, int first)
         const double end = tl + h - N->delay[l], next = cum(M, end, O->per_T),
                      edge = floor(clip(end * O->per_T, M->n - 1.0)), /* where the command changes */
                      until = edge * M->T - (end - h);
-        const int within = (until > 0) & (until < h) & (edge >= 0);
+        const _Bool within = (until > 0) & (until < h) & (edge >= 0);
         const double then = M->ucum[within ? (int)edge : 0] - X->past[l];
         X->u[l] = (next - X->past[l]) * O->per_h;
         X->early[l] = within ? 0.5 * N->gain[l] * (h * then - until * (next - X->past[l])) : 0.0;
@@ -111,7 +111,7 @@ INLINE void OF(stretch)(const OF(task) *O, OF(motion) *X)
                moved = h * dv;
         double e0 = OF(soft)(d, 0.5 * gap), e1 = OF(soft)(d + moved, 0.5 * gap),
                g = 0.5 * (e0 + e1); /* mean deflection */
-        int moves = fabs(moved) > 1e-12 * gap;
+        _Bool moves = fabs(moved) > 1e-12 * gap;
         double per = 1.0 / (moves ? moved : 1.0),
                on = moves ? (e1 - e0) * per : e0 != 0.0 ? 1.0 : 0.0; /* part of it in contact */
         on = gap > 0 ? on : 1.0;
@@ -185,7 +185,7 @@ INLINE void OF(creep)(const OF(task) *O, const OF(motion) *X, const OF(lane) *le
 {
     EACH {
         double most = O->h * (*level)[l] * X->per_jm[l], slow = O->N->creep[l];
-        int on = (slow > 0) & (most > 0);
+        _Bool on = (slow > 0) & (most > 0);
         double per = 1.0 / (on ? slow : 1.0), f = (*vfree)[l] * per, a = most * per,
                u = fabs(f) < a + 1 ? f / (a + 1) : (*vn)[l] * per;
         for (int turn = 0; turn < CREEP_STEPS; turn++) {
@@ -205,10 +205,10 @@ INLINE void OF(bristle)(const OF(task) *O, OF(motion) *X, const OF(lane) *level,
     const OF(numbers) *N = O->N;
     const double h = O->h, per_h = O->per_h;
     EACH {
-        const int on = (N->s0[l] > 0) & ((*level)[l] > 0);
+        const _Bool on = (N->s0[l] > 0) & ((*level)[l] > 0);
         const double s0 = N->s0[l], s1 = N->s1[l], w = h * X->per_jm[l], v = X->qd[l],
                      x = h * s0 * fabs(O->S->qd[l]) / (on ? (*level)[l] : 1.0);
-        const int few = x < 0.01; /* or else a difference of equals */
+        const _Bool few = x < 0.01; /* or else a difference of equals */
         const double y = few ? 1.0 : x, third = 1.0 / 3 - x * (1.0 / 12 - x / 60),
                      part = few ? 1 - 0.5 * x * (1 - x * third) : (1 - exp(-x)) / y,
                      stays = 1 - x * part, bent = h * (few ? 0.5 * (1 - x * third) : (1 - part) / y),
@@ -228,7 +228,7 @@ INLINE void OF(bristle)(const OF(task) *O, OF(motion) *X, const OF(lane) *level,
 INLINE void OF(slide)(const OF(task) *O, OF(motion) *X, const OF(lane) *f, const OF(lane) *scale)
 {
     const double h = O->h;
-    const int soft = O->hidden && (O->N->creeps || O->N->bristled); /* of each lane or of none */
+    const _Bool soft = O->hidden && (O->N->creeps || O->N->bristled); /* of each lane or of none */
     OF(lane) free, vfree, along, level, vn, way;
     EACH free[l] = X->push[l] - (*f)[l];
     if (O->hidden && O->N->bent) OF(remember)(O, X, &free);
@@ -241,7 +241,7 @@ INLINE void OF(slide)(const OF(task) *O, OF(motion) *X, const OF(lane) *f, const
         level[l] = level[l] > 0 ? level[l] : 0.0;
         const double a = free[l] * X->per_jm[l], b = level[l] * X->per_jm[l], v = X->qd[l];
         const double to = v + h * (a - b * sgn(v)); /* where it would get without a stand */
-        const int turns = soft ? 0 : v * to <= 0;
+        const _Bool turns = !soft & (v * to <= 0);
         const double stood = turns & (v != 0) ? h * v / (v - to) : 0.0, left = h - stood;
         vn[l] = turns ? left * OF(soft)(a, b) : OF(soft)(vfree[l], h * b);
         way[l] = turns ? 0.5 * (stood * v + left * vn[l]) : 0.5 * h * (v + vn[l]);
