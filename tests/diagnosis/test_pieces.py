@@ -9,15 +9,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+import reality
+from small_models import VISCOUS, data_of, model_of
 
 from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide import notes, patchwork, pieces
 from zendsp.diagnosis.decide.claims import Claim, Decision, Known, Piece
 from zendsp.diagnosis.decide.notes import _likelier, left_over
-from zendsp.diagnosis.measure.discrepancy import Size
+from zendsp.diagnosis.measure.discrepancy import Size, difference
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.structure import Structure
-from zendsp.physics.effects import mechanism_of
+from zendsp.physics.calibration.terms import make_term
+from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.model import Model, Quantity, Term
 
 PARTS: Any = SimpleNamespace(fit="fit", choose="choose", test=SimpleNamespace(joints=1), each=())
@@ -170,6 +173,45 @@ def test_how_given_dry_friction_turns_round_is_no_finding_within_what_its_law_ma
     loop = piece(size, 5.0, 50.0, effect)
     claimed, _ = held_apart(loop, left=Size(0.0005, 0.0, 0.01), beside=[Term("coulomb", 1, {})])
     assert claimed == ([loop] if claims else [])
+
+
+def test_a_law_of_friction_that_leaves_nothing_over_the_speed_is_no_error_of_another(
+    monkeypatch: pytest.MonkeyPatch, held_apart: Held
+) -> None:
+    """A Stribeck curve of 0.4 % beside Coulomb friction of 20 %, whose law is good to 3 % of that,
+    where 0.1 % of the torque stays that depends on nothing, or on the speed.
+    """
+    monkeypatch.setattr(pieces, "torque_of", lambda *_: 0.2)
+    monkeypatch.setattr(pieces, "at_reversals", lambda *_: 0.0)
+    curve = piece(0.004, 5.0, 50.0, "stribeck")
+    for over_speed, claims in ((0.0, True), (0.001, False)):
+        claimed, _ = held_apart(
+            curve,
+            left=Size(0.001, 0.0, 0.002),
+            structure=Structure(over_speed, 0.5, 1.0),
+            beside=[Term("coulomb", 1, {})],
+        )
+        assert claimed == ([curve] if claims else [])
+
+
+def test_a_wave_that_passes_faster_than_an_observer_follows_has_its_whole_torque() -> None:
+    """Of 0.01 N m RMS, 200 times a turn and twice."""
+    model = model_of(VISCOUS, rate=reality.FAST)
+    motion = 1.5 * np.sin(2.0 * np.pi * np.arange(round(6.0 * reality.FAST)) / reality.FAST)
+    run = reality.simulate(reality.Machine(coulomb=0.0), motion, reality.FAST)
+    data = data_of(run, model, reality.FAST)
+    seen, whole = [], []
+    for order in (200.0, 2.0):
+        wave = make_term(
+            get_effect("ripple"), 1, {"order": order, "amplitude": 0.014142, "phase": 0.3}
+        )
+        whole.append(pieces._unseen(data, model, (wave,), 1))
+        with_it = model.with_terms((*model.terms, wave))
+        seen.append(difference(data, model, with_it, 1) * pieces.rms_torque(data, 1))
+    assert seen[0] < 0.004 and whole[0] * seen[0] == pytest.approx(0.01, rel=0.15)
+    assert whole[1] == pytest.approx(1.0, abs=0.1)
+    friction = make_term(get_effect("coulomb"), 1, {"level": 0.01})
+    assert pieces._unseen(data, model, (friction,), 1) == 1.0
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ from zendsp.diagnosis import diagnose
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.split import split
 from zendsp.diagnosis.decide import decide
-from zendsp.diagnosis.decide.contract import dark
+from zendsp.diagnosis.decide.contract import contradicted, dark
 from zendsp.diagnosis.decide.result import Detectable, Estimate, Finding, number
 from zendsp.diagnosis.measure.curve import Axis, samples_of
 from zendsp.diagnosis.measure.where import Missing
@@ -361,6 +361,22 @@ def test_recordings_that_show_nothing_are_not_called_a_complete_model() -> None:
     assert verdict_sentence("complete", [], (1, 2)) == (
         "Cannot tell: nothing is seen to be missing, but these recordings show next to nothing of"
         " joints 1 and 2."
+    )
+
+
+def test_what_only_the_recordings_of_the_fit_say_is_not_called_complete() -> None:
+    tried = [
+        ("backlash", 1, "is not what is missing, on the recordings held out", 5925.0),
+        ("ripple", 1, "too small to be told: 0.02 % of the torque", 900.0),
+        ("ripple", 2, "too small to be told: 0.02 % of the torque", 9000.0),
+        ("delay", 3, "is not what is missing, on the recordings held out", 626.0),
+        ("delay", 4, "does not explain the mismatch", None),
+    ]
+    assert contradicted("missing", tried) == ()
+    assert (doubted := contradicted("complete", tried)) == (("backlash", 1),)
+    assert verdict_sentence("complete", [], doubted=doubted) == (
+        "Cannot tell: the recordings of the fit are by far likelier with backlash at joint 1, and"
+        " the untouched ones do not show it. Hold out motion as fast as theirs."
     )
 
 

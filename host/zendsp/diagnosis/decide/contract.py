@@ -12,6 +12,11 @@ from typing import Any, Literal, NotRequired, TypedDict
 # campaign were off by as much (seed 229); and of a joint's torque: less is not worth a sentence
 BEYOND, LEAST_NAMELESS = 2.0, 1e-3
 
+# log-likelihood; of 55 complete models of an examiner the most was 626, of a hardly moving one; a
+# joint that was 5 ms late in a motion that its held-out recording has not, 10368
+FAR_LIKELIER = 1000.0
+TOO_SMALL = "too small to be told"  # of what is surely there, and less than a finding has
+
 # mechanisms as a person calls them
 WORDS = {
     "dry_friction": "dry friction",
@@ -162,6 +167,30 @@ def nameless(
     if error is None or floor is None or not error > BEYOND * floor:
         return ()
     return tuple((joint, share) for joint, share in left if share and share > LEAST_NAMELESS)
+
+
+def contradicted(
+    verdict: Verdict, rejected: Iterable[tuple[str, int, str, float | None]]
+) -> tuple[tuple[str, int], ...]:
+    """Effects and joints by which the recordings of the fit say that something is missing where the
+    untouched ones do not: their motion may not show it.
+
+    Parameters
+    ----------
+    rejected : iterable of (effect, joint, why, score)
+        Of ``rejected``.
+    """
+    if verdict != "complete":
+        return ()
+    likeliest: dict[int, tuple[float, str, str]] = {}
+    for effect, joint, why, score in rejected:
+        one = (score or 0.0, effect, why)
+        likeliest[joint] = max(one, likeliest.get(joint, one))
+    return tuple(
+        (effect, joint)
+        for joint, (score, effect, why) in sorted(likeliest.items())
+        if score > FAR_LIKELIER and not why.startswith(TOO_SMALL)
+    )
 
 
 def dark(left: Iterable[tuple[int, Sequence[float]]]) -> tuple[int, ...]:

@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Decision, Piece
+from zendsp.diagnosis.decide.contract import TOO_SMALL
 from zendsp.diagnosis.decide.findings import new_terms, percent
 from zendsp.diagnosis.decide.laws import believed, named
 from zendsp.diagnosis.decide.nameless import only_mechanism
@@ -41,7 +42,7 @@ from zendsp.diagnosis.decide.pushes import (
     pushed,
     pushed_beside,
 )
-from zendsp.diagnosis.decide.result import TOO_SMALL, not_likelier
+from zendsp.diagnosis.decide.result import not_likelier
 from zendsp.diagnosis.decide.thresholds import (
     AMISS,
     BEYOND_SENSOR,

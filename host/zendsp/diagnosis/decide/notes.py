@@ -9,9 +9,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from zendsp.diagnosis.decide.claims import Decision
-from zendsp.diagnosis.decide.contract import spans, two_digits
+from zendsp.diagnosis.decide.contract import contradicted, spans, two_digits
 from zendsp.diagnosis.decide.findings import percent
-from zendsp.diagnosis.decide.result import TOO_SMALL, Errors
+from zendsp.diagnosis.decide.result import Errors
 from zendsp.diagnosis.decide.thresholds import AMISS, LAWFUL, OF_STATE
 from zendsp.diagnosis.measure.where import units
 from zendsp.physics.calibration.fit import Data
@@ -23,9 +23,6 @@ MADE_WORSE = 1.5
 # of a travel: a joint that goes less of it back goes one way; and s of motion below which a
 # recording is short (what no law follows is told, so that a user knows what else to do)
 ONE_WAY, SHORT = 0.05, 5.0
-# log-likelihood; of 55 complete models of an examiner the most was 626, of a hardly moving one; a
-# joint that was 5 ms late in a motion that its held-out recording has not, 10368
-FAR_LIKELIER = 1000.0
 SLOW_ROWS = 0.004  # s: loops are seldom slower
 
 
@@ -41,13 +38,17 @@ def notes_of(decisions: Sequence[Decision], given: Model) -> list[str]:
 
 def _likelier(decisions: Sequence[Decision]) -> list[str]:
     """Where nothing is missing on untouched recordings, and those of the fit say otherwise."""
-    best = [(d, max(d.lost, key=lambda tried: tried[2])) for d in decisions if d.lost]
+    lost = [
+        (effect, d.joint, why, score)
+        for d in decisions
+        if d.kind == "complete"
+        for effect, why, score in d.lost
+    ]
     return [
-        f"joint {d.joint}: the recordings of the fit are by far likelier with {effect}, and the"
+        f"joint {joint}: the recordings of the fit are by far likelier with {effect}, and the"
         " untouched ones do not say so: hold out motion as fast as theirs, or look for what is"
         " wrong with them alone"
-        for d, (effect, why, score) in best
-        if d.kind == "complete" and score > FAR_LIKELIER and not why.startswith(TOO_SMALL)
+        for effect, joint in contradicted("complete", lost)
     ]
 
 

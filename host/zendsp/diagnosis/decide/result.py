@@ -130,9 +130,6 @@ class Rejected:
     score: float
 
 
-TOO_SMALL = "too small to be told"  # of what is surely there, and less than a finding has
-
-
 def not_likelier(gain: float, least: float) -> str:
     """Why an effect is not claimed that makes a model by less than ``least`` more likely: both are
     log-likelihoods, its price taken off.

@@ -6,7 +6,15 @@ import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from zendsp.diagnosis.decide.contract import WORDS, dark, listed, nameless, spans, two_digits
+from zendsp.diagnosis.decide.contract import (
+    WORDS,
+    contradicted,
+    dark,
+    listed,
+    nameless,
+    spans,
+    two_digits,
+)
 from zendsp_protocol.texts import counted
 
 if TYPE_CHECKING:
@@ -57,8 +65,9 @@ def headline(d: Diagnosis) -> str:
     unseen = dark((x.joint, x.interval) for x in d.discrepancy)
     table = d.test or d.heldout
     left = nameless(((x.joint, x.share) for x in d.discrepancy), table.improved, d.noise_floor)
-    text = verdict_sentence(d.verdict, found, unseen, left)
-    if d.verdict == "complete" and not unseen and table.given > OFF * table.calibrated:
+    doubted = contradicted(d.verdict, ((r.effect, r.joint, r.why, r.score) for r in d.rejected))
+    text = verdict_sentence(d.verdict, found, unseen, left, doubted)
+    if d.verdict == "complete" and not (unseen or doubted) and table.given > OFF * table.calibrated:
         times = two_digits(table.given / table.calibrated)
         text += f" The given numbers were off: calibrated, it errs {times} times less (notes)."
     return text
@@ -69,6 +78,7 @@ def verdict_sentence(
     found: Sequence[tuple[str, Sequence[str], int]],
     unseen: Sequence[int] = (),
     left: Sequence[tuple[int, float]] = (),
+    doubted: Sequence[tuple[str, int]] = (),
 ) -> str:
     """The verdict in one sentence, or two.
 
@@ -80,6 +90,8 @@ def verdict_sentence(
         Joints of which the recordings show nothing, see ``dark``.
     left : sequence of (joint, share)
         What of a joint's torque a complete model leaves, see ``nameless``.
+    doubted : sequence of (effect, joint)
+        What only the recordings of the fit say, see ``contradicted``.
 
     Examples
     --------
@@ -92,11 +104,19 @@ def verdict_sentence(
     'Other than the model says: a mass or an inertia (payload) at joint 2.'
     >>> verdict_sentence("complete", [], left=[(1, 0.015)]).rpartition(" and ")[2]
     'has no name: 1.5 % of the torque of joint 1.'
+    >>> verdict_sentence("complete", [], doubted=[("backlash", 1)])[:73]
+    'Cannot tell: the recordings of the fit are by far likelier with backlash '
     """
     if verdict == "complete" and unseen:
         return (
             "Cannot tell: nothing is seen to be missing, but these recordings show next to nothing"
             f" of {listed(unseen)}."
+        )
+    if doubted:
+        what = " and ".join(f"{effect} at joint {joint}" for effect, joint in doubted)
+        return (
+            f"Cannot tell: the recordings of the fit are by far likelier with {what}, and the"
+            " untouched ones do not show it. Hold out motion as fast as theirs."
         )
     if verdict == "complete" and left:
         shares = " and ".join(f"{percent(share)} of the torque of joint {j}" for j, share in left)

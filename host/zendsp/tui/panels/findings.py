@@ -9,7 +9,14 @@ from dataclasses import dataclass
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.text import Text
 
-from zendsp.diagnosis.decide.contract import FindingReport, FitReport, Report, dark, nameless
+from zendsp.diagnosis.decide.contract import (
+    FindingReport,
+    FitReport,
+    Report,
+    contradicted,
+    dark,
+    nameless,
+)
 from zendsp.diagnosis.report.chart import Chart
 from zendsp.diagnosis.report.summary import (
     before,
@@ -58,7 +65,9 @@ def headline(report: Report) -> str:
     fit = report["fit"]
     shares = ((x["joint"], x["share"]) for x in report["discrepancy"])
     left = nameless(shares, fit["test"]["improved"], fit["noise_floor"])
-    return verdict_sentence(report["verdict"], found, unseen(report), left)
+    rejected = ((r["effect"], r["joint"], r["why"], r["score"]) for r in report["rejected"])
+    doubted = contradicted(report["verdict"], rejected)
+    return verdict_sentence(report["verdict"], found, unseen(report), left, doubted)
 
 
 def unseen(report: Report) -> tuple[int, ...]:
