@@ -86,6 +86,21 @@ def _glued(c: Columns) -> None:
     c["t"] = c["t"][: len(c["q"])]
 
 
+def _hung(c: Columns) -> None:
+    speed = np.abs(c["q"][7:] - c["q"][:-7])
+    for part in (slice(1100, 1900), slice(2500, 2900)):
+        k = part.start + int(np.argmax(speed[part]))
+        c["q"][k : k + 60] = c["q"][k]
+
+
+def _glued_at_rest(c: Columns) -> None:
+    n = len(c["q"])
+    slow = np.abs(c["q"][7:] - c["q"][:-7])[: n // 2]
+    k = 1000 + int(np.argmin(slow[1000:]))
+    rest = np.full(400, c["q"][k])
+    c["q"] = np.concatenate([c["q"][:k], rest, c["q"][k] + 1.0 + c["q"][k + 400 :]])
+
+
 def _outlier(c: Columns) -> None:
     c["q"][1000] += 17.0
 
@@ -133,7 +148,9 @@ BAD: dict[str, tuple[Callable[[Columns], None], str]] = {
     "clipped position": (_clip_position, "clipped"),
     "clipped command": (_clip("u", 0.4), "clipped"),
     "two runs glued": (_glued, "glued"),
+    "two runs glued, the first one at rest": (_glued_at_rest, "glued"),
     "the same run twice": (_repeated, "glued"),
+    "a sensor that hung": (_hung, "the sensor hung, or was not read"),
     "one row that stands out": (_outlier, "the position of row 1001 alone"),
     "command of another run": (_shifted, "different runs"),
     "time in few digits": (_few_digits, "stands still at row 2, at 1700000000: is it written"),
@@ -375,6 +392,28 @@ def test_the_command_that_a_refusal_names_makes_recordings_that_are_taken(
     parts = [p for p in tmp_path.glob("*.csv") if p != path]
     assert len(parts) == (1 if mistake == "NaN" else 2)
     check_signals([read_signals(part, load_model(model)) for part in parts], load_model(model))
+
+
+def test_one_command_for_each_recording_takes_out_all_that_a_sensor_hung(
+    good: Columns, model: Path, tmp_path: Path, refuse: Callable[..., str],
+    typed: Callable[..., tuple[object, str, str]],
+) -> None:  # fmt: skip
+    """It was refused as two runs glued together, cut at one jump, and refused again at the next."""
+    columns = {k: v.copy() for k, v in good.items()}
+    _hung(columns)
+    paths = [reality.save(tmp_path / f"{name}.csv", columns) for name in ("one", "two")]
+    said = refuse(*paths, "--model", model)
+    assert "glued" not in said and said.count("for 60 rows from row ") == 4, said
+    commands = re.findall(r"'zendsp (cut .*?)'", said)
+    assert len(commands) == 2, said
+    for command in commands:
+        *arguments, out = command.split()
+        status, *_ = typed(*arguments, tmp_path / out)
+        assert not status
+    parts = sorted(tmp_path.glob("*-part-*.csv"))
+    assert len(parts) == 6
+    given = load_model(model)
+    check_signals([read_signals(part, given) for part in parts], given)
 
 
 def test_a_unit_that_is_not_known_is_refused_with_those_that_are(

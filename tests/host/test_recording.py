@@ -304,6 +304,21 @@ def test_a_foreign_file_is_cut_at_its_gaps_and_keeps_its_columns(tmp_path: Path)
         read_parts(tmp_path / "run.csv", time="when")
 
 
+def test_what_is_left_out_of_a_recording_parts_it(
+    recording: Recording, tmp_path: Path, typed: Callable[..., tuple[object, str, str]]
+) -> None:
+    run = recording.save(tmp_path / "run.mat")
+    parts = read_parts(run, without=[(0.1, 0.104), (0.3, 0.35)])
+    assert [len(part) for part in parts] == [50, 98, 25], "however short what is left out is"
+    assert parts[1].t[0] - recording.t[0] == pytest.approx(0.104)
+    assert [len(p) for p in read_parts(run, without=[(0.0, 0.1)])] == [150], "nothing is before it"
+    status, *_ = typed("cut", run, "--without", "0.1:0.104,0.3:0.35", "-o", tmp_path / "part.csv")
+    assert not status and len(list(tmp_path.glob("part-*.csv"))) == 3
+    for range_of in ("0.3", "0.3:0.1", "a:b"):
+        status, _, said = typed("cut", run, "--without", range_of, "-o", tmp_path / "other.csv")
+        assert status == 2 and "is no range of times" in said, said
+
+
 def test_cut_writes_over_no_file_unless_told(
     tmp_path: Path, typed: Callable[..., tuple[object, str, str]]
 ) -> None:

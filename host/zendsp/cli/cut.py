@@ -19,6 +19,8 @@ from zendsp_protocol.texts import counted
               help="Leave out this and what comes after.")  # fmt: skip
 @click.option("--finite", default="", metavar="COLUMNS",
               help="Leave out rows in which one of these is no number.")  # fmt: skip
+@click.option("--without", default="", metavar="S:S",
+              help="Leave out these seconds; several ranges with commas.")  # fmt: skip
 @click.option("--time", default="", metavar="COLUMN", help="Column of time, where it is not found.")
 @click.option(
     "-o", "--out", type=click.Path(path_type=Path), required=True,
@@ -27,13 +29,14 @@ from zendsp_protocol.texts import counted
 @click.option("--force", is_flag=True, help="Write over files that are there.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def command(
-    recording: Path, begin: float, end: float, finite: str, time: str, out: Path, force: bool,
-    as_json: bool,
+    recording: Path, begin: float, end: float, finite: str, without: str, time: str, out: Path,
+    force: bool, as_json: bool,
 ) -> None:
     """Cut RECORDING: a file for each part without a gap, of the whole or of a range of times.
 
-    What a diagnosis refuses as two runs glued together becomes two recordings. The columns keep
-    their names, and are in SI units; time is called t.
+    What a diagnosis refuses as two runs glued together becomes two recordings; what --without
+    leaves out parts a recording too, so that nothing bridges it. The columns keep their names, and
+    are in SI units; time is called t.
 
     Example:  zendsp cut run.csv --from 1.5 --to 20 -o part.csv
     """
@@ -43,7 +46,8 @@ def command(
 
     check_suffix(out)
     end_softly()
-    parts = read_parts(recording, begin, end, parse_names(finite), time)
+    left_out = [_range(text) for text in parse_names(without)]
+    parts = read_parts(recording, begin, end, parse_names(finite), time, left_out)
     files = [
         out.with_stem(f"{out.stem}-{k}") if len(parts) > 1 else out
         for k in range(1, len(parts) + 1)
@@ -72,3 +76,18 @@ def command(
         as_json,
         "\n".join(f"{file}: {counted(rows, 'row')}, {s:.6g} s" for file, rows, s in made),
     )
+
+
+def _range(text: str) -> tuple[float, float]:
+    """Two times, s, with a colon between them."""
+    first, _, last = text.partition(":")
+    try:
+        begin, end = float(first), float(last)
+    except ValueError:
+        begin, end = math.nan, math.nan
+    if not begin < end:
+        raise click.BadParameter(
+            f"{text!r} is no range of times: write two with a colon, such as 4.2:4.25",
+            param_hint="'--without'",
+        )
+    return begin, end

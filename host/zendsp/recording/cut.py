@@ -1,4 +1,4 @@
-"""Cuts a recording: a range of times out of it, the parts between gaps, rows without numbers."""
+"""Cuts a recording: ranges of times out of it, the parts between gaps, rows without numbers."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ def read_parts(
     end: float = np.inf,
     finite: Sequence[str] = (),
     time: str = "",
+    without: Sequence[tuple[float, float]] = (),
 ) -> list[Recording]:
     """Read a recording as parts that have no gap in time: what ``zendsp cut`` writes.
 
@@ -34,6 +35,9 @@ def read_parts(
         Columns: rows in which one of them is no finite number are left out.
     time : str
         Column of time; default: `t`, `time`, or what looks like it.
+    without : sequence of (float, float), s
+        Ranges from the first row on that are left out: what is before one and what is after it are
+        parts.
 
     Returns
     -------
@@ -58,6 +62,8 @@ def read_parts(
     for name in finite:
         values = rec[name]
         keep &= np.isfinite(values if values.ndim == 1 else values.sum(axis=1))
+    for first, last in without:
+        keep &= (t < first) | (t >= last)
     rows = np.flatnonzero(keep)
     if not len(rows):
         raise RecordingError(
@@ -65,7 +71,10 @@ def read_parts(
         )
     step = np.diff(rec.t[rows])
     usual = float(np.median(step)) if len(step) else 0.0
-    breaks = np.flatnonzero((step > max(LONG * usual, SLOW)) | (step < 0)) + 1
+    apart = (step > max(LONG * usual, SLOW)) | (step < 0)
+    for first, last in without:
+        apart |= (t[rows[:-1]] < first) & (t[rows[1:]] >= last)
+    breaks = np.flatnonzero(apart) + 1
     return [_part(rec, chosen) for chosen in np.split(rows, breaks)]
 
 

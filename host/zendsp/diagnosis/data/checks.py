@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.data.columns import cutting
+from zendsp.diagnosis.data.hangs import Hung, hangs, hung
 from zendsp.diagnosis.data.plausibility import check_driven, check_free
 from zendsp.diagnosis.data.signals import Signals, unused_effects
 from zendsp.errors import RecordingError
@@ -59,9 +60,11 @@ def check_signals(signals: Sequence[Signals], model: Model) -> list[str]:
     Raises
     ------
     RecordingError
-        Where a recording cannot be diagnosed: too short, constant, unexcited, clipped, glued.
+        Where a recording cannot be diagnosed: too short, constant, unexcited, clipped, glued; where
+        sensors hung, of all recordings at once.
     """
     notes = unused_effects(signals, model)
+    stood: list[Hung] = []
     least = MIN_SECONDS if len(signals) == 1 else MIN_SECONDS / 2
     for s in signals:
         notes += [note for note in s.notes if note not in notes]  # of several alike: once
@@ -81,11 +84,13 @@ def check_signals(signals: Sequence[Signals], model: Model) -> list[str]:
             _refreshed(
                 where, y, float(raw.resolution[j]), raw.sample_time, model.actuator.hold
             )
-            _glued(where, y, raw)
+            stood += _glued(where, y, float(raw.resolution[j]), raw)
             _clipped(where, y, float(raw.resolution[j]), raw.sample_time)
             if raw.reference is not None:
                 _follows(where, y, raw.reference[:, j], model.joint_kind(j + 1))
             notes += _limits(where, raw.command[:, j], per_joint(model.actuator.limit, j + 1, 0.0))
+    if stood:
+        raise RecordingError(hung(stood, MIN_SECONDS / 2))
     return notes
 
 
@@ -193,9 +198,9 @@ def _limits(where: str, u: Array, limit: float) -> list[str]:
     return []
 
 
-def _glued(where: str, y: Array, s: Signals) -> None:
+def _glued(where: str, y: Array, resolution: float, s: Signals) -> list[Hung]:
     """A jump that no neighbour announces: a speed for one sample that the motion before and after
-    does not have.
+    does not have. Returns where the sensor hung, if that is what it was.
     """
     step = np.diff(y)
     usual = float(np.quantile(np.abs(step), JUMP_QUANTILE))
@@ -217,12 +222,16 @@ def _glued(where: str, y: Array, s: Signals) -> None:
                     f"{where}: the position of row {row} alone is {jump:.4g} off its neighbours:"
                     " leave that row out, or correct it"
                 )
+        stood = hangs(y, resolution)
+        if any(h.first + h.rows == k + 1 for h in stood):
+            return [Hung(where, s, tuple(stood))]
         raise RecordingError(
             f"{where}: the position jumps by {jump:.4g} after row {k + 1}, {between:.4f} s from the"
             " beginning: are two runs glued together, or were samples dropped? Give them as two"
             f" files, made by {cutting(s.name, '-o', 'part.csv')} with --to {between:.4f} and with"
             f" --from {between:.4f}"
         )
+    return []
 
 
 def _clipped(where: str, y: Array, resolution: float, sample_time: float) -> None:

@@ -1,0 +1,109 @@
+"""A sensor that hangs: one reading row after row while the joint moves on, then a jump."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.diagnosis.data.columns import cutting
+from zendsp.diagnosis.data.signals import Signals
+from zendsp_protocol.texts import counted
+
+Array = npt.NDArray[np.float64]
+
+# Chosen, not measured: a refusal is worded by them, and what refuses is a jump (checks.py).
+STILL = 5  # rows of one reading at least
+SPEED_ROWS = 3  # before them, over which the speed is taken
+STOPS_COUNTS = 2.0  # counts a row: a joint as fast does not stand in the next
+STOPS_USUAL = 3.0  # times by which speed usually changes from row to row: nor does one as fast
+USUAL = 0.98  # quantile that stands for it
+MISSED = 3.0  # times that speed, and so many counts of a jump show that the joint moved on
+MISSED_COUNTS = 6.0
+
+
+@dataclass(frozen=True)
+class Hang:
+    """Rows of one reading: the first of them, from 0, how many, and the jump after the last."""
+
+    first: int
+    rows: int
+    jump: float
+
+
+def hangs(y: Array, resolution: float) -> list[Hang]:
+    """Where a position stands dead from one row to the next, and makes up for it in a jump.
+
+    Of two runs that were glued together, the first one comes to rest before it ends.
+    """
+    new = np.flatnonzero(np.diff(y) != 0) + 1
+    first, end = np.r_[0, new], np.r_[new, len(y)]
+    within = (end - first >= STILL) & (first >= SPEED_ROWS) & (end < len(y))
+    first, end = first[within], end[within]
+    speed = np.abs(y[first] - y[first - SPEED_ROWS]) / SPEED_ROWS
+    jump = y[np.minimum(end, len(y) - 1)] - y[first]
+    changes = float(np.quantile(np.abs(np.diff(y, 2)), USUAL))
+    moved = speed > max(STOPS_COUNTS * resolution, STOPS_USUAL * max(changes - resolution, 0.0))
+    on = np.abs(jump) > np.maximum(MISSED * speed, MISSED_COUNTS * resolution)
+    return [
+        Hang(int(k), int(n), float(by))
+        for k, n, by in zip(
+            first[moved & on], (end - first)[moved & on], jump[moved & on], strict=True
+        )
+    ]
+
+
+@dataclass(frozen=True)
+class Hung:
+    """Where a position of a recording hung."""
+
+    where: str  # recording and joint, as a refusal names them
+    signals: Signals
+    hangs: tuple[Hang, ...]
+
+
+def hung(found: Sequence[Hung], least: float) -> str:
+    """What is said of sensors that hung: where, for how long, and the commands that take all of it
+    out, one a recording. Parts shorter than ``least`` seconds are not taken.
+    """
+    said = "; ".join(f"{h.where}: {_stood(h)}" for h in found)
+    ranges: dict[str, list[str]] = {}
+    for h in found:
+        ranges.setdefault(h.signals.name, []).extend(_ranges(h))
+    cut = " and ".join(
+        cutting(name, "--without", ",".join(each), "-o", f"{Path(name).stem}-part.csv")
+        for name, each in ranges.items()
+    )
+    return (
+        f"{said}: the sensor hung, or was not read. Take these rows out: {cut}"
+        f" make{'s' * (len(ranges) == 1)} a file of each part between them; give those that last"
+        f" {least:g} s and more"
+    )
+
+
+def _stood(h: Hung) -> str:
+    t = h.signals.time - h.signals.time[0]
+    each = [
+        f"for {counted(hang.rows, 'row')} from row {hang.first + 1}"
+        f" (t = {_seconds(float(t[hang.first]))} s) and jumped by {hang.jump:.4g}"
+        for hang in h.hangs
+    ]
+    return f"the position stood still, while the joint moved, {', '.join(each)}"
+
+
+def _ranges(h: Hung) -> list[str]:
+    """What is left out, from half a row after the first row, whose reading was true, on."""
+    t = h.signals.time - h.signals.time[0]
+    half = 0.5 * (t[1:] + t[:-1])
+    return [
+        f"{_seconds(float(half[hang.first]))}:{_seconds(float(half[hang.first + hang.rows - 1]))}"
+        for hang in h.hangs
+    ]
+
+
+def _seconds(time: float) -> str:
+    """Tenths of a microsecond are finer than any row."""
+    return f"{time:.7f}".rstrip("0").rstrip(".")
