@@ -18,14 +18,14 @@ from zendsp.diagnosis import Diagnosis, diagnose
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.decide.result import Workings
-from zendsp.diagnosis.measure.curve import Curve, Samples
+from zendsp.diagnosis.measure.curve import Axis, Curve, Samples, binned
 from zendsp.diagnosis.measure.discrepancy import difference, discrepancy, mean_square
 from zendsp.diagnosis.measure.where import Missing, mismatch
 from zendsp.diagnosis.report import figures
 from zendsp.diagnosis.report.chart import Chart, Panel, Series
 from zendsp.diagnosis.report.drawing import SPANS, draw, places
 from zendsp.diagnosis.report.figures import charts
-from zendsp.diagnosis.report.laws import beside_the_law, broken, unclaimed_chart
+from zendsp.diagnosis.report.laws import beside_the_law, broken, in_waves, unclaimed_chart
 from zendsp.physics.files.model_file import load_model, parse_model
 
 MODEL = """
@@ -206,7 +206,13 @@ def test_a_law_with_a_memory_is_drawn_over_time(decided: Decided) -> None:
     d = decided(reality.Machine(delay=0.006))
     (found,) = d.findings
     assert found.effect in ("delay", "lag")
-    (panel,) = _of(d, "law", 0).panels
+    chart = _of(d, "law", 0)
+    (panel,) = chart.panels
+    # the law's own torque is not what a model lacks that is fitted without it
+    own = f"torque of {found.effect}: the improved model without it and with it"
+    assert chart.title == f"Joint 1: {own}, where it acts most"
+    lacks = next(c for c in charts(d) if c.name == "torque_joint1").panels[0].title
+    assert lacks.startswith("Joint 1: torque that the calibrated model lacks along the recordings")
     assert panel.xlabel == "time [s]"
     before, law, after = panel.series
     assert np.nanstd(after.y) < 0.2 * np.nanstd(before.y)
@@ -271,6 +277,22 @@ def test_a_torque_that_is_not_claimed_is_drawn_over_what_it_depends_on() -> None
     assert means.spread is not None and drawn["wave"].panels[0].xlabel == "position [rad]"
     off = (means.y - np.sin(5 * means.x)) / np.hypot(means.spread, 0.02)  # bins of 0.05 rad
     assert np.mean(np.abs(off) < 3.0) > 0.9
+
+
+@pytest.mark.parametrize("turns", [1.0, 20.0])
+def test_bins_of_a_torque_without_a_law_are_finer_than_the_waves_that_describe_it(
+    turns: float,
+) -> None:
+    """Of 14 waves a turn 40 bins made noise; over many turns the waves lie on one another."""
+    rng = np.random.default_rng(0)
+    x = rng.uniform(0.0, turns * 2 * np.pi, 20000)
+    torque = np.sin(14 * x) + 0.1 * rng.normal(size=20000)
+    samples = Samples(x, torque, np.ones(20000), np.arange(20000) // 500)
+    plain = Curve(Axis("position"), samples, *binned(samples), False)
+    curve = in_waves(plain, [2 * np.pi / 14])
+    assert np.all(np.abs(curve.mean - np.sin(14 * curve.at)) < 0.1)
+    assert np.max(curve.mean) > 0.85 and np.max(np.diff(curve.at)) <= 2 * np.pi / 14 / 8
+    assert in_waves(plain, []) is plain
 
 
 def test_the_line_of_a_law_crosses_nothing_that_was_not_seen() -> None:

@@ -13,8 +13,10 @@ import reality
 from small_models import VISCOUS, data_of, model_of
 
 from zendsp.diagnosis.decide import decide as decision
-from zendsp.diagnosis.decide import notes, patchwork, pieces
-from zendsp.diagnosis.decide.claims import Claim, Decision, Known, Piece
+from zendsp.diagnosis.decide import naming, notes, patchwork, pieces
+from zendsp.diagnosis.decide.claims import Claim, Decision, Known, Near, Piece
+from zendsp.diagnosis.decide.contract import NEAR
+from zendsp.diagnosis.decide.near import likeness, nearest_law
 from zendsp.diagnosis.decide.notes import _likelier, left_over
 from zendsp.diagnosis.measure.discrepancy import Size, difference
 from zendsp.diagnosis.measure.evidence import Evidence
@@ -109,18 +111,29 @@ def test_two_ripples_that_the_travel_does_not_tell_apart_are_one_that_fades(
 
 
 @pytest.mark.parametrize(
-    ("size", "z", "why"),
+    ("size", "z", "left", "why"),
     [
-        (0.0001, 5.0, "too small to be told"),
-        (0.1, 5.0, "not surely this law: 10 % of the torque, and"),
-        (0.1, 0.5, "is not what is missing, on the recordings held out"),
+        (0.0001, 5.0, 0.01, "too small to be told"),
+        (0.1, 5.0, 0.01, "not surely this law: 10 % of the torque, and up to 1 % may stay"),
+        (0.1, 5.0, 0.09, "not what is missing: 10 % of the torque, and 9 % stays unexplained"),
+        (0.1, 0.5, 0.01, "is not what is missing, on the recordings held out"),
     ],
 )
-def test_what_was_tried_and_is_no_finding_says_why(size: float, z: float, why: str) -> None:
-    base: Any = SimpleNamespace(deviance=200.0)
-    tried: Any = SimpleNamespace(effect="ripple", value=100.0)
-    effect, said, gain = decision._why(tried, base, [piece(size, z, 20.0)], Size(0.2, 0.2, 0.0))
+def test_what_was_tried_and_is_no_finding_says_why(
+    size: float, z: float, left: float, why: str
+) -> None:
+    seen = replace(piece(size, z, 20.0), why="known laws may be wrong by as much")
+    before, after = Size(0.1, 0.1, 0.1), Size(left, left, left)
+    effect, said, gain = decision._why("ripple", 100.0, [seen], before, after)
     assert (effect, gain) == ("ripple", 50.0) and said.startswith(why)
+    near = nearest_law([(effect, said, gain)], [seen], before, after)
+    assert (near is not None) == said.startswith(NEAR)
+    if near is not None:
+        assert said.endswith("; known laws may be wrong by as much")
+        assert likeness(near) == (
+            "It is most like ripple: with it 1 % of the torque stays unexplained, without it 10 %."
+            " It is not called that: known laws may be wrong by as much"
+        )
 
 
 @pytest.mark.parametrize(
@@ -344,7 +357,7 @@ def test_what_leaves_more_unexplained_than_there_was_or_is_at_all_is_no_finding(
     for name, answer in {
         "discrepancy": before,
         "piece_of": piece(0.1, 9.0, 50.0, "stiffness"),
-        "held_apart": ([0], []),
+        "held_apart": ([piece(0.1, 9.0, 50.0, "stiffness")], []),
         "named": found,
         "believed": found,
         "window_error": np.zeros(3),
@@ -377,6 +390,41 @@ def test_what_short_or_one_way_recordings_leave_says_so(state: Structure) -> Non
         fit: Any = SimpleNamespace(records=[[record]])
         words = left_over([found], model, fit)
         assert ("1.3 s, and go one way: too little" in words) == said
+
+
+@pytest.mark.parametrize("state", [Structure(0.1, 0.9, 5.0), NOTHING])
+def test_a_law_that_is_near_is_no_unknown_physics(state: Structure) -> None:
+    """It was said that no known effect describes what hysteresis took six sevenths of."""
+    model: Any = SimpleNamespace(torque_unit=lambda _: "N m", actuator=SimpleNamespace(hold=0.001))
+    one: Any = SimpleNamespace(model=model)
+    lacks = Size(0.3, 0.2, 0.4)
+    found = Decision(1, "unexplained", (), (), one, one, lacks, lacks, state, lacks, one, 7.0)
+    record = SimpleNamespace(
+        others=np.sin(np.arange(9000) / 100)[None, None], n=9000, sample_time=0.001, between=1.0
+    )
+    fit: Any = SimpleNamespace(records=[[record]])
+    none = left_over([found], model, fit)
+    assert "none of the known effects" in none or "neither a known effect" in none
+    law = Near("hysteresis", 0.3, 0.05, "known laws may be wrong by as much", ("lag",))
+    words = left_over([replace(found, near=law)], model, fit)
+    assert "known effect" not in words, words
+    assert "most like hysteresis: with it and lag 5 % of the torque stays unexplained" in words
+    assert "It is not called that: known laws may be wrong by as much" in words
+
+
+def test_a_mechanism_without_a_law_names_the_one_that_it_is_most_like() -> None:
+    term, evidence = Term("unknown", 1, {}), Evidence(9, 9, np.ones(2))
+    claim = Claim("unknown", "dry_friction", term, 0.3, evidence, 9, {}, (), (), ())
+    plain: Any = SimpleNamespace(near=None, after=Size(0.01, 0.01, 0.01))
+    assert naming._nearest(claim, plain) == "none of the known laws describes it"
+    plain.near = Near("position_friction", 0.3, 0.05, "another law of its kind predicts as well")
+    assert naming._nearest(claim, plain) == (
+        "it is most like position_friction, with which 5 % of the torque stays unexplained, and is"
+        " not called that: another law of its kind predicts as well"
+    )
+    drawn = replace(claim, term=Term("ripple", 1, {}), why="the travel shows no whole period of it")
+    said = naming._nearest(drawn, plain)
+    assert "most like ripple, with which 1 %" in said and said.endswith("no whole period of it")
 
 
 @pytest.mark.parametrize(("kind", "said"), [("planar2r", True), ("rotary", False)])

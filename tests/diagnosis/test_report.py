@@ -24,9 +24,11 @@ from zendsp.diagnosis import diagnose
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.split import split
 from zendsp.diagnosis.decide import decide
-from zendsp.diagnosis.decide.contract import contradicted, dark
+from zendsp.diagnosis.decide.contract import contradicted, dark, nearest
+from zendsp.diagnosis.decide.findings import waves
 from zendsp.diagnosis.decide.result import Detectable, Estimate, Finding, number
 from zendsp.diagnosis.measure.curve import Axis, samples_of
+from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.where import Missing
 from zendsp.diagnosis.report import files, html
 from zendsp.diagnosis.report.chart import Panel, Series
@@ -439,15 +441,42 @@ def test_the_page_does_not_say_nowhere_above_a_picture_with_shaded_spans() -> No
 
 
 def test_no_rejected_rival_with_a_positive_likelihood_is_called_no_more_likely() -> None:
-    rival = SimpleNamespace(effect="stiffness", value=100.0)
-    for deviance, words in ((90.0, "no more likely"), (114.0, "hardly more likely"), (
-        180.0, "is not what is missing")):  # fmt: skip
-        base = SimpleNamespace(deviance=deviance)
-        _, why, score = decide._why(rival, base, (), SimpleNamespace(value=0.1))  # type: ignore[arg-type]
+    left = Size(0.1, 0.1, 0.1)
+    for gain, words in ((-10.0, "no more likely"), (14.0, "hardly more likely"), (
+        80.0, "is not what is missing")):  # fmt: skip
+        _, why, score = decide._why("stiffness", gain, (), left, left)
         assert words in why, why
         assert (score > 0.0) != ("no more" in why)
-    assert "log-likelihood +7, and +20" in decide._why(  # type: ignore[arg-type]
-        rival, SimpleNamespace(deviance=114.0), (), SimpleNamespace(value=0.1))[1]  # type: ignore[arg-type]
+    _, why, _ = decide._why("stiffness", 14.0, (), left, left)
+    assert "log-likelihood +7, and +20" in why
+
+
+def test_waves_that_describe_a_torque_without_a_law_are_told_with_their_numbers() -> None:
+    """A cogging of 14 a turn stood in model.toml, and nowhere in the report."""
+    each = [
+        {"order": Estimate(order, 0.008, "1"), "amplitude": Estimate(size, 0.002, "N m")}
+        for order, size in ((13.9986, 0.147), (28.03, 0.045), (41.96, 0.029))
+    ]
+    assert waves(each[:1]) == "a wave of 0.1470 ± 0.0020 N m, 13.9986 ± 0.0080 times a turn"
+    assert waves(each).endswith(
+        ", and others 28.0300 ± 0.0080 times a turn and 41.9600 ± 0.0080 times a turn"
+    )
+
+
+def test_the_headline_names_the_law_that_an_unexplained_torque_is_most_like() -> None:
+    tried = [
+        ("delay", 1, "is not what is missing, on the recordings held out", 9e4),
+        ("hysteresis", 1, "not surely this law: 0.46 % of the torque", 3e4),
+        ("ripple", 1, "not surely this law: 0.1 % of the torque", 2e4),
+    ]
+    assert nearest("unexplained", tried) == (("hysteresis", 1),)
+    assert not nearest("complete", tried) and not nearest("unexplained", tried[:1])
+    said = verdict_sentence("unexplained", [], doubted=nearest("unexplained", tried))
+    assert said == (
+        "Unexplained: something is missing that is most like hysteresis at joint 1, and not surely"
+        " that; no physics is claimed."
+    )
+    assert "no known effect describes" in verdict_sentence("unexplained", [])
 
 
 def test_a_number_that_rounds_to_nothing_has_no_sign() -> None:

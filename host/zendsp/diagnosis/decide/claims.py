@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from zendsp.diagnosis.decide.contract import Verdict
+from zendsp.diagnosis.decide.contract import NEAR, Verdict
 from zendsp.diagnosis.measure.bursts import Bursts
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
@@ -32,6 +32,7 @@ class Piece:
     evidence: Evidence
     log_e: float  # logarithm of the e-value
     lacks: bool = True  # its torque lacks without it
+    why: str = field(default="", compare=False)  # that it is not claimed
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -62,6 +63,7 @@ class Claim:
     ahead: float = math.inf
     # of its confidence: laws beside it that are doubted may take up what it leaves
     most: float = 1.0
+    why: str = ""  # why its law is not named, where it is not
 
     @property
     def is_transmission(self) -> bool:
@@ -84,6 +86,19 @@ class Known:
 
     all: float = 0.0
     of_state: float = 0.0
+
+
+@dataclass(frozen=True)
+class Near:
+    """The law that is likeliest where none is claimed: what lacks without it and with it, as parts
+    of the RMS torque, why it is not claimed, and what stands ``beside`` it then.
+    """
+
+    effect: str
+    before: float
+    after: float
+    why: str
+    beside: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -111,6 +126,7 @@ class Decision:
     loads: tuple[str, ...] = ()
     # hypotheses that were tried where nothing is claimed
     lost: tuple[tuple[str, str, float], ...] = ()
+    near: Near | None = None
 
 
 def unclaimed(decision: Decision) -> Decision:
@@ -119,7 +135,9 @@ def unclaimed(decision: Decision) -> Decision:
     """
     gained = 0.5 * (decision.base.deviance - decision.final.deviance)
     why = "with it the whole machine predicts untouched recordings worse"
-    lost = ((c.effect, why, gained) for c in decision.claims if c.effect != "unknown")
+    laws = [c.effect for c in decision.claims if c.effect != "unknown"]
+    lost = ((effect, f"{NEAR}: {why}", gained) for effect in laws)
+    near = Near(laws[0], decision.before.value, decision.after.value, why) if laws else None
     return replace(
         decision,
         kind="unexplained",
@@ -130,4 +148,5 @@ def unclaimed(decision: Decision) -> Decision:
         bare=decision.before,
         alone=decision.base,
         lost=(*decision.lost, *lost),
+        near=near,
     )

@@ -15,6 +15,7 @@ BEYOND, LEAST_NAMELESS = 2.0, 1e-3
 # log-likelihood; of 55 complete models of an examiner the most was 626, of a hardly moving one; a
 # joint that was 5 ms late in a motion that its held-out recording has not, 10368
 FAR_LIKELIER = 1000.0
+NEAR = "not surely this law"  # of what is likeliest, and takes most of what lacks
 TOO_SMALL = "too small to be told"  # of what is surely there, and less than a finding has
 
 # mechanisms as a person calls them
@@ -191,6 +192,26 @@ def contradicted(
         for joint, (score, effect, why) in sorted(likeliest.items())
         if score > FAR_LIKELIER and not why.startswith(TOO_SMALL)
     )
+
+
+def nearest(
+    verdict: Verdict, rejected: Iterable[tuple[str, int, str, float | None]]
+) -> tuple[tuple[str, int], ...]:
+    """Effects and joints that an unexplained verdict is most like, one a joint.
+
+    Parameters
+    ----------
+    rejected : iterable of (effect, joint, why, score)
+        Of ``rejected``.
+    """
+    if verdict != "unexplained":
+        return ()
+    likeliest: dict[int, tuple[float, str]] = {}
+    for effect, joint, why, score in rejected:
+        if why.startswith(NEAR):
+            one = (score or 0.0, effect)
+            likeliest[joint] = max(one, likeliest.get(joint, one))
+    return tuple((effect, joint) for joint, (_, effect) in sorted(likeliest.items()))
 
 
 def dark(left: Iterable[tuple[int, Sequence[float]]]) -> tuple[int, ...]:

@@ -17,10 +17,11 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Decision, Piece
-from zendsp.diagnosis.decide.contract import TOO_SMALL
+from zendsp.diagnosis.decide.contract import NEAR, TOO_SMALL
 from zendsp.diagnosis.decide.findings import new_terms, percent
 from zendsp.diagnosis.decide.laws import believed, named
 from zendsp.diagnosis.decide.nameless import only_mechanism
+from zendsp.diagnosis.decide.near import nearest_law, with_reasons
 from zendsp.diagnosis.decide.pieces import (
     finest,
     grouped,
@@ -106,6 +107,7 @@ def _decided(
     before = discrepancy(parts.test, base.model, joint)
     new = new_terms(given, final.model, joint)
     pieces: list[Piece] = []
+    asked: list[Piece] = []
     if new:
         pieces = [
             piece_of(parts.test, given, final, key[0], terms, base, jobs)
@@ -113,6 +115,7 @@ def _decided(
         ]
         pieces.sort(key=lambda p: -p.size)
         claimed, rest = held_apart(parts, given, search, final, pieces)
+        asked = with_reasons(claimed, rest, None, None)
         if not claimed:
             sounder = find_sounder(parts, search, final, pieces, jobs)
             if sounder is not None:
@@ -127,11 +130,12 @@ def _decided(
             if decision.claims and not better and decision.alone is not decision.final:
                 decision = _unrefined_by(decision)
                 better = _makes_better(decision, parts.test)
+            asked = with_reasons(claimed, rest, first, decision)
             if decision.claims and better:
                 if any(c.effect != "unknown" for c in decision.claims):
                     return replace(decision, beside=beside(decision, parts))
                 # which mechanism, if any, is for the lacking torque itself to say
-                plain = _nothing_named(parts, given, search, before, pieces, jobs)
+                plain = _nothing_named(parts, given, search, before, asked, jobs)
                 most = decision.after.value**2 < (1.0 - PREDICTED) * before.value**2
                 kind = kind_of(decision.claims[0].mechanism)
                 same = any(c.mechanism in kind for c in plain.claims)
@@ -140,7 +144,7 @@ def _decided(
                     return decision if stands else plain
                 # several mechanisms, and no law of any: it is one torque that nobody knows
                 return replace(plain, kind="unexplained") if plain.kind == "complete" else plain
-    nothing = _nothing_named(parts, given, search, before, pieces, jobs)
+    nothing = _nothing_named(parts, given, search, before, asked, jobs)
     several = len({rec[0].recording for part in parts.each for rec in part.records}) > 1
     if nothing.kind != "unexplained" or not several:
         return nothing
@@ -226,6 +230,10 @@ def _nothing_named(
     turning = not rubs(base.model, joint)
     state = structure(parts.each, base.model, joint, STRUCTURED, turning)
     beside = discrepancy(parts.test, search.final.model, joint) if pieces else before
+    least = search.final.deviance
+    tried = {e: p.without.deviance - least for p in pieces for e in p.effects}
+    tried |= {r.effect: base.deviance - r.value for r in search.tried[:6]}
+    lost = tuple(_why(effect, gain, pieces, before, beside) for effect, gain in tried.items())
     out = Decision(
         joint,
         "complete",
@@ -240,7 +248,8 @@ def _nothing_named(
         base,
         rms_torque(parts.test, joint),
         known=known_discrepancy(given, parts.test, joint),
-        lost=tuple(_why(r, base, pieces, beside) for r in search.tried[:6]),
+        lost=lost,
+        near=nearest_law(lost, pieces, before, beside),
     )
     push = pushed(out, parts, jobs)
     if push is not None and not of_the_motion(push, parts, turning):
@@ -330,21 +339,24 @@ def _lawful(parts: Parts, base: Scored, joint: int, turning: bool) -> bool:
 
 
 def _why(
-    rival: Rival, base: Scored, pieces: Sequence[Piece], beside: Size
+    effect: str, gain: float, pieces: Sequence[Piece], before: Size, beside: Size
 ) -> tuple[str, str, float]:
-    gain = base.deviance - rival.value
-    seen = next((p for p in pieces if rival.effect in p.effects), None)
+    """Why an effect is not claimed that gains so much deviance: effect, reason, log-likelihood."""
+    seen = next((p for p in pieces if effect in p.effects), None)
     if seen is not None and seen.log_e > 0 and seen.evidence.z > CLAIMED:
-        if seen.size < finest(rival.effect):
-            least = f"findings have {percent(finest(rival.effect))} % at least"
-            small = f"{percent(seen.size)} % of the torque, and {least}"
-            return rival.effect, f"{TOO_SMALL}: {small}", 0.5 * gain
+        size = f"{percent(seen.size)} % of the torque"
+        if seen.size < finest(effect):
+            least = f"findings have {percent(finest(effect))} % at least"
+            return effect, f"{TOO_SMALL}: {size}, and {least}", 0.5 * gain
+        if beside.value**2 > (1.0 - PREDICTED) * before.value**2:
+            left = f"{percent(beside.value)} % stays unexplained beside it"
+            return effect, f"not what is missing: {size}, and {left}", 0.5 * gain
         left = f"up to {percent(beside.high)} % may stay unexplained beside it"
-        why = f"not surely this law: {percent(seen.size)} % of the torque, and {left}"
-        return rival.effect, why, 0.5 * gain
+        because = f"; {seen.why}" if seen.why else ""
+        return effect, f"{NEAR}: {size}, and {left}{because}", 0.5 * gain
     why = (
         not_likelier(0.5 * gain, 0.5 * WAIT)
         if gain < WAIT
         else "is not what is missing, on the recordings held out"
     )
-    return rival.effect, why, 0.5 * gain
+    return effect, why, 0.5 * gain

@@ -5,6 +5,7 @@ and the sentence that explains them.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -117,15 +118,7 @@ def sentence(term: Term, values: dict[str, Estimate]) -> str:
     words: dict[str, str] = {n: number(e) for n, e in values.items()}
     words["joint"] = str(term.joint)
     if "order" in values:
-        order = values["order"]
-        if not order.unit.endswith("/m"):
-            words["repeats"] = f"{number(order)} times a turn"
-        else:
-            period = 2 * math.pi / order.value
-            words["repeats"] = (
-                "every"
-                f" {number(Estimate(1e3 * period, 1e3 * period * order.std / order.value, 'mm'))}"
-            )
+        words["repeats"] = repeats(values["order"])
     if "amount" in values:
         amount = values["amount"]
         words["compared"] = (
@@ -138,3 +131,25 @@ def sentence(term: Term, values: dict[str, Estimate]) -> str:
         words["relative"] = f"{part} {'more' if ratio.value > 0 else 'less'}"
     words |= {name: str(what) for name, what in chosen(term).items()}
     return get_effect(term.effect).sentence.format(**words)
+
+
+def repeats(order: Estimate) -> str:
+    """How often a wave comes: per turn, or per travel.
+
+    Examples
+    --------
+    >>> repeats(Estimate(13.9986, 0.0078, "1")), repeats(Estimate(100.0, 1.0, "rad/m"))
+    ('13.9986 ± 0.0078 times a turn', 'every 62.83 ± 0.63 mm')
+    """
+    if not order.unit.endswith("/m"):
+        return f"{number(order)} times a turn"
+    period = 2e3 * math.pi / order.value
+    return f"every {number(Estimate(period, period * order.std / order.value, 'mm'))}"
+
+
+def waves(each: Sequence[dict[str, Estimate]]) -> str:
+    """Waves by how often they come, the first one with its amplitude."""
+    first, *others = each
+    one = f"a wave of {number(first['amplitude'])}, {repeats(first['order'])}"
+    more = " and ".join(repeats(values["order"]) for values in others)
+    return one + (f", and {'others' if len(others) > 1 else 'another'} {more}" if more else "")

@@ -13,6 +13,7 @@ from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Claim, Decision, Piece
 from zendsp.diagnosis.decide.confidence import confidence, stated
 from zendsp.diagnosis.decide.nameless import by_its_variables, told_apart, without_law
+from zendsp.diagnosis.decide.near import doubt, why_curve
 from zendsp.diagnosis.decide.patchwork import (
     both_needed,
     draws_a_curve,
@@ -126,9 +127,18 @@ def named(
         over_speed = (bool(bent) and piece.mechanism in FRICTION) or (
             piece.mechanism == FLUID and makes_another_grow(given, final, first.terms[0])
         )
-        if poor or drawn or part or over_speed or pieces >= CURVE:
+        why = why_curve(
+            {
+                "it leaves more of what its variables predict than a law may": poor,
+                "laws that are no harmonics of one, or not told apart, draw a curve": drawn,
+                "the travel shows no whole period of it": part,
+                "it stands upon what it bends": over_speed,
+                f"{pieces} laws of one mechanism draw any curve": pieces >= CURVE,
+            }
+        )
+        if why:
             refinements += [c for p in own[1:] for c in _plain(p)]
-            claims.append(replace(law, effect="unknown", left=left))
+            claims.append(replace(law, effect="unknown", left=left, why=why))
             continue
         claims.append(replace(law, left=left, size=first.size if len(own) > 1 else piece.size))
         claims += [law_of(parts, given, search, rounds, final, p, p, jobs, tell) for p in own[1:]]
@@ -217,6 +227,7 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
     keep, more = [], list(decision.refinements)
     doubted: set[str] = set()  # mechanisms: what stood beside a doubted law may be a part of it
     for claim in decision.claims:
+        why = doubt(confidence(claim, decision), any(claim is k for k in likely))
         if claim.effect == "unknown":
             if told_apart(claim, decision, parts, given, laws):
                 keep.append(without_law(claim, decision))
@@ -234,10 +245,10 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
             and not _turns_otherwise(claim, decision, parts)
             and told_apart(claim, decision, parts, given, laws - {claim.effect})
         ):
-            keep.append(without_law(claim, decision))
+            keep.append(replace(without_law(claim, decision), why=why))
             doubted.add(claim.mechanism)
         else:
-            more.append(claim)
+            more.append(replace(claim, why=why))
             doubted.add(claim.mechanism)
     keep, parts_of_it = _beside_unknown(keep, decision.after.value)
     keep = [by_its_variables(c, decision, parts, given) for c in keep]

@@ -16,7 +16,7 @@ from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.confidence import confidence
 from zendsp.diagnosis.decide.contract import WORDS, listed, spans
 from zendsp.diagnosis.decide.decide_bodies import BodyClaim, body_finding
-from zendsp.diagnosis.decide.findings import estimates, new_terms, percent, sentence
+from zendsp.diagnosis.decide.findings import estimates, new_terms, percent, sentence, waves
 from zendsp.diagnosis.decide.patchwork import both_needed, draws_a_curve
 from zendsp.diagnosis.decide.pieces import beside_unknown, weight_of_payload
 from zendsp.diagnosis.decide.result import Estimate, Finding, Rejected, number
@@ -26,7 +26,6 @@ from zendsp.diagnosis.decide.thresholds import (
     PLAIN,
     PREDICTED,
     SIMULATORS_DIFFER,
-    STATED_ALONE,
     SURE,
 )
 from zendsp.diagnosis.measure.bursts import Bursts
@@ -76,6 +75,8 @@ def name_findings(
                     whole.calibrated, whole.improved, joint, claim.mechanism, stated
                 )
                 finding = _unknown(given, decision, claim, share, mismatch(test, beside, joint))
+                drawn = _drawn(given, decision, whole, claim)
+                finding = replace(finding, sentence=finding.sentence + drawn)
             else:
                 finding = _finding(given, decision, whole, claim, share)
             # by these recordings alone: on another day a machine's friction may be half of it, but
@@ -136,8 +137,6 @@ def _unknown(
     # of an energy that stands out by z deviations, its root by 2 z
     std = claim.size / (2.0 * max(claim.evidence.z, 1.0))
     size = Estimate(claim.size * decision.scale, std * decision.scale, given.torque_unit(joint))
-    stands_in = claim.term.effect in library()
-    drawn = f" The improved model draws it with {claim.term.effect}." if stands_in else ""
     return Finding(
         "unknown",
         joint,
@@ -147,7 +146,7 @@ def _unknown(
         (),
         _replaced(given, claim, joint),
         f"A torque that depends on the {what} of joint {joint} is missing,"
-        f" {percent(claim.size)} % of its torque; {_nearest(claim)}.{drawn}",
+        f" {percent(claim.size)} % of its torque; {_nearest(claim, decision)}.",
         numbers,
         claim.mechanism,
         claim.laws,
@@ -240,12 +239,32 @@ def _held_otherwise(given: Model, term: Term, values: Mapping[str, Estimate]) ->
     )
 
 
-def _nearest(claim: Claim) -> str:
+def _nearest(claim: Claim, decision: Decision) -> str:
     """What can be said of the laws of a mechanism that is claimed without one."""
+    law, left, why = claim.term.effect, decision.after.value, claim.why
+    if law == "unknown":
+        if decision.near is None:
+            return "none of the known laws describes it"
+        law, left, why = decision.near.effect, decision.near.after, decision.near.why
+    because = f": {why}" if why else ""
+    return (
+        f"it is most like {law}, with which {percent(left)} % of the torque stays unexplained, and"
+        f" is not called that{because}"
+    )
+
+
+def _drawn(given: Model, decision: Decision, whole: Assembled, claim: Claim) -> str:
+    """By what the improved model describes a mechanism without a law: a wave with its numbers."""
     law = claim.term.effect
-    if law == "unknown" or claim.laws.get(law, 0.0) <= STATED_ALONE:
-        return "none of the known laws describes it"
-    return f"it is most like {law}, not surely enough to be called that"
+    if law not in library():
+        return ""
+    names = get_effect(law).names
+    if not {"order", "amplitude"} <= set(names):
+        return f" The improved model draws it with {law}."
+    same = [c for c in decision.refinements if c.term.effect == law]
+    laws = (replace(claim, effect=law), *same)
+    each = [_numbers(given, decision, whole, c) for c in laws]
+    return f" The improved model describes it by {waves(each)}."
 
 
 def _numbers(

@@ -11,6 +11,7 @@ import numpy as np
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.contract import contradicted, spans, two_digits
 from zendsp.diagnosis.decide.findings import percent
+from zendsp.diagnosis.decide.near import likeness
 from zendsp.diagnosis.decide.result import Errors
 from zendsp.diagnosis.decide.thresholds import AMISS, LAWFUL, OF_STATE
 from zendsp.diagnosis.measure.where import units
@@ -178,8 +179,8 @@ def left_over(decisions: Sequence[Decision], given: Model, fit: Data) -> str:
         elif d.kind == "unexplained" and d.state.size > OF_STATE:
             words.append(
                 f"Joint {d.joint}: a torque of {two_digits(d.state.size * d.scale)} {unit} RMS"
-                f" ({percent(d.state.size)} % of the torque) depends on the state of the joint and"
-                " is none of the known effects"
+                f" ({percent(d.state.size)} % of the torque) depends on the state of the joint"
+                + (f". {likeness(d.near)}" if d.near else " and is none of the known effects")
                 + (_behind_another(decisions, given, d.joint) or _hardly_moves(fit, d.joint))
             )
         elif d.kind == "unexplained" and d.after.value < LAWFUL and d.after.high > AMISS:
@@ -192,14 +193,19 @@ def left_over(decisions: Sequence[Decision], given: Model, fit: Data) -> str:
         elif d.kind == "unexplained" and d.after.value < OF_STATE:
             words.append(
                 f"Joint {d.joint}: recordings are surely likelier with what was tried, and none of"
-                f" it is what acts: at most {percent(min(1.0, d.after.high))} % of the torque is"
-                " missing. Larger and faster motion would show more of it"
+                f" it is surely what acts: at most {percent(min(1.0, d.after.high))} % of the"
+                f" torque is missing. {f'{likeness(d.near)}. ' if d.near else ''}Larger and faster"
+                " motion would show more of it"
             )
         elif d.kind == "unexplained":
             words.append(
                 f"Joint {d.joint}: a torque of {two_digits(d.after.value * d.scale)} {unit} RMS"
-                f" ({percent(d.after.value)} % of the torque) is missing that neither a known"
-                " effect nor any function of the joint's state predicts"
+                f" ({percent(d.after.value)} % of the torque) is missing that "
+                + (
+                    f"no function of the joint's state predicts. {likeness(d.near)}"
+                    if d.near
+                    else "neither a known effect nor any function of the joint's state predicts"
+                )
                 + (
                     _behind_another(decisions, given, d.joint)
                     or _hardly_moves(fit, d.joint)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +13,7 @@ from zendsp.diagnosis.data.series import repeats
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import LAWS_OF, Known, Piece
 from zendsp.diagnosis.decide.findings import new_terms
+from zendsp.diagnosis.decide.near import why_apart
 from zendsp.diagnosis.decide.thresholds import (
     A_PART,
     CLAIMED,
@@ -286,7 +288,10 @@ def held_apart(
         own = timed or (whole <= may_leave(piece) and not second)
         error = 0.0 if own else LAW_ERROR * larger
         least = max(*map(finest, piece.effects), part, math.hypot(left, error))
-        (claimed if sure(parts.test, piece) and piece.size > least else rest).append(piece)
+        if sure(parts.test, piece) and piece.size > least:
+            claimed.append(piece)
+        else:
+            rest.append(replace(piece, why=why_apart(piece.size, left, error, larger)))
     return claimed, rest
 
 

@@ -132,7 +132,7 @@ def torque_chart(d: Diagnosis, two: Sides, joint: int) -> Chart:
                 "time [s]" if len(times) == 1 else JOINED,
                 torque_label(units_at(d, joint)["torque"]),
                 tuple(series),
-                f"Joint {joint}: what the model lacks along the {_shown_on(d)}",
+                f"Joint {joint}: torque that the {name} lacks along the {_shown_on(d)}",
                 spans=d.times[:4] if len(times) == 1 else (),  # of one recording's clock
             ),
         ),

@@ -5,7 +5,7 @@ time, without the law and with it.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -16,6 +16,7 @@ from zendsp.diagnosis.decide.fast_ripple import RIPPLE_BAND
 from zendsp.diagnosis.decide.pieces import beside_unknown
 from zendsp.diagnosis.decide.result import Diagnosis, Finding, Workings
 from zendsp.diagnosis.measure.curve import (
+    BINS,
     Axis,
     Curve,
     Samples,
@@ -46,6 +47,8 @@ FLATTENED = 0.5
 MAY_STICK = 0.2  # of that speed: slower, dry friction may hold the joint
 CURVE_SAMPLES = 300  # samples of a curve
 DOTS = 4000  # of a panel
+IN_A_WAVE = 8  # bins of one wave at least: with fewer a wave looks like another one, or noise
+MOST_BINS = 400
 SHOWN = 0.5  # of a law's energy that its curve must explain, or it is drawn over time
 SHOWN_S = 2.0  # of such a figure
 UNCHANGED = 1e-9  # of a number: it is the same
@@ -144,7 +147,7 @@ def two_panels(
         finding.sentence,
         _name(finding, index),
         tuple(replace(p, limits=limits) for p in panels),
-        title=f"Joint {joint}: torque that the model lacks",
+        title=_whose(finding, titles[0]),
         beside=True,
         same=True,
         size=(7.2, 3.2),
@@ -152,6 +155,16 @@ def two_panels(
         joint=joint,
         note=beside_the_law(law, curves[2], panels[0].xlabel, unit),
     )
+
+
+def _whose(finding: Finding, was: str) -> str:
+    """What a law's figure shows: the law's own torque, which is not what a model lacks that is
+    fitted without it; of a number that was given wrong, what lacked with it.
+    """
+    if was.startswith("without "):
+        what = f"torque of {finding.effect}: the improved model without it and with it"
+        return f"Joint {finding.joint}: {what}"
+    return f"Joint {finding.joint}: torque that the model {was} lacks, by {finding.effect}"
 
 
 def broken(at: Array, mean: Array) -> tuple[Array, Array]:
@@ -255,7 +268,7 @@ def _over_time(
         finding.sentence,
         _name(finding, index),
         (Panel("time [s]", torque_label(unit), tuple(lines)),),
-        title=f"Joint {joint}: torque that the model lacks, where {finding.effect} acts most",
+        title=f"{_whose(finding, two.was)}, where it acts most",
         size=(7.2, 3.2),
         finding=index,
         joint=joint,
@@ -276,9 +289,18 @@ def drawn(lacks: Sequence[Missing]) -> list[Array]:
 
 def _period(finding: Finding) -> float:
     """Of what a law repeats along the position, rad or m; 0 where it does not."""
-    if "order" in finding.parameters:
-        return 2 * np.pi / max(finding.parameters["order"].value, 1e-300)
-    return finding.parameters["period"].value if "period" in finding.parameters else 0.0
+    return _repeats({name: e.value for name, e in finding.parameters.items()})
+
+
+def _period_of(term: Term) -> float:
+    """The same of a term."""
+    return _repeats({name: q.value for name, q in term.parameters.items()})
+
+
+def _repeats(numbers: Mapping[str, float]) -> float:
+    if "order" in numbers:
+        return 2 * np.pi / max(numbers["order"], 1e-300)
+    return numbers.get("period", 0.0)
 
 
 def _passing_slowly(lacks: list[Missing], period: float, band: float) -> list[Missing]:
@@ -306,11 +328,33 @@ def unknown_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Ch
     joint, whole = finding.joint, w.whole
     named = {f.effect for f in d.findings if f.joint == joint}
     beside = beside_unknown(whole.calibrated, whole.improved, joint, finding.mechanism, named)
-    curve = curve_of(mismatch(w.train, beside, joint), finding.mechanism)
+    periods = [_period_of(t) for t in whole.improved.at(joint) if t not in beside.at(joint)]
+    lacks = mismatch(w.train, beside, joint)
+    if any(periods):  # waves pass faster than a slow observer sees
+        band, lacks, _ = clearest(w.train, Sides(beside, whole.improved, "", ""), joint)
+        band = band_of(w.train.records[0][joint - 1], band)
+        lacks = _passing_slowly(lacks, max(periods), band)
+    curve = curve_of(lacks, finding.mechanism)
     if curve is None:
         return None
-    chart = _without_a_law(d, joint, curve)
+    chart = _without_a_law(d, joint, in_waves(curve, [p for p in periods if p]))
+    what = "torque without a law, which the model lacks beside what is named"
+    chart = replace(chart, title=f"Joint {joint}: {what}")
     return replace(chart, caption=finding.sentence, name=_name(finding, index), finding=index)
+
+
+def in_waves(curve: Curve, periods: Sequence[float]) -> Curve:
+    """A curve over the position in bins of which each wave has several; where these were too many,
+    all periods of the longest wave are laid over one another.
+    """
+    if not periods or curve.axis.variable != "position":
+        return curve
+    s = curve.samples
+    count = math.ceil(IN_A_WAVE * float(np.ptp(s.x)) / min(periods))
+    if count > MOST_BINS:
+        s = replace(s, x=np.mod(s.x, max(periods)))
+        count = min(math.ceil(IN_A_WAVE * max(periods) / min(periods)), MOST_BINS)
+    return Curve(curve.axis, s, *binned(s, max(count, BINS)), curve.against)
 
 
 def unclaimed_chart(d: Diagnosis, joint: int) -> Chart | None:
@@ -334,7 +378,7 @@ def _without_a_law(d: Diagnosis, joint: int, curve: Curve) -> Chart:
         "",
         "",
         (replace(panel, limits=_common_limits([panel])),),
-        title=f"Joint {joint}: torque that the model lacks",
+        title=f"Joint {joint}: torque that the calibrated model lacks, over its {curve.axis}",
         size=(7.2, 3.2),
         joint=joint,
         note="Bars are standard errors of the means.",

@@ -12,6 +12,7 @@ from zendsp.diagnosis.decide.contract import (
     dark,
     listed,
     nameless,
+    nearest,
     spans,
     two_digits,
 )
@@ -66,7 +67,8 @@ def headline(d: Diagnosis) -> str:
     table = d.test or d.heldout
     left = nameless(((x.joint, x.share) for x in d.discrepancy), table.improved, d.noise_floor)
     doubted = contradicted(d.verdict, ((r.effect, r.joint, r.why, r.score) for r in d.rejected))
-    text = verdict_sentence(d.verdict, found, unseen, left, doubted)
+    near = nearest(d.verdict, ((r.effect, r.joint, r.why, r.score) for r in d.rejected))
+    text = verdict_sentence(d.verdict, found, unseen, left, doubted or near)
     if d.verdict == "complete" and not (unseen or doubted) and table.given > OFF * table.calibrated:
         times = two_digits(table.given / table.calibrated)
         text += f" The given numbers were off: calibrated, it errs {times} times less (notes)."
@@ -91,7 +93,8 @@ def verdict_sentence(
     left : sequence of (joint, share)
         What of a joint's torque a complete model leaves, see ``nameless``.
     doubted : sequence of (effect, joint)
-        What only the recordings of the fit say, see ``contradicted``.
+        What only the recordings of the fit say, see ``contradicted``; what an unexplained verdict
+        is most like, see ``nearest``.
 
     Examples
     --------
@@ -106,14 +109,21 @@ def verdict_sentence(
     'has no name: 1.5 % of the torque of joint 1.'
     >>> verdict_sentence("complete", [], doubted=[("backlash", 1)])[:73]
     'Cannot tell: the recordings of the fit are by far likelier with backlash '
+    >>> verdict_sentence("unexplained", [], doubted=[("backlash", 1)])[:66]
+    'Unexplained: something is missing that is most like backlash at jo'
     """
     if verdict == "complete" and unseen:
         return (
             "Cannot tell: nothing is seen to be missing, but these recordings show next to nothing"
             f" of {listed(unseen)}."
         )
+    what = " and ".join(f"{effect} at joint {joint}" for effect, joint in doubted)
+    if doubted and verdict == "unexplained":
+        return (
+            f"Unexplained: something is missing that is most like {what}, and not surely that; no"
+            " physics is claimed."
+        )
     if doubted:
-        what = " and ".join(f"{effect} at joint {joint}" for effect, joint in doubted)
         return (
             f"Cannot tell: the recordings of the fit are by far likelier with {what}, and the"
             " untouched ones do not show it. Hold out motion as fast as theirs."

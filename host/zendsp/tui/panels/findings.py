@@ -16,6 +16,7 @@ from zendsp.diagnosis.decide.contract import (
     contradicted,
     dark,
     nameless,
+    nearest,
 )
 from zendsp.diagnosis.report.chart import Chart
 from zendsp.diagnosis.report.summary import (
@@ -65,9 +66,10 @@ def headline(report: Report) -> str:
     fit = report["fit"]
     shares = ((x["joint"], x["share"]) for x in report["discrepancy"])
     left = nameless(shares, fit["test"]["improved"], fit["noise_floor"])
-    rejected = ((r["effect"], r["joint"], r["why"], r["score"]) for r in report["rejected"])
-    doubted = contradicted(report["verdict"], rejected)
-    return verdict_sentence(report["verdict"], found, unseen(report), left, doubted)
+    verdict = report["verdict"]
+    rejected = [(r["effect"], r["joint"], r["why"], r["score"]) for r in report["rejected"]]
+    doubted = contradicted(verdict, rejected) or nearest(verdict, rejected)
+    return verdict_sentence(verdict, found, unseen(report), left, doubted)
 
 
 def unseen(report: Report) -> tuple[int, ...]:

@@ -1,0 +1,106 @@
+"""Which law is likeliest where none is claimed, and why it is not, in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from zendsp.diagnosis.decide.claims import Decision, Near, Piece
+from zendsp.diagnosis.decide.contract import nearest
+from zendsp.diagnosis.decide.findings import percent
+from zendsp.diagnosis.measure.discrepancy import Size
+
+NO_BETTER = "with it untouched recordings are predicted no better"
+
+
+def why_apart(size: float, left: float, error: float, larger: float) -> str:
+    """Why a mechanism of this size is not held apart: what stays, or what ``larger`` laws may be
+    wrong by, is as much. All are parts of the RMS torque.
+
+    Examples
+    --------
+    >>> why_apart(0.009, 0.001, 0.012, 0.4)
+    'known laws, of 40 % of the torque, may be wrong by as much'
+    >>> why_apart(0.009, 0.02, 0.0, 0.4)
+    '2 % of the torque that its variables predict is left beside it'
+    """
+    if size > math.hypot(left, error):
+        return "untouched recordings do not surely show it"
+    if error >= size:
+        return f"known laws, of {percent(larger)} % of the torque, may be wrong by as much"
+    if left >= size:
+        return f"{percent(left)} % of the torque that its variables predict is left beside it"
+    return "it is no larger than what is left beside it and what known laws may be wrong by"
+
+
+def why_curve(ways: Mapping[str, bool]) -> str:
+    """Why what lacks is drawn by a law, and not described by it: the first of the ``ways`` that
+    holds.
+    """
+    return next((why for why, holds in ways.items() if holds), "")
+
+
+def doubt(sure: float, likely: bool) -> str:
+    """Why a law is not believed that was named first: how ``sure`` such a finding is, or what would
+    predict in its place though it is ``likely`` enough.
+
+    Examples
+    --------
+    >>> doubt(0.33, False), doubt(0.9, True)
+    ('of such findings 33 in 100 are right', 'another law of its kind predicts as well')
+    """
+    if likely:
+        return "another law of its kind predicts as well"
+    return f"of such findings {100 * sure:.0f} in 100 are right"
+
+
+def with_reasons(
+    claimed: Sequence[Piece], rest: Sequence[Piece], first: Decision | None, fell: Decision | None
+) -> list[Piece]:
+    """The pieces that were asked, each with why it is not claimed.
+
+    Parameters
+    ----------
+    first, fell : Decision or None
+        How the claimed ones were named, and what was believed of that.
+    """
+    reasons: dict[str, str] = {}
+    if first is not None and fell is not None:
+        more = "more is left that depends on the state than it explains"
+        reasons = dict.fromkeys((e for p in claimed for e in p.effects), more)
+        reasons |= {c.term.effect: c.why for c in fell.refinements if c.why}
+        reasons |= {c.term.effect: c.why or NO_BETTER for c in fell.claims}
+        if len(fell.claims) > 1:
+            several = "several mechanisms would be needed, and no law of any is sure"
+            reasons |= {c.term.effect: several for c in fell.claims}
+    said = [next((reasons[e] for e in p.effects if e in reasons), p.why) for p in claimed]
+    return [*(replace(p, why=why) for p, why in zip(claimed, said, strict=True)), *rest]
+
+
+def nearest_law(
+    lost: Sequence[tuple[str, str, float]], pieces: Sequence[Piece], before: Size, after: Size
+) -> Near | None:
+    """The likeliest law of those that were tried, where one takes most of what lacks."""
+    named = nearest("unexplained", [(effect, 1, why, score) for effect, why, score in lost])
+    piece = next((p for e, _ in named for p in pieces if e in p.effects), None)
+    if piece is None:
+        return None
+    beside = dict.fromkeys(e for p in pieces for e in p.effects if e not in piece.effects)
+    return Near(named[0][0], before.value, after.value, piece.why, tuple(beside))
+
+
+def likeness(near: Near) -> str:
+    """What is said of a law that is near, in a sentence without a full stop.
+
+    Examples
+    --------
+    >>> likeness(Near("ripple", 0.013, 0.002, "its waves draw a curve"))[:71]
+    'It is most like ripple: with it 0.2 % of the torque stays unexplained, '
+    """
+    because = f": {near.why}" if near.why else ""
+    also = "".join(f" and {effect}" for effect in near.beside)
+    return (
+        f"It is most like {near.effect}: with it{also} {percent(near.after)} % of the torque stays"
+        f" unexplained, without it {percent(near.before)} %. It is not called that{because}"
+    )
