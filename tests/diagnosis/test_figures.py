@@ -289,10 +289,11 @@ def test_bins_of_a_torque_without_a_law_are_finer_than_the_waves_that_describe_i
     torque = np.sin(14 * x) + 0.1 * rng.normal(size=20000)
     samples = Samples(x, torque, np.ones(20000), np.arange(20000) // 500)
     plain = Curve(Axis("position"), samples, *binned(samples), False)
-    curve = in_waves(plain, [2 * np.pi / 14])
+    curve, period = in_waves(plain, [2 * np.pi / 14])
+    assert period == (0.0 if turns == 1.0 else 2 * np.pi / 14)
     assert np.all(np.abs(curve.mean - np.sin(14 * curve.at)) < 0.1)
     assert np.max(curve.mean) > 0.85 and np.max(np.diff(curve.at)) <= 2 * np.pi / 14 / 8
-    assert in_waves(plain, []) is plain
+    assert in_waves(plain, []) == (plain, 0.0)
 
 
 def test_the_line_of_a_law_crosses_nothing_that_was_not_seen() -> None:

@@ -16,13 +16,13 @@ from zendsp_protocol.texts import counted
 Array = npt.NDArray[np.float64]
 
 # Chosen, not measured: a refusal is worded by them, and what refuses is a jump (checks.py).
-STILL = 5  # rows of one reading at least
+HUNG_ROWS = 5  # rows of one reading at least
 SPEED_ROWS = 3  # before them, over which the speed is taken
 STOPS_COUNTS = 2.0  # counts a row: a joint as fast does not stand in the next
 STOPS_USUAL = 3.0  # times by which speed usually changes from row to row: nor does one as fast
 USUAL = 0.98  # quantile that stands for it
-MISSED = 3.0  # times that speed, and so many counts of a jump show that the joint moved on
-MISSED_COUNTS = 6.0
+JUMPED = 3.0  # times that speed, and so many counts of a jump show that the joint moved on
+JUMPED_COUNTS = 6.0
 
 
 @dataclass(frozen=True)
@@ -41,13 +41,13 @@ def hangs(y: Array, resolution: float) -> list[Hang]:
     """
     new = np.flatnonzero(np.diff(y) != 0) + 1
     first, end = np.r_[0, new], np.r_[new, len(y)]
-    within = (end - first >= STILL) & (first >= SPEED_ROWS) & (end < len(y))
+    within = (end - first >= HUNG_ROWS) & (first >= SPEED_ROWS) & (end < len(y))
     first, end = first[within], end[within]
     speed = np.abs(y[first] - y[first - SPEED_ROWS]) / SPEED_ROWS
     jump = y[np.minimum(end, len(y) - 1)] - y[first]
     changes = float(np.quantile(np.abs(np.diff(y, 2)), USUAL))
     moved = speed > max(STOPS_COUNTS * resolution, STOPS_USUAL * max(changes - resolution, 0.0))
-    on = np.abs(jump) > np.maximum(MISSED * speed, MISSED_COUNTS * resolution)
+    on = np.abs(jump) > np.maximum(JUMPED * speed, JUMPED_COUNTS * resolution)
     return [
         Hang(int(k), int(n), float(by))
         for k, n, by in zip(

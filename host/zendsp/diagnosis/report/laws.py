@@ -107,7 +107,7 @@ def law_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Chart:
     along, unit = "", units_at(d, joint)["position"]
     if period and float(np.ptp(law.samples.x)) > FOLDED * period:
         law, *curves = (_folded(curve, period) for curve in (law, *curves))
-        along = f"position within a period of {period:.4g} {unit} [{unit}]"
+        along = _within(period, unit)
     # a body acts by the motion of all joints; a pattern that passes fast is one all the same
     if (law.explained < SHOWN and not period) or get_effect(finding.effect).site == "body":
         return _over_time(d, finding, index, two, before, after)
@@ -337,24 +337,34 @@ def unknown_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Ch
     curve = curve_of(lacks, finding.mechanism)
     if curve is None:
         return None
-    chart = _without_a_law(d, joint, in_waves(curve, [p for p in periods if p]))
+    curve, period = in_waves(curve, [p for p in periods if p])
+    chart = _without_a_law(d, joint, curve)
     what = "torque without a law, which the model lacks beside what is named"
     chart = replace(chart, title=f"Joint {joint}: {what}")
+    if period:
+        along = _within(period, units_at(d, joint)["position"])
+        chart = replace(chart, panels=tuple(replace(p, xlabel=along) for p in chart.panels))
     return replace(chart, caption=finding.sentence, name=_name(finding, index), finding=index)
 
 
-def in_waves(curve: Curve, periods: Sequence[float]) -> Curve:
-    """A curve over the position in bins of which each wave has several; where these were too many,
-    all periods of the longest wave are laid over one another.
+def _within(period: float, unit: str) -> str:
+    """Label of an axis along which all periods are laid over one another."""
+    return f"position within a period of {period:.4g} {unit} [{unit}]"
+
+
+def in_waves(curve: Curve, periods: Sequence[float]) -> tuple[Curve, float]:
+    """A curve over the position in bins of which each wave has several, and 0; where these were too
+    many, all periods of the longest wave are laid over one another, and that period.
     """
     if not periods or curve.axis.variable != "position":
-        return curve
-    s = curve.samples
+        return curve, 0.0
+    s, period = curve.samples, 0.0
     count = math.ceil(IN_A_WAVE * float(np.ptp(s.x)) / min(periods))
     if count > MOST_BINS:
-        s = replace(s, x=np.mod(s.x, max(periods)))
-        count = min(math.ceil(IN_A_WAVE * max(periods) / min(periods)), MOST_BINS)
-    return Curve(curve.axis, s, *binned(s, max(count, BINS)), curve.against)
+        period = max(periods)
+        s = replace(s, x=np.mod(s.x, period))
+        count = min(math.ceil(IN_A_WAVE * period / min(periods)), MOST_BINS)
+    return Curve(curve.axis, s, *binned(s, max(count, BINS)), curve.against), period
 
 
 def unclaimed_chart(d: Diagnosis, joint: int) -> Chart | None:
