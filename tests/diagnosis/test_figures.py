@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -20,7 +21,7 @@ from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.decide.result import Workings
 from zendsp.diagnosis.measure.curve import Axis, Curve, Samples, binned
 from zendsp.diagnosis.measure.discrepancy import difference, discrepancy, mean_square
-from zendsp.diagnosis.measure.where import Missing, mismatch
+from zendsp.diagnosis.measure.where import Missing, Region, mismatch
 from zendsp.diagnosis.report import figures
 from zendsp.diagnosis.report.chart import Chart, Panel, Series
 from zendsp.diagnosis.report.drawing import SPANS, draw, places
@@ -103,6 +104,16 @@ def test_the_map_of_a_mismatch_shows_no_more_than_the_law(coarse: Diagnosis) -> 
     mesh = chart.panels[0].mesh
     assert mesh is not None and chart.panels[0].xlabel == "velocity [rad/s]"
     assert np.nanmax(mesh.values) < 2.0 * LEVEL
+
+
+@pytest.mark.parametrize("variable", ["position", "velocity"])
+def test_the_map_is_drawn_over_the_variable_of_the_interval_that_is_told(
+    coarse: Diagnosis, variable: str
+) -> None:
+    told = Region(1, variable, (-1.0, 1.0), share=0.66, time_share=0.32, unit="rad")
+    chart = figures.map_chart(replace(coarse, regions=(told,)), 1)
+    assert chart is not None
+    assert all(panel.xlabel.startswith(f"{variable} [") for panel in chart.panels)
 
 
 def test_the_time_beside_a_map_is_drawn_as_far_as_the_mismatch(coarse: Diagnosis) -> None:

@@ -20,13 +20,13 @@ import reality
 from reality import RATE
 
 from zendsp.cli import main
-from zendsp.diagnosis import diagnose
+from zendsp.diagnosis import Diagnosis, diagnose
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.split import split
 from zendsp.diagnosis.decide import decide
 from zendsp.diagnosis.decide.contract import contradicted, dark, nearest
 from zendsp.diagnosis.decide.findings import waves
-from zendsp.diagnosis.decide.result import Detectable, Estimate, Finding, number
+from zendsp.diagnosis.decide.result import Detectable, Estimate, Finding, Rejected, number
 from zendsp.diagnosis.measure.curve import Axis, samples_of
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.where import Missing
@@ -87,11 +87,25 @@ def test_it_is_said_where_the_next_motion_is_or_why_there_is_none(folder: Path) 
     reference = folder / "out" / "next_reference.mat"
     there = reference if reference.is_file() else "none, nothing is left open"
     assert line == f"next motion: {there}"
-    said = {
-        files.no_reference(SimpleNamespace(next_recording=proposal))  # type: ignore[arg-type]
+    said = [
+        files.no_reference(_proposing(proposal))
         for proposal in (None, SimpleNamespace(reference=None), SimpleNamespace(reference=(0, 1)))
-    }
-    assert said == {"nothing is left open", "no motion can be proposed for what is open", ""}
+    ]
+    assert said == ["nothing is left open", "no motion can be proposed for what is open", ""]
+
+
+def _proposing(proposal: object, *rejected: Rejected) -> Diagnosis:
+    return SimpleNamespace(  # type: ignore[return-value]
+        next_recording=proposal, verdict="complete", rejected=rejected, regions=(), times=()
+    )
+
+
+def test_where_the_headline_cannot_tell_nothing_says_that_all_is_settled() -> None:
+    doubtful = _proposing(None, Rejected("backlash", 1, "the untouched do not show it", 1e4))
+    assert files.no_reference(doubtful) == "no motion can be proposed for what is open"
+    assert "Nothing is missing" not in html._where(doubtful)
+    assert "no place is named" in html._where(doubtful)
+    assert "Nothing is missing" in html._where(_proposing(None))
 
 
 def test_report_has_every_key_of_the_contract_with_its_type(report: dict[str, Any]) -> None:
@@ -431,7 +445,9 @@ def test_the_page_does_not_say_nowhere_above_a_picture_with_shaded_spans() -> No
     text = html._where(some)  # type: ignore[arg-type]
     assert "3.70–4.20 s" in text and "Nowhere" not in text
     assert "No interval of a joint's own velocity" in text, "the map may be over another joint's"
-    none = SimpleNamespace(verdict="missing", regions=(), times=(), times_of=(), missing={})
+    none = SimpleNamespace(
+        verdict="missing", regions=(), times=(), times_of=(), missing={}, rejected=()
+    )
     for pictured in (True, False):
         said = html._where(none, pictured=pictured)  # type: ignore[arg-type]
         assert "No interval" in said and "Nowhere" not in said

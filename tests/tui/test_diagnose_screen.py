@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from steps import Until, dialog_words, opened, stored_shown, text_of
 from textual.pilot import Pilot
-from textual.widgets import DataTable, Input, OptionList
+from textual.widgets import DataTable, Input, OptionList, Static
 
 from zendsp.diagnosis.report.chart import load_chart
 from zendsp.physics import load_model
@@ -212,6 +212,29 @@ async def test_a_diagnosis_is_cancelled_and_leaves_nothing(
                 os.kill(pid, 0)
             assert "cancelled" in screen.said[-1]
         assert not list((tmp_path / "diagnoses").glob("*")), "nothing half is left"
+
+
+async def test_a_click_on_what_has_to_wait_says_why_as_its_key_does(
+    tmp_path: Path, until: Until, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run, model = cases.bench(tmp_path, seconds=1.0)
+    monkeypatch.setattr(command, "call", lambda parent: "import time; time.sleep(600)")
+    async with _alone(tmp_path, until) as (pilot, screen):
+        said: list[str] = []
+        monkeypatch.setattr(screen, "say", lambda text, *_: said.append(text))
+        screen.added, screen.roles, screen.model = [str(run)], {str(run): "fit"}, str(model)
+        assert await pilot.click("#do-report")
+        await until(pilot, lambda: "diagnose first" in " ".join(said), "there is no report yet")
+        screen.said = ["— cancelled —"]
+        screen.query_one("#words", Static).update("— cancelled —")
+        assert await pilot.click("#do-start")
+        await until(pilot, lambda: screen.busy, "a click starts")
+        assert "cancelled" not in text_of(screen, "#words"), "that was the one before"
+        await until(pilot, lambda: screen.query_one("#do-start").has_class("-waits"), "drawn so")
+        assert await pilot.click("#do-start")
+        await until(pilot, lambda: "runs already" in said[-1], "Start says so")
+        screen.action_cancel()
+        await until(pilot, lambda: not screen.busy, "it ends")
 
 
 async def test_what_fails_is_said(tmp_path: Path, until: Until) -> None:

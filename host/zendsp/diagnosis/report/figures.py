@@ -149,8 +149,9 @@ def _shown_on(d: Diagnosis) -> str:
 
 
 def map_chart(d: Diagnosis, joint: int) -> Chart | None:
-    """Where does the mismatch live: over the variable on which the first finding depends, or the
-    one that tells most? None where that is no state.
+    """Where does the mismatch live: over the variable on which the first finding depends, or where
+    an interval of the position or of the velocity alone is told, over that? None where it is no
+    state.
     """
     over = _told_over(d, joint)
     if over is None or over.variable not in VARIABLES:
@@ -204,11 +205,14 @@ def map_chart(d: Diagnosis, joint: int) -> Chart | None:
 
 def _told_over(d: Diagnosis, joint: int) -> Axis | None:
     """What a joint's words speak of; None where they speak of nothing of it."""
+    told = [Axis(r.variable) for r in d.regions if r.joint == joint]
+    moving = [a for a in told if a.variable in ("position", "velocity")]
     for finding in d.findings:
         if finding.joint == joint:
             curve = finding.numbers.get("curve")
-            return Axis(curve["variable"]) if isinstance(curve, dict) else axis_of(finding)
-    return next((Axis(r.variable) for r in d.regions if r.joint == joint), None)
+            over = Axis(curve["variable"]) if isinstance(curve, dict) else axis_of(finding)
+            return moving[0] if moving and over not in told else over
+    return next(iter(told), None)
 
 
 def finding_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Chart:

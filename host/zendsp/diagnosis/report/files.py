@@ -16,6 +16,7 @@ from zendsp.diagnosis.decide.result import Diagnosis
 from zendsp.diagnosis.report.chart import SUFFIX, save_chart
 from zendsp.diagnosis.report.figures import charts
 from zendsp.diagnosis.report.laws import as_stated
+from zendsp.diagnosis.report.summary import doubted_in
 from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.files.model_write import model_text
 from zendsp.physics.model import Model
@@ -76,10 +77,10 @@ def write_report(
 
 def no_reference(d: Diagnosis) -> str:
     """Why no next_reference.mat is written; empty where one is."""
-    if d.next_recording is None:
+    if d.next_recording is None and not doubted_in(d):
         return "nothing is left open"
     said = "no motion can be proposed for what is open"
-    return said if d.next_recording.reference is None else ""
+    return said if d.next_recording is None or d.next_recording.reference is None else ""
 
 
 def _clear(folder: Path) -> None:

@@ -15,6 +15,7 @@ from zendsp.diagnosis.report.summary import (
     SMALLER,
     before,
     by_joint,
+    doubted_in,
     headline,
     unnamed,
     word_of,
@@ -31,6 +32,8 @@ NO_INTERVAL = (
     "No interval of a joint's own velocity, position, acceleration or command holds more of its"
     " mismatch beyond chance."
 )
+NOWHERE = "Nothing is missing that these recordings show, so no place is named."
+UNTOLD = "The untouched recordings do not show what those of the fit say, so no place is named."
 FEW_PASSES = " Where a picture shows more, too few passes went there to say so."
 CSS = """
 body{font:15px/1.5 system-ui,sans-serif;color:#222;max-width:54rem;margin:2rem auto;padding:0 1rem}
@@ -198,7 +201,7 @@ def _where(d: Diagnosis, *, pictured: bool = False) -> str:
     doubt = FEW_PASSES if pictured else ""
     if not d.regions and not d.times:
         if d.verdict == "complete":
-            return "<p>Nothing is missing that these recordings show, so no place is named.</p>"
+            return f"<p>{UNTOLD if doubted_in(d) else NOWHERE}</p>"
         return f"<p>{NO_INTERVAL} Nor does any interval of time.{doubt}</p>"
     rows = [
         "<tr><th>joint<th>variable<th>from … to<th class=n>of the mismatch<th class=n>of the time"

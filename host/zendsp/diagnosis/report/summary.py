@@ -60,13 +60,18 @@ def by_joint(unexplained: str) -> list[str]:
     return re.split(r"\. (?=Joint \d+: )", unexplained) if unexplained else []
 
 
+def doubted_in(d: Diagnosis) -> tuple[tuple[str, int], ...]:
+    """Effects and joints of which the headline says that it cannot tell."""
+    return contradicted(d.verdict, ((r.effect, r.joint, r.why, r.score) for r in d.rejected))
+
+
 def headline(d: Diagnosis) -> str:
     """The verdict in one sentence, the mechanism first; in two where the given numbers were off."""
     found = [(f.mechanism, (f.effect, *f.indistinguishable), f.joint) for f in d.findings]
     unseen = dark((x.joint, x.interval) for x in d.discrepancy)
     table = d.test or d.heldout
     left = nameless(((x.joint, x.share) for x in d.discrepancy), table.improved, d.noise_floor)
-    doubted = contradicted(d.verdict, ((r.effect, r.joint, r.why, r.score) for r in d.rejected))
+    doubted = doubted_in(d)
     near = nearest(d.verdict, ((r.effect, r.joint, r.why, r.score) for r in d.rejected))
     text = verdict_sentence(d.verdict, found, unseen, left, doubted or near)
     if d.verdict == "complete" and not (unseen or doubted) and table.given > OFF * table.calibrated:

@@ -378,6 +378,7 @@ class DiagnoseScreen(LoopActions):
         self.shown, self.entries = None, []
         self.query_one("#findings", OptionList).clear_options()
         self.query_one("#verdict", Static).update("")
+        self.query_one("#words", Static).update("")
         self._detail("words-box")
 
     def open(self, d: Diagnosed) -> None:
@@ -481,10 +482,12 @@ class DiagnoseScreen(LoopActions):
         given = self.query_one("#given-model", Static)
         given.update(text)
         given.tooltip = self.model or None
-        self.query_one("#do-start", Button).disabled = self.busy
         self.query_one("#do-cancel", Button).disabled = not self.busy
+        waits = {"start": self.busy}
         for name in ("report", "compensate", "next", "save", "compare"):
-            self.query_one(f"#do-{name}", Button).disabled = self.shown in (None, self.coming)
+            waits[name] = self.shown in (None, self.coming)
+        for name, idle in waits.items():  # not disabled: a click says why, as the key does
+            self.query_one(f"#do-{name}", Button).set_class(idle, "-waits")
         stage = Text(" ", no_wrap=True, overflow="ellipsis")
         if self.busy:
             stage.append(SPINNER[int(4 * seconds) % len(SPINNER)], Style(color=c["accent"]))
