@@ -66,6 +66,14 @@ def test_a_push_is_a_disturbance_with_its_times(decided: Decided) -> None:
     assert rms.value <= peak.value and 0.0 < rms.std < 0.02
 
 
+def test_a_push_too_small_for_a_finding_is_told_with_its_times(decided: Decided) -> None:
+    d = decided(reality.Machine(push=(0.007, 2.0, 4.0)), reality.Machine(push=(0.007, 6.5, 8.5)))
+    assert d.verdict == "complete" and len(d.times) == len(d.times_of) == 2
+    assert np.array(d.times) == pytest.approx(np.array([[2.0, 4.0], [6.5, 8.5]]), abs=0.3)
+    (told,) = (note for note in d.notes if "no state explains" in note)
+    assert told.startswith("joint 1: a torque of up to 0.00") and told.endswith("touched?")
+
+
 @pytest.mark.parametrize("seconds", [(9.0, 12.0)])
 def test_pushes_in_every_recording_and_a_friction_that_is_missing_are_both_found(
     decided: Decided,

@@ -5,7 +5,7 @@ say what remains.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -42,7 +42,7 @@ from zendsp.diagnosis.decide.result import (
 )
 from zendsp.diagnosis.joints import Progress
 from zendsp.diagnosis.machine import Found, find
-from zendsp.diagnosis.measure.where import located
+from zendsp.diagnosis.measure.where import Missing, Region, Times, located
 from zendsp.diagnosis.measure.windows import model_error, noise_floor
 from zendsp.diagnosis.report.files import left_out
 from zendsp.diagnosis.report.sides import clearest, sides
@@ -138,7 +138,7 @@ def _diagnose(
     joints = range(1, given.joints + 1)
     seen_at = {j: clearest(shown_on, sides(findings, given, whole, j), j) for j in joints}
     lacking = {j: before for j, (_, before, _) in seen_at.items()}
-    places, times, at = located({j: lacking[j] for j in _lacking(found, findings, verdict)})
+    places, times, at = _located(lacking, found, findings, verdict)
     tell("asking what could have been seen")
     seen = detectable(parts, given, decisions, jobs)
     decisions = blind(decisions, seen)
@@ -264,6 +264,20 @@ def _read(
     signals, held, notes = read_parts(_sources(recordings), _sources(heldout), model)
     choose, test, how = halves(held)
     return signals, choose, test, [*notes, *how]
+
+
+def _located(
+    lacking: Mapping[int, Sequence[Missing]],
+    found: Found,
+    findings: Sequence[Finding],
+    verdict: Verdict,
+) -> tuple[tuple[Region, ...], Times, tuple[str, ...]]:
+    """Where what is missing lies, and when; of a complete model, when something pushes it."""
+    if verdict != "complete":
+        return located({j: lacking[j] for j in _lacking(found, findings, verdict)})
+    pushes = [d.beside for d in found.decisions if d.beside is not None]
+    spans = tuple(span for push in pushes for span in push.intervals)
+    return (), spans, tuple(name for push in pushes for name in push.recordings)
 
 
 def _lacking(found: Found, findings: Sequence[Finding], verdict: Verdict) -> set[int]:

@@ -119,7 +119,8 @@ class Decision:
     alone: Scored  # the claims by themselves
     scale: float  # RMS torque of the recordings to test on, N m or N
     bursts: Bursts | None = None
-    # times of the recordings of the fit at which what the claims leave acts
+    # times of the recordings of the fit at which what the claims leave acts; where nothing is
+    # claimed, of all recordings, at which what is too small for a finding does
     beside: Bursts | None = None
     known: Known = Known()  # what the given model says that this machine leaves unexplained
     # recordings that numbers of their own explain, where those of the others do not

@@ -37,6 +37,7 @@ from zendsp.diagnosis.decide.pieces import (
 from zendsp.diagnosis.decide.pushes import (
     beside,
     by_own_numbers,
+    felt,
     fitted_to,
     of_the_motion,
     predicts,
@@ -86,6 +87,7 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
         Receives a sentence at each stage.
     """
     out = _decided(parts, given, search, jobs, tell)
+    turning = not rubs(search.base.model, search.joint)
     if out.kind == "missing" and not any(c.effect == "unknown" for c in out.claims):
         models = [out.final]
     # a friction that is missing hides pushes, and they hide it
@@ -93,8 +95,7 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
         models = [r.scored for r in search.tried if get_effect(r.effect).common]
         models += [search.best] if search.best is not None else []
     else:
-        return out
-    turning = not rubs(search.base.model, search.joint)
+        return replace(out, beside=felt(out, parts, turning))
     return replace(out, bursts=pushed_beside(out, models, parts, turning))
 
 

@@ -32,6 +32,7 @@ def notes_of(decisions: Sequence[Decision], given: Model) -> list[str]:
     return [
         *_loosely_fitted(decisions),
         *_likelier(decisions),
+        *_felt(decisions, given),
         *_creeping(decisions, given),
         *_other_loads(decisions),
     ]
@@ -50,6 +51,18 @@ def _likelier(decisions: Sequence[Decision]) -> list[str]:
         " untouched ones do not say so: hold out motion as fast as theirs, or look for what is"
         " wrong with them alone"
         for effect, joint in contradicted("complete", lost)
+    ]
+
+
+def _felt(decisions: Sequence[Decision], given: Model) -> list[str]:
+    """Pushes that are too small for a finding."""
+    return [
+        f"joint {d.joint}: a torque of up to {two_digits(d.beside.peak)}"
+        f" {given.torque_unit(d.joint)} acts at {spans(d.beside.intervals, d.beside.recordings)}"
+        " that no state explains; all of the time it is less than the"
+        f" {percent(LAWFUL)} % of the torque that a finding has. Was the machine touched?"
+        for d in decisions
+        if d.kind == "complete" and d.beside is not None
     ]
 
 
@@ -218,7 +231,7 @@ def left_over(decisions: Sequence[Decision], given: Model, fit: Data) -> str:
                 f" {two_digits(d.after.value * d.scale)} {unit} RMS "
                 f"({percent(d.after.value)} % of the torque) stays unexplained"
             )
-        if d.beside is not None:
+        if d.beside is not None and d.kind != "complete":
             words.append(
                 f"Joint {d.joint}: in the recordings of the fit a torque of up to"
                 f" {two_digits(d.beside.peak)} {unit} acts at"

@@ -4,6 +4,7 @@ recordings of a machine with another load.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import replace
@@ -12,7 +13,9 @@ from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.pieces import dry_torque
 from zendsp.diagnosis.decide.thresholds import (
+    A_PART,
     BY_CHANCE,
+    FELT,
     LAWFUL,
     MACHINE,
     OF_STATE,
@@ -118,6 +121,30 @@ def beside(decision: Decision, parts: Parts) -> Bursts | None:
     if discrepancy(parts.fit, model, joint).value < LAWFUL:
         return None
     return in_fit(parts, model, joint)
+
+
+def felt(out: Decision, parts: Parts, turning: bool) -> Bursts | None:
+    """A push that is too small for a finding, where nothing else lacks: it is told all the same."""
+    model, joint = out.base.model, out.joint
+    lacks = max(out.before.value, discrepancy(parts.fit, model, joint).value)
+    if out.kind != "complete" or beyond(lacks, out.known.all) < FELT:
+        return None
+    found = in_held(parts, model, joint, OFTEN) or in_fit(parts, model, joint)
+    if found is None:
+        return None
+    both = everywhere(found, (parts.fit, parts.held), model, joint)
+    alone = comes_and_goes(both, parts) and not of_the_motion(
+        replace(out, bursts=both), parts, turning
+    )
+    if not alone:
+        return None
+    longest = max(b - a for a, b in both.intervals)
+    long = [(b - a) > A_PART * longest for a, b in both.intervals]  # the others are their edges
+    return replace(
+        both,
+        intervals=tuple(itertools.compress(both.intervals, long)),
+        recordings=tuple(itertools.compress(both.recordings, long)),
+    )
 
 
 def in_held(parts: Parts, model: Model, joint: int, often: float) -> Bursts | None:
