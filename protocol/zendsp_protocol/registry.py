@@ -62,4 +62,5 @@ def born(pid: int) -> str:
             fields = file.read().rpartition(")")[2].split()
     except OSError:
         return ""
-    return "" if fields[0] in "ZX" else fields[19]  # state and starttime, proc(5)
+    # state and starttime, proc(5); of one that ends just then there may be nothing to read
+    return "" if not fields or fields[0] in "ZX" else fields[19]

@@ -127,6 +127,26 @@ def _late(escapes: stop_process.Escapes, *parts: bytes) -> list[object]:
     return _presses(b"".join(map(escapes.told_apart, parts)))
 
 
+class NoPage:
+    """Links of a target whose stop page cannot be read."""
+
+    name, target = "imi", None
+
+    def page(self) -> None:
+        raise OSError("gone")
+
+
+def test_a_stop_page_that_cannot_be_read_leaves_stop_to_the_link(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The key came as its page went: whoever reads the keys has to live, and to tell the truth."""
+    monkeypatch.setattr(stop_process, "INSIST_S", 0.0)
+    told: list[tuple[object, ...]] = []
+    stop_process.Stops(NoPage(), lambda *said: told.append(said)).press()  # type: ignore[arg-type]
+    until(lambda: len(told) == 2, "a verdict")
+    assert [state for state, *_ in told] == ["asked", "not stopped"]
+
+
 def test_an_escape_and_the_key_after_it_are_two_keys_however_late_they_are_read() -> None:
     escapes = stop_process.Escapes(web=False)
     assert _late(escapes, b"\x1b", b"o", b"\x1b", b"\r", b"\x1b\x1b", b"") == [

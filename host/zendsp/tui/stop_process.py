@@ -148,9 +148,13 @@ class Stops:
             background("stop", self._run)
 
     def press(self) -> None:
-        """STOP. Never waits."""
-        page = self._links.page()
-        asked = page.ask() if page is not None else 0
+        """STOP. Never waits, and never fails: a page that cannot be read leaves it to the link."""
+        page, asked = None, 0
+        try:
+            page = self._links.page()
+            asked = page.ask() if page is not None else 0
+        except Exception:  # whatever it was, this process has to live
+            page = None
         self._pressed.put((time.monotonic(), page, asked))
 
     def _run(self) -> None:
