@@ -170,48 +170,37 @@ def nameless(
     return tuple((joint, share) for joint, share in left if share and share > LEAST_NAMELESS)
 
 
-def contradicted(
-    verdict: Verdict, rejected: Iterable[tuple[str, int, str, float | None]]
-) -> tuple[tuple[str, int], ...]:
+Tried = tuple[str, int, str, float | None]  # effect, joint, why, score: of ``rejected``
+
+
+def _likeliest(rejected: Iterable[Tried]) -> list[tuple[int, float, str, str]]:
+    """Joint, score, effect and why of the likeliest hypothesis of each joint."""
+    best: dict[int, tuple[float, str, str]] = {}
+    for effect, joint, why, score in rejected:
+        one = (score or 0.0, effect, why)
+        best[joint] = max(one, best.get(joint, one))
+    return [(joint, *best[joint]) for joint in sorted(best)]
+
+
+def contradicted(verdict: Verdict, rejected: Iterable[Tried]) -> tuple[tuple[str, int], ...]:
     """Effects and joints by which the recordings of the fit say that something is missing where the
     untouched ones do not: their motion may not show it.
-
-    Parameters
-    ----------
-    rejected : iterable of (effect, joint, why, score)
-        Of ``rejected``.
     """
     if verdict != "complete":
         return ()
-    likeliest: dict[int, tuple[float, str, str]] = {}
-    for effect, joint, why, score in rejected:
-        one = (score or 0.0, effect, why)
-        likeliest[joint] = max(one, likeliest.get(joint, one))
     return tuple(
         (effect, joint)
-        for joint, (score, effect, why) in sorted(likeliest.items())
+        for joint, score, effect, why in _likeliest(rejected)
         if score > FAR_LIKELIER and not why.startswith(TOO_SMALL)
     )
 
 
-def nearest(
-    verdict: Verdict, rejected: Iterable[tuple[str, int, str, float | None]]
-) -> tuple[tuple[str, int], ...]:
-    """Effects and joints that an unexplained verdict is most like, one a joint.
-
-    Parameters
-    ----------
-    rejected : iterable of (effect, joint, why, score)
-        Of ``rejected``.
-    """
+def nearest(verdict: Verdict, rejected: Iterable[Tried]) -> tuple[tuple[str, int], ...]:
+    """Effects and joints that an unexplained verdict is most like, one a joint."""
     if verdict != "unexplained":
         return ()
-    likeliest: dict[int, tuple[float, str]] = {}
-    for effect, joint, why, score in rejected:
-        if why.startswith(NEAR):
-            one = (score or 0.0, effect)
-            likeliest[joint] = max(one, likeliest.get(joint, one))
-    return tuple((effect, joint) for joint, (_, effect) in sorted(likeliest.items()))
+    near = (tried for tried in rejected if tried[2].startswith(NEAR))
+    return tuple((effect, joint) for joint, _, effect, _ in _likeliest(near))
 
 
 def dark(left: Iterable[tuple[int, Sequence[float]]]) -> tuple[int, ...]:
