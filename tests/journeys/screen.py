@@ -12,6 +12,7 @@ import signal
 import struct
 import termios
 import threading
+import time
 from collections.abc import Sequence
 
 import pyte
@@ -37,7 +38,8 @@ class Screen:
         program: Sequence[str] = (),
     ) -> None:
         self.shown = pyte.Screen(*size)
-        self._fed = 0  # pieces that have been read
+        self._fed, self._fed_at = 0, time.monotonic()  # pieces that have been read, and when
+        self._last, self._unread = b"", ""  # bytes; why no more are read
         self._read: tuple[int, list[str]] = (-1, [])  # rows, after so many
         stream = pyte.ByteStream(self.shown)
         self.status: int | None = None  # of the end
@@ -52,10 +54,15 @@ class Screen:
             try:
                 while data := os.read(self.fd, 1 << 16):
                     # pyte knows no private queries of this kind
+                    self._last = (self._last + data)[-2000:]
                     stream.feed(data.replace(b"\x1b[>", b"\x1b["))
                     self._fed += 1
+                    self._fed_at = time.monotonic()
             except OSError:
                 return
+            except Exception as error:
+                self._unread = repr(error)
+                raise
 
         threading.Thread(target=read, daemon=True).start()
 
@@ -103,7 +110,15 @@ class Screen:
 
     def until(self, what: str) -> None:
         """Wait until the text is on the screen."""
-        until(lambda: what in self.text(), f"on the screen: {what}", lambda: "\n" + self.text())
+        until(lambda: what in self.text(), f"on the screen: {what}", self._evidence)
+
+    def _evidence(self) -> str:
+        """What is on the screen, and how it came there: of a failure that nobody can repeat."""
+        silent = time.monotonic() - self._fed_at
+        return (
+            f"\n{self.text()}\nread for the last time {silent:.1f} s ago {self._unread}"
+            f"\n{self._last!r}"
+        )
 
     def ended(self) -> int:
         """Wait until the application has ended by itself; its exit status."""

@@ -208,6 +208,66 @@ def test_a_process_of_the_keys_that_does_nothing_is_not_waited_for(
     until(lambda: not guard.alive, "the terminal reads the keys itself")
 
 
+def test_the_end_of_the_process_of_the_keys_is_told_since_a_stop_may_have_gone_with_it(
+    keys_process: Guarded,
+) -> None:
+    guard, told = keys_process
+    told.clear()
+    guard._process.kill()
+    until(lambda: not guard.alive, "the terminal reads the keys itself")
+    until(lambda: "not stopped" in told, "loudly")
+
+
+def test_a_word_that_cannot_be_read_ends_the_process_of_the_keys_rather_than_all_words(
+    keys_process: Guarded, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    guard, told = keys_process
+    told.clear()
+    monkeypatch.setattr(stopper, "HERE", "away")  # so "here" is no state that there is
+    until(lambda: not guard.alive, "the terminal reads the keys itself")
+    until(lambda: "not stopped" in told, "loudly")
+
+
+def test_a_stop_is_asked_by_the_link_where_the_page_breaks_after_it_was_pressed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Broken:
+        def ask(self) -> int:
+            return 0
+
+        def taken(self, asked: int, timeout: float) -> int | None:
+            raise ValueError("gone")
+
+    told: list[str] = []
+    links = stop_process.Links()
+    monkeypatch.setattr(links, "page", Broken)
+    stops = stop_process.Stops(links, lambda state, *_: told.append(state))
+    for _ in range(stop_process.STOPPERS + 1):  # one more than there are threads to lose
+        told.clear()
+        stops.press()
+        until(lambda: "asked" in told, "each is taken")
+
+
+def test_no_link_is_given_up_for_an_error_that_nobody_thought_of(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Panic(BaseException):
+        """Like a panic of Rust, which is no `Exception`."""
+
+    calls: list[str] = []
+
+    def fails(name: str, *_: object, **__: object) -> None:
+        calls.append(name)
+        raise Panic
+
+    monkeypatch.setattr(stop_process, "connect", fails)
+    monkeypatch.setattr(stop_process, "RETRY_S", 0.01)
+    links = stop_process.Links()
+    links.want("imi", here=False)
+    until(lambda: len(calls) > 2, "tried again and again")
+    links.want("", here=False)
+
+
 def test_a_process_of_the_keys_that_gets_no_processor_is_waited_for(
     keys_process: Guarded, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pty
 import select
@@ -126,3 +127,20 @@ def test_what_is_typed_before_the_first_picture_is_no_command(tmp_path: Path) ->
         os.kill(pid, signal.SIGKILL)
         os.waitpid(pid, 0)
         os.close(terminal)
+
+
+def test_what_a_library_writes_on_standard_error_waits_until_the_screens_are_gone() -> None:
+    program = (
+        "import os\nfrom zendsp.cli.tui import errors_kept\n"
+        "with errors_kept():\n    os.write(2, b'torn'); os.write(1, b'picture ')\n"
+    )
+    pid, terminal = pty.fork()
+    if pid == 0:
+        os.execv(sys.executable, [sys.executable, "-c", program])
+    seen = b""
+    with contextlib.suppress(OSError):  # its end
+        while data := os.read(terminal, 1 << 16):
+            seen += data
+    os.waitpid(pid, 0)
+    os.close(terminal)
+    assert seen == b"picture torn"

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shutil
 import signal
 import sys
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import click
@@ -139,9 +142,32 @@ def command(
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
     app.session.stops.guard_keys(target, here=False)
     try:
-        app.run()
+        with errors_kept():
+            app.run()
     finally:
         app.session.stops.release_keys()
+
+
+@contextlib.contextmanager
+def errors_kept() -> Iterator[None]:
+    """Keep what libraries write on standard error until the screens are gone: written on the same
+    terminal it would tear the picture apart.
+    """
+    if not sys.stderr.isatty():
+        yield
+        return
+    terminal = os.dup(2)
+    with tempfile.TemporaryFile() as kept:
+        os.dup2(kept.fileno(), 2)
+        try:
+            yield
+        finally:
+            sys.stderr.flush()
+            os.dup2(terminal, 2)
+            os.close(terminal)
+            kept.seek(0)
+            shutil.copyfileobj(kept, sys.stderr.buffer)
+            sys.stderr.flush()
 
 
 def _need_terminal() -> None:

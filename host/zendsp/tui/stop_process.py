@@ -29,7 +29,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
-from zendsp.errors import NotStopped, ZendspError
+from zendsp.errors import NotStopped
 from zendsp.here.registered import own_entries
 from zendsp.here.stop_page import StopPage, find
 from zendsp.here.stopped import TAKEN_S, stopped
@@ -130,7 +130,7 @@ class Links:
                 try:
                     # the terminal itself stands there already
                     self.target = connect(name, self._where(), shown=False)
-                except ZendspError:
+                except BaseException:  # a panic of Zenoh's too: without this thread, no link again
                     self._wanted.wait(RETRY_S)
 
 
@@ -161,7 +161,9 @@ class Stops:
         while True:
             pressed, page, asked = self._pressed.get()
             self._tell(StopState.ASKED, "STOP asked: no word yet that it stopped")
-            sample = page.taken(asked, TAKEN_S) if page is not None else None
+            sample = None
+            with contextlib.suppress(Exception):  # what the page cannot say the link is asked
+                sample = page.taken(asked, TAKEN_S) if page is not None else None
             if sample is not None:
                 self._tell(StopState.STOPPED, f"stopped, at sample {sample}")
             else:
@@ -178,7 +180,7 @@ class Stops:
                     )
                 self._tell(StopState.STOPPED, stopped(target.stop()))
                 return
-            except Exception as error:
+            except BaseException as error:  # a panic of Zenoh's too
                 if not told:
                     detail = (
                         str(error) if isinstance(error, NotStopped) else f"{EMERGENCY} ({error})"

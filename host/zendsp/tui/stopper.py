@@ -28,6 +28,7 @@ ASK_S = 0.2  # between questions whether it is there
 LOOK_S = 0.1  # between looks at one that has not answered yet
 ASLEEP_S = 0.5  # without an answer, after which it is ended unless it wants a processor
 SILENT_S = 3.0  # the same where it wants one: the computer is busy
+KEY_LOST = "a STOP pressed just now may be lost: press F9 again"
 
 
 def _states(pid: int) -> set[str]:
@@ -125,8 +126,11 @@ class Stopper:
 
     def _hangs(self, silent_s: float) -> bool:
         """Whether nobody will read the next key, after so many seconds without an answer."""
-        if select.select([self._verdicts], [], [], 0.0)[0]:
-            return False  # its answer is there: it is the application that could not look
+        try:
+            if select.select([self._verdicts], [], [], 0.0)[0]:
+                return False  # its answer is there: it is the application that could not look
+        except OSError:  # it has ended, and its words were closed
+            return True
         states = _states(self._process.pid)
         if "T" in states:
             time.sleep(LOOK_S)  # a whole job that goes on does so one by one
@@ -134,18 +138,31 @@ class Stopper:
         return silent_s > (SILENT_S if states & {"R", "D"} else ASLEEP_S)
 
     def _listen(self) -> None:
+        why = ""
         with open(self._verdicts, encoding="utf-8") as lines:
-            for line in lines:
-                verdict = json.loads(line)
-                if verdict["state"] == HERE:
-                    self._here.set()
-                else:
-                    state = StopState(verdict["state"])
-                    self._on_verdict(state, verdict["text"], verdict["detail"])
+            try:
+                for line in lines:
+                    self._hear(json.loads(line))
+            except Exception as error:  # nobody would tell any more how a STOP ended
+                why = f" ({type(error).__name__}: {error})"
         if self.alive:
             self.alive = False
+            self._process.kill()
             self._process.wait()
             os.dup2(self.terminal, 0)
+            self._on_verdict(
+                StopState.NOT_STOPPED,
+                KEY_LOST,
+                f"the process that reads the keys first has ended{why}: {KEY_LOST}."
+                " The terminal reads the keys itself now",
+            )
+
+    def _hear(self, verdict: dict[str, str]) -> None:
+        if verdict["state"] == HERE:
+            self._here.set()
+        else:
+            state = StopState(verdict["state"])
+            self._on_verdict(state, verdict["text"], verdict["detail"])
 
 
 def with_stop(
