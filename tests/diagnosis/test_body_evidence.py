@@ -417,3 +417,17 @@ def test_a_small_body_is_asked_for_where_two_joints_claim_what_it_may_be(
     assert (asked is small) is (several and not proposed)
     found.claims = (object(),)  # a body is claimed already
     assert machine._for_the_joints(search, found) is None
+
+
+def test_what_a_body_cannot_be_told_from_are_effects_in_the_report_and_words_in_the_sentence() -> None:
+    term = Term("body", 2, {"mass": Quantity(0.3)})
+    explained: Any = SimpleNamespace(
+        hypothesis=Hypothesis("body", 2, "link2", ("mass",)),
+        values=np.array([0.3]),
+        std=np.array([0.03]),
+    )
+    others = ("payload of link2", "gravity_scale", "calibration")
+    found = FoundBody(term, "link2", explained, others, ())
+    told = decide_bodies.body_finding(BodyClaim(found, {2: 0.1}, 100.0, 0.5), 0.02)
+    assert told.indistinguishable == ("payload", "gravity")
+    assert "another strength of gravity, other values of the model's own free" in told.sentence

@@ -46,6 +46,10 @@ def said(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str]:
             "no such option '--modle'; did you mean '--model'? 'zendsp diagnose --help'",
         ),
         (["completion", "tcsh"], "'tcsh' is not one of"),
+        (  # dashes make no two names alike
+            ["reference", "multisine", "--duration", "5"],
+            "no such option '--duration'; 'zendsp reference multisine --help' says more",
+        ),
         (["bridge", "foxglove", "--port", "99999"], "99999 is not in the range"),
         (["tui", "--web", "--port", "99999"], "99999 is not in the range"),
         (["gett"], "no command 'gett'; did you mean get? 'zendsp --help' lists them"),

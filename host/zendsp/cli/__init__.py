@@ -212,6 +212,11 @@ def _wrong_use(error: click.ClickException) -> str:
         return (
             f"no command {error.command_name!r}; {near}'{context.command_path} --help' lists them"
         )
+    if context is not None and isinstance(error, click.exceptions.NoSuchOption):
+        options = [name for p in context.command.params for name in p.opts]
+        name = error.option_name  # without dashes, in which all are alike
+        close = nearest(name.lstrip("-"), [o.lstrip("-") for o in options])
+        error = click.exceptions.NoSuchOption(name, possibilities=[f"--{o}" for o in close])
     words = error.format_message()
     if type(error) is click.BadParameter:  # it is its own sentence
         words = error.message

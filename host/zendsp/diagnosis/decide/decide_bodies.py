@@ -35,6 +35,11 @@ from zendsp.physics.robots.bodies import Links
 # of a body's squared torque, over the joints: at so much it has to be larger than what is left
 LARGER_THAN_LEFT = 0.5
 REJECTED = 4  # of its rivals are reported
+# rivals that are no effects, as a sentence says them
+IN_WORDS = {
+    "gravity_scale": "another strength of gravity",
+    "calibration": "other values of the model's own free numbers",
+}
 
 
 @dataclass(frozen=True)
@@ -287,7 +292,8 @@ def body_finding(claim: BodyClaim, everything: float) -> Finding:
         values[key] = Estimate(float(value), float(np.hypot(std, INTEGRATION_ERROR * scale)), unit)
     text = _sentence(found, values)
     if found.indistinguishable:
-        text += f" This recording cannot tell it from {', '.join(found.indistinguishable)}."
+        others = ", ".join(IN_WORDS.get(name, name) for name in found.indistinguishable)
+        text += f" This recording cannot tell it from {others}."
     share = min(1.0, claim.square / max(everything, 1e-300))
     numbers = {"body": found.body} if found.body else {}
     law = {term.effect: 1.0}
@@ -371,6 +377,8 @@ def rejected_bodies(search: BodySearch, claims: Sequence[BodyClaim]) -> list[Rej
 
 def _effects(words: Sequence[str], own: str) -> tuple[str, ...]:
     """Effects of hypotheses in words ("payload of link3") but ``own``, each once: reports name
-    effects, the sentence says of which body.
+    effects, the sentence says of which body, and what is none.
     """
-    return tuple(dict.fromkeys(e for w in words if (e := w.split(" of ")[0]) != own))
+    effects = (w.split(" of ")[0] for w in words if w not in IN_WORDS)
+    strength = ("gravity",) if "gravity_scale" in words else ()
+    return tuple(dict.fromkeys(e for e in (*effects, *strength) if e != own))
