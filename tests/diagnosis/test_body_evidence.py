@@ -419,7 +419,7 @@ def test_a_small_body_is_asked_for_where_two_joints_claim_what_it_may_be(
     assert machine._for_the_joints(search, found) is None
 
 
-def test_what_a_body_cannot_be_told_from_are_effects_in_the_report_and_words_in_the_sentence() -> None:
+def test_rivals_of_a_body_are_effects_in_the_report_and_words_in_its_sentence() -> None:
     term = Term("body", 2, {"mass": Quantity(0.3)})
     explained: Any = SimpleNamespace(
         hypothesis=Hypothesis("body", 2, "link2", ("mass",)),

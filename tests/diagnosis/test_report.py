@@ -91,7 +91,7 @@ def test_it_is_said_where_the_next_motion_is_or_why_there_is_none(folder: Path) 
         files.no_reference(_proposing(proposal))
         for proposal in (None, SimpleNamespace(reference=None), SimpleNamespace(reference=(0, 1)))
     ]
-    assert said == ["nothing is left open", "no motion can be proposed for what is open", ""]
+    assert said == ["nothing is left open", "the experiment that it names is set up by hand", ""]
 
 
 def _proposing(proposal: object, *rejected: Rejected) -> Diagnosis:

@@ -79,8 +79,10 @@ def no_reference(d: Diagnosis) -> str:
     """Why no next_reference.mat is written; empty where one is."""
     if d.next_recording is None and not doubted_in(d):
         return "nothing is left open"
-    said = "no motion can be proposed for what is open"
-    return said if d.next_recording is None or d.next_recording.reference is None else ""
+    if d.next_recording is None:
+        return "no motion can be proposed for what is open"
+    by_hand = "the experiment that it names is set up by hand"
+    return by_hand if d.next_recording.reference is None else ""
 
 
 def _clear(folder: Path) -> None:
