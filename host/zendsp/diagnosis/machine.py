@@ -85,6 +85,9 @@ def find(
     if not pushes:
         return _loaded(found, given, jobs)
     fit, choose, test = (cut_out(part, pushes) for part in signals)
+    if not fit or not (choose or test):  # upon a push, calibration lacks something everywhere
+        largest = _pushes(found.decisions, largest=True)
+        fit, choose, test = (cut_out(part, largest) for part in signals)
     # beside a friction that lacks too, pushes are certain once it is known without them
     alone = [d if d.kind == "disturbance" else unpushed(d) for d in found.decisions]
     if not (choose or test):
@@ -301,13 +304,15 @@ def _misled(found: Found, calibrated: Model, rest: Data) -> bool:
     return False
 
 
-def _pushes(decisions: Sequence[Decision]) -> list[tuple[str, float, float]]:
-    """Recording, begin and end (s) of each push."""
+def _pushes(
+    decisions: Sequence[Decision], largest: bool = False
+) -> list[tuple[str, float, float]]:
+    """Recording, begin and end (s) of each push, or of the ``largest`` at each joint."""
+    each = [d.bursts.largest() if largest else d.bursts for d in decisions if d.bursts is not None]
     return [
         (name, *span)
-        for d in decisions
-        if d.bursts is not None
-        for name, span in zip(d.bursts.recordings, d.bursts.intervals, strict=True)
+        for pushes in each
+        for name, span in zip(pushes.recordings, pushes.intervals, strict=True)
     ]
 
 

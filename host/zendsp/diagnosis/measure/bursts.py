@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import compress
 from statistics import NormalDist
 
 import numpy as np
@@ -52,6 +53,7 @@ LASTING, ELSEWHERE = 0.25, 0.1
 # most, a strap at the ends of the travel 2.6; over all of three recordings 2.3, and a strap, a gap
 # and two frictions 6.0 to 12.3.
 MANY, FEW = 12, 2
+A_LARGE = 0.25  # of the energy of the largest interval: half of its torque for as long
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,17 @@ class Bursts:
     beside: float
     least: float
     spread: float
+    energies: tuple[float, ...]
+
+    def largest(self) -> Bursts:
+        """Those intervals alone that hold ``A_LARGE`` of the energy of the largest."""
+        use = [e >= A_LARGE * max(self.energies) for e in self.energies]
+        return replace(
+            self,
+            intervals=tuple(compress(self.intervals, use)),
+            recordings=tuple(compress(self.recordings, use)),
+            energies=tuple(compress(self.energies, use)),
+        )
 
 
 @dataclass(frozen=True)
@@ -344,6 +357,7 @@ def _summed(parts: Sequence[_Acting], joint: int) -> Bursts:
         float(np.sqrt(np.sum(beside**2) / max(len(beside), 1))),
         max(acting.least for acting in parts),
         sum(each) ** 2 / max(sum(e * e for e in each), 1e-300),
+        tuple(each),
     )
 
 
