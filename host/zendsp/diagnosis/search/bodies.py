@@ -126,7 +126,8 @@ def find_bodies(
     if links is None or all(b.parent < 0 for b in links.bodies):
         return BodySearch(model)
     first = search = _searched(fit, choose, model, links, jobs, tell, limits, beside)
-    while not search.found and _drowned(search.tried, limits):
+    layout = Layout(model, links)
+    while not search.found and _drowned(choose, layout, search.tried, limits):
         limits = replace(limits, bandwidth=0.5 * limits.bandwidth)
         if limits.bandwidth < limits.slowest:
             return first
@@ -134,13 +135,22 @@ def find_bodies(
     return search if search.found else first
 
 
-def _drowned(tried: Sequence[Explained], limits: BodyLimits) -> bool:
-    """Whether a body predicts better than none for sure, and is little of what such fast observers
-    leave: counts that a controller answers to, a friction that sticks and slips. Slower ones hear
-    less of that, and as much of what moves with the arm.
+def _drowned(
+    choose: Data, layout: Layout, tried: Sequence[Explained], limits: BodyLimits
+) -> bool:
+    """Whether a body that is worth finding predicts better than none for sure, and is little of
+    what such fast observers leave: counts that a controller answers to, a friction that sticks and
+    slips. Slower ones hear less of that, and as much of what moves with the arm.
     """
-    sure = [e for e in tried if e.hypothesis.of_bodies and e.z > limits.sure]
-    return any(not (seen(e, limits) or clear(e, limits)) for e in sure)
+    by_chance = 2.0 * float(np.log(len(tried) / limits.chance))
+    return any(
+        e.hypothesis.of_bodies
+        and e.z > limits.sure
+        and e.gain > by_chance
+        and not (seen(e, limits) or clear(e, limits) or unsure(e, limits))
+        and weight_of(choose, layout, e) > limits.least
+        for e in tried
+    )
 
 
 def _searched(
