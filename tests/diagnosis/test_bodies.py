@@ -5,13 +5,27 @@ model may lack.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from small_arms import (
+    LINKS,
+    RATE,
+    RESOLUTION,
+    ROTOR,
+    SUB,
+    WRIST,
+    Arm,
+    prepared,
+    recorded,
+    searched,
+    urdf,
+)
 
 import zendsp
 from zendsp.diagnosis.data.prepare import prepare
@@ -20,7 +34,7 @@ from zendsp.diagnosis.decide.absorbed import moved
 from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.decide_bodies import beside_bodies
 from zendsp.diagnosis.measure.windows import rms, window_error
-from zendsp.diagnosis.search.bodies import BodySearch, agreed, find_bodies, refined
+from zendsp.diagnosis.search.bodies import agreed, find_bodies, refined
 from zendsp.diagnosis.search.body_columns import Layout
 from zendsp.diagnosis.search.body_explain import price_of
 from zendsp.diagnosis.search.body_hypotheses import LIMITS, Hypothesis
@@ -33,140 +47,11 @@ from zendsp.physics.files.model_file import load_model, parse_model
 from zendsp.physics.model import Model, Term
 from zendsp.physics.term_numbers import kernel_model
 
-RATE, SUB = 500.0, 4
-FRICTION = np.array([0.6, 1.2, 0.5])  # N m, dry
-DAMPING = np.array([0.3, 0.6, 0.2])  # N m s/rad
-RESOLUTION = 2 * np.pi / 2**17
-ROTOR = 0.05  # kg m², of the last motor where a spring drives its link
-LINKS = (  # name, place, axis, mass, centre, inertia
-    ("column", "0 0 0.2", "0 0 1", 4.0, "0 0.02 0.05", 0.02),
-    ("upper", "0 0.1 0.1", "0 1 0", 5.0, "0.2 0 0.01", 0.06),
-    ("fore", "0.4 0 0", "0 1 0", 2.0, "0.15 0.01 0", 0.015),
-)
-# a wrist that weighs something and has no inertia about its axis, as files often have it
-WRIST = (*LINKS[:2], ("fore", "0.4 0 0", "1 0 0", 0.5, "0.04 0 0", 0.0))
-
-
-def urdf(links: tuple[tuple[str, str, str, float, str, float], ...]) -> str:
-    parts, parent = ['<robot name="arm"><link name="base"/>'], "base"
-    for name, place, axis, mass, com, inertia in links:
-        parts.append(
-            f'<link name="{name}"><inertial><origin xyz="{com}"/><mass value="{mass}"/><inertia'
-            f' ixx="{inertia}" iyy="{inertia}" izz="{inertia}" ixy="0" ixz="0"'
-            f' iyz="0"/></inertial></link><joint name="to_{name}" type="revolute"><parent'
-            f' link="{parent}"/><child link="{name}"/><origin xyz="{place}"/><axis'
-            f' xyz="{axis}"/><limit lower="-9" upper="9" effort="99" velocity="9"/></joint>'
-        )
-        parent = name
-    return "".join([*parts, "</robot>"])
-
-
-@dataclass
-class Arm:
-    """What is true and not in the given model."""
-
-    mass: float = 0.0  # of a payload on the forearm, kg, with its centre at `com`
-    com: tuple[float, float, float] = (0.35, 0.05, 0.03)
-    heavier: float = 0.0  # kg of the upper arm's own mass
-    shifted: float = 0.0  # m of the upper arm's centre, along it
-    tilt: float = 0.0  # rad, of gravity about x
-    gain: float = 1.0  # of the actuator of joint 2
-    rotor: float = 0.0  # kg m², of the motor of joint 2
-    motors: tuple[float, float, float] = (0.0, 0.0, 0.0)  # kg m², rotors that no file has
-    links: tuple[tuple[str, str, str, float, str, float], ...] = LINKS
-    spring: float = 0.0  # N m/rad between the last motor, where its sensor is, and its link
-
-
-def simulate(arm: Arm, seed: int, seconds: float = 7.0) -> dict[str, np.ndarray]:
-    """Columns t, q, u of a loop with gravity compensation of the given model; semi-implicit Euler
-    at 2 kHz.
-    """
-    import pinocchio as pin
-
-    given = pin.buildModelFromXML(urdf(arm.links))
-    true = given.copy()
-    true.inertias[3] = true.inertias[3] + pin.Inertia(arm.mass, np.array(arm.com), np.zeros((3, 3)))
-    own = true.inertias[2]
-    lever = own.lever + np.array([arm.shifted, 0.0, 0.0])
-    true.inertias[2] = pin.Inertia(own.mass + arm.heavier, lever, own.inertia)
-    true.armature = np.add(arm.motors, (0.0, arm.rotor, 0.0))
-    true.gravity.linear = 9.81 * np.array([0.0, np.sin(arm.tilt), -np.cos(arm.tilt)])
-    data, plan = true.createData(), given.createData()
-    r = np.random.default_rng(seed)
-    f, phase = r.uniform(0.1, 0.9, (3, 5)), r.uniform(0, 6.28, (3, 5))
-    size = np.array([0.8, 0.6, 0.8])[:, None] * 0.4 / f**0.5
-    kp = np.array([60.0, 90.0, 40.0])
-    kd = np.array([8.0, 12.0, 4.0])
-    gain = np.array([1.0, arm.gain, 1.0])
-    h = 1.0 / RATE / SUB
-    q = np.array([0.0, 0.6, -0.9]) + (size * np.sin(phase)).sum(1)
-    v = np.zeros(3)
-    motor, turns = q[2], 0.0
-    last, rows = q.copy(), []
-    for k in range(int(seconds * RATE)):
-        t = k / RATE
-        goal = np.array([0.0, 0.6, -0.9]) + (size * np.sin(2 * np.pi * f * t + phase)).sum(1)
-        seen = np.array([q[0], q[1], motor if arm.spring else q[2]])
-        y = RESOLUTION * np.round((seen + r.normal(0, RESOLUTION / 3, 3)) / RESOLUTION)
-        u = pin.computeGeneralizedGravity(given, plan, y) + kp * (goal - y) - kd * (y - last) * RATE
-        last = y
-        rows.append([t, *y, *u])
-        for _ in range(SUB):
-            moving = np.array([v[0], v[1], turns]) if arm.spring else v
-            free = gain * u - FRICTION * np.tanh(moving / 0.005) - DAMPING * moving
-            if arm.spring:
-                bent = arm.spring * (motor - q[2]) + 0.2 * (turns - v[2])
-                turns += h * (free[2] - bent) / ROTOR
-                motor += h * turns
-                free[2] = bent
-            v = v + h * pin.aba(true, data, q, v, free)
-            q = q + h * v
-    table = np.array(rows)
-    return {"t": table[:, 0], "q": table[:, 1:4], "u": table[:, 4:]}
-
 
 @pytest.fixture(scope="module")
 def record(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., tuple[Model, list[Path]]]:
-    """Make (once) two recordings of an arm and a model that lacks what is wrong with it, and
-    friction too unless told.
-    """
-    folder = tmp_path_factory.mktemp("arms")
-
-    def make(name: str, arm: Arm, friction: bool = False) -> tuple[Model, list[Path]]:
-        (folder / "arm.urdf").write_text(urdf(arm.links))
-        paths = [folder / f"{name}{seed}.npz" for seed in (1, 2)]
-        for seed, path in enumerate(paths, 1):
-            if not path.exists():
-                np.savez(path, **simulate(arm, seed))
-        effects = [
-            {"kind": kind, "joint": j + 1, key: {"value": float(values[j])}}
-            for kind, key, values in (
-                ("coulomb", "level", FRICTION),
-                ("viscous", "coefficient", DAMPING),
-            )
-            for j in range(3)
-        ]
-        model = folder / "model.toml"
-        model.write_text(
-            f'name = "arm"\nsample_time = {1 / RATE}\n[mechanism]\nkind = "urdf"\n'
-            f'file = "arm.urdf"\n[sensor]\nposition_resolution = {RESOLUTION}\n[columns]\n'
-            'time = "t"\nposition = "q"\ncommand = "u"\n'
-        )
-        given = load_model(model)
-        if friction:
-            known = parse_model(
-                {"mechanism": {"kind": "urdf", "file": str(folder / "arm.urdf")}, "effect": effects}
-            )
-            given = given.with_terms(known.terms)
-        return given, paths
-
-    return make
-
-
-def searched(made: tuple[Model, list[Path]]) -> BodySearch:
-    model, paths = made
-    fit, choose = (prepare([read_signals(path, model)], model, 64.0) for path in paths)
-    return find_bodies(fit, choose, model, 1, lambda _text: None)
+    """``recorded`` in one folder."""
+    return partial(recorded, tmp_path_factory.mktemp("arms"))
 
 
 def test_a_payload_is_one_body_with_its_mass_and_centre_beside_friction_that_nobody_modelled(record) -> None:  # type: ignore[no-untyped-def]  # noqa: E501
@@ -184,8 +69,8 @@ def test_a_body_that_is_little_of_what_the_joints_leave_is_kept_for_them(record)
     """A coarse encoder: a centre of mass 3 cm off hid beside the joints' free constants."""
     none = replace(LIMITS, part=2.0, clear=1e3)  # no explanation is large enough
     for arm, name in ((Arm(mass=1.5), "payload"), (Arm(), "none")):
-        model, paths = record(name, arm)
-        fit, choose = (prepare([read_signals(path, model)], model, 64.0) for path in paths)
+        model, _ = made = record(name, arm)
+        fit, choose = prepared(made)
         search = find_bodies(fit, choose, model, 1, lambda _text: None, none)
         assert search.found == () and (search.small is not None) == (name == "payload")
         if search.small is not None:
@@ -213,8 +98,8 @@ def test_recordings_agree_on_a_payload_or_leave_its_mass_open(record) -> None:  
 
 
 def test_a_payload_is_as_sure_as_the_torque_constants_that_the_model_states(record) -> None:  # type: ignore[no-untyped-def]
-    model, paths = record("payload", Arm(mass=1.5))
-    fit, choose = (prepare([read_signals(path, model)], model, 64.0) for path in paths)
+    model, _ = made = record("payload", Arm(mass=1.5))
+    fit, choose = prepared(made)
     (found,) = find_bodies(fit, choose, model, 1, lambda _text: None).found
     links = fit.records[0][0].links
     assert links is not None

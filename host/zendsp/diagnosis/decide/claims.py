@@ -32,6 +32,7 @@ class Piece:
     evidence: Evidence
     log_e: float  # logarithm of the e-value
     lacks: bool = True  # its torque lacks without it
+    slowly: float = 0.0  # z of the evidence by slower observers, where the fit's are unsure
     why: str = field(default="", compare=False)  # that it is not claimed
 
     @property

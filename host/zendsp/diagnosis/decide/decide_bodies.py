@@ -267,7 +267,7 @@ def settled(
             parts.choose,
             layout,
             claim.found.explained,
-            replace(LIMITS, rounds=2),
+            replace(LIMITS, rounds=2, bandwidth=claim.found.bandwidth),
             jobs,
             claim.found.aside | loose,
         )

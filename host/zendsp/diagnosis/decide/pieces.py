@@ -40,7 +40,7 @@ from zendsp.diagnosis.measure.discrepancy import (
     kept,
     mean_square,
 )
-from zendsp.diagnosis.measure.evidence import Evidence, compare
+from zendsp.diagnosis.measure.evidence import Evidence, compare, heard_slowly
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored, informative
 from zendsp.diagnosis.measure.structure import STRUCTURED, structure
 from zendsp.diagnosis.search.hypothesis import JointSearch
@@ -194,7 +194,10 @@ def piece_of(
     size *= _unseen(test, final.model, terms, joint)
     log_e = log_e_value(held, without, final, test, joint)
     lacks = _lacks(test, without.model, final.model, terms, size)
-    return Piece(mechanism, terms, without, size, held, log_e, lacks)
+    piece = Piece(mechanism, terms, without, size, held, log_e, lacks)
+    if not _likely(test, piece) or _even(piece):
+        return piece
+    return replace(piece, slowly=heard_slowly(without, final, test, joint))
 
 
 def _unseen(test: Data, model: Model, terms: Sequence[Term], joint: int) -> float:
@@ -299,9 +302,19 @@ def sure(test: Data, piece: Piece) -> bool:
     """Whether untouched recordings are surely less likely without a mechanism, by chance among all
     of them at all joints, and its torque lacks there.
     """
+    return _likely(test, piece) and (_even(piece) or piece.slowly > SURE)
+
+
+def _likely(test: Data, piece: Piece) -> bool:
+    """Whether untouched recordings are less likely without a mechanism, whose torque lacks there.
+    """
     needed = math.log(test.joints * len(LAWS_OF) / FALSE_DISCOVERIES)
-    even = piece.evidence.z > CLAIMED or _often(piece.evidence.blocks) > SURE
-    return piece.log_e > needed and even and piece.lacks
+    return piece.log_e > needed and piece.lacks
+
+
+def _even(piece: Piece) -> bool:
+    """Whether that is so all along the recordings."""
+    return piece.evidence.z > CLAIMED or _often(piece.evidence.blocks) > SURE
 
 
 def _often(gains: Array) -> float:

@@ -4,12 +4,13 @@ block by block.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.measure.discrepancy import deviation
+from zendsp.diagnosis.measure.discrepancy import BANDS, deviation
 from zendsp.diagnosis.measure.likelihood import Scored, fastest
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.calibration.joint import JointRecord
@@ -57,10 +58,31 @@ def compare(before: Scored, after: Scored, test: Data, joint: int) -> Evidence:
     Evidence
         Its z allows for blocks that resemble their neighbours (Newey and West 1987).
     """
-    settle = settling(before, joint), settling(after, joint)
-    values = block_scores(before, test, joint, max(settle)) - block_scores(
-        after, test, joint, max(settle)
+    settle = max(settling(before, joint), settling(after, joint))
+    return _evidence(
+        block_scores(before, test, joint, settle) - block_scores(after, test, joint, settle)
     )
+
+
+def heard_slowly(before: Scored, after: Scored, test: Data, joint: int) -> float:
+    """As the z of ``compare``, the most that any observer slower than theirs says. What passes fast
+    (counts that a controller answers to, a friction that sticks and slips) may make blocks of the
+    fast ones so unlike that they show nothing slow.
+    """
+    settle = max(settling(before, joint), settling(after, joint))
+    most = 0.0
+    for band in BANDS:
+        if band < min(s.data.bandwidth[joint - 1] for s in (before, after)):
+            slow = test.at_bandwidth(joint, band)
+            scores = [
+                _blocks(point_deviance(slow, s.model, joint), slow, settle) for s in (before, after)
+            ]
+            most = max(most, _evidence(scores[0] - scores[1]).z)
+    return most
+
+
+def _evidence(values: Array) -> Evidence:
+    """Of what each block gains."""
     if len(values) < 2:
         return Evidence(float(values.sum()), 0.0, values)
     width = DRAWN_IN * max(float(np.median(np.abs(values))), TELLS)
@@ -95,10 +117,15 @@ def block_scores(scored: Scored, data: Data, joint: int, settle: float = 0.1) ->
         if best is None or total < least:
             best, least = points, total
         bandwidth *= 2
+    return _blocks(best, data, settle)
+
+
+def _blocks(points: Sequence[Array], data: Data, settle: float) -> Array:
+    """Sums over blocks of time, all recordings one after the other."""
     seconds = sum(rec[0].n * rec[0].sample_time for rec in data.records)
     block = min(BLOCK, max(0.05, seconds / 40))
     out = []
-    for d, rec in zip(best, data.records, strict=True):
+    for d, rec in zip(points, data.records, strict=True):
         size = max(10, round(block / rec[0].sample_time))
         skip = min(size, len(d) // 10) if settle <= SETTLED_SHARE else round(settle * len(d))
         usable = d[skip:]

@@ -56,6 +56,8 @@ class FoundBody:
         Those that predict worse, the best first.
     aside : frozenset of int
         Joints (1-based) with a fault of their own that is larger.
+    bandwidth : float
+        rad/s of the observers that hear it.
     """
 
     term: Term
@@ -64,6 +66,7 @@ class FoundBody:
     indistinguishable: tuple[str, ...]
     rejected: tuple[Explained, ...]
     aside: frozenset[int] = frozenset()
+    bandwidth: float = LIMITS.bandwidth
 
 
 @dataclass(frozen=True)
@@ -122,6 +125,45 @@ def find_bodies(
     # a single joint's payload is its inertia and its gravity
     if links is None or all(b.parent < 0 for b in links.bodies):
         return BodySearch(model)
+    first = search = _searched(fit, choose, model, links, jobs, tell, limits, beside)
+    layout = Layout(model, links)
+    while not search.found and _drowned(choose, layout, search.tried, limits):
+        limits = replace(limits, bandwidth=0.5 * limits.bandwidth)
+        if limits.bandwidth < limits.slowest:
+            return first
+        search = _searched(fit, choose, model, links, jobs, tell, limits, beside)
+    return search if search.found else first
+
+
+def _drowned(
+    choose: Data, layout: Layout, tried: Sequence[Explained], limits: BodyLimits
+) -> bool:
+    """Whether a body that is worth finding predicts better than none for sure, and is little of
+    what such fast observers leave: counts that a controller answers to, a friction that sticks and
+    slips. Slower ones hear less of that, and as much of what moves with the arm.
+    """
+    by_chance = 2.0 * float(np.log(len(tried) / limits.chance))
+    return any(
+        e.hypothesis.of_bodies
+        and e.z > limits.sure
+        and e.gain > by_chance
+        and not (seen(e, limits) or clear(e, limits) or unsure(e, limits))
+        and weight_of(choose, layout, e) > limits.least
+        for e in tried
+    )
+
+
+def _searched(
+    fit: Data,
+    choose: Data,
+    model: Model,
+    links: Links,
+    jobs: int,
+    tell: Progress,
+    limits: BodyLimits,
+    beside: Sequence[Term],
+) -> BodySearch:
+    """``find_bodies`` under observers of one bandwidth."""
     begun, model = model, model.with_terms((*model.terms, *beside))
     found: list[FoundBody] = []
     tried: list[Explained] = []
@@ -191,7 +233,8 @@ def _stated(
     ]
     same = dict.fromkeys(o.name for o in alike if (o.effect, o.joint) != (h.effect, h.joint))
     others = tuple(e for e in tried[1:] if e.hypothesis not in alike and e.gain > 0)
-    return FoundBody(stated(layout, best), h.body, best, tuple(same), others, aside)
+    term, bandwidth = stated(layout, best), limits.bandwidth
+    return FoundBody(term, h.body, best, tuple(same), others, aside, bandwidth)
 
 
 def _is_body(one: Explained, best: Explained, limits: BodyLimits) -> bool:

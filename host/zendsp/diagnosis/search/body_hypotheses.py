@@ -18,6 +18,8 @@ class BodyLimits:
 
     # rad/s of the observers: fast, since much is missing when bodies are looked for
     bandwidth: float = 64.0
+    slowest: float = 8.0  # where fast ones hear more of something else than of a body
+    chance: float = 0.05  # with which one of all explanations gains by nothing what that asks for
     block: float = 1.0  # s: what an observer remembers, and a swing of an arm, lie within
     blocks: int = 16  # at least so many, or they are shorter
     # of the RMS speed: slower, a joint may stick, and says nothing of what pulls it

@@ -1,0 +1,77 @@
+"""What fast observers do not hear, beside something that passes fast, slower ones do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import reality
+from reality import RATE
+from small_arms import Arm, prepared, recorded
+from small_models import COULOMB, VISCOUS, data_of, model_of
+
+from zendsp.diagnosis.decide.claims import Piece
+from zendsp.diagnosis.decide.pieces import sure
+from zendsp.diagnosis.decide.thresholds import CLAIMED, PLAIN, SURE
+from zendsp.diagnosis.measure.evidence import Evidence, compare, heard_slowly
+from zendsp.diagnosis.measure.likelihood import fit_scored
+from zendsp.diagnosis.search.bodies import FoundBody, find_bodies
+from zendsp.diagnosis.search.body_hypotheses import LIMITS
+
+
+@pytest.mark.parametrize("tilt", [0.035, 0.0])
+def test_a_tilt_that_fast_observers_do_not_hear_is_found_by_slower_ones(
+    tmp_path: Path, tilt: float
+) -> None:
+    """A controller answers to counts of 6 mrad, and shakes the arm."""
+    arm = Arm(tilt=tilt, counts=0.006)
+    model, _ = made = recorded(tmp_path, "tilt", arm, friction=True)
+    fit, choose = prepared(made)
+
+    def found(slowest: float) -> tuple[FoundBody, ...]:
+        limits = replace(LIMITS, slowest=slowest)
+        return find_bodies(fit, choose, model, 1, lambda _text: None, limits).found
+
+    assert found(LIMITS.bandwidth) == ()
+    bodies = found(LIMITS.slowest)
+    assert [b.term.effect for b in bodies] == (["base_tilt"] if tilt else [])
+    for body in bodies:
+        assert body.bandwidth < LIMITS.bandwidth
+        assert body.term.value("angle_x") == pytest.approx(tilt, abs=0.002)
+
+
+@pytest.mark.parametrize("more", [6e-5, 0.0])
+def test_an_inertia_that_fast_observers_are_not_sure_of_is_heard_by_slower_ones(
+    more: float,
+) -> None:
+    """An encoder that shakes 10 to 20 times a second; 0.6 % more inertia than the model says."""
+    columns = reality.simulate(
+        reality.Machine(inertia=0.010 + more), reality.multisine(8.0, RATE, 6), RATE, 6
+    )
+    rng, t = np.random.default_rng(6), columns["t"]
+    waves = 2 * np.pi * (rng.uniform(10, 20, (20, 1)) * t + rng.uniform(size=(20, 1)))
+    columns["q"] = columns["q"] + 1e-3 * np.sin(waves).sum(axis=0)
+    models = [
+        model_of(VISCOUS, COULOMB, {"kind": "inertia", "joint": 1, "amount": amount})
+        for amount in (1e-9, 6e-5)
+    ]
+    test = data_of(columns, models[0])
+    without, having = (fit_scored(test, model, (), (1,)) for model in models)
+    assert compare(without, having, test, 1).z < CLAIMED
+    slowly = heard_slowly(without, having, test, 1)
+    assert slowly > SURE if more else slowly < PLAIN
+
+
+@pytest.mark.parametrize(("z", "slowly", "claims"), [(3, 0, True), (2, 4, True), (2, 2, False)])
+def test_a_likely_mechanism_is_sure_by_fast_observers_or_by_slower_ones(
+    z: float, slowly: float, claims: bool
+) -> None:
+    nothing: Any = SimpleNamespace(joints=6)
+    evidence = Evidence(gain=100.0, z=z, blocks=np.array([1.0, -1.0]))
+    piece = Piece("inertia", (), nothing, 0.02, evidence, 50.0, slowly=slowly)
+    assert sure(nothing, piece) is claims
+    assert not sure(nothing, replace(piece, log_e=2.0)), "it has to be likely in any case"
