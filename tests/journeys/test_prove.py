@@ -42,6 +42,7 @@ def test_what_is_not_there_is_said_with_what_to_do(installed: Installed) -> None
     )
 
 
+@pytest.mark.long("tests/proof/test_children.py ends and kills makers; lost: by the command")
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
 def test_making_ends_with_its_command(installed: Installed, how: signal.Signals) -> None:
     making = installed.start(
