@@ -8,6 +8,7 @@ from screen import Screen
 
 def test_a_target_is_started_found_and_named(installed: Installed) -> None:
     installed.target("imi")
+    assert "imi" in installed.run("ls").stdout
     said = installed.run("info", "-t", "imi")
     assert said.returncode == 0, said.stderr
     assert "imi_planar" in said.stdout
