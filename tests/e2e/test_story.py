@@ -67,7 +67,7 @@ def test_a_concealed_effect_is_diagnosed_over_the_link_and_revealed_after(
         assert came.diagnosis.verdict in ("complete", "unexplained")
 
 
-@pytest.mark.long("the sealed cases count it; lost: of cases drawn by the target")
+@pytest.mark.long("prove counts it of more cases; lost: of those that a target draws")
 @pytest.mark.timeout(600)  # where it is run alone, it makes all
 def test_most_seeds_are_named_right_and_wrong_answers_are_not_confident(
     answer: Callable[[int], Answer],
