@@ -77,7 +77,7 @@ other = dataclasses.replace(zendsp.reference.load_reference("gentle.mat"), machi
 save_reference(other, "other.mat")
 meant = {"wam.mat": "was planned for wam7 and has 7 joints, imi_planar has 2",
          "other.mat": "was planned for other, not for imi_planar"}
-for name, expected in (("gentle.mat", 0), ("hasty.mat", 1), ("wam.mat", 2), ("other.mat", 0)):
+for name, expected in (("hasty.mat", 1), ("wam.mat", 2), ("other.mat", 0)):
     said = subprocess.run(["zendsp", "rehearse", name], capture_output=True, text=True)
     print(name, said.returncode, said.stdout, said.stderr)
     assert said.returncode == expected, name
