@@ -232,6 +232,8 @@ PLANS: dict[str, Plan] = {
             "--f-max 0.6": "--f-max 0.6 --f-min 0.2 --period 5 --periods 1",
             "--model arm.toml --out report": "--model arm.toml --out report --no-figures",
             "seconds=seconds)": "seconds=seconds, decimation=4)",
+            "sample_time = 0.001 ": "# ",
+            "hold = 0.001 ": "# ",
         },
         files={
             "import zendsp": "play.py",

@@ -20,7 +20,7 @@ for cell in notebook.cells:
 """
 
 
-MORE = pytest.mark.long("two others run, test_separating and tests/experiment have the calls")
+MORE = pytest.mark.long("two others run, tests/experiment has the calls; lost: these cells")
 IN_CI = ("diagnose_a_file", "tune_a_loop")
 
 
