@@ -54,7 +54,7 @@ def polynomial(
     half window are read off the first and the last polynomial; with "wrap", the row is a period.
     """
     rows = np.asarray(x, np.float64)
-    half = window // 2
+    flat, half = rows.reshape(len(rows), -1), window // 2
     at = np.arange(-half, half + 1) / max(half, 1)  # of order one: the powers stay apart
     # from the samples of a window to the coefficients of its polynomial
     solve = np.linalg.pinv(np.vander(at, degree + 1, increasing=True))
@@ -62,15 +62,12 @@ def polynomial(
     for power in range(order, degree + 1):
         read[:, power] = math.perm(power, order) * at ** (power - order)
     weights = read @ solve / (step * max(half, 1)) ** order
-    long = np.pad(rows, ((half, half), *((0, 0),) * (rows.ndim - 1)), "wrap")
+    long = np.pad(flat, ((half, half), (0, 0)), "wrap")
     kernel = weights[half, ::-1]
-    if rows.ndim == 1:
-        out = np.convolve(long, kernel, "valid")
-    else:
-        out = np.column_stack([np.convolve(column, kernel, "valid") for column in long.T])
+    out = np.column_stack([np.convolve(column, kernel, "valid") for column in long.T])
     if ends == "interp":
-        out[:half], out[-half:] = weights[:half] @ rows[:window], weights[-half:] @ rows[-window:]
-    return out
+        out[:half], out[-half:] = weights[:half] @ flat[:window], weights[-half:] @ flat[-window:]
+    return np.asarray(out.reshape(rows.shape))
 
 
 def widened(mask: npt.NDArray[np.bool_], around: int) -> npt.NDArray[np.bool_]:
