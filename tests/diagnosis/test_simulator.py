@@ -136,6 +136,7 @@ def test_coulomb_friction_that_a_python_simulator_lacks_is_named(tmp_path: Path)
     assert again.verdict == "complete", again.findings
 
 
+@pytest.mark.long("each joint alone is tested; lost: in how few rounds, a matter of time")
 def test_effects_of_several_joints_are_taken_in_one_round(tmp_path: Path) -> None:
     """One at a time, six joints with friction took a quarter of an hour."""
     own = re.sub(r"value = (\S+)", r"value = [\1, \1]", OWN)

@@ -1,8 +1,13 @@
-"""The command line as a user has it: real commands, real exit codes, JSON that parses."""
+"""The command line as a user has it: real targets, exit codes, JSON that parses.
+
+Commands that are followed or ended are processes; those that give an answer are called in this one,
+which saves each the half second to start. tests/journeys types them as users do.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 import os
 import pty
@@ -20,12 +25,28 @@ from helpers import running
 from waiting import PATIENCE_S, until
 
 import zendsp
+from zendsp.cli import main
 from zendsp.link import Target
 
 
-def zendsp_(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-c", "from zendsp.cli import main; main()", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, **options)
+def zendsp_(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    with (
+        pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()) as out,
+        contextlib.redirect_stderr(io.StringIO()) as err, pytest.raises(SystemExit) as ended,
+    ):  # fmt: skip
+        patch.setattr(sys, "argv", ["zendsp", *arguments])
+        if cwd is not None:
+            patch.chdir(cwd)
+        main()
+    code = ended.value.code
+    status = code if isinstance(code, int) else int(code is not None)
+    return subprocess.CompletedProcess(arguments, status, out.getvalue(), err.getvalue())
+
+
+def process_of(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """For a command that its process turns into another."""
+    command = [sys.executable, "-m", "zendsp", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
 
 
 def answer(*arguments: str) -> Any:
@@ -432,12 +453,12 @@ def test_ls_tells_that_what_is_elsewhere_may_refuse_a_password() -> None:
     ],
 )  # fmt: skip
 def test_a_decimal_comma_is_refused_with_the_number_that_is_meant(words: str) -> None:
-    said = zendsp_(*words.split())
+    said = process_of(*words.split()) if words.startswith("target") else zendsp_(*words.split())
     assert said.returncode == 2 and "with a decimal point it is 0.15" in said.stderr, said.stderr
 
 
 def test_target_refuses_a_wrong_option_in_one_line() -> None:
-    done = zendsp_("target", "--nam", "bench", "--list")
+    done = process_of("target", "--nam", "bench", "--list")
     assert done.returncode == 2
     assert done.stderr.strip().splitlines() == [
         "zendsp target: unrecognized arguments: --nam bench --list; 'python -m zendsp_target"

@@ -52,7 +52,9 @@ def answer(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], Answer]:
 
 
 @pytest.mark.timeout(300)  # some seconds of CPU, on machines that may be busy with everything else
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize(
+    "seed", [1, *(pytest.param(s, marks=pytest.mark.long("as the first")) for s in SEEDS[1:])]
+)
 def test_a_concealed_effect_is_diagnosed_over_the_link_and_revealed_after(
     seed: int, answer: Callable[[int], Answer]
 ) -> None:
@@ -65,6 +67,7 @@ def test_a_concealed_effect_is_diagnosed_over_the_link_and_revealed_after(
         assert came.diagnosis.verdict in ("complete", "unexplained")
 
 
+@pytest.mark.long("prove counts it of more cases; lost: of those that a target draws")
 @pytest.mark.timeout(600)  # where it is run alone, it makes all
 def test_most_seeds_are_named_right_and_wrong_answers_are_not_confident(
     answer: Callable[[int], Answer],
@@ -146,6 +149,7 @@ def test_a_synchronous_update_of_the_true_physics_lowers_the_tracking_error() ->
     assert tracking.after[1] < 0.3 * tracking.before[1] and tracking.fell([2])
 
 
+@pytest.mark.long("a spring is taken up by two joints above; lost: a body, by seven")
 def test_the_true_payload_is_taken_up_while_the_seven_joint_arm_moves(tmp_path: Path) -> None:
     from zendsp.demo.controller import bearing
     from zendsp.demo.evidence import compare_tracking, in_model_frame

@@ -89,6 +89,7 @@ def test_the_pendulums_parameters_are_found_from_far_off(folder: Path) -> None:
     assert found.mechanism["gravity"].value == pytest.approx(0.16677, rel=0.02)
 
 
+@pytest.mark.long("test_analysis.py has its numbers, docs/results.md is made of it; lost: the WAM")
 def test_friction_maps_have_intervals_and_tell_what_narrow_speeds_cannot(folder: Path) -> None:
     lab = Lab(folder)
     found = keep(lab, friction(lab, speeds=(0.15, 0.25, 0.4, 0.7, 1.0), joints=(4,)))
@@ -100,6 +101,7 @@ def test_friction_maps_have_intervals_and_tell_what_narrow_speeds_cannot(folder:
     assert any("cannot separate" in text and "Joint 4" in text for text in found.warnings)
 
 
+@pytest.mark.long("the slide below is another such machine; lost: joints that carry another")
 def test_friction_of_any_machine_that_takes_torques_is_found(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

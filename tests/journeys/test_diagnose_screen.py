@@ -10,6 +10,7 @@ from screen import Screen
 from waiting import until
 
 
+@pytest.mark.long("tests/tui has its keys and clicks in one process; lost: a real terminal")
 @pytest.mark.timeout(300)  # the diagnosis goes at low priority
 def test_a_csv_is_diagnosed_in_the_terminal_and_the_better_model_saved(
     installed: Installed,

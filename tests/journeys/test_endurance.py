@@ -30,6 +30,7 @@ sys.exit(endurance.main(["--rounds", "2", "--json", "found.json"], {{"untrue": U
 """
 
 
+@pytest.mark.long("tests/e2e and tests/target have each hardship; lost: one after the other")
 @pytest.mark.parametrize("part", ROUNDS)
 def test_it_holds(installed: Installed, part: str) -> None:
     process = installed.start(

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import pytest
 from journey import Installed
 from screen import Screen
 
 
 def test_a_target_is_started_found_and_named(installed: Installed) -> None:
     installed.target("imi")
+    assert "imi" in installed.run("ls").stdout
     said = installed.run("info", "-t", "imi")
     assert said.returncode == 0, said.stderr
     assert "imi_planar" in said.stdout
     assert "loop       1000 Hz, real clock\n" in said.stdout, "of a loop that is not there no more"
 
 
+@pytest.mark.long("test_slim_install.py starts one, test_leave.py of tui leaves; lost: both")
 def test_the_terminal_brings_its_own_machine_and_takes_it_along(installed: Installed) -> None:
     screen = Screen(installed, (80, 24), "--machine", "imi_planar", "--source", "pd.c")
     try:

@@ -142,9 +142,15 @@ def test_a_target_that_cannot_compile_says_so_and_goes_on(installed: Installed, 
     one_sentence(done.stderr, "No space left")
 
 
+SAME = pytest.mark.long("they print as watch does; lost: one that goes round zendsp/cli/lines.py")
+
+
 @pytest.mark.parametrize(
     "command",
-    [["get"], ["stats"], ["watch", "q", "--interval", "0.01"], ["info", "--json"]],
+    [
+        ["watch", "q", "--interval", "0.01"],
+        *(pytest.param(words, marks=SAME) for words in (["get"], ["stats"], ["info", "--json"])),
+    ],
     ids=lambda command: command[0],
 )
 def test_output_that_nobody_takes(installed: Installed, command: list[str]) -> None:

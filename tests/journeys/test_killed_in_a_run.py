@@ -34,7 +34,12 @@ with zendsp.connect('imi') as t:
 """
 
 
-@pytest.mark.parametrize("run", RUNS)
+MORE = pytest.mark.long("tests/experiment/test_put_back.py has both; lost: a killed process")
+
+
+@pytest.mark.parametrize(
+    "run", ["sweep", pytest.param("frequency response", marks=MORE)]
+)
 def test_a_killed_host_leaves_the_program_as_it_was(installed: Installed, run: str) -> None:
     installed.target("imi")
     assert installed.script(PREPARE).returncode == 0

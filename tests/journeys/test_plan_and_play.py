@@ -46,11 +46,11 @@ sys.exit(bool(bad))
 """  # noqa: E501
 
 
-SEVEN = pytest.mark.long("two machines play every default; test_drive_sequence.py moves this one")
+MORE = pytest.mark.long("tests/reference plans its defaults within its limits; lost: their play")
 
 
 @pytest.mark.parametrize(
-    "machine", [pytest.param(m, marks=[SEVEN] if m == "wam7" else []) for m in DEFAULT]
+    "machine", [pytest.param(m, marks=[] if m == "imi_planar" else [MORE]) for m in DEFAULT]
 )
 def test_default_motions_do_not_trip_the_default_program(
     installed: Installed, machine: str
@@ -77,7 +77,7 @@ other = dataclasses.replace(zendsp.reference.load_reference("gentle.mat"), machi
 save_reference(other, "other.mat")
 meant = {"wam.mat": "was planned for wam7 and has 7 joints, imi_planar has 2",
          "other.mat": "was planned for other, not for imi_planar"}
-for name, expected in (("gentle.mat", 0), ("hasty.mat", 1), ("wam.mat", 2), ("other.mat", 0)):
+for name, expected in (("hasty.mat", 1), ("wam.mat", 2), ("other.mat", 0)):
     said = subprocess.run(["zendsp", "rehearse", name], capture_output=True, text=True)
     print(name, said.returncode, said.stdout, said.stderr)
     assert said.returncode == expected, name

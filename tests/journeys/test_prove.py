@@ -14,7 +14,7 @@ from journey import Installed, until
 pytest.importorskip("mujoco")
 
 
-@pytest.mark.long(".ci/run makes and judges ten; tests/proof/test_prove.py each of the two alone")
+@pytest.mark.long(".ci/run makes and judges five; tests/proof/test_prove.py each of the two alone")
 def test_cases_are_made_once_and_judged_where_they_lie(installed: Installed) -> None:
     made = installed.run(
         "prove", "--make", "cases", "--quick", "--reality", "mujoco", "--sample", "1", "--seed", "7"
@@ -42,6 +42,7 @@ def test_what_is_not_there_is_said_with_what_to_do(installed: Installed) -> None
     )
 
 
+@pytest.mark.long("tests/proof/test_children.py ends and kills makers; lost: by the command")
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
 def test_making_ends_with_its_command(installed: Installed, how: signal.Signals) -> None:
     making = installed.start(

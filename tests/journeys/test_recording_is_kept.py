@@ -10,10 +10,15 @@ from pathlib import Path
 from journey import PATIENCE_S, Installed, until
 
 RECORDING = """
-import zendsp
+import time, zendsp
 with zendsp.connect('imi') as t:
-    status = t.acquire_status()
-    print(status.state == 'running' and status.count > 50)
+    end = time.monotonic() + 100
+    while time.monotonic() < end:
+        status = t.acquire_status()
+        if status.state == 'running' and status.count > 50:
+            print("rows come in")
+            break
+        time.sleep(0.02)
 """
 STATE = "import zendsp\nwith zendsp.connect('imi') as t: print(t.status().state)\n"
 
@@ -22,7 +27,7 @@ def _interrupted(installed: Installed, *options: str) -> subprocess.Popen[str]:
     process = installed.start(
         "zendsp", "acquire", "q", "tau", "-t", "imi", "-s", "600", "-o", "run.csv", *options
     )
-    until(lambda: "True" in installed.script(RECORDING).stdout, "rows come in", alive=process)
+    assert "rows come in" in installed.script(RECORDING).stdout
     os.kill(process.pid, signal.SIGINT)
     process.wait(PATIENCE_S)
     return process

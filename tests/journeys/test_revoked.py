@@ -73,8 +73,8 @@ def start(user: Installed, folder: Path, *options: str | Path) -> dict[str, str]
         folder / "ca.pem",
         *options,
     )
-    until(lambda: "imi" in user.run("ls").stdout, "target listed", alive=process)
-    (path,) = Path(user.env["ZENDSP_RUNTIME_DIR"]).glob("*.json")
+    path = Path(user.env["ZENDSP_RUNTIME_DIR"]) / "imi.json"
+    until(path.exists, "target registered", alive=process)
     endpoint = next(e for e in json.loads(path.read_text())["endpoints"] if e.startswith("tls/"))
     return {
         "ZENDSP_CONNECT": endpoint, "ZENDSP_TLS_CA": str(folder / "ca.pem"),
@@ -220,8 +220,8 @@ def test_the_log_names_who_the_password_or_the_certificate_says(
         process = installed.start(
             "zendsp", "target", "--name", "imi", "--listen", "tcp/127.0.0.1:0", "--users", "users"
         )
-        until(lambda: "imi" in installed.run("ls").stdout, "target listed", alive=process)
-        (path,) = Path(installed.env["ZENDSP_RUNTIME_DIR"]).glob("*.json")
+        path = Path(installed.env["ZENDSP_RUNTIME_DIR"]) / "imi.json"
+        until(path.exists, "target registered", alive=process)
         env = {
             "ZENDSP_CONNECT": json.loads(path.read_text())["endpoints"][0],
             "ZENDSP_USER": "anna",

@@ -103,10 +103,10 @@ def test_the_link_records_a_csv_and_refuses_parquet_by_name(slim: Installed) -> 
     ("machine", "program", "amplitude"),
     [
         # diagnosed by the demo above
-        ("imi_planar", "pd.c", "0.05"),
+        pytest.param("imi_planar", "pd.c", "0.05", marks=MORE_JOINTS),
         ("pendulum", "pendulum_track.c", "0.5"),
         # what it lacks is found without any package of its own: tests/diagnosis/test_bodies.py
-        ("wam7", "wam_pd_gravity.c", "0.05"),
+        pytest.param("wam7", "wam_pd_gravity.c", "0.05", marks=MORE_JOINTS),
     ],
 )
 def test_a_shipped_machine_is_simulated_and_diagnosed(

@@ -20,6 +20,7 @@ GANTRY = """<mujoco model="gantry">
 """
 
 
+@pytest.mark.long("a sealed case slides, test_any_robot.py runs an MJCF; lost: both at once")
 @pytest.mark.skipif(importlib.util.find_spec("mujoco") is None, reason="needs mujoco")
 def test_an_mjcf_with_a_joint_that_slides_is_diagnosed_in_newton_and_metres(
     installed: Installed,

@@ -341,7 +341,9 @@ def test_the_table_covers_every_effect_that_this_file_does_not_test_on_its_own()
     assert {case[0] for case in CASES} | own == set(EFFECTS)
 
 
-@pytest.mark.parametrize("joint", [1, 2])
+@pytest.mark.parametrize(
+    "joint", [2, pytest.param(1, marks=pytest.mark.long("joint 2 has both links' equations"))]
+)
 def test_a_payload_is_a_mass_on_its_link(bare: tuple[Array, Array], joint: int) -> None:
     text = config("payload", joint, mass=2.0, x=0.25, y=0.06, z=0.0)
     moved = run_plant(text) - bare[0]

@@ -133,7 +133,12 @@ def swing(name: str, substep: float, seconds: float = 10.0, more: str = "") -> t
         )
 
 
-@pytest.mark.parametrize("more", ["friction = full\n", "friction = plain\n"])
+PLAIN = pytest.mark.long("full friction has the same step, and is stiffer")
+
+
+@pytest.mark.parametrize(
+    "more", ["friction = full\n", pytest.param("friction = plain\n", marks=PLAIN)]
+)
 @pytest.mark.parametrize(
     ("name", "substep"), [("imi_planar", 1e-4), ("pendulum", 1e-4), ("wam7", 5e-5)]
 )

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import pytest
 from scipy.linalg.blas import dtbsv
 from scipy.ndimage import binary_dilation, gaussian_filter1d, uniform_filter1d
-from scipy.signal import butter, sosfiltfilt
+from scipy.signal import butter, savgol_filter, sosfiltfilt
 
 from zendsp.physics.kernel.native import swung
-from zendsp.physics.kernel.smooth import gaussian, lowpassed, moving_mean, widened
+from zendsp.physics.kernel.smooth import gaussian, lowpassed, moving_mean, polynomial, widened
 
 SIZES = (5, 50, 2001)
 
@@ -43,6 +45,20 @@ def test_a_low_pass_is_the_butterworth_of_scipy_away_from_the_ends(
     np.testing.assert_allclose(
         lowpassed(x, cutoff, rate)[edge:-edge], expected[edge:-edge], atol=1e-5 * x.std()
     )
+
+
+@pytest.mark.parametrize("ends", ["interp", "wrap"])
+@pytest.mark.parametrize(("window", "degree", "order"), [(5, 2, 0), (11, 3, 1), (41, 3, 2)])
+def test_the_polynomial_of_a_window_is_savitzky_s_and_golay_s(
+    window: int, degree: int, order: int, ends: Literal["interp", "wrap"]
+) -> None:
+    x, step = np.random.default_rng(window).normal(size=(200, 2)).cumsum(axis=0), 0.002
+    expected = savgol_filter(x, window, degree, order, step, axis=0, mode=ends)
+    about = 1e-11 * np.abs(expected).max()  # rounding of some tens of terms, also near the ends
+    found = polynomial(x, window, degree, order, step, ends)
+    np.testing.assert_allclose(found, expected, atol=about)
+    column = polynomial(x[:, 1], window, degree, order, step, ends)
+    np.testing.assert_allclose(column, found[:, 1], atol=about)
 
 
 @pytest.mark.parametrize("n", SIZES)

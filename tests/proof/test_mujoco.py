@@ -206,7 +206,9 @@ def test_quick_holds_what_a_diagnosis_without_gates_gets_wrong() -> None:
     assert all(r.size <= 0.05 for r in quick if r.kind == "foreign")
 
 
-@pytest.mark.parametrize("machine", ["mj_arm6", "mj_arm7"])
+@pytest.mark.parametrize(
+    "machine", ["mj_arm7", pytest.param("mj_arm6", marks=pytest.mark.long("as seven joints are"))]
+)
 def test_an_arm_given_as_mjcf_is_the_model_that_is_given_as_urdf(
     short: None, tmp_path: Path, machine: str
 ) -> None:

@@ -174,6 +174,7 @@ def replace_limits(**changes: Any) -> Limits:
     return Limits(**{name: getattr(LIMITS, name) for name in LIMITS.__struct_fields__} | changes)
 
 
+@pytest.mark.long("test_execute.py tries on a twin; lost: that it gets the target's options")
 @pytest.mark.skipif(importlib.util.find_spec("mujoco") is None, reason="needs mujoco")
 def test_a_mujoco_model_is_tried_on_a_twin_with_the_options_of_its_target(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -182,6 +182,7 @@ async def test_a_reference_is_played_and_the_run_can_be_repeated(
         assert target.status().state == "paused", "the fast clock ends with the run"
 
 
+@pytest.mark.long("two joints begin there in the tests beside it; lost: seven")
 async def test_a_run_of_seven_joints_begins_where_the_arm_stands(
     until: Until, tmp_path: Path
 ) -> None:

@@ -64,6 +64,7 @@ def test_every_mutation_applies_and_names_tests_that_exist() -> None:
     assert {"limits", "stop", "updates", "access", "containment"} <= {m.topic for m in known}
 
 
+@pytest.mark.long("whoever mutates looks at what it says; lost: that it tells them apart")
 def test_what_is_noticed_is_told_from_what_survives(
     tree: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

@@ -85,6 +85,7 @@ def test_the_wheel_holds_every_file_of_the_four_packages(wheel: Path) -> None:
     assert {name.partition("/")[0] for name in held} == {Path(package).name for package in PACKAGES}
 
 
+@pytest.mark.long("it holds every file, journeys use it; lost: its kernel in an empty cache")
 def test_the_wheel_works_away_from_the_repository(wheel: Path, tmp_path: Path) -> None:
     home = tmp_path / "site"
     with zipfile.ZipFile(wheel) as archive:

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.experiment.result import Estimate
+from zendsp.physics.kernel.smooth import polynomial
 
 Array = npt.NDArray[np.float64]
 NORMAL = 1.96  # half width of 95 % in standard deviations
@@ -23,9 +24,7 @@ def smoothed(
     """A row, or its derivative of an order, by the polynomial through ``window`` samples about each
     (Savitzky and Golay 1964); along time, (n,) or (n, joints).
     """
-    from scipy.signal import savgol_filter  # half a second to import
-
-    return np.asarray(savgol_filter(x, window, degree, order, sample_time, axis=0, mode=ends))
+    return polynomial(x, window, degree, order, sample_time, ends)
 
 
 def half_width(std: float | Array, free: int) -> Array:

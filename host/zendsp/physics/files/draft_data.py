@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import savgol_filter
 
 from zendsp.errors import RecordingError
 from zendsp.physics.kernel.signals import find_resolution
+from zendsp.physics.kernel.smooth import polynomial
 from zendsp.recording import Recording, Table
 from zendsp.recording.roles import Role, role_of
 from zendsp_protocol.texts import units_of
@@ -307,8 +307,8 @@ def first_idea(q: Array, u: Array, step: float, linear: bool) -> Idea | None:
     q, u = (x[part.start : part.stop - 1] for x in (q, u))
     if len(q) < 4 * window or np.std(u) == 0:
         return None
-    speed, acceleration = (savgol_filter(q, window, 3, deriv=d, delta=step) for d in (1, 2))
-    smooth = savgol_filter(u, window, 3)
+    speed, acceleration = (polynomial(q, window, 3, d, step) for d in (1, 2))
+    smooth = polynomial(u, window, 3)
     moving = np.abs(speed) > 0.02 * np.max(np.abs(speed))
     base = [acceleration, speed, np.sign(speed), np.ones_like(q)]
 

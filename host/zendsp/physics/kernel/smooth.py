@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, Literal
 
 import numpy as np
@@ -42,6 +43,31 @@ def lowpassed(row: Array, cutoff: float, rate: float) -> Array:
         gain = 1.0 / (1.0 + warped**8)
     slow = np.fft.irfft(np.fft.rfft(turned) * gain, len(turned))
     return np.asarray(slow[len(row) - 1 :][: len(row)])
+
+
+def polynomial(
+    x: npt.NDArray[Any], window: int, degree: int, order: int = 0, step: float = 1.0,
+    ends: Literal["interp", "wrap"] = "interp",
+) -> Array:
+    """Rows along time, (n,) or (n, columns), or their derivative of an ``order``, by the polynomial
+    through ``window`` (odd) samples about each (Savitzky and Golay 1964). The first and the last
+    half window are read off the first and the last polynomial; with "wrap", the row is a period.
+    """
+    rows = np.asarray(x, np.float64)
+    flat, half = rows.reshape(len(rows), -1), window // 2
+    at = np.arange(-half, half + 1) / max(half, 1)  # of order one: the powers stay apart
+    # from the samples of a window to the coefficients of its polynomial
+    solve = np.linalg.pinv(np.vander(at, degree + 1, increasing=True))
+    read = np.zeros((window, degree + 1))  # from these to what is asked for, at each sample
+    for power in range(order, degree + 1):
+        read[:, power] = math.perm(power, order) * at ** (power - order)
+    weights = read @ solve / (step * max(half, 1)) ** order
+    long = np.pad(flat, ((half, half), (0, 0)), "wrap")
+    kernel = weights[half, ::-1]
+    out = np.column_stack([np.convolve(column, kernel, "valid") for column in long.T])
+    if ends == "interp":
+        out[:half], out[-half:] = weights[:half] @ flat[:window], weights[-half:] @ flat[-window:]
+    return np.asarray(out.reshape(rows.shape))
 
 
 def widened(mask: npt.NDArray[np.bool_], around: int) -> npt.NDArray[np.bool_]:
