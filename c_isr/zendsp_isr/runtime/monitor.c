@@ -69,8 +69,8 @@ static uint32_t fit(const update_part *part, double v) {
     }
 }
 
-/* Whether numbers may be written: FIT, or why not, with the place of the first that may not in its
- * part. The one check of every update, by whatever road it came. */
+/* Whether numbers may be written (NaN, limits, whole numbers): FIT, or why not, with the place of
+ * the first that may not in its part. The one check of every update, by whatever road it came. */
 uint32_t monitor_fit(const update_part *part, uint32_t parts, const double *values,
                      uint32_t *wrong) {
     for (uint32_t i = 0; i < parts; values += part[i++].count)

@@ -1,4 +1,4 @@
-"""Another load in the held-out recordings: inertia and gravity that are others there, together.
+"""Another load in the held-out recordings: there inertia and gravity differ, both at once.
 
 The numbers of a body that was put on between two recordings are found on those to choose by, and
 judged on those to test on. Of one joint only: an arm's bodies are looked for by all its joints.
