@@ -211,7 +211,8 @@ uint64_t monitor_round(const control *c) {
     return (__atomic_load_n(&c->heartbeat, __ATOMIC_ACQUIRE) | 1u) + 3u;
 }
 
-/* Whether a batch has been applied (or cancelled), and whoever reads from here on gets its values. */
+/* Whether a batch has been applied (or cancelled), and whoever reads from here on gets its
+ * values. */
 int monitor_shown(const control *c, const batch *b) {
     return __atomic_load_n(&b->state, __ATOMIC_ACQUIRE) >= BATCH_APPLIED &&
            __atomic_load_n(&c->newest, __ATOMIC_ACQUIRE) >= b->shown;

@@ -62,7 +62,8 @@ void safety_reset(runner *r) {
  * until it is inside, it may not go further out. */
 static void widen(runner *r, int j) {
     const double margin = 0.02; /* rad: room for the soft start */
-    const double q = position_of(r, j), least = r->set.position_min[j], most = r->set.position_max[j];
+    const double q = position_of(r, j);
+    const double least = r->set.position_min[j], most = r->set.position_max[j];
     r->state.lowest[j] = q < least ? q - margin : least;
     r->state.highest[j] = q > most ? q + margin : most;
     r->state.least_seen[j] = least;
