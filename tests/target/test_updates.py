@@ -77,8 +77,8 @@ def test_a_million_samples_under_hostile_writers_mix_no_update(make_runtime: Mak
             try:
                 runtime.write(values(float(sent[0]), with_table=True),
                     "a")  # type: ignore[arg-type]
-            except TooSoon:
-                continue  # the last table is not in effect
+            except Refused:
+                continue  # the last table is not in effect yet
             sent[0] += 1
 
     def bystander(which: int) -> None:

@@ -85,7 +85,8 @@ class Updates:
         VariableError
             One line for each variable that is wrong; nothing was applied.
         Refused
-            Nothing to write, or too many updates wait.
+            Nothing to write, or more than fits. `TooSoon`: too many updates wait, or a table's last
+            download is not in effect yet.
         """
         _require_sample(at_tick)
         if not values:
