@@ -339,7 +339,8 @@ def trouble(status: m.Status) -> str:
     if status.trip is not None:
         what = "stopped" if status.drive == DriveState.STOPPED else "tripped"
         trip = status.trip
-        cause = f"{trip.cause} (sample {trip.tick})" if trip.cause else trip.text or trip.reason
+        when = f" (sample {trip.tick})" if trip.tick else ""
+        cause = f"{trip.cause}{when}" if trip.cause else trip.text or trip.reason
         empty = status.state == ProgramState.EMPTY
         again = "load a program and start it" if empty else "start again"
         return (
