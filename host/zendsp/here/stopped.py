@@ -42,7 +42,7 @@ def state_at(status: m.Status) -> str:
 
 
 def stopped_at(sample: int) -> m.Status:
-    """What is known once the loop has taken a STOP, where the target itself does not answer."""
+    """The status after the loop has taken a STOP, where the target itself does not answer."""
     trip = m.Trip(
         reason=TripReason.STOP,
         joint=0,

@@ -89,7 +89,7 @@ def _is_other(before: Estimate, now: Estimate) -> bool:
 
 
 def of_load(finding: Finding | None) -> list[str]:
-    """What is to be known of the improved model where it has such a load."""
+    """Notes on the improved model where it has such a load."""
     if finding is None:
         return []
     loaded = " and ".join(finding.numbers["recordings"])

@@ -72,7 +72,7 @@ class ConsoleScreen(ViewActions, VariableActions, ProgramActions, AnalysisAction
             self._new_program(plotted)
 
     def _what_first(self, snapshot: Snapshot) -> str:
-        """What is to be done where nothing is shown."""
+        """Say what to do first, where nothing is shown."""
         if snapshot.link != LinkState.UP:
             return "no target: Ctrl+O chooses one, or starts a simulated machine"
         if snapshot.state != ProgramState.EMPTY:

@@ -201,7 +201,7 @@ class ExecuteScreen(MeasureActions):
         scope.redraw()
 
     def _what_next(self) -> str:
-        """What is to be done where nothing is shown."""
+        """Say what to do next, where nothing is shown."""
         looks = "space shows the marked run" if self.runs else ""
         planned = "o chooses a planned reference" if self.lab.workspace.saved_references() else ""
         return "; ".join(x for x in (planned or "plan a motion on Reference (F4)", looks) if x)
