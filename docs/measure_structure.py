@@ -1,4 +1,5 @@
-"""Print files and lines of each package, and imports between packages.
+"""Print files and lines of each package, imports between packages, circles of modules, and lines by
+what they are for.
 
 ``python docs/measure_structure.py [REVISION]``
 """
@@ -9,18 +10,28 @@ import ast
 import subprocess
 import sys
 from collections import Counter
+from graphlib import CycleError, TopologicalSorter
 from pathlib import PurePosixPath
 
 SOURCES = ("host", "target", "protocol", "c_isr")
+SUFFIXES = (".py", ".c", ".h", ".toml", ".tcss", ".md")
+# what lines are for, by how the path begins
+PARTS = {
+    "source": tuple(f"{source}/" for source in SOURCES),
+    "tests": ("tests/",),
+    "benchmarks": ("benchmarks/",),
+    "docs, README, CONTRIBUTING": ("docs/", "README.md", "CONTRIBUTING.md"),
+    "changelog": ("CHANGELOG.md",),
+}
 
 
-def texts(revision: str) -> dict[str, str]:
-    """Every module of a revision: its dotted name, without the file where it is a package."""
+def files(revision: str) -> dict[str, str]:
+    """Every text of a revision, by its path."""
     listed = subprocess.run(
-        ["git", "ls-tree", "-r", "--name-only", revision, *SOURCES],
+        ["git", "ls-tree", "-r", "--name-only", revision],
         capture_output=True, text=True, check=True,
     ).stdout.split()  # fmt: skip
-    paths = [path for path in listed if path.endswith(".py")]
+    paths = [path for path in listed if path.endswith(SUFFIXES)]
     asked = "".join(f"{revision}:{path}\n" for path in paths)
     answer = subprocess.run(
         ["git", "cat-file", "--batch"], input=asked.encode(), capture_output=True, check=True
@@ -29,10 +40,18 @@ def texts(revision: str) -> dict[str, str]:
     for path in paths:
         head, answer = answer.split(b"\n", 1)
         size = int(head.split()[2])
-        parts = PurePosixPath(path).with_suffix("").parts[1:]
-        name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
-        found[name] = answer[:size].decode()
+        found[path] = answer[:size].decode()
         answer = answer[size + 1 :]
+    return found
+
+
+def modules(texts: dict[str, str]) -> dict[str, str]:
+    """Every module: its dotted name, without the file where it is a package."""
+    found = {}
+    for path, text in texts.items():
+        if path.startswith(PARTS["source"]) and path.endswith(".py"):
+            parts = PurePosixPath(path).with_suffix("").parts[1:]
+            found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = text
     return found
 
 
@@ -42,40 +61,52 @@ def room(name: str, known: dict[str, str]) -> str:
     return name if package else name.rpartition(".")[0]
 
 
-def arrows(known: dict[str, str]) -> Counter[tuple[str, str]]:
-    """Imports from room to room, each module that imports another counted once."""
-    found: Counter[tuple[str, str]] = Counter()
-    for name, text in known.items():
-        targets = set()
-        for node in ast.walk(ast.parse(text)):
-            if isinstance(node, ast.ImportFrom) and node.module in known:
-                for alias in node.names:
-                    inner = f"{node.module}.{alias.name}"
-                    targets.add(inner if inner in known else node.module)
-        for target in targets - {name}:
-            if room(target, known) != room(name, known):
-                found[room(name, known), room(target, known)] += 1
-    return found
+def imports(name: str, known: dict[str, str]) -> set[str]:
+    """Modules that a module imports, anywhere in it."""
+    targets = set()
+    for node in ast.walk(ast.parse(known[name])):
+        if isinstance(node, ast.ImportFrom) and node.module in known:
+            for alias in node.names:
+                inner = f"{node.module}.{alias.name}"
+                targets.add(inner if inner in known else node.module)
+    return targets - {name}
+
+
+def circle(graph: dict[str, set[str]]) -> str:
+    """A circle of modules that import one another; "none" where there is none."""
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        return " → ".join(reversed(error.args[1]))
+    return "none"
 
 
 def main() -> None:
-    """Print the table."""
-    known = texts(sys.argv[1] if len(sys.argv) > 1 else "HEAD")
-    files: Counter[str] = Counter()
+    """Print the tables."""
+    texts = files(sys.argv[1] if len(sys.argv) > 1 else "HEAD")
+    known = modules(texts)
+    graph = {name: imports(name, known) for name in known}
+    between = {
+        (room(name, known), room(target, known)) for name in graph for target in graph[name]
+    }
+    between = {(source, target) for source, target in between if source != target}
+    rooms: Counter[str] = Counter(room(name, known) for name in known)
     lines: Counter[str] = Counter()
     for name, text in known.items():
-        files[room(name, known)] += 1
         lines[room(name, known)] += text.count("\n")
-    between = arrows(known)
     print("| package | files | lines | packages it imports |\n|---|---|---|---|")
-    for here in sorted(files):
-        out = sum(1 for (source, _) in between if source == here)
-        print(f"| `{here}` | {files[here]} | {lines[here]} | {out} |")
-    large = sum(count > 12 for count in files.values())
+    for here in sorted(rooms):
+        out = sum(source == here for source, _ in between)
+        print(f"| `{here}` | {rooms[here]} | {lines[here]} | {out} |")
+    large = sum(count > 12 for count in rooms.values())
     print(
-        f"| **all** | {len(known)} | {sum(lines.values())} | {len(between)} arrows;"
+        f"| **all {len(rooms)}** | {len(known)} | {sum(lines.values())} | {len(between)} arrows;"
         f" {large} packages of more than 12 files |"
     )
+    print(f"\ncircles of modules: {circle(graph)}\n\n| | lines |\n|---|---|")
+    for part, begins in PARTS.items():
+        count = sum(text.count("\n") for path, text in texts.items() if path.startswith(begins))
+        print(f"| {part} | {count} |")
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ from zendsp_protocol.errors import (
     Refused,
     RunnerDied,
     TooLarge,
+    TooSoon,
     Tripped,
     VariableError,
     VersionMismatch,
@@ -28,7 +29,7 @@ from zendsp_protocol.errors import (
 __all__ = [
     "AcquisitionError", "CompileFailed", "EndedWarning", "Incomplete", "LinkError", "ModelError",
     "NoAnswer", "NotApplied", "NotStopped", "NotYet", "RecordingError", "ReferenceError_",
-    "Refused", "RunnerDied", "TooLarge", "Tripped", "VariableError", "VersionMismatch",
+    "Refused", "RunnerDied", "TooLarge", "TooSoon", "Tripped", "VariableError", "VersionMismatch",
     "ZendspError", "did_you_mean",
 ]
 

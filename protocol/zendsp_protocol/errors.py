@@ -7,6 +7,7 @@
     │   ├── NotStopped                     STOP was asked and nothing says that the machine stands
     │   └── VersionMismatch
     ├── Refused (RuntimeError)             the target says no, and why
+    │   └── TooSoon                        not yet: what was sent before is not in effect
     ├── NotYet (TimeoutError)              accepted, and still waiting for its sample
     ├── VariableError (ValueError)         unknown name, wrong type, outside limits, NaN; one line per variable
     ├── CompileFailed (RuntimeError)       the user's C code: file, line, column of each message
@@ -103,6 +104,10 @@ class VersionMismatch(LinkError):
 
 class Refused(ZendspError, RuntimeError):
     """The target understood the request and declines it; the message says which condition fails."""
+
+
+class TooSoon(Refused):
+    """What was sent before is not in effect yet; the same request may be made again."""
 
 
 class Tripped(ZendspError, RuntimeError):

@@ -11,7 +11,14 @@ from typing import Any
 
 import msgspec
 
-from zendsp_protocol.states import DriveState, ProgramState, RecorderState
+from zendsp_protocol.states import (
+    DriveState,
+    HostLost,
+    ProgramState,
+    RecorderState,
+    TripReason,
+    VariableKind,
+)
 from zendsp_protocol.texts import counted, placed
 from zendsp_protocol.values import WireValue
 from zendsp_protocol.views import html_table
@@ -83,7 +90,7 @@ class VariableInfo(Message, frozen=True):
     type: str  # double, float, int32 or bool
     length: int = 1  # elements; 1 for a scalar
     # parameter (may be written), signal (read only), table (large) or builtin
-    kind: str = "parameter"
+    kind: VariableKind = VariableKind.PARAMETER
     unit: str = ""  # as declared
     minimum: float = float("-inf")  # -inf where there is none
     maximum: float = float("inf")  # inf where there is none
@@ -122,7 +129,9 @@ class Timing(Message, frozen=True):
 class Trip(Message, frozen=True):
     """Why the drive tripped."""
 
-    reason: str  # torque, speed, position, overrun, nan, stop, code, host lost, …
+    # stop, stop input, host lost, torque, speed, position, command, nan, overrun, sensor, homing
+    # or stall
+    reason: TripReason
     joint: int = 0  # from 1; 0 where none
     tick: int = 0  # sample at which it happened
     value: float = 0.0  # that broke the limit
@@ -260,7 +269,7 @@ class DriveStatus(Message, frozen=True, kw_only=True):
     homed: bool = True  # whether positions mean anything
     commander: str = ""  # who has the exclusive right to command
     moved_by: str = ""  # whose run, or attended start, moves the machine now
-    host_lost: str = "stop"  # when the commander disappears: stop, hold or finish
+    host_lost: HostLost = HostLost.STOP  # when the commander disappears: stop, hold or finish
     conditions: tuple[Condition, ...] = ()  # of enabling
 
     def __repr__(self) -> str:

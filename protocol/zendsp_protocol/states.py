@@ -1,10 +1,10 @@
-"""Where things are, by name: on the wire, and in Python, each is the text that it stands for."""
+"""Where things are, and of which sort, by name: on the wire, and in Python, each is the text that
+it stands for.
+"""
 
 from __future__ import annotations
 
 from enum import StrEnum
-
-STOPS = ("stop", "stop input", "host lost")  # reasons of a trip that no limit has
 
 
 class _State(StrEnum):
@@ -23,6 +23,32 @@ class ProgramState(_State):
     CRASHED = "crashed"
 
 
+class TripReason(_State):
+    """Why the drives are in the safe state."""
+
+    STOP = "stop"
+    STOP_INPUT = "stop input"
+    HOST_LOST = "host lost"
+    TORQUE = "torque"
+    SPEED = "speed"
+    POSITION = "position"
+    COMMAND = "command"
+    NAN = "nan"
+    OVERRUN = "overrun"
+    SENSOR = "sensor"
+    HOMING = "homing"
+    STALL = "stall"
+    OTHER = "other"  # told by a newer target: what it is stands in the sentence
+
+    @classmethod
+    def _missing_(cls, value: object) -> TripReason:
+        return cls.OTHER
+
+
+# reasons of a trip that no limit has
+STOPS = (TripReason.STOP, TripReason.STOP_INPUT, TripReason.HOST_LOST)
+
+
 class DriveState(_State):
     """Of the drives, in the safe sequence."""
 
@@ -35,9 +61,20 @@ class DriveState(_State):
     TRIPPED = "tripped"  # by a limit
 
     @classmethod
-    def latched(cls, reason: str) -> DriveState:
+    def latched(cls, reason: TripReason) -> DriveState:
         """What a latched trip makes of the drives, by its reason."""
         return cls.STOPPED if reason in STOPS else cls.TRIPPED
+
+
+LATCHED = (DriveState.STOPPED, DriveState.TRIPPED)  # until somebody acknowledges
+
+
+class HostLost(_State):
+    """What happens when the host that commands disappears while the program runs."""
+
+    STOP = "stop"  # zero velocity, latched
+    HOLD = "hold"  # the program's parameter `hold` is set
+    FINISH = "finish"  # the program goes on
 
 
 class RecorderState(_State):
@@ -47,3 +84,13 @@ class RecorderState(_State):
     ARMED = "armed"  # waits for its trigger
     RUNNING = "running"
     DONE = "done"
+
+
+class VariableKind(_State):
+    """Of a variable, by the macro that declares it."""
+
+    PARAMETER = "parameter"  # the host may write it
+    SIGNAL = "signal"  # it may read it
+    TABLE = "table"  # large, in two banks
+    BUILTIN = "builtin"  # a signal of every program
+    SETTING = "setting"  # of the loop itself: limits, ramps

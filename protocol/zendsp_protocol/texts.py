@@ -104,7 +104,7 @@ def counted(number: int, noun: str) -> str:
 
 
 def with_point(text: str) -> str:
-    """What is said of a number with a decimal comma; empty of everything else.
+    """A hint for a number with a decimal comma; empty for everything else.
 
     Examples
     --------

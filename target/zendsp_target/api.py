@@ -27,6 +27,7 @@ from zendsp_protocol.messages import (
     Trigger,
     VariableInfo,
 )
+from zendsp_protocol.states import TripReason
 from zendsp_protocol.values import Value
 
 PRESSED = "the STOP input of the machine is active: release the emergency stop, then try again"
@@ -83,7 +84,7 @@ class RuntimeApi(Protocol):
     def set_overrun(self, policy: str, limit: int = 10) -> None: ...
     def set_inputs(self, bits: int) -> None: ...  # digital inputs of a simulated machine
     # stop with a reason of the monitor's: "stop" | "host lost"
-    def trip(self, reason: str) -> None: ...
+    def trip(self, reason: TripReason) -> None: ...
     # updates of these authors that wait for a later sample wait no more
     def cancel(self, whose: Callable[[str], bool]) -> None: ...
     # whether the machine shall stop where the target cannot see that a host is lost

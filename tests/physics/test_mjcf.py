@@ -348,3 +348,25 @@ def test_a_urdf_whose_meshes_are_in_another_package_is_read_and_written_back(
     again = parse_model({"mechanism": mechanism | {"file": "model.mjcf"}}, str(tmp_path / "m.toml"))
     (body,), _ = robot_tree(again)
     assert (body.mass, body.com[2]) == (pytest.approx(2.5), pytest.approx(0.36))
+
+
+@pytest.mark.parametrize(
+    ("inertia", "said"),
+    [("-0.02", "inertia"), ("nonsense", "bad format in attribute 'ixx'")],
+    ids=["negative", "no number"],
+)
+def test_a_urdf_that_is_wrong_without_its_shapes_too_is_refused_in_the_words_of_mujoco(
+    inertia: str, said: str, tmp_path: Path
+) -> None:
+    (tmp_path / "pole.urdf").write_text(
+        '<robot name="pole"><link name="base"/><link name="pole"><inertial><origin xyz="0 0 0.3"/>'
+        f'<mass value="2"/><inertia ixx="{inertia}" iyy="0.02" izz="0.001" ixy="0" ixz="0"'
+        ' iyz="0"/>'
+        '</inertial></link><joint name="swing" type="revolute"><parent link="base"/>'
+        '<child link="pole"/><axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="9"'
+        ' velocity="2"/></joint></robot>'
+    )
+    mechanism = {"kind": "mjcf", "file": "pole.urdf"}
+    with pytest.raises(ModelError, match="MuJoCo does not compile it: ") as refused:
+        parse_model({"mechanism": mechanism}, str(tmp_path / "m.toml"))
+    assert said in str(refused.value)

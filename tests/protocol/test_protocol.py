@@ -23,7 +23,7 @@ from zendsp_protocol import chunks, codec, errors, keys, registry, values, versi
 from zendsp_protocol import messages as m
 from zendsp_protocol.errors import LinkError, Refused, VariableError, VersionMismatch, ZendspError
 from zendsp_protocol.pieces import check_pieces
-from zendsp_protocol.states import DriveState, ProgramState
+from zendsp_protocol.states import DriveState, ProgramState, TripReason
 from zendsp_protocol.verbs import ROLES, VERBS
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -131,6 +131,12 @@ def test_versions_that_differ_say_which_side_to_upgrade() -> None:
     }
     with pytest.raises(VersionMismatch, match="upgrade"):
         codec.decode_reply(codec.encode(answer), m.Status)
+
+
+def test_a_trip_for_a_reason_of_a_newer_target_is_read_and_its_sentence_kept() -> None:
+    told = codec.encode_result({"reason": "cosmic ray", "text": "a cosmic ray", "tick": 7})
+    trip = codec.decode_reply(told, m.Trip)
+    assert (trip.reason, trip.text, trip.tick) == (TripReason.OTHER, "a cosmic ray", 7)
 
 
 def test_new_fields_of_a_newer_target_are_ignored() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from samples import rows_of, run
 
-from zendsp_protocol.errors import NotYet, Refused, VariableError
+from zendsp_protocol.errors import NotYet, Refused, TooSoon, VariableError
 from zendsp_target.api import AcquireConfig
 from zendsp_target.runtime import Runtime
 from zendsp_target.runtime.memory.layout import layout
@@ -382,7 +382,7 @@ def test_an_update_that_is_refused_for_one_table_leaves_the_bank_of_the_other_al
     rows = {k: np.full((4, 1), float(k)) for k in range(5)}
     runtime.wait_applied(runtime.write({"a": rows[1], "b": rows[1]}, "me"), 10.0)
     runtime.write({"b": rows[2]}, "me", at_tick=50)
-    with pytest.raises(Refused, match=r"b: its last download is not in effect yet"):
+    with pytest.raises(TooSoon, match=r"b: its last download is not in effect yet"):
         runtime.write({"a": rows[3], "b": rows[3]}, "me")
     with pytest.raises(VariableError, match=r"x: 2 V is outside its limits"):
         runtime.write({"a": rows[3], "x": 2.0}, "me")

@@ -11,6 +11,7 @@ ROOT = Path(__file__).parents[2]
 SOURCES = ("host", "target", "protocol", "c_isr")
 SCREEN = 60  # lines of a body, its docstring aside
 MOST = 7  # parameters
+COLUMNS = 100
 
 # file:function: why it is longer
 LONG = {
@@ -104,6 +105,18 @@ def test_a_function_fits_on_a_screen_or_says_why_not() -> None:
 def test_a_function_is_told_few_things_or_says_why_more() -> None:
     found = {f"{file}:{node.name}" for file, node in functions() if parameters(node) > MOST}
     assert unexcused(found, TOLD) == (set(), set())
+
+
+def test_a_line_of_c_has_at_most_100_columns() -> None:
+    # ruff holds those of Python (E501)
+    sources = [path for source in SOURCES for path in (ROOT / source).rglob("*.[ch]")]
+    long = [
+        f"{path.relative_to(ROOT)}:{number}"
+        for path in sources
+        for number, line in enumerate(path.read_text().splitlines(), 1)
+        if len(line) > COLUMNS
+    ]
+    assert len(sources) > 50 and long == []
 
 
 def test_a_name_of_the_diagnosis_is_one_number() -> None:

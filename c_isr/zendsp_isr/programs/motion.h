@@ -118,11 +118,12 @@ static inline double MotionFrom(double t, int32_t j) {
     const double x = t < MOTION_COAST ? t / MOTION_COAST : 1.0;
     const double of_v = x * (1.0 + x * x * (0.5 * x - 1.0));
     const double of_a = x * x * (0.5 + x * (0.25 * x - 2.0 / 3.0));
-    return motion.start[j] + MOTION_COAST * (motion.v[j] * of_v + MOTION_COAST * motion.a[j] * of_a);
+    const double coasted = motion.v[j] * of_v + MOTION_COAST * motion.a[j] * of_a;
+    return motion.start[j] + MOTION_COAST * coasted;
 }
 
-/* Lead a share over to 0 or 1 within MOTION_COAST: what is added to a command comes and goes without
- * a step. Where the program begins afresh it is there at once. */
+/* Lead a share over to 0 or 1 within MOTION_COAST: what is added to a command comes and goes
+ * without a step. Where the program begins afresh it is there at once. */
 static inline double MotionShare(double share, bool on) {
     const double step = SAMPLE_PERIOD / MOTION_COAST, goal = on ? 1.0 : 0.0;
     return FIRST_SAMPLE || !DRIVE_ENABLED ? goal : share + fmax(-step, fmin(step, goal - share));

@@ -9,8 +9,9 @@
  *
  * The circle: r1 = center1 + radius cos(phi), r2 = center2 + radius sin(phi), entered and left
  * smoothly from where the arm stands. When it is changed by a leap the reference is led over to the
- * new one, within approach_time: the motion that was comes to rest on the way. A table whose first row is far away makes that longer; approach_time is that
- * of the beginning, and row_rate that of the first row.
+ * new one, within approach_time: the motion that was comes to rest on the way. A table whose first
+ * row is far away makes that longer; approach_time is that of the beginning, and row_rate that of
+ * the first row.
  */
 #include "isr.h"
 #if __has_include("compensation.c")

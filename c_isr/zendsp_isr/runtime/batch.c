@@ -158,8 +158,8 @@ static void lead(runner *r, batch *b, batch_entry *e, const void *with) {
     }
 }
 
-/* Lead what is being faded on by a sample; what has come to its end is applied. Until then `applied`
- * is the sample of its beginning. */
+/* Lead what is being faded on by a sample; what has come to its end is applied. Until then
+ * `applied` is the sample of its beginning. */
 static void go_on(runner *r, uint64_t tick) {
     runner_buffers *f = &r->buffers;
     const int used = f->fading_used;

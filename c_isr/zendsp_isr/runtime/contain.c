@@ -2,10 +2,11 @@
  * could reach the machine.
  *
  * A filter of system calls (seccomp) refuses new processes, new threads, other programs, signals to
- * others, and any change of scheduling, with EPERM. Where the system has no filter, what is left: no
- * process may be added for this user (RLIMIT_NPROC), a child of fork() ends at once, has none of the
- * shared memory and none of the open files after an exec, and is not real-time. What is started all the same stays beneath
- * the runner (subreaper), also in a session of its own, and ends with it.
+ * others, and any change of scheduling, with EPERM. Where the system has no filter, what is left:
+ * no process may be added for this user (RLIMIT_NPROC), a child of fork() ends at once, has none of
+ * the shared memory and none of the open files after an exec, and is not real-time. What is started
+ * all the same stays beneath the runner (subreaper), also in a session of its own, and ends with
+ * it.
  */
 #define _GNU_SOURCE
 #include <asm/sockios.h>  /* FIOSETOWN */
@@ -157,8 +158,9 @@ static int filter_calls(void) {
 static int filter_calls(void) { return ENOSYS; }
 #endif
 
-/* The calling thread, and what it starts, reaches into no process outside (Landlock), not by /proc either, not as root:
- * any ruleset does that, and this one takes nothing else that a program or a driver needs. */
+/* The calling thread, and what it starts, reaches into no process outside (Landlock), not by /proc
+ * either, not as root: any ruleset does that, and this one takes nothing else that a program or a
+ * driver needs. */
 void contain_thread(void) {
     enum { CREATE = 444, RESTRICT = 446 }; /* system calls, the same on every architecture */
     const uint64_t make_block_device = 1u << 11;

@@ -78,7 +78,7 @@ enum {
     TRIP_OVERRUN = 9, /* samples in a row */
     TRIP_SENSOR = 10,
     TRIP_HOMING = 11,
-    TRIP_UNWATCHED = 12, /* s that the monitor stood still: it may have missed that a host is lost */
+    TRIP_UNWATCHED = 12, /* s that the monitor stood still: it may have missed a host's loss */
     TRIP_STALL = 13      /* s that the loop stood still on hardware */
 };
 
@@ -281,7 +281,7 @@ typedef struct control {
     int32_t homed;
     uint32_t pressed; /* 1 while the machine's STOP input is active */
     uint32_t homings; /* that came to their end */
-    uint32_t faults;  /* of hardware that rests: bit j, the sensor of joint j is not to be trusted */
+    uint32_t faults;  /* of hardware at rest: bit j, the sensor of joint j is not to be trusted */
     uint32_t unused;
     double gain; /* 0 … 1, soft start */
     uint64_t newest; /* snapshots written */
@@ -293,7 +293,7 @@ typedef struct control {
 
 _Static_assert(sizeof(variable_entry) == 400,
                "variable_entry: layout changed, raise LAYOUT_VERSION");
-_Static_assert(sizeof(stop_page) == 32 + LAYOUT_WHO, "known to every host, raise STOP_PAGE_VERSION");
+_Static_assert(sizeof(stop_page) == 32 + LAYOUT_WHO, "hosts know it, raise STOP_PAGE_VERSION");
 _Static_assert(sizeof(batch) == 64 && sizeof(batch_entry) == 16 && sizeof(snapshot) == 16,
                "layout changed, raise LAYOUT_VERSION");
 _Static_assert(offsetof(control, ring_head) % 8 == 0 && offsetof(control, tick) % 8 == 0,

@@ -14,7 +14,8 @@ static const uint64_t idle_poll_ns = 500000; /* while paused */
 /* Machine time that the fast clock goes on after STOP, for the machine to come to rest. */
 static const double coast_s = 1.0;
 
-/* What goes by while the computer is asleep has passed for hardware, and a simulated machine waits. */
+/* What goes by while the computer is asleep has passed for hardware, and a simulated machine
+ * waits. */
 static clockid_t clock_of(const runner *r) {
     return r->control->info.simulated ? CLOCK_MONOTONIC : CLOCK_BOOTTIME;
 }
@@ -219,7 +220,8 @@ static uint64_t wait_for(const runner *r, uint64_t deadline, uint64_t spin) {
 }
 
 /* Hardware that was without control for as long as a loop that hangs is borne does not move on by
- * itself: who watched may have gone home. The monitor ends such a loop, unless it stood still too. */
+ * itself: who watched may have gone home. The monitor ends such a loop, unless it stood still
+ * too. */
 static void check_stall(runner *r, uint64_t late) {
     const double stood = 1e-9 * (double)late;
     if (!r->control->info.simulated && stood > r->control->hang_s)
@@ -254,7 +256,7 @@ static uint64_t after_sample(runner *r, uint64_t deadline) {
     const uint64_t lag = at - next, before = r->state.lag_ns, behind = lag / period;
     c->timing.overruns++;
     check_stall(r, lag);
-    if (lag > before) { /* samples that catch up after a stall are late, and no slower than others */
+    if (lag > before) { /* samples that catch up after a stall are late, no slower than others */
         /* the time of a simulated machine waits; hardware was without control meanwhile */
         const uint64_t lost = c->info.simulated ? 0 : (lag - before) / period;
         const uint64_t late = ++r->state.overruns_in_row + lost;

@@ -174,7 +174,7 @@ static void prepare_io(runner *r) {
         const machine_joint *joint = &c->info.joint[j];
         io->counts_per_unit[j] = joint->counts_per_unit != 0.0 ? joint->counts_per_unit : 1.0;
         io->zero_counts[j] = joint->zero_counts;
-        /* what is written to a joint that takes no torque must show, as for one that is not there */
+        /* what is written to a joint that takes no torque must show, as for one that is absent */
         io->mv_per_torque[j] = joint->mv_per_torque != 0.0 ? joint->mv_per_torque : NO_TORQUE_MV;
         io->torque_max[j] = strcmp(joint->command, "none") == 0 ? 0.0 : joint->torque_max;
         io->inertia[j] = joint->inertia;
@@ -220,8 +220,8 @@ static void catch_signals(void) {
 }
 
 /* In a process of its own, since the memory of one that crashed is not to be trusted. It begins
- * with the runner, is told its number, and then whether it is wanted. Where the monitor ends without
- * a word, the runner is to end first: it may have been killed as well, or stopped. */
+ * with the runner, is told its number, and then whether it is wanted. Where the monitor ends
+ * without a word, the runner is to end first: it may have been killed as well, or stopped. */
 static int make_safe(const char *path) {
     const control *given = map_control(path);
     static control copy;

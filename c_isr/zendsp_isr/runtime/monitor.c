@@ -69,8 +69,8 @@ static uint32_t fit(const update_part *part, double v) {
     }
 }
 
-/* Whether numbers may be written: FIT, or why not, with the place of the first that may not in its
- * part. The one check of every update, by whatever road it came. */
+/* Whether numbers may be written (NaN, limits, whole numbers): FIT, or why not, with the place of
+ * the first that may not in its part. The one check of every update, by whatever road it came. */
 uint32_t monitor_fit(const update_part *part, uint32_t parts, const double *values,
                      uint32_t *wrong) {
     for (uint32_t i = 0; i < parts; values += part[i++].count)
@@ -211,7 +211,8 @@ uint64_t monitor_round(const control *c) {
     return (__atomic_load_n(&c->heartbeat, __ATOMIC_ACQUIRE) | 1u) + 3u;
 }
 
-/* Whether a batch has been applied (or cancelled), and whoever reads from here on gets its values. */
+/* Whether a batch has been applied (or cancelled), and whoever reads from here on gets its
+ * values. */
 int monitor_shown(const control *c, const batch *b) {
     return __atomic_load_n(&b->state, __ATOMIC_ACQUIRE) >= BATCH_APPLIED &&
            __atomic_load_n(&c->newest, __ATOMIC_ACQUIRE) >= b->shown;

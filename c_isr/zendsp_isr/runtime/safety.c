@@ -62,7 +62,8 @@ void safety_reset(runner *r) {
  * until it is inside, it may not go further out. */
 static void widen(runner *r, int j) {
     const double margin = 0.02; /* rad: room for the soft start */
-    const double q = position_of(r, j), least = r->set.position_min[j], most = r->set.position_max[j];
+    const double q = position_of(r, j);
+    const double least = r->set.position_min[j], most = r->set.position_max[j];
     r->state.lowest[j] = q < least ? q - margin : least;
     r->state.highest[j] = q > most ? q + margin : most;
     r->state.least_seen[j] = least;
@@ -221,8 +222,8 @@ void safety_panel(runner *r) {
                                       (int32_t)(din >> input & 1u) == r->set.stop_level);
 }
 
-/* Check what was just read. Returns true when this very sample tripped: the outputs must be written
- * again, safe. */
+/* Check what was just read: STOP input, sensor faults, limits of position and speed. Returns true
+ * when this very sample tripped: the outputs must be written again, safe. */
 bool safety_inputs(runner *r) {
     control *c = r->control;
     const bool before = latched(r);
@@ -272,8 +273,8 @@ static double checked(runner *r, int j, double mv) {
     return mv;
 }
 
-/* Check the command of this sample and hold it for the next. With the drives off or tripped,
- * nothing is held. */
+/* Check the command of this sample (NaN, limits of torque and command) and hold it for the next.
+ * With the drives off or tripped, nothing is held. */
 void safety_command(runner *r) {
     control *c = r->control;
     const bool enabled = !latched(r) && c->drive_mode != MACHINE_OFF;

@@ -20,8 +20,8 @@
 /* Between two looks at what is wanted. Each wakes a processor: every ms took 9 ms of one in each
  * second, as much as a loop of 1 kHz. */
 enum { SERVICE_NS = 5000000 };
-/* That the monitor may stand still while a host commands the machine: a host that is lost is noticed
- * within about a second, and this is for a monitor that cannot. */
+/* That the monitor may stand still while a host commands the machine: a host that is lost is
+ * noticed within about a second, and this is for a monitor that cannot. */
 static const double unwatched_s = 3.0;
 
 /* What the service remembers of the monitor. */
@@ -150,8 +150,8 @@ static bool monitor_waits(const control *c) {
     return found;
 }
 
-/* Nobody would see that the host is lost which commands the machine: it stops. For a simulated one a
- * busy computer is no reason. */
+/* Nobody would see that the host is lost which commands the machine: it stops. For a simulated one
+ * a busy computer is no reason. */
 static void check_watched(runner *r, watch *w) {
     control *c = r->control;
     const uint32_t seen = load32(&c->watched);
@@ -218,8 +218,8 @@ static void *background(void *argument) {
     return NULL;
 }
 
-/* Start the threads, before user code is there and before no priority can be changed any more; 0, or
- * an errno. */
+/* Start the threads, before user code is there and before no priority can be changed any more; 0,
+ * or an errno. */
 int service_start(runner *r) {
     pthread_t thread;
     int failed = pthread_create(&thread, NULL, service, r);

@@ -1,9 +1,8 @@
-"""The door of a viewer's port: the protocol behind it knows no users, and any web page may ask for
-it.
+"""Who may use the port of a viewer: its protocol knows no users, and any web page may ask for it.
 
-On the loopback the system knows whose connection it is, and a browser says which page asks. Who is
-neither another user nor a foreign page is handed on to the server, whose own address is drawn by
-chance.
+On the loopback the system knows whose connection it is, and a browser says which page asks. Other
+users and foreign pages are refused. All others are handed on to the server, whose own address is
+random.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ from zendsp.link import Target
 from zendsp.link.background import background
 from zendsp.link.live import LiveBlock, LiveView
 from zendsp_protocol import messages as m
-from zendsp_protocol.states import ProgramState
+from zendsp_protocol.states import ProgramState, VariableKind
 from zendsp_protocol.values import Assignable
 
 PORT = 8765  # where viewers look first
@@ -191,9 +191,9 @@ class Bridge:
             return
         infos = self.target.variables()
         self._names = tuple(
-            n for n, i in infos.items() if i.kind == "parameter" and i.length <= LONGEST
+            n for n, i in infos.items() if i.kind == VariableKind.PARAMETER and i.length <= LONGEST
         )
-        wanted = self._channels or [n for n, i in infos.items() if i.kind == "signal"]
+        wanted = self._channels or [n for n, i in infos.items() if i.kind == VariableKind.SIGNAL]
         if not wanted:
             return
         self._offset = float("nan")
@@ -258,7 +258,7 @@ class Bridge:
             return
         try:
             infos = self.target.variables()
-            other = [n for n in values if n in infos and infos[n].kind != "parameter"]
+            other = [n for n in values if n in infos and infos[n].kind != VariableKind.PARAMETER]
             if other:
                 raise Refused(f"{', '.join(other)}: no parameter, and only these are written here")
             whole = {n: _as_declared(n, v, infos.get(n)) for n, v in values.items()}

@@ -12,6 +12,7 @@ from zendsp.errors import LinkError
 from zendsp.extras import need
 from zendsp.link import Target
 from zendsp.link.live import LiveBlock
+from zendsp_protocol.states import VariableKind
 
 PORT = 9876  # where a viewer listens
 # between blocks: each costs Rerun 2 kB a channel, one row as much as twenty
@@ -61,7 +62,7 @@ def rerun(
     """
     rr = need("rerun", "rerun", "the bridge", LinkError)
     infos = target.variables()
-    wanted = list(channels) or [n for n, i in infos.items() if i.kind == "signal"]
+    wanted = list(channels) or [n for n, i in infos.items() if i.kind == VariableKind.SIGNAL]
     if not wanted:
         raise LinkError(f"{target.name} has a program without signals: there is nothing to show")
     if save is None and not _viewer_listens():

@@ -9,6 +9,7 @@ import click
 
 from zendsp.cli.common import emit, flag_option, open_target, target_options
 from zendsp.cli.completing import programs
+from zendsp_protocol.states import ProgramState
 
 if TYPE_CHECKING:
     from zendsp.link import Target
@@ -44,7 +45,7 @@ def compiled(work: Callable[[], Any], as_json: bool, target: Target | None = Non
         if result is None:  # the file itself is missing
             raise
         report(result, as_json)
-        if target is not None and target.status().state == "running":
+        if target is not None and target.status().state == ProgramState.RUNNING:
             click.echo(f"zendsp: {target.name}: what was loaded before goes on running", err=True)
         raise click.exceptions.Exit(1) from None
 

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 import click
 from click.shell_completion import CompletionItem
 
+from zendsp_protocol.states import VariableKind
+
 if TYPE_CHECKING:
     from pathlib import Path
 
@@ -52,7 +54,7 @@ def variables(ctx: click.Context, param: click.Parameter, incomplete: str) -> li
     return [
         CompletionItem(f"{before}{comma}{info.name}", help=_words(info.unit, info.description))
         for info in found.values()
-        if info.name.startswith(begun) and info.kind != "table"
+        if info.name.startswith(begun) and info.kind != VariableKind.TABLE
     ]
 
 
@@ -70,7 +72,7 @@ def assignments(
     return [
         CompletionItem(f"{info.name}=", help=_words(info.unit, info.description))
         for info in found.values()
-        if info.kind == "parameter" and info.name.startswith(incomplete)
+        if info.kind == VariableKind.PARAMETER and info.name.startswith(incomplete)
     ]
 
 

@@ -10,6 +10,7 @@ import click
 from zendsp.cli.common import acknowledge, emit, open_target, sample_option, target_options
 from zendsp.errors import Refused
 from zendsp_protocol import messages as m
+from zendsp_protocol.states import LATCHED, DriveState, ProgramState
 
 ACTIONS = (
     "status", "on", "off", "home", "enable", "disable", "acknowledge", "auto", "take", "host-lost",
@@ -81,8 +82,8 @@ def command(
             for c in status.conditions
         ]
         seen = t.status()
-        held = seen.state == "running" and HOLD in t.variables() and bool(t[HOLD])
-        if seen.state != "empty":  # what limits there are is known with a program
+        held = seen.state == ProgramState.RUNNING and HOLD in t.variables() and bool(t[HOLD])
+        if seen.state != ProgramState.EMPTY:  # what limits there are is known with a program
             lines += [f"  ! {words}" for words in outside(seen, t.machine().joints, t.limits())]
         mover = status.moved_by
         moved = f", moved by {mover}" if mover not in ("", status.commander) else ""
@@ -99,8 +100,8 @@ def _mode(status: m.DriveStatus) -> str:
     """What the drives do in this state, and when that changes by itself."""
     words = {"off": "no torque", "torque": "torque mode", "velocity": "velocity mode"}
     said = words.get(status.mode, status.mode)
-    if status.mode == "velocity" and status.state in ("stopped", "tripped"):
+    if status.mode == "velocity" and status.state in LATCHED:
         said = "held at zero speed"
     if not status.explicit:
         return f"{said}; automatic: on at start, off at pause"
-    return f"{said} before the program starts" if status.state == "enabled" else said
+    return f"{said} before the program starts" if status.state == DriveState.ENABLED else said

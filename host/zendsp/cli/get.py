@@ -6,6 +6,7 @@ import click
 
 from zendsp.cli.common import emit, open_target, target_options
 from zendsp.cli.completing import variables
+from zendsp_protocol.states import VariableKind
 from zendsp_protocol.views import short
 
 
@@ -19,7 +20,7 @@ def command(names: tuple[str, ...], target: str, connect: str | None, as_json: b
     """
     with open_target(target, connect) as t:
         infos = t.variables()
-        chosen = list(names) or [info.name for info in infos.values() if info.kind != "table"]
+        chosen = list(names) or [i.name for i in infos.values() if i.kind != VariableKind.TABLE]
         # as it came over the wire: only long arrays need NumPy, for which one would wait longer
         # than for the target
         reading = t.request("read", names=chosen) if chosen else None

@@ -11,6 +11,7 @@ from zendsp.cli.common import emit, open_target, target_options
 from zendsp.cli.completing import targets
 from zendsp.link.listings import Dictionary
 from zendsp_protocol import messages as m
+from zendsp_protocol.states import ProgramState, VariableKind
 from zendsp_protocol.views import short, text_table
 
 
@@ -30,13 +31,14 @@ def command(name: str, target: str, connect: str | None, as_json: bool) -> None:
     with open_target(name or target, connect) as t:
         status = t.status()
         # what there is to say of machine and variables comes from the code that runs
-        variables, machine = ({}, None) if status.state == "empty" else (t.variables(), t.machine())
+        none = status.state == ProgramState.EMPTY
+        variables, machine = ({}, None) if none else (t.variables(), t.machine())
         limits = t.limits() if machine else None
         away = outside(status, machine.joints, limits) if machine and limits else ()
         sources = t.program().sources if status.program else {}
-        readable = [v.name for v in variables.values() if v.kind != "table"]
+        readable = [v.name for v in variables.values() if v.kind != VariableKind.TABLE]
         values = dict(t.request("read", names=readable).values) if readable else {}
-        held = status.state == "running" and bool(values.get(HOLD))
+        held = status.state == ProgramState.RUNNING and bool(values.get(HOLD))
         drive = t.drive_status()
         steps = said(way_back(status, drive, t.link.author, held), name or target, connect)
         body = {

@@ -254,7 +254,7 @@ def judging(
 ) -> Outcome:
     """Judge prepared cases and print the scoreboard."""
     from zendsp.proof.run_proof import run_proof
-    from zendsp.proof.scoreboard import text
+    from zendsp.proof.scoreboard import rates, text
     from zendsp.proof.seal import BrokenSeal
 
     try:
@@ -266,7 +266,7 @@ def judging(
         raise click.ClickException(str(error)) from error
     click.echo(text(outcome.judged, "zendsp"))
     for method, judged in outcome.peers.items():
-        click.echo("\n" + text(judged, method).split("\n\n  named first, by")[0])
+        click.echo("\n" + rates(judged, method))
     click.echo(f"\ntruth sealed before, opened after: {outcome.stamp}\npage: {outcome.page}")
     return outcome
 

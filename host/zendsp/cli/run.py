@@ -14,6 +14,7 @@ from zendsp.cli.common import (
 )
 from zendsp.cli.compile import compiled
 from zendsp.cli.completing import programs
+from zendsp_protocol.states import ProgramState
 
 
 @click.command("run")
@@ -79,10 +80,10 @@ def command(
                     raise
                 except RunnerDied:  # open_target says how
                     status = t.status()
-        going = status.state == "running"
+        going = status.state == ProgramState.RUNNING
         on = "running" if seconds else "running; it goes on until 'zendsp pause' or 'zendsp stop'"
         emit(status, as_json, on if going else state_at(status))
         if said := late(status):
             click.echo(f"zendsp: {t.name}: {said}", err=True)
-        if status.state == "crashed" or status.trip is not None:
+        if status.state == ProgramState.CRASHED or status.trip is not None:
             raise click.exceptions.Exit(1)

@@ -9,6 +9,7 @@ import click
 
 from zendsp.cli import completing
 from zendsp.cli.common import emit, open_target, parse_assignments, target_options
+from zendsp_protocol.states import ProgramState
 
 if TYPE_CHECKING:
     from zendsp.link import Target
@@ -57,6 +58,6 @@ def _see_it_act(target: Target, tick: int) -> None:
     until = time.monotonic() + ACTS_S
     while time.monotonic() < until:
         status = target.status()
-        if status.state != "running" or status.trip or status.tick > tick + 1:
+        if status.state != ProgramState.RUNNING or status.trip or status.tick > tick + 1:
             return
         time.sleep(0.002)

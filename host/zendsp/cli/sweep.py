@@ -60,8 +60,8 @@ def command(
 
     VALUES are 100,200,400 or FIRST:LAST:COUNT: 100:500:5 is 100, 200, 300, 400, 500. Each set is
     faded in, so that no gain steps the torque; at the end the parameters go back in the same way.
-    The best set is measured again after the last: a difference that the same values have among
-    themselves is none. Ctrl-C ends it with the runs that are done by then: they are shown and
+    The best set is measured again after the last: differences no larger than those of the same
+    values mean nothing. Ctrl-C ends it with the runs that are done by then: they are shown and
     written all the same. Exit status 1 where a limit tripped or the program crashed.
 
     Example:  zendsp sweep Kp1=500:2500:5 Kd1=60,120 -c e1 -s 2

@@ -15,6 +15,7 @@ from zendsp.physics.model import Model
 from zendsp.physics.simulation.run import simulate
 from zendsp.recording import Recording
 from zendsp.reference import Reference
+from zendsp_protocol.states import ProgramState
 from zendsp_protocol.values import Assignable
 
 CHANNELS = ("q", "r", "tau", "e", "aout", "tau_comp")
@@ -56,7 +57,7 @@ class Machine:
             The machine tripped.
         """
         target = self.target
-        if target.status().state == "running":
+        if target.status().state == ProgramState.RUNNING:
             target.pause()
         target.load(self.key)
         for table, rows in motion.tables().items():

@@ -26,6 +26,7 @@ from zendsp.link import Target
 from zendsp.prompt import shows_progress
 from zendsp.reference.crest import low_crest_phases
 from zendsp_protocol.messages import Limits, MachineInfo
+from zendsp_protocol.states import VariableKind
 
 REACH = 0.4  # of the sample rate: a line above is too near to half of it
 LEAST_RAD, LEAST_M = 0.02, 0.002
@@ -335,7 +336,7 @@ def _first(infos: Mapping[str, Any], joint: int, name: str) -> str:
         return f"{name}[{joint - 1}]" if infos[name].length > 1 else name
     if f"{name}{joint}" in infos:
         return f"{name}{joint}"
-    signals = [n for n, i in infos.items() if i.kind == "signal"]
+    signals = [n for n, i in infos.items() if i.kind == VariableKind.SIGNAL]
     raise AcquisitionError(
         f"the program has no signal {name}[{joint - 1}] or {name}{joint}: name input and output;"
         f" it declares {', '.join(signals) or 'no signal'}"

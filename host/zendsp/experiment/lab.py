@@ -23,7 +23,7 @@ from zendsp.link.put_back import Loaded, kept
 from zendsp.recording import Recording
 from zendsp.recording.files import save_anyhow
 from zendsp.reference import Reference
-from zendsp_protocol.states import DriveState
+from zendsp_protocol.states import DriveState, ProgramState
 
 Say = Callable[[str], None]
 BRAKE_S = 1.0  # under the loop's eye, before the program is taken away
@@ -210,7 +210,7 @@ class Bench:
         """
         self.say(name)
         target = self.target
-        if target.status().state in ("running", "paused"):
+        if target.status().state in (ProgramState.RUNNING, ProgramState.PAUSED):
             target.pause()
         target.download(program, flags)
         self._require_command(name, command)
@@ -280,7 +280,7 @@ class Bench:
 
 def _stop(target: Target) -> None:
     """STOP a machine that runs, and let it brake."""
-    if target.status().state != "running":
+    if target.status().state != ProgramState.RUNNING:
         return
     target.stop()
     if target.info.clock == "real":

@@ -9,12 +9,12 @@ from contextlib import suppress
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.errors import Incomplete, Refused, ZendspError
+from zendsp.errors import Incomplete, TooSoon, ZendspError
 from zendsp.link import Target
 from zendsp.link.outside import positions
 from zendsp.link.put_back import Before, kept
 from zendsp.recording import Recording
-from zendsp_protocol.states import ProgramState
+from zendsp_protocol.states import ProgramState, VariableKind
 from zendsp_protocol.values import Assignable
 
 Floats = npt.NDArray[np.float64]
@@ -63,7 +63,7 @@ class Player:
             name: value
             for name, value in values.items()
             if name in infos
-            and infos[name].kind == "parameter"
+            and infos[name].kind == VariableKind.PARAMETER
             and (infos[name].type == "bool") == isinstance(value, bool)
         }
         self._target, self._channels, self._seconds = target, channels, seconds
@@ -119,7 +119,7 @@ class Player:
             try:
                 self._target.upload(name, rows)
                 return
-            except Refused:
+            except TooSoon:
                 if time.monotonic() > deadline:
                     raise
                 time.sleep(0.02)  # until the target's clock has come so far

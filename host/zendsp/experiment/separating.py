@@ -15,6 +15,7 @@ from zendsp.link import Target
 from zendsp.physics.model import Model
 from zendsp.recording import Recording
 from zendsp.reference import Reference, check_fits
+from zendsp_protocol.states import ProgramState, VariableKind
 
 REST_S = 0.3  # after the last row
 
@@ -62,7 +63,8 @@ def run_reference(
 
 def _ready(target: Target, model: Model, like: Recording | None) -> None:
     """See that a program is loaded that can follow a table."""
-    if target.status().state in ("empty", "crashed") and like is not None and like.sources:
+    without = (ProgramState.EMPTY, ProgramState.CRASHED)
+    if target.status().state in without and like is not None and like.sources:
         target.download(dict(like.sources), like.flags)
         declared = target.variables()
         target.update(
@@ -70,12 +72,12 @@ def _ready(target: Target, model: Model, like: Recording | None) -> None:
             **{
                 n: v
                 for n, v in like.parameters.items()
-                if n in declared and declared[n].kind == "parameter"
+                if n in declared and declared[n].kind == VariableKind.PARAMETER
             },
         )
-    loaded = target.variables() if target.status().state not in ("empty", "crashed") else {}
+    loaded = target.variables() if target.status().state not in without else {}
     table = loaded.get("ref")
-    if table is None or table.kind != "table" or table.columns != model.joints:
+    if table is None or table.kind != VariableKind.TABLE or table.columns != model.joints:
         raise Refused(
             f"target {target.name} has no program that follows a table 'ref' of {model.joints}"
             " columns: load the one that made the recordings, for example 'zendsp run pd.c -t"

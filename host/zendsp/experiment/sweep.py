@@ -17,6 +17,7 @@ from zendsp.link import Target
 from zendsp.link.put_back import kept
 from zendsp.prompt import shows_progress
 from zendsp.recording import Recording
+from zendsp_protocol.states import ProgramState
 from zendsp_protocol.texts import counted
 from zendsp_protocol.values import Assignable
 
@@ -60,8 +61,8 @@ def sweep(
     sweep ends; the row says why, and ``ended``, also of what came afterwards.
 
     Every window is another piece of the motion. After the last set the best one is measured twice
-    more: by how much its results differ is told, and differences that are no larger are none. Of a
-    periodic motion let ``seconds`` be whole periods: then all pieces are alike.
+    more. By how much its results differ is told; smaller differences between sets mean nothing. Of
+    a periodic motion let ``seconds`` be whole periods: then all pieces are alike.
 
     Parameters
     ----------
@@ -242,8 +243,8 @@ def _afterwards(target: Target) -> str:
     """Why the program ends soon after the parameters were put back; "" where it does not."""
     status, deadline = target.status(), time.monotonic() + PATIENCE_S
     end = status.tick + round(WATCH_S * target.info.rate_hz)
-    while status.state == "running" and status.tick < end and time.monotonic() < deadline:
-        if status.trip is not None:
+    while status.state == ProgramState.RUNNING and status.tick < end:
+        if status.trip is not None or time.monotonic() >= deadline:
             break
         time.sleep(0.01)  # until the target's clock has come so far
         status = target.status()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from zendsp_protocol import messages as m
-from zendsp_protocol.states import DriveState, ProgramState
+from zendsp_protocol.states import DriveState, ProgramState, TripReason
 
 TAKEN_S = 0.05  # for the loop to take a STOP from shared memory: 50 samples at 1 kHz
 
@@ -24,7 +24,7 @@ def stopped(status: m.Status) -> str:
         )
         until = "" if status.trip is None else " until acknowledged"
         return f"stopped: {what}, nothing moves{until}"
-    why = "" if status.trip.reason == "stop" else f" ({status.trip.text})"
+    why = "" if status.trip.reason == TripReason.STOP else f" ({status.trip.text})"
     return f"stopped, at sample {status.trip.tick}{why}"
 
 
@@ -42,9 +42,9 @@ def state_at(status: m.Status) -> str:
 
 
 def stopped_at(sample: int) -> m.Status:
-    """What is known once the loop has taken a STOP, where the target itself does not answer."""
+    """The status after the loop has taken a STOP, where the target itself does not answer."""
     trip = m.Trip(
-        reason="stop",
+        reason=TripReason.STOP,
         joint=0,
         tick=sample,
         value=0.0,

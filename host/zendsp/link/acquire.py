@@ -25,7 +25,7 @@ from zendsp.link.transfer import Transfers
 from zendsp.prompt import shows_progress
 from zendsp_protocol import messages as m
 from zendsp_protocol.lazily import Lazily
-from zendsp_protocol.states import ProgramState, RecorderState
+from zendsp_protocol.states import ProgramState, RecorderState, TripReason
 
 if TYPE_CHECKING:
     import numpy as np
@@ -407,7 +407,7 @@ class Recorder(Transfers):
             overall: m.Status = self.insist("status", patience)
             if overall.state == ProgramState.CRASHED:
                 raise _loadable(RunnerDied(overall.crash))
-            lost = overall.trip is not None and overall.trip.reason == "host lost"
+            lost = overall.trip is not None and overall.trip.reason == TripReason.HOST_LOST
             if status.state in ENDED and not lost:
                 return status  # ended before it was full, by a host
             if status.state in ENDED:

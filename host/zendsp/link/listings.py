@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from zendsp_protocol import messages as m
+from zendsp_protocol.states import VariableKind
 from zendsp_protocol.views import html_table, short, text_table
 
 
@@ -53,6 +54,6 @@ def _limit(value: float) -> str:
 
 
 def _sizes(v: m.VariableInfo) -> str:
-    if v.columns > 1 and v.kind != "table":
+    if v.columns > 1 and v.kind != VariableKind.TABLE:
         return f"[{v.length // v.columns}][{v.columns}]"
     return f"[{v.length}]" if v.length > 1 else ""

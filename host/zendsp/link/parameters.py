@@ -15,6 +15,7 @@ from zendsp_protocol import messages as m
 from zendsp_protocol import written
 from zendsp_protocol.lazily import Lazily
 from zendsp_protocol.spelling import unknown_keys
+from zendsp_protocol.states import VariableKind
 from zendsp_protocol.values import Assignable, from_wire
 
 if TYPE_CHECKING:
@@ -184,7 +185,7 @@ class ParameterSets(Part):
 
 
 def _names(infos: Iterable[m.VariableInfo]) -> list[str]:
-    return [i.name for i in infos if i.kind == "parameter" and i.length <= LARGEST]
+    return [i.name for i in infos if i.kind == VariableKind.PARAMETER and i.length <= LARGEST]
 
 
 def _same(a: Any, b: Any) -> bool:

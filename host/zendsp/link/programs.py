@@ -338,9 +338,9 @@ def trouble(status: m.Status) -> str:
         return status.unsafe
     if status.trip is not None:
         what = "stopped" if status.drive == DriveState.STOPPED else "tripped"
-        cause = (status.trip.text or status.trip.reason).removesuffix(
-            "; outputs are safe until acknowledged"
-        )
+        trip = status.trip
+        when = f" (sample {trip.tick})" if trip.tick else ""
+        cause = f"{trip.cause}{when}" if trip.cause else trip.text or trip.reason
         empty = status.state == ProgramState.EMPTY
         again = "load a program and start it" if empty else "start again"
         return (

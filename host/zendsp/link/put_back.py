@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from zendsp.errors import Refused, ZendspError
 from zendsp_protocol import messages as m
-from zendsp_protocol.states import ProgramState
+from zendsp_protocol.states import ProgramState, VariableKind
 
 if TYPE_CHECKING:
     from zendsp.link.target import Target
@@ -76,7 +76,8 @@ class Loaded:
         self._empty = status.state in GONE
         if not self._empty:
             infos = target.variables().values()
-            names = [info.name for info in infos if info.kind in ("parameter", "table")]
+            kept = (VariableKind.PARAMETER, VariableKind.TABLE)
+            names = [info.name for info in infos if info.kind in kept]
             self._program = target.program()
             self._values = dict(target.read(names).values) if names else {}
 

@@ -14,6 +14,7 @@ from zendsp.link.outside import positions
 from zendsp.link.target import Target
 from zendsp_protocol import messages as m
 from zendsp_protocol.lazily import Lazily
+from zendsp_protocol.states import VariableKind
 from zendsp_protocol.values import Assignable
 
 if TYPE_CHECKING:
@@ -122,7 +123,7 @@ def rehearse(
     if not machine:
         return Rehearsal(False, None, f"there is no simulation of {info.name} here")
     rate, ticks = status.rate_hz, max(1, round(seconds * status.rate_hz))
-    names = [v.name for v in target.variables().values() if v.kind == "parameter"]
+    names = [v.name for v in target.variables().values() if v.kind == VariableKind.PARAMETER]
     present = dict(target.read(names).values) if names else {}
     limits = target.limits()
     options = _as_it_stands(info, status)

@@ -11,6 +11,7 @@ from zendsp.link.requests import PATIENCE_S, Part
 from zendsp_protocol import messages as m
 from zendsp_protocol.chunks import CHUNK, crc, spans
 from zendsp_protocol.lazily import Lazily
+from zendsp_protocol.states import VariableKind
 
 if TYPE_CHECKING:
     import numpy as np
@@ -86,7 +87,7 @@ class Tables(Part):
 
 def _check_shape(info: m.VariableInfo, shape: tuple[int, ...]) -> None:
     """Refuse what would be played as other columns than were meant, and what is empty."""
-    rows = "rows" if info.kind == "table" else info.length // info.columns
+    rows = "rows" if info.kind == VariableKind.TABLE else info.length // info.columns
     if len(shape) > 1 and (len(shape) > 2 or shape[1] != info.columns):
         raise VariableError(
             f"{info.name}: needs shape ({rows}, {info.columns}), or its numbers row after row; got"

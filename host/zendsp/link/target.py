@@ -17,6 +17,7 @@ from zendsp.link.requests import Requests
 from zendsp.link.tables import Tables
 from zendsp.link.variables import Variables
 from zendsp_protocol import messages as m
+from zendsp_protocol.states import ProgramState, VariableKind
 from zendsp_protocol.values import Assignable
 from zendsp_protocol.views import html_table, sentence, short
 
@@ -270,7 +271,7 @@ class Target:
 
     def _ipython_key_completions_(self) -> list[str]:
         """Names for ``target["<Tab>`` at a prompt."""
-        if not self.alive or self.status().state == "empty":
+        if not self.alive or self.status().state == ProgramState.EMPTY:
             return []
         return [*self.variables(), *self.builtins()]
 
@@ -280,9 +281,9 @@ class Target:
             return sentence(repr(self))
         status = self.status()
         shown = sentence(repr(self)) + status._repr_html_()
-        if status.state in ("empty", "crashed"):
+        if status.state in (ProgramState.EMPTY, ProgramState.CRASHED):
             return shown
-        infos = [v for v in self.variables().values() if v.kind != "table"]
+        infos = [v for v in self.variables().values() if v.kind != VariableKind.TABLE]
         if not infos:
             return shown
         values = self.read([v.name for v in infos]).values

@@ -14,6 +14,7 @@ from zendsp.errors import EndedWarning, VariableError
 from zendsp.link.listings import Dictionary, Log
 from zendsp.link.requests import Part, Requests
 from zendsp_protocol import messages as m
+from zendsp_protocol.states import VariableKind
 from zendsp_protocol.values import Assignable, Packed, Value, WireValue, from_wire, to_wire
 from zendsp_protocol.views import html_table, sentence, short
 
@@ -95,7 +96,7 @@ class Variables(Part):
     def _is_set(self, name: str) -> bool:
         """Whether a host sets this variable."""
         info = self().get(name.partition("[")[0])
-        return info is not None and info.kind != "signal"
+        return info is not None and info.kind != VariableKind.SIGNAL
 
     def __setitem__(self, name: str, value: Assignable) -> None:
         """Write one variable: it takes effect at the start of the next sample.

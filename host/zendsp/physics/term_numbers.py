@@ -1,4 +1,6 @@
-"""What the numbers of a model's terms mean: in a file and in the kernel, chosen, or summed up."""
+"""The numbers of a model's terms: as a file and as the kernel has them, which are chosen and not
+estimated, and sums over the terms of a joint.
+"""
 
 from __future__ import annotations
 

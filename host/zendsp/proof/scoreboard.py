@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import statistics
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from scipy.stats import beta
@@ -276,19 +276,29 @@ def failures(judged: Sequence[Judgement]) -> list[str]:
     return out
 
 
-def text(judged: Sequence[Judgement], title: str) -> str:
-    """The whole scoreboard for a terminal; a column for each reality where there are several."""
+def _columns(judged: Sequence[Judgement]) -> Mapping[str, Sequence[Judgement]]:
     groups = by_reality(judged)
-    columns = {"": judged} if len(groups) < 2 else groups
+    return {"": judged} if len(groups) < 2 else groups
+
+
+def rates(judged: Sequence[Judgement], title: str) -> str:
+    """The rates for a terminal; a column for each reality where there are several."""
+    columns = _columns(judged)
     heads = [headline(group) for group in columns.values()]
     width = max(len(row[0]) for row in heads[0])
     lines = [f"{title}: {len(judged)} cases", ""]
-    if len(groups) > 1:
-        lines.append(f"  {'':<{width}}  " + "".join(f"{name:<34} " for name in groups))
+    if len(columns) > 1:
+        lines.append(f"  {'':<{width}}  " + "".join(f"{name:<34} " for name in columns))
     for k, (what, _, wanted) in enumerate(heads[0]):
         lines.append(
             f"  {what:<{width}}  " + "".join(f"{head[k][1]:<34} " for head in heads) + wanted
         )
+    return "\n".join(lines)
+
+
+def text(judged: Sequence[Judgement], title: str) -> str:
+    """The whole scoreboard for a terminal: rates, effects, machines, confidence, failures."""
+    lines = [rates(judged, title)]
     sizes = sorted({j.size for j in judged if j.kind in SINGLE_KINDS}, reverse=True)
     lines += ["", "  named first, by effect and size: " + "  ".join(f"x{s:g}" for s in sizes)]
     for name, *cells in table_of(judged, lambda j: j.effects[0], sizes):
@@ -298,7 +308,7 @@ def text(judged: Sequence[Judgement], title: str) -> str:
         lines.append(f"    {name:<22}" + "".join(f"{c:>8}" for c in cells))
     for form, cases, first, law in by_given(judged):
         lines.append(f"  {form:<30}{cases:>5}   {first:<22}{law}".rstrip())
-    for name, group in columns.items():
+    for name, group in _columns(judged).items():
         lines += ["", f"  stated confidence      findings   mean stated   right   {name}".rstrip()]
         for low, high, count, stated, hit in reliability(group):
             lines.append(f"    {low:.1f} to {high:.1f}   {count:>14} {stated:>13.3f} {hit:>7.3f}")

@@ -23,12 +23,14 @@ from zendsp.tui.port import Port
 from zendsp.tui.runs import Outcome, Run
 from zendsp.tui.screens.base import TALL, LabScreen
 from zendsp.tui.session import Session
+from zendsp.tui.snapshot import LinkState
 from zendsp.tui.stopper import with_stop
 from zendsp.tui.styles import OnceParsed
 from zendsp.tui.targets import Targets
 from zendsp.tui.typeahead import HELD_S, TypeAhead
 from zendsp.tui.workspace import Workspace
 from zendsp_isr.sources import gather, shipped_programs
+from zendsp_protocol.states import LATCHED
 
 READ_S = 1.0  # that a message stays, whatever is typed
 PUT_BACK_S = 5.0  # for a run that was stopped to put back what it has set
@@ -263,8 +265,8 @@ class ZendspApp(TypeAhead):
         is never a command: only STOP is.
         """
         now = self.session.snapshot
-        latched = now.trip is not None or now.drive in ("stopped", "tripped") or now.crash
-        nothing = now.link == "up" and not latched and self.session.stops.verdict is None
+        latched = now.trip is not None or now.drive in LATCHED or now.crash
+        nothing = now.link == LinkState.UP and not latched and self.session.stops.verdict is None
         beneath = isinstance(self.screen, ModalScreen)
         if nothing or beneath:
             if not isinstance(self.focused, Input):

@@ -91,7 +91,7 @@ def keep(made: Diagnosed, folder: Path) -> Diagnosed:
 
 
 def list_diagnoses(root: Path) -> list[Diagnosed]:
-    """Return the diagnoses, newest first; folders that are none are passed over."""
+    """Return the diagnoses, newest first; other folders are passed over."""
     found = []
     for path in root.glob(f"*/{CARD}"):
         try:

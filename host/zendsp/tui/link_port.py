@@ -20,8 +20,9 @@ from zendsp.link.variables import plain
 from zendsp.link.way_back import HOLD, way_back
 from zendsp.recording import Recording
 from zendsp.tui.port import Build, Shot, Sink, Tell
-from zendsp.tui.snapshot import Snapshot, TripView, Variable
+from zendsp.tui.snapshot import LinkState, Snapshot, TripView, Variable
 from zendsp_protocol import messages as m
+from zendsp_protocol.states import ProgramState, RecorderState, VariableKind
 from zendsp_protocol.values import Assignable, Value
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ FADE_S = 0.5  # of values that are taken over from a table
 LIVE_RATE = 5000.0  # rows a second of a live curve at the most
 LIVE_INTERVAL_S = 0.02  # between live messages: a screen needs no more
 LOST_EVERY = 5  # snapshots between looks at the recorder and the limits
+RECORDING = (RecorderState.ARMED, RecorderState.RUNNING)
 SHOWN_ELEMENTS = 64  # longer arrays are not read for the table
 
 
@@ -64,11 +66,11 @@ class LinkPort:
         if s.program != self._program or (s.program and not self._variables):
             self._learn(s.program)
         values: Mapping[str, Value] = {}
-        if self._names and s.state not in ("empty", "crashed"):
+        if self._names and s.state not in (ProgramState.EMPTY, ProgramState.CRASHED):
             with contextlib.suppress(RunnerDied):
                 values = self.target.read(self._names).values
         if self._looked % LOST_EVERY == 0 or (
-            self._recorder is not None and self._recorder.state in ("armed", "running")
+            self._recorder is not None and self._recorder.state in RECORDING
         ):
             with contextlib.suppress(ZendspError):
                 self._recorder = self.target.acquire_status()
@@ -86,7 +88,7 @@ class LinkPort:
         t, recorder, described = s.timing, self._recorder, self._described
         io = {name: np.ravel(np.asarray(plain(value))) for name, value in s.io.items()}
         return Snapshot(
-            link="up",
+            link=LinkState.UP,
             target=self.target.name,
             machine=s.machine,
             joints=s.joints,
@@ -110,7 +112,7 @@ class LinkPort:
             commander=drive.commander,
             moved_by="you" if drive.moved_by == self.target.link.author else drive.moved_by,
             mine=bool(drive.commander) and drive.commander == self.target.link.author,
-            recording=recorder is not None and recorder.state in ("armed", "running"),
+            recording=recorder is not None and recorder.state in RECORDING,
             host_lost=drive.host_lost,
             trip=_trip(s.trip),
             crash=s.crash or s.unsafe,
@@ -140,13 +142,15 @@ class LinkPort:
         own = [_variable(info, info.kind) for info in self.target.variables().values()]
         names = {v.name for v in own}
         builtin = [
-            _variable(info, "signal")
+            _variable(info, VariableKind.SIGNAL)
             for info in self.target.builtins().values()
             if info.name not in names
         ]
         self._variables = (*own, *builtin)
         self._names = [
-            v.name for v in self._variables if v.kind != "table" and v.length <= SHOWN_ELEMENTS
+            v.name
+            for v in self._variables
+            if v.kind != VariableKind.TABLE and v.length <= SHOWN_ELEMENTS
         ]
 
     # -- live
@@ -295,8 +299,9 @@ def _trip(trip: m.Trip | None) -> TripView | None:
     return TripView(trip.reason, trip.tick, trip.text or trip.reason, trip.number)
 
 
-def _variable(info: m.VariableInfo, kind: str) -> Variable:
-    kind = kind if kind in ("parameter", "table") else "signal"
+def _variable(info: m.VariableInfo, kind: VariableKind) -> Variable:
+    written = (VariableKind.PARAMETER, VariableKind.TABLE)
+    kind = kind if kind in written else VariableKind.SIGNAL
     return Variable(
         info.name, info.type, info.length, kind, info.unit, info.minimum, info.maximum,
         plain(info.initial), info.description, info.columns,

@@ -22,11 +22,12 @@ from zendsp.tui.port import Port, Shot
 from zendsp.tui.runs import Outcome, Run, store_run
 from zendsp.tui.snapshot import Snapshot
 from zendsp.tui.trial import Plan, Trial, make_plan
-from zendsp_protocol.states import DriveState
+from zendsp_protocol.states import LATCHED, DriveState, ProgramState, VariableKind
 
 LOOK_S = 0.05
 REST_S = 1.0  # for an arm to come to rest under its control law
-SAFE = ("off", "ready", "homed", "stopped", "tripped")  # of the drives: no command moves the arm
+# of the drives: no command moves the arm
+SAFE = (DriveState.OFF, DriveState.READY, DriveState.HOMED, *LATCHED)
 USUAL = ("r", "q", "qd", "e", "tau")  # recorded where the user chose no channels
 
 
@@ -34,7 +35,7 @@ def usual_channels(snapshot: Snapshot) -> tuple[str, ...]:
     """Return reference, position, velocity, error and command signals that the program declares,
     arrays first.
     """
-    names = [v.name for v in snapshot.variables if v.kind == "signal"]
+    names = [v.name for v in snapshot.variables if v.kind == VariableKind.SIGNAL]
     chosen = [n for n in USUAL if n in names]
     for stem in USUAL:
         if stem not in chosen:
@@ -63,7 +64,7 @@ class PlayJob(Job[Run | None]):
 
     def _do(self, port: Port) -> Run | None:
         snapshot = port.snapshot()
-        if snapshot.state == "running":  # what is tried begins where the arm then is
+        if snapshot.state == ProgramState.RUNNING:  # what is tried begins where the arm then is
             port.pause()
             snapshot = port.snapshot()
         plan = make_plan(snapshot, self._references, self._machine, self._setup)
@@ -101,7 +102,7 @@ class PlayJob(Job[Run | None]):
         """
         try:
             snapshot = port.snapshot()
-            if snapshot.state == "running" and snapshot.drive not in SAFE:
+            if snapshot.state == ProgramState.RUNNING and snapshot.drive not in SAFE:
                 port.pause()
             why = before.put_back()
         except ZendspError as error:
@@ -166,13 +167,13 @@ class PlayJob(Job[Run | None]):
             )
             if s.trip is not None:
                 return Outcome(DriveState.latched(s.trip.reason)), s.trip.text
-            if s.drive in ("stopped", "tripped"):
+            if s.drive in LATCHED:
                 return Outcome.STOPPED, ""
-            if s.crash or s.state == "crashed":
+            if s.crash or s.state == ProgramState.CRASHED:
                 return Outcome.CRASHED, s.crash
-            if t >= total - lead or (s.state == "paused" and t > 0.0):
+            if t >= total - lead or (s.state == ProgramState.PAUSED and t > 0.0):
                 return Outcome.COMPLETE, ""
-            if s.state == "paused":
+            if s.state == ProgramState.PAUSED:
                 return Outcome.PAUSED, ""
             if self._abort.wait(LOOK_S):
                 self._come_to_rest(port, plan.player, s.clock)

@@ -18,12 +18,14 @@ import numpy.typing as npt
 from zendsp.errors import ReferenceError_
 from zendsp.reference import Machine, Reference
 from zendsp.tui.snapshot import Snapshot, Variable
+from zendsp_protocol.states import VariableKind
 from zendsp_protocol.texts import counted
 from zendsp_protocol.values import Assignable
 
 Floats = npt.NDArray[np.float64]
 TABLES = ("ref", "reference", "q_ref", "qref")
-HOLD = ("hold", "parameter", "bool")  # name, kind and type of what brings the reference to rest
+# name, kind and type of what brings the reference to rest
+HOLD = ("hold", VariableKind.PARAMETER, "bool")
 APPROACH_S = 0.2  # of a program that blends into the table by itself
 SETTLE_S = 0.5  # at rest before and after the motion
 SAME = 1e-9  # of rounding: positions, rad, and sample times, relative, that are the same
@@ -88,11 +90,11 @@ class Playlist:
 
 def find_player(variables: Sequence[Variable]) -> Player | None:
     """Return how the program takes references, or None if it cannot."""
-    tables = [v for v in variables if v.kind == "table"]
+    tables = [v for v in variables if v.kind == VariableKind.TABLE]
     chosen = next((v for name in TABLES for v in tables if v.name == name), None)
     if chosen is None:
         return None
-    names = {v.name for v in variables if v.kind == "parameter"}
+    names = {v.name for v in variables if v.kind == VariableKind.PARAMETER}
     known: tuple[str, ...] = tuple(
         n for n in ("use_table", "row_rate", "approach_time") if n in names
     )

@@ -23,10 +23,9 @@ from zendsp.reference import (
 from zendsp.tui.actions import in_keys
 from zendsp.tui.playing import Setup, find_player, present_position
 from zendsp.tui.port import Port
-from zendsp.tui.snapshot import Snapshot
+from zendsp.tui.snapshot import LinkState, Snapshot
 from zendsp.tui.trial import Plan, Trial, make_plan
-
-MISFIT = "planned for this machine"
+from zendsp_protocol.states import LATCHED, DriveState, ProgramState
 
 
 @dataclass(frozen=True)
@@ -84,7 +83,7 @@ def preflight(
     chosen = Condition(
         f"reference chosen{_names(files)}", bool(references), "o chooses; F4 plans one"
     )
-    if s.link != "up":  # nobody knows of anything else whether it is so
+    if s.link != LinkState.UP:  # nobody knows of anything else whether it is so
         trial.look(None, port)
         return [_no_link(s), chosen]
     machine, player = machine_of(s), find_player(s.variables)
@@ -97,7 +96,7 @@ def preflight(
         ),
         Condition(
             "program loaded",
-            s.state not in ("", "empty", "crashed"),
+            s.state not in ("", ProgramState.EMPTY, ProgramState.CRASHED),
             "build one on Console (F2, b)",
         ),
         Condition(
@@ -108,13 +107,18 @@ def preflight(
         chosen,
     ]
     if references and machine is not None:
-        found.append(_fits(references, machine))
-        if player is not None and not busy and found[-1].text != MISFIT:
+        misfit, differs = _misfit(references, machine)
+        found.append(
+            Condition("planned for this machine", False, misfit)
+            if misfit
+            else _within(references, machine, differs)
+        )
+        if player is not None and not busy and not misfit:
             # not while a run goes on: where the arm is then is on its way
             plan, playable = _playable(s, references, machine, setup)
             found.append(playable)
             if plan is not None:
-                found.append(_tried(plan, trial, s.state == "running"))
+                found.append(_tried(plan, trial, s.state == ProgramState.RUNNING))
     known = {v.name for v in s.variables}
     missing = [c for c in setup.channels if c.split("[")[0] not in known]
     found += [
@@ -128,7 +132,7 @@ def preflight(
             "a run is in progress" if busy else "no run in progress", not busy, "b aborts it"
         ),
     ]
-    trial.look(None if busy or s.state == "running" else plan, port)
+    trial.look(None if busy or s.state == ProgramState.RUNNING else plan, port)
     return found
 
 
@@ -136,13 +140,13 @@ def _drives(s: Snapshot) -> list[Condition]:
     return [
         Condition(
             "no trip, no STOP",
-            s.trip is None and s.drive not in ("stopped", "tripped"),
+            s.trip is None and s.drive not in LATCHED,
             "acknowledge with Ctrl+K",
         ),
         *(Condition(sentence, True, warning=True) for sentence in map(in_keys, s.outside)),
         Condition(
             "drives enabled",
-            s.explicit and s.drive in ("enabled", "running"),
+            s.explicit and s.drive in (DriveState.ENABLED, DriveState.RUNNING),
             f"on Console (F2): {_steps(s)}",
         ),
         Condition(
@@ -155,7 +159,8 @@ def _drives(s: Snapshot) -> list[Condition]:
 
 def _no_link(s: Snapshot) -> Condition:
     again = "it comes back by itself; Ctrl+O: another"
-    return Condition("link to a target", False, again if s.link == "lost" else "Ctrl+O connects")
+    lost = s.link == LinkState.LOST
+    return Condition("link to a target", False, again if lost else "Ctrl+O connects")
 
 
 def _steps(s: Snapshot) -> str:
@@ -164,7 +169,7 @@ def _steps(s: Snapshot) -> str:
     """
     needs = {name for name, met, _ in s.conditions if not met}
     steps = {
-        "pause (p)": s.drive == "running",
+        "pause (p)": s.drive == DriveState.RUNNING,
         "power (o)": "power" in needs,
         "home (h)": "homed" in needs and "program" not in needs,
         "enable (e)": True,
@@ -176,13 +181,19 @@ def _names(files: Sequence[Path]) -> str:
     return f": {', '.join(f.stem for f in files)}" if files else ""
 
 
-def _fits(references: Sequence[Reference], machine: Machine) -> Condition:
+def _misfit(references: Sequence[Reference], machine: Machine) -> tuple[str, str]:
+    """Why one of them cannot be played by this machine, and what is to be told of them else."""
     told = ""
     for reference in references:
         try:
             told = told or check_fits(reference, machine.name, machine.units)
         except ReferenceError_ as error:
-            return Condition(MISFIT, False, str(error))
+            return str(error), ""
+    return "", told
+
+
+def _within(references: Sequence[Reference], machine: Machine, told: str) -> Condition:
+    for reference in references:
         broken = machine.find_violations(reference)
         if broken:
             return Condition("within the limits", False, str(broken[0]))

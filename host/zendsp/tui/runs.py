@@ -183,7 +183,7 @@ def _write_card(folder: Path, run: Run) -> None:
 
 
 def load_card(folder: Path) -> Run:
-    """Read the card of one run; raises ValueError where it is none."""
+    """Read the card of one run; raises ValueError where it is not one."""
     try:
         card = written.json((folder / CARD).read_text())
         card["references"] = tuple(card.get("references", ()))
@@ -194,7 +194,7 @@ def load_card(folder: Path) -> Run:
 
 
 def list_runs(runs: Path) -> list[Run]:
-    """Return the runs, newest first; folders that are none are passed over."""
+    """Return the runs, newest first; other folders are passed over."""
     found = []
     if runs.is_dir():
         for folder in runs.iterdir():

@@ -19,7 +19,9 @@ from zendsp.tui.app import ZendspApp
 from zendsp.tui.link_port import open_port, start_machine
 from zendsp.tui.scope.spectrum import ready
 from zendsp.tui.screens.execute import ExecuteScreen
+from zendsp.tui.snapshot import LinkState
 from zendsp.tui.svg import portable
+from zendsp_protocol.states import DriveState, ProgramState
 
 PATIENCE_S = 180.0  # for a diagnosis on a busy machine
 
@@ -59,14 +61,17 @@ def _app(work: Path, first: str) -> ZendspApp:
 
 async def _enabled(app: ZendspApp, pilot: Pilot[None]) -> None:
     """Build, power, enable."""
-    await _until(pilot, lambda: app.session.snapshot.link == "up")
+    await _until(pilot, lambda: app.session.snapshot.link == LinkState.UP)
     await pilot.press("b")
     await _until(
         pilot,
-        lambda: app.session.snapshot.state == "loaded" and bool(app.session.snapshot.variables),
+        lambda: (
+            app.session.snapshot.state == ProgramState.LOADED
+            and bool(app.session.snapshot.variables)
+        ),
     )
     await _keys(pilot, "o", "e")
-    await _until(pilot, lambda: app.session.snapshot.drive == "enabled")
+    await _until(pilot, lambda: app.session.snapshot.drive == DriveState.ENABLED)
 
 
 async def _console(folder: Path, work: Path, size: tuple[int, int], name: str) -> list[Path]:
@@ -86,7 +91,7 @@ async def _console(folder: Path, work: Path, size: tuple[int, int], name: str) -
             await pilot.pause(0.5)
             made.append(_write(app, folder / "console-spectrum.svg"))
             await _keys(pilot, "V", "f9")
-            await _until(pilot, lambda: app.session.snapshot.drive == "stopped")
+            await _until(pilot, lambda: app.session.snapshot.drive == DriveState.STOPPED)
             await pilot.pause(0.5)
             made.append(_write(app, folder / "console-stop.svg"))
     return made

@@ -22,8 +22,9 @@ from zendsp.tui.events import EventLog
 from zendsp.tui.port import Port
 from zendsp.tui.scope import Channel, History
 from zendsp.tui.scope.formula import Computed
-from zendsp.tui.snapshot import Snapshot
+from zendsp.tui.snapshot import LinkState, Snapshot
 from zendsp.tui.stop_lane import StopLane
+from zendsp_protocol.states import LATCHED, ProgramState
 
 T = TypeVar("T")
 POLL_S = 0.1  # between snapshots
@@ -34,7 +35,7 @@ SILENCE_S = 3.0  # of curves while the program runs, after which they are asked 
 
 
 class NoLink(LinkError):
-    """There is none at the moment."""
+    """No target is connected at the moment."""
 
 
 class Session:
@@ -92,19 +93,19 @@ class Session:
         self._drop()
         with self._lock:
             self._name = name
-        self.snapshot = Snapshot(link="connecting", target=name)
+        self.snapshot = Snapshot(link=LinkState.CONNECTING, target=name)
         self.stops.aim(name, here=False)
         self._wake.set()
 
     def tell_found(self, names: Sequence[str]) -> None:
         """Show which targets answer, as long as none is connected."""
-        if self.snapshot.link == "none":
+        if self.snapshot.link == LinkState.NONE:
             self.snapshot = replace(self.snapshot, here=tuple(names))
 
     def await_start(self, machine: str) -> None:
         """Show that a machine is being started here; "": none is any more."""
         if self._port is None:
-            link = "starting" if machine else "none"
+            link = LinkState.STARTING if machine else LinkState.NONE
             self.snapshot = Snapshot(link=link, target=machine)
 
     def adopt(self, port: Port, name: str) -> None:
@@ -155,7 +156,7 @@ class Session:
         """Return the open port; raises LinkError where there is none."""
         port = self._port
         if port is None:
-            lost = self.snapshot.link == "lost"
+            lost = self.snapshot.link == LinkState.LOST
             which = f"the link to {self.snapshot.target} is lost, and not back yet" if lost else ""
             raise NoLink(f"{which or 'there is no link to a target'}: Ctrl+O connects")
         return port
@@ -167,10 +168,10 @@ class Session:
         if not isinstance(error, LinkError) or isinstance(error, NoLink):
             return error
         deadline = time.monotonic() + A_MOMENT_S  # the poller may not have seen it yet
-        while self.snapshot.link == "up" and time.monotonic() < deadline:
+        while self.snapshot.link == LinkState.UP and time.monotonic() < deadline:
             self._wake.set()
             time.sleep(POLL_S / 5)
-        if self.snapshot.link in ("lost", "ended"):
+        if self.snapshot.link in (LinkState.LOST, LinkState.ENDED):
             return LinkError(f"the link was lost before it was done{more}")
         return error
 
@@ -195,13 +196,14 @@ class Session:
                 try:
                     begin = time.monotonic()
                     snapshot = port.snapshot()
-                    if self._live_wanted and snapshot.state != "empty":
+                    if self._live_wanted and snapshot.state != ProgramState.EMPTY:
                         self._follow(port)
                     if self._port is port:
-                        if self.snapshot.link == "lost":
+                        if self.snapshot.link == LinkState.LOST:
                             self.events.add(f"link to {name} is back", "good")
                         self.stops.judge(snapshot, begin)
-                        self._take(replace(snapshot, link="up", target=snapshot.target or name))
+                        known = snapshot.target or name
+                        self._take(replace(snapshot, link=LinkState.UP, target=known))
                         self._listen(snapshot)
                 except LinkError as error:
                     self._lost(port, str(error))
@@ -222,18 +224,18 @@ class Session:
     def _take(self, new: Snapshot) -> None:
         """Keep a snapshot and put its changes of state into the event log."""
         old, self.snapshot = self.snapshot, new
-        if new.trip is not None and (new.trip != old.trip or old.link != "up"):
+        if new.trip is not None and (new.trip != old.trip or old.link != LinkState.UP):
             self.stops.tripped = time.monotonic()
             self.events.add(f"trip at sample {new.trip.tick}: {new.trip.text}", "error")
-        if old.link != "up":
+        if old.link != LinkState.UP:
             return
         if new.state != old.state:
             self.events.add(
                 f"program {old.state or '—'} → {new.state}",
-                "good" if new.state == "running" else "info",
+                "good" if new.state == ProgramState.RUNNING else "info",
             )
         if new.drive != old.drive:
-            bad = new.drive in ("tripped", "stopped")
+            bad = new.drive in LATCHED
             self.events.add(
                 f"drives {old.drive or '—'} → {new.drive}", "warning" if bad else "info"
             )
@@ -252,7 +254,7 @@ class Session:
         now = time.monotonic()
         if (
             self.history.count != count
-            or snapshot.state != "running"
+            or snapshot.state != ProgramState.RUNNING
             or snapshot.tick == tick
             or not self.channels
         ):
@@ -262,12 +264,12 @@ class Session:
             self._live_wanted = True
 
     def _connect(self, name: str) -> None:
-        lost = self.snapshot.link == "lost"
+        lost = self.snapshot.link == LinkState.LOST
         try:
             port = self._open(name)
         except ZendspError as error:
-            if not lost and self.snapshot.link != "connecting":
-                self.snapshot = Snapshot(link="connecting", target=name)
+            if not lost and self.snapshot.link != LinkState.CONNECTING:
+                self.snapshot = Snapshot(link=LinkState.CONNECTING, target=name)
             gone = self._left is not None and self._left.over
             self.snapshot = replace(self.snapshot, complaint=str(error), gone=gone)
             self._complain(str(error))
@@ -304,10 +306,12 @@ class Session:
                 self._port, self._live, self._left = None, None, port
             if ended:
                 self._name = ""
-        if self.snapshot.link != "lost":
+        if self.snapshot.link != LinkState.LOST:
             self.events.add(f"link lost: {why}", "error")
         self.snapshot = replace(
-            self.snapshot, link="ended" if ended else "lost", latency_s=float("nan"),
+            self.snapshot,
+            link=LinkState.ENDED if ended else LinkState.LOST,
+            latency_s=float("nan"),
             recording=False, gone=port.over,
         )
         if ended or not port.here:

@@ -6,13 +6,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from enum import StrEnum
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from zendsp_protocol.messages import Limits, MachineInfo
+from zendsp_protocol.states import DriveState, ProgramState, TripReason, VariableKind
 from zendsp_protocol.values import Value
+
+
+class LinkState(StrEnum):
+    """Of the terminal's link to a target."""
+
+    NONE = "none"  # no target was chosen
+    STARTING = "starting"
+    CONNECTING = "connecting"
+    UP = "up"
+    LOST = "lost"  # and looked for again
+    ENDED = "ended"  # by the target itself
 
 
 @dataclass(frozen=True)
@@ -22,7 +35,7 @@ class Variable:
     name: str
     type: str
     length: int
-    kind: str  # "parameter" | "signal" | "table"
+    kind: VariableKind  # parameter, signal or table
     unit: str
     minimum: float
     maximum: float
@@ -33,7 +46,7 @@ class Variable:
     @property
     def writable(self) -> bool:
         """Whether a host may write it."""
-        return self.kind != "signal"
+        return self.kind != VariableKind.SIGNAL
 
 
 @dataclass(frozen=True)
@@ -49,7 +62,7 @@ class Event:
 class TripView:
     """Why the drives are in the safe state."""
 
-    reason: str
+    reason: TripReason
     tick: int
     text: str
     number: int = 0  # 0: told by a target that counts none
@@ -59,7 +72,7 @@ class TripView:
 class Snapshot:
     """Everything a screen shows that is not a curve."""
 
-    link: str = "none"  # "none" | "starting" | "connecting" | "up" | "lost" | "ended"
+    link: LinkState = LinkState.NONE
     target: str = ""
     complaint: str = ""  # why it is not connected yet
     gone: bool = False  # of a link that is lost: the process of the target has ended
@@ -69,9 +82,8 @@ class Snapshot:
     # what the machine says of itself and the limits in force, once a program is loaded
     described: MachineInfo | None = None
     limits: Limits | None = None
-    # of the loop: "empty" | "loaded" | "running" | "paused" | "stopped" | "crashed"
-    state: str = ""
-    drive: str = ""  # "off" | "ready" | "homed" | "enabled" | "running" | "stopped" | "tripped"
+    state: ProgramState | Literal[""] = ""  # "" until the target has told it
+    drive: DriveState | Literal[""] = ""
     # the safe sequence is in use; else drives go on at start and off at pause
     explicit: bool = False
     program: str = ""

@@ -18,9 +18,10 @@ from textual.widgets import Static
 
 from zendsp.tui.actions import SCREENS, in_keys, keys_of
 from zendsp.tui.panels.lines import Lines
-from zendsp.tui.snapshot import Snapshot
+from zendsp.tui.snapshot import LinkState, Snapshot
 from zendsp.tui.stop_lane import Verdict
 from zendsp.tui.stop_process import Field, StopState
+from zendsp_protocol.states import ProgramState
 
 STATE_MARKS = {
     "running": ("●", "success"),
@@ -218,14 +219,15 @@ class StatusBar(Widget):
         """
         c = self.app.theme_variables
         line = Text(" ", no_wrap=True, overflow="ellipsis")
-        if s.link != "up":
+        if s.link != LinkState.UP:
             words = {
-                "none": f"no target: Ctrl+O {_offer(s)}", "starting": f"starting {s.target} …",
-                "connecting": f"connecting to {s.target} …",
-                "lost": f"LINK LOST to {s.target}: {'it has ended; start it again' if s.gone else 'reconnecting …'}",  # noqa: E501
-                "ended": f"{s.target} HAS ENDED: Ctrl+O {_offer(s)}",
+                LinkState.NONE: f"no target: Ctrl+O {_offer(s)}",
+                LinkState.STARTING: f"starting {s.target} …",
+                LinkState.CONNECTING: f"connecting to {s.target} …",
+                LinkState.LOST: f"LINK LOST to {s.target}: {'it has ended; start it again' if s.gone else 'reconnecting …'}",  # noqa: E501
+                LinkState.ENDED: f"{s.target} HAS ENDED: Ctrl+O {_offer(s)}",
             }
-            colour = c["error"] if s.link in ("lost", "ended") else c["warning"]
+            colour = c["error"] if s.link in (LinkState.LOST, LinkState.ENDED) else c["warning"]
             return line.append(words.get(s.link, s.link), Style(bold=True, color=colour))
         rest = self._state(s)
         # what it does is worth more than its whole name
@@ -264,17 +266,18 @@ class StatusBar(Widget):
             words = s.crash if s.trip is None or s.unsafe else s.trip.text
             words = words.replace("STOP was requested by", "STOP by")
         colour = self.app.theme_variables["error"]
-        return Text(in_keys(words), Style(color=colour, bold=True)) if s.link == "up" else Text()
+        known = s.link == LinkState.UP
+        return Text(in_keys(words), Style(color=colour, bold=True)) if known else Text()
 
     def loop(self, s: Snapshot) -> Text:
         """Return the line that says how the loop and the link do."""
         bad = Style(color=self.app.theme_variables["error"], bold=True)
         line = Text(" ", no_wrap=True, overflow="ellipsis")
-        if s.link == "connecting" and s.complaint:
+        if s.link == LinkState.CONNECTING and s.complaint:
             return line.append(s.complaint, bad)
-        if s.link in ("none", "connecting"):
+        if s.link in (LinkState.NONE, LinkState.CONNECTING):
             return line.append("Reference and Diagnose work without a target", Style(dim=True))
-        if s.link in ("lost", "ended"):
+        if s.link in (LinkState.LOST, LinkState.ENDED):
             after = "; its rows: zendsp salvage" if s.gone else left_alone(s)
             return line.append(f"below: what was heard last, at t = {s.t:.1f} s{after}", bad)
 
@@ -303,7 +306,7 @@ class StatusBar(Widget):
 def left_alone(s: Snapshot) -> str:
     """What a machine that this terminal moved does now that the link is lost."""
     words = {"stop": "it stops", "hold": "it comes to rest", "finish": "it goes on"}
-    moved = s.state == "running" and (s.mine or s.moved_by == "you")
+    moved = s.state == ProgramState.RUNNING and (s.mine or s.moved_by == "you")
     return f"; {words[s.host_lost]}" if moved and s.host_lost in words else ""
 
 

@@ -28,6 +28,7 @@ from zendsp.tui.playing import (
 )
 from zendsp.tui.port import Port
 from zendsp.tui.snapshot import Snapshot
+from zendsp_protocol.states import VariableKind
 from zendsp_protocol.values import Assignable
 
 STILL_S = 0.5  # that a plan must stay the same before it is tried
@@ -96,7 +97,7 @@ def make_plan(
     now = {
         v.name: np.asarray(snapshot.values[v.name]).tolist()
         for v in snapshot.variables
-        if v.kind == "parameter" and v.name in snapshot.values
+        if v.kind == VariableKind.PARAMETER and v.name in snapshot.values
     }
     return Plan(
         snapshot.program,

@@ -23,7 +23,7 @@ from zendsp_protocol.chunks import KERNEL
 from zendsp_protocol.errors import AcquisitionError, TooLarge, VariableError
 from zendsp_protocol.kept import About, Kept, first_row
 from zendsp_protocol.messages import AcquireStatus, Held
-from zendsp_protocol.states import RecorderState
+from zendsp_protocol.states import RecorderState, VariableKind
 from zendsp_protocol.texts import units_of
 from zendsp_target.api import AcquireConfig
 from zendsp_target.runtime.memory.layout import layout, set_text
@@ -88,7 +88,7 @@ def _expand(
             problems.append(str(error))
             continue
         info = place.entry.info
-        if info.kind == "table":
+        if info.kind == VariableKind.TABLE:
             problems.append(f"{name}: is a table; record the variable that follows it")
             continue
         if len(sources) > most:  # too many already: a name a thousand times takes memory, too

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from zendsp_protocol.errors import RunnerDied
 from zendsp_protocol.messages import Change, VariableInfo
+from zendsp_protocol.states import VariableKind
 from zendsp_protocol.values import Value
 from zendsp_target.api import Blank
 from zendsp_target.runtime.programs import Programs
@@ -25,11 +26,13 @@ class LoadedVariables:
 
     def declared(self) -> tuple[VariableInfo, ...]:
         """Variables that the loaded program declares."""
-        return self._programs.loaded().dictionary.infos("parameter", "signal", "table")
+        return self._programs.loaded().dictionary.infos(
+            VariableKind.PARAMETER, VariableKind.SIGNAL, VariableKind.TABLE
+        )
 
     def builtins(self) -> tuple[VariableInfo, ...]:
         """Signals that exist without being declared."""
-        return self._programs.loaded().dictionary.infos("builtin")
+        return self._programs.loaded().dictionary.infos(VariableKind.BUILTIN)
 
     def read(self, names: Sequence[str]) -> tuple[int, dict[str, Value]]:
         """Values of variables, elements and built-ins, all from one sample, and its tick; of none

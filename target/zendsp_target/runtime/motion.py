@@ -14,6 +14,7 @@ import msgspec
 from zendsp_isr.parts import is_model
 from zendsp_protocol.errors import Refused, RunnerDied
 from zendsp_protocol.messages import Limits, MachineInfo
+from zendsp_protocol.states import TripReason
 from zendsp_target.api import PRESSED
 from zendsp_target.runtime import safety
 from zendsp_target.runtime.memory.layout import layout
@@ -123,7 +124,7 @@ class Motion:
         """
         self._programs.ask_stop(author)
 
-    def trip(self, reason: str) -> None:
+    def trip(self, reason: TripReason) -> None:
         """As `stop`, with another reason.
 
         Parameters
@@ -135,7 +136,7 @@ class Motion:
         if reason not in safety.REQUESTS:
             raise Refused(f"trip reason {reason!r}: give one of {', '.join(safety.REQUESTS)}")
         session = self._programs.session  # no lock: STOP never waits behind a load
-        if reason == "stop" or session is None:
+        if reason == TripReason.STOP or session is None:
             self._programs.ask_stop()
         else:
             lib.monitor_store32(ffi_address(session.control, "stop"), safety.REQUESTS[reason])

@@ -12,6 +12,7 @@ from zendsp_isr.parts import build_machine, build_runner, is_model
 from zendsp_protocol import stop_page
 from zendsp_protocol.errors import Refused, RunnerDied
 from zendsp_protocol.messages import CompileResult, Trip
+from zendsp_protocol.states import TripReason
 from zendsp_target.concealed.load import load_concealed
 from zendsp_target.runtime import safety
 from zendsp_target.runtime.compile_service import check_memory, compile_program, program_path
@@ -174,7 +175,7 @@ class Programs:
         )
         if trip is None and asked:
             by = bytes(layout()[0].buffer(self._page.pointer("stop_page").by))
-            trip = safety.asked_trip("stop", 0 if session is None else session.tick, by)
+            trip = safety.asked_trip(TripReason.STOP, 0 if session is None else session.tick, by)
         return trip
 
     def trips(self) -> int:

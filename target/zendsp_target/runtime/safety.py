@@ -11,30 +11,25 @@ import numpy.typing as npt
 
 from zendsp_protocol.errors import Refused
 from zendsp_protocol.messages import JointInfo, Limits, MachineInfo, Timing, Trip
+from zendsp_protocol.states import TripReason
 from zendsp_protocol.stop_page import signature
 from zendsp_protocol.values import Value
 from zendsp_target.runtime.memory.layout import layout, text_of
 
 DRIVE_MODES = {"off": 0, "torque": 1, "velocity": 2}
 OVERRUN_POLICIES = {"count": 0, "skip": 1, "trip": 2}
-_REASONS = {
-    1: "stop",
-    2: "stop input",
-    3: "host lost",
-    4: "torque",
-    5: "speed",
-    6: "position",
-    7: "command",
-    8: "nan",
-    9: "overrun",
-    10: "sensor",
-    11: "homing",
-    12: "host lost",
-    13: "stall",
-}
 _UNWATCHED = 12
-REQUESTS = {"stop": 1, "host lost": 3}
-_ASKED = {"stop": "STOP was requested", "host lost": "the host that commanded the motion is gone"}
+# TRIP_… of layout.h, in its order
+_REASONS = {
+    **dict(enumerate(tuple(TripReason)[:11], 1)),
+    _UNWATCHED: TripReason.HOST_LOST,
+    13: TripReason.STALL,
+}
+REQUESTS = {TripReason.STOP: 1, TripReason.HOST_LOST: 3}
+_ASKED = {
+    TripReason.STOP: "STOP was requested",
+    TripReason.HOST_LOST: "the host that commanded the motion is gone",
+}
 _NOBODY = "the target's monitor stood still: nobody would have seen that the host is lost"
 _LOOKS = 100  # until two are the same: one may be acknowledged, and another latched, meanwhile
 _ARRAYS = ("position_min", "position_max", "speed_max", "torque_max", "command_max")
@@ -62,7 +57,8 @@ def latched_trip(control: Any, machine: MachineInfo) -> Trip | None:
     # before the trip, which the loop latches before it clears this
     asked = lib.monitor_load32(ffi.addressof(control, "stop"))
     trip = _trip_in(control, machine)
-    reason = "host lost" if asked == REQUESTS["host lost"] else "stop"
+    lost = asked == REQUESTS[TripReason.HOST_LOST]
+    reason = TripReason.HOST_LOST if lost else TripReason.STOP
     return trip or (asked_trip(reason, int(control.tick)) if asked else None)
 
 
@@ -86,7 +82,7 @@ def _trip_in(control: Any, machine: MachineInfo) -> Trip | None:
     return Trip(reason, joint, tick, value, limit, text, cause)
 
 
-def asked_trip(reason: str, tick: int, by: bytes = b"") -> Trip:
+def asked_trip(reason: TripReason, tick: int, by: bytes = b"") -> Trip:
     """A STOP, or another of `REQUESTS`, that no loop has taken: none ran, or it ended before."""
     cause = _ASKED[reason] + _by(by)
     return Trip(reason, tick=tick, text=f"{cause}; nothing moves until acknowledged", cause=cause)
@@ -97,7 +93,9 @@ def _by(who: bytes) -> str:
     return f" by {name}" if name else ""
 
 
-def _cause(machine: MachineInfo, reason: str, joint: int, value: float, limit: float) -> str:
+def _cause(
+    machine: MachineInfo, reason: TripReason, joint: int, value: float, limit: float
+) -> str:
     if joint > len(machine.joints):
         return (
             f"the code writes to joint {joint}, which this machine has not: it has"
@@ -107,7 +105,7 @@ def _cause(machine: MachineInfo, reason: str, joint: int, value: float, limit: f
     which = machine.joints[joint - 1] if joint >= 1 else machine.joints[0]
     unit, who = which.unit, which.name
     torque = "N" if unit == "m" else "N m"
-    if reason == "torque" and which.mv_per_torque == 0.0:
+    if reason == TripReason.TORQUE and which.mv_per_torque == 0.0:
         takes = (
             "which has no motor"
             if which.command == "none"
@@ -116,18 +114,24 @@ def _cause(machine: MachineInfo, reason: str, joint: int, value: float, limit: f
         return f"the code writes {value:.4g} {torque} to {who}, {takes}"
     causes = {
         **_ASKED,
-        "stop input": "the STOP input of the machine is active",
-        "torque": (
+        TripReason.STOP_INPUT: "the STOP input of the machine is active",
+        TripReason.TORQUE: (
             f"{who}: command of {value:.4g} {torque} exceeds the limit of {limit:.4g} {torque}"
         ),
-        "speed": f"{who}: speed of {value:.4g} {unit}/s exceeds the limit of {limit:.4g} {unit}/s",
-        "position": f"{who}: position {value:.6g} {unit} is beyond the limit of {limit:.6g} {unit}",
-        "command": f"{who}: command of {value:.5g} mV exceeds the limit of {limit:.5g} mV",
-        "nan": f"{who}: the code computed {value} as its output",
-        "overrun": f"{value:.0f} samples in a row came later and later",
-        "sensor": f"{who}: the position sensor reports a fault",
-        "homing": "homing failed",
-        "stall": (
+        TripReason.SPEED: (
+            f"{who}: speed of {value:.4g} {unit}/s exceeds the limit of {limit:.4g} {unit}/s"
+        ),
+        TripReason.POSITION: (
+            f"{who}: position {value:.6g} {unit} is beyond the limit of {limit:.6g} {unit}"
+        ),
+        TripReason.COMMAND: (
+            f"{who}: command of {value:.5g} mV exceeds the limit of {limit:.5g} mV"
+        ),
+        TripReason.NAN: f"{who}: the code computed {value} as its output",
+        TripReason.OVERRUN: f"{value:.0f} samples in a row came later and later",
+        TripReason.SENSOR: f"{who}: the position sensor reports a fault",
+        TripReason.HOMING: "homing failed",
+        TripReason.STALL: (
             f"the loop stood still for {value:.3g} s; {limit:g} s are borne (did the computer"
             " sleep?)"
         ),

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from zendsp_protocol.errors import Refused, RunnerDied, VariableError
+from zendsp_protocol.states import VariableKind
 from zendsp_protocol.values import Value
 from zendsp_target.api import Blank
 from zendsp_target.bounded import keep
@@ -239,7 +240,7 @@ class Session:
         if problems:
             raise VariableError("\n".join(problems))
         tick, values = self.snapshot()
-        small = {name: place for name, place in places.items() if place.entry.info.kind != "table"}
+        small = {n: p for n, p in places.items() if p.entry.info.kind != VariableKind.TABLE}
         if plan is None and small and len(small) == len(places):
             keep(self._read_plans, key, ReadPlan(places.items()))
         found = decode(small, values)

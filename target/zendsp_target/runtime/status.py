@@ -8,7 +8,7 @@ import numpy as np
 
 from zendsp_protocol.errors import Refused, RunnerDied
 from zendsp_protocol.messages import Status, Trip
-from zendsp_protocol.states import DriveState, ProgramState
+from zendsp_protocol.states import DriveState, ProgramState, TripReason
 from zendsp_protocol.values import WireValue
 from zendsp_target.runtime import safety
 from zendsp_target.runtime.memory.layout import layout, text_of
@@ -65,7 +65,7 @@ def status_of(session: Session, latched: Callable[[], Trip | None]) -> Status:
         joints=len(session.machine.joints),
         program=session.key,
         timing=safety.timing_of(control),
-        drive=_drive(state, trip.reason if trip else "", mode, homed),
+        drive=_drive(state, trip.reason if trip else None, mode, homed),
         trip=trip,
         crash=session.crash,
         io=_io(session),
@@ -89,7 +89,7 @@ def _state(session: Session, tripped: bool) -> ProgramState:
     return ProgramState.PAUSED if session.started else ProgramState.LOADED
 
 
-def _drive(state: ProgramState, reason: str, mode: str, homed: bool) -> DriveState:
+def _drive(state: ProgramState, reason: TripReason | None, mode: str, homed: bool) -> DriveState:
     if state == ProgramState.CRASHED:
         return DriveState.OFF
     if reason:

@@ -28,7 +28,14 @@ from zendsp_protocol import messages as m
 from zendsp_protocol import verbs
 from zendsp_protocol.errors import Refused, ZendspError
 from zendsp_protocol.messages import Status
-from zendsp_protocol.states import DriveState, ProgramState, RecorderState
+from zendsp_protocol.states import (
+    DriveState,
+    HostLost,
+    ProgramState,
+    RecorderState,
+    TripReason,
+    VariableKind,
+)
 from zendsp_target.api import RECORDER, RuntimeApi
 from zendsp_target.serving.enabling import conditions, loaded, refusal
 
@@ -36,13 +43,9 @@ log = logging.getLogger(__name__)
 
 # soft start and soft stop of the explicit sequence, unless somebody has chosen otherwise
 SOFT_S = 0.1
-# What happens when the holder of the right to command disappears while the program runs: zero
-# velocity, latched; the program's bool parameter `hold` is set, and without one as "stop"; it goes
-# on.
-POLICIES = ("stop", "hold", "finish")
 OFF_S = 0.5  # for a soft stop to end
 AFTER_TRIP_S = 1.0  # a recording shows how the machine comes to rest
-POLICY = "stop"  # unless somebody chooses another
+POLICY = HostLost.STOP  # unless somebody chooses another
 HOLD_VARIABLE = "hold"  # a bool parameter of programs that can hold their reference
 
 
@@ -158,42 +161,42 @@ class Drives:
             return ""
         return f"; if this host is lost: {self._policy}, as {self._policy_by} chose"
 
-    def host_gone(self, host: str, moves: bool = False) -> str:
+    def host_gone(self, host: str, moves: bool = False) -> HostLost | None:
         """Act on the disappearance of a host, by the policy, if it commanded, or if nobody did and
         a run of it `moves` the machine, or a start that it watched; returns the policy that acted,
-        "" where none did.
+        None where none did.
         """
         with self._lock:
             if host == self._attended_by:
                 self._attended_by, moves = "", True
             if host != self.commander and (self.commander or not moves):
-                return ""
+                return None
             policy = self._policy
             self._pass_to("")
-            if policy != "finish":
+            if policy != HostLost.FINISH:
                 self._runtime.cancel(lambda author: author == host)
             try:
                 status = self._runtime.status()
                 if status.trip is not None:  # the loop has stopped the machine by itself
                     self._end_recording()
-                if status.state != ProgramState.RUNNING or policy == "finish":
+                if status.state != ProgramState.RUNNING or policy == HostLost.FINISH:
                     return policy
-                if policy == "hold" and self._hold():
+                if policy == HostLost.HOLD and self._hold():
                     return policy
-                self._runtime.trip("host lost")
+                self._runtime.trip(TripReason.HOST_LOST)
                 self._enabled = False
                 self._end_recording()
             except ZendspError as error:
                 # the runner died meanwhile: it is in the safe state already
                 log.warning("host %s lost: %s", host, error)
-            return "stop"
+            return HostLost.STOP
 
     def watch(self) -> None:
         """Let the loop know whether a host is looked after: it stops the machine itself where this
         process stands still, since nobody would see that the host is lost.
         """
         commands = self.commander or self.moved_by or self._attended_by
-        self._runtime.attend(bool(commands) and self._policy != "finish")
+        self._runtime.attend(bool(commands) and self._policy != HostLost.FINISH)
 
     def _end_recording(self) -> None:
         """End what is recorded now as after STOP, once the machine has come to rest: its host, who
@@ -218,7 +221,7 @@ class Drives:
     def _hold(self) -> bool:
         infos = {info.name: info for info in self._runtime.variables()}
         info = infos.get(HOLD_VARIABLE)
-        if info is None or info.type != "bool" or info.kind != "parameter":
+        if info is None or info.type != "bool" or info.kind != VariableKind.PARAMETER:
             return False
         try:
             self._runtime.write({HOLD_VARIABLE: True}, "host lost")
@@ -360,9 +363,9 @@ class Drives:
         """Choose what happens when the commanding host is lost: it ends with the command of whoever
         chose it; from who does not come to command it stays.
         """
-        if policy not in POLICIES:
-            raise Refused(f"host-lost policy {policy!r}: expected one of {', '.join(POLICIES)}")
-        self._policy, self._policy_by = policy, by
+        if policy not in tuple(HostLost):
+            raise Refused(f"host-lost policy {policy!r}: expected one of {', '.join(HostLost)}")
+        self._policy, self._policy_by = HostLost(policy), by
         return f"if the commanding host is lost: {policy}"
 
     def _off(self) -> None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from zendsp_protocol import messages as m
 from zendsp_protocol import verbs
 from zendsp_protocol.errors import Refused, VariableError, ZendspError
-from zendsp_protocol.states import ProgramState
+from zendsp_protocol.states import HostLost, ProgramState, VariableKind
 from zendsp_protocol.values import Value
 from zendsp_target.api import RuntimeApi
 from zendsp_target.serving.drives import Drives
@@ -58,10 +58,10 @@ class Runs:
         infos = {info.name: info for info in self._runtime.variables()}
         names = [name for name in args.names if name.partition("[")[0] in infos]
         values = self._runtime.read(names)[1] if names else {}
-        signals = [name for name in names if infos[name.partition("[")[0]].kind == "signal"]
+        signals = [n for n in names if infos[n.partition("[")[0]].kind == VariableKind.SIGNAL]
         if signals:
             raise Refused(f"a run sets parameters and tables, no signals: {', '.join(signals)}")
-        tables = frozenset(n for n in names if n in infos and infos[n].kind == "table")
+        tables = frozenset(n for n in names if n in infos and infos[n].kind == VariableKind.TABLE)
         follows = FOLLOW not in infos or bool(self._runtime.read([FOLLOW])[1][FOLLOW])
         fade_of(self._runtime, args.fade)  # refuses one that is too long
         run = Run(by, args.moves, values, tables, self._runtime.status(), follows, args.fade)
@@ -93,12 +93,12 @@ class Runs:
             self._tell()
         moves = any(run.moves for run in runs)
         policy = self._drives.host_gone(host, moves)
-        if (moves and policy == "finish") or self._drives.commander not in ("", host):
+        if (moves and policy == HostLost.FINISH) or self._drives.commander not in ("", host):
             return  # it goes on as it was set; or it is somebody else's machine now
         if runs:
             self._runtime.cancel(lambda author: author == host)
         deadline = time.monotonic() + STANDS_S
-        while policy == "stop" and self._moves() and time.monotonic() < deadline:
+        while policy == HostLost.STOP and self._moves() and time.monotonic() < deadline:
             time.sleep(0.002)
         for run in runs:
             try:

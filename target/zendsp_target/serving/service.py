@@ -21,7 +21,7 @@ from zendsp_protocol import keys, verbs
 from zendsp_protocol import messages as m
 from zendsp_protocol.errors import Refused, RunnerDied
 from zendsp_protocol.kept import About
-from zendsp_protocol.states import ProgramState, RecorderState
+from zendsp_protocol.states import ProgramState, RecorderState, VariableKind
 from zendsp_protocol.values import Value, to_wire
 from zendsp_protocol.version import PROTOCOL
 from zendsp_target.api import RECORDER, AcquireConfig, RuntimeApi
@@ -231,7 +231,7 @@ class Service:
     def _about(self) -> About:
         """Metadata of a recording that begins, for the case that this process is killed."""
         status, info = self.runtime.status(), self.do_info(verbs.Nothing(), "")
-        names = [v.name for v in self.runtime.variables() if v.kind == "parameter"]
+        names = [v.name for v in self.runtime.variables() if v.kind == VariableKind.PARAMETER]
         return About(
             target=info.name,
             machine=info.machine,
@@ -268,7 +268,11 @@ class Service:
         tick, found = 0, dict[str, Value]()
         with suppress(Refused, RunnerDied):
             infos = self.runtime.variables()
-            names = [i.name for i in infos if i.kind == "parameter" and i.length <= MOST_ELEMENTS]
+            names = [
+                i.name
+                for i in infos
+                if i.kind == VariableKind.PARAMETER and i.length <= MOST_ELEMENTS
+            ]
             tick, found = self.runtime.read(names) if names else (0, {})
         return m.Replaced(
             program=program,

@@ -12,7 +12,7 @@ import numpy as np
 from zendsp_protocol import messages as m
 from zendsp_protocol import values, verbs
 from zendsp_protocol.errors import NotYet, Refused, RunnerDied, VariableError
-from zendsp_protocol.states import ProgramState
+from zendsp_protocol.states import ProgramState, VariableKind
 from zendsp_protocol.values import Value
 from zendsp_target.api import RuntimeApi
 from zendsp_target.serving.deferred import Later
@@ -104,7 +104,8 @@ class VariableVerbs:
     def _shaped(self, given: Mapping[str, Value]) -> Mapping[str, Value]:
         """Give the values of a table that came flat their rows and columns back."""
         flat = {n: v for n, v in given.items() if isinstance(v, np.ndarray) and v.ndim == 1}
-        columns = {i.name: i.columns for i in self.runtime.variables() if i.kind == "table"}
+        infos = self.runtime.variables()
+        columns = {i.name: i.columns for i in infos if i.kind == VariableKind.TABLE}
         fits = [n for n in flat if n in columns and flat[n].size % columns[n] == 0]
         return {**given, **{n: flat[n].reshape(-1, columns[n]) for n in fits}}
 

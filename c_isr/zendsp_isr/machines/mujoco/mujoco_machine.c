@@ -95,7 +95,8 @@ static int check_time(robot *r, const char *config, double period, char *error, 
         takes = time_sample(r, period);
     }
     snprintf(r->info.text, sizeof r->info.text,
-             "MuJoCo model %.60s, %d of its %d joints, %d with a drive (simulated%s): steps of %.3g us, "
+             "MuJoCo model %.60s, %d of its %d joints, %d with a drive (simulated%s): "
+              "steps of %.3g us, "
              "%.3g us for a sample of %.4g us.",
              r->info.name, r->plant.joints, (int)r->model->njnt, drives,
              r->shapeless ? ", without shapes: files of meshes are missing" : "",
@@ -124,7 +125,7 @@ static void robot_close(void *handle) {
 }
 
 /* A URDF without its shapes, whose files are often named by packages that are not here: it states
- * the inertias of its links. */
+ * the inertias of its links. NULL where the shapes are not what is wrong with it. */
 static mjModel *without_shapes(const char *file) {
     char why[64];
     mjSpec *spec = mj_parseXML(file, NULL, why, sizeof why);
@@ -146,7 +147,7 @@ static int load(robot *r, const char *config, double period, char *error, size_t
     char why[512] = "";
     r->model = mj_loadXML(file, NULL, why, sizeof why);
     const char *kind = strrchr(file, '.');
-    if (!r->model && strstr(why, "opening file") && kind && strcasecmp(kind, ".urdf") == 0) {
+    if (!r->model && kind && strcasecmp(kind, ".urdf") == 0) {
         r->model = without_shapes(file);
         r->shapeless = r->model != NULL;
     }

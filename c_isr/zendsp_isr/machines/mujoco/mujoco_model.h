@@ -369,9 +369,9 @@ static double take_friction(robot *r, int j, double least) {
     const int dof = r->speed[j];
     const double level = m->dof_frictionloss[dof], viscous = m->dof_damping[dof];
     const double firm = (level > 0.0 ? level : 0.01 * r->info.joint[j].torque_max) / give;
-    /* A model has no bristles, so theirs must be stiff; but a swing of 5000 rad/s, half a radian in a
-     * step of 0.1 ms, creeps where joints are coupled. One of 1600 stands still, gives way by half a
-     * count at most, and a diagnosis finds nothing of it. */
+    /* A model has no bristles, so theirs must be stiff; but a swing of 5000 rad/s, half a radian in
+     * a step of 0.1 ms, creeps where joints are coupled. One of 1600 stands still, gives way by
+     * half a count at most, and a diagnosis finds nothing of it. */
     const double stiffest = 2.5e6 * least;
     const double bristle = firm < stiffest ? firm : stiffest;
     r->plant.friction[j] = (plant_friction){.coulomb_pos = level,

@@ -66,7 +66,7 @@ class Hung:
 
 
 def hung(found: Sequence[Hung], least: float) -> str:
-    """What is said of sensors that hung: where, for how long, and the commands that take all of it
+    """A sentence on sensors that hung: where, for how long, and the commands that take all of it
     out, one a recording. Parts shorter than ``least`` seconds are not taken.
     """
     said = "; ".join(f"{h.where}: {_stood(h)}" for h in found)

@@ -136,7 +136,7 @@ def _as_noisy_as_read(s: Signals, rows: Array, left: float) -> Signals:
 
 
 def _each_alone(model: Model, joints: int) -> list[str]:
-    """What is to be known of a model of several joints that has no links between them."""
+    """Notes on a model of several joints that has no links between them."""
     if joints < 2 or model.kind not in ("rotary", "linear"):
         return []
     return [

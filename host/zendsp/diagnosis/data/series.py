@@ -1,4 +1,4 @@
-"""What a series of dependent samples is worth."""
+"""How many independent samples a correlated series is worth."""
 
 from __future__ import annotations
 

@@ -132,7 +132,7 @@ def _both_far(inertia: float, gravity: float) -> bool:
 def _weight(
     given: Model, joint: int, moves: dict[str, tuple[float, float, float, float]]
 ) -> str:
-    """What is said of a weight that moved too."""
+    """A clause on a weight that moved too."""
     ratio, z, amount, std = moves.get("gravity", (0.0, 0.0, 0.0, 0.0))
     if abs(z) < FAR:
         return ""

@@ -210,9 +210,9 @@ def _smallest(traces: _Traces, name: str, energy: float, torque: float) -> Term 
 
 
 class _Implant:
-    """Effects of some size, implanted at a joint and asked as the decision asks: the calibrated
-    numbers and the observer are fitted beside them to the recordings of the fit, as on a machine
-    that has the effect where the model has not.
+    """Effects of some size, implanted at a joint and judged as the decision judges: the calibrated
+    numbers and the observer are fitted to the recordings of the fit with the effect in them and
+    not in the model.
     """
 
     def __init__(self, parts: Parts, decision: Decision, jobs: int) -> None:

@@ -171,9 +171,9 @@ def named(
 def _turns_a_known_one(
     parts: Parts, given: Model, final: Scored, piece: Piece, before: Size
 ) -> bool:
-    """Whether a mechanism is how a dry friction that the model has turns round, and little of what
-    lacks: a second law of it. Softness, as of bristles, makes friction less there; what makes it
-    more is none.
+    """Whether a mechanism only says how a dry friction that the model has behaves at reversals, and
+    explains little of what lacks: it is then a second law of that friction. Softness, as of
+    bristles, makes friction smaller there; a mechanism that makes it larger is not meant.
     """
     joint = piece.terms[0].joint
     return (
@@ -328,8 +328,8 @@ def _goes_on(claim: Claim, alone: Scored, parts: Parts) -> float | None:
 
 
 def _ahead(claim: Claim, alone: Scored, parts: Parts) -> float:
-    """By how much a function of the state predicts better than its neighbours, in standard
-    deviations; below 0 for what is none.
+    """By how many standard deviations a function of the state predicts better than its neighbours;
+    -inf for a mechanism that is no function of the state.
     """
     if claim.mechanism not in STRUCTURED:
         return -math.inf
@@ -393,8 +393,8 @@ def _ranked(
 
 
 def _upon(ranked: Sequence[Piece], after: float) -> list[Piece]:
-    """Laws with the one first that stands upon another of them, as a Stribeck curve does upon
-    Coulomb friction: with it, it is one law. How a joint turns round (a state of its own) is none.
+    """The laws, first the one that stands upon the largest, as a Stribeck curve does upon Coulomb
+    friction: the two are one law. Bristles and other laws with a state of their own do not count.
     """
     largest = ranked[0]
     for other in ranked[1:]:

@@ -222,7 +222,7 @@ def _same(given: Model, claim: Claim, data: Data) -> tuple[str, ...]:
 
 
 def _held_otherwise(given: Model, term: Term, values: Mapping[str, Estimate]) -> str:
-    """What is said of a law that the given model has, with numbers that it holds; empty where it
+    """A clause on a law that the given model has, with numbers that it holds; empty where it
     has none such.
     """
     held = [

@@ -91,7 +91,7 @@ def nearest_law(
 
 
 def likeness(near: Near) -> str:
-    """What is said of a law that is near, in a sentence without a full stop.
+    """A sentence, without its full stop, on a law that comes near.
 
     Examples
     --------

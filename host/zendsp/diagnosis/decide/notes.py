@@ -107,7 +107,7 @@ def _creeping(decisions: Sequence[Decision], given: Model) -> list[str]:
 
 
 def bent(errors: Errors) -> list[str]:
-    """Where calibration makes it worse: what the model has not bends its numbers."""
+    """The note where calibration makes it worse: what the model lacks bends its numbers."""
     test, unit = errors.test, errors.unit
     if test.calibrated < MADE_WORSE * max(test.given, errors.noise_floor):
         return []
@@ -120,7 +120,7 @@ def bent(errors: Errors) -> list[str]:
 
 
 def _hardly_moves(fit: Data, joint: int) -> str:
-    """What is said where recordings that the model does not follow hardly determine its numbers:
+    """The note where recordings that the model does not follow hardly determine its numbers:
     they are short, or go one way.
     """
     records = [rec[joint - 1] for rec in fit.records]
@@ -138,7 +138,7 @@ def _hardly_moves(fit: Data, joint: int) -> str:
 
 
 def _behind_another(decisions: Sequence[Decision], given: Model, joint: int) -> str:
-    """What is said where the link of another joint moves behind a transmission that was found: this
+    """The note where the link of another joint moves behind a transmission that was found: this
     joint's model knows the motion of that motor only.
     """
     others = [
@@ -156,7 +156,7 @@ def _behind_another(decisions: Sequence[Decision], given: Model, joint: int) -> 
 
 
 def _held(fit: Data, given: Model) -> str:
-    """What is said where commands are taken as held from row to row: by a model that does not say
+    """The note where commands are taken as held from row to row: by a model that does not say
     how long, or of rows so far apart that a loop may well be faster.
     """
     hold, records = given.actuator.hold, [r for rec in fit.records for r in rec]

@@ -1,4 +1,4 @@
-"""Another load in the held-out recordings: inertia and gravity that are others there, together.
+"""Another load in the held-out recordings: there inertia and gravity differ, both at once.
 
 The numbers of a body that was put on between two recordings are found on those to choose by, and
 judged on those to test on. Of one joint only: an arm's bodies are looked for by all its joints.
@@ -89,7 +89,7 @@ def _is_other(before: Estimate, now: Estimate) -> bool:
 
 
 def of_load(finding: Finding | None) -> list[str]:
-    """What is to be known of the improved model where it has such a load."""
+    """Notes on the improved model where it has such a load."""
     if finding is None:
         return []
     loaded = " and ".join(finding.numbers["recordings"])

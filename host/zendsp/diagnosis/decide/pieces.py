@@ -202,7 +202,7 @@ def piece_of(
 
 def _unseen(test: Data, model: Model, terms: Sequence[Term], joint: int) -> float:
     """How many times larger the torque of some terms is than an observer sees it: waves along the
-    travel may pass faster than it follows. 1 where one of them is none.
+    travel may pass faster than it follows. 1 where one of the terms is no such wave.
     """
     effects = [get_effect(t.effect) for t in terms]
     if not all("order" in e.names and e.site == "torque" for e in effects):
@@ -299,8 +299,8 @@ def held_apart(
 
 
 def sure(test: Data, piece: Piece) -> bool:
-    """Whether untouched recordings are surely less likely without a mechanism, by chance among all
-    of them at all joints, and its torque lacks there.
+    """Whether untouched recordings are surely less likely without a mechanism, and its torque lacks
+    there. Chance among all mechanisms of all joints is counted: false alarms are rare.
     """
     return _likely(test, piece) and (_even(piece) or piece.slowly > SURE)
 
@@ -352,8 +352,8 @@ def _rubbing(parts: Parts, search: JointSearch, final: Scored, piece: Piece) -> 
 
 
 def turns_round(parts: Parts, final: Scored, piece: Piece) -> bool:
-    """Whether a mechanism is how dry friction turns round: bristles, or softness. A curve over the
-    speed is none of these.
+    """Whether a mechanism only says how dry friction behaves at reversals: bristles, or softness;
+    not a curve over the speed.
     """
     hidden = any(get_effect(e).hidden for e in piece.effects)
     return piece.mechanism == DRY and hidden and _turning(parts, final, piece)

@@ -1,4 +1,5 @@
-"""The numbers that decide, each with what it means.
+"""The numbers that decide what is claimed, and with it how many false alarms there are; each with
+what it means.
 
 The measurements behind them: docs/measurements/diagnosis_choices.md.
 """

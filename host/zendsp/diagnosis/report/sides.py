@@ -50,8 +50,8 @@ def sides(findings: Sequence[Finding], given: Model, whole: Assembled, joint: in
 
 def _absorbed(improved: Model, finding: Finding) -> bool:
     """Whether calibration took a finding up: it has a law, and no term of it stands in the improved
-    model. What two sensors on a transmission show moves no torque; a load that other recordings
-    have not is none of the given numbers.
+    model. Not so of what two sensors on a transmission show, which moves no torque, nor of a load
+    that only the held-out recordings have.
     """
     terms = [t for t in improved.at(finding.joint) if t.effect == finding.effect]
     elsewhere = measured(finding) or "recordings" in finding.numbers

@@ -50,7 +50,7 @@ def word_of(mechanism: str, effects: Sequence[str]) -> str:
 
 
 def by_joint(unexplained: str) -> list[str]:
-    """What is said of each joint.
+    """The sentences on each joint.
 
     Examples
     --------

@@ -430,7 +430,7 @@ def _by_gain(solver: Solver, h: Hypothesis, values: Array, apart: float) -> Arra
 
 def unsure(explained: Explained, limits: BodyLimits = LIMITS) -> bool:
     """Whether every number of a body, the free ones of its hypothesis, lies within two standard
-    deviations of nothing; where a mass is, three say of its place that its moment is none.
+    deviations of nothing; where there is a mass, its place within three.
     """
     many = np.full(len(explained.values), limits.shown)
     if "mass" in explained.hypothesis.free:

@@ -255,8 +255,8 @@ class Rounds:
         return [r for r in found if r is not None]
 
     def _bare(self, rivals: list[Rival]) -> list[Rival]:
-        """What is left of the likeliest hypothesis where it is nothing of its own: the search for a
-        gap or a bent spring may end at a spring to which no start of its own leads.
+        """The simpler effect to which the likeliest hypothesis has shrunk: the search for a gap or
+        a stiffening spring may end at a plain spring that no start of a spring leads to.
         """
         best = min(rivals, key=lambda r: r.value, default=None)
         bare = get_effect(best.effect).bare if best else ""

@@ -73,7 +73,7 @@ def apart(twists: Sequence[Twist], one: Sequence[Array], other: Sequence[Array])
 
 def claims_of(slow: Sets, chosen: Chosen, scale: float, model: Model) -> list[Claim]:
     """The chosen terms, each taken away and judged on the untouched recordings. One that they do
-    not need is taken out and the rest fitted without it: a spring that is none makes a gap narrow.
+    not need is taken out and the rest fitted without it: a false spring makes a gap too narrow.
 
     A disc off centre may explain a short piece as well as a spring does: the spring is judged with
     it and without. Where the recordings of the fit do not tell them apart, that is said.

@@ -141,7 +141,7 @@ def _in_time(raw: Sets, model: Model, band: float) -> tuple[float, list[Claim], 
 
 
 def _in_words(model: Model, joint: int, lag: float, springs: list[float]) -> str:
-    """What is said of a lag; ``springs``: compliances where the torque is the motor's, less what
+    """A sentence on a lag; ``springs``: compliances where the torque is the motor's, less what
     friction takes of it. Such a friction looks like a column that is early.
     """
     late = f"{1e3 * abs(lag):.3g} ms {'late' if lag > 0 else 'early'} against position"

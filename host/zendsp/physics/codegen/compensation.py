@@ -96,7 +96,7 @@ def compensation(
 
 
 def _of_gain(actuator: Actuator | None) -> list[str]:
-    """What is to be known where a command is no torque."""
+    """Comments for a program whose command is no torque."""
     if actuator is None or all(abs(gain) == 1.0 for gain in actuator.gain):
         return []
     gains = " and ".join(dict.fromkeys(f"{gain:.6g}" for gain in actuator.gain))

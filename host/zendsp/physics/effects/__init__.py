@@ -1,6 +1,4 @@
-"""The library of physical effects: one file each; a file in a user's folder adds his own (see
-``load_effects``).
-"""
+"""The library of physical effects, one file each. ``load_effects`` adds those of a user's file."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Reads and writes model files (TOML), naming the key and what was expected wherever one is wrong.
-"""
+"""Reads model files (TOML). Where a key is wrong the error names it and what was expected."""
 
 from __future__ import annotations
 

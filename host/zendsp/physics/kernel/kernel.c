@@ -2,12 +2,12 @@
  * innovations.
  *
  * The file is completed at build time: the lines OBSERVER are replaced by effects.c, motion.c,
- * step.c and observer.c, the line EFFECT_FUNCTIONS therein by one small function per physical effect
- * (see effects/), the lines EFFECT_CASES_* by the cases of the switches that call them. Scheme per inner step h: half
- * drift, two evaluations of the smooth torque at mid position (second order), dry friction as a
- * set-valued law (exact sticking at any step, and where a joint turns round within one), bristles
- * of second order, a lag and a late command exactly, but where the joint turns round in that step.
- * Units: rad or m, s, N m or N.
+ * step.c and observer.c, the line EFFECT_FUNCTIONS therein by one small function per physical
+ * effect (see effects/), the lines EFFECT_CASES_* by the cases of the switches that call them.
+ * Scheme per inner step h: half drift, two evaluations of the smooth torque at mid position (second
+ * order), dry friction as a set-valued law (exact sticking at any step, and where a joint turns
+ * round within one), bristles of second order, a lag and a late command exactly, but where the
+ * joint turns round in that step. Units: rad or m, s, N m or N.
  */
 #include <math.h>
 #include <stddef.h>
@@ -127,8 +127,8 @@ INLINE double sine(double x)
 #define sin(x) sine(x)
 #define cos(x) sine((x) + 1.5707963267948966)
 INLINE double sgn(double x) { return x > 0 ? 1.0 : x < 0 ? -1.0 : 0.0; }
-/* v beyond lim >= 0: of one lane by a branch, which is foreseen, of many by a minimum and a maximum,
- * for which nothing waits as long as for a choice */
+/* v beyond lim >= 0: of one lane by a branch, which is foreseen, of many by a minimum and a
+ * maximum, for which nothing waits as long as for a choice */
 INLINE double soft_1(double v, double lim)
 {
     return v > lim ? v - lim : v < -lim ? v + lim : 0.0;
@@ -258,10 +258,10 @@ void zk_sense(const zk_model *M, const double *q, double *out)
     }
 }
 /* What added torque columns d (cols x n; floats where single is 1) do to the innovations, to first
- * order: the observer's error dynamics, out (cols x n). meas: columns act on the measurement instead.
- * per: what each innovation is multiplied by (n), or null; lag: samples by which out is earlier, its
- * end 0. rows: the samples of out that are wanted, ascending, below n - lag, so that out is
- * (cols x wanted); null: all. */
+ * order: the observer's error dynamics, out (cols x n). meas: columns act on the measurement
+ * instead. per: what each innovation is multiplied by (n), or null; lag: samples by which out is
+ * earlier, its end 0. rows: the samples of out that are wanted, ascending, below n - lag, so that
+ * out is (cols x wanted); null: all. */
 void zk_filter(int n, double T, const double *k1, const double *k2, const double *w,
                const double *e_active, const double *inertia, const double *damp, int cols,
                const void *d, int single, int meas, const double *per, int lag, const int *rows,

@@ -1,5 +1,5 @@
-/* What a pass over a recording knows, for LANES parameter sets at once (see effects.c), and the state
- * that it begins with. */
+/* What a pass over a recording knows, for LANES parameter sets at once (see effects.c), and the
+ * state that it begins with. */
 
 typedef struct { /* a pass; what no lane has is a constant 0, and costs nothing */
     const zk_model *M;

@@ -211,7 +211,8 @@ INLINE void OF(bristle)(const OF(task) *O, OF(motion) *X, const OF(lane) *level,
         const _Bool few = x < 0.01; /* or else a difference of equals */
         const double y = few ? 1.0 : x, third = 1.0 / 3 - x * (1.0 / 12 - x / 60),
                      part = few ? 1 - 0.5 * x * (1 - x * third) : (1 - exp(-x)) / y,
-                     stays = 1 - x * part, bent = h * (few ? 0.5 * (1 - x * third) : (1 - part) / y),
+                     stays = 1 - x * part,
+                     bent = h * (few ? 0.5 * (1 - x * third) : (1 - part) / y),
                      of_z = part * (s0 - s1 * x * per_h), of_v = s0 * bent + s1 * part,
                      stiff = 0.25 * w * of_v * w * of_v, end = 0.5 + 0.5 * stiff / (1 + stiff);
         const double to = ((*vfree)[l] - w * (of_z * X->z[l] + (1 - end) * of_v * v)) /

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -109,15 +110,17 @@ def compiled(path: str) -> Any:
     try:
         return mj.MjModel.from_xml_path(path)
     except (ValueError, RuntimeError, OSError) as error:
+        if Path(path).suffix.lower() == ".urdf":
+            with suppress(ValueError):
+                return spec_of(path).compile()
         said = " ".join(str(error).split())
-        if Path(path).suffix.lower() == ".urdf" and "opening file" in said:
-            return spec_of(path).compile()
         raise ModelError(f"{path}: MuJoCo does not compile it: {said}") from error
 
 
 def spec_of(path: str) -> Any:
-    """The model as it can be changed. A URDF loses its shapes where their files are missing, which
-    it often names by packages: it states the inertias of its links.
+    """The model as it can be changed. A URDF loses its shapes where it does not compile with them,
+    as where their files are missing, which it often names by packages: it states the inertias of
+    its links.
     """
     mj, kind = library(), Path(path).suffix.lower()
     # MuJoCo takes a file for XML by its name only, and a model.mjcf of ours includes no other
@@ -125,8 +128,8 @@ def spec_of(path: str) -> Any:
     spec = mj.MjSpec.from_file(path) if named else mj.MjSpec.from_string(Path(path).read_text())
     try:
         spec.compile()
-    except ValueError as error:
-        if kind != ".urdf" or "opening file" not in str(error):
+    except ValueError:
+        if kind != ".urdf":
             raise
         for shape in [*spec.geoms, *spec.meshes]:
             spec.delete(shape)

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from zendsp.tui.dialogs.choose import Choose, Option
-from zendsp.tui.snapshot import Snapshot
+from zendsp.tui.snapshot import LinkState, Snapshot
+from zendsp_protocol.states import LATCHED, ProgramState
 
 LOOK_S = 0.2  # between looks at the machine beneath
 LEFT = {
@@ -17,7 +18,7 @@ LEFT = {
 
 def moves(s: Snapshot) -> bool:
     """Whether the program drives the machine now."""
-    return s.link == "up" and s.state == "running" and s.drive not in ("stopped", "tripped")
+    return s.link == LinkState.UP and s.state == ProgramState.RUNNING and s.drive not in LATCHED
 
 
 def becomes(s: Snapshot) -> str:
@@ -30,9 +31,9 @@ def stands(s: Snapshot) -> str:
     """Say in a title whether the machine moves, and else why not."""
     if moves(s):
         return "The machine moves"
-    if s.link != "up":
+    if s.link != LinkState.UP:
         return "The link is lost"
-    latched = s.drive in ("stopped", "tripped")
+    latched = s.drive in LATCHED
     return f"The machine is {s.drive}" if latched else "The machine stands"
 
 

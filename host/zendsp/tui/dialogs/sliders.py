@@ -21,6 +21,7 @@ from textual.widgets import Static
 from zendsp.tui.dialogs.base import Dialog
 from zendsp.tui.snapshot import Variable
 from zendsp.tui.values import show_value
+from zendsp_protocol.states import VariableKind
 from zendsp_protocol.values import Assignable
 
 STEP, COARSE, FINE = 1 / 200, 1 / 20, 1 / 2000  # of the range
@@ -51,7 +52,7 @@ class Range:
 def slides(v: Variable) -> bool:
     """Whether a parameter can have sliders: numbers between finite limits, not too many."""
     ends = (v.minimum, v.maximum)
-    number = v.type in ("double", "float", "int32") and v.kind == "parameter"
+    number = v.type in ("double", "float", "int32") and v.kind == VariableKind.PARAMETER
     few = 1 <= v.length <= MOST_ELEMENTS
     return number and few and all(map(math.isfinite, ends)) and v.maximum > v.minimum
 

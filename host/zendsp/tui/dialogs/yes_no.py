@@ -1,4 +1,4 @@
-"""A switch that says what it is at: a colour alone is not seen by everybody, nor everywhere."""
+"""A switch that says in words whether it is on: not everybody sees its colour."""
 
 from __future__ import annotations
 

@@ -14,7 +14,8 @@ from textual.widgets import Button
 from zendsp.tui.actions import in_keys, keys_of
 from zendsp.tui.panels.lines import Lines
 from zendsp.tui.scope.ticks import number
-from zendsp.tui.snapshot import Snapshot
+from zendsp.tui.snapshot import LinkState, Snapshot
+from zendsp_protocol.states import LATCHED, DriveState, ProgramState
 
 A_LINE = 4  # positions, with their unit, that have room beside the scope on 120 columns
 LADDER = ("off", "ready", "homed", "enabled", "running")
@@ -63,11 +64,11 @@ class DrivePanel(Vertical):
         """Return the safe sequence with the present step marked."""
         c = self.app.theme_variables
         text = Text(no_wrap=True, overflow="ellipsis")
-        if s.link in ("lost", "ended"):
+        if s.link in (LinkState.LOST, LinkState.ENDED):
             text.append(f"no word from the target; heard last: {s.drive}", Style(color=c["error"]))
             return text
-        if s.drive in ("stopped", "tripped"):  # nothing of the ladder is reached
-            colour = c["error"] if s.drive == "tripped" else c["warning"]
+        if s.drive in LATCHED:  # nothing of the ladder is reached
+            colour = c["error"] if s.drive == DriveState.TRIPPED else c["warning"]
             text.append(f" {s.drive} ", Style(bold=True, reverse=True, color=colour))
             return text.append(f"  next: {keys_of(s.steps, True)}", Style(color=c["warning"]))
         if "go_on" in s.steps:
@@ -84,7 +85,7 @@ class DrivePanel(Vertical):
                 )
             else:
                 text.append(name, Style(color=c["success"]) if k < reached else Style(dim=True))
-        if s.steps and s.state != "running":
+        if s.steps and s.state != ProgramState.RUNNING:
             text.append(f"  next {keys_of(s.steps[:1])}", Style(color=c["warning"]))
         return text
 
@@ -93,7 +94,7 @@ class DrivePanel(Vertical):
         """
         c = self.app.theme_variables
         text = Text(no_wrap=True, overflow="ellipsis")
-        if s.link in ("lost", "ended"):
+        if s.link in (LinkState.LOST, LinkState.ENDED):
             return text
         for sentence in s.outside:
             text.append("! ", Style(color=c["error"], bold=True))
@@ -134,7 +135,7 @@ class DrivePanel(Vertical):
                 " ".join(f"{number(float(v)):>9}" for v in list(values)[: max(s.joints, 1)])
             )
             # nothing goes out of hardware while it is paused
-            held = name == "aout" and s.state == "paused" and any(values)
+            held = name == "aout" and s.state == ProgramState.PAUSED and any(values)
             word = f"{unit}, held" if held else unit
             text.append(f" {word}\n", Style(dim=True))
         if s.scheduling:

@@ -16,6 +16,7 @@ from zendsp.tui.colours import trace_colours
 from zendsp.tui.panels.table import Cell, Column, LiveTable
 from zendsp.tui.snapshot import Snapshot, Variable
 from zendsp.tui.values import differs, show_limits, show_value
+from zendsp_protocol.states import VariableKind
 from zendsp_protocol.values import Assignable
 
 COLUMNS = (
@@ -99,7 +100,8 @@ class VariablesPanel(Vertical):
                 for k, name in enumerate(plotted)
                 if name == v.name or name.startswith(f"{v.name}[")
             )
-            changed = v.kind == "parameter" and value is not None and differs(value, v.initial)
+            own = v.kind == VariableKind.PARAMETER and value is not None
+            changed = own and differs(value, v.initial)
             mark = "→" if v.name in staged else "*" if changed else " "
             shown = value if isinstance(value, float | int) else show_value(value, 2)
             fresh[v.name] = (v, shown, mark, curves, theme.name)
@@ -122,7 +124,7 @@ class VariablesPanel(Vertical):
 
 def sizes(v: Variable) -> str:
     """Elements of an array; rows and columns of a matrix."""
-    matrix = v.columns > 1 and v.kind != "table"
+    matrix = v.columns > 1 and v.kind != VariableKind.TABLE
     return f"{v.length // v.columns},{v.columns}" if matrix else str(v.length)
 
 
@@ -141,6 +143,6 @@ def _cells(
         (text, staged if mark == "→" else strong),
         (v.unit, dim),
         (show_limits(v), dim),
-        (show_value(v.initial, 2) if v.kind == "parameter" else v.kind, dim),
+        (show_value(v.initial, 2) if v.kind == VariableKind.PARAMETER else v.kind, dim),
         (v.description, dim),
     )

@@ -20,7 +20,7 @@ from zendsp.tui.footer import Keys
 from zendsp.tui.lab import Lab
 from zendsp.tui.panels.events import EventsPanel
 from zendsp.tui.scope import Scope
-from zendsp.tui.snapshot import Snapshot
+from zendsp.tui.snapshot import LinkState, Snapshot
 from zendsp.tui.statusbar import StatusBar
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ class LabScreen(Screen[None]):
             return
         if scope.history is not self.lab.session.history:
             self.lab.session.watch(scope.channels, scope.history)
-        gone = snapshot.link in ("lost", "ended")
+        gone = snapshot.link in (LinkState.LOST, LinkState.ENDED)
         scope.mark_old(math.inf if gone else snapshot.tick * snapshot.period_s)
 
     def pull(self, snapshot: Snapshot, fresh: bool) -> None:

@@ -18,7 +18,7 @@ from zendsp.tui.screens.analysis import AnalysisActions
 from zendsp.tui.screens.console_program import ProgramActions
 from zendsp.tui.screens.console_variables import VariableActions
 from zendsp.tui.screens.console_view import ViewActions
-from zendsp.tui.snapshot import Snapshot
+from zendsp.tui.snapshot import LinkState, Snapshot
 from zendsp_protocol.states import ProgramState
 
 FIRST_CURVES = ("q", "tau", "e", "u", "aout")  # shown first if the program has them
@@ -72,8 +72,8 @@ class ConsoleScreen(ViewActions, VariableActions, ProgramActions, AnalysisAction
             self._new_program(plotted)
 
     def _what_first(self, snapshot: Snapshot) -> str:
-        """What is to be done where nothing is shown."""
-        if snapshot.link != "up":
+        """Say what to do first, where nothing is shown."""
+        if snapshot.link != LinkState.UP:
             return "no target: Ctrl+O chooses one, or starts a simulated machine"
         if snapshot.state != ProgramState.EMPTY:
             return NO_CHANNELS

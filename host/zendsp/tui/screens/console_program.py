@@ -18,6 +18,7 @@ from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.screens.console_scope import real
 from zendsp_isr.sources import gather
 from zendsp_protocol.messages import Diagnostic
+from zendsp_protocol.states import DriveState
 from zendsp_protocol.texts import counted
 
 
@@ -60,7 +61,7 @@ class ProgramActions(LabScreen):
     def action_power(self) -> None:
         """Power on or off."""
         s = self.lab.session.snapshot
-        on = not s.explicit or s.drive in ("off", "")
+        on = not s.explicit or s.drive in (DriveState.OFF, "")
         self.lab.drive("power on" if on else "power off", "power_on" if on else "power_off")
 
     def action_home(self) -> None:
@@ -69,7 +70,7 @@ class ProgramActions(LabScreen):
 
     def action_enable(self) -> None:
         """Enable or disable."""
-        enabled = self.lab.session.snapshot.drive in ("enabled", "running")
+        enabled = self.lab.session.snapshot.drive in (DriveState.ENABLED, DriveState.RUNNING)
         self.lab.drive("disable" if enabled else "enable", "disable" if enabled else "enable")
 
     def action_start(self) -> None:

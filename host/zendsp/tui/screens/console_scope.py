@@ -14,6 +14,7 @@ from zendsp.tui.scope.formula import sources
 from zendsp.tui.scope.picture import arrange
 from zendsp.tui.scope.settings import LANES, MOST_CHANNELS
 from zendsp.tui.screens.base import LabScreen
+from zendsp_protocol.states import VariableKind
 from zendsp_protocol.texts import counted, units_of, with_point
 
 
@@ -48,7 +49,7 @@ class ScopeActions(LabScreen):
         """Return every curve there could be: name, unit, description."""
         found = []
         for v in self.lab.session.snapshot.variables:
-            if v.kind == "table":
+            if v.kind == VariableKind.TABLE:
                 continue
             if v.length == 1:
                 found.append((v.name, v.unit, v.description))

@@ -20,6 +20,7 @@ from zendsp.tui.panels.variables import VariablesPanel
 from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.snapshot import Variable
 from zendsp.tui.values import differs, reader, show_exact, show_limits, show_value
+from zendsp_protocol.states import VariableKind
 from zendsp_protocol.values import Assignable, Value
 
 UNDO_DEPTH = 100
@@ -55,7 +56,7 @@ class VariableActions(LabScreen):
                 f"{v.name} is a signal: the program computes it, nobody can write it", "warning"
             )
             return None
-        elif v.kind == "table":
+        elif v.kind == VariableKind.TABLE:
             self.say(f"{v.name} is a table: Execute fills it with a planned reference", "warning")
             return None
         return v
@@ -125,12 +126,14 @@ class VariableActions(LabScreen):
         """Stage the initial values of all parameters that differ."""
         s = self.lab.session.snapshot
         self._stage_many(
-            {v.name: v.initial for v in s.variables if v.kind == "parameter"}, "the initial values"
+            {v.name: v.initial for v in s.variables if v.kind == VariableKind.PARAMETER},
+            "the initial values",
         )
 
     def _stage_many(self, values: Mapping[str, Assignable], what: str) -> None:
-        now = self.lab.session.snapshot.values
-        known = {v.name for v in self.lab.session.snapshot.variables if v.kind == "parameter"}
+        s = self.lab.session.snapshot
+        now = s.values
+        known = {v.name for v in s.variables if v.kind == VariableKind.PARAMETER}
         fresh = {n: x for n, x in values.items() if n in known and differs(now.get(n), x)}
         unknown = sorted(set(values) - known)
         if unknown:
@@ -265,7 +268,11 @@ class VariableActions(LabScreen):
 
     def _save_set(self, name: str) -> None:
         s = self.lab.session.snapshot
-        names = [v.name for v in s.variables if v.kind == "parameter" and v.name in s.values]
+        names = [
+            v.name
+            for v in s.variables
+            if v.kind == VariableKind.PARAMETER and v.name in s.values
+        ]
         values = {name: np.asarray(s.values[name]).tolist() for name in names}
         try:
             path = self.lab.workspace.free(self.lab.workspace.sets, name, ".json")
@@ -282,8 +289,9 @@ class VariableActions(LabScreen):
         except ZendspError as error:
             self.say(str(error), "error")
             return
-        parameters = {v.name for v in self.lab.session.snapshot.variables if v.kind == "parameter"}
-        now = {n: x for n, x in self.lab.session.snapshot.values.items() if n in parameters}
+        s = self.lab.session.snapshot
+        parameters = {v.name for v in s.variables if v.kind == VariableKind.PARAMETER}
+        now = {n: x for n, x in s.values.items() if n in parameters}
         columns = {"target": now, **stored} if now else stored
         first, *others = columns.values()
         names = dict.fromkeys(name for values in columns.values() for name in values)

@@ -8,6 +8,7 @@ import shutil
 import webbrowser
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,9 +33,10 @@ from zendsp.tui.play_job import usual_channels
 from zendsp.tui.port import Build, Port
 from zendsp.tui.scope import Channel, History, Scope
 from zendsp.tui.screens.base import LabScreen
-from zendsp.tui.snapshot import Snapshot
+from zendsp.tui.snapshot import LinkState, Snapshot
 from zendsp_isr.sources import gather
 from zendsp_protocol.messages import Program
+from zendsp_protocol.states import ProgramState
 
 if TYPE_CHECKING:
     from zendsp.tui.runs import Run
@@ -44,6 +46,17 @@ TURN = "turn_time"  # s: what comes again in every turn is measured over one
 SWAY = "amplitude", "period"  # of joint_pd.c, whose joints sway at frequencies of their own
 LONGEST_S = 10.0  # that the picture holds
 ERRORS = ("e", "err", "error")
+
+
+class Standing(StrEnum):
+    """How a program stands to the compensation of what was found."""
+
+    NOTHING = "nothing"  # there is none: no torque can cancel it
+    NO_PROGRAM = "no program"
+    NO_ROOM = "no room"  # the program does not take it
+    ON = "on"
+    OFF = "off"
+    OTHER = "other"  # that of something else is on
 
 
 class LoopActions(LabScreen):
@@ -59,7 +72,7 @@ class LoopActions(LabScreen):
         self.before: dict[str, float] = {}  # tracking errors before it was last switched on
         self._errors: tuple[Channel, ...] = ()
         self._followed: History | None = None
-        self._state = ""
+        self._state: Standing | None = None
         self._measuring = False  # the error without it, before it is switched on
 
     def _need(self) -> Diagnosed | None:
@@ -78,7 +91,7 @@ class LoopActions(LabScreen):
             self.compensation = compensation_of(d)
         except (ZendspError, OSError):
             self.compensation = None
-        self._state, self.before = "", {}
+        self._state, self.before = None, {}
         return Entry(LOOP, self._line(self.lab.session.snapshot))
 
     def _line(self, s: Snapshot) -> Text:
@@ -86,27 +99,28 @@ class LoopActions(LabScreen):
         text.append(self._standing(s)[1], "not dim")
         return text
 
-    def _standing(self, s: Snapshot) -> tuple[str, str]:
+    def _standing(self, s: Snapshot) -> tuple[Standing, str]:
         """How the running program stands to what was found, and in words."""
         c = self.compensation
         names = [v.name for v in s.variables]
         if self._acts(s) and (c is None or not c.fits(names) or not c.acts(s.values)):
             what = "nothing to cancel" if c is None or not c.values else "not of this diagnosis"
-            return "other", f"{what}; the compensation in the program is on; c fades it out"
+            return Standing.OTHER, f"{what}; the compensation in the program is on; c fades it out"
         if c is None or not c.values:
-            return "nothing", "nothing of it can be cancelled by a torque (c says why)"
+            return Standing.NOTHING, "nothing of it can be cancelled by a torque (c says why)"
         if not names:
-            return "no program", "compensation: needs a program (build and start it on Console, F2)"
+            words = "compensation: needs a program (build and start it on Console, F2)"
+            return Standing.NO_PROGRAM, words
         if not c.fits(names):
-            return "no room", "compensation: c prepares the program for it"
+            return Standing.NO_ROOM, "compensation: c prepares the program for it"
         if c.acts(s.values):
-            return "on", "compensation is on; c fades it out"
-        return "off", "compensation is off; c fades it in"
+            return Standing.ON, "compensation is on; c fades it out"
+        return Standing.OFF, "compensation is off; c fades it in"
 
     @staticmethod
     def _acts(s: Snapshot) -> bool:
         """Whether the program adds a compensation now, of whichever diagnosis."""
-        return s.link == "up" and float(s.values.get(SHARE, 0.0)) > 0.0
+        return s.link == LinkState.UP and float(s.values.get(SHARE, 0.0)) > 0.0
 
     def look_at_loop(self, s: Snapshot) -> None:
         """Keep the line about the compensation and its figures true."""
@@ -118,7 +132,7 @@ class LoopActions(LabScreen):
         if self.query_one("#loop").display:
             self.query_one("#loop-words", Static).update(self._figures(state))
 
-    def _figures(self, state: str) -> str:
+    def _figures(self, state: Standing) -> str:
         now = self._rms()
         parts, units = [], [channel.unit for channel in self._errors]
         for channel, following in zip(self._errors, [*units[1:], ""], strict=True):
@@ -126,11 +140,11 @@ class LoopActions(LabScreen):
             if value is None:
                 continue
             was = self.before.get(name)
-            before = f"{was:.3g} → " if was is not None and state == "on" else ""
+            before = f"{was:.3g} → " if was is not None and state == Standing.ON else ""
             unit = f" {channel.unit}" if channel.unit != following else ""
             parts.append(f"{name} {before}{value:.3g}{unit}")
         rms = "  ".join(parts) or "no program runs"
-        state = {"other": "on"}.get(state, state)
+        state = Standing.ON if state == Standing.OTHER else state
         return f"compensation {state}: rms over {self._look_s():g} s  {rms}"  # 80 columns
 
     def _look_s(self) -> float:
@@ -140,7 +154,7 @@ class LoopActions(LabScreen):
         return look_s(self.lab.session.snapshot.values)
 
     def _rms(self) -> dict[str, float]:
-        if self._followed is None or self.lab.session.snapshot.state != "running":
+        if self._followed is None or self.lab.session.snapshot.state != ProgramState.RUNNING:
             return {}
         t, y = self._followed.since(self._followed.latest - self._look_s())
         if len(t) < 2:
@@ -181,13 +195,13 @@ class LoopActions(LabScreen):
         if self._need() is None:
             return
         state, words = self._standing(s)
-        if state == "nothing" or c is None:
+        if state == Standing.NOTHING or c is None:
             left_out = "\n".join(c.left_out) if c else ""
             text = left_out or "Nothing of it can be cancelled by a torque."
             self.app.push_screen(Message("Compensation", Text(text)))
-        elif state == "no program":
+        elif state == Standing.NO_PROGRAM:
             self.say(words, "warning")
-        elif state == "no room":
+        elif state == Standing.NO_ROOM:
             self._offer_room(c)
         else:
             self._fade_in()
@@ -200,14 +214,14 @@ class LoopActions(LabScreen):
         def measured() -> None:
             self._measuring = False
             c, (state, words) = self.compensation, self._standing(self.lab.session.snapshot)
-            if c is not None and state == "off":
+            if c is not None and state == Standing.OFF:
                 self.before = self._rms()
                 self._switch({**c.values, SHARE: 1.0}, "in")
             else:
                 self.say(f"not faded in: {words}", "warning")
 
         self._measuring = True
-        if self.lab.session.snapshot.state == "running" and not self._rms():
+        if self.lab.session.snapshot.state == ProgramState.RUNNING and not self._rms():
             self.set_timer(self._look_s(), measured)
         else:
             measured()
@@ -274,7 +288,7 @@ class LoopActions(LabScreen):
             " and the program is built and downloaded. The compensation is off until you start"
             " the program (Console) and press c here again."
         )
-        if self.lab.session.snapshot.state == "running":
+        if self.lab.session.snapshot.state == ProgramState.RUNNING:
             self.lab.no_dialog()
             self.say("pause the program first (p on Console): it is built anew", "warning")
             return

@@ -37,6 +37,7 @@ from zendsp.tui.screens.execute_measure import MeasureActions
 from zendsp.tui.screens.execute_runs import shorten, signals_to_show
 from zendsp.tui.snapshot import Snapshot
 from zendsp.tui.trial import Trial
+from zendsp_protocol.states import VariableKind
 from zendsp_protocol.texts import units_of
 
 LOOK_S = 0.5  # between looks at the conditions, where nothing told that they changed
@@ -200,7 +201,7 @@ class ExecuteScreen(MeasureActions):
         scope.redraw()
 
     def _what_next(self) -> str:
-        """What is to be done where nothing is shown."""
+        """Say what to do next, where nothing is shown."""
         looks = "space shows the marked run" if self.runs else ""
         planned = "o chooses a planned reference" if self.lab.workspace.saved_references() else ""
         return "; ".join(x for x in (planned or "plan a motion on Reference (F4)", looks) if x)
@@ -374,7 +375,7 @@ class ExecuteScreen(MeasureActions):
             *(
                 v.name
                 for v in self.lab.session.snapshot.variables
-                if v.kind == "signal" and v.length == 1
+                if v.kind == VariableKind.SIGNAL and v.length == 1
             ),
         ]
         fields = [

@@ -21,7 +21,8 @@ from zendsp.tui.runs import Outcome, Run, store_run
 from zendsp.tui.screens.console_program import positive, whole
 from zendsp.tui.screens.console_scope import real
 from zendsp.tui.screens.execute_runs import RunActions
-from zendsp.tui.snapshot import Snapshot, Variable
+from zendsp.tui.snapshot import LinkState, Snapshot, Variable
+from zendsp_protocol.states import ProgramState, VariableKind
 
 if TYPE_CHECKING:
     from zendsp.experiment.response import FrequencyResponse
@@ -127,11 +128,11 @@ class MeasureActions(RunActions):
         snapshot = self._ready_to_measure()
         if snapshot is None:
             return
-        if snapshot.state != "running":
+        if snapshot.state != ProgramState.RUNNING:
             self.say("a sweep is of a program that runs: start it first (F2, s)", "warning")
             return
         last = self._asked.get("sweep", {})
-        parameters = [v for v in snapshot.variables if v.kind == "parameter"]
+        parameters = [v for v in snapshot.variables if v.kind == VariableKind.PARAMETER]
         known, example = {v.name: v.length for v in parameters}, _example(parameters)
         errors = [c for c in usual_channels(snapshot) if c.rstrip("0123456789") == "e"]
         fields = [
@@ -192,9 +193,9 @@ class MeasureActions(RunActions):
         snapshot = self.lab.session.snapshot
         if self.job is not None and self.job.busy:
             self.say("a run is in progress: abort it with b", "warning")
-        elif snapshot.link != "up":
+        elif snapshot.link != LinkState.UP:
             self.say("no link to a target: Ctrl+O chooses one", "warning")
-        elif snapshot.state not in ("loaded", "paused", "running"):
+        elif snapshot.state not in (ProgramState.LOADED, ProgramState.PAUSED, ProgramState.RUNNING):
             self.say("no program is loaded: build one on Console (F2, b)", "warning")
         else:
             return snapshot

@@ -12,6 +12,7 @@ from itertools import islice
 import msgspec
 
 from zendsp_protocol.messages import Change
+from zendsp_protocol.states import VariableKind
 from zendsp_protocol.values import Value
 from zendsp_target.runtime.variables.dictionary import SCALARS, Place, value_of
 from zendsp_target.runtime.variables.plans import ENTRY
@@ -124,7 +125,7 @@ def _changes(flight: Flight, tick: int, old: bytes) -> list[Change]:
 
 def _shown(place: Place, data: bytes, offset: int) -> Value:
     """A value for the log; a table is logged by its number of rows."""
-    if place.entry.info.kind == "table":
+    if place.entry.info.kind == VariableKind.TABLE:
         rows: int = SCALARS["int32"].unpack_from(data, offset + 4)[0]
         return rows
     return value_of(place.entry, place.scalar, data, offset)

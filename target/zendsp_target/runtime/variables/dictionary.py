@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from zendsp_protocol.errors import VariableError, nearest
 from zendsp_protocol.messages import VariableInfo
+from zendsp_protocol.states import VariableKind
 from zendsp_protocol.texts import joint_units
 from zendsp_protocol.values import Value
 from zendsp_target.runtime.memory.layout import text_of
@@ -29,7 +30,7 @@ _TYPES: dict[int, tuple[str, np.dtype[Any]]] = {
     1: ("double", np.dtype("<f8")), 2: ("float", np.dtype("<f4")), 3: ("int32", np.dtype("<i4")),
     4: ("bool", np.dtype("?")),
 }
-_KINDS = {1: "parameter", 2: "signal", 3: "table", 4: "builtin", 5: "setting"}
+_KINDS = dict(enumerate(VariableKind, 1))  # KIND_… of layout.h, in its order
 HINTS = 10  # of one request: to compare a name with a thousand others takes 20 ms
 _ELEMENT = re.compile(r"^(?P<name>.+?)\[(?P<index>[0-9]{1,9})(?:, ?(?P<column>[0-9]{1,9}))?\]$")
 
@@ -53,7 +54,7 @@ class Entry:
     @property
     def matrix(self) -> bool:
         """Whether its values have rows and columns, and it is no table."""
-        return self.info.columns > 1 and self.info.kind != "table"
+        return self.info.columns > 1 and self.info.kind != VariableKind.TABLE
 
     @property
     def words(self) -> str:
@@ -76,10 +77,10 @@ class Place:
 
     def __post_init__(self) -> None:
         info = self.entry.info
-        scalar = self.element is not None or (info.length == 1 and info.kind != "table")
+        scalar = self.element is not None or (info.length == 1 and info.kind != VariableKind.TABLE)
         object.__setattr__(self, "scalar", scalar)
         object.__setattr__(
-            self, "plain", scalar and info.type == "double" and info.kind == "parameter"
+            self, "plain", scalar and info.type == "double" and info.kind == VariableKind.PARAMETER
         )
 
 
@@ -125,8 +126,9 @@ class Dictionary:
     def _entry(self, raw: Any, index: int, initial: npt.NDArray[np.uint8]) -> Entry:
         type_name, dtype = _TYPES[raw.type]
         kind = _KINDS[raw.kind]
+        table = kind == VariableKind.TABLE
         start: Value
-        if kind == "table":
+        if table:
             start = np.zeros((0, raw.columns))
         else:
             array = initial[raw.snapshot : raw.snapshot + raw.size].view(dtype)
@@ -136,9 +138,9 @@ class Dictionary:
         info = VariableInfo(
             name=text_of(raw.name),
             type=type_name,
-            length=raw.length * (raw.columns if kind == "table" else 1),
+            length=raw.length * (raw.columns if table else 1),
             kind=kind,
-            unit=joint_units(text_of(raw.unit), self._joints, 0 if kind == "table" else raw.length),
+            unit=joint_units(text_of(raw.unit), self._joints, 0 if table else raw.length),
             minimum=raw.minimum,
             maximum=raw.maximum,
             initial=start,
@@ -148,7 +150,7 @@ class Dictionary:
         )
         return Entry(info, index, dtype, raw.snapshot, raw.size, (raw.bank[0], raw.bank[1]))
 
-    def infos(self, *kinds: str) -> tuple[VariableInfo, ...]:
+    def infos(self, *kinds: VariableKind) -> tuple[VariableInfo, ...]:
         """Variables of the given kinds, in the order of declaration."""
         return tuple(entry.info for entry in self.entries.values() if entry.info.kind in kinds)
 
@@ -180,10 +182,10 @@ class Dictionary:
             columns = entry.info.columns
             known = entry.matrix and index < entry.rows and int(column) < columns
             index = index * columns + int(column)
-        if entry.info.kind == "table" or not known:
+        if entry.info.kind == VariableKind.TABLE or not known:
             what = (
                 "is a table, which is read and written whole"
-                if entry.info.kind == "table"
+                if entry.info.kind == VariableKind.TABLE
                 else f"has {entry.words}"
             )
             raise VariableError(f"{name}: {entry.info.name} {what}")
@@ -191,12 +193,12 @@ class Dictionary:
         return self._places[name]
 
     def _nearest(self, name: str) -> str:
-        names = [n for n, e in self.entries.items() if e.info.kind != "setting"]
+        names = [n for n, e in self.entries.items() if e.info.kind != VariableKind.SETTING]
         close = nearest(name, names, 3, 0.5)
         meant = f"did you mean {' or '.join(close)}? The" if close else "the"
         counts = [
             (kind, sum(e.info.kind == kind for e in self.entries.values()))
-            for kind in ("parameter", "signal", "table")
+            for kind in (VariableKind.PARAMETER, VariableKind.SIGNAL, VariableKind.TABLE)
         ]
         declared = (
             ", ".join(f"{n} {kind}{'' if n == 1 else 's'}" for kind, n in counts if n) or "none"

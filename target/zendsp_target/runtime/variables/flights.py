@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from zendsp_protocol.errors import NotYet, Refused, RunnerDied
+from zendsp_protocol.errors import NotYet, Refused, RunnerDied, TooSoon
 from zendsp_target.runtime.memory.layout import layout
 from zendsp_target.runtime.memory.shm import SharedFile
 from zendsp_target.runtime.variables.banks import Banks
@@ -108,7 +108,7 @@ class Flights:
 
         Raises
         ------
-        Refused
+        TooSoon
             Too many updates wait.
         RunnerDied
         """
@@ -119,10 +119,10 @@ class Flights:
             self.take_back()
         most = self._lib.LAYOUT_BATCHES
         if not self.free:
-            raise Refused(f"{most} updates wait already: wait until some of them are applied")
+            raise TooSoon(f"{most} updates wait already: wait until some of them are applied")
         # the other half is for updates of the next sample: none of them is kept waiting by these
         if late and sum(flight.late for flight in self.under_way.values()) >= most // 2:
-            raise Refused(
+            raise TooSoon(
                 f"{most // 2} updates wait for a later sample, or fade, already: wait until some of"
                 " them are applied"
             )

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
+from zendsp_protocol.states import VariableKind
 from zendsp_target.runtime.variables.dictionary import Dictionary, Entry, value_of
 
 _ELEMENTS = 64  # larger arrays are not looked at
@@ -28,7 +29,7 @@ class OwnWrites:
         self._entries = [
             entry
             for entry in dictionary.entries.values()
-            if entry.info.kind == "parameter" and entry.info.length <= _ELEMENTS
+            if entry.info.kind == VariableKind.PARAMETER and entry.info.length <= _ELEMENTS
         ]
         self._last = [_bytes(entry, values) for entry in self._entries]
         self._found: dict[str, str] = {}

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from zendsp_protocol.states import VariableKind
 from zendsp_protocol.values import Value
 from zendsp_target.api import Blank
 from zendsp_target.runtime.memory.layout import layout, struct
@@ -42,7 +43,7 @@ def set_part(part: Any, place: Place, rows: int | None = None) -> None:
     _, lib = layout()
     entry, info = place.entry, place.entry.info
     part.entry.variable, part.entry.offset = entry.index, place.offset
-    if info.kind == "table" and rows is None:
+    if info.kind == VariableKind.TABLE and rows is None:
         part.type, part.count, size, limits = lib.TYPE_INT32, 2, 4, (-_UNLIMITED, _UNLIMITED)
     else:
         part.type = _TYPES[info.type]
@@ -90,7 +91,7 @@ class WritePlan:
             set_part(part, place)
             count += part.count
             self.size += ENTRY.size + part.entry.size + -part.entry.size % _DOUBLE
-        self.tables = any(place.entry.info.kind == "table" for _, place in self.places)
+        self.tables = any(place.entry.info.kind == VariableKind.TABLE for _, place in self.places)
         self.scalar = all(place.scalar for _, place in self.places)
         self._lib, self._ffi = lib, ffi
         self._given = bytearray(_DOUBLE * count)

@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from zendsp_protocol.errors import Refused, VariableError
+from zendsp_protocol.errors import Refused, TooSoon, VariableError
+from zendsp_protocol.states import VariableKind
 from zendsp_target.api import Blank
 from zendsp_target.bounded import keep
 from zendsp_target.runtime.memory.layout import layout
@@ -84,7 +85,8 @@ class Updates:
         VariableError
             One line for each variable that is wrong; nothing was applied.
         Refused
-            Nothing to write, or too many updates wait.
+            Nothing to write, or more than fits. `TooSoon`: too many updates wait, or a table's last
+            download is not in effect yet.
         """
         _require_sample(at_tick)
         if not values:
@@ -213,14 +215,14 @@ class Updates:
         """
         waiting = self._flights.variables()
         for name, place in plan.places:  # all of them before the first bank is touched
-            if place.entry.info.kind == "table" and place.entry.index in waiting:
-                raise Refused(
+            if place.entry.info.kind == VariableKind.TABLE and place.entry.index in waiting:
+                raise TooSoon(
                     f"{name}: its last download is not in effect yet; wait for it, then write again"
                 )
         return [
             (
                 np.array(self._banks.fill(place, rows), np.float64)
-                if place.entry.info.kind == "table"
+                if place.entry.info.kind == VariableKind.TABLE
                 else rows
             )
             for (_, place), rows in zip(plan.places, numbers, strict=True)

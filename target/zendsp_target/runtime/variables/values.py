@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp_protocol.errors import VariableError
+from zendsp_protocol.states import VariableKind
 from zendsp_target.runtime.memory.layout import layout
 from zendsp_target.runtime.variables.dictionary import Place
 from zendsp_target.runtime.variables.plans import set_part
@@ -42,7 +43,7 @@ def numbers_of(name: str, place: Place, value: object) -> FloatArray:
         What is wrong with this variable: value, limit, and what to do.
     """
     array = _numbers(name, value, place.entry.info.type)
-    table = place.entry.info.kind == "table"
+    table = place.entry.info.kind == VariableKind.TABLE
     array = _as_rows(name, place, array) if table else _as_elements(name, place, array)
     _check_fit(name, place, array)
     return array
@@ -53,11 +54,11 @@ def check_kind(name: str, place: Place, settings: bool) -> None:
     verbs.
     """
     kind = place.entry.info.kind
-    if (kind == "setting") != settings:
+    if (kind == VariableKind.SETTING) != settings:
         raise VariableError(
             f"{name}: is a setting of the runtime; use set_limits, set_ramp or set_overrun"
         )
-    if kind not in ("parameter", "setting", "table"):
+    if kind not in (VariableKind.PARAMETER, VariableKind.SETTING, VariableKind.TABLE):
         raise VariableError(
             f"{name}: is a {kind}, read only; declare it with PARAMETER to write it"
         )
