@@ -18,6 +18,7 @@ from zendsp.diagnosis.decide import absorbed, laws, nameless, patchwork, pieces
 from zendsp.diagnosis.decide.absorbed import _by
 from zendsp.diagnosis.decide.claims import Claim, Decision, unclaimed
 from zendsp.diagnosis.decide.confidence import confidence, least_stated, stated
+from zendsp.diagnosis.decide.contract import Reason
 from zendsp.diagnosis.decide.notes import bent
 from zendsp.diagnosis.decide.pieces import may_leave
 from zendsp.diagnosis.decide.remember import remembered
@@ -374,8 +375,9 @@ def test_claims_that_are_dropped_leave_no_law_that_the_model_lacks() -> None:
     )
     dropped = unclaimed(claimed)
     assert (dropped.claims, dropped.refinements, dropped.final) == ((), (), base)
-    ((effect, why, gained),) = dropped.lost
-    assert (effect, gained) == ("backlash", 50.0) and "untouched recordings worse" in why
+    (tried,) = dropped.lost
+    assert (tried.effect, tried.joint, tried.score) == ("backlash", 1, 50.0)
+    assert tried.reason is Reason.NEAR and "untouched recordings worse" in tried.why
 
 
 @pytest.mark.parametrize(

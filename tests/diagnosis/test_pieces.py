@@ -15,7 +15,7 @@ from small_models import VISCOUS, data_of, model_of
 from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide import naming, notes, patchwork, pieces
 from zendsp.diagnosis.decide.claims import Claim, Decision, Known, Near, Piece
-from zendsp.diagnosis.decide.contract import NEAR
+from zendsp.diagnosis.decide.contract import Reason, Rejected
 from zendsp.diagnosis.decide.near import likeness, nearest_law
 from zendsp.diagnosis.decide.notes import _likelier, left_over
 from zendsp.diagnosis.measure.discrepancy import Size, difference
@@ -124,12 +124,14 @@ def test_what_was_tried_and_is_no_finding_says_why(
 ) -> None:
     seen = replace(piece(size, z, 20.0), why="known laws may be wrong by as much")
     before, after = Size(0.1, 0.1, 0.1), Size(left, left, left)
-    effect, said, gain = decision._why("ripple", 100.0, [seen], before, after)
-    assert (effect, gain) == ("ripple", 50.0) and said.startswith(why)
-    near = nearest_law([(effect, said, gain)], [seen], before, after)
-    assert (near is not None) == said.startswith(NEAR)
+    lost = decision._lost("ripple", 2, 100.0, [seen], before, after)
+    assert (lost.effect, lost.joint, lost.score) == ("ripple", 2, 50.0)
+    assert lost.why.startswith(why)
+    assert lost.why.startswith(lost.reason)
+    near = nearest_law([lost], [seen], before, after)
+    assert (near is not None) == (lost.reason is Reason.NEAR)
     if near is not None:
-        assert said.endswith("; known laws may be wrong by as much")
+        assert lost.why.endswith("; known laws may be wrong by as much")
         assert likeness(near) == (
             "It is most like ripple: with it 1 % of the torque stays unexplained, without it 10 %."
             " It is not called that: known laws may be wrong by as much"
@@ -454,15 +456,15 @@ def test_what_a_joint_lacks_beside_a_gap_of_another_one_is_told_from_missing_phy
 
 
 @pytest.mark.parametrize(
-    ("why", "said"), [("is not what is missing", True), ("too small to be told: 0.01 %", False)]
+    ("reason", "said"), [(Reason.OTHER, True), (Reason.NEAR, True), (Reason.TOO_SMALL, False)]
 )
 def test_untouched_recordings_that_show_what_is_too_small_are_not_blamed(
-    why: str, said: bool
+    reason: Reason, said: bool
 ) -> None:
     one: Any = SimpleNamespace(model=SimpleNamespace(at=lambda _: ()))
     left = Size(0.0, 0.0, 0.0)
     d = Decision(1, "complete", (), (), one, one, left, left, NOTHING, left, one, 7.0)
-    found = replace(d, lost=(("stiffness", why, 5000.0),))
+    found = replace(d, lost=(Rejected("stiffness", 1, "", 5000.0, reason),))
     assert bool(_likelier([found])) == said
 
 
@@ -490,7 +492,7 @@ def test_what_only_the_recordings_of_the_fit_say_is_told_of_a_complete_model(
     score: float, told: int
 ) -> None:
     """A joint that was late by 5 ms, beside a held-out motion too slow to show it."""
-    lost = (("delay", "is not what is missing", score), ("lag", "neither", 12.0))
+    lost = (Rejected("delay", 3, "", score), Rejected("lag", 3, "", 12.0))
     d: Any = SimpleNamespace(joint=3, kind="complete", lost=lost)
     worse: Any = SimpleNamespace(joint=3, kind="unexplained", lost=lost)
     found = notes._likelier([d, worse])

@@ -24,9 +24,9 @@ from zendsp.diagnosis import Diagnosis, diagnose
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.split import split
 from zendsp.diagnosis.decide import decide
-from zendsp.diagnosis.decide.contract import contradicted, dark, nearest
+from zendsp.diagnosis.decide.contract import Rejected, contradicted, dark, nearest, rejected_in
 from zendsp.diagnosis.decide.findings import waves
-from zendsp.diagnosis.decide.result import Detectable, Estimate, Finding, Rejected, number
+from zendsp.diagnosis.decide.result import Detectable, Estimate, Finding, number
 from zendsp.diagnosis.measure.curve import Axis, samples_of
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.where import Missing
@@ -380,14 +380,21 @@ def test_recordings_that_show_nothing_are_not_called_a_complete_model() -> None:
     )
 
 
+def _read(*rejected: tuple[str, int, str, float | None]) -> list[Rejected]:
+    """As a report.json has them."""
+    keys = ("effect", "joint", "why", "score")
+    report: Any = {"rejected": [dict(zip(keys, r, strict=True)) for r in rejected]}
+    return rejected_in(report)
+
+
 def test_what_only_the_recordings_of_the_fit_say_is_not_called_complete() -> None:
-    tried = [
+    tried = _read(
         ("backlash", 1, "is not what is missing, on the recordings held out", 5925.0),
         ("ripple", 1, "too small to be told: 0.02 % of the torque", 900.0),
         ("ripple", 2, "too small to be told: 0.02 % of the torque", 9000.0),
         ("delay", 3, "is not what is missing, on the recordings held out", 626.0),
         ("delay", 4, "does not explain the mismatch", None),
-    ]
+    )
     assert contradicted("missing", tried) == ()
     assert (doubted := contradicted("complete", tried)) == (("backlash", 1),)
     assert verdict_sentence("complete", [], doubted=doubted) == (
@@ -460,11 +467,9 @@ def test_no_rejected_rival_with_a_positive_likelihood_is_called_no_more_likely()
     left = Size(0.1, 0.1, 0.1)
     for gain, words in ((-10.0, "no more likely"), (14.0, "hardly more likely"), (
         80.0, "is not what is missing")):  # fmt: skip
-        _, why, score = decide._why("stiffness", gain, (), left, left)
-        assert words in why, why
-        assert (score > 0.0) != ("no more" in why)
-    _, why, _ = decide._why("stiffness", 14.0, (), left, left)
-    assert "log-likelihood +7, and +20" in why
+        lost = decide._lost("stiffness", 1, gain, (), left, left)
+        assert words in lost.why and (lost.score > 0.0) != ("no more" in lost.why)
+    assert "log-likelihood +7, and +20" in decide._lost("stiffness", 1, 14.0, (), left, left).why
 
 
 def test_waves_that_describe_a_torque_without_a_law_are_told_with_their_numbers() -> None:
@@ -480,11 +485,11 @@ def test_waves_that_describe_a_torque_without_a_law_are_told_with_their_numbers(
 
 
 def test_the_headline_names_the_law_that_an_unexplained_torque_is_most_like() -> None:
-    tried = [
+    tried = _read(
         ("delay", 1, "is not what is missing, on the recordings held out", 9e4),
         ("hysteresis", 1, "not surely this law: 0.46 % of the torque", 3e4),
         ("ripple", 1, "not surely this law: 0.1 % of the torque", 2e4),
-    ]
+    )
     assert nearest("unexplained", tried) == (("hysteresis", 1),)
     assert not nearest("complete", tried) and not nearest("unexplained", tried[:1])
     said = verdict_sentence("unexplained", [], doubted=nearest("unexplained", tried))

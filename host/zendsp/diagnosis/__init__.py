@@ -14,17 +14,17 @@ _LAZY = {
     "Finding": "zendsp.diagnosis.decide.result",
     "FitTable": "zendsp.diagnosis.decide.result",
     "Next": "zendsp.diagnosis.decide.result",
-    "Rejected": "zendsp.diagnosis.decide.result",
+    "Rejected": "zendsp.diagnosis.decide.contract",
     "diagnose": "zendsp.diagnosis.engine",
 }
 
 if TYPE_CHECKING:
+    from zendsp.diagnosis.decide.contract import Rejected as Rejected
     from zendsp.diagnosis.decide.result import Diagnosis as Diagnosis
     from zendsp.diagnosis.decide.result import Estimate as Estimate
     from zendsp.diagnosis.decide.result import Finding as Finding
     from zendsp.diagnosis.decide.result import FitTable as FitTable
     from zendsp.diagnosis.decide.result import Next as Next
-    from zendsp.diagnosis.decide.result import Rejected as Rejected
     from zendsp.diagnosis.engine import diagnose as diagnose
 
 __all__ = sorted(_LAZY)

@@ -22,7 +22,7 @@ from zendsp.diagnosis.data.split import halves, read_parts
 from zendsp.diagnosis.decide.absorbed import moved
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.clocks import apart_in_time
-from zendsp.diagnosis.decide.contract import Verdict
+from zendsp.diagnosis.decide.contract import Rejected, Verdict
 from zendsp.diagnosis.decide.decide_bodies import rejected_bodies
 from zendsp.diagnosis.decide.detectable import blind, detectable
 from zendsp.diagnosis.decide.naming import name_findings
@@ -37,7 +37,6 @@ from zendsp.diagnosis.decide.result import (
     Finding,
     FitTable,
     Left,
-    Rejected,
     Workings,
 )
 from zendsp.diagnosis.joints import Progress

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -40,7 +40,6 @@ INSISTS = 100.0  # deviance on the recordings of the fit that the given value co
 PAYS, SURELY = 50.0, 3.0  # the same on untouched ones, and in standard deviations over blocks
 BOTH = ("inertia", "gravity")
 G = 9.81  # m/s²
-ROTOR = "inertia amount"  # what a joint of a tree adds to its bodies
 
 
 def shifted(
@@ -183,22 +182,17 @@ def moved(given: Model, calibrated: Model) -> list[str]:
     out = []
     given, calibrated = file_model(given), file_model(calibrated)
     for joint in range(1, given.joints + 1):
-        both = [(what, q, new) for what, q, new in _numbers(given, calibrated, joint) if q.free]
-        far = [
-            (what, f"{q.value:.4g} to {new.value:.4g} ({100 * (new.value / q.value - 1.0):+.0f} %)")
-            for what, q, new in both
-            if _far(q, new)
-        ]
+        far = [n for n in _numbers(given, calibrated, joint) if n.is_far]
         if far:
-            text = f"calibration moves {', '.join(f'{what} {how}' for what, how in far)}"
+            text = f"calibration moves {', '.join(map(str, far))}"
             # a single number of a simulator is of no joint
-            own = all(len(given.mechanism.get(what, ())) == 1 for what, _ in far)
+            own = all(not n.effect and len(given.mechanism[n.key]) == 1 for n in far)
             if given.kind not in CALLED or not own:
                 text = f"joint {joint}: {text}"
             factor = _one_factor(given, calibrated, joint)
             if factor is not None:
                 text += f": all alike, as a torque gain of {1.0 / factor:.3g} would"
-            if given.kind in TREES and any(what.startswith(ROTOR) for what, _ in far):
+            if given.kind in TREES and any(n.effect == "inertia" for n in far):
                 text += (
                     "; where only its own acceleration shows it, a link or a payload of another"
                     " mass is the same"
@@ -222,31 +216,45 @@ def bodies_wrong(given: Model, improved: Model) -> int:
     )
 
 
-def _far(given: Quantity, calibrated: Quantity) -> bool:
-    """Whether a number was moved beyond its tolerance."""
-    change = abs(calibrated.value - given.value)
-    return bool(given.value) and change > math.hypot(TOLERANCE * given.value, FAR * calibrated.std)
+@dataclass(frozen=True)
+class _Number:
+    """A free number of the given model, and what calibration made of it."""
+
+    effect: str  # the term that it is of; empty: of the mechanism
+    key: str
+    given: Quantity
+    new: Quantity
+
+    @property
+    def is_far(self) -> bool:
+        """Whether it was moved beyond its tolerance."""
+        given, new = self.given.value, self.new
+        change = abs(new.value - given)
+        return bool(given) and change > math.hypot(TOLERANCE * given, FAR * new.std)
+
+    def __str__(self) -> str:
+        given, new = self.given.value, self.new.value
+        name = f"{self.effect.replace('_', ' ')} {self.key}".lstrip()
+        return f"{name} {given:.4g} to {new:.4g} ({100 * (new / given - 1.0):+.0f} %)"
 
 
 def _one_factor(given: Model, calibrated: Model, joint: int) -> float | None:
     """The factor by which calibration multiplied the free numbers of a joint, three and more, all
     alike and far; None where there is none.
     """
-    both = [(q, new) for _, q, new in _numbers(given, calibrated, joint) if q.free and q.value]
-    ratios = [new.value / q.value for q, new in both]
-    if len(ratios) < 3 or not all(_far(*pair) for pair in both) or np.ptp(ratios) >= TOLERANCE:
+    numbers = [n for n in _numbers(given, calibrated, joint) if n.given.value]
+    ratios = [n.new.value / n.given.value for n in numbers]
+    if len(ratios) < 3 or not all(n.is_far for n in numbers) or np.ptp(ratios) >= TOLERANCE:
         return None
     return float(np.mean(ratios))
 
 
-def _numbers(
-    given: Model, calibrated: Model, joint: int
-) -> Iterator[tuple[str, Quantity, Quantity]]:
-    """The numbers of a joint as given and as calibrated, by name."""
+def _numbers(given: Model, calibrated: Model, joint: int) -> Iterator[_Number]:
+    """The free numbers of a joint."""
     for key, items in given.mechanism.items():
         index = joint - 1 if len(items) > 1 else 0
-        if joint == 1 or len(items) > 1:
-            yield key, items[index], calibrated.mechanism[key][index]
+        if (joint == 1 or len(items) > 1) and items[index].free:
+            yield _Number("", key, items[index], calibrated.mechanism[key][index])
     left = list(calibrated.at(joint))
     for old in given.at(joint):
         new = next((t for t in left if t.effect == old.effect), None)
@@ -254,7 +262,8 @@ def _numbers(
             continue  # something else stands in its place
         left.remove(new)
         for key, q in old.parameters.items():
-            yield f"{old.effect.replace('_', ' ')} {key}", q, new.parameters.get(key, q)
+            if q.free:
+                yield _Number(old.effect, key, q, new.parameters.get(key, q))
 
 
 def _rotor(

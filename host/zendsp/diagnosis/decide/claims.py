@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from zendsp.diagnosis.decide.contract import NEAR, Verdict
+from zendsp.diagnosis.decide.contract import Reason, Rejected, Verdict
 from zendsp.diagnosis.measure.bursts import Bursts
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
@@ -56,8 +56,7 @@ class Claim:
     laws: dict[str, float]
     same: tuple[str, ...]
     replaces: tuple[str, ...]
-    # rivals: effect, why not, log-likelihood against the law's
-    lost: tuple[tuple[str, str, float], ...]
+    lost: tuple[Rejected, ...]  # rivals
     left: Structure | None = None  # what the law leaves in its own variables
     instead: Scored | None = None  # with a law of the same mechanism that is likelier
     # of its neighbours, in standard deviations; infinite where it has none, or was not asked
@@ -127,7 +126,7 @@ class Decision:
     # recordings that numbers of their own explain, where those of the others do not
     loads: tuple[str, ...] = ()
     # hypotheses that were tried where nothing is claimed
-    lost: tuple[tuple[str, str, float], ...] = ()
+    lost: tuple[Rejected, ...] = ()
     near: Near | None = None
 
 
@@ -138,7 +137,10 @@ def unclaimed(decision: Decision) -> Decision:
     gained = 0.5 * (decision.base.deviance - decision.final.deviance)
     why = "with it the whole machine predicts untouched recordings worse"
     laws = [c.effect for c in decision.claims if c.effect != "unknown"]
-    lost = ((effect, f"{NEAR}: {why}", gained) for effect in laws)
+    lost = (
+        Rejected(effect, decision.joint, f"{Reason.NEAR}: {why}", gained, Reason.NEAR)
+        for effect in laws
+    )
     near = Near(laws[0], decision.before.value, decision.after.value, why) if laws else None
     return replace(
         decision,

@@ -6,6 +6,8 @@ A file holds null where a diagnosis has no finite number.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
 from typing import Any, Literal, NotRequired, TypedDict
 
 # times the sensor's error, from which on a complete model says what it leaves: 22 of 99 of a
@@ -15,8 +17,6 @@ BEYOND, LEAST_NAMELESS = 2.0, 1e-3
 # log-likelihood; of 55 complete models of an examiner the most was 626, of a hardly moving one; a
 # joint that was 5 ms late in a motion that its held-out recording has not, 10368
 FAR_LIKELIER = 1000.0
-NEAR = "not surely this law"  # of what is likeliest, and takes most of what lacks
-TOO_SMALL = "too small to be told"  # of what is surely there, and less than a finding has
 
 # mechanisms as a person calls them
 WORDS = {
@@ -31,6 +31,27 @@ WORDS = {
 }
 
 Verdict = Literal["complete", "missing", "unexplained"]
+
+
+class Reason(StrEnum):
+    """Why a hypothesis lost, by the first words of its ``why`` in report.json."""
+
+    NEAR = "not surely this law"  # the likeliest, and takes most of what lacks
+    TOO_SMALL = "too small to be told"  # surely there, and less than a finding has
+    OTHER = ""
+
+
+@dataclass(frozen=True)
+class Rejected:
+    """A hypothesis that was fitted and lost: ``score`` is its log-likelihood against the winner's
+    (negative: worse).
+    """
+
+    effect: str
+    joint: int
+    why: str
+    score: float
+    reason: Reason = Reason.OTHER
 
 
 class EstimateReport(TypedDict):
@@ -151,6 +172,20 @@ class Report(TypedDict):
     seconds: float
 
 
+def rejected_in(report: Report) -> list[Rejected]:
+    """What lost, as a file has it."""
+    return [
+        Rejected(
+            r["effect"],
+            r["joint"],
+            r["why"],
+            r["score"] or 0.0,
+            next(reason for reason in Reason if r["why"].startswith(reason)),
+        )
+        for r in report["rejected"]
+    ]
+
+
 def nameless(
     left: Iterable[tuple[int, float | None]], error: float | None, floor: float | None
 ) -> tuple[tuple[int, float], ...]:
@@ -170,37 +205,34 @@ def nameless(
     return tuple((joint, share) for joint, share in left if share and share > LEAST_NAMELESS)
 
 
-Tried = tuple[str, int, str, float | None]  # effect, joint, why, score: of ``rejected``
+def _likeliest(rejected: Iterable[Rejected]) -> list[Rejected]:
+    """The likeliest hypothesis of each joint."""
+    best: dict[int, Rejected] = {}
+    for r in rejected:
+        best[r.joint] = max(r, best.get(r.joint, r), key=lambda x: (x.score, x.effect, x.why))
+    return [best[joint] for joint in sorted(best)]
 
 
-def _likeliest(rejected: Iterable[Tried]) -> list[tuple[int, float, str, str]]:
-    """Joint, score, effect and why of the likeliest hypothesis of each joint."""
-    best: dict[int, tuple[float, str, str]] = {}
-    for effect, joint, why, score in rejected:
-        one = (score or 0.0, effect, why)
-        best[joint] = max(one, best.get(joint, one))
-    return [(joint, *best[joint]) for joint in sorted(best)]
-
-
-def contradicted(verdict: Verdict, rejected: Iterable[Tried]) -> tuple[tuple[str, int], ...]:
+def contradicted(verdict: Verdict, rejected: Iterable[Rejected]) -> tuple[tuple[str, int], ...]:
     """Effects and joints by which the recordings of the fit say that something is missing where the
     untouched ones do not: their motion may not show it.
     """
     if verdict != "complete":
         return ()
     return tuple(
-        (effect, joint)
-        for joint, score, effect, why in _likeliest(rejected)
-        if score > FAR_LIKELIER and not why.startswith(TOO_SMALL)
+        (r.effect, r.joint)
+        for r in _likeliest(rejected)
+        if r.score > FAR_LIKELIER and r.reason is not Reason.TOO_SMALL
     )
 
 
-def nearest(verdict: Verdict, rejected: Iterable[Tried]) -> tuple[tuple[str, int], ...]:
+def nearest(verdict: Verdict, rejected: Iterable[Rejected]) -> tuple[tuple[str, int], ...]:
     """Effects and joints that an unexplained verdict is most like, one a joint."""
     if verdict != "unexplained":
         return ()
-    near = (tried for tried in rejected if tried[2].startswith(NEAR))
-    return tuple((effect, joint) for joint, _, effect, _ in _likeliest(near))
+    return tuple(
+        (r.effect, r.joint) for r in _likeliest(r for r in rejected if r.reason is Reason.NEAR)
+    )
 
 
 def dark(left: Iterable[tuple[int, Sequence[float]]]) -> tuple[int, ...]:

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Decision, Piece
-from zendsp.diagnosis.decide.contract import NEAR, TOO_SMALL
+from zendsp.diagnosis.decide.contract import Reason, Rejected
 from zendsp.diagnosis.decide.findings import new_terms, percent
 from zendsp.diagnosis.decide.laws import believed, named
 from zendsp.diagnosis.decide.nameless import only_mechanism
@@ -234,7 +234,7 @@ def _nothing_named(
     least = search.final.deviance
     tried = {e: p.without.deviance - least for p in pieces for e in p.effects}
     tried |= {r.effect: base.deviance - r.value for r in search.tried[:6]}
-    lost = tuple(_why(effect, gain, pieces, before, beside) for effect, gain in tried.items())
+    lost = tuple(_lost(e, joint, gain, pieces, before, beside) for e, gain in tried.items())
     out = Decision(
         joint,
         "complete",
@@ -339,25 +339,27 @@ def _lawful(parts: Parts, base: Scored, joint: int, turning: bool) -> bool:
     return periodic(parts.held, base.model, joint) > LAWFUL
 
 
-def _why(
-    effect: str, gain: float, pieces: Sequence[Piece], before: Size, beside: Size
-) -> tuple[str, str, float]:
-    """Why an effect is not claimed that gains so much deviance: effect, reason, log-likelihood."""
+def _lost(
+    effect: str, joint: int, gain: float, pieces: Sequence[Piece], before: Size, beside: Size
+) -> Rejected:
+    """An effect that gains so much deviance, and why it is not claimed."""
     seen = next((p for p in pieces if effect in p.effects), None)
+    reason = Reason.OTHER
     if seen is not None and seen.log_e > 0 and seen.evidence.z > CLAIMED:
         size = f"{percent(seen.size)} % of the torque"
         if seen.size < finest(effect):
-            least = f"findings have {percent(finest(effect))} % at least"
-            return effect, f"{TOO_SMALL}: {size}, and {least}", 0.5 * gain
-        if beside.value**2 > (1.0 - PREDICTED) * before.value**2:
+            reason = Reason.TOO_SMALL
+            why = f"{reason}: {size}, and findings have {percent(finest(effect))} % at least"
+        elif beside.value**2 > (1.0 - PREDICTED) * before.value**2:
             left = f"{percent(beside.value)} % stays unexplained beside it"
-            return effect, f"not what is missing: {size}, and {left}", 0.5 * gain
-        left = f"up to {percent(beside.high)} % may stay unexplained beside it"
-        because = f"; {seen.why}" if seen.why else ""
-        return effect, f"{NEAR}: {size}, and {left}{because}", 0.5 * gain
-    why = (
-        not_likelier(0.5 * gain, 0.5 * WAIT)
-        if gain < WAIT
-        else "is not what is missing, on the recordings held out"
-    )
-    return effect, why, 0.5 * gain
+            why = f"not what is missing: {size}, and {left}"
+        else:
+            reason = Reason.NEAR
+            left = f"up to {percent(beside.high)} % may stay unexplained beside it"
+            because = f"; {seen.why}" if seen.why else ""
+            why = f"{reason}: {size}, and {left}{because}"
+    elif gain < WAIT:
+        why = not_likelier(0.5 * gain, 0.5 * WAIT)
+    else:
+        why = "is not what is missing, on the recordings held out"
+    return Rejected(effect, joint, why, 0.5 * gain, reason)

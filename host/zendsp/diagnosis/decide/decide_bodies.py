@@ -18,8 +18,9 @@ import numpy as np
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import LAWS_OF, Decision
 from zendsp.diagnosis.decide.confidence import SUREST
+from zendsp.diagnosis.decide.contract import Rejected
 from zendsp.diagnosis.decide.pieces import log_e_value
-from zendsp.diagnosis.decide.result import Estimate, Finding, Rejected, number
+from zendsp.diagnosis.decide.result import Estimate, Finding, number
 from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES, LAW_ERROR, OWN_SHARE, PLAIN, SURE
 from zendsp.diagnosis.measure.discrepancy import difference, mean_square
 from zendsp.diagnosis.measure.evidence import compare

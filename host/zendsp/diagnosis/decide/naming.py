@@ -14,12 +14,12 @@ from zendsp.diagnosis.decide.absorbed import shifted
 from zendsp.diagnosis.decide.assemble import Assembled
 from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.confidence import confidence
-from zendsp.diagnosis.decide.contract import WORDS, listed, spans
+from zendsp.diagnosis.decide.contract import WORDS, Rejected, listed, spans
 from zendsp.diagnosis.decide.decide_bodies import BodyClaim, body_finding
 from zendsp.diagnosis.decide.findings import estimates, new_terms, percent, sentence, waves
 from zendsp.diagnosis.decide.patchwork import both_needed, draws_a_curve
 from zendsp.diagnosis.decide.pieces import beside_unknown, weight_of_payload
-from zendsp.diagnosis.decide.result import Estimate, Finding, Rejected, number
+from zendsp.diagnosis.decide.result import Estimate, Finding, number
 from zendsp.diagnosis.decide.thresholds import (
     CLAIMED,
     LEFT_BY_A_LAW,
@@ -88,16 +88,12 @@ def name_findings(
                 refinements.append(finding)
             else:
                 ranked.append((claim.evidence.gain, finding))
-            rejected += [
-                Rejected(effect, decision.joint, why, score) for effect, why, score in claim.lost
-            ]
+            rejected += claim.lost
         refinements += [
             _finding(given, decision, whole, c, min(1.0, c.size**2 / everything))
             for c in decision.refinements
         ]
-        rejected += [
-            Rejected(effect, decision.joint, why, score) for effect, why, score in decision.lost
-        ]
+        rejected += decision.lost
         named = {c.term.effect for c in decision.claims}
         if not any(draws_a_curve(c) for c in decision.claims):  # it may have moved gravity
             ranked += [

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from zendsp.diagnosis.decide.claims import Decision, Near, Piece
-from zendsp.diagnosis.decide.contract import nearest
+from zendsp.diagnosis.decide.contract import Rejected, nearest
 from zendsp.diagnosis.decide.findings import percent
 from zendsp.diagnosis.measure.discrepancy import Size
 
@@ -79,10 +79,10 @@ def with_reasons(
 
 
 def nearest_law(
-    lost: Sequence[tuple[str, str, float]], pieces: Sequence[Piece], before: Size, after: Size
+    lost: Sequence[Rejected], pieces: Sequence[Piece], before: Size, after: Size
 ) -> Near | None:
     """The likeliest law of those that were tried, where one takes most of what lacks."""
-    named = nearest("unexplained", [(effect, 1, why, score) for effect, why, score in lost])
+    named = nearest("unexplained", lost)
     piece = next((p for e, _ in named for p in pieces if e in p.effects), None)
     if piece is None:
         return None

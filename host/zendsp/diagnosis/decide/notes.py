@@ -40,12 +40,7 @@ def notes_of(decisions: Sequence[Decision], given: Model) -> list[str]:
 
 def _likelier(decisions: Sequence[Decision]) -> list[str]:
     """Where nothing is missing on untouched recordings, and those of the fit say otherwise."""
-    lost = [
-        (effect, d.joint, why, score)
-        for d in decisions
-        if d.kind == "complete"
-        for effect, why, score in d.lost
-    ]
+    lost = [tried for d in decisions if d.kind == "complete" for tried in d.lost]
     return [
         f"joint {joint}: the recordings of the fit are by far likelier with {effect}, and the"
         " untouched ones do not say so: hold out motion as fast as theirs, or look for what is"

@@ -17,6 +17,7 @@ from zendsp.diagnosis.decide.contract import (
     EstimateReport,
     FindingReport,
     FitReport,
+    Rejected,
     Report,
     Verdict,
     WhereReport,
@@ -116,18 +117,6 @@ class Finding:
 def _rounded(value: float) -> float:
     """Four digits are more than any of these figures is sure of."""
     return float(f"{value:.4g}")
-
-
-@dataclass(frozen=True)
-class Rejected:
-    """A hypothesis that was fitted and lost: ``score`` is its log-likelihood against the winner's
-    (negative: worse).
-    """
-
-    effect: str
-    joint: int
-    why: str
-    score: float
 
 
 def not_likelier(gain: float, least: float) -> str:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import LAWS_OF, Claim, Piece
+from zendsp.diagnosis.decide.contract import Rejected
 from zendsp.diagnosis.decide.findings import new_terms
 from zendsp.diagnosis.decide.pieces import kind_of
 from zendsp.diagnosis.decide.thresholds import (
@@ -86,7 +87,7 @@ def law_of(
                 if share > EXPLAINS
                 else "does not explain the mismatch"
             )
-            lost.append((rival.effect, why, -0.5 * behind))
+            lost.append(Rejected(rival.effect, joint, why, -0.5 * behind))
     same += _sums(term, final.model)
     laws: dict[str, float] = {}
     for name, weight in zip([term.effect, *[r.effect for r in rivals]], weights, strict=True):

@@ -25,8 +25,8 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.data.split import read_parts
 from zendsp.diagnosis.decide.absorbed import moved
-from zendsp.diagnosis.decide.contract import Verdict
-from zendsp.diagnosis.decide.result import Diagnosis, FitTable, Rejected, SimulatorErrors
+from zendsp.diagnosis.decide.contract import Rejected, Verdict
+from zendsp.diagnosis.decide.result import Diagnosis, FitTable, SimulatorErrors
 from zendsp.diagnosis.external.hunt import (
     SHORT_WAYS,
     Hunt,

@@ -62,7 +62,7 @@ def by_joint(unexplained: str) -> list[str]:
 
 def doubted_in(d: Diagnosis) -> tuple[tuple[str, int], ...]:
     """Effects and joints of which the headline says that it cannot tell."""
-    return contradicted(d.verdict, ((r.effect, r.joint, r.why, r.score) for r in d.rejected))
+    return contradicted(d.verdict, d.rejected)
 
 
 def headline(d: Diagnosis) -> str:
@@ -72,7 +72,7 @@ def headline(d: Diagnosis) -> str:
     table = d.test or d.heldout
     left = nameless(((x.joint, x.share) for x in d.discrepancy), table.improved, d.noise_floor)
     doubted = doubted_in(d)
-    near = nearest(d.verdict, ((r.effect, r.joint, r.why, r.score) for r in d.rejected))
+    near = nearest(d.verdict, d.rejected)
     text = verdict_sentence(d.verdict, found, unseen, left, doubted or near)
     if d.verdict == "complete" and not (unseen or doubted) and table.given > OFF * table.calibrated:
         times = two_digits(table.given / table.calibrated)

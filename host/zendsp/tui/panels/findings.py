@@ -17,6 +17,7 @@ from zendsp.diagnosis.decide.contract import (
     dark,
     nameless,
     nearest,
+    rejected_in,
 )
 from zendsp.diagnosis.report.chart import Chart
 from zendsp.diagnosis.report.summary import (
@@ -67,7 +68,7 @@ def headline(report: Report) -> str:
     shares = ((x["joint"], x["share"]) for x in report["discrepancy"])
     left = nameless(shares, fit["test"]["improved"], fit["noise_floor"])
     verdict = report["verdict"]
-    rejected = [(r["effect"], r["joint"], r["why"], r["score"]) for r in report["rejected"]]
+    rejected = rejected_in(report)
     doubted = contradicted(verdict, rejected) or nearest(verdict, rejected)
     return verdict_sentence(verdict, found, unseen(report), left, doubted)
 
