@@ -6,7 +6,6 @@ import json
 import os
 import shlex
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,6 +19,7 @@ from zendsp_protocol.texts import shown
 
 if TYPE_CHECKING:
     from zendsp.diagnosis import Diagnosis
+    from zendsp.diagnosis.progress import Progress
 
 FILE = click.Path(path_type=Path)
 
@@ -138,6 +138,7 @@ def _together(asked: _Asked, run_on: str | None) -> None:
     from zendsp.cli.progress import stages
     from zendsp.cli.steps import in_steps
     from zendsp.diagnosis import diagnose
+    from zendsp.diagnosis.progress import Step
     from zendsp.diagnosis.report.files import no_reference, report_text
     from zendsp.physics.effects import load_effects
 
@@ -162,7 +163,7 @@ def _together(asked: _Asked, run_on: str | None) -> None:
                 seed=asked.seed, jobs=asked.jobs,
             )
         if out is not None:
-            tell("writing the report")
+            tell(Step.REPORTING.says("writing the report"))
             written, wrong = _write(result, out, asked.pictures, tell)
     if asked.as_json:
         click.echo(report_text(result))
@@ -181,7 +182,7 @@ def _together(asked: _Asked, run_on: str | None) -> None:
 
 
 def _write(
-    result: Diagnosis, out: Path, pictures: bool, tell: Callable[[str], None]
+    result: Diagnosis, out: Path, pictures: bool, tell: Progress
 ) -> tuple[Path, str]:
     """Write the report, in a new folder for what is temporary where the disk took no more of it;
     where it is, and what was wrong.

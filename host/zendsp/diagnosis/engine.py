@@ -39,10 +39,10 @@ from zendsp.diagnosis.decide.result import (
     Left,
     Workings,
 )
-from zendsp.diagnosis.joints import Progress
 from zendsp.diagnosis.machine import Found, find
 from zendsp.diagnosis.measure.where import Missing, Region, Times, located
 from zendsp.diagnosis.measure.windows import model_error, noise_floor
+from zendsp.diagnosis.progress import Progress, Step
 from zendsp.diagnosis.report.files import left_out
 from zendsp.diagnosis.report.sides import clearest, sides
 from zendsp.diagnosis.transmission.measured import without_guesses
@@ -138,10 +138,10 @@ def _diagnose(
     seen_at = {j: clearest(shown_on, sides(findings, given, whole, j), j) for j in joints}
     lacking = {j: before for j, (_, before, _) in seen_at.items()}
     places, times, at = _located(lacking, found, findings, verdict)
-    tell("asking what could have been seen")
+    tell(Step.LOOKING_ON.says("asking what could have been seen"))
     seen = detectable(parts, given, decisions, jobs)
     decisions = blind(decisions, seen)
-    tell("proposing the next recording")
+    tell(Step.LOOKING_ON.says("proposing the next recording"))
     proposal = propose(signals[0], given, found.searches, findings, decisions, seed)
     alone = unseen(parts, found.bodies.model, decisions)
     seen += (*(d for m in found.measured for d in m.detectable), *alone)
@@ -211,9 +211,9 @@ def _ready(
     """The signals to fit to, to choose by and to test on; all of them ready for the kernel, and
     what is wrong with them.
     """
-    tell("reading the recordings")
+    tell(Step.READING.says("reading the recordings"))
     fit_signals, choose_signals, test_signals, notes = _read(recordings, heldout, given)
-    tell("smoothing the motion")
+    tell(Step.READING.says("smoothing the motion"))
     of_one = iter(one_sensor([*fit_signals, *choose_signals, *test_signals]))
     fit, choose, test = (
         prepare(list(islice(of_one, len(s))), given, 64.0)

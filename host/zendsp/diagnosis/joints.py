@@ -8,7 +8,7 @@ import math
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import replace
 from types import MappingProxyType
@@ -26,6 +26,7 @@ from zendsp.diagnosis.decide.pushes import unpushed
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import Scored, calibrate_joint
 from zendsp.diagnosis.measure.windows import model_error, noise_floor, rms, window_error
+from zendsp.diagnosis.progress import Progress, Step
 from zendsp.diagnosis.search.forward import Searcher, is_white
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
 from zendsp.diagnosis.search.rounds import WAIT
@@ -36,7 +37,6 @@ from zendsp.physics.calibration.fit import Data
 from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model
 
-Progress = Callable[[str], None]
 # share of what was found that a friction that creeps gains by itself: with less, that was not
 # mistaken for it
 CREEPS = 0.15
@@ -98,7 +98,7 @@ def with_their_links(
     """
     felt, now, explained = divided(given), parts, first
     while found := _claimed(explained, "transmission", "measurement") - felt:
-        tell("the links that nobody sees: what the other joints feel")
+        tell(Step.ASSEMBLING.says("the links that nobody sees: what the other joints feel"))
         tried = []
         for joint in found:
             with_it = with_links(measured_motion, explained[2].improved, felt | {joint})
@@ -152,7 +152,7 @@ def explain(
     searches, decisions = _search(parts, given, beneath, jobs, tell, done)
     decisions = all_late(parts, beneath, searches, decisions, jobs)
     decisions = pushed_alone(same_timing(parts, decisions, jobs))
-    tell("fitting the improved model")
+    tell(Step.ASSEMBLING.says("fitting the improved model"))
     decisions, whole = _no_worse(parts, beneath, decisions, jobs)
     added = beneath.terms[len(given.terms) :]  # held, so they come out as they went in
     known = tuple(t for t in whole.calibrated.terms if t not in added)
@@ -237,7 +237,7 @@ def _in_order(
 def _search_joint(
     parts: Parts, given: Model, joint: int, jobs: int, tell: Progress
 ) -> tuple[JointSearch, Decision]:
-    tell(f"joint {joint}: calibrating the given model")
+    tell(Step.CALIBRATING.says(f"joint {joint}: calibrating the given model"))
     base = calibrate_joint(parts.fit, given, joint, jobs)
     accept = Acceptance(parts.choose)
     searcher = Searcher(parts.fit, joint, accept, jobs, tell, given)
@@ -245,7 +245,7 @@ def _search_joint(
     # how a friction that the model has turns round is no missing physics, and hides what is
     soft = None if is_white(search.final, joint) else searcher.softened(base)
     if soft is not None:
-        tell(f"joint {joint}: again, with a dry friction that creeps")
+        tell(Step.SEARCHING.says(f"joint {joint}: again, with a dry friction that creeps"))
         creeping = given.with_terms((*given.terms, soft.model.terms[-1]))
         again = Searcher(parts.fit, joint, accept, jobs, tell, creeping)
         warm = _upon_creep(search, soft, again, jobs)
@@ -276,7 +276,7 @@ def decided_again(
     parts: Parts, beneath: Model, first: JointSearch, jobs: int, tell: Progress
 ) -> tuple[JointSearch, Decision]:
     """What a search found, fitted upon a model that knows more by now, and decided again."""
-    tell(f"joint {first.joint}: what was found, upon what passes fast")
+    tell(Step.ASSEMBLING.says(f"joint {first.joint}: what was found, upon what passes fast"))
     known = first.base.model.terms
     had = {t.joint for t in beneath.terms if t.effect == "creep"}
     found = (k for k, t in enumerate(known) if t.effect == "creep" and t.joint not in had)

@@ -26,7 +26,6 @@ from zendsp.diagnosis.decide.pushes import unpushed
 from zendsp.diagnosis.decide.result import Finding
 from zendsp.diagnosis.joints import (
     Explained,
-    Progress,
     decided_again,
     explain,
     findings_at,
@@ -38,6 +37,7 @@ from zendsp.diagnosis.measure.bursts import everywhere
 from zendsp.diagnosis.measure.discrepancy import beyond
 from zendsp.diagnosis.measure.likelihood import calibrate_joint
 from zendsp.diagnosis.measure.windows import model_error, noise_floor, rms, window_error
+from zendsp.diagnosis.progress import Progress, Step
 from zendsp.diagnosis.search.bodies import BodySearch, FoundBody, find_bodies
 from zendsp.diagnosis.search.body_hypotheses import LIMITS
 from zendsp.diagnosis.search.hypothesis import JointSearch
@@ -98,7 +98,7 @@ def find(
         chosen = prepare(one_sensor(choose), given, 64.0)
     calibrated = found.whole.calibrated
     if fit:
-        tell("once more, without what was pushed")
+        tell(Step.ASSEMBLING.says("once more, without what was pushed"))
         rest = Parts(prepare(one_sensor(fit), given, 64.0), chosen, untouched)
         beside = _beside_pushes(found, _once(rest, given, jobs, tell))
         if not _misled(beside, calibrated, untouched):
@@ -116,7 +116,7 @@ def _once(measured_motion: Parts, given: Model, jobs: int, tell: Progress) -> Fo
     """Bodies first, then measured transmissions, then every joint; again where one changes what
     the others have to explain, and without bodies that make untouched recordings worse.
     """
-    tell("calibrating the given model")
+    tell(Step.CALIBRATING.says("calibrating the given model"))
     parts = with_links(measured_motion, given, divided(given))
     bodies = find_bodies(parts.fit, parts.choose, given, jobs, tell)
     found = _beneath(bodies, measured_motion, parts, given, jobs, tell)
@@ -224,7 +224,7 @@ def _finished(found: Found, given: Model, jobs: int, tell: Progress) -> Found:
     """With what passes fast, and bodies and joints settled together."""
     parts, bare, beneath, claims = found.parts, found.bare, found.beneath, found.claims
     searches, decisions, whole = found.searches, found.decisions, found.whole
-    tell("looking for what passes fast")
+    tell(Step.ASSEMBLING.says("looking for what passes fast"))
     fine = [
         ripple
         for search, decision in zip(searches, decisions, strict=True)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from zendsp.diagnosis import Diagnosis, diagnose
+from zendsp.diagnosis.progress import Progress, Step
 from zendsp.diagnosis.report.files import no_reference
 from zendsp.errors import ZendspError
 from zendsp.experiment.separating import run_reference
@@ -26,7 +27,7 @@ def run_next(
     folder: Path,
     *,
     heldout: Sequence[str | Path] | None = None,
-    progress: Callable[[str], None] = lambda _text: None,
+    progress: Progress = lambda _text: None,
     **options: Any,
 ) -> Diagnosis:
     """Play the proposed reference on a target, keep the recording, and diagnose all recordings
@@ -69,7 +70,7 @@ def run_next(
         folder / "next_reference.mat",
         check=False,
     )
-    progress(f"running the separating experiment on {target}")
+    progress(Step.ANEW.says(f"running the separating experiment on {target}"))
     with connect(target) as machine:
         made = run_reference(machine, load_reference(path), diagnosis.given, _like(recordings))
     saved = made.save(folder / FILE)

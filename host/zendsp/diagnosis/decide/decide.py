@@ -9,7 +9,7 @@ decides.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -61,6 +61,7 @@ from zendsp.diagnosis.measure.discrepancy import Size, beyond, discrepancy
 from zendsp.diagnosis.measure.likelihood import Scored, informative
 from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, structure
 from zendsp.diagnosis.measure.windows import noise_floor, rms, window_error
+from zendsp.diagnosis.progress import Progress, Step
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
 from zendsp.diagnosis.search.rounds import WAIT
 from zendsp.diagnosis.search.simplify import simplify
@@ -69,7 +70,6 @@ from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model, Quantity, Term
 
 Array = npt.NDArray[np.float64]
-Progress = Callable[[str], None]
 
 
 def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Progress) -> Decision:
@@ -103,7 +103,7 @@ def _decided(
     parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Progress
 ) -> Decision:
     joint, base = search.joint, search.base
-    tell(f"joint {joint}: what each mechanism is worth")
+    tell(Step.SEARCHING.says(f"joint {joint}: what each mechanism is worth"))
     final = worth_choosing(parts, given, search, jobs)
     before = discrepancy(parts.test, base.model, joint)
     new = new_terms(given, final.model, joint)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -56,6 +56,7 @@ from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
 from zendsp.diagnosis.measure.neighbours import against_neighbours
 from zendsp.diagnosis.measure.significance import counterpart
 from zendsp.diagnosis.measure.structure import STRUCTURED, Structure, structure
+from zendsp.diagnosis.progress import Progress
 from zendsp.diagnosis.search.hypothesis import JointSearch
 from zendsp.diagnosis.search.rounds import Rounds
 from zendsp.physics.calibration.fit import Data, joint_handles
@@ -63,7 +64,6 @@ from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
-Progress = Callable[[str], None]
 
 
 def named(

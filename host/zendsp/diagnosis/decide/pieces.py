@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -51,7 +51,6 @@ from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.model import Model, Term, per_joint
 
 Array = npt.NDArray[np.float64]
-Progress = Callable[[str], None]
 
 
 def grouped(

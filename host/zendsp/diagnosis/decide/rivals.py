@@ -4,7 +4,7 @@ of them is.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -25,6 +25,7 @@ from zendsp.diagnosis.decide.thresholds import (
 from zendsp.diagnosis.measure.discrepancy import difference, discrepancy
 from zendsp.diagnosis.measure.evidence import block_scores, settling
 from zendsp.diagnosis.measure.likelihood import Scored, informative
+from zendsp.diagnosis.progress import Progress, Step
 from zendsp.diagnosis.search.hypothesis import SUFFICIENT, JointSearch, Rival, price
 from zendsp.diagnosis.search.rounds import WAIT, Rounds
 from zendsp.physics.calibration.fit import Data
@@ -32,7 +33,6 @@ from zendsp.physics.effects import get_effect, library, mechanism_of
 from zendsp.physics.model import Model, Term
 
 Array = npt.NDArray[np.float64]
-Progress = Callable[[str], None]
 
 
 def together(*data: Data) -> Data:
@@ -55,7 +55,7 @@ def law_of(
     and compete block by block.
     """
     joint, term = search.joint, first.terms[0]
-    tell(f"joint {joint}: what could stand in for {term.effect}")
+    tell(Step.SEARCHING.says(f"joint {joint}: what could stand in for {term.effect}"))
     known = library()
     beside = (*LAWS_OF.get(piece.mechanism, ()), *get_effect(term.effect).rivals)
     names = frozenset(e for e in beside if e in known and not known[e].coupled) | {term.effect}

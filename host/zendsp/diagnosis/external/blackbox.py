@@ -16,7 +16,7 @@ observer.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -45,6 +45,7 @@ from zendsp.diagnosis.external.output_error import (
 )
 from zendsp.diagnosis.external.simulator import Bench, Simulator, bench, on_input, simulator_of
 from zendsp.diagnosis.measure.where import Missing, located, units
+from zendsp.diagnosis.progress import Progress, Said, Step
 from zendsp.physics.calibration.fit import Fit
 from zendsp.physics.calibration.handles import free_handles
 from zendsp.physics.calibration.joint import share_facts
@@ -53,7 +54,6 @@ from zendsp.physics.model import Model, Term
 from zendsp.physics.term_numbers import file_model
 
 Array = npt.NDArray[np.float64]
-Progress = Callable[[str], None]
 
 # s: each window is simulated from the smoothed motion, where the simulator starts from its first
 # row
@@ -113,15 +113,15 @@ class _Stages:
     """Tells the stage, and within it how many simulations were done."""
 
     def __init__(self, tell: Progress) -> None:
-        self.tell, self.stage, self.count = tell, "", 0
+        self.tell, self.stage, self.count = tell, Step.READING.says("starting"), 0
 
-    def __call__(self, text: str) -> None:
-        self.stage = text
-        self.tell(text)
+    def __call__(self, said: Said) -> None:
+        self.stage = said
+        self.tell(said)
 
     def ran(self) -> None:
         self.count += 1
-        self.tell(f"{self.stage} ({self.count} simulations)")
+        self.tell(self.stage.step.says(f"{self.stage} ({self.count} simulations)"))
 
 
 def diagnose_simulator(
@@ -169,7 +169,7 @@ def _diagnose(
     train, test, notes = _recordings(sources, heldout, model, simulator)
     for b in (*train, *test):
         b.ran = tell.ran
-    tell("calibrating the simulator")
+    tell(Step.CALIBRATING.says("calibrating the simulator"))
     given_error = errors(train, model)
     base = fit_output(train, model, free_handles(model, offsets=False), given_error, 25)
     # a fit must not be worse than what it began with
@@ -178,7 +178,7 @@ def _diagnose(
     hunt = Hunt(train, test, tell)
     current, steps = _hunted(hunt, base, train)
     findings, names = findings_of(model, base, current, steps, train)
-    tell("looking at what remains")
+    tell(Step.LOOKING_ON.says("looking at what remains"))
     before = missing_over_time(Near(train, base))
     after = missing_over_time(Near(train, current)) if steps else before
     left = _left(after, train)
@@ -240,7 +240,7 @@ def _hunted(
         steps += [(claim, rivals, current) for claim, rivals in taken]
         current = fitted
     while steps:
-        hunt.tell("fitting all together")
+        hunt.tell(Step.ASSEMBLING.says("fitting all together"))
         current = settled(train, current, SHORT_WAYS, base.error)
         # slopes that are simulated, for the uncertainties
         current = fit_output(train, current.model, current.fit.handles, current.error, LAST)
@@ -251,7 +251,7 @@ def _hunted(
         steps = [s for s in steps if (s[0].term.effect, s[0].term.joint) in
                  {(t.effect, t.joint) for t in model.terms}]  # fmt: skip
         current = fit_output(train, model, free_handles(model, offsets=False), current.error, LAST)
-    hunt.tell("asking the untouched recordings for the same numbers")
+    hunt.tell(Step.LOOKING_ON.says("asking the untouched recordings for the same numbers"))
     if not steps:
         return current, steps
     steps = judged_again(Near(train, current), train, steps)

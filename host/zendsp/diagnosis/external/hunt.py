@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -27,11 +27,11 @@ from zendsp.diagnosis.external.output_error import (
 )
 from zendsp.diagnosis.external.simulator import Bench
 from zendsp.diagnosis.measure.significance import SIGNIFICANT, counterpart, vanishes
+from zendsp.diagnosis.progress import Progress, Step
 from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.model import Model, Term
 
 Array = npt.NDArray[np.float64]
-Progress = Callable[[str], None]
 
 # of log-likelihood ratio with the effective number of samples, beyond the price of the parameters
 MIN_GAIN = 20.0
@@ -120,7 +120,7 @@ class Hunt:
         """The fit with the best hypothesis of each joint that passes, as far as they hold beside
         one another; and these, each with its fitted rivals.
         """
-        self.tell("pushing each joint a little")
+        self.tell(Step.CALIBRATING.says("pushing each joint a little"))
         self.begun = self.begun or current
         near = Near(self.train, current)
         held = errors(self.test, current.model)
@@ -159,7 +159,7 @@ class Hunt:
         begun = sorted((b for b in begun if b[0] > NEARLY * MIN_GAIN), key=lambda b: -b[0])
         out = []
         for rank, (_, effect, model, begin) in enumerate(begun[:SIMULATED]):
-            self.tell(f"joint {joint}: fitting {effect}")
+            self.tell(Step.SEARCHING.says(f"joint {joint}: fitting {effect}"))
             out.append(near.fit(model, begin, 0 if rank else SHORT_WAYS))
         return out
 
@@ -187,7 +187,7 @@ class Hunt:
         """
         current = near.current
         while len(taken) > 1:
-            self.tell(f"fitting {len(taken)} effects together")
+            self.tell(Step.ASSEMBLING.says(f"fitting {len(taken)} effects together"))
             terms = [claim.term for claim, _ in taken]
             model = _with_terms(current.model, terms)
             begin = near.begin(model)

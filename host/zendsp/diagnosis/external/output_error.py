@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.external.simulator import Bench, on_input, on_timing
+from zendsp.diagnosis.progress import Progress, Step
 from zendsp.physics.calibration.bounds import parameter_bounds
 from zendsp.physics.calibration.fit import NEAR, TOO_FAR, Fit, robust_covariance
 from zendsp.physics.calibration.handles import Handle, get_values, set_values
@@ -22,7 +23,6 @@ from zendsp.physics.effects import Effect, get_effect, is_supported, library
 from zendsp.physics.model import Model, Term
 
 Array = npt.NDArray[np.float64]
-Progress = Callable[[str], None]
 Guess = Callable[[Model], Array]  # errors of a model near another
 
 BLOCK = 0.25  # s
@@ -287,7 +287,7 @@ def screen(
         if (tenth := 10 * done // len(every)) > told:
             told = tenth
             bar = "█" * tenth + "░" * (10 - tenth)
-            tell(f"joint {joint}: screening the library {bar} {calls} trials")
+            tell(Step.SEARCHING.says(f"joint {joint}: screening the library {bar} {calls} trials"))
         if (
             not on_input(effect)
             or effect.retime is not None
@@ -322,7 +322,7 @@ def screen(
                 best = (promise, make_term(effect, joint, start))
         if best is not None:
             found.append(best)
-    tell(f"joint {joint}: {calls} trials screened the library")
+    tell(Step.SEARCHING.says(f"joint {joint}: {calls} trials screened the library"))
     return sorted(found, key=lambda item: -item[0])
 
 

@@ -7,12 +7,12 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from zendsp.diagnosis.decide.contract import Report
 from zendsp.diagnosis.decide.result import Diagnosis
+from zendsp.diagnosis.progress import Progress, Step
 from zendsp.diagnosis.report.chart import SUFFIX, save_chart
 from zendsp.diagnosis.report.figures import charts
 from zendsp.diagnosis.report.laws import as_stated
@@ -27,7 +27,7 @@ def write_report(
     out: str | Path,
     *,
     pictures: bool = True,
-    progress: Callable[[str], None] | None = None,
+    progress: Progress | None = None,
 ) -> Path:
     """Write everything that ``zendsp diagnose --out`` promises.
 
@@ -66,7 +66,7 @@ def write_report(
     os.replace(half, folder / "report.json")
     if pictures:
         if progress is not None:
-            progress("drawing the figures")
+            progress(Step.REPORTING.says("drawing the figures"))
         from zendsp.diagnosis.report.drawing import draw_all
         from zendsp.diagnosis.report.html import page
 

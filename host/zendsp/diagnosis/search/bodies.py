@@ -13,12 +13,13 @@ What wins is estimated again around itself, so that what a body does to the iner
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
+from zendsp.diagnosis.progress import Progress, Step
 from zendsp.diagnosis.search.body_columns import Layout, Sums
 from zendsp.diagnosis.search.body_explain import Explained, clear, explain, seen, tied
 from zendsp.diagnosis.search.body_hypotheses import (
@@ -34,7 +35,6 @@ from zendsp.physics.model import Model, Term
 from zendsp.physics.robots.bodies import Links
 
 Array = npt.NDArray[np.float64]
-Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -171,12 +171,16 @@ def _searched(
     instead: tuple[FoundBody, int] | None = None
     small: FoundBody | None = None
     while len(found) < limits.bodies:
-        tell("bodies: a payload, a wrong link, a tilted base, and what looks like them")
+        tell(
+            Step.CALIBRATING.says(
+                "bodies: a payload, a wrong link, a tilted base, and what looks like them"
+            )
+        )
         layout = Layout(model, links)
         to_fit = Sums(fit, model, limits, jobs)
-        tell("bodies: what the recordings to choose by say")
+        tell(Step.CALIBRATING.says("bodies: what the recordings to choose by say"))
         to_choose = Sums(choose, model, limits, jobs)
-        tell("bodies: every hypothesis")
+        tell(Step.CALIBRATING.says("bodies: every hypothesis"))
         tried, aside, first = _round(to_fit, to_choose, layout, limits)
         best = tried[0]
         if not found and first:
@@ -194,7 +198,7 @@ def _searched(
             or (best.hypothesis.effect, max(best.hypothesis.joint, 1)) in taken
         ):
             break
-        tell(f"bodies: {best.hypothesis.name}, its numbers")
+        tell(Step.CALIBRATING.says(f"bodies: {best.hypothesis.name}, its numbers"))
         best = refined(
             fit, choose, layout, own_mass(best, tried, links, limits), limits, jobs, aside
         )
@@ -204,7 +208,7 @@ def _searched(
         # what recordings do not agree on is no body, and hides those that are
         if weight_of(choose, layout, best) < limits.least or unsure(best, limits):
             break
-        tell(f"bodies: {best.hypothesis.name}")
+        tell(Step.CALIBRATING.says(f"bodies: {best.hypothesis.name}"))
         found.append(_stated(layout, best, tried, limits, aside))
         if "calibration" in found[-1].indistinguishable:  # it is not to be calibrated away
             held = {

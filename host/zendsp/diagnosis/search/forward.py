@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
+from zendsp.diagnosis.progress import Progress
 from zendsp.diagnosis.search.backlash import refine
 from zendsp.diagnosis.search.candidates import screened
 from zendsp.diagnosis.search.hypothesis import (
@@ -24,7 +25,7 @@ from zendsp.diagnosis.search.hypothesis import (
     Step,
     price,
 )
-from zendsp.diagnosis.search.rounds import GLANCE, SETTLED, WAIT, WORTH, Progress, Rounds
+from zendsp.diagnosis.search.rounds import GLANCE, SETTLED, WAIT, WORTH, Rounds
 from zendsp.diagnosis.search.simplify import simplify, split_asymmetry, straightened
 from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.calibration.joint import effective_inertia

@@ -7,7 +7,7 @@ free, and the best of these to the end.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,6 +21,7 @@ from zendsp.diagnosis.measure.likelihood import (
     tune_bandwidth,
 )
 from zendsp.diagnosis.measure.significance import counterpart, vanishes
+from zendsp.diagnosis.progress import Progress, Step
 from zendsp.diagnosis.search.backlash import refine
 from zendsp.diagnosis.search.candidates import (
     first_look,
@@ -39,8 +40,6 @@ from zendsp.physics.effects import get_effect
 from zendsp.physics.kernel.threads import Each, threads
 from zendsp.physics.model import Model, Term
 from zendsp.physics.term_numbers import added_inertia
-
-Progress = Callable[[str], None]
 
 PROMISING = 0.002  # share of the cost that a screen must promise
 SHORTLIST = 9
@@ -172,7 +171,7 @@ class Rounds:
         return [*again, *[r for r in ranked if r not in reach]] if again else ranked
 
     def _round(self, current: Scored, only: frozenset[str] = frozenset()) -> list[Rival]:
-        self.progress(f"joint {self.joint}: screening the library")
+        self.progress(Step.SEARCHING.says(f"joint {self.joint}: screening the library"))
         options = screened(current.data, current.model, self.joint, jobs=self.jobs, only=only)
         listed = [starts_of(c, current.data) for share, c in options if only or share > PROMISING][
             : len(options) if only else SHORTLIST
@@ -189,7 +188,7 @@ class Rounds:
             *loosened(current.model, self.joint, only),
             *listed,
         ]
-        self.progress(f"joint {self.joint}: fitting {len(listed)} hypotheses")
+        self.progress(Step.SEARCHING.says(f"joint {self.joint}: fitting {len(listed)} hypotheses"))
         with threads(self.jobs) as each:
             quick = self._looked_at(current, listed, each, all_of_them=bool(only))
             if not only:
