@@ -203,11 +203,11 @@ def test_a_share_of_a_torque_is_never_a_power_of_ten(share: float, text: str) ->
 def test_time_stamps_of_a_calendar_are_drawn_from_a_whole_second_that_the_axis_names() -> None:
     t = 1763890000.25 + np.arange(3.0)
     lacking = (Series("line", "before", t, t),)
-    stamped = Panel("time [s]", "torque [N m]", lacking, spans=((t[1], t[2]),))
+    stamped = Panel("time [s]", "torque [N m]", lacking, spans=((t[1], t[2]),), clock=True)
     shown = from_a_whole_second(stamped)
     assert shown.xlabel == "time [s] after 1763890000 s"
     assert shown.series[0].x.tolist() == [0.25, 1.25, 2.25] and shown.spans == ((1.25, 2.25),)
-    own = Panel("time [s]", "torque [N m]", (Series("line", "before", t - t[0], t),))
+    own = Panel("time [s]", "torque [N m]", (Series("line", "before", t - t[0], t),), clock=True)
     assert from_a_whole_second(own) is own
 
 

@@ -14,6 +14,7 @@ from zendsp.errors import RecordingError
 from zendsp.experiment.estimates import NORMAL
 from zendsp.experiment.result import Estimate, Result
 from zendsp.experiment.truth import TRUTH
+from zendsp.experiment.wam_friction import cannot_separate
 
 Rows = Sequence[Sequence[str]]
 WIDTH = 100  # columns of the page's prose
@@ -344,7 +345,8 @@ def _wam(r: Result) -> str:
     )
     if "narrow range" not in r.tables:
         return text
-    few = sum("cannot separate" in w for w in r.warnings)
+    narrow = (e for key, e in r.values.items() if key.endswith("_narrow"))
+    few = sum(cannot_separate(e.value, NORMAL * e.std) for e in narrow)
     return text + _from_dicts(r.tables["narrow range"]) + (
         f"\n{few} of these are no physical constants, and the experiment says so.\n"
     )

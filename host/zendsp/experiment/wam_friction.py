@@ -362,6 +362,8 @@ def _fit_narrow(result: Result, joint: int, points: Array) -> None:
             f"viscous {word}, {NARROW[0]:g} … {NARROW[-1]:g} rad/s": with_std(viscous, half),
             f"viscous {word}, all speeds": str(result.values[f"viscous{joint}_{end}"]),
         }
+        narrow = Estimate(viscous, half / NORMAL, "N m s/rad")
+        result.values[f"viscous{joint}_{end}_narrow"] = narrow
         if cannot_separate(viscous, half):
             result.warnings.append(_warning(joint, word, chosen, viscous, half, correlation))
     result.tables.setdefault("narrow range", []).append(row)

@@ -59,6 +59,7 @@ class Panel:
     band: tuple[float, float] | None = None  # of y, shaded
     spans: tuple[tuple[float, float], ...] = ()  # of x, shaded
     mesh: Mesh | None = None
+    clock: bool = False  # x is the time of one recording, by its own clock
 
 
 @dataclass(frozen=True)

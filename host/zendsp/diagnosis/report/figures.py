@@ -80,8 +80,9 @@ def error_chart(d: Diagnosis, w: Workings, joint: int) -> Chart:
         ends = np.r_[t[: len(blocks) * size : size], t[len(blocks) * size - 1]]
         level = np.repeat(each, 2)
         windows.append(Series("line", role, np.repeat(ends, 2)[1:-1], level, label))
-    axis = "time [s]" if len(records) == 1 else JOINED
-    since = f" from {starts[0]:.4g} s on" if len(records) == 1 else ""
+    one = len(records) == 1
+    axis = "time [s]" if one else JOINED
+    since = f" from {starts[0]:.4g} s on" if one else ""
     return Chart(
         "fit",
         f"Joint {joint}: error on the untouched recording",
@@ -92,8 +93,16 @@ def error_chart(d: Diagnosis, w: Workings, joint: int) -> Chart:
                 f"position error [{unit}]",
                 tuple(errors),
                 f"Joint {joint}: untouched recording{since}, free simulation over {WINDOW:g} s",
+                clock=one,
             ),
-            Panel(axis, f"RMS [{unit}]", tuple(windows), log=True, level=(floor, "noise floor")),
+            Panel(
+                axis,
+                f"RMS [{unit}]",
+                tuple(windows),
+                log=True,
+                level=(floor, "noise floor"),
+                clock=one,
+            ),
         ),
         ratio=(2, 1),
         size=(7.2, 4.6),
@@ -134,6 +143,7 @@ def torque_chart(d: Diagnosis, two: Sides, joint: int) -> Chart:
                 tuple(series),
                 f"Joint {joint}: torque that the {name} lacks along the {_shown_on(d)}",
                 spans=d.times[:4] if len(times) == 1 else (),  # of one recording's clock
+                clock=len(times) == 1,
             ),
         ),
         size=(7.2, 2.8),
@@ -282,6 +292,7 @@ def simulator_charts(d: Diagnosis, errors: SimulatorErrors) -> list[Chart]:
                         Series("line", "after", errors.time, after[:, i], "improved"),
                     ),
                     f"Joint {i + 1}: held-out recording, measured minus simulated",
+                    clock=True,
                 ),
             ),
             joint=i + 1,
@@ -292,7 +303,7 @@ def simulator_charts(d: Diagnosis, errors: SimulatorErrors) -> list[Chart]:
 
 def from_a_whole_second(panel: Panel) -> Panel:
     """The same panel, where its axis is a calendar's time from the whole second of its begin."""
-    if not (panel.xlabel == "time [s]" and panel.series):
+    if not (panel.clock and panel.series):
         return panel
     begin = whole_second(float(panel.series[0].x[0]))
     if begin == 0.0:

@@ -267,7 +267,7 @@ def _over_time(
         "law",
         finding.sentence,
         _name(finding, index),
-        (Panel("time [s]", torque_label(unit), tuple(lines)),),
+        (Panel("time [s]", torque_label(unit), tuple(lines), clock=True),),
         title=f"{_whose(finding, two.was)}, where it acts most",
         size=(7.2, 3.2),
         finding=index,
