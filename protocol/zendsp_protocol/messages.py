@@ -12,6 +12,8 @@ from typing import Any
 import msgspec
 
 from zendsp_protocol.states import (
+    Clock,
+    DriveMode,
     DriveState,
     HostLost,
     ProgramState,
@@ -36,7 +38,7 @@ class Info(Message, frozen=True, kw_only=True):
     machine: str  # what it drives
     joints: int  # 0 before the first program is loaded
     rate_hz: float  # samples a second
-    clock: str  # real or fast
+    clock: Clock  # real or fast
     pid: int  # process of the monitor
     hostname: str  # machine on which it runs
     versions: dict[str, str]  # of zendsp, Python, the kernel and the libraries
@@ -148,7 +150,7 @@ class Status(Message, frozen=True):
     tick: int = 0  # samples since the program was loaded
     t: float = 0.0  # s since the program was loaded
     rate_hz: float = 0.0  # samples a second
-    clock: str = "real"  # real or fast
+    clock: Clock = Clock.REAL  # real or fast
     scheduling: str = ""  # a sentence: what the kernel granted and refused
     machine: str = ""  # name
     joints: int = 0  # number
@@ -159,7 +161,7 @@ class Status(Message, frozen=True):
     crash: str = ""  # empty, or how the runner died and at which sample
     io: dict[str, WireValue] = {}  # enc, aout, adc, din, dout; fault of hardware at rest
     homed: bool = True  # whether positions mean anything
-    drive_mode: str = "off"  # what the drives are told: off, torque or velocity
+    drive_mode: DriveMode = DriveMode.OFF  # what the drives are told: off, torque or velocity
     hosts: tuple[str, ...] = ()  # filled in by the server: who is connected
     unsafe: str = ""  # why the machine may still move where no program runs; empty: it is safe
     own: tuple[str, ...] = ()  # parameters that the program itself sets, a sentence each

@@ -94,3 +94,27 @@ class VariableKind(_State):
     TABLE = "table"  # large, in two banks
     BUILTIN = "builtin"  # a signal of every program
     SETTING = "setting"  # of the loop itself: limits, ramps
+
+
+class Clock(_State):
+    """What the loop of a target runs by."""
+
+    REAL = "real"
+    FAST = "fast"  # as fast as the CPU allows; of simulated machines
+
+
+class DriveMode(_State):
+    """What the drives are told."""
+
+    OFF = "off"
+    TORQUE = "torque"
+    VELOCITY = "velocity"
+    AUTO = "auto"  # is asked for, and never told: on at start, off at pause
+
+
+class OverrunPolicy(_State):
+    """What happens when samples take longer than the period."""
+
+    COUNT = "count"
+    SKIP = "skip"
+    TRIP = "trip"  # after so many in a row

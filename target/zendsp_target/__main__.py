@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, NoReturn
 from zendsp_isr.parts import machine_title
 from zendsp_protocol.errors import ZendspError
 from zendsp_protocol.files_left import need_files
+from zendsp_protocol.states import Clock
 from zendsp_protocol.texts import with_point
 from zendsp_target.access.admission import settle
 from zendsp_target.access.endpoints import Security
@@ -103,7 +104,7 @@ def parser() -> argparse.ArgumentParser:
         help="sample rate in Hz (default: 1000)",
     )
     p.add_argument(
-        "--clock", choices=("real", "fast"), default="real", help="fast: as fast as the CPU allows"
+        "--clock", choices=[*Clock], default="real", help="fast: as fast as the CPU allows"
     )
     p.add_argument(
         "--listen", action="append", metavar="ENDPOINT",

@@ -13,7 +13,7 @@ from zendsp.here.stopped import ended
 from zendsp.link import Target, rehearse
 from zendsp.link.rehearse import passed
 from zendsp.recording import Recording
-from zendsp_protocol.states import STOPS, ProgramState
+from zendsp_protocol.states import STOPS, Clock, ProgramState
 
 Floats = npt.NDArray[np.float64]
 APPROACH_S = 0.5  # from where the machine stands into the first row
@@ -65,7 +65,7 @@ def play(
     values = {"use_table": True, "row_rate": row_rate, "approach_time": APPROACH_S, "hold": False}
     length = APPROACH_S + seconds * times + FADE * seconds
     player = Player(target, tables, values, channels, length, progress=progress)
-    if rehearsed and target.info.clock == "real":
+    if rehearsed and target.info.clock == Clock.REAL:
         found = rehearse(target, tables, player.values, length, _sign_of_life(progress))
         if found.simulated and found.trip is not None:
             seen = passed(found.trip, target.info.rate_hz)

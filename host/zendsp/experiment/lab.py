@@ -23,7 +23,7 @@ from zendsp.link.put_back import Loaded, kept
 from zendsp.recording import Recording
 from zendsp.recording.files import save_anyhow
 from zendsp.reference import Reference
-from zendsp_protocol.states import DriveState, ProgramState
+from zendsp_protocol.states import Clock, DriveState, ProgramState
 
 Say = Callable[[str], None]
 BRAKE_S = 1.0  # under the loop's eye, before the program is taken away
@@ -160,7 +160,7 @@ class Bench:
         info = self.target.info
         return (
             f"{info.machine}"
-            f" ({'simulated' if info.clock == 'fast' else 'target ' + self.target.name},"
+            f" ({'simulated' if info.clock == Clock.FAST else 'target ' + self.target.name},"
             f" {info.clock} clock)"
         )
 
@@ -283,7 +283,7 @@ def _stop(target: Target) -> None:
     if target.status().state != ProgramState.RUNNING:
         return
     target.stop()
-    if target.info.clock == "real":
+    if target.info.clock == Clock.REAL:
         time.sleep(BRAKE_S)
 
 

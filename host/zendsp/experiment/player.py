@@ -14,7 +14,7 @@ from zendsp.link import Target
 from zendsp.link.outside import positions
 from zendsp.link.put_back import Before, kept
 from zendsp.recording import Recording
-from zendsp_protocol.states import ProgramState, VariableKind
+from zendsp_protocol.states import Clock, ProgramState, VariableKind
 from zendsp_protocol.values import Assignable
 
 Floats = npt.NDArray[np.float64]
@@ -74,7 +74,7 @@ class Player:
         """Returns the recording, and the sample in which the tables switched over."""
         target = self._target
         running = target.status().state == ProgramState.RUNNING
-        real = target.info.clock == "real"
+        real = target.info.clock == Clock.REAL
         with kept(target, [*self.values, *self.tables], moves=True) as before:
             try:
                 found = self._while_it_runs() if real and running else self._from_the_start()

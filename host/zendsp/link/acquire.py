@@ -25,7 +25,7 @@ from zendsp.link.transfer import Transfers
 from zendsp.prompt import shows_progress
 from zendsp_protocol import messages as m
 from zendsp_protocol.lazily import Lazily
-from zendsp_protocol.states import ProgramState, RecorderState, TripReason
+from zendsp_protocol.states import Clock, ProgramState, RecorderState, TripReason
 
 if TYPE_CHECKING:
     import numpy as np
@@ -137,7 +137,7 @@ class Recorder(Transfers):
                 " recording (--start, start=True)"
             )
         ring_s = self._configure_shot(
-            channels, seconds, decimation, trigger, take, status.clock == "real"
+            channels, seconds, decimation, trigger, take, status.clock == Clock.REAL
         )
         if timeout is None and trigger is None:
             timeout = 2.0 * seconds + 10.0

@@ -22,7 +22,7 @@ from zendsp.tui.port import Port, Shot
 from zendsp.tui.runs import Outcome, Run, store_run
 from zendsp.tui.snapshot import Snapshot
 from zendsp.tui.trial import Plan, Trial, make_plan
-from zendsp_protocol.states import LATCHED, DriveState, ProgramState, VariableKind
+from zendsp_protocol.states import LATCHED, Clock, DriveState, ProgramState, VariableKind
 
 LOOK_S = 0.05
 REST_S = 1.0  # for an arm to come to rest under its control law
@@ -92,7 +92,7 @@ class PlayJob(Job[Run | None]):
         before = port.snapshot()
         if self._setup.acquire:
             port.arm(self._shot(before, plan.seconds))
-        ticks = round(plan.seconds * before.rate_hz) if before.clock == "fast" else None
+        ticks = round(plan.seconds * before.rate_hz) if before.clock == Clock.FAST else None
         self._session.events.add(f"run: {playlist.duration:.2f} s, {len(playlist.rows)} rows")
         port.start(ticks)
         return before, *self._follow(port, plan, before.tick)
@@ -149,7 +149,7 @@ class PlayJob(Job[Run | None]):
             if player.torque_table:
                 port.fill(player.torque_table, np.zeros((1, len(here))))
             port.fill(player.table, np.repeat(here[None, :], 2, axis=0))
-        if clock == "real":
+        if clock == Clock.REAL:
             time.sleep(REST_S)
         port.pause()
         if holds:

@@ -21,7 +21,7 @@ from zendsp.tui.panels.lines import Lines
 from zendsp.tui.snapshot import LinkState, Snapshot
 from zendsp.tui.stop_lane import Verdict
 from zendsp.tui.stop_process import Field, StopState
-from zendsp_protocol.states import ProgramState
+from zendsp_protocol.states import Clock, ProgramState
 
 STATE_MARKS = {
     "running": ("●", "success"),
@@ -289,9 +289,9 @@ class StatusBar(Widget):
             line.append(f"{name} ", Style(dim=True))
             line.append(f"{value}  ", bad if alarm else Style())
 
-        line.append(f"{s.rate_hz:g} Hz{' fast' if s.clock == 'fast' else ''}  ")
+        line.append(f"{s.rate_hz:g} Hz{' fast' if s.clock == Clock.FAST else ''}  ")
         # the fast clock has no deadline to miss
-        share = "" if s.clock == "fast" else f" {100.0 * s.share:.1f}%"
+        share = "" if s.clock == Clock.FAST else f" {100.0 * s.share:.1f}%"
         item(
             "exec",
             mean_and_max(s.exec_mean_ns, s.exec_max_ns) + share,

@@ -14,7 +14,7 @@ import msgspec
 from zendsp_isr.parts import is_model
 from zendsp_protocol.errors import Refused, RunnerDied
 from zendsp_protocol.messages import Limits, MachineInfo
-from zendsp_protocol.states import TripReason
+from zendsp_protocol.states import DriveMode, OverrunPolicy, TripReason
 from zendsp_target.api import PRESSED
 from zendsp_target.runtime import safety
 from zendsp_target.runtime.memory.layout import layout
@@ -61,7 +61,7 @@ class Motion:
                 raise Refused(
                     f"ticks = {ticks}: give 1 to {MOST_TICKS}, or none to run until a pause"
                 )
-            if self._programs.drive_wish == "auto":
+            if self._programs.drive_wish == DriveMode.AUTO:
                 session.control.drive = lib.MACHINE_TORQUE
             before = session.tick
             lib.monitor_store64(
@@ -194,18 +194,18 @@ class Motion:
         """What the drives shall do: ``"off"``, ``"torque"``, ``"velocity"``, or ``"auto"`` (torque
         at each start, the default). Returns once the loop acts by it.
         """
-        if mode != "auto" and mode not in safety.DRIVE_MODES:
+        if mode not in list(DriveMode):
             raise Refused(f"drive mode {mode!r}: give off, torque, velocity or auto")
         with self._programs.lock:
-            if mode in ("torque", "velocity"):
+            if mode in (DriveMode.TORQUE, DriveMode.VELOCITY):
                 self._programs.living()  # switching on needs somebody who obeys
             self._programs.drive_wish = mode
             session = self._programs.session
             if session is not None:
                 control = session.control
-                if mode == "off":
+                if mode == DriveMode.OFF:
                     control.off = (int(control.off) + 1) & 0xFFFFFFFF
-                control.drive = safety.DRIVE_MODES.get(mode, int(control.drive))
+                control.drive = safety.DRIVE_MODES.get(DriveMode(mode), int(control.drive))
                 with contextlib.suppress(RunnerDied):  # then nothing is driven
                     session.settle("set_drive")
 
@@ -271,12 +271,13 @@ class Motion:
         """What happens when samples take longer than the period: ``"count"``, ``"skip"``, or
         ``"trip"`` after `limit` in a row.
         """
-        if policy not in safety.OVERRUN_POLICIES or limit < 1:
+        if policy not in list(OverrunPolicy) or limit < 1:
             raise Refused(
                 f"overrun policy {policy!r}, limit {limit}: give count, skip or trip, and a limit"
                 " of 1 or more"
             )
-        self._apply({"overrun.policy": safety.OVERRUN_POLICIES[policy], "overrun.limit": limit})
+        number = safety.OVERRUN_POLICIES[OverrunPolicy(policy)]
+        self._apply({"overrun.policy": number, "overrun.limit": limit})
 
     def _apply(self, values: Mapping[str, object]) -> None:
         session = self._programs.living()

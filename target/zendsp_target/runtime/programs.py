@@ -12,7 +12,7 @@ from zendsp_isr.parts import build_machine, build_runner, is_model
 from zendsp_protocol import stop_page
 from zendsp_protocol.errors import Refused, RunnerDied
 from zendsp_protocol.messages import CompileResult, Trip
-from zendsp_protocol.states import TripReason
+from zendsp_protocol.states import Clock, DriveMode, TripReason
 from zendsp_target.concealed.load import load_concealed
 from zendsp_target.runtime import safety
 from zendsp_target.runtime.compile_service import check_memory, compile_program, program_path
@@ -96,7 +96,7 @@ class Programs:
         self._place: Place | None = None  # once a loop keeps time
         self._loads = 0
         self._sequence = 0  # of the last update of all loads
-        self.drive_wish = "auto"
+        self.drive_wish: str = DriveMode.AUTO
         self.unsafe = ""
         self._closed = False
 
@@ -123,9 +123,9 @@ class Programs:
             ended = "" if self.session is None else "; what was loaded before was ended"
             self.unload()
             self.require_no_trip()  # what tripped at its very end
-            if self.drive_wish != "auto":
+            if self.drive_wish != DriveMode.AUTO:
                 # a fresh runner begins with its drives off, and is switched on deliberately
-                self.drive_wish = "off"
+                self.drive_wish = DriveMode.OFF
             self._loads += 1
             set_up(self._page)
             try:
@@ -139,7 +139,7 @@ class Programs:
 
     def _here(self) -> Settings:
         """The settings, with what they leave to this computer."""
-        if self.settings.clock != "real" or not self.settings.realtime:
+        if self.settings.clock != Clock.REAL or not self.settings.realtime:
             return self.settings
         self._place = self._place or Place()
         return placed(self.settings, self._place)

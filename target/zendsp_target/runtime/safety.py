@@ -11,13 +11,13 @@ import numpy.typing as npt
 
 from zendsp_protocol.errors import Refused
 from zendsp_protocol.messages import JointInfo, Limits, MachineInfo, Timing, Trip
-from zendsp_protocol.states import TripReason
+from zendsp_protocol.states import DriveMode, OverrunPolicy, TripReason
 from zendsp_protocol.stop_page import signature
 from zendsp_protocol.values import Value
 from zendsp_target.runtime.memory.layout import layout, text_of
 
-DRIVE_MODES = {"off": 0, "torque": 1, "velocity": 2}
-OVERRUN_POLICIES = {"count": 0, "skip": 1, "trip": 2}
+DRIVE_MODES = {DriveMode.OFF: 0, DriveMode.TORQUE: 1, DriveMode.VELOCITY: 2}
+OVERRUN_POLICIES = {OverrunPolicy.COUNT: 0, OverrunPolicy.SKIP: 1, OverrunPolicy.TRIP: 2}
 _UNWATCHED = 12
 # TRIP_… of layout.h, in its order
 _REASONS = {

@@ -8,7 +8,7 @@ import numpy as np
 
 from zendsp_protocol.errors import Refused, RunnerDied
 from zendsp_protocol.messages import Status, Trip
-from zendsp_protocol.states import DriveState, ProgramState, TripReason
+from zendsp_protocol.states import Clock, DriveMode, DriveState, ProgramState, TripReason
 from zendsp_protocol.values import WireValue
 from zendsp_target.runtime import safety
 from zendsp_target.runtime.memory.layout import layout, text_of
@@ -32,7 +32,8 @@ def empty_status(settings: Settings, unsafe: str, trip: Trip | None) -> Status:
         What is not acknowledged.
     """
     return Status(
-        state=ProgramState.EMPTY, tick=0, t=0.0, rate_hz=settings.rate_hz, clock=settings.clock,
+        state=ProgramState.EMPTY, tick=0, t=0.0, rate_hz=settings.rate_hz,
+        clock=Clock(settings.clock),
         scheduling="", machine=settings.machine, joints=0, program="", timing=safety.no_timing(),
         drive=DriveState.OFF, trip=trip, crash="", unsafe=unsafe,
     )
@@ -52,14 +53,15 @@ def status_of(session: Session, latched: Callable[[], Trip | None]) -> Status:
         trip = latched()  # now: what tripped at its very end was latched until then
     state = _state(session, trip is not None)
     tick = session.tick
-    mode = _MODES.get(int(control.drive_mode), "off") if session.alive() else "off"
+    told = _MODES.get(int(control.drive_mode)) if session.alive() else None
+    mode = told or DriveMode.OFF
     homed = bool(control.homed)
     return Status(
         state=state,
         tick=tick,
         t=tick / session.settings.rate_hz,
         rate_hz=session.settings.rate_hz,
-        clock=session.settings.clock,
+        clock=Clock(session.settings.clock),
         scheduling=text_of(control.scheduling),
         machine=session.machine.name,
         joints=len(session.machine.joints),

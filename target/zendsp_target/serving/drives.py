@@ -29,6 +29,7 @@ from zendsp_protocol import verbs
 from zendsp_protocol.errors import Refused, ZendspError
 from zendsp_protocol.messages import Status
 from zendsp_protocol.states import (
+    DriveMode,
     DriveState,
     HostLost,
     ProgramState,
@@ -240,7 +241,7 @@ class Drives:
             "power_on": self.power_on,
             "power_off": self.power_off,
             "home": self.home,
-            "enable": lambda: self.enable(args.mode or "torque"),
+            "enable": lambda: self.enable(args.mode or DriveMode.TORQUE),
             "disable": self.disable,
             "acknowledge": self.acknowledge,
             "auto": self.auto,
@@ -293,7 +294,7 @@ class Drives:
         """homed → enabled, in torque or velocity mode; while automatic this switches the power on
         too. What is refused changes nothing.
         """
-        if mode not in ("torque", "velocity"):
+        if mode not in (DriveMode.TORQUE, DriveMode.VELOCITY):
             raise Refused(f"drive mode {mode!r}: expected 'torque' or 'velocity'")
         failing = [c for c in self.conditions(self._runtime.status()) if not c.met]
         if failing:
@@ -356,7 +357,7 @@ class Drives:
             )
         self._refuse_to_move("automatic drives")
         self._explicit = self._enabled = self._powered = False
-        self._runtime.set_drive("auto")
+        self._runtime.set_drive(DriveMode.AUTO)
         return "automatic: on at start, off at pause"
 
     def set_policy(self, policy: str, by: str) -> str:
@@ -378,7 +379,7 @@ class Drives:
         """
         self._off()
         deadline = time.monotonic() + OFF_S
-        while (status := self._runtime.status()).drive_mode != "off":
+        while (status := self._runtime.status()).drive_mode != DriveMode.OFF:
             if status.state in (ProgramState.EMPTY, ProgramState.CRASHED):
                 break
             if status.trip is not None:

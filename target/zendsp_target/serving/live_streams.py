@@ -20,7 +20,7 @@ import numpy.typing as npt
 from zendsp_protocol import messages as m
 from zendsp_protocol.codec import encode
 from zendsp_protocol.errors import Refused, ZendspError
-from zendsp_protocol.states import RecorderState
+from zendsp_protocol.states import Clock, RecorderState
 from zendsp_protocol.version import PROTOCOL
 from zendsp_target.api import AcquireConfig, RuntimeApi
 from zendsp_target.threads import start_thread
@@ -116,10 +116,10 @@ class LiveStreams:
         """
         status = self._runtime.status()
         sample_time = decimation / status.rate_hz
-        shortest = SHORTEST_S if status.clock == "real" else SHORTEST_FAST_S
+        shortest = SHORTEST_S if status.clock == Clock.REAL else SHORTEST_FAST_S
         interval = min(max(shortest, interval), LONGEST_S)
         window = max(1, min(window, 1 << 16))
-        ring = max(RING_S, 2 * window * sample_time if status.clock == "fast" else 0.0)
+        ring = max(RING_S, 2 * window * sample_time if status.clock == Clock.FAST else 0.0)
         config = AcquireConfig(tuple(channels), decimation, seconds=ring, continuous=True)
         with self._lock:
             for stream in self._streams.values():

@@ -18,6 +18,7 @@ from typing import Any
 from zendsp_isr.parts import build_machine, build_runner, is_model
 from zendsp_protocol import stop_page
 from zendsp_protocol.errors import Refused, RunnerDied, ZendspError
+from zendsp_protocol.states import Clock
 from zendsp_target.runtime.memory.layout import layout, set_text, text_of
 from zendsp_target.runtime.memory.shm import SharedFile
 from zendsp_target.runtime.process.places import make_urgent
@@ -47,7 +48,7 @@ def _fill(control: Any, settings: Settings, program: Path, data: Path, number: i
     control.bytes = ffi.sizeof("control")
     control.rate_hz = settings.rate_hz
     control.period_ns = round(1e9 / settings.rate_hz)
-    control.clock = lib.CLOCK_REAL if settings.clock == "real" else lib.CLOCK_FAST
+    control.clock = lib.CLOCK_REAL if settings.clock == Clock.REAL else lib.CLOCK_FAST
     control.realtime = settings.realtime
     control.priority = settings.priority
     control.monitor = os.getpid()

@@ -9,6 +9,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from zendsp_protocol.errors import Refused
+from zendsp_protocol.states import Clock
 
 _TRUE, _FALSE = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
 MOST_MB = 1e9  # a thousand terabytes: more has no meaning
@@ -65,7 +66,7 @@ class Settings:
     def __post_init__(self) -> None:
         if not 1.0 <= self.rate_hz <= 100_000.0:
             raise Refused(f"rate {self.rate_hz:g} Hz: give 1 … 100000 Hz")
-        if self.clock not in ("real", "fast"):
+        if self.clock not in list(Clock):
             raise Refused(f"clock {self.clock!r}: give 'real' or 'fast'")
         if not 1 <= self.priority <= 99:
             raise Refused(f"priority {self.priority}: SCHED_RR has 1 … 99")
