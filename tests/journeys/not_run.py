@@ -48,7 +48,7 @@ NOT_RUN: dict[tuple[str, str], str] = {
         "docs/diagnosis.md", "zendsp diagnose fleet/*.mat --model arm.toml --each --out reports",
     ): "tests/diagnosis/test_fleet.py types it",
     ("docs/tutorial.md", "zendsp tui arm"): TERMINAL,
-    ("docs/diagnosis.md", "python benchmarks/confidence.py CASES"): CLONE,
+    ("docs/diagnosis_rules.md", "python benchmarks/confidence.py CASES"): CLONE,
     (
         "docs/experiments.md",
         "zendsp experiment wam-friction -t wam --connect tls/robot.lab:7447",
