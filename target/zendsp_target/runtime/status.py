@@ -91,12 +91,14 @@ def _state(session: Session, tripped: bool) -> ProgramState:
     return ProgramState.PAUSED if session.started else ProgramState.LOADED
 
 
-def _drive(state: ProgramState, reason: TripReason | None, mode: str, homed: bool) -> DriveState:
+def _drive(
+    state: ProgramState, reason: TripReason | None, mode: DriveMode, homed: bool
+) -> DriveState:
     if state == ProgramState.CRASHED:
         return DriveState.OFF
     if reason:
         return DriveState.latched(reason)
-    if mode == "off":
+    if mode is DriveMode.OFF:
         return DriveState.HOMED if homed else DriveState.READY
     return DriveState.RUNNING if state == ProgramState.RUNNING else DriveState.ENABLED
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, Literal, NotRequired, TypedDict
+from typing import Literal, TypedDict
 
 # times the sensor's error, from which on a complete model says what it leaves: 22 of 99 of a
 # campaign were off by as much (seed 229); and of a joint's torque: less is not worth a sentence
@@ -62,7 +62,54 @@ class EstimateReport(TypedDict):
     unit: str
 
 
-class FindingReport(TypedDict):
+class CurveReport(TypedDict):
+    """A torque that no law describes, over what it depends on."""
+
+    variable: str
+    unit: str
+    at: list[float]
+    torque: list[float]
+    std: list[float]
+    against_motion: bool
+
+
+class PushedReport(TypedDict):
+    """Another joint on which a disturbance acts."""
+
+    joint: int
+    rms: float
+    peak: float
+
+
+class DetailsReport(TypedDict, total=False):
+    """What further sensors say of a finding, and what goes with it."""
+
+    sensors: str
+    compliance: float
+    compliance_std: float
+    weight: float  # that an inertia has
+    also_on: list[PushedReport]
+    torque: float  # that holds a transmission where it yields
+    side: str  # of a torque sensor
+    dry_before: float
+    dry_after: float
+    viscous_before: float
+    viscous_after: float
+
+
+class Further(TypedDict, total=False):
+    """Keys that some findings have."""
+
+    from_joint: int  # of a coupling
+    law: str  # of a coupling
+    intervals: list[list[float]]  # of a disturbance, s
+    recordings: list[str]  # those that they are times of; those of another load
+    body: str
+    curve: CurveReport  # of an unknown
+    details: DetailsReport
+
+
+class FindingReport(Further):
     """A missing effect."""
 
     effect: str
@@ -75,12 +122,6 @@ class FindingReport(TypedDict):
     mechanism: str
     laws: dict[str, float]
     sentence: str
-    from_joint: NotRequired[int]  # of a coupling
-    law: NotRequired[str]  # of a coupling
-    intervals: NotRequired[list[list[float]]]  # of a disturbance, s
-    recordings: NotRequired[list[str]]  # those that they are times of
-    body: NotRequired[str]
-    details: NotRequired[dict[str, Any]]  # what further sensors say
 
 
 class LeftReport(TypedDict):

@@ -18,7 +18,7 @@ import numpy as np
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import LAWS_OF, Decision
 from zendsp.diagnosis.decide.confidence import SUREST
-from zendsp.diagnosis.decide.contract import Rejected
+from zendsp.diagnosis.decide.contract import Further, Rejected
 from zendsp.diagnosis.decide.pieces import log_e_value
 from zendsp.diagnosis.decide.result import Estimate, Finding, number
 from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES, LAW_ERROR, OWN_SHARE, PLAIN, SURE
@@ -296,7 +296,7 @@ def body_finding(claim: BodyClaim, everything: float) -> Finding:
         others = ", ".join(IN_WORDS.get(name, name) for name in found.indistinguishable)
         text += f" This recording cannot tell it from {others}."
     share = min(1.0, claim.square / max(everything, 1e-300))
-    numbers = {"body": found.body} if found.body else {}
+    numbers: Further = {"body": found.body} if found.body else {}
     law = {term.effect: 1.0}
     return Finding(
         term.effect,

@@ -8,13 +8,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from statistics import NormalDist
+from typing import cast
 
 from zendsp.diagnosis.data.checks import never_reverses
 from zendsp.diagnosis.decide.absorbed import shifted
 from zendsp.diagnosis.decide.assemble import Assembled
 from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.confidence import confidence
-from zendsp.diagnosis.decide.contract import WORDS, Rejected, listed, spans
+from zendsp.diagnosis.decide.contract import WORDS, Further, Rejected, listed, spans
 from zendsp.diagnosis.decide.decide_bodies import BodyClaim, body_finding
 from zendsp.diagnosis.decide.findings import estimates, new_terms, percent, sentence, waves
 from zendsp.diagnosis.decide.patchwork import both_needed, draws_a_curve
@@ -114,7 +115,7 @@ def _unknown(
     """
     joint = decision.joint
     found = curve_of(lacks, claim.mechanism)
-    numbers: dict[str, object] = {}
+    numbers: Further = {}
     what = "state"
     if found is not None:
         what = "speed" if found.axis.variable == "velocity" else found.axis.variable
@@ -156,7 +157,7 @@ def _finding(
     values = _numbers(given, decision, whole, claim)
     sure = min(confidence(claim, decision), one_number(claim.effect, values))
     text = _held_otherwise(given, term, values) or sentence(term, values)
-    numbers: dict[str, object] = dict(chosen(term))
+    numbers = cast(Further, chosen(term))  # as its effect's file names them
     if term.effect == "inertia":
         weight = [
             t
@@ -430,7 +431,7 @@ def _disturbance(pushed: Sequence[Decision], given: Model) -> Finding:
         # push of half a second it showed a seventh too little
         "peak": Estimate(found.peak, math.hypot(found.beside, 0.1 * found.peak), unit),
     }
-    numbers: dict[str, object] = {
+    numbers: Further = {
         "intervals": [[round(a, 4), round(b, 4)] for a, b in found.intervals],
         "recordings": list(found.recordings),
     }

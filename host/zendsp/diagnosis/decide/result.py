@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +16,7 @@ from zendsp.diagnosis.decide.contract import (
     EstimateReport,
     FindingReport,
     FitReport,
+    Further,
     Rejected,
     Report,
     Verdict,
@@ -67,7 +67,7 @@ class Finding:
     replaces : tuple of str
         Terms of the given model that it makes unnecessary.
     sentence : str
-    numbers : mapping
+    numbers : Further
         Further keys of the finding in report.json.
     mechanism : str
     laws : mapping of str to float
@@ -82,8 +82,7 @@ class Finding:
     indistinguishable: tuple[str, ...]
     replaces: tuple[str, ...]
     sentence: str
-    # from_joint and law of a coupling; intervals of a disturbance; curve of an unknown
-    numbers: Mapping[str, Any] = field(default_factory=dict)
+    numbers: Further = field(default_factory=Further)
     mechanism: str = ""
     # probabilities, given that the mechanism acts
     laws: Mapping[str, float] = field(default_factory=dict)
@@ -99,7 +98,7 @@ class Finding:
         numbers: dict[str, EstimateReport] = {
             n: {"value": e.value, "std": e.std, "unit": e.unit} for n, e in self.parameters.items()
         }
-        report: FindingReport = {
+        return {
             "effect": self.effect,
             "joint": self.joint,
             "parameters": numbers,
@@ -110,8 +109,8 @@ class Finding:
             "mechanism": self.mechanism,
             "laws": {n: round(p, 4) for n, p in self.laws.items()},
             "sentence": self.sentence,
+            **self.numbers,
         }
-        return cast(FindingReport, {**report, **self.numbers})
 
 
 def _rounded(value: float) -> float:

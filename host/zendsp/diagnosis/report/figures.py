@@ -220,7 +220,7 @@ def _told_over(d: Diagnosis, joint: int) -> Axis | None:
     for finding in d.findings:
         if finding.joint == joint:
             curve = finding.numbers.get("curve")
-            over = Axis(curve["variable"]) if isinstance(curve, dict) else axis_of(finding)
+            over = Axis(curve["variable"]) if curve is not None else axis_of(finding)
             return moving[0] if moving and over not in told else over
     return next(iter(told), None)
 

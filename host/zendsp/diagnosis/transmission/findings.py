@@ -9,6 +9,7 @@ import numpy as np
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.confidence import SUREST
+from zendsp.diagnosis.decide.contract import DetailsReport
 from zendsp.diagnosis.decide.findings import sentence
 from zendsp.diagnosis.decide.result import Estimate, Finding, number
 from zendsp.diagnosis.decide.thresholds import PLAIN, TOLERANCE
@@ -63,7 +64,7 @@ def findings_of(
 ) -> tuple[tuple[Finding, ...], tuple[Term, ...]]:
     """Findings with the contract's names, and the terms that go into the model."""
     by = {c.name: c for c in claims}
-    made: list[tuple[str, Claim, dict[str, tuple[float, float]], dict[str, object]]] = []
+    made: list[tuple[str, Claim, dict[str, tuple[float, float]], DetailsReport]] = []
     spring = by.get("spring")
     if spring is not None:
         stiffness = -1.0 / spring.value
@@ -74,7 +75,7 @@ def findings_of(
             numbers["damping"] = spring.damping
         if load[0]:
             numbers["load_inertia"] = load
-        details: dict[str, object] = {
+        details: DetailsReport = {
             "compliance": -spring.value,
             "compliance_std": relative * abs(spring.value),
         }
@@ -174,7 +175,7 @@ def _finding(
     name: str,
     claim: Claim,
     numbers: dict[str, tuple[float, float]],
-    details: dict[str, object],
+    details: DetailsReport,
     share: float,
 ) -> Finding:
     effect = get_effect(name)
@@ -232,4 +233,4 @@ def helpful(
 def measured(finding: Finding) -> bool:
     """Whether a finding is one of the sensors on both sides of a transmission."""
     details = finding.numbers.get("details")
-    return isinstance(details, dict) and details.get("sensors") == SENSORS
+    return details is not None and details.get("sensors") == SENSORS

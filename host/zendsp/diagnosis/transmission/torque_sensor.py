@@ -14,6 +14,7 @@ import numpy as np
 
 from zendsp.diagnosis.data.series import repeats
 from zendsp.diagnosis.data.signals import Parts
+from zendsp.diagnosis.decide.contract import DetailsReport
 from zendsp.diagnosis.decide.result import Finding
 from zendsp.diagnosis.decide.thresholds import PLAIN, SURE
 from zendsp.diagnosis.measure.curve import FLUID, FRICTION
@@ -161,7 +162,8 @@ def _with_sides(f: Finding, sides: Sides, unit: str) -> Finding:
             "both": "on both sides of the torque sensor",
         }[side]
         (before, _), (after, _) = own
-        details = {
+        details: DetailsReport = {
+            **f.numbers.get("details", {}),
             "side": side,
             "dry_before": sides.dry[0][0],
             "dry_after": sides.dry[1][0],
@@ -169,8 +171,7 @@ def _with_sides(f: Finding, sides: Sides, unit: str) -> Finding:
             "viscous_after": sides.viscous[1][0],
         }
         text = f"{f.sentence} It acts {words}: {name} friction {before:.2g} and {after:.2g} {unit}."
-        had = f.numbers.get("details", {})
-        return replace(f, sentence=text, numbers={**f.numbers, "details": {**had, **details}})
+        return replace(f, sentence=text, numbers={**f.numbers, "details": details})
     gain, std = sides.gain
     if std < GAIN and "torque_gain" in f.indistinguishable and abs(gain - 1.0) < PLAIN * std:
         left = tuple(name for name in f.indistinguishable if name != "torque_gain")
