@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 from xml.etree import ElementTree
 
 KINDS = ("rotary", "linear", "planar2r", "urdf", "mjcf", "fmu", "python")
@@ -177,6 +177,24 @@ class FmuPorts:
     time_limit: float = 0.0
 
 
+class ControllerTable(TypedDict, total=False):
+    """``[controller]`` of a model file: the loop that made the recordings; a number, or one a
+    joint.
+    """
+
+    kind: str
+    kp: float | list[float]
+    kd: float | list[float]
+    ki: float | list[float]
+    cutoff: float | list[float]  # Hz, of the speed filter
+
+
+class LimitsTable(TypedDict, total=False):
+    """``[limits]`` of a model file: ``position`` is [low, high], or such a pair a joint."""
+
+    position: list[float] | list[list[float]]
+
+
 @dataclass(frozen=True)
 class Model:
     """A model file; docs/models.md describes each key.
@@ -209,12 +227,12 @@ class Model:
     terms: tuple[Term, ...] = ()
     actuator: Actuator = Actuator()
     sensor: Sensor = Sensor()
-    controller: Mapping[str, Any] = field(default_factory=dict)
+    controller: ControllerTable = field(default_factory=ControllerTable)
     columns: Mapping[str, str | list[str]] = field(default_factory=dict)
     file: str = ""
     entry: str = ""
     joint_kinds: tuple[str, ...] = ()
-    limits: Mapping[str, Any] = field(default_factory=dict)
+    limits: LimitsTable = field(default_factory=LimitsTable)
     discrepancy: Discrepancy = Discrepancy()
     folder: Path = Path(".")
     robot: Robot = Robot()

@@ -9,7 +9,7 @@ import tomllib
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from zendsp.errors import ModelError
 from zendsp.physics.effects import get_effect
@@ -20,8 +20,10 @@ from zendsp.physics.model import (
     REQUIRED,
     TREES,
     Actuator,
+    ControllerTable,
     Discrepancy,
     FmuPorts,
+    LimitsTable,
     Model,
     Quantity,
     Robot,
@@ -199,7 +201,7 @@ def parse_model(data: Mapping[str, Any], path: str = "model") -> Model:
         mechanism=values,
         actuator=_actuator(read, read.table(data, "actuator")),
         sensor=_sensor(read, read.table(data, "sensor")),
-        controller=dict(read.table(data, "controller")),
+        controller=cast(ControllerTable, dict(read.table(data, "controller"))),
         columns=dict(read.table(data, "columns")),
         file=str(mechanism.get("file", "")),
         entry=str(mechanism.get("entry", "")),
@@ -303,7 +305,7 @@ def _robot(read: _Reader, mechanism: Mapping[str, Any], commands: bool) -> Robot
     return Robot(tuple(names), take, commands)
 
 
-def _limits(read: _Reader, table: Mapping[str, Any]) -> dict[str, Any]:
+def _limits(read: _Reader, table: Mapping[str, Any]) -> LimitsTable:
     """``position``: [low, high] for every joint, or a pair a joint."""
     if "position" in table:
         value = table["position"]
@@ -311,7 +313,7 @@ def _limits(read: _Reader, table: Mapping[str, Any]) -> dict[str, Any]:
         for pair in value if several else [value]:
             if len(read.numbers("[limits] position", pair)) != 2 or not pair[0] < pair[1]:
                 raise read.fail("[limits] position", "[low, high], or one such pair a joint", value)
-    return dict(table)
+    return cast(LimitsTable, dict(table))
 
 
 def _actuator(read: _Reader, data: Mapping[str, Any]) -> Actuator:
