@@ -13,7 +13,7 @@ import pytest
 import reality
 from reality import KNOWN
 
-from zendsp.diagnosis import Diagnosis, diagnose
+from zendsp.diagnosis import Diagnosis, diagnose, machine
 from zendsp.diagnosis.decide import decide, pushes
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.naming import _disturbance, at_once
@@ -53,6 +53,35 @@ def test_joints_that_are_pushed_at_the_same_times_are_one_finding() -> None:
     assert (found.joint, found.effect) == (2, "disturbance")
     assert "on joint 1 at the same times" in found.sentence
     assert found.as_dict()["details"] == {"also_on": [{"joint": 1, "rms": 2.0, "peak": 5.0}]}
+
+
+def test_where_all_pushes_leave_too_little_those_that_every_joint_feels_are_cut_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A hold of 2 s had bent what five joints were calibrated to: each was "pushed" 10 to 28 times,
+    and all of them by the hold.
+    """
+
+    def pushed(joint: int, *spans: tuple[float, float]) -> Any:
+        found = Bursts(spans, ("a",) * len(spans), 0.9, 5.0, 2.0, 0.1, 1.0, 10.0)
+        return SimpleNamespace(joint=joint, bursts=found, kind="disturbance", loads=())
+
+    each = [pushed(1, (0.5, 1.5), (6.7, 8.6)), pushed(2, (2.0, 5.0), (6.6, 8.5)), pushed(3, (6, 9))]
+    still = SimpleNamespace(joint=4, bursts=None, kind="disturbance", loads=())
+    nothing: Any = None
+    found = machine.Found(
+        nothing, nothing, nothing, nothing, [], [], [*each, still], nothing, ()
+    )
+    tried: list[list[tuple[str, float, float]]] = []
+
+    def nothing_left(_signals: Any, spans: list[tuple[str, float, float]]) -> list[Any]:
+        tried.append(spans)
+        return []
+
+    monkeypatch.setattr(machine, "_once", lambda *_: found)
+    monkeypatch.setattr(machine, "cut_out", nothing_left)
+    machine.find([[], [], []], nothing, nothing, 1, print)
+    assert len(tried[0]) == 5 and tried[3] == [("a", 6.7, 8.5)]
 
 
 def test_a_push_is_a_disturbance_with_its_times(decided: Decided) -> None:

@@ -85,6 +85,9 @@ def find(
     if not pushes:
         return _loaded(found, given, jobs)
     fit, choose, test = (cut_out(part, pushes) for part in signals)
+    if not (fit and (choose or test)):  # a push bends what joints are calibrated to at all times
+        pushes = _in_common(found.decisions) or pushes
+        fit, choose, test = (cut_out(part, pushes) for part in signals)
     # beside a friction that lacks too, pushes are certain once it is known without them
     alone = [d if d.kind == "disturbance" else unpushed(d) for d in found.decisions]
     if not (choose or test):
@@ -309,6 +312,24 @@ def _pushes(decisions: Sequence[Decision]) -> list[tuple[str, float, float]]:
         if d.bursts is not None
         for name, span in zip(d.bursts.recordings, d.bursts.intervals, strict=True)
     ]
+
+
+def _in_common(decisions: Sequence[Decision]) -> list[tuple[str, float, float]]:
+    """Recording, begin and end (s) of the times at which every joint is pushed that is."""
+    common: list[tuple[str, float, float]] | None = None
+    for d in decisions:
+        own = _pushes([d])
+        if own and common is None:
+            common = own
+        elif own and common is not None:
+            both = (
+                (name, max(a, begin), min(b, end))
+                for name, a, b in common
+                for of, begin, end in own
+                if of == name
+            )
+            common = [(name, a, b) for name, a, b in both if a < b]
+    return common or []
 
 
 def _beside_pushes(pushed: Found, found: Found) -> Found:
