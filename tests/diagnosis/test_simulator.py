@@ -27,7 +27,7 @@ from zendsp.physics import load_model
 from zendsp.physics.calibration.handles import Handle, free_handles, set_values
 from zendsp.physics.calibration.terms import make_term
 from zendsp.physics.effects import get_effect
-from zendsp.physics.model import Term
+from zendsp.physics.model import Quantity, Term
 
 RATE = 250.0
 SIMULATOR = """
@@ -293,3 +293,16 @@ def test_what_the_laws_of_all_joints_may_be_wrong_by_is_no_finding_at_another(
     )
     said = ask._why(claim, current)
     assert said.startswith(why) and bool(said) == bool(why)
+
+
+@pytest.mark.parametrize(("rows", "own"), [(0.18, True), (-0.3, True), (0.6, False), (2.0, False)])
+def test_what_comes_late_by_less_than_half_a_row_may_be_a_simulators_own_steps(
+    rows: float, own: bool
+) -> None:
+    """Steps of a millisecond by Euler were a delay of 0.7 ms, and hid a Stribeck curve."""
+    bench: Any = SimpleNamespace(signals=SimpleNamespace(sample_time=0.004))
+    ask = hunt.Hunt([bench], [], lambda _: None)
+    for effect, key in (("delay", "time"), ("lag", "time_constant")):
+        term = Term(effect, 1, {key: Quantity(rows * 0.004)})
+        assert ask._may_be_a_step(term) is own
+    assert not ask._may_be_a_step(Term("coulomb", 1, {"level": Quantity(rows * 0.004)}))

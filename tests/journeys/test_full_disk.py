@@ -168,4 +168,6 @@ def test_output_that_nobody_takes(installed: Installed, command: list[str]) -> N
         ["bash", "-c", piped], env=installed.env, cwd=installed.folder, capture_output=True,
         text=True, timeout=PATIENCE_S, check=False,
     )
-    assert done.stderr == "", "who closes a pipe wants no more, not even a complaint"
+    # on a busy computer they come late
+    said = done.stderr.replace("waiting for samples: is the program running?\n", "")
+    assert said == "", "who closes a pipe wants no more, not even a complaint"

@@ -17,7 +17,7 @@ import numpy as np
 from zendsp.diagnosis.decide.findings import estimates, sentence
 from zendsp.diagnosis.decide.result import Finding
 from zendsp.diagnosis.decide.thresholds import SURE
-from zendsp.diagnosis.measure.discrepancy import difference
+from zendsp.diagnosis.measure.discrepancy import difference, kept, lacking
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import FASTEST, Scored, deviance, informative
 from zendsp.diagnosis.search.hypothesis import JointSearch, price
@@ -25,6 +25,7 @@ from zendsp.diagnosis.search.screen import Candidate, Screen, with_candidate
 from zendsp.physics.calibration.fit import Data, Fit, fit, joint_handles
 from zendsp.physics.calibration.handles import Handle
 from zendsp.physics.effects import get_effect
+from zendsp.physics.effects.axes import HARMONICS
 from zendsp.physics.model import Model, Term
 
 # rad/s: 64 Hz; a tenth of the usual first resonance of a stiff drive train is below, its multiples
@@ -33,6 +34,8 @@ RIPPLE_BAND = 400.0
 RIPPLE_SHARE = 0.03  # of the fast innovations' energy that a ripple has to explain
 RIPPLE_GAIN = 60.0  # deviance beyond the price, on the training and on the held-out recordings
 MOST_RIPPLES = 2
+MOST_ORDERS = 4000  # that are looked at, and the PEAKS of them that are screened
+PEAKS = 8
 
 
 @dataclass(frozen=True)
@@ -76,13 +79,16 @@ def fine_ripples(
     found: list[FineRipple] = []
     while len(found) < MOST_RIPPLES:
         screen = Screen(data, current.fit, joint, (joint,))
-        best = screen.candidates(frozenset({"ripple"}))
+        listed = screen.candidates(frozenset({"ripple"}))
+        if peaks := _peaks(data, current.model, joint, band):
+            listed.append(screen.best_of("ripple", [{"order": n} for n in peaks]))
+        best = max(listed, key=lambda c: c.gain, default=None)
         least = RIPPLE_SHARE * screen.cost
-        if not best or best[0].gain < least or not _fast(best[0], record.scale.speed):
+        if best is None or best.gain < least or not _fast(best, record.scale.speed):
             break
-        after = _fitted(data, with_candidate(current.model, best[0]), joint, 8, jobs)
+        after = _fitted(data, with_candidate(current.model, best), joint, 8, jobs)
         index = len(after.model.terms) - 1
-        cost = price(best[0].terms, informative(data, joint))
+        cost = price(best.terms, informative(data, joint))
         if current.deviance - after.deviance < cost + RIPPLE_GAIN:
             break
         turned = _rephased(after, held, joint, index, jobs)
@@ -95,6 +101,33 @@ def fine_ripples(
         found.append(_reported(search, current, after, kind))
         current = after
     return found
+
+
+def _peaks(data: Data, model: Model, joint: int, band: float) -> list[float]:
+    """Orders beyond those that every turn is screened for, where the lacking torque has most of its
+    energy: behind a gear a motor's poles pass as often as the gear says, at no whole number a turn.
+    Of waves that the position has four counts of, and a sample at the typical speed.
+    """
+    records = [rec[joint - 1] for rec in data.records]
+    first = records[0]
+    counts, seen = first.measurement.resolution, first.scale.speed * first.sample_time
+    least, most = max(HARMONICS, FASTEST / first.scale.speed), math.pi / (2.0 * max(counts, seen))
+    apart = math.pi / max(float(np.ptp(r.motion.states[0])) for r in records)
+    orders = np.arange(least, most, apart)[:MOST_ORDERS]
+    if first.slides or len(orders) < 3:
+        return []
+    sums = np.zeros(len(orders), complex)
+    for record, torque in zip(records, lacking(data, model, joint, band), strict=True):
+        use = kept(record, band)
+        along = record.motion.states[0][use]
+        wave = torque[use] * np.exp(1j * least * along)
+        turn = np.exp(1j * apart * along)
+        for k in range(len(orders)):
+            sums[k] += wave.sum()
+            wave *= turn
+    power = np.abs(sums)
+    top = 1 + np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:]))
+    return [float(orders[k]) for k in sorted(top, key=lambda k: -power[k])[:PEAKS]]
 
 
 def _undisplaced(search: JointSearch) -> Model:

@@ -44,6 +44,9 @@ NEARLY = 0.5  # of the gain that is asked for: what is below to first order is n
 # times what stays unexplained on its joint: an effect that explains less has no name
 EXPLAINS_OF_LEFT = 0.25
 LEAST_PROMISE = 0.01  # share of the cost that a screen must promise
+# of a row: a simulator's own steps, and rows that say little of the command between them, make its
+# motion late by so much (steps of Euler's by half a step, and none is longer than a row)
+STEPS_LATE = 0.5
 SAME, SAME_SHARE = 5.0, 0.1  # cost, and of the gain: rivals nearer cannot be told apart
 
 
@@ -238,6 +241,8 @@ class Hunt:
             return "drives a parameter of the simulator to the end of its range"
         if c.gain <= MIN_GAIN:
             return not_likelier(c.gain, MIN_GAIN)
+        if self._may_be_a_step(c.term):
+            return "no later than half a row, as a simulator's own steps make it"
         if c.z <= MIN_Z:
             return f"does not hold on the held-out recording (z = {c.z:.1f})"
         explained, left, found = self._parts(c, current)
@@ -246,6 +251,14 @@ class Hunt:
         if explained < LAW_ERROR**2 * found:
             return "no larger than what the laws of the others may be wrong by"
         return ""
+
+    def _may_be_a_step(self, term: Term) -> bool:
+        """Whether something comes no later, or earlier, than the simulator's steps may make it."""
+        effect = get_effect(term.effect)
+        if effect.family != "timing":
+            return False
+        late = abs(term.value(effect.parameters[0].name))
+        return late < STEPS_LATE * self.train[0].signals.sample_time
 
     def _parts(self, c: Claim, current: Output) -> tuple[float, float, float]:
         """Of the squared error of a claim's joint: what it explains, and what stays beyond the

@@ -125,13 +125,13 @@ def find_bodies(
     # a single joint's payload is its inertia and its gravity
     if links is None or all(b.parent < 0 for b in links.bodies):
         return BodySearch(model)
-    first = search = _searched(fit, choose, model, links, jobs, tell, limits, beside)
+    first = search = _searched(fit, choose, model, jobs, tell, limits, beside)
     layout = Layout(model, links)
     while not search.found and _drowned(choose, layout, search.tried, limits):
         limits = replace(limits, bandwidth=0.5 * limits.bandwidth)
         if limits.bandwidth < limits.slowest:
             return first
-        search = _searched(fit, choose, model, links, jobs, tell, limits, beside)
+        search = _searched(fit, choose, model, jobs, tell, limits, beside)
     return search if search.found else first
 
 
@@ -157,13 +157,14 @@ def _searched(
     fit: Data,
     choose: Data,
     model: Model,
-    links: Links,
     jobs: int,
     tell: Progress,
     limits: BodyLimits,
     beside: Sequence[Term],
 ) -> BodySearch:
     """``find_bodies`` under observers of one bandwidth."""
+    links = fit.records[0][0].links
+    assert links is not None
     begun, model = model, model.with_terms((*model.terms, *beside))
     found: list[FoundBody] = []
     tried: list[Explained] = []

@@ -222,6 +222,11 @@ class Screen:
             return False
         return is_supported(effect, present) and usable(effect, self.records)
 
+    def best_of(self, name: str, points: Sequence[dict[str, float]]) -> Candidate:
+        """An effect at the best of some points of its grid."""
+        effect = get_effect(name)
+        return self._candidate(effect, *max(self._at(effect, points), key=lambda found: found[0]))
+
     def _best(self, effect: Effect) -> list[Candidate]:
         """An effect at its best grid point; one for each choice of the numbers that no fit moves (a
         coupling's law).

@@ -67,7 +67,7 @@ def polynomial(
     out = np.column_stack([np.convolve(column, kernel, "valid") for column in long.T])
     if ends == "interp":
         out[:half], out[-half:] = weights[:half] @ flat[:window], weights[-half:] @ flat[-window:]
-    return np.asarray(out.reshape(rows.shape))
+    return np.asarray(out.reshape(rows.shape), np.float64)
 
 
 def widened(mask: npt.NDArray[np.bool_], around: int) -> npt.NDArray[np.bool_]:

@@ -1,0 +1,33 @@
+"""Waves of the torque that pass faster than the search follows."""
+
+from __future__ import annotations
+
+import pytest
+import reality
+from reality import FAST
+from small_models import COULOMB, VISCOUS, data_of, model_of
+
+from zendsp.diagnosis.decide.fast_ripple import fine_ripples
+from zendsp.diagnosis.measure.likelihood import calibrate_joint
+from zendsp.diagnosis.search.hypothesis import JointSearch
+
+
+@pytest.mark.parametrize("amplitude", [0.02, 0.0])
+def test_cogging_behind_a_gear_passes_more_often_than_any_turn_is_screened_for(
+    amplitude: float,
+) -> None:
+    """A motor behind a gear of 48.5 cogs twice a turn of its own."""
+    model = model_of(VISCOUS, COULOMB, rate=FAST)
+    machine = reality.Machine(ripple=amplitude, order=97)
+    fit, choose = (
+        data_of(
+            reality.simulate(machine, reality.multisine(8.0, FAST, seed), FAST, seed), model, FAST
+        )
+        for seed in (5, 6)
+    )
+    search = JointSearch(1, calibrate_joint(fit, model, 1))
+    found = fine_ripples(fit, choose, search, "rotary", 1)
+    assert len(found) == (1 if amplitude else 0)
+    for ripple in found:
+        assert ripple.term.value("order") == pytest.approx(97.0, abs=0.3)
+        assert ripple.term.value("amplitude") == pytest.approx(amplitude, rel=0.1)
