@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import signal
 import subprocess
@@ -144,7 +145,11 @@ class Installed:
         command = ("zendsp", "target", "--machine", machine, "--name", name, "--spin", "0")
         process = self.start(*command, *options)
         entry = Path(self.env["ZENDSP_RUNTIME_DIR"]) / f"{name}.json"
-        until(entry.exists, f"target {name} registered", alive=process)
+
+        def registered() -> bool:  # not the one before it, which was killed
+            return entry.exists() and json.loads(entry.read_text())["pid"] == process.pid
+
+        until(registered, f"target {name} registered", alive=process)
         return process
 
     def end(self) -> None:

@@ -55,7 +55,6 @@ async def test_no_button_moves_under_the_mouse(
             assert places() == first, key
 
 
-@pytest.mark.long("tests/experiment measures, a sweep has a screen too; lost: that of responses")
 @pytest.mark.covers("execute.respond")
 async def test_a_frequency_response_is_measured_kept_and_laid_over_another(
     lab: ZendspApp, target: Target, built: Step, until: Until

@@ -339,8 +339,9 @@ def trouble(status: m.Status) -> str:
     if status.trip is not None:
         what = "stopped" if status.drive == DriveState.STOPPED else "tripped"
         trip = status.trip
-        when = f" (sample {trip.tick})" if trip.tick else ""
-        cause = f"{trip.cause}{when}" if trip.cause else trip.text or trip.reason
+        # with the sample at which it happened, where a loop ran
+        when = trip.text[len(trip.cause) :].partition(";")[0]
+        cause = f"{trip.cause}{when}" or trip.reason
         empty = status.state == ProgramState.EMPTY
         again = "load a program and start it" if empty else "start again"
         return (
