@@ -26,6 +26,7 @@ from waiting import PATIENCE_S, until
 
 import zendsp
 from zendsp.cli import main
+from zendsp.errors import Tripped
 from zendsp.link import Target
 
 
@@ -251,7 +252,8 @@ def test_what_is_written_into_a_new_folder_makes_it(target: Target, tmp_path: Pa
 def test_a_joint_outside_its_limit_is_told_until_it_is_back(target: Target) -> None:
     target.download("pd.c")
     target.update(radius=1.0, center2=1.4)  # joint 2 is led to 2.4 rad, and trips at 2.15
-    target.start()
+    with contextlib.suppress(Tripped):  # of a host that looks late
+        target.start()
     until(lambda: target.status().trip, "tripped")
     said = re.compile(
         r"joint 2 is 0\.\S+ rad outside its limit of 2\.15 rad: (acknowledge"
