@@ -93,8 +93,8 @@ def law_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Chart:
     elif terms:
         two = Sides(whole.improved.with_terms((*kept, *replaced)), whole.improved, less, more)
     if get_effect(finding.effect).site == "body":  # it acts by the motion of all joints
-        unit = d.given.torque_unit
-        alike = [j for j in range(1, d.given.joints + 1) if unit(j) == unit(finding.joint)]
+        force = d.given.torque_unit
+        alike = [j for j in range(1, d.given.joints + 1) if force(j) == force(finding.joint)]
         return _over_time(d, finding, index, two, *where_most(w.train, two, alike))
     joint, period = finding.joint, _period(finding)
     if _too_fine(w.train, finding):
