@@ -8,6 +8,7 @@ from typing import Any
 
 # Control characters but tab and newline, and those that turn the direction of reading.
 _OBEYED = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
+_BREAK = re.compile(r"\s*[\n\t\r\v\f]\s*")
 # Bytes without which no text has any of the dangerous ones in UTF-8. Numbers may hold them too:
 # they only say where to look.
 _SIGNS = b"\x1b\r\b\xc2\xe2"
@@ -36,6 +37,18 @@ def shown(text: str, lines: bool = True) -> str:
 
 def _written(found: re.Match[str]) -> str:
     return found[0].encode("unicode_escape").decode()
+
+
+def on_one_line(text: str) -> str:
+    """Return a unit or a description that fits a row of a table: a program may declare several
+    lines.
+
+    Examples
+    --------
+    >>> on_one_line("position,\\n\\tjoint 1")
+    'position, joint 1'
+    """
+    return _BREAK.sub(" ", text).strip()
 
 
 def placed(file: str, line: int, column: int, words: str) -> str:

@@ -34,6 +34,8 @@ from zendsp.diagnosis.decide.absorbed import moved
 from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.decide_bodies import beside_bodies
 from zendsp.diagnosis.measure.windows import rms, window_error
+from zendsp.diagnosis.report.laws import where_most
+from zendsp.diagnosis.report.sides import Sides
 from zendsp.diagnosis.search.bodies import agreed, find_bodies, refined
 from zendsp.diagnosis.search.body_columns import Layout
 from zendsp.diagnosis.search.body_explain import price_of
@@ -110,6 +112,22 @@ def test_a_payload_is_as_sure_as_the_torque_constants_that_the_model_states(reco
         layout = Layout(replace(model, actuator=actuator), links)
         sure.append(float(refined(fit, choose, layout, found.explained).std[0]))
     assert sure[0] == sure[1] > 2.0 * sure[2] and sure[2] == sure[3]
+
+
+def test_a_mass_is_drawn_at_the_joint_where_its_torque_is_largest(record) -> None:  # type: ignore[no-untyped-def]
+    """On the axis of joint 3 it hangs 0.4 m from that of joint 2."""
+    made = record("on_axis", Arm(mass=1.5, com=(0.0, 0.05, 0.0)), True)
+    model, (data, _) = kernel_model(made[0]), prepared(made)
+    load = make_term(get_effect("payload"), 3, {"mass": 1.5, "com_y": 0.05})
+    two = Sides(model, model.with_terms((*model.terms, load)), "without", "with")
+    joint, before, after = where_most(data, two, (1, 2, 3))
+    assert joint == 2
+    known = [np.isfinite(m.std) for m in before]
+    lacks, left = (
+        np.concatenate([m.torque[k] for m, k in zip(side, known, strict=True)])
+        for side in (before, after)
+    )
+    assert np.std(left) < 0.1 * np.std(lacks)
 
 
 def test_nothing_is_found_where_only_friction_is_missing(record) -> None:  # type: ignore[no-untyped-def]

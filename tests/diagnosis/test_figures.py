@@ -200,6 +200,14 @@ def test_a_law_beside_which_something_is_left_says_so(left: float, said: str) ->
     assert beside_the_law(law, after, "velocity [rad/s]", "N m") == said
 
 
+def test_the_first_of_several_recordings_is_drawn_by_its_own_clock() -> None:
+    """The times that a sentence tells of it are found in the figure."""
+    stamp = 1_790_000_000.0  # s, of a calendar: too long for an axis
+    assert figures.one_after_the_other([(0.4, 5.0), (7.0, 3.0), (0.1, 2.0)]) == [0.4, 5.4, 8.4]
+    assert figures.one_after_the_other([(stamp + 0.5, 5.0), (7.0, 3.0)]) == [0.5, 5.5]
+    assert figures.one_after_the_other([(stamp + 0.5, 5.0)]) == [stamp + 0.5]
+
+
 @pytest.mark.parametrize("seconds", [(9.0, 12.0)])
 def test_a_stribeck_curve_is_drawn_with_the_level_on_which_it_stands(decided: Decided) -> None:
     """The sentence names the breakaway torque, so the figure shows it."""

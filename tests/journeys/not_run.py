@@ -11,6 +11,7 @@ BROWSER = "serves a browser until Ctrl-C: tests/tui/test_web.py"
 HOURS = "zendsp prove"
 DRAWING = "is a drawing"
 CLONE = "is of a clone, or takes half an hour: tests/whole/test_mutations.py, test_endurance.py"
+FORMULA = "is a formula"
 SYNTAX = "shows how a file or a message looks"
 EXPERIMENT = "takes up to a minute: tests/experiment/ makes each experiment"
 DEMO = "test_slim_install.py has it, of the pendulum, and this one as a long one"
@@ -44,6 +45,17 @@ NOT_RUN: dict[tuple[str, str], str] = {
     ): DRAWING,
     ("docs/code_overview.md", "python -m tests.mutations"): CLONE,
     ("docs/diagnosis.md", "pip install 'zendsp[fleet]'"): NETWORK,
+    (
+        "docs/diagnosis.md",
+        (
+            "tau = M(q) qdd + C(q, qd) qd + g(q) + sum of effects + delta"
+            "        q measured = q + noise"
+        ),
+    ): FORMULA,
+    ("docs/diagnosis.md", "size of the discrepancy = sqrt( (mean d² − mean n²) / mean tau² )"): (
+        FORMULA
+    ),
+    ("docs/diagnosis.md", "size  s     = rms(d without − d with) / rms(tau)"): FORMULA,
     (
         "docs/diagnosis.md", "zendsp diagnose fleet/*.mat --model arm.toml --each --out reports",
     ): "tests/diagnosis/test_fleet.py types it",

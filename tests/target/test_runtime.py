@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import Any
 
@@ -261,3 +261,16 @@ def test_a_line_of_the_log_that_is_not_there_yet_is_none(runtime: Runtime) -> No
     runtime.wait_paused()
     assert [c.name for c in runtime.log(0)] == ["Kp1"]
     assert runtime.log(1) == runtime.log(2**64 - 1) == ()
+
+
+def test_a_unit_and_a_description_of_several_lines_are_told_on_one(
+    make_runtime: Callable[..., Runtime],
+) -> None:
+    """A row of a table has one line, in a terminal as at a prompt."""
+    runtime = make_runtime(
+        '#include "isr.h"\nstatic double K;\nvoid UserInit(void) {\n'
+        '    PARAMETER(K, 1.0, "N m\\n", 0.0, 9.0, "gain,\\r\\n\\tof the outer loop\\n");\n}\n'
+        "void UserISR_INT2(void) {}\nvoid UserBackground(void) {}\n"
+    )
+    (info,) = (v for v in runtime.variables() if v.name == "K")
+    assert (info.unit, info.description) == ("N m", "gain, of the outer loop")

@@ -59,7 +59,7 @@ def error_chart(d: Diagnosis, w: Workings, joint: int) -> Chart:
     unit = units_at(d, joint)["position"]
     records = [rec[joint - 1] for rec in w.test.records]
     sizes = [max(16, round(WINDOW / r.sample_time)) for r in records]
-    starts = _one_after_the_other(
+    starts = one_after_the_other(
         [(r.t0, r.n // n * n * r.sample_time) for r, n in zip(records, sizes, strict=True)]
     )
     t = np.concatenate(
@@ -110,20 +110,19 @@ def error_chart(d: Diagnosis, w: Workings, joint: int) -> Chart:
     )
 
 
-def _one_after_the_other(parts: list[tuple[float, float]]) -> list[float]:
-    """Where recordings of so many seconds begin on a common axis, s: one by its own clock, several
-    from 0 on.
+def one_after_the_other(parts: list[tuple[float, float]]) -> list[float]:
+    """Where recordings of so many seconds begin on a common axis, s: the first by its own clock (of
+    several: without a calendar's whole seconds), each of the others where the one before ends.
     """
-    if len(parts) == 1:
-        return [parts[0][0]]
-    return [0.0, *np.cumsum([seconds for _, seconds in parts])[:-1].tolist()]
+    begin = parts[0][0] - (whole_second(parts[0][0]) if len(parts) > 1 else 0.0)
+    return [begin + s for s in np.cumsum([0.0, *(seconds for _, seconds in parts[:-1])]).tolist()]
 
 
 def torque_chart(d: Diagnosis, two: Sides, joint: int) -> Chart:
     """Which torque did the model lack, and when?"""
     lacks = (d.missing[joint], d.remaining[joint])
     times = [m.time for m in lacks[0]]
-    starts = _one_after_the_other([(float(t[0]), float(t[-1] - t[0])) for t in times])
+    starts = one_after_the_other([(float(t[0]), float(t[-1] - t[0])) for t in times])
     series = []
     for missing, (_, role, label) in zip(lacks, _models(two), strict=False):
         rows = zip(missing, drawn(missing), starts, strict=True)
@@ -327,10 +326,11 @@ def _charts(d: Diagnosis) -> list[Chart]:
         return []
     if not isinstance(w, Workings):  # of a simulator that can only be called
         return simulator_charts(d, w)
-    told = {f.joint for f in d.findings} or {x.joint for x in w.decisions if x.kind != "complete"}
+    laws = [finding_chart(d, w, f, k) for k, f in enumerate(d.findings)]
+    told = {c.joint for c in laws} or {x.joint for x in w.decisions if x.kind != "complete"}
     joints = (sorted(told | {r.joint for r in d.regions[:1]}) or [1])[:MOST_JOINTS]
     out = [error_chart(d, w, j) for j in joints]
-    out += [finding_chart(d, w, f, k) for k, f in enumerate(d.findings)]
+    out += laws
     for j in joints:
         two = sides(d.findings, kernel_model(d.given), w.whole, j)
         curve = None if d.findings else unclaimed_chart(d, j)

@@ -82,9 +82,9 @@ def law_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Chart:
     """What does the law that was found look like over the data, and what stays when it is there?
     Of a given number that calibration moves: what lacks with the given one.
     """
-    whole, joint = w.whole, finding.joint
+    whole = w.whole
     terms = _told_of(d, w, finding)
-    replaced = [t for t in whole.calibrated.at(joint) if t.effect in finding.replaces]
+    replaced = [t for t in whole.calibrated.at(finding.joint) if t.effect in finding.replaces]
     kept = [t for t in whole.improved.terms if t not in terms]
     less, more = f"without {finding.effect}", f"with {finding.effect}"
     two = Sides(kernel_model(d.given), whole.improved, "as given", "calibrated")
@@ -92,7 +92,11 @@ def law_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Chart:
         two = Sides(whole.calibrated, whole.improved, less, more)
     elif terms:
         two = Sides(whole.improved.with_terms((*kept, *replaced)), whole.improved, less, more)
-    period = _period(finding)
+    if get_effect(finding.effect).site == "body":  # it acts by the motion of all joints
+        force = d.given.torque_unit
+        alike = [j for j in range(1, d.given.joints + 1) if force(j) == force(finding.joint)]
+        return _over_time(d, finding, index, two, *where_most(w.train, two, alike))
+    joint, period = finding.joint, _period(finding)
     if _too_fine(w.train, finding):
         band = RIPPLE_BAND
         before, after = (mismatch(w.train, m, joint, RIPPLE_BAND) for m in (two.before, two.after))
@@ -108,9 +112,8 @@ def law_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Chart:
     if period and float(np.ptp(law.samples.x)) > FOLDED * period:
         law, *curves = (_folded(curve, period) for curve in (law, *curves))
         along = _within(period, unit)
-    # a body acts by the motion of all joints; a pattern that passes fast is one all the same
-    if (law.explained < SHOWN and not period) or get_effect(finding.effect).site == "body":
-        return _over_time(d, finding, index, two, before, after)
+    if law.explained < SHOWN and not period:  # a pattern that passes fast is one all the same
+        return _over_time(d, finding, index, two, joint, before, after)
     chart = two_panels(d, finding, index, [law, *curves], (two.was, two.now))
     panels = tuple(replace(p, xlabel=along or p.xlabel) for p in chart.panels)
     flat = f" What lasts less than {1e3 * AROUND / band:.0f} ms is flatter here than it is."
@@ -147,7 +150,7 @@ def two_panels(
         finding.sentence,
         _name(finding, index),
         tuple(replace(p, limits=limits) for p in panels),
-        title=_whose(finding, titles[0]),
+        title=_whose(finding, joint, titles[0]),
         beside=True,
         same=True,
         size=(7.2, 3.2),
@@ -157,14 +160,14 @@ def two_panels(
     )
 
 
-def _whose(finding: Finding, was: str) -> str:
+def _whose(finding: Finding, joint: int, was: str) -> str:
     """What a law's figure shows: the law's own torque, which is not what a model lacks that is
     fitted without it; of a number that was given wrong, what lacked with it.
     """
     if was.startswith("without "):
         what = f"torque of {finding.effect}: the improved model without it and with it"
-        return f"Joint {finding.joint}: {what}"
-    return f"Joint {finding.joint}: torque that the model {was} lacks, by {finding.effect}"
+        return f"Joint {joint}: {what}"
+    return f"Joint {joint}: torque that the model {was} lacks, by {finding.effect}"
 
 
 def broken(at: Array, mean: Array) -> tuple[Array, Array]:
@@ -241,19 +244,13 @@ def _over_time(
     finding: Finding,
     index: int,
     two: Sides,
+    joint: int,
     before: Sequence[Missing],
     after: Sequence[Missing],
 ) -> Chart:
     """A law that is no function of one variable, in the seconds in which it acts most."""
-    law, joint = between(before, after), finding.joint
-    size = [max(1, round(SHOWN_S / float(m.time[1] - m.time[0]))) for m in law]
-    sums = [
-        np.convolve(m.weight * m.torque**2, np.ones(min(n, len(m.time))), "valid")
-        for m, n in zip(law, size, strict=True)
-    ]
-    k = int(np.argmax([float(s.max()) for s in sums]))
-    first = int(np.argmax(sums[k]))
-    cut = slice(first, first + size[k])
+    law = between(before, after)
+    k, cut = _most(law)
     lines = [
         Series("line", role, m[k].time[cut], drawn(m)[k][cut], label)
         for m, role, label in (
@@ -268,11 +265,39 @@ def _over_time(
         finding.sentence,
         _name(finding, index),
         (Panel("time [s]", torque_label(unit), tuple(lines), clock=True),),
-        title=f"{_whose(finding, two.was)}, where it acts most",
+        title=f"{_whose(finding, joint, two.was)}, where it acts most",
         size=(7.2, 3.2),
         finding=index,
         joint=joint,
     )
+
+
+def _most(law: Sequence[Missing]) -> tuple[int, slice]:
+    """The recording with the seconds in which a torque acts most, and its samples of them."""
+    size = [max(1, round(SHOWN_S / float(m.time[1] - m.time[0]))) for m in law]
+    sums = [
+        np.convolve(m.weight * m.torque**2, np.ones(min(n, len(m.time))), "valid")
+        for m, n in zip(law, size, strict=True)
+    ]
+    k = int(np.argmax([float(s.max()) for s in sums]))
+    first = int(np.argmax(sums[k]))
+    return k, slice(first, first + size[k])
+
+
+def where_most(
+    data: Data, two: Sides, joints: Sequence[int]
+) -> tuple[int, list[Missing], list[Missing]]:
+    """The joint with the largest torque between two models, and what each of them lacks there."""
+    best = -1.0
+    for joint in joints:
+        _, before, after = clearest(data, two, joint)
+        law = between(before, after)
+        k, cut = _most(law)
+        weight = law[k].weight[cut]
+        acts = float(np.sum(weight * law[k].torque[cut] ** 2) / max(np.sum(weight), 1e-300))
+        if acts > best:
+            best, found = acts, (joint, before, after)
+    return found
 
 
 def drawn(lacks: Sequence[Missing]) -> list[Array]:

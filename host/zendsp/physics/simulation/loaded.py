@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from zendsp.errors import AcquisitionError, CompileFailed, VariableError
 from zendsp.physics.simulation.plant import Plant
-from zendsp_protocol.texts import counted, joint_units, units_of
+from zendsp_protocol.texts import counted, joint_units, on_one_line, units_of
 from zendsp_protocol.values import Assignable
 
 Array = npt.NDArray[np.float64]
@@ -116,7 +116,7 @@ class LoadedProgram:
             v = self.host.variable[k]
             name = text(v.name).decode()
             unit = joint_units(
-                text(v.unit).decode(errors="replace"),
+                on_one_line(text(v.unit).decode(errors="replace")),
                 self.joints,
                 0 if v.kind == _TABLE else v.length,
             )

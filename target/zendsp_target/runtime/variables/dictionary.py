@@ -16,7 +16,7 @@ import numpy.typing as npt
 from zendsp_protocol.errors import VariableError, nearest
 from zendsp_protocol.messages import VariableInfo
 from zendsp_protocol.states import VariableKind
-from zendsp_protocol.texts import joint_units
+from zendsp_protocol.texts import joint_units, on_one_line
 from zendsp_protocol.values import Value
 from zendsp_target.runtime.memory.layout import text_of
 
@@ -135,16 +135,17 @@ class Dictionary:
             start = array.copy() if raw.length > 1 else array[0].item()
             if raw.columns > 1:
                 start = array.reshape(-1, raw.columns).copy()
+        unit = on_one_line(text_of(raw.unit))
         info = VariableInfo(
             name=text_of(raw.name),
             type=type_name,
             length=raw.length * (raw.columns if table else 1),
             kind=kind,
-            unit=joint_units(text_of(raw.unit), self._joints, 0 if table else raw.length),
+            unit=joint_units(unit, self._joints, 0 if table else raw.length),
             minimum=raw.minimum,
             maximum=raw.maximum,
             initial=start,
-            description=text_of(raw.text),
+            description=on_one_line(text_of(raw.text)),
             address=raw.address,
             columns=raw.columns,
         )
