@@ -378,7 +378,7 @@ def rejected_bodies(search: BodySearch, claims: Sequence[BodyClaim]) -> list[Rej
 
 def _effects(words: Sequence[str], own: str) -> tuple[str, ...]:
     """Effects of hypotheses in words ("payload of link3") but ``own``, each once: reports name
-    effects, the sentence says of which body, and what is none.
+    effects; of which body they are, and rivals that are no effects, is in the sentence.
     """
     effects = (w.split(" of ")[0] for w in words if w not in IN_WORDS)
     strength = ("gravity",) if "gravity_scale" in words else ()

@@ -253,7 +253,7 @@ class Hunt:
         return ""
 
     def _may_be_a_step(self, term: Term) -> bool:
-        """Whether something comes no later, or earlier, than the simulator's steps may make it."""
+        """Whether a term comes late, or early, by no more than the simulator's own steps may."""
         effect = get_effect(term.effect)
         if effect.family != "timing":
             return False

@@ -53,7 +53,8 @@ LASTING, ELSEWHERE = 0.25, 0.1
 # most, a strap at the ends of the travel 2.6; over all of three recordings 2.3, and a strap, a gap
 # and two frictions 6.0 to 12.3.
 MANY, FEW = 12, 2
-A_LARGE = 0.25  # of the energy of the largest interval: half of its torque for as long
+# of the energy of the largest interval: half of its torque for as long; chosen on two cases
+A_LARGE = 0.25
 
 
 @dataclass(frozen=True)
