@@ -56,3 +56,14 @@ def test_a_joint_that_rests_nearly_always_has_a_speed_and_a_command() -> None:
         for point in grid_of(effect, record, MODEL):
             assert all(map(math.isfinite, point.values())), effect.name
             assert point.get("velocity", 1.0) > 0.0
+
+
+@pytest.mark.parametrize("name", ["elasticity", "backlash", "stiffening"])
+def test_a_transmission_may_swing_as_fast_as_rows_can_show(name: str) -> None:
+    # at a bound a stiff contact of a slow recording was taken for a weaker drive of less mass
+    known = facts(prepare([recording(4.0, 0.9)], MODEL).records[0][0])
+    (stiffness,) = (p for p in library()[name].parameters if p.name == "stiffness")
+    assert stiffness.limits is not None
+    reduced = 0.25 * known.scale.inertia  # of two equal halves
+    fastest = math.sqrt(stiffness.limits(known)[1] / reduced)
+    assert fastest * T == pytest.approx(min(math.pi, 2 * math.pi * 200.0 * T))

@@ -100,7 +100,8 @@ def resonance(facts: Facts, hertz: float, share: float) -> float:
 
 
 def _fastest(facts: Facts) -> float:
-    return min(2 * math.pi * FASTEST, 1.0 / facts.sample_time)
+    """The fastest swing that rows at their distance can show, rad/s."""
+    return min(2 * math.pi * FASTEST, math.pi / facts.sample_time)
 
 
 def transmission_limits(facts: Facts) -> tuple[float, float]:
