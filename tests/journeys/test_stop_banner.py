@@ -41,32 +41,26 @@ def running(
     user: Installed,
     screens: list[Screen],
     size: tuple[int, int] = (80, 24),
-    name: str = "console",
 ) -> tuple[subprocess.Popen[str], Screen]:
     """A target whose program runs, and a terminal that shows it."""
     process = user.target("imi")
     done = user.script(PREPARE)
     assert done.returncode == 0, done.stderr
-    screens.append(Screen(user, size, "imi", "--screen", name))
+    screens.append(Screen(user, size, "imi", "--screen", "console"))
     screens[-1].until("● running")
     return process, screens[-1]
 
 
-SMALL, LARGE = (80, 24), (200, 60)
-
-
-@pytest.mark.parametrize(
-    ("size", "name"), [(SMALL, "console"), (SMALL, "execute"), (LARGE, "reference")]
-)
-def test_stop_ends_in_the_right_banner(
-    installed: Installed, screens: list[Screen], name: str, size: tuple[int, int]
-) -> None:
-    process, screen = running(installed, screens, size, name)
+def test_stop_ends_in_the_right_banner(installed: Installed, screens: list[Screen]) -> None:
+    """On the console, among the runs, and beside a motion on a large screen."""
+    process, screen = running(installed, screens)
     screen.keys(F9)
     screen.until("stopped, at sample")
 
     assert installed.script(PREPARE).returncode == 0
     screen.until("● running")
+    screen.keys(b"\x1bOR")  # F3
+    screen.until("reference chosen")
     runner = runner_of(process.pid)
     os.kill(process.pid, signal.SIGSTOP)  # before the runner: its watchdog would end it
     os.kill(runner, signal.SIGSTOP)
@@ -75,6 +69,9 @@ def test_stop_ends_in_the_right_banner(
     os.kill(process.pid, signal.SIGCONT)
     os.killpg(process.pid, signal.SIGKILL)
     screen.until("LINK LOST")
+    screen.resize(200, 60)
+    screen.keys(b"\x1bOS")  # F4
+    screen.until("Motion")
     screen.keys(F9)
     screen.until("NOT STOPPED: use the machine's emergency stop, then Ctrl+K")
     assert "STOP sent" not in screen.text()
