@@ -90,12 +90,12 @@ def test_on_a_dask_cluster_the_outcome_is_the_same(fleet: Path, here: list[Item]
         n_workers=1, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
     ) as cluster:
         there = diagnose_each(
-            [fleet / "one.csv", fleet / "two.csv"], fleet / "model.toml",
+            [fleet / "two.csv"], fleet / "model.toml",
             scheduler=cluster.scheduler_address,
         )
-    for a, b in zip(there, here[:2], strict=True):
-        assert a.report is not None and b.report is not None
-        assert {**a.report, "seconds": 0} == {**b.report, "seconds": 0}
+    (a,), b = there, here[1]
+    assert a.report is not None and b.report is not None
+    assert {**a.report, "seconds": 0} == {**b.report, "seconds": 0}
 
 
 def test_a_scheduler_that_is_not_there_is_named() -> None:

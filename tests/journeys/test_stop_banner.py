@@ -52,8 +52,16 @@ def running(
 
 
 def test_stop_ends_in_the_right_banner(installed: Installed, screens: list[Screen]) -> None:
-    """On the console, among the runs, and beside a motion on a large screen."""
+    """On the console, among the runs, and beside a motion on a large screen; a pasted key is none.
+    """
     process, screen = running(installed, screens)
+    screen.keys(b"\x1b[200~" + F9 + b"\x1b[201~")  # pasted, it does not stop
+    screen.keys(b"\x1bOS")  # F4: a key after it has been seen, so the paste has been read
+    screen.until("Motion")
+    assert "stopped" not in screen.text()
+    assert "nothing happened" in installed.script(NOT_STOPPED).stdout
+    screen.keys(b"\x1bOQ")  # F2
+    screen.until("Kp1")
     screen.keys(F9)
     screen.until("stopped, at sample")
 
@@ -214,15 +222,6 @@ def stopper_of(terminal: int) -> int:
             if "zendsp.tui.stop_process" in Path(f"/proc/{child}/cmdline").read_text():
                 return int(child)
     pytest.fail("the terminal has no process of the keys")
-
-
-def test_a_pasted_key_does_not_stop(installed: Installed, screens: list[Screen]) -> None:
-    _, screen = running(installed, screens)
-    screen.keys(b"\x1b[200~" + F9 + b"\x1b[201~")
-    screen.keys(b"\x1bOS")  # a key after it has been seen: so the paste has been read
-    screen.until("Motion")
-    assert "stopped" not in screen.text()
-    assert "nothing happened" in installed.script(NOT_STOPPED).stdout
 
 
 def test_the_command_stops_or_says_loudly_that_it_could_not(installed: Installed) -> None:
