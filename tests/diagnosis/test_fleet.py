@@ -43,7 +43,7 @@ def test_each_recording_gets_its_own_diagnosis_in_its_own_process(
     fleet: Path, tmp_path: Path, typed: Callable[..., tuple[object, str, str]]
 ) -> None:
     runs = [fleet / f"{n}.csv" for n in ("one", "two", "three")]
-    options = ("--each", "--jobs", 2, "--out", tmp_path, "--json")
+    options = ("--each", "--jobs", 2, "--out", tmp_path, "--no-figures", "--json")
     status, out, _ = typed("diagnose", *runs, "--model", fleet / "model.toml", *options)
     assert status == 0
     rows = json.loads(out)
@@ -51,9 +51,7 @@ def test_each_recording_gets_its_own_diagnosis_in_its_own_process(
     assert [r["report"] and r["report"]["verdict"] for r in rows] == ["complete", "missing", None]
     assert rows[1]["report"]["findings"][0]["effect"] == "quadratic_drag"
     assert "three.csv" in rows[2]["error"] and "samples" in rows[2]["error"]
-    assert (tmp_path / "one" / "report.json").exists() and (
-        tmp_path / "two" / "report.html"
-    ).exists()
+    assert all((tmp_path / name / "report.json").exists() for name in ("one", "two"))
     assert not (tmp_path / "three").exists()
 
 

@@ -146,6 +146,7 @@ def test_pytest_ends_after_its_last_line(installed: Installed) -> None:
     assert "1 failed, 1 passed" in said
 
 
+@pytest.mark.long("a kernel that commands ends below, scripts above; lost: its own target")
 def test_a_notebook_kernel_ends_and_its_target_with_it(kernels: Installed) -> None:
     text = """
 import nbformat

@@ -69,6 +69,7 @@ for cell, text in zip(book.cells, shown):
 """
 
 
+@pytest.mark.long("tests/diagnosis/test_progress.py has the line; lost: as a notebook shows it")
 def test_what_takes_a_second_shows_in_a_notebook_how_far_it_is(kernels: Installed) -> None:
     record_bench(kernels.folder / "bench.csv")
     kernels.write("bench.toml", BENCH)
