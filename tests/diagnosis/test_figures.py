@@ -208,6 +208,10 @@ def test_the_first_of_several_recordings_is_drawn_by_its_own_clock() -> None:
     assert figures.one_after_the_other([(stamp + 0.5, 5.0)]) == [stamp + 0.5]
 
 
+LAW = pytest.mark.long("test_decision.py draws others, by the same code; lost: its figure")
+
+
+@LAW
 @pytest.mark.parametrize("seconds", [(9.0, 12.0)])
 def test_a_stribeck_curve_is_drawn_with_the_level_on_which_it_stands(decided: Decided) -> None:
     """The sentence names the breakaway torque, so the figure shows it."""
@@ -220,6 +224,7 @@ def test_a_stribeck_curve_is_drawn_with_the_level_on_which_it_stands(decided: De
     assert np.max(np.abs(means.y)) > 0.025, "passed in less than an observer remembers"
 
 
+@LAW
 def test_a_law_with_a_memory_is_drawn_over_time(decided: Decided) -> None:
     """Over no variable is the torque that a delay brings at another time a curve."""
     d = decided(reality.Machine(delay=0.006))
@@ -258,6 +263,7 @@ def test_a_joint_at_rest_does_not_stretch_the_axis_of_errors(
     assert all(np.min(s.y) > 0.1 * rms.level[0] for s in rms.series)
 
 
+@pytest.mark.long("test_two_sensors.py finds the spring; lost: the figure of its torsion")
 def test_what_two_sensors_show_of_a_spring_is_drawn_as_its_torsion(tmp_path: Path) -> None:
     """Over the torque that it transmits: the slope of the line is the compliance of the words."""
     machine = reality.Machine(both_sides=True, load=0.006, soft=60.0, resolution=FINE)

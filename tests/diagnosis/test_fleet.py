@@ -43,7 +43,7 @@ def test_each_recording_gets_its_own_diagnosis_in_its_own_process(
     fleet: Path, tmp_path: Path, typed: Callable[..., tuple[object, str, str]]
 ) -> None:
     runs = [fleet / f"{n}.csv" for n in ("one", "two", "three")]
-    options = ("--each", "--jobs", 2, "--out", tmp_path, "--json")
+    options = ("--each", "--jobs", 2, "--out", tmp_path, "--no-figures", "--json")
     status, out, _ = typed("diagnose", *runs, "--model", fleet / "model.toml", *options)
     assert status == 0
     rows = json.loads(out)
@@ -51,9 +51,7 @@ def test_each_recording_gets_its_own_diagnosis_in_its_own_process(
     assert [r["report"] and r["report"]["verdict"] for r in rows] == ["complete", "missing", None]
     assert rows[1]["report"]["findings"][0]["effect"] == "quadratic_drag"
     assert "three.csv" in rows[2]["error"] and "samples" in rows[2]["error"]
-    assert (tmp_path / "one" / "report.json").exists() and (
-        tmp_path / "two" / "report.html"
-    ).exists()
+    assert all((tmp_path / name / "report.json").exists() for name in ("one", "two"))
     assert not (tmp_path / "three").exists()
 
 
@@ -90,12 +88,12 @@ def test_on_a_dask_cluster_the_outcome_is_the_same(fleet: Path, here: list[Item]
         n_workers=1, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
     ) as cluster:
         there = diagnose_each(
-            [fleet / "one.csv", fleet / "two.csv"], fleet / "model.toml",
+            [fleet / "two.csv"], fleet / "model.toml",
             scheduler=cluster.scheduler_address,
         )
-    for a, b in zip(there, here[:2], strict=True):
-        assert a.report is not None and b.report is not None
-        assert {**a.report, "seconds": 0} == {**b.report, "seconds": 0}
+    (a,), b = there, here[1]
+    assert a.report is not None and b.report is not None
+    assert {**a.report, "seconds": 0} == {**b.report, "seconds": 0}
 
 
 def test_a_scheduler_that_is_not_there_is_named() -> None:

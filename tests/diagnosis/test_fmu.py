@@ -253,6 +253,7 @@ def diagnosed(shop: Path, folder: Path, fmu: str, run: str, jobs: int = 1) -> Di
     return zendsp.diagnose(shop / f"{run}1.npz", model, shop / f"{run}2.npz", jobs=jobs)
 
 
+@pytest.mark.long("one that errs is below, a Python simulator's is named alike; lost: an FMU's")
 def test_coulomb_friction_that_an_fmu_lacks_is_named(shop: Path, tmp_path: Path) -> None:
     """Of FMI 3; that of FMI 2 gives the same numbers, see below."""
     left = set(os.listdir(tempfile.gettempdir()))

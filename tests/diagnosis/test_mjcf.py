@@ -160,6 +160,7 @@ def test_a_spring_is_found_where_joints_only_sway(
     assert abs(spring.value - 3.0) < 3 * spring.std < 0.6
 
 
+@pytest.mark.long("a sealed case has such a payload; lost: that it is written into the MJCF")
 def test_a_payload_is_one_body_by_mujocos_name_and_goes_into_the_mjcf(diagnosed) -> None:  # type: ignore[no-untyped-def]
     d, folder = diagnosed("payload", xml(tool=TOOL), xml())
     first = d.findings[0]

@@ -128,8 +128,18 @@ def unknown_joint(rng: np.random.Generator, stribeck: float, uneven: float) -> S
     return Sliding(part, q, speed, torque, 0 * q, acceleration)
 
 
-@pytest.mark.parametrize("stribeck", [0.0, 0.023])
-@pytest.mark.parametrize("uneven", [0.0, 0.05])
+ALONE = pytest.mark.long("the last has both at once; lost: each alone")
+
+
+@pytest.mark.parametrize(
+    ("stribeck", "uneven"),
+    [
+        pytest.param(0.0, 0.0, marks=ALONE),
+        pytest.param(0.0, 0.05, marks=ALONE),
+        pytest.param(0.023, 0.0, marks=ALONE),
+        (0.023, 0.05),
+    ],
+)
 def test_friction_of_an_unknown_joint_is_the_line_that_it_ends_in(
     stribeck: float, uneven: float
 ) -> None:

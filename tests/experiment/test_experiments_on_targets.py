@@ -37,6 +37,7 @@ def keep(lab: Lab, result: Result) -> Result:
     return result
 
 
+@pytest.mark.long("the slide below goes the same road; lost: what compensation gains on the arm")
 def test_the_planar_arms_friction_is_found_and_compensated(folder: Path) -> None:
     lab = Lab(folder)
     found = keep(lab, static(lab, count=2))
@@ -156,6 +157,7 @@ def test_an_experiment_for_any_machine_asks_for_one(tmp_path: Path) -> None:
         run_experiment("friction", Lab(tmp_path))
 
 
+@pytest.mark.long("tests/physics simulates, tests/target/test_model.py runs; lost: both in one")
 def test_machine_and_simulation_have_the_same_joint_error(tmp_path: Path) -> None:
     lab = Lab(tmp_path)
     (tmp_path / "wam-friction").mkdir()

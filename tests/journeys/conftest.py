@@ -19,7 +19,6 @@ from pathlib import Path
 
 import pytest
 from journey import Installed
-from pages import blocks
 
 ROOT = Path(__file__).parents[2]
 
@@ -49,13 +48,10 @@ def environment_of_the_wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return home
 
 
-# The kernels of the library, and of the effect that docs/effects.md adds: half a minute each, of
-# which other tests need the same.
-KERNELS = """
-from zendsp.physics.effects import library, load_effects
+# The kernel of the library: half a minute, of which other tests need the same.
+KERNEL = """
+from zendsp.physics.effects import library
 from zendsp.physics.kernel.native import build, source_text
-print(build(source_text(library())))
-load_effects("film.py")
 print(build(source_text(library())))
 """
 
@@ -67,11 +63,8 @@ def cache_of_the_journeys(tmp_path_factory: pytest.TempPathFactory) -> Path:
     tests/whole/test_wheel.py compiles the kernel of the wheel into an empty cache.
     """
     cache = tmp_path_factory.mktemp("cache")
-    (film,) = (b for b in blocks(ROOT / "docs" / "effects.md") if 'name="film"' in b.text)
-    (cache / "film.py").write_text(film.text)
     (cache / "zendsp").mkdir()
-    for kernel in _checked([sys.executable, "-c", KERNELS], cache).split():
-        shutil.copy(kernel, cache / "zendsp")
+    shutil.copy(_checked([sys.executable, "-c", KERNEL], cache).strip(), cache / "zendsp")
     return cache
 
 

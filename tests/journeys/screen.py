@@ -48,7 +48,7 @@ class Screen:
             os.chdir(installed.folder)
             command = list(program) or [str(installed.zendsp), "tui", *options, "--frames", "4"]
             os.execve(command[0], command, installed.env)
-        fcntl.ioctl(self.fd, termios.TIOCSWINSZ, struct.pack("HHHH", size[1], size[0], 0, 0))
+        self.resize(*size)
 
         def read() -> None:
             try:
@@ -65,6 +65,11 @@ class Screen:
                 raise
 
         threading.Thread(target=read, daemon=True).start()
+
+    def resize(self, columns: int, rows: int) -> None:
+        """Let the window have so many."""
+        self.shown.resize(rows, columns)
+        fcntl.ioctl(self.fd, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
 
     def rows(self) -> list[str]:
         """All rows as they are now; put together once for each change."""

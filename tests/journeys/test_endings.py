@@ -89,7 +89,12 @@ def _finish(process: subprocess.Popen[str], ending: str) -> None:
     until(lambda: process.poll() is not None, f"{ending}: the end of the process")
 
 
-@pytest.mark.parametrize("opening", OPENINGS)
+SAME = pytest.mark.long("local ends alike, what commands has a view below; lost: matdsp's link")
+
+
+@pytest.mark.parametrize(
+    "opening", [pytest.param(name, marks=[] if name == "local" else [SAME]) for name in OPENINGS]
+)
 def test_a_script_ends_however_it_ends(installed: Installed, opening: str) -> None:
     installed.target("imi")
     assert installed.script(PREPARE).returncode == 0
@@ -141,6 +146,7 @@ def test_pytest_ends_after_its_last_line(installed: Installed) -> None:
     assert "1 failed, 1 passed" in said
 
 
+@pytest.mark.long("a kernel that commands ends below, scripts above; lost: its own target")
 def test_a_notebook_kernel_ends_and_its_target_with_it(kernels: Installed) -> None:
     text = """
 import nbformat
@@ -235,7 +241,7 @@ def test_the_end_of_a_host_is_quiet(installed: Installed) -> None:
     installed.target("imi")
     assert installed.script(PREPARE).returncode == 0
     path = installed.write("quiet.py", QUIET_END)
-    for process in [installed.start("python", path) for _ in range(4)]:
+    for process in [installed.start("python", path) for _ in range(2)]:
         said = process.communicate(timeout=PATIENCE_S)
         assert process.returncode == 0, said
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 
+import pytest
 from journey import Installed
 from screen import Screen
 
 
+@pytest.mark.long("tests/tui/test_session.py has what waits; lost: by keys, in a terminal")
 def test_what_waits_behind_a_homing_that_fails_is_not_carried_out(installed: Installed) -> None:
     """Enable and start were typed while the arm went home; then somebody paused it."""
     installed.target("imi", "imi_planar", "--machine-option", "q2=2.0")  # seconds from home

@@ -37,9 +37,8 @@ with zendsp.connect('imi') as t:
 MORE = pytest.mark.long("tests/experiment/test_put_back.py has both; lost: a killed process")
 
 
-@pytest.mark.parametrize(
-    "run", ["sweep", pytest.param("frequency response", marks=MORE)]
-)
+@MORE
+@pytest.mark.parametrize("run", RUNS)
 def test_a_killed_host_leaves_the_program_as_it_was(installed: Installed, run: str) -> None:
     installed.target("imi")
     assert installed.script(PREPARE).returncode == 0

@@ -20,13 +20,13 @@ for cell in notebook.cells:
 """
 
 
-MORE = pytest.mark.long("two others run, tests/experiment has the calls; lost: these cells")
-IN_CI = ("diagnose_a_file", "tune_a_loop")
+MORE = pytest.mark.long("another runs, tests/experiment has the calls; lost: these cells")
+IN_CI = "diagnose_a_file"
 
 
 @pytest.mark.parametrize(
     "notebook",
-    [pytest.param(p, id=p.stem, marks=[] if p.stem in IN_CI else [MORE]) for p in NOTEBOOKS],
+    [pytest.param(p, id=p.stem, marks=[] if p.stem == IN_CI else [MORE]) for p in NOTEBOOKS],
 )
 def test_a_notebook_of_the_examples_runs_and_shows_tables_and_curves(
     kernels: Installed, notebook: Path
@@ -69,6 +69,7 @@ for cell, text in zip(book.cells, shown):
 """
 
 
+@pytest.mark.long("tests/diagnosis/test_progress.py has the line; lost: as a notebook shows it")
 def test_what_takes_a_second_shows_in_a_notebook_how_far_it_is(kernels: Installed) -> None:
     record_bench(kernels.folder / "bench.csv")
     kernels.write("bench.toml", BENCH)

@@ -7,6 +7,7 @@ import signal
 import subprocess
 from pathlib import Path
 
+import pytest
 from journey import PATIENCE_S, Installed, until
 
 RECORDING = """
@@ -60,6 +61,7 @@ def test_ctrl_c_pauses_what_the_recording_started(installed: Installed) -> None:
     assert "paused" in installed.script(STATE).stdout
 
 
+@pytest.mark.long("test_full_disk.py has the harder; lost: a file where a folder is meant")
 def test_a_recording_that_cannot_be_written_there_is_written_elsewhere(
     installed: Installed,
 ) -> None:

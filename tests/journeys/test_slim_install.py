@@ -99,14 +99,13 @@ def test_the_link_records_a_csv_and_refuses_parquet_by_name(slim: Installed) -> 
     assert "a Parquet file needs pyarrow: pip install 'zendsp[parquet]'" in refused.stderr
 
 
+@pytest.mark.long("the demo records and diagnoses, tests/physics simulates; lost: without extras")
 @pytest.mark.parametrize(
     ("machine", "program", "amplitude"),
     [
-        # diagnosed by the demo above
-        pytest.param("imi_planar", "pd.c", "0.05", marks=MORE_JOINTS),
+        ("imi_planar", "pd.c", "0.05"),
         ("pendulum", "pendulum_track.c", "0.5"),
-        # what it lacks is found without any package of its own: tests/diagnosis/test_bodies.py
-        pytest.param("wam7", "wam_pd_gravity.c", "0.05", marks=MORE_JOINTS),
+        ("wam7", "wam_pd_gravity.c", "0.05"),
     ],
 )
 def test_a_shipped_machine_is_simulated_and_diagnosed(

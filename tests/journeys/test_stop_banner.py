@@ -41,32 +41,34 @@ def running(
     user: Installed,
     screens: list[Screen],
     size: tuple[int, int] = (80, 24),
-    name: str = "console",
 ) -> tuple[subprocess.Popen[str], Screen]:
     """A target whose program runs, and a terminal that shows it."""
     process = user.target("imi")
     done = user.script(PREPARE)
     assert done.returncode == 0, done.stderr
-    screens.append(Screen(user, size, "imi", "--screen", name))
+    screens.append(Screen(user, size, "imi", "--screen", "console"))
     screens[-1].until("● running")
     return process, screens[-1]
 
 
-SMALL, LARGE = (80, 24), (200, 60)
-
-
-@pytest.mark.parametrize(
-    ("size", "name"), [(SMALL, "console"), (SMALL, "execute"), (LARGE, "reference")]
-)
-def test_stop_ends_in_the_right_banner(
-    installed: Installed, screens: list[Screen], name: str, size: tuple[int, int]
-) -> None:
-    process, screen = running(installed, screens, size, name)
+def test_stop_ends_in_the_right_banner(installed: Installed, screens: list[Screen]) -> None:
+    """On the console, among the runs, and beside a motion on a large screen; a pasted key is none.
+    """
+    process, screen = running(installed, screens)
+    screen.keys(b"\x1b[200~" + F9 + b"\x1b[201~")  # pasted, it does not stop
+    screen.keys(b"\x1bOS")  # F4: a key after it has been seen, so the paste has been read
+    screen.until("Motion")
+    assert "stopped" not in screen.text()
+    assert "nothing happened" in installed.script(NOT_STOPPED).stdout
+    screen.keys(b"\x1bOQ")  # F2
+    screen.until("Kp1")
     screen.keys(F9)
     screen.until("stopped, at sample")
 
     assert installed.script(PREPARE).returncode == 0
     screen.until("● running")
+    screen.keys(b"\x1bOR")  # F3
+    screen.until("reference chosen")
     runner = runner_of(process.pid)
     os.kill(process.pid, signal.SIGSTOP)  # before the runner: its watchdog would end it
     os.kill(runner, signal.SIGSTOP)
@@ -75,6 +77,9 @@ def test_stop_ends_in_the_right_banner(
     os.kill(process.pid, signal.SIGCONT)
     os.killpg(process.pid, signal.SIGKILL)
     screen.until("LINK LOST")
+    screen.resize(200, 60)
+    screen.keys(b"\x1bOS")  # F4
+    screen.until("Motion")
     screen.keys(F9)
     screen.until("NOT STOPPED: use the machine's emergency stop, then Ctrl+K")
     assert "STOP sent" not in screen.text()
@@ -217,15 +222,6 @@ def stopper_of(terminal: int) -> int:
             if "zendsp.tui.stop_process" in Path(f"/proc/{child}/cmdline").read_text():
                 return int(child)
     pytest.fail("the terminal has no process of the keys")
-
-
-def test_a_pasted_key_does_not_stop(installed: Installed, screens: list[Screen]) -> None:
-    _, screen = running(installed, screens)
-    screen.keys(b"\x1b[200~" + F9 + b"\x1b[201~")
-    screen.keys(b"\x1bOS")  # a key after it has been seen: so the paste has been read
-    screen.until("Motion")
-    assert "stopped" not in screen.text()
-    assert "nothing happened" in installed.script(NOT_STOPPED).stdout
 
 
 def test_the_command_stops_or_says_loudly_that_it_could_not(installed: Installed) -> None:

@@ -319,6 +319,7 @@ def swing() -> Reference:
     return make_swing(load_machine("pendulum"), goal=math.pi, duration=0.8, torque_limit=0.5)
 
 
+@pytest.mark.long("tests/reference integrates a swing; lost: that the machine in C follows it")
 def test_a_swing_planned_with_friction_reaches_its_goal_open_loop_and_better_in_closed_loop(
     swing: Reference,
 ) -> None:
@@ -333,7 +334,7 @@ def test_a_swing_planned_with_friction_reaches_its_goal_open_loop_and_better_in_
     assert ends[0.0] < 0.35 and ends[1.2] < 0.1
 
 
-@pytest.mark.long("the test below swings with friction; lost: what its lack does")
+@pytest.mark.long("tests/reference integrates a swing; lost: what a lack of friction does")
 def test_a_swing_planned_without_friction_misses_open_loop_and_is_helped_by_compensation() -> None:
     frictionless = make_swing(
         load_machine("pendulum"), goal=math.pi, duration=0.8, torque_limit=0.5, friction=0.0

@@ -104,7 +104,10 @@ def test_every_effect_that_fits_can_be_concealed_and_is_named_by_the_contract(ma
         assert np.all(np.isfinite(simulate(changed, "sines", np.random.default_rng(9)).run.q)), name
 
 
-@pytest.mark.parametrize("name", ["elasticity", "equality"])
+EITHER = pytest.mark.long("an equality is the harder way to hold them; lost: a spring")
+
+
+@pytest.mark.parametrize("name", [pytest.param("elasticity", marks=EITHER), "equality"])
 def test_a_rotor_drags_its_load_along_whatever_holds_them_together(name: str) -> None:
     b, record = bench("mj_cart", 3, 4.0)
     scale = make.scales_of(b, record)[0]

@@ -45,7 +45,13 @@ PAIRS = [
 ]
 
 
-@pytest.mark.parametrize(("machine", "kind"), PAIRS)
+SWING = pytest.mark.long("swings are planned below; lost: with the defaults")
+
+
+@pytest.mark.parametrize(
+    ("machine", "kind"),
+    [pytest.param(m, k, marks=[SWING] if k == "swing" else []) for m, k in PAIRS],
+)
 def test_defaults_of_every_kind_are_playable_on_every_machine(machine: str, kind: str) -> None:
     reference = planned(machine, kind)
     load_machine(machine).check(reference)
@@ -199,6 +205,7 @@ def test_swing_reaches_the_goal_when_an_adaptive_integrator_plays_its_torque() -
     assert x == pytest.approx([2.0, 0.0], abs=0.02)
 
 
+@pytest.mark.long("the next swing uses all torque; lost: that more of it is quicker")
 def test_time_optimal_swing_is_faster_with_more_torque_and_slower_with_friction() -> None:
     machine = load_machine("pendulum")
     durations = [

@@ -401,7 +401,7 @@ async def test_no_number_of_the_list_of_runs_is_cut_to_another(
         await pilot.press("f3")
         await pilot.pause()
         table = app.screen.query_one("#runs", DataTable)
-        for width in (80, 84, 88, 100, 140, 142, 144, 200):
+        for width in (80, 88, 142, 200):
             await pilot.resize_terminal(width, 24 if width == 80 else 45)
             bar = app.screen.query_one("StatusBar")
             await until(pilot, lambda bar=bar, wide=width: bar.region.width == wide,

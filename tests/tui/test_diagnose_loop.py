@@ -85,6 +85,10 @@ async def test_compensation_fades_in_and_out_of_the_running_program(
         await until(pilot, lambda: share() == 0.0, "off")
 
 
+TOLD = pytest.mark.long("compensation is faded in above; lost: what is said before it can be")
+
+
+@TOLD
 async def test_a_program_without_room_is_told_what_to_add(
     lab: ZendspApp, enabled: Step, until: Until, folder: Path
 ) -> None:
@@ -107,6 +111,7 @@ async def test_a_program_without_room_is_told_what_to_add(
         assert screen.compensation is not None and screen.compensation.left_out == ()
 
 
+@TOLD
 async def test_a_program_that_runs_already_needs_no_source_to_be_chosen(
     lab: ZendspApp, target: Target, until: Until, folder: Path
 ) -> None:

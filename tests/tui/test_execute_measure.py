@@ -34,7 +34,10 @@ def _type(app: ZendspApp, **values: str) -> None:
         app.screen.query_one(f"#f-{key}", Input).value = value
 
 
-@pytest.mark.parametrize("size", [(160, 45), (80, 24)])
+LARGE = pytest.param((160, 45), marks=pytest.mark.long("a smaller terminal has less room"))
+
+
+@pytest.mark.parametrize("size", [LARGE, (80, 24)])
 async def test_no_button_moves_under_the_mouse(
     lab: ZendspApp, target: Target, built: Step, until: Until, size: tuple[int, int]
 ) -> None:

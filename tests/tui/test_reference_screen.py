@@ -128,6 +128,7 @@ async def test_a_saved_reference_is_what_was_planned_and_goes_to_execute(
         await until(pilot, lambda: app.screen.is_mounted, "Execute is there")
 
 
+@pytest.mark.long("the test above saves and goes to Execute; lost: that no second file is written")
 async def test_what_is_saved_goes_to_execute_without_a_second_file(
     app: ZendspApp, until: Until, tmp_path: Path
 ) -> None:

@@ -184,7 +184,10 @@ async def test_a_key_and_a_click_stop_from_a_page(target: Target, tmp_path: Path
                 target.start()
 
 
-@pytest.mark.parametrize("how", ["asked", "page hangs", "killed"])
+ASKED = pytest.param("asked", marks=pytest.mark.long("a page that hangs is harder to end"))
+
+
+@pytest.mark.parametrize("how", [ASKED, "page hangs", "killed"])
 async def test_pages_end_with_the_server_and_let_the_target_go(
     target: Target, tmp_path: Path, how: str
 ) -> None:

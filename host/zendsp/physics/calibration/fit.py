@@ -320,10 +320,11 @@ class _Problem:
         """
         step = self.coarse * np.maximum(np.abs(at), self.size)
         step = np.where(at + step > self.high, -step, step)
-        ahead = [at + step[i] * np.eye(len(at))[i] for i in range(len(at))]
+        moves = np.diag(step)
+        ahead = [at + move for move in moves]
         back = []
         if self.central:
-            moved = [at - step[i] * np.eye(len(at))[i] for i in range(len(at))]
+            moved = [at - move for move in moves]
             back = [np.clip(point, self.low, self.high) for point in moved]
         here = [at] if base is None else []
         points = [*here, *ahead, *back]
@@ -350,14 +351,15 @@ class _Problem:
         # of each number: a gap in mm and a stiffness in MN/m meet in one matrix
         unit = np.maximum(np.abs(x), self.size)
         gradient, normal = unit * (jac.T @ r), unit[:, None] * (jac.T @ jac) * unit
-        least = 1e-12 * max(float(np.max(np.diag(normal))), 1e-300)
-        diagonal = np.maximum(np.diag(normal), least)
+        diagonal = normal.diagonal()
+        diagonal = np.maximum(diagonal, 1e-12 * max(float(diagonal.max()), 1e-300))
         use = ~(((x <= self.low) & (gradient > 0)) | ((x >= self.high) & (gradient < 0)))
 
         def step(damping: float) -> Array:
             out = np.zeros_like(x)
             if use.any():
-                a = normal[np.ix_(use, use)] + damping * np.diag(diagonal[use])
+                a = normal[np.ix_(use, use)]
+                a.flat[:: len(a) + 1] += damping * diagonal[use]
                 out[use] = -np.linalg.lstsq(a, gradient[use], rcond=1e-14)[0]
             return out
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.physics.effects import get_effect
-from zendsp.physics.model import Model, Term
+from zendsp.physics.model import Model, Quantity, Term
 
 Array = npt.NDArray[np.float64]
 
@@ -100,11 +100,13 @@ def set_values(model: Model, handles: Sequence[Handle], x: Array) -> Model:
     for i, h in enumerate(handles):
         value = float(x[i])
         if h.place == "mechanism":
-            mechanism[h.key][h.index] = replace(mechanism[h.key][h.index], value=value, std=0.0)
+            number = mechanism[h.key][h.index]
+            mechanism[h.key][h.index] = Quantity(value, number.free, number.unit)
         elif h.place == "term":
             term = terms[h.index]
-            number = replace(term.parameters[h.key], value=value, std=0.0)
-            terms[h.index] = Term(term.effect, term.joint, {**term.parameters, h.key: number})
+            number = term.parameters[h.key]
+            numbers = {**term.parameters, h.key: Quantity(value, number.free, number.unit)}
+            terms[h.index] = Term(term.effect, term.joint, numbers)
         elif h.place == "gain":
             gain[h.index] = value
         else:

@@ -254,14 +254,19 @@ class Native:
 
 
 _opened: dict[tuple[str, ...], Native] = {}
+_latest: list[tuple[dict[str, Effect], Native]] = []  # asked for thousands of times
 
 
 def native() -> Native:
     """The library for the present set of effects, compiled at first use."""
     effects = library()
+    for known, opened in _latest:
+        if known is effects:
+            return opened
     key = tuple(effects)
     if key not in _opened:
         _opened[key] = Native(effects)
+    _latest[:] = [(effects, _opened[key])]
     return _opened[key]
 
 
