@@ -21,6 +21,7 @@ FRICTION = np.array([0.6, 1.2, 0.5])  # N m, dry
 DAMPING = np.array([0.3, 0.6, 0.2])  # N m s/rad
 RESOLUTION = 2 * np.pi / 2**17
 ROTOR = 0.05  # kg m², of the last motor where a spring drives its link
+HELD = 1e12  # kg m², of a joint that does not move
 LINKS = (  # name, place, axis, mass, centre, inertia
     ("column", "0 0 0.2", "0 0 1", 4.0, "0 0.02 0.05", 0.02),
     ("upper", "0 0.1 0.1", "0 1 0", 5.0, "0.2 0 0.01", 0.06),
@@ -59,6 +60,7 @@ class Arm:
     links: tuple[tuple[str, str, str, float, str, float], ...] = LINKS
     counts: float = RESOLUTION  # rad, of the encoders
     spring: float = 0.0  # N m/rad between the last motor, where its sensor is, and its link
+    held: int = 0  # joint (1-based) that its brake holds
 
 
 def simulate(arm: Arm, seed: int, seconds: float = 7.0) -> dict[str, np.ndarray]:
@@ -74,6 +76,8 @@ def simulate(arm: Arm, seed: int, seconds: float = 7.0) -> dict[str, np.ndarray]
     lever = own.lever + np.array([arm.shifted, 0.0, 0.0])
     true.inertias[2] = pin.Inertia(own.mass + arm.heavier, lever, own.inertia)
     true.armature = np.add(arm.motors, (0.0, arm.rotor, 0.0))
+    if arm.held:
+        true.armature[arm.held - 1] = HELD
     true.gravity.linear = 9.81 * np.array([0.0, np.sin(arm.tilt), -np.cos(arm.tilt)])
     data, plan = true.createData(), given.createData()
     r = np.random.default_rng(seed)
@@ -84,6 +88,8 @@ def simulate(arm: Arm, seed: int, seconds: float = 7.0) -> dict[str, np.ndarray]
     gain = np.array([1.0, arm.gain, 1.0])
     h = 1.0 / RATE / SUB
     q = np.array([0.0, 0.6, -0.9]) + (size * np.sin(phase)).sum(1)
+    if arm.held:
+        q[arm.held - 1] = RESOLUTION * 1000
     v = np.zeros(3)
     motor, turns = q[2], 0.0
     last, rows = q.copy(), []
@@ -91,7 +97,8 @@ def simulate(arm: Arm, seed: int, seconds: float = 7.0) -> dict[str, np.ndarray]
         t = k / RATE
         goal = np.array([0.0, 0.6, -0.9]) + (size * np.sin(2 * np.pi * f * t + phase)).sum(1)
         seen = np.array([q[0], q[1], motor if arm.spring else q[2]])
-        y = arm.counts * np.round((seen + r.normal(0, RESOLUTION / 3, 3)) / arm.counts)
+        noise = r.normal(0, RESOLUTION / 3, 3) * [j + 1 != arm.held for j in range(3)]
+        y = arm.counts * np.round((seen + noise) / arm.counts)
         u = pin.computeGeneralizedGravity(given, plan, y) + kp * (goal - y) - kd * (y - last) * RATE
         last = y
         rows.append([t, *y, *u])

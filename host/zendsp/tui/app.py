@@ -372,7 +372,8 @@ class ZendspApp(TypeAhead):
         severity = (
             "error" if level == "error" else "warning" if level == "warning" else "information"
         )
-        self.notify(in_keys(text), severity=severity, timeout=6, markup=False)  # type: ignore[arg-type]
+        seconds = 15 if level == "error" else 6  # what went wrong takes longer to read
+        self.notify(in_keys(text), severity=severity, timeout=seconds, markup=False)  # type: ignore[arg-type]
 
     def get_system_commands(self, screen: Screen[object]) -> Iterable[SystemCommand]:
         """Fill the command palette from the table of actions."""

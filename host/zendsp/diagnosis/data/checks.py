@@ -80,6 +80,9 @@ def check_signals(signals: Sequence[Signals], model: Model) -> list[str]:
         for j in range(joints):
             where = f"{s.name}: joint {j + 1}" if joints > 1 else s.name
             y = raw.position[:, j]
+            if joints > 1 and _rests(y) and any(not _rests(_raw(o, j)) for o in signals):
+                notes.append(f"{where}: it rests; what is said of this joint comes from the others")
+                continue
             _moves(where, y, float(raw.resolution[j]), model.kind)
             _refreshed(
                 where, y, float(raw.resolution[j]), raw.sample_time, model.actuator.hold
@@ -94,9 +97,19 @@ def check_signals(signals: Sequence[Signals], model: Model) -> list[str]:
     return notes
 
 
+def _raw(s: Signals, j: int) -> Array:
+    """Position of a joint (from 0) as it was recorded, (n,)."""
+    return (s.raw or s).position[:, j]
+
+
+def _rests(y: Array) -> bool:
+    """Whether a position is the same in all rows."""
+    return float(np.ptp(y)) <= CONSTANT * max(CONSTANT, float(np.max(np.abs(y))))
+
+
 def _moves(where: str, y: Array, resolution: float, kind: str) -> None:
     span = float(np.ptp(y))
-    if span <= CONSTANT * max(CONSTANT, float(np.max(np.abs(y)))):
+    if _rests(y):
         instead = (
             'describe the joint that moves alone, as kind = "rotary" with the inertia that it has'
             " in this pose"

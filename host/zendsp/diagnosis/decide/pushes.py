@@ -23,7 +23,7 @@ from zendsp.diagnosis.decide.thresholds import (
     PREDICTED,
     SURE,
 )
-from zendsp.diagnosis.measure.bursts import FEW, MANY, OFTEN, Bursts, bursts, everywhere
+from zendsp.diagnosis.measure.bursts import FEW, MANY, OFTEN, Bursts, bursts, everywhere, outside
 from zendsp.diagnosis.measure.discrepancy import beyond, discrepancy
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
 from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, Structure, structure
@@ -52,6 +52,7 @@ def pushed(out: Decision, parts: Parts, jobs: int) -> Decision | None:
         everywhere(held, (parts.fit,), base, joint).intervals
         and not everywhere(held, (parts.choose,), base, joint).intervals
     )
+    each, own = (parts.fit, parts.held), here
     if bent:
         other = fitted_to(parts.choose, out.base, joint, jobs)
         after = discrepancy(parts.test, other.model, joint)
@@ -60,13 +61,16 @@ def pushed(out: Decision, parts: Parts, jobs: int) -> Decision | None:
         elif here is None and out.state.share < PREDICTED:
             here = in_held(parts, other.model, joint, often)
         if here is not None and after.value <= out.before.value:
-            out = replace(out, final=other, after=after)
+            without = everywhere(here, each, other.model, joint)
+            # a push that bends numbers spoils them for all other times
+            if without.beside < outside(without, each, base, joint):
+                out = replace(out, final=other, after=after)
+            else:
+                here = own
     if here is None:
         return None
-    both = everywhere(here, (parts.fit, parts.held), out.final.model, joint)
-    if not comes_and_goes(both, parts):
-        return None
-    if by_own_numbers(out, parts, jobs, both.recordings):
+    both = everywhere(here, each, out.final.model, joint)
+    if not comes_and_goes(both, parts) or by_own_numbers(out, parts, jobs, both.recordings):
         return None
     return replace(out, kind="disturbance", bursts=both)
 
