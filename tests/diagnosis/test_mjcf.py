@@ -138,6 +138,7 @@ def test_wrong_damping_is_calibrated_or_named_and_nothing_else_is(diagnosed) -> 
     assert list(m.dof_damping) == pytest.approx([1.5, 0.5], rel=0.05)
 
 
+@pytest.mark.long("test_diagnosis.py names a spring; lost: of an MJCF")
 def test_a_spring_is_found_where_joints_only_sway(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

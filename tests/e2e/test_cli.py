@@ -228,6 +228,7 @@ def test_how_the_machine_comes_to_rest_after_a_trip_is_recorded(
         target.download(nan)
 
 
+@pytest.mark.long("each command writes elsewhere; lost: into a new folder")
 def test_what_is_written_into_a_new_folder_makes_it(target: Target, tmp_path: Path) -> None:
     target.download("pd.c")
     target.start()
@@ -385,6 +386,7 @@ def test_watch_says_at_once_what_stopped_the_program(target: Target) -> None:
         process.kill()
 
 
+@pytest.mark.long("the tests beside it watch; lost: a narrow terminal")
 def test_watch_in_a_narrow_terminal_changes_in_place(target: Target) -> None:
     target.download("pd.c")
     target.start()

@@ -118,6 +118,7 @@ def arm_to_home(tmp_path: Path) -> str:
     return str(tmp_path / "homed.c")
 
 
+@pytest.mark.long("drives are homed by others; lost: by an experiment")
 def test_an_experiment_homes_a_machine_that_has_to_be(arm_to_home: str, tmp_path: Path) -> None:
     said: list[str] = []
     with zendsp.local(arm_to_home, clock="fast", options=["--ideal"]) as target:

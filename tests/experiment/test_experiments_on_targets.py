@@ -141,7 +141,9 @@ def test_the_weight_of_a_slide_is_not_taken_for_friction(tmp_path: Path) -> None
     import zendsp
 
     (tmp_path / "lift.xml").write_text(LIFT)
-    with zendsp.local(str(tmp_path / "lift.xml"), clock="fast") as target:
+    with zendsp.local(
+        str(tmp_path / "lift.xml"), clock="fast", options=["--speed", "100"]
+    ) as target:
         found = run_experiment("friction", Lab(tmp_path, target)).values
     # 3 kg; a lift of 0.8 m at 0.13 to 0.8 m/s leaves the bristles' creep and noise: 2 %
     assert found["weight1"].value == pytest.approx(29.43, rel=0.02)

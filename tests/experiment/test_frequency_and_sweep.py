@@ -152,7 +152,7 @@ def test_values_as_typed() -> None:
 
 @pytest.fixture(scope="module")
 def fast() -> Iterator[Target]:
-    with local("imi_planar", clock="fast", options=["--ideal"]) as target:
+    with local("imi_planar", clock="fast", options=["--ideal", "--speed", "100"]) as target:
         yield target
 
 

@@ -41,7 +41,7 @@ def watched() -> Iterator[Target]:
     ):
         assert text.count(old) == 1
         text = text.replace(old, new)
-    with local("imi_planar", clock="fast", options=["--ideal"]) as target:
+    with local("imi_planar", clock="fast", options=["--ideal", "--speed", "100"]) as target:
         target.download({"pd.c": text})
         target.update(turn_time=2.0)
         target.start()
@@ -97,7 +97,7 @@ def test_nor_does_its_host_when_it_is_lost(watched: Target) -> None:
 
 @pytest.fixture(scope="module")
 def arm() -> Iterator[Target]:
-    with local("imi_planar", clock="fast", options=["--ideal"]) as target:
+    with local("imi_planar", clock="fast", options=["--ideal", "--speed", "100"]) as target:
         yield target
 
 

@@ -25,7 +25,7 @@ OWN_ROWS = np.array([[0.1, 0.2], [0.12, 0.21], [0.15, 0.25]])
 
 @pytest.fixture(scope="module")
 def arm() -> Iterator[Target]:
-    with local("imi_planar", clock="fast", options=["--ideal"]) as target:
+    with local("imi_planar", clock="fast", options=["--ideal", "--speed", "100"]) as target:
         yield target
 
 

@@ -261,8 +261,9 @@ LATER = {
     "docs/machines_simulated.md",  # tests/machines, and the demo conceals
     "docs/references.md",  # tests/reference runs the example of each kind
     "docs/troubleshooting/loop.md",  # tests/e2e/test_cli.py
+    "docs/tour.md",  # tests/e2e/test_cli.py types its commands
     "docs/tui.md",  # tests/tui
-    "docs/tutorial.md",  # the README's demo tells its story; docs/tour.md and docs/diagnosis.md
+    "docs/tutorial.md",  # the README's demo tells its story, docs/diagnosis.md its end
 }
 
 

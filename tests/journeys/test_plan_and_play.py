@@ -49,9 +49,8 @@ sys.exit(bool(bad))
 MORE = pytest.mark.long("tests/reference plans its defaults within its limits; lost: their play")
 
 
-@pytest.mark.parametrize(
-    "machine", [pytest.param(m, marks=[] if m == "imi_planar" else [MORE]) for m in DEFAULT]
-)
+@MORE
+@pytest.mark.parametrize("machine", DEFAULT)
 def test_default_motions_do_not_trip_the_default_program(
     installed: Installed, machine: str
 ) -> None:

@@ -14,7 +14,7 @@ from journey import Installed, until
 pytest.importorskip("mujoco")
 
 
-@pytest.mark.long(".ci/run makes and judges five; tests/proof/test_prove.py each of the two alone")
+@pytest.mark.long(".ci/run makes and judges four; tests/proof/test_prove.py each of the two alone")
 def test_cases_are_made_once_and_judged_where_they_lie(installed: Installed) -> None:
     made = installed.run(
         "prove", "--make", "cases", "--quick", "--reality", "mujoco", "--sample", "1", "--seed", "7"

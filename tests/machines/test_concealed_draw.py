@@ -65,16 +65,7 @@ CARRIED = [
 ]
 
 
-SAME = pytest.mark.long("the planar arm's are drawn by the same code; lost: on other machines")
-
-
-@pytest.mark.parametrize(
-    ("machine", "effect"),
-    [
-        pytest.param(m, e, marks=[] if m == "imi_planar" or e == "elasticity" else [SAME])
-        for m, e in CARRIED
-    ],
-)
+@pytest.mark.parametrize(("machine", "effect"), CARRIED)
 def test_a_drawn_effect_is_there_and_the_loop_still_works(
     bare: dict[str, tuple[Array, Array]], machine: str, effect: str
 ) -> None:

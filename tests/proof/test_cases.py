@@ -76,6 +76,7 @@ def test_given_model_is_wrong_by_percents_not_by_factors() -> None:
     assert case.truth["verdict"] == "complete" and case.truth["effects"] == []
 
 
+@pytest.mark.long(".ci/run judges those that are written; lost: every array")
 def test_written_case_can_be_read_back(tmp_path: Path) -> None:
     write_all(plan("single", "rotary", 51, 3, (1.0,)), tmp_path / "c", tmp_path / "t")
     for folder in sorted((tmp_path / "c").iterdir()):

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+import pytest
 from textual.pilot import Pilot
 from textual.widgets import Static
 
@@ -21,6 +22,7 @@ from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.screens.diagnose import DiagnoseScreen
 from zendsp.tui.screens.execute import ExecuteScreen
 
+COLLECTED = pytest.StashKey[list[pytest.Item]]()  # all tests, also those that are not run
 Until = Callable[[Pilot[None], Callable[[], object], str], Awaitable[None]]
 Step = Callable[[ZendspApp, Pilot[None]], Awaitable[None]]
 AnyScreen = TypeVar("AnyScreen", bound=LabScreen)

@@ -195,6 +195,7 @@ async def test_every_screen_fits_from_80_by_24_up(app: ZendspApp, until: Until) 
                 )
 
 
+@pytest.mark.long("the footer is made of the table, every screen fits; lost: its widths")
 async def test_no_key_of_the_footer_is_cut(app: ZendspApp, until: Until) -> None:
     async with app.run_test(size=(160, 24)) as pilot:
         for screen in SCREENS:
@@ -390,6 +391,7 @@ async def test_how_a_run_ended_is_seen_before_the_errors_of_seven_joints(app: Ze
         assert columns.index("outcome") < columns.index("worst rms")
 
 
+@pytest.mark.long("a number that is cut says so: a quicker test; lost: in this list")
 async def test_no_number_of_the_list_of_runs_is_cut_to_another(
     app: ZendspApp, until: Until
 ) -> None:

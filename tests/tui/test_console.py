@@ -199,6 +199,7 @@ async def test_a_signal_cannot_be_written_and_units_stay_whole(
         assert any("Kp1" in line and "N m/rad" in line for line in shown)
 
 
+@pytest.mark.long("tests/e2e/test_cli.py has params; lost: in the terminal")
 @pytest.mark.covers("console.sets")
 async def test_parameter_sets_save_diff_and_stage(
     lab: ZendspApp, target: Target, built: Step, until: Until, folder: Path
@@ -356,6 +357,7 @@ async def test_a_compile_error_is_shown_at_its_line_and_mended_in_place(
         assert "a = 1.0; }" in bad.read_text()
 
 
+@pytest.mark.long("tests of each screen open it; lost: from the console")
 @pytest.mark.covers("console.record", "console.simulate", "console.diagnose")
 async def test_record_then_open_simulation_and_diagnosis(
     lab: ZendspApp, target: Target, built: Step, until: Until, folder: Path

@@ -97,6 +97,7 @@ async def test_every_key_of_the_scope(
         assert console.has_class("-events")
 
 
+@pytest.mark.long("test_scope_views.py has each alone; lost: by keys")
 @pytest.mark.covers(
     "console.view", "console.formula", "console.scale", "console.export", "console.layouts"
 )

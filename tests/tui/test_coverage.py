@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import pytest
+from steps import COLLECTED
 
 from zendsp.tui.actions import ACTIONS
 
 
 def test_every_action_is_carried_out_by_some_test(request: pytest.FixtureRequest) -> None:
-    items = request.session.items
+    items = request.config.stash[COLLECTED]  # long ones too
     modules = {item.nodeid.split("::")[0].rsplit("/", 1)[-1] for item in items}
     needed = {
         "test_console.py", "test_console_scope.py", "test_diagnose_screen.py", "test_execute.py",

@@ -176,6 +176,7 @@ def test_what_a_torque_cannot_cancel_is_left_out_and_said(tmp_path: Path) -> Non
     assert made.values and not any("lag" in name for name in made.values)
 
 
+@pytest.mark.long("runs are played and diagnosed by others; lost: both at once")
 @pytest.mark.covers("diagnose.next")
 async def test_the_proposed_motion_is_played_and_diagnosed_with_the_rest(
     lab: ZendspApp, enabled: Step, until: Until, folder: Path

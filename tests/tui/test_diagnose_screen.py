@@ -250,6 +250,7 @@ async def test_what_fails_is_said(tmp_path: Path, until: Until) -> None:
         assert screen.shown is None
 
 
+@pytest.mark.long("test_files.py of journeys begins one; lost: by a key")
 async def test_a_model_is_begun_from_the_recording_where_there_is_none(
     tmp_path: Path, until: Until
 ) -> None:

@@ -301,6 +301,7 @@ async def test_start_stays_disabled_and_says_why(
         assert "drives enabled" in _unmet(screen)
 
 
+@pytest.mark.long("tests beside it make and show runs; lost: what the keys of the list do")
 @pytest.mark.covers(
     "execute.rename", "execute.compare", "execute.export", "execute.delete", "execute.simulate",
     "execute.diagnose",

@@ -58,6 +58,7 @@ async def test_no_button_moves_under_the_mouse(
             assert places() == first, key
 
 
+@pytest.mark.long("tests/experiment measures it; lost: kept and drawn in the terminal")
 @pytest.mark.covers("execute.respond")
 async def test_a_frequency_response_is_measured_kept_and_laid_over_another(
     lab: ZendspApp, target: Target, built: Step, until: Until
@@ -110,6 +111,7 @@ async def test_a_frequency_response_is_measured_kept_and_laid_over_another(
         assert marked == [runs[0].folder]
 
 
+@pytest.mark.long("tests/experiment sweeps; lost: its table in the terminal")
 @pytest.mark.covers("execute.sweep")
 async def test_a_sweep_shows_a_table_and_a_row_writes_its_values(
     lab: ZendspApp, target: Target, built: Step, until: Until, folder: Path
@@ -184,6 +186,7 @@ async def test_why_a_measurement_failed_leaves_room_for_what_start_needs(
         assert (shown.size.height == 1) == (rows == 1)
 
 
+@pytest.mark.long("test_execute.py aborts a run; lost: a measurement")
 async def test_a_measurement_can_be_aborted(
     lab: ZendspApp, target: Target, built: Step, until: Until, folder: Path
 ) -> None:

@@ -227,6 +227,7 @@ async def test_a_page_whose_process_died_is_closed(served: Served) -> None:
             pass
 
 
+@pytest.mark.long("a page that hangs is ended below; lost: a browser")
 async def test_a_browser_that_hangs_does_not_hold_the_server(tmp_path: Path) -> None:
     """It reads nothing and answers no goodbye."""
     with _serve(tmp_path, "--screen", "reference") as served:

@@ -112,6 +112,7 @@ def test_versions_agree() -> None:
     assert f"## [{zendsp.__version__}]" in (ROOT / "CHANGELOG.md").read_text()
 
 
+@pytest.mark.long("the wheel is looked at above; lost: that the sdist makes it")
 def test_the_sdist_makes_the_same_wheel(wheel: Path, tmp_path: Path) -> None:
     build = [sys.executable, "-m", "hatchling", "build", "-d", str(tmp_path)]
     done = subprocess.run(
