@@ -133,9 +133,9 @@ def command(
         for path in files.values():
             click.echo(f"wrote {path}")
     beyond = rec.extra["simulation"]["beyond"]
-    told = rec.extra["simulation"].get("reference")
-    for words in [*beyond, *([told] if told else [])]:
-        click.echo(f"zendsp: {words}", err=True)
+    told = rec.extra["simulation"].get("reference", "")
+    for sentence in filter(None, [*beyond, told]):
+        click.echo(f"zendsp: {sentence}", err=True)
     found = rec.extra.get("step_check")
     if beyond or (found is not None and not found["converged"]):
         raise click.exceptions.Exit(1)

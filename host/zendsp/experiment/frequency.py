@@ -21,9 +21,10 @@ import numpy.typing as npt
 
 from zendsp.errors import AcquisitionError, Refused
 from zendsp.experiment.excite import play
-from zendsp.experiment.response import KEPT, Complex, Floats, FrequencyResponse
+from zendsp.experiment.response import Complex, Floats, FrequencyResponse
 from zendsp.link import Target
 from zendsp.prompt import shows_progress
+from zendsp.recording.notes import ResponseNote
 from zendsp.reference.crest import low_crest_phases
 from zendsp_protocol.messages import Limits, MachineInfo
 from zendsp_protocol.states import VariableKind
@@ -138,13 +139,12 @@ def frequency_response(
     bent = distortion(u[used], y[used], periods, harmonics, gain)
     std = np.fmax(std, bent)
     unit = _ratio(_unit(infos, found), _unit(infos, given))
-    kept = {
-        "f": f, "real": gain.real, "imaginary": gain.imag, "std": std, "coherence": coherence,
-        "distortion": bent,
-    }  # fmt: skip
-    words = {"input": given, "output": found, "unit": unit, "periods": periods}
-    extra = {KEPT: {**{name: v.tolist() for name, v in kept.items()}, **words}}
-    recording = replace(recording, extra={**recording.extra, **extra})
+    kept = ResponseNote(
+        f=f.tolist(), real=gain.real.tolist(), imaginary=gain.imag.tolist(), std=std.tolist(),
+        coherence=coherence.tolist(), distortion=bent.tolist(), input=given, output=found,
+        unit=unit, periods=periods,
+    )
+    recording = replace(recording, extra={**recording.extra, "frequency_response": kept})
     return FrequencyResponse(
         f, gain, std, coherence, bent, given, found, unit, periods, recording
     )  # fmt: skip
