@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from zendsp.physics.codegen.urdf import write_urdf
+from zendsp.physics.codegen.urdf import dh_urdf
 from zendsp.physics.model import MechanismTable, ParameterTable
 from zendsp.reference import Machine, Reference, make_circle, make_multisine, make_point_to_point
 
@@ -172,7 +172,11 @@ def wam_work(machine: Machine) -> Reference:
 def wam_mechanism(machine: Machine, folder: Path) -> MechanismTable:
     """The ``[mechanism]`` of the seven-joint arm's nominal model: a URDF, written into the folder.
     """
-    return {"kind": "urdf", "file": str(write_urdf(machine, folder))}
+    file = folder / "wam7.urdf"
+    names = ("position_min", "position_max", "torque", "speed")
+    limits = {name: getattr(machine.limits, name).tolist() for name in names}
+    file.write_text(dh_urdf("wam7", machine.parameters["link"], limits), encoding="utf-8")
+    return {"kind": "urdf", "file": str(file.resolve())}
 
 
 # What a draw may choose: effects that show in this motion. Left out are those that the given model

@@ -15,7 +15,7 @@ from zendsp.experiment.lab import Lab, needed, playing
 from zendsp.experiment.result import Estimate, Result
 from zendsp.experiment.wam_friction import JOINTS, MACHINE, POSE, friction
 from zendsp.physics import parse_model, simulate
-from zendsp.physics.codegen.urdf import write_urdf
+from zendsp.physics.codegen.urdf import dh_urdf
 from zendsp.physics.model import Model
 from zendsp.reference import load_machine, make_lspb
 
@@ -68,11 +68,17 @@ def measured_model(measured: Result, folder: Path) -> Model:
     into the folder).
     """
     machine = load_machine(MACHINE)
+    limits = {
+        name: getattr(machine.limits, name).tolist()
+        for name in ("position_min", "position_max", "torque", "speed")
+    }
+    file = folder / "wam7.urdf"
+    file.write_text(dh_urdf("wam7", machine.parameters["link"], limits), encoding="utf-8")
     return parse_model(
         {
             "name": "wam7, measured",
             "sample_time": 0.001,
-            "mechanism": {"kind": "urdf", "file": str(write_urdf(machine, folder))},
+            "mechanism": {"kind": "urdf", "file": str(file.resolve())},
             "effect": [effect.table() for effect in measured.effects],
             "actuator": {
                 "gain": [1.0] * JOINTS,

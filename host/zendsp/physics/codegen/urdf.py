@@ -4,19 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
-
-from zendsp.reference import Machine
-
-
-def write_urdf(machine: Machine, folder: Path) -> Path:
-    """The URDF of a machine that has a Denavit-Hartenberg table, written into a folder."""
-    names = ("position_min", "position_max", "torque", "speed")
-    limits = {name: getattr(machine.limits, name).tolist() for name in names}
-    file = folder / f"{machine.name}.urdf"
-    file.write_text(dh_urdf(machine.name, machine.parameters["link"], limits), encoding="utf-8")
-    return file.resolve()
 
 
 def dh_urdf(
