@@ -23,14 +23,13 @@ class LoopTiming(TypedDict, total=False):
 
 
 class JointNote(TypedDict):
-    """A joint of the machine (`zendsp_protocol.messages.JointInfo`)."""
+    """A joint of the machine (`zendsp_protocol.messages.JointInfo`), of its keys those that are
+    read.
+    """
 
     name: str
     unit: str
-    position_min: float | None  # None: no limit
-    position_max: float | None
-    speed_max: float | None
-    torque_max: float | None
+    torque_max: float | None  # None: no limit
     counts_per_unit: float
 
 
