@@ -9,6 +9,7 @@ from __future__ import annotations
 import inspect
 import re
 import textwrap
+from enum import StrEnum
 from pathlib import Path
 
 import msgspec
@@ -54,6 +55,12 @@ def comments(struct: type) -> dict[str, str]:
     return found
 
 
+def words(annotation: object) -> str:
+    """The words that an argument may be, empty where it is no word of a few."""
+    known = isinstance(annotation, type) and issubclass(annotation, StrEnum)
+    return " \\| ".join(annotation) if known else ""
+
+
 def default(field: msgspec.structs.FieldInfo) -> str:
     """Write the default of a field, empty where it is required."""
     if field.default is not msgspec.NODEFAULT:
@@ -77,7 +84,7 @@ def verb_table() -> str:
         said = comments(arguments)
         lines += [
             f"| {', '.join(names)} | `{f.name}` | {kind(f.type)} | {default(f)} |"
-            f" {said.get(f.name, '').replace('|', chr(92) + '|')} |"
+            f" {'; '.join(filter(None, (words(f.type), said.get(f.name, ''))))} |"
             for f in msgspec.structs.fields(arguments)
         ]
     return "\n".join(lines)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import threading
+from enum import StrEnum
 from typing import Any
 
 import msgpack
@@ -155,11 +156,25 @@ def _decode_in_steps(data: bytes, lane: str) -> tuple[Verb, Arguments, str]:
         raise LinkError(f"unknown verb {name[:MOST_NAME]!r}; known: {', '.join(VERBS)}")
     if verb.lane != lane:
         raise LinkError(f"verb {name!r} belongs to the lane {verb.lane!r}, not {lane!r}")
+    arguments = message.get("args")
+    _check_words(arguments, verb)
     return (
         verb,
-        _convert(message.get("args"), verb.arguments, f"arguments of {name!r}"),
+        _convert(arguments, verb.arguments, f"arguments of {name!r}"),
         shown(by[:MOST_NAME], lines=False),
     )
+
+
+def _check_words(arguments: Any, verb: Verb) -> None:
+    """Refuse a word that is none of those an argument may be; msgspec does not tell which they are.
+    """
+    given = arguments if type(arguments) is dict else {}
+    for field in msgspec.structs.fields(verb.arguments):
+        if isinstance(field.type, type) and issubclass(field.type, StrEnum):
+            word = given.get(field.name, field.default)
+            if type(word) is str and word not in list(field.type):
+                words = ", ".join(field.type)
+                raise Refused(f"{verb.name}: {field.name} {word!r}: expected one of {words}")
 
 
 def encode_result(result: Any) -> bytes:

@@ -112,6 +112,21 @@ class DriveMode(_State):
     AUTO = "auto"  # is asked for, and never told: on at start, off at pause
 
 
+class DriveAction(_State):
+    """What a host asks of the drives."""
+
+    TAKE = "take"  # the exclusive right to command
+    RELEASE = "release"
+    POWER_ON = "power_on"
+    POWER_OFF = "power_off"
+    HOME = "home"
+    ENABLE = "enable"
+    DISABLE = "disable"
+    ACKNOWLEDGE = "acknowledge"  # what is latched
+    AUTO = "auto"  # leave the explicit sequence
+    HOST_LOST = "host_lost"  # choose a `HostLost`
+
+
 class OverrunPolicy(_State):
     """What happens when samples take longer than the period."""
 

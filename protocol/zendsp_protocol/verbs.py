@@ -12,6 +12,7 @@ from typing import Any
 import msgspec
 
 from zendsp_protocol import messages as m
+from zendsp_protocol.states import DriveAction, DriveMode, HostLost, OverrunPolicy
 from zendsp_protocol.values import Packed, WireValue
 
 
@@ -69,7 +70,7 @@ class SetLimits(Arguments, frozen=True, kw_only=True):
 
 
 class SetDrive(Arguments, frozen=True, kw_only=True):
-    mode: str  # off | torque | velocity | auto: on at start, off at pause
+    mode: DriveMode  # auto: on at start, off at pause
 
 
 class SetRamp(Arguments, frozen=True, kw_only=True):
@@ -77,7 +78,7 @@ class SetRamp(Arguments, frozen=True, kw_only=True):
 
 
 class SetOverrun(Arguments, frozen=True, kw_only=True):
-    policy: str  # count | skip | trip
+    policy: OverrunPolicy
     limit: int = 10  # overruns in a row after which it trips
 
 
@@ -86,12 +87,10 @@ class SetInputs(Arguments, frozen=True, kw_only=True):
 
 
 class Drive(Arguments, frozen=True, kw_only=True):
-    # take | release | power_on | power_off | home | enable | disable | acknowledge | auto |
-    # host_lost
-    action: str
-    mode: str = ""  # of enable: torque | velocity
+    action: DriveAction
+    mode: DriveMode = DriveMode.TORQUE  # of enable: torque or velocity
     force: bool = False  # of take
-    policy: str = ""  # of host_lost: stop | hold | finish
+    policy: HostLost = HostLost.STOP  # of host_lost
 
 
 class Acknowledge(Arguments, frozen=True, kw_only=True):

@@ -27,7 +27,7 @@ from zendsp_protocol.messages import (
     Trigger,
     VariableInfo,
 )
-from zendsp_protocol.states import TripReason
+from zendsp_protocol.states import DriveMode, OverrunPolicy, TripReason
 from zendsp_protocol.values import Value
 
 PRESSED = "the STOP input of the machine is active: release the emergency stop, then try again"
@@ -76,12 +76,11 @@ class RuntimeApi(Protocol):
     def limits(self) -> Limits: ...
     # fields of Limits; -> sequence, as of write
     def set_limits(self, author: str, **changes: Any) -> int: ...
-    # "off" | "torque" | "velocity" | "auto" (on at start, off at pause)
-    def set_drive(self, mode: str) -> None: ...
+    def set_drive(self, mode: DriveMode) -> None: ...
     def home(self) -> None: ...  # starts the machine's homing; status().homed tells
     def set_ramp(self, seconds: float) -> None: ...  # soft start and soft stop
-    # "count" | "skip" | "trip" after `limit` in a row
-    def set_overrun(self, policy: str, limit: int = 10) -> None: ...
+    # trip: after `limit` in a row
+    def set_overrun(self, policy: OverrunPolicy, limit: int = 10) -> None: ...
     def set_inputs(self, bits: int) -> None: ...  # digital inputs of a simulated machine
     # stop with a reason of the monitor's: "stop" | "host lost"
     def trip(self, reason: TripReason) -> None: ...

@@ -472,7 +472,7 @@ def test_target_refuses_a_wrong_option_in_one_line() -> None:
 
 def test_more_than_memory_holds_is_told_in_words() -> None:
     """An acquisition of 12 days said "too little memory (((1000000000, 4), dtype('float64')))"."""
-    code = "import numpy, zendsp.cli as c; c.cli = lambda **_: numpy.empty(10**17); c.main()"
+    code = "import numpy, zendsp.cli.entry as c; c.cli = lambda **_: numpy.empty(10**17); c.main()"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=False,
         timeout=PATIENCE_S,

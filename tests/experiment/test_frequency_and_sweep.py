@@ -20,7 +20,7 @@ from zendsp.experiment.frequency import (
     make_period,
     usual_amplitude,
 )
-from zendsp.experiment.response import KEPT, FrequencyResponse
+from zendsp.experiment.response import FrequencyResponse
 from zendsp.experiment.sweep import announced, tried_of, values_of
 from zendsp.experiment.sweep_result import Sweep
 from zendsp.link import Target, local
@@ -327,9 +327,9 @@ def test_a_response_travels_in_its_recording(fast: Target, tmp_path: Path) -> No
     assert again is not None and again.rows() == found.rows()
     assert again.summary() == found.summary() and again.unit == found.unit
     assert (again.distortion == found.distortion).all() and found.distortion.all()
-    kept = {**found.recording.extra[KEPT], "unit": "1"}
+    kept = {**found.recording.extra["frequency_response"], "unit": "1"}
     del kept["distortion"]
-    old = FrequencyResponse.of(replace(found.recording, extra={KEPT: kept}))
+    old = FrequencyResponse.of(replace(found.recording, extra={"frequency_response": kept}))
     assert old is not None and old.unit == "" and not old.distortion.any(), "of an older zendsp"
     assert FrequencyResponse.of(fast.acquire(["q"], 0.1, start=True)) is None
 

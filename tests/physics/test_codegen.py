@@ -235,7 +235,7 @@ def test_an_effect_of_ones_own_is_in_the_torque_of_a_motion(
         "    c='return p[0] * s->qd * s->qd;', sentence='{size}', experiment='move',\n"
         "    compensable='p[0] * qd * qd')\n"
     )
-    monkeypatch.setattr("zendsp.physics.effects._extra", {})
+    monkeypatch.setattr("zendsp.physics.effects.catalogue._extra", {})
     load_effects(path)
     model = rotary().with_terms((Term("air", 1, {"size": Quantity(0.5)}),))
     assert inverse_dynamics(model, [0.0], [3.0], [0.0]) == pytest.approx([4.5])

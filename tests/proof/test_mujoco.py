@@ -144,11 +144,11 @@ def test_what_is_concealed_acts_with_the_size_that_was_asked_for() -> None:
 
 
 def test_lugre_slides_at_its_level_and_holds_at_rest() -> None:
-    torque = lugre(fc=2.0, fs=2.0, vs=0.1, stiffness=400.0, damping=0.0)(1e-4)
+    torque = lugre(fc=2.0, fs=2.0, vs=0.1, stiffness=400.0)(1e-4)
     for k in range(4000):
         slid = torque(k * 1e-4, 0.0, 0.5, 0.0)
     assert slid == pytest.approx(-2.0, rel=1e-6)
-    held = lugre(fc=2.0, fs=2.0, vs=0.1, stiffness=400.0, damping=0.0)(1e-4)
+    held = lugre(fc=2.0, fs=2.0, vs=0.1, stiffness=400.0)(1e-4)
     for k in range(100):  # a creep of 1 mrad, far within the bristle
         stuck = held(k * 1e-4, 0.0, 0.1, 0.0)
     assert stuck == pytest.approx(

@@ -151,8 +151,10 @@ def test_each_refusal_names_what_fails(process: Target) -> None:
     with pytest.raises(Refused, match="enabling is refused: trip: STOP"):
         process.enable()
     process.acknowledge()
-    with pytest.raises(Refused, match="expected 'torque' or 'velocity'"):
+    with pytest.raises(Refused, match="mode 'fast': expected one of off, torque, velocity, auto"):
         process.enable("fast")
+    with pytest.raises(Refused, match="drive mode off: expected torque or velocity"):
+        process.enable("off")
     process.drive_auto()
     process.release_command()
 

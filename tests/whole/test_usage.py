@@ -87,7 +87,7 @@ def test_too_little_memory_is_told_in_a_line(
     def fail(**_: object) -> None:
         raise error
 
-    monkeypatch.setattr("zendsp.cli.cli", fail)
+    monkeypatch.setattr("zendsp.cli.entry.cli", fail)
     monkeypatch.setattr("resource.getrlimit", lambda _: (2**30, 2**30))
     status, text = said(capsys, "diagnose")
     assert status == 2 and len(text.splitlines()) == 1

@@ -198,22 +198,9 @@ static void imi_safe(void *handle) {
     imi_write(handle, &stand_still);
 }
 
-/* Homing: both joints at a gentle speed to their home position, in the drives' velocity mode. */
+/* Homing: both joints at a gentle speed to their home position. */
 static int imi_home(void *handle, const machine_sensors *sensors, machine_actuators *actuators) {
-    const imi *m = handle;
-    int there = 1;
-    actuators->mode = MACHINE_VELOCITY;
-    for (int j = 0; j < 2; j++) {
-        const machine_joint *joint = &m->info.joint[j];
-        const double error =
-            joint->home - (sensors->enc[j] - joint->zero_counts) / joint->counts_per_unit;
-        /* rad/s */
-        const double speed = 4.0 * error > 0.5 ? 0.5 : 4.0 * error < -0.5 ? -0.5 : 4.0 * error;
-        actuators->aout[j] = speed * joint->mv_per_speed;
-        if (fabs(error) > 1e-3)
-            there = 0;
-    }
-    return there ? MACHINE_HOME_DONE : MACHINE_HOME_BUSY;
+    return plant_home(&((imi *)handle)->info, 2, 4.0, 0.5, 1e-3, sensors, actuators);
 }
 
 static void imi_close(void *handle) { free(handle); }

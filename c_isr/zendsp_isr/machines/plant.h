@@ -320,4 +320,23 @@ static inline void plant_command(plant *p, const machine_info *info, const machi
     p->mode = a->mode;
 }
 
+/* Homing in the drives' velocity mode: every joint goes to its home position at `gain` (1/s) times
+ * the way that is left, `fastest` (rad/s) at most, and is there within `near` (rad). */
+static inline int plant_home(const machine_info *info, int joints, double gain, double fastest,
+                             double near, const machine_sensors *sensors,
+                             machine_actuators *actuators) {
+    int there = 1;
+    actuators->mode = MACHINE_VELOCITY;
+    for (int j = 0; j < joints; j++) {
+        const machine_joint *joint = &info->joint[j];
+        const double error =
+            joint->home - (sensors->enc[j] - joint->zero_counts) / joint->counts_per_unit;
+        const double speed = fmin(fmax(gain * error, -fastest), fastest);
+        actuators->aout[j] = speed * joint->mv_per_speed;
+        if (fabs(error) > near)
+            there = 0;
+    }
+    return there ? MACHINE_HOME_DONE : MACHINE_HOME_BUSY;
+}
+
 #endif

@@ -209,22 +209,9 @@ static void wam_safe(void *handle) {
     wam_write(handle, &stand_still);
 }
 
-/* Homing: all joints at a gentle speed to the folded position, in the drives' velocity mode. */
+/* Homing: all joints at a gentle speed to the folded position. */
 static int wam_home(void *handle, const machine_sensors *sensors, machine_actuators *actuators) {
-    const wam *m = handle;
-    int there = 1;
-    actuators->mode = MACHINE_VELOCITY;
-    for (int j = 0; j < WAM7; j++) {
-        const machine_joint *joint = &m->info.joint[j];
-        const double error =
-            joint->home - (sensors->enc[j] - joint->zero_counts) / joint->counts_per_unit;
-        /* rad/s */
-        const double speed = 3.0 * error > 0.6 ? 0.6 : 3.0 * error < -0.6 ? -0.6 : 3.0 * error;
-        actuators->aout[j] = speed * joint->mv_per_speed;
-        if (fabs(error) > 2e-3)
-            there = 0;
-    }
-    return there ? MACHINE_HOME_DONE : MACHINE_HOME_BUSY;
+    return plant_home(&((wam *)handle)->info, WAM7, 3.0, 0.6, 2e-3, sensors, actuators);
 }
 
 static void wam_close(void *handle) { free(handle); }

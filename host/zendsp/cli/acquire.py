@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from zendsp.cli.common import emit, open_target, progress, target_options
+from zendsp.cli.common import emit, open_target, out_option, progress, target_options
 from zendsp.cli.completing import variables
 from zendsp.cli.progress import drawing
 
@@ -20,13 +20,7 @@ PICTURES = (".png", ".svg", ".pdf")
 @click.command("acquire")
 @click.argument("channels", nargs=-1, shell_complete=variables)
 @click.option("-s", "--seconds", type=float, help="How long, in the target's time.")
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path),
-    required=True,
-    help=".mat, .npz, .parquet, .csv, .mcap or .mf4.",
-)
+@out_option(".mat, .npz, .parquet, .csv, .mcap or .mf4.", required=True)
 @click.option(
     "--decimation", type=int, default=1, show_default=True, help="Every how many samples a row."
 )

@@ -7,7 +7,7 @@ from typing import Literal
 
 import click
 
-from zendsp.cli.common import emit, open_target, progress, target_options
+from zendsp.cli.common import emit, open_target, out_option, progress, target_options
 from zendsp.cli.completing import variables
 from zendsp.cli.progress import drawing
 from zendsp_protocol.views import text_table
@@ -30,7 +30,7 @@ from zendsp_protocol.views import text_table
 @click.option("--output", default="", shell_complete=variables, help="Default: q.")
 @click.option("--periods", type=int, default=6, show_default=True, help="That are used.")
 @click.option("--no-rehearsal", is_flag=True, help="Do not try it on a simulated twin first.")
-@click.option("-o", "--out", type=click.Path(path_type=Path), help="Write the rows (CSV).")
+@out_option("Write the rows (CSV).")
 @click.option("--plot", type=click.Path(path_type=Path), help="Draw it there (PNG, SVG, PDF).")
 @target_options
 def command(

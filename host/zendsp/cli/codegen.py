@@ -6,14 +6,13 @@ from pathlib import Path
 
 import click
 
+from zendsp.cli.common import out_option
 from zendsp.errors import ModelError
 
 
 @click.command("model2c")
 @click.argument("model", type=click.Path(path_type=Path))
-@click.option(
-    "-o", "--out", type=click.Path(path_type=Path), help="File to write. Default: print it."
-)
+@out_option("File to write. Default: print it.")
 @click.option(
     "--effects-only", is_flag=True,
     help="Only what a torque can cancel, as Compensation(), without the rigid bodies.",

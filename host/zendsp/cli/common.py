@@ -11,6 +11,7 @@ import sys
 import textwrap
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
@@ -24,8 +25,6 @@ from zendsp_protocol.texts import shown, with_point
 from zendsp_protocol.values import Assignable, Packed, from_wire
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from zendsp.link import Target
 
 ENDING = (signal.SIGTERM, signal.SIGHUP)
@@ -38,10 +37,18 @@ flag_option = click.option(
 )
 
 
+json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+
+
+def out_option(what: str, **more: Any) -> Callable[[F], F]:
+    """``--out``, a path; ``what`` is its help, ``more`` what else click is told."""
+    return click.option("-o", "--out", type=click.Path(path_type=Path), help=what, **more)
+
+
 def target_options(function: F) -> F:
     """Add ``--target``, ``--connect`` and ``--json``."""
     decorators = (
-        click.option("--json", "as_json", is_flag=True, help="Print JSON."),
+        json_option,
         click.option(
             "--connect", metavar="ENDPOINT",
             help="Where to reach it, e.g. tls/robot.lab:7447 (else $ZENDSP_CONNECT).",

@@ -29,7 +29,7 @@ def command(shell: str) -> None:
 
     Example:  zendsp completion bash
     """
-    from zendsp.cli import cli
+    from zendsp.cli.commands import cli
 
     maker = get_completion_class(shell)
     assert maker is not None, shell

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from zendsp.cli.common import emit, end_softly, parse_names
+from zendsp.cli.common import emit, end_softly, json_option, out_option, parse_names
 from zendsp_protocol.texts import counted
 
 
@@ -22,12 +22,12 @@ from zendsp_protocol.texts import counted
 @click.option("--without", default="", metavar="S:S",
               help="Leave out these seconds; several ranges with commas.")  # fmt: skip
 @click.option("--time", default="", metavar="COLUMN", help="Column of time, where it is not found.")
-@click.option(
-    "-o", "--out", type=click.Path(path_type=Path), required=True,
-    help=".mat, .npz, .parquet, .csv, .mcap or .mf4; of several parts part.csv becomes part-1.csv.",
+@out_option(
+    ".mat, .npz, .parquet, .csv, .mcap or .mf4; of several parts part.csv becomes part-1.csv.",
+    required=True,
 )
 @click.option("--force", is_flag=True, help="Write over files that are there.")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@json_option
 def command(
     recording: Path, begin: float, end: float, finite: str, without: str, time: str, out: Path,
     force: bool, as_json: bool,

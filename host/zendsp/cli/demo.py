@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from zendsp.cli.common import check_writable, emit
+from zendsp.cli.common import check_writable, emit, json_option
 from zendsp.cli.completing import machines
 from zendsp.errors import ZendspError
 
@@ -41,7 +41,7 @@ from zendsp.errors import ZendspError
 @click.option("--clock", type=click.Choice(["real", "fast"]), default="fast", show_default=True,
               help="fast: simulated time runs as fast as the CPU allows.")  # fmt: skip
 @click.option("--web", is_flag=True, help="Open the report in a browser at the end.")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@json_option
 def command(
     out: Path,
     machine: str,

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from zendsp.cli.common import check_writable
+from zendsp.cli.common import check_writable, out_option
 from zendsp.cli.completing import models
 from zendsp.cli.lines import fitted
 from zendsp_protocol.texts import shown
@@ -34,10 +34,9 @@ FILE = click.Path(path_type=Path)
     "--heldout", multiple=True, type=FILE,
     help="Recording to judge on; repeat for several. Default: the last third of each.",
 )
-@click.option(
-    "-o", "--out", type=FILE, default=None,
-    help="Folder for report.json, report.html, figures, model.toml, compensation.c, and"
-    " next_reference.mat where another motion would settle what is open.",
+@out_option(
+    "Folder for report.json, report.html, figures, model.toml, compensation.c, and"
+    " next_reference.mat where another motion would settle what is open."
 )
 @click.option(
     "--no-figures", is_flag=True, help="With --out: neither report.html nor figures; faster."

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from zendsp.cli.common import check_writable, wrapped
+from zendsp.cli.common import check_writable, json_option, out_option, wrapped
 from zendsp.cli.completing import experiments
 from zendsp_protocol.texts import counted
 
@@ -18,13 +18,9 @@ if TYPE_CHECKING:
 
 @click.command("experiment")
 @click.argument("name", required=False, shell_complete=experiments)
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path),
-    default=Path("experiments"),
-    show_default=True,
-    help="Folder of recordings, figures and results.",
+@out_option(
+    "Folder of recordings, figures and results.",
+    default=Path("experiments"), show_default=True,
 )
 @click.option(
     "--into",
@@ -41,7 +37,7 @@ if TYPE_CHECKING:
     help="A target with the machine. Default: a simulated one, started here, on the fast clock.",
 )
 @click.option("--connect", metavar="ENDPOINT", help="Where to reach it, e.g. tls/robot.lab:7447.")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@json_option
 def command(
     name: str | None,
     out: Path,

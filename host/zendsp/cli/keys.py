@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from zendsp.cli.common import emit
+from zendsp.cli.common import emit, json_option
 from zendsp_protocol.verbs import ROLES
 from zendsp_protocol.views import text_table
 
@@ -117,7 +117,7 @@ def user(name: str, role: str, renew: bool, folder: Path, days: int) -> None:
 
 @command.command("list")
 @_folder
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@json_option
 def list_(folder: Path, as_json: bool) -> None:
     """List who has a certificate, and with which role.
 

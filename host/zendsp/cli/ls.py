@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import click
 
-from zendsp.cli.common import emit
+from zendsp.cli.common import emit, json_option
 from zendsp_protocol.views import text_table
 
 
 @click.command("ls")
 @click.argument("pattern", default="*")
 @click.option("--connect", metavar="ENDPOINT", help="Also look there (else $ZENDSP_CONNECT).")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@json_option
 def command(pattern: str, connect: str | None, as_json: bool) -> None:
     """List the targets that answer; PATTERN may hold wildcards. Exit status 1 where there are none.
 

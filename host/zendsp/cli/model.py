@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from zendsp.cli.common import emit
+from zendsp.cli.common import emit, json_option, out_option
 from zendsp.errors import ModelError
 
 if TYPE_CHECKING:
@@ -28,12 +28,9 @@ def command() -> None:
 
 @command.command("new")
 @click.argument("recording", type=FILE)
-@click.option(
-    "-o", "--out", type=FILE, default=None,
-    help="Default: the recording's name with .toml, in this folder.",
-)
+@out_option("Default: the recording's name with .toml, in this folder.")
 @click.option("--force", is_flag=True, help="Write over a file that is there.")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@json_option
 def new(recording: Path, out: Path | None, force: bool, as_json: bool) -> None:
     """Write a commented model file from a recording, with questions where the recording cannot
     tell.
@@ -85,7 +82,7 @@ def _questions(count: int) -> str:
 @click.option(
     "--recording", type=FILE, default=None, help="Also read this recording by the model's columns."
 )
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@json_option
 def check(file: Path, recording: Path | None, as_json: bool) -> None:
     """Read a model file, refuse what nobody would read, and say what it describes. Exit status 2
     where it is wrong.

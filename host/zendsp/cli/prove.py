@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from zendsp.cli.common import out_option
 from zendsp.extras import installed, need
 
 if TYPE_CHECKING:
@@ -125,13 +126,7 @@ def realities(words: str) -> tuple[str, ...]:
     default=None,
     help="Folder of real recordings. Default: ZENDSP_DATA.",
 )
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path),
-    default=None,
-    help="Folder of the run. Default: proof_SEED below the working directory.",
-)
+@out_option("Folder of the run. Default: proof_SEED below the working directory.")
 @click.option(
     "--page",
     type=click.Path(path_type=Path),

@@ -7,23 +7,18 @@ from pathlib import Path
 
 import click
 
-from zendsp.cli.common import emit, end_softly
+from zendsp.cli.common import emit, end_softly, json_option, out_option
 from zendsp_protocol.views import text_table
 
 
 @click.command("salvage")
 @click.option("-t", "--target", default="", metavar="NAME", help="Only of targets of this name.")
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path),
-    help="Save the newest: .mat, .npz, .parquet, .csv, .mcap or .mf4.",
-)
+@out_option("Save the newest: .mat, .npz, .parquet, .csv, .mcap or .mf4.")
 @click.option(
     "--drop", is_flag=True, help="Free the memory of all that is listed, without saving it."
 )
 @click.option("--note", default="", help="Kept in the recording.")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@json_option
 def command(target: str, out: Path | None, drop: bool, note: str, as_json: bool) -> None:
     """List what targets that were killed had recorded; with --out save the newest, and free its
     memory.

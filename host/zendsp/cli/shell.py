@@ -24,7 +24,7 @@ def command(target: str, connect: str | None, as_json: bool) -> None:
       imi> set Kp1=450
       imi> get q e
     """
-    from zendsp.cli import cli
+    from zendsp.cli.commands import cli
 
     with open_target(target, connect) as t:
         for number in ENDING:  # Ctrl-C does not leave the prompt; these do
@@ -51,7 +51,8 @@ def command(target: str, connect: str | None, as_json: bool) -> None:
 
 def run_line(words: list[str], target: object, as_json: bool) -> None:
     """Run one command; what goes wrong is said, and the prompt comes back."""
-    from zendsp.cli import cli, say
+    from zendsp.cli.commands import cli
+    from zendsp.cli.complaints import say
     from zendsp.errors import ZendspError
 
     if words[0] == "help":

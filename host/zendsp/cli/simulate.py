@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from zendsp.cli.common import file_and_values, flag_option, parse_names
+from zendsp.cli.common import file_and_values, flag_option, json_option, out_option, parse_names
 from zendsp.cli.completing import models, programs
 
 if TYPE_CHECKING:
@@ -57,14 +57,9 @@ if TYPE_CHECKING:
     ),
 )
 @flag_option
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path),
-    help="Write the recording: .mat, .npz, .parquet, .csv, .mcap or .mf4.",
-)
+@out_option("Write the recording: .mat, .npz, .parquet, .csv, .mcap or .mf4.")
 @click.option("--plot", type=click.Path(path_type=Path), help="Draw it: .png, .svg or .pdf.")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@json_option
 def command(
     words: tuple[str, ...],
     model_path: Path,
@@ -133,9 +128,9 @@ def command(
         for path in files.values():
             click.echo(f"wrote {path}")
     beyond = rec.extra["simulation"]["beyond"]
-    told = rec.extra["simulation"].get("reference")
-    for words in [*beyond, *([told] if told else [])]:
-        click.echo(f"zendsp: {words}", err=True)
+    told = rec.extra["simulation"].get("reference", "")
+    for sentence in filter(None, [*beyond, told]):
+        click.echo(f"zendsp: {sentence}", err=True)
     found = rec.extra.get("step_check")
     if beyond or (found is not None and not found["converged"]):
         raise click.exceptions.Exit(1)

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import click
 
-from zendsp.cli import LEAST_MEMORY
 from zendsp.cli.common import (
     acknowledge as acknowledge_trip,
 )
@@ -22,6 +21,7 @@ from zendsp.cli.common import (
     target_options,
 )
 from zendsp.cli.completing import targets
+from zendsp.cli.entry import LEAST_MEMORY
 from zendsp.errors import NotStopped, ZendspError
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def command(
             status = t.status()
             emit(status, as_json, f"{status.state}, drive {status.drive}")
         return
-    from zendsp.cli import say
+    from zendsp.cli.complaints import say
     from zendsp.here.stopped import stopped
 
     held = held_target(target, connect)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from zendsp.cli.common import emit, open_target, progress, target_options
+from zendsp.cli.common import emit, open_target, out_option, progress, target_options
 from zendsp.errors import ZendspError
 from zendsp_protocol.views import text_table
 
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 )
 @click.option("--together", is_flag=True, help="Not all combinations: first values, second ones …")
 @click.option("--keep", type=click.Path(path_type=Path), help="Folder for every recording.")
-@click.option("-o", "--out", type=click.Path(path_type=Path), help="Write the table (CSV).")
+@out_option("Write the table (CSV).")
 @target_options
 def command(
     values: tuple[str, ...],

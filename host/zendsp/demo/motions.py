@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from zendsp.physics.codegen.urdf import dh_urdf
+from zendsp.physics.model import MechanismTable, ParameterTable
 from zendsp.reference import Machine, Reference, make_circle, make_multisine, make_point_to_point
 
 TRAVEL_S = 0.8  # from the end of one motion to the beginning of the next
@@ -87,10 +88,11 @@ def arm_work(machine: Machine) -> Reference:
     return lap
 
 
-def arm_mechanism(machine: Machine, folder: Path) -> Mapping[str, object]:
+def arm_mechanism(machine: Machine, folder: Path) -> MechanismTable:
     """The ``[mechanism]`` of the arm's nominal model."""
     numbers = machine.parameters
-    parameters: dict[str, object] = {key: {"value": numbers[key]} for key in ("p1", "p2", "p3")}
+    parameters: dict[str, ParameterTable]
+    parameters = {key: {"value": numbers[key]} for key in ("p1", "p2", "p3")}
     parameters |= {key: {"value": numbers[key], "free": False} for key in ("l1", "l2")}
     return {"kind": "planar2r", "parameters": parameters}
 
@@ -123,7 +125,7 @@ def pendulum_work(machine: Machine) -> Reference:
     return lap
 
 
-def pendulum_mechanism(machine: Machine, folder: Path) -> Mapping[str, object]:
+def pendulum_mechanism(machine: Machine, folder: Path) -> MechanismTable:
     """The ``[mechanism]`` of the pendulum's nominal model."""
     numbers = machine.parameters
     return {
@@ -167,7 +169,7 @@ def wam_work(machine: Machine) -> Reference:
     return lap
 
 
-def wam_mechanism(machine: Machine, folder: Path) -> Mapping[str, object]:
+def wam_mechanism(machine: Machine, folder: Path) -> MechanismTable:
     """The ``[mechanism]`` of the seven-joint arm's nominal model: a URDF, written into the folder.
     """
     file = folder / "wam7.urdf"

@@ -13,7 +13,7 @@ import numpy as np
 from zendsp.demo import motions
 from zendsp.errors import Refused
 from zendsp.physics.files.model_file import parse_model
-from zendsp.physics.model import Model
+from zendsp.physics.model import MechanismTable, Model
 from zendsp.reference import Machine, Reference, load_machine
 
 DELAY_SAMPLES = 1  # what the code writes at sample k acts from sample k + 1 (isr.h)
@@ -50,7 +50,7 @@ class Stage:
     train: Callable[[Machine], Reference]
     heldout: Callable[[Machine], Reference]
     work: Callable[[Machine], Reference]
-    mechanism: Callable[[Machine, Path], Mapping[str, object]]
+    mechanism: Callable[[Machine, Path], MechanismTable]
     pool: tuple[str, ...]
     approach_s: float = 1.0
 

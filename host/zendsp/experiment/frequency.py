@@ -14,18 +14,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from zendsp.errors import AcquisitionError, Refused
 from zendsp.experiment.excite import play
-from zendsp.experiment.response import KEPT, Complex, Floats, FrequencyResponse
+from zendsp.experiment.response import Complex, Floats, FrequencyResponse
 from zendsp.link import Target
 from zendsp.prompt import shows_progress
+from zendsp.recording.notes import ResponseNote
 from zendsp.reference.crest import low_crest_phases
-from zendsp_protocol.messages import Limits, MachineInfo
+from zendsp_protocol.messages import Limits, MachineInfo, VariableInfo
 from zendsp_protocol.states import VariableKind
 
 REACH = 0.4  # of the sample rate: a line above is too near to half of it
@@ -138,13 +139,12 @@ def frequency_response(
     bent = distortion(u[used], y[used], periods, harmonics, gain)
     std = np.fmax(std, bent)
     unit = _ratio(_unit(infos, found), _unit(infos, given))
-    kept = {
-        "f": f, "real": gain.real, "imaginary": gain.imag, "std": std, "coherence": coherence,
-        "distortion": bent,
-    }  # fmt: skip
-    words = {"input": given, "output": found, "unit": unit, "periods": periods}
-    extra = {KEPT: {**{name: v.tolist() for name, v in kept.items()}, **words}}
-    recording = replace(recording, extra={**recording.extra, **extra})
+    kept = ResponseNote(
+        f=f.tolist(), real=gain.real.tolist(), imaginary=gain.imag.tolist(), std=std.tolist(),
+        coherence=coherence.tolist(), distortion=bent.tolist(), input=given, output=found,
+        unit=unit, periods=periods,
+    )
+    recording = replace(recording, extra={**recording.extra, "frequency_response": kept})
     return FrequencyResponse(
         f, gain, std, coherence, bent, given, found, unit, periods, recording
     )  # fmt: skip
@@ -330,7 +330,7 @@ def _among(name: str, channels: Sequence[str]) -> bool:
     return name in channels or name.partition("[")[0] in channels
 
 
-def _first(infos: Mapping[str, Any], joint: int, name: str) -> str:
+def _first(infos: Mapping[str, VariableInfo], joint: int, name: str) -> str:
     """The signal of a joint: an array element, or a scalar with the joint's number."""
     if name in infos and infos[name].length >= joint:
         return f"{name}[{joint - 1}]" if infos[name].length > 1 else name
@@ -343,9 +343,9 @@ def _first(infos: Mapping[str, Any], joint: int, name: str) -> str:
     )
 
 
-def _unit(infos: Mapping[str, Any], name: str) -> str:
+def _unit(infos: Mapping[str, VariableInfo], name: str) -> str:
     info = infos.get(name) or infos.get(name.partition("[")[0])
-    return str(info.unit) if info is not None else ""
+    return info.unit if info is not None else ""
 
 
 def _ratio(above: str, below: str) -> str:

@@ -21,7 +21,7 @@ from zendsp.experiment.imi_friction import (
     inertia_torque,
     padded,
 )
-from zendsp.experiment.lab import Bench, Lab, own_program
+from zendsp.experiment.lab import Bench, Lab, push_program
 from zendsp.experiment.result import Estimate, Result
 from zendsp.recording import Recording
 
@@ -159,7 +159,7 @@ def _push(
     start[joint - 1] = position
     return bench.record(
         name,
-        own_program("push.c"),
+        push_program(),
         ["q", "torque", "phase"],
         seconds=3.8 + ENOUGH[joint] / increment * hold,
         joint=joint,

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from zendsp.experiment.estimates import NORMAL, line_fit, smoothed
 from zendsp.experiment.figures import AMBER, BLUE, GREY, label, make_figure, save
-from zendsp.experiment.lab import Bench, Lab, own_program, playing
+from zendsp.experiment.lab import Bench, Lab, playing, push_program
 from zendsp.experiment.result import Estimate, Result
 from zendsp.recording import Recording
 from zendsp.reference import load_machine, make_triangle
@@ -91,7 +91,7 @@ def _steady(
     start = [0.0, 0.0]
     start[joint - 1] = -1.9 * direction
     rec = bench.record(
-        f"joint{joint}_{direction * torque:+.1f}Nm", own_program("push.c"), ["q", "tau", "phase"],
+        f"joint{joint}_{direction * torque:+.1f}Nm", push_program(), ["q", "tau", "phase"],
         seconds=8.0, joint=joint, direction=direction, place=padded(start), Kp=padded(KP),
         Kd=padded(KD), brake=padded(BRAKE), first=torque, lower=-1.6, upper=1.6,
     )

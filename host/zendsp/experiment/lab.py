@@ -287,15 +287,10 @@ def _stop(target: Target) -> None:
         time.sleep(BRAKE_S)
 
 
-def own_program(name: str) -> dict[str, str]:
-    """Source of a program that belongs to this package."""
-    return {
-        name: (
-            resources.files("zendsp.experiment")
-            .joinpath("programs", name)
-            .read_text(encoding="utf-8")
-        )
-    }
+def push_program() -> dict[str, str]:
+    """Source of the program that pushes a joint with a torque."""
+    file = resources.files("zendsp.experiment").joinpath("programs", "push.c")
+    return {"push.c": file.read_text(encoding="utf-8")}
 
 
 def playing(recording: Recording, samples: int) -> slice:

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 Floats = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
-KEPT = "frequency_response"  # where a recording carries it
 DB = 20.0 / math.log(10.0)  # dB of a small relative change
 SURE = 0.9  # coherence below which a line is shown, and not believed
 BENT_DB = 0.1  # distortion from which on the summary tells it
@@ -102,21 +101,21 @@ class FrequencyResponse:
         recording : Recording
             That a response has brought (``response.recording``), also out of a file.
         """
-        kept = recording.extra.get(KEPT)
-        if not isinstance(kept, Mapping):
+        kept = recording.extra.get("frequency_response")
+        if kept is None:
             return None
         f, real, imaginary, std, coherence = (
-            np.asarray(kept[name], dtype=np.float64)
-            for name in ("f", "real", "imaginary", "std", "coherence")
+            np.asarray(values, dtype=np.float64)
+            for values in (
+                kept["f"], kept["real"], kept["imaginary"], kept["std"], kept["coherence"]
+            )
         )
         bent = np.asarray(kept.get("distortion", np.zeros_like(f)), dtype=np.float64)
-        words = {name: str(kept[name]) for name in ("input", "output", "unit")}
-        if words["unit"] == "1":  # of an older zendsp
-            words["unit"] = ""
+        unit = "" if kept["unit"] == "1" else kept["unit"]  # of an older zendsp
         return cls(
-            f, real + 1j * imaginary, std, coherence, bent,
-            periods=int(kept["periods"]), recording=recording, **words,
-        )  # fmt: skip
+            f, real + 1j * imaginary, std, coherence, bent, kept["input"], kept["output"], unit,
+            kept["periods"], recording,
+        )
 
     def rows(self) -> list[dict[str, float]]:
         """Return one row a frequency: Hz, dB, deg, standard deviations, coherence."""

@@ -17,6 +17,7 @@ from zendsp.link import Target
 from zendsp.link.put_back import kept
 from zendsp.prompt import shows_progress
 from zendsp.recording import Recording
+from zendsp_protocol.messages import VariableInfo
 from zendsp_protocol.states import ProgramState
 from zendsp_protocol.texts import counted
 from zendsp_protocol.values import Assignable
@@ -157,9 +158,9 @@ def sweep(
     return so_far()
 
 
-def _unit(infos: Mapping[str, Any], name: str) -> str:
+def _unit(infos: Mapping[str, VariableInfo], name: str) -> str:
     info = infos.get(name) or infos.get(name.partition("[")[0])
-    return str(info.unit) if info is not None else ""
+    return info.unit if info is not None else ""
 
 
 def _runs(

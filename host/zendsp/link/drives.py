@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from zendsp.errors import Refused, ZendspError
 from zendsp.link.requests import Part
 from zendsp_protocol import messages as m
-from zendsp_protocol.states import ProgramState
+from zendsp_protocol.states import DriveAction, ProgramState
 
 POLL_S = 0.02
 
@@ -94,17 +94,17 @@ class Drives(Part):
         result: m.DriveStatus = self.request("drive_status")
         return result
 
-    def _drive(self, action: str, **values: object) -> str:
+    def _drive(self, action: DriveAction, **values: object) -> str:
         said: m.Said = self.request("drive", action=action, **values)  # type: ignore[arg-type]
         return said.text
 
     def power_on(self) -> str:
         """Switch the drives' power on, and use the explicit sequence from now on."""
-        return self._drive("power_on")
+        return self._drive(DriveAction.POWER_ON)
 
     def power_off(self) -> str:
         """Soft stop, then no torque."""
-        return self._drive("power_off")
+        return self._drive(DriveAction.POWER_OFF)
 
     def home_and_wait(self, timeout: float = 60.0) -> str:
         """Home the machine and wait until it is done; Ctrl-C ends the homing too.
@@ -119,7 +119,7 @@ class Drives(Part):
             A condition of homing fails, homing itself failed or was ended, or it takes longer than
             ``timeout``, which ends it.
         """
-        return self._home(lambda: self._drive("home"), timeout)
+        return self._home(lambda: self._drive(DriveAction.HOME), timeout)
 
     def home_if_needed(self, timeout: float = 60.0) -> bool:
         """Home a machine whose position is unknown, as `home_and_wait` does, but without beginning
@@ -167,15 +167,15 @@ class Drives(Part):
         Refused
             Names each condition that fails.
         """
-        return self._drive("enable", mode=mode)
+        return self._drive(DriveAction.ENABLE, mode=mode)
 
     def disable(self) -> str:
         """Soft stop, then no torque; the power stays on."""
-        return self._drive("disable")
+        return self._drive(DriveAction.DISABLE)
 
     def drive_auto(self) -> str:
         """Leave the explicit sequence: drives on at start, off at pause."""
-        return self._drive("auto")
+        return self._drive(DriveAction.AUTO)
 
     def take_command(self, force: bool = False) -> str:
         """Take the exclusive right to command; ``force`` takes it from another host.
@@ -185,14 +185,14 @@ class Drives(Part):
         Refused
             Somebody else has it, and ``force`` is False.
         """
-        return self._drive("take", force=force)
+        return self._drive(DriveAction.TAKE, force=force)
 
     def release_command(self) -> str:
         """Give the right back."""
-        return self._drive("release")
+        return self._drive(DriveAction.RELEASE)
 
     def set_host_lost(self, policy: str) -> str:
         """Choose what happens when the commanding host disappears: ``"stop"``, ``"hold"`` or
         ``"finish"``.
         """
-        return self._drive("host_lost", policy=policy)
+        return self._drive(DriveAction.HOST_LOST, policy=policy)

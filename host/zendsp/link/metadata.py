@@ -6,7 +6,7 @@ import platform
 import time
 from collections.abc import Sequence
 from importlib import metadata
-from typing import Any
+from typing import cast
 
 import msgspec
 import msgspec.json
@@ -18,6 +18,7 @@ from zendsp.link.parameters import ParameterSets
 from zendsp.link.variables import Reading, plain
 from zendsp.recording import Channel, ParameterChange, Recording
 from zendsp.recording.names import FloatArray, split_element
+from zendsp.recording.notes import Extra, LoopTiming, MachineNote
 from zendsp_protocol import messages as m
 from zendsp_protocol.states import ProgramState
 from zendsp_protocol.texts import units_of
@@ -66,9 +67,7 @@ def describe(
         decimation=status.decimation,
         trigger_row=status.trigger_row - first if status.trigger_row >= 0 else -1,
         lost=status.lost,
-        timing={
-            name: plain(value) for name, value in msgspec.structs.asdict(overall.timing).items()
-        } if not replaced else {},
+        timing=_timing(overall.timing) if not replaced else {},
         log=tuple(_change(change) for change in changes if change.tick <= logged),
         parameters=parameters_at(last, read, changes),
         sources=dict(program.sources),
@@ -79,7 +78,7 @@ def describe(
         versions={**info.versions, "protocol": str(PROTOCOL), "host": host_version()},
         created=time.time(),
         note=note,
-        extra=_extra(parameters, overall, patience) | {"program": program.key},
+        extra={**_extra(parameters, overall, patience), "program": program.key},
     )
 
 
@@ -192,15 +191,19 @@ def join_channels(columns: Sequence[str], units: Sequence[str]) -> tuple[Channel
     )
 
 
-def _extra(parameters: ParameterSets, overall: m.Status, patience: float) -> dict[str, Any]:
-    extra: dict[str, Any] = {
-        "program": overall.program, "scheduling": overall.scheduling, "clock": overall.clock,
-    }
+def _timing(counted: m.Timing) -> LoopTiming:
+    """The loop's timing as JSON holds it."""
+    fields = msgspec.structs.asdict(counted)
+    return cast(LoopTiming, {name: plain(value) for name, value in fields.items()})
+
+
+def _extra(parameters: ParameterSets, overall: m.Status, patience: float) -> Extra:
+    extra = Extra(program=overall.program, scheduling=overall.scheduling, clock=overall.clock)
     try:
         machine: m.MachineInfo = parameters.insist("machine", patience)
     except (Refused, RunnerDied):
         return extra  # the program is gone, and its machine with it; the rows are not
-    told = msgspec.json.decode(msgspec.json.encode(machine))  # without a limit: null
+    told: MachineNote = msgspec.json.decode(msgspec.json.encode(machine))  # without a limit: null
     return {**extra, "machine": told}
 
 

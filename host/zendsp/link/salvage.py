@@ -8,7 +8,7 @@ import shutil
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from zendsp.errors import AcquisitionError
 from zendsp_protocol import kept
@@ -64,6 +64,7 @@ class Salvage:
         from zendsp.link.metadata import host_version, join_channels, ticks_of
         from zendsp.link.variables import plain
         from zendsp.recording import Recording
+        from zendsp.recording.notes import Extra
         from zendsp_protocol.values import from_wire
 
         found = kept.read(self.folder)
@@ -95,7 +96,7 @@ class Salvage:
             versions={**about.versions, "host": host_version()},
             created=about.begun,
             note=note,
-            extra={**about.extra, "salvaged": LOG_LOST},
+            extra=cast(Extra, {**about.extra, "salvaged": LOG_LOST}),
         )
 
     def drop(self) -> None:

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any, NotRequired, TypedDict
 from xml.etree import ElementTree
 
 KINDS = ("rotary", "linear", "planar2r", "urdf", "mjcf", "fmu", "python")
@@ -187,6 +187,21 @@ class ControllerTable(TypedDict, total=False):
     kd: float | list[float]
     ki: float | list[float]
     cutoff: float | list[float]  # Hz, of the speed filter
+
+
+class ParameterTable(TypedDict):
+    """A parameter of ``[mechanism.parameters]``."""
+
+    value: float
+    free: NotRequired[bool]
+
+
+class MechanismTable(TypedDict):
+    """``[mechanism]`` of a model file."""
+
+    kind: str
+    parameters: NotRequired[dict[str, ParameterTable]]
+    file: NotRequired[str]
 
 
 class LimitsTable(TypedDict, total=False):

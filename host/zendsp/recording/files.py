@@ -17,7 +17,8 @@ import numpy as np
 from zendsp.errors import RecordingError
 from zendsp.recording.formats import Raw
 from zendsp.recording.names import gather_vectors, listing
-from zendsp.recording.own import CHECK, FORM, TIME_NAME, bad_description, checked, checksum
+from zendsp.recording.notes import Extra
+from zendsp.recording.own import CHECK, FORM, bad_description, checked, checksum
 from zendsp.recording.roles import Role, role_of
 from zendsp.recording.samples import ParameterChange, Samples
 from zendsp.recording.table import READERS, _upright, read_raw
@@ -170,5 +171,5 @@ def _foreign(path: Path, raw: Raw, kind: type[Kind], asked: str | None) -> Kind:
     units.pop(time, None)
     if len(t) == 0:
         raise RecordingError(f"{path}: has column names but no rows")
-    extra = {"constants": raw.constants, "notes": [*raw.notes, *notes], TIME_NAME: time}
+    extra = Extra(constants=raw.constants, notes=[*raw.notes, *notes], time_column=time)
     return kind.from_columns(columns, t=t, units=units, extra=extra)

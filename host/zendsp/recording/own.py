@@ -17,7 +17,6 @@ from zendsp.recording.samples import Channel
 from zendsp_protocol import written
 
 CHECK = "checksum"
-TIME_NAME = "time_column"  # in `extra`: what `t` was called in the foreign file it comes from
 FORM = 1  # version of the layout below; readers refuse what is newer
 
 

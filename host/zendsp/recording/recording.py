@@ -45,7 +45,7 @@ class Recording(Samples):
         Row at which the trigger fired, -1 where there was none.
     lost : int
         Rows that the target could not keep; 0 is the promise.
-    timing : mapping
+    timing : LoopTiming
         Timing statistics of the loop, ns (see ``docs/protocol.md``).
     log : tuple of ParameterChange
         Changes of parameters made since the program was loaded, up to the end of the recording.
@@ -60,8 +60,9 @@ class Recording(Samples):
     created : float, Unix s
     note : str
         The user's own words.
-    extra : mapping
-        Anything else that JSON can hold, kept unread.
+    extra : Extra
+        What is said beside (`zendsp.recording.notes.Extra`), and anything else that JSON can hold,
+        kept unread.
 
     Examples
     --------

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from zendsp.errors import RecordingError
 from zendsp.recording.names import FloatArray, element_names, listing, pick
+from zendsp.recording.notes import Extra, LoopTiming
 from zendsp_protocol.texts import counted, units_of
 from zendsp_protocol.values import Assignable
 
@@ -86,7 +87,7 @@ class Samples:
     decimation: int = 1
     trigger_row: int = -1
     lost: int = 0
-    timing: Mapping[str, Any] = field(default_factory=dict)
+    timing: LoopTiming = field(default_factory=LoopTiming)
     log: tuple[ParameterChange, ...] = ()
     parameters: Mapping[str, Assignable] = field(default_factory=dict)
     sources: Mapping[str, str] = field(default_factory=dict)
@@ -97,7 +98,7 @@ class Samples:
     versions: Mapping[str, str] = field(default_factory=dict)
     created: float = 0.0
     note: str = ""
-    extra: Mapping[str, Any] = field(default_factory=dict)
+    extra: Extra = field(default_factory=Extra)
 
     def __post_init__(self) -> None:
         width = sum(channel.width for channel in self.channels)

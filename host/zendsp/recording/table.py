@@ -20,7 +20,7 @@ from zendsp.recording.names import (
     split_unit,
     units_in,
 )
-from zendsp.recording.own import TIME_NAME, checked
+from zendsp.recording.own import checked
 from zendsp.recording.units import in_si
 from zendsp_protocol.texts import counted
 
@@ -165,7 +165,7 @@ def read_table(path: str | Path, columns: Sequence[str] | None = None) -> Table:
     raw = read_raw(path)
     if raw.metadata:
         body, *_ = checked(path, raw)
-        time = body["extra"].get(TIME_NAME, "t")  # by which a model file knows it
+        time = body["extra"].get("time_column", "t")  # by which a model file knows it
         raw = replace(
             raw, columns={time if n == "t" else n: v for n, v in raw.columns.items()},
             units={time if n == "t" else n: v for n, v in raw.units.items()},

@@ -30,7 +30,7 @@ from zendsp.tui.targets import Targets
 from zendsp.tui.typeahead import HELD_S, TypeAhead
 from zendsp.tui.workspace import Workspace
 from zendsp_isr.sources import gather, shipped_programs
-from zendsp_protocol.states import LATCHED
+from zendsp_protocol.states import LATCHED, DriveAction
 
 READ_S = 1.0  # that a message stays, whatever is typed
 PUT_BACK_S = 5.0  # for a run that was stopped to put back what it has set
@@ -242,8 +242,11 @@ class ZendspApp(TypeAhead):
 
     def action_command(self) -> None:
         """Take the right to command, or give it back."""
+        what = "take the command right"
         if self.session.snapshot.mine:
-            self.session.do("give back the command right", lambda port: port.drive("release"))
+            self.session.do(
+                "give back the command right", lambda port: port.drive(DriveAction.RELEASE)
+            )
         elif self.session.snapshot.commander:
             who = self.session.snapshot.commander
             self.push_screen(
@@ -252,12 +255,10 @@ class ZendspApp(TypeAhead):
                     f"{who} commands this target.\nTaking over ends that at once.",
                     agree="Take over",
                 ),
-                lambda yes: (
-                    self.drive("take the command right", "take", force=True) if yes else None
-                ),
+                lambda yes: self.drive(what, DriveAction.TAKE, force=True) if yes else None,
             )
         else:
-            self.drive("take the command right", "take")
+            self.drive(what, DriveAction.TAKE)
 
     def action_acknowledge(self) -> None:
         """Acknowledge a trip or a STOP. The target would pause the program also where none is
@@ -281,7 +282,7 @@ class ZendspApp(TypeAhead):
             self.toast(said, "warning")
             return
         self.session.stops.acknowledged()
-        self.drive("acknowledge", "acknowledge", trip=now.trip)
+        self.drive("acknowledge", DriveAction.ACKNOWLEDGE, trip=now.trip)
 
     # -- keys
 
@@ -304,7 +305,7 @@ class ZendspApp(TypeAhead):
 
     # -- helpers of the screens
 
-    def drive(self, label: str, verb: str, **values: object) -> None:
+    def drive(self, label: str, action: DriveAction, **values: object) -> None:
         """Ask something of the drives; a refusal is shown with its reason."""
 
         def done(future: Future[str]) -> None:
@@ -314,7 +315,7 @@ class ZendspApp(TypeAhead):
             else:
                 self.call_later(self._say, future.result() or f"{label}: done")
 
-        self.session.do(label, lambda port: port.drive(verb, **values)).add_done_callback(done)
+        self.session.do(label, lambda port: port.drive(action, **values)).add_done_callback(done)
 
     def _say(self, text: str) -> None:
         """Say what was done, on the screen that is shown."""

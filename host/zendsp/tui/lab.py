@@ -9,6 +9,7 @@ from typing import Protocol
 from zendsp.tui.runs import Run
 from zendsp.tui.session import Session
 from zendsp.tui.workspace import Workspace
+from zendsp_protocol.states import DriveAction
 
 
 class Lab(Protocol):
@@ -22,7 +23,7 @@ class Lab(Protocol):
     model: str  # model file that simulation and diagnosis were last given
     source: Path | None
 
-    def drive(self, label: str, verb: str, **values: object) -> None: ...
+    def drive(self, label: str, action: DriveAction, **values: object) -> None: ...
     def play(self, path: Path) -> None: ...
     def diagnose(self, run: Run) -> None: ...
     def await_run(self, reference: Path, then: Callable[[Run], None]) -> None: ...

@@ -22,7 +22,7 @@ from zendsp.recording import Recording
 from zendsp.tui.port import Build, Shot, Sink, Tell
 from zendsp.tui.snapshot import LinkState, Snapshot, TripView, Variable
 from zendsp_protocol import messages as m
-from zendsp_protocol.states import ProgramState, RecorderState, VariableKind
+from zendsp_protocol.states import DriveAction, ProgramState, RecorderState, VariableKind
 from zendsp_protocol.values import Assignable, Value
 
 if TYPE_CHECKING:
@@ -253,13 +253,13 @@ class LinkPort:
 
     # -- drives
 
-    def drive(self, verb: str, **values: Any) -> str:
+    def drive(self, action: DriveAction, **values: Any) -> str:
         """Ask something of the drives; homing is waited for."""
-        if verb == "home":
+        if action == DriveAction.HOME:
             return self.target.home_and_wait()
-        if verb == "acknowledge":
+        if action == DriveAction.ACKNOWLEDGE:
             return self.target.acknowledge(**values)
-        said: m.Said = self.target.request("drive", action=verb, **values)
+        said: m.Said = self.target.request("drive", action=action, **values)
         return said.text
 
     # -- acquisition

@@ -15,6 +15,7 @@ import numpy as np
 from zendsp.errors import Refused, ZendspError
 from zendsp.link.put_back import Before
 from zendsp.recording import Recording
+from zendsp.recording.notes import CutNote
 from zendsp.reference import Machine, Reference
 from zendsp.tui.job import Job, Progress
 from zendsp.tui.playing import Player, Setup, present_position
@@ -225,5 +226,5 @@ def cut(
         t=recording.t[a:b],
         data=recording.data[a:b],
         start_tick=recording.start_tick + a * recording.decimation,
-        extra={**recording.extra, "cut": {"first_row": a, "rows": b - a, "of": len(recording)}},
+        extra={**recording.extra, "cut": CutNote(first_row=a, rows=b - a, of=len(recording))},
     )

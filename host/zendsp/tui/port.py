@@ -15,6 +15,7 @@ from zendsp.link.put_back import Before
 from zendsp.recording import Recording
 from zendsp.tui.snapshot import Snapshot
 from zendsp_protocol.messages import Diagnostic, Program
+from zendsp_protocol.states import DriveAction
 from zendsp_protocol.values import Assignable
 
 if TYPE_CHECKING:  # the experiments are loaded when one is asked for
@@ -66,7 +67,7 @@ class Port(Protocol):
     def update(self, values: Mapping[str, Assignable]) -> int: ...
     def fade(self, values: Mapping[str, Assignable]) -> int: ...  # without a step of the torque
     def before(self, names: Iterable[str]) -> Before: ...  # as they are now, to be put back
-    def drive(self, verb: str, **values: Any) -> str: ...
+    def drive(self, action: DriveAction, **values: Any) -> str: ...
     def arm(self, shot: Shot) -> None: ...
     def progress(self) -> tuple[str, float]: ...  # state and share done
     def load(self, note: str = "") -> Recording: ...

@@ -190,12 +190,10 @@ class Motion:
             answered = ffi_address(control, "acknowledged")
             session.until(lambda: lib.monitor_load32(answered) == wanted, "acknowledge")
 
-    def set_drive(self, mode: str) -> None:
-        """What the drives shall do: ``"off"``, ``"torque"``, ``"velocity"``, or ``"auto"`` (torque
-        at each start, the default). Returns once the loop acts by it.
+    def set_drive(self, mode: DriveMode) -> None:
+        """What the drives shall do; auto, the default: torque at each start. Returns once the loop
+        acts by it.
         """
-        if mode not in list(DriveMode):
-            raise Refused(f"drive mode {mode!r}: give off, torque, velocity or auto")
         with self._programs.lock:
             if mode in (DriveMode.TORQUE, DriveMode.VELOCITY):
                 self._programs.living()  # switching on needs somebody who obeys
@@ -205,7 +203,7 @@ class Motion:
                 control = session.control
                 if mode == DriveMode.OFF:
                     control.off = (int(control.off) + 1) & 0xFFFFFFFF
-                control.drive = safety.DRIVE_MODES.get(DriveMode(mode), int(control.drive))
+                control.drive = safety.DRIVE_MODES.get(mode, int(control.drive))
                 with contextlib.suppress(RunnerDied):  # then nothing is driven
                     session.settle("set_drive")
 
@@ -267,16 +265,11 @@ class Motion:
             raise Refused(f"ramp of {seconds!r} s: give 0 … {LONGEST_RAMP_S:g} s")
         self._apply({"drive.ramp": seconds})
 
-    def set_overrun(self, policy: str, limit: int = 10) -> None:
-        """What happens when samples take longer than the period: ``"count"``, ``"skip"``, or
-        ``"trip"`` after `limit` in a row.
-        """
-        if policy not in list(OverrunPolicy) or limit < 1:
-            raise Refused(
-                f"overrun policy {policy!r}, limit {limit}: give count, skip or trip, and a limit"
-                " of 1 or more"
-            )
-        number = safety.OVERRUN_POLICIES[OverrunPolicy(policy)]
+    def set_overrun(self, policy: OverrunPolicy, limit: int = 10) -> None:
+        """What happens when samples take longer than the period; trip: after `limit` in a row."""
+        if limit < 1:
+            raise Refused(f"overrun limit {limit}: give 1 or more")
+        number = safety.OVERRUN_POLICIES[policy]
         self._apply({"overrun.policy": number, "overrun.limit": limit})
 
     def _apply(self, values: Mapping[str, object]) -> None:

@@ -96,7 +96,7 @@ class Programs:
         self._place: Place | None = None  # once a loop keeps time
         self._loads = 0
         self._sequence = 0  # of the last update of all loads
-        self.drive_wish: str = DriveMode.AUTO
+        self.drive_wish = DriveMode.AUTO
         self.unsafe = ""
         self._closed = False
 

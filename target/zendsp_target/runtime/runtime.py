@@ -73,8 +73,6 @@ class Runtime:
         Compile, load, unload.
     motion : Motion
         Start, pause, STOP, drives, limits.
-    loaded_variables : LoadedVariables
-        Read, write, the log.
     recorder : Recorder
         Acquisition streams.
 
@@ -100,7 +98,7 @@ class Runtime:
         variables = LoadedVariables(programs)
         recorder = Recorder(programs.folder, lambda: programs.session)
         self.programs, self.motion = programs, motion
-        self.loaded_variables, self.recorder = variables, recorder
+        self.recorder = recorder
 
         self.title = programs.title
         self.compile, self.configure = programs.compile, programs.configure

@@ -29,6 +29,7 @@ from zendsp_protocol import verbs
 from zendsp_protocol.errors import Refused, ZendspError
 from zendsp_protocol.messages import Status
 from zendsp_protocol.states import (
+    DriveAction,
     DriveMode,
     DriveState,
     HostLost,
@@ -46,6 +47,8 @@ log = logging.getLogger(__name__)
 SOFT_S = 0.1
 OFF_S = 0.5  # for a soft stop to end
 AFTER_TRIP_S = 1.0  # a recording shows how the machine comes to rest
+# actions by which the right to command is taken
+TAKING = (DriveAction.TAKE, DriveAction.POWER_ON, DriveAction.HOME, DriveAction.ENABLE)
 POLICY = HostLost.STOP  # unless somebody chooses another
 HOLD_VARIABLE = "hold"  # a bool parameter of programs that can hold their reference
 
@@ -235,26 +238,23 @@ class Drives:
 
     def act(self, args: verbs.Drive, by: str) -> str:
         """Do what a ``drive`` request asks; returns a sentence."""
-        actions: dict[str, Callable[[], str]] = {
-            "take": lambda: self.take(by, args.force),
-            "release": lambda: self.release(by),
-            "power_on": self.power_on,
-            "power_off": self.power_off,
-            "home": self.home,
-            "enable": lambda: self.enable(args.mode or DriveMode.TORQUE),
-            "disable": self.disable,
-            "acknowledge": self.acknowledge,
-            "auto": self.auto,
-            "host_lost": lambda: self.set_policy(args.policy, by),
+        actions: dict[DriveAction, Callable[[], str]] = {
+            DriveAction.TAKE: lambda: self.take(by, args.force),
+            DriveAction.RELEASE: lambda: self.release(by),
+            DriveAction.POWER_ON: self.power_on,
+            DriveAction.POWER_OFF: self.power_off,
+            DriveAction.HOME: self.home,
+            DriveAction.ENABLE: lambda: self.enable(args.mode),
+            DriveAction.DISABLE: self.disable,
+            DriveAction.ACKNOWLEDGE: self.acknowledge,
+            DriveAction.AUTO: self.auto,
+            DriveAction.HOST_LOST: lambda: self.set_policy(args.policy, by),
         }
-        action = actions.get(args.action)
-        if action is None:
-            raise Refused(f"drive action {args.action!r}: expected one of {', '.join(actions)}")
         with self._lock:
-            if args.action not in ("take", "release"):
+            if args.action not in (DriveAction.TAKE, DriveAction.RELEASE):
                 self.check_right(by)
-            said = action()
-            if args.action in ("power_on", "home", "enable"):
+            said = actions[args.action]()
+            if args.action in TAKING and args.action != DriveAction.TAKE:
                 said += self._pass_to(by)
             return said
 
@@ -290,12 +290,12 @@ class Drives:
         self._runtime.home()
         return "homing"
 
-    def enable(self, mode: str) -> str:
+    def enable(self, mode: DriveMode) -> str:
         """homed → enabled, in torque or velocity mode; while automatic this switches the power on
         too. What is refused changes nothing.
         """
         if mode not in (DriveMode.TORQUE, DriveMode.VELOCITY):
-            raise Refused(f"drive mode {mode!r}: expected 'torque' or 'velocity'")
+            raise Refused(f"drive mode {mode}: expected torque or velocity")
         failing = [c for c in self.conditions(self._runtime.status()) if not c.met]
         if failing:
             raise Refused(refusal("enabling", failing))
@@ -360,18 +360,16 @@ class Drives:
         self._runtime.set_drive(DriveMode.AUTO)
         return "automatic: on at start, off at pause"
 
-    def set_policy(self, policy: str, by: str) -> str:
+    def set_policy(self, policy: HostLost, by: str) -> str:
         """Choose what happens when the commanding host is lost: it ends with the command of whoever
         chose it; from who does not come to command it stays.
         """
-        if policy not in tuple(HostLost):
-            raise Refused(f"host-lost policy {policy!r}: expected one of {', '.join(HostLost)}")
-        self._policy, self._policy_by = HostLost(policy), by
+        self._policy, self._policy_by = policy, by
         return f"if the commanding host is lost: {policy}"
 
     def _off(self) -> None:
         self._enabled = False
-        self._runtime.set_drive("off")
+        self._runtime.set_drive(DriveMode.OFF)
 
     def _off_and_look(self) -> str:
         """Switch the drives off, and wait for a short soft stop; returns what there is to say where

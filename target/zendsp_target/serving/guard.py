@@ -12,7 +12,7 @@ from zendsp_protocol import messages as m
 from zendsp_protocol import verbs
 from zendsp_protocol.errors import Refused
 from zendsp_target.serving.deferred import Later
-from zendsp_target.serving.drives import Drives
+from zendsp_target.serving.drives import TAKING, Drives
 
 Handler = Callable[[Any, str], Any]
 
@@ -24,8 +24,6 @@ COMMANDING = (
 )
 # of these, what changes values only
 CHANGES = ("write", "update", "table_commit", "run_begin", "run_end")
-# actions by which the right to command is taken
-TAKING = ("take", "power_on", "home", "enable")
 # fields that say so of other requests by which a host is one whose loss matters
 WATCHED = {"start": "attended", "run_begin": "moves"}
 SEEN_S = 1.0  # for the token of a host to arrive after its first request

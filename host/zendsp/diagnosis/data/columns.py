@@ -13,7 +13,6 @@ from zendsp.errors import RecordingError
 from zendsp.physics.model import CALLED, TREES, Model
 from zendsp.recording import Recording, Table
 from zendsp.recording.names import split_unit, units_in
-from zendsp.recording.own import TIME_NAME
 from zendsp.recording.units import dimension, not_known, to_si
 from zendsp_protocol.texts import counted
 
@@ -128,7 +127,7 @@ def getter(source: Recording | Table) -> tuple[str, Getter, tuple[str, ...]]:
         names = set(source.names)
 
         def from_recording(column: str) -> Array:
-            if column in ("t", "time", source.extra.get(TIME_NAME)) and column not in names:
+            if column in ("t", "time", source.extra.get("time_column")) and column not in names:
                 return np.asarray(source.t, float)
             try:
                 known = [to_si(unit) for unit in units_in(source.units, column)]

@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +18,7 @@ from zendsp.errors import RecordingError
 from zendsp.physics.kernel.signals import find_resolution
 from zendsp.physics.kernel.smooth import polynomial
 from zendsp.recording import Recording, Table
+from zendsp.recording.notes import JointNote
 from zendsp.recording.roles import Role, role_of
 from zendsp_protocol.texts import units_of
 
@@ -229,8 +229,7 @@ class Machine:
     name : str
     model : str
         Path of the MuJoCo model that the target simulates; empty: there is none, or it is not here.
-    joints : tuple of mapping
-        As ``JointInfo`` of the protocol has them.
+    joints : tuple of JointNote
     period : float
         Of the loop, s: the rows of a decimated recording are further apart.
     lag : float
@@ -239,7 +238,7 @@ class Machine:
 
     name: str
     model: str
-    joints: tuple[Mapping[str, Any], ...]
+    joints: tuple[JointNote, ...]
     period: float
     lag: float
 
@@ -252,7 +251,8 @@ class Machine:
     def limits(self) -> list[float]:
         """Largest torque of each joint, N m or N; empty where one has none."""
         found = [joint["torque_max"] for joint in self.joints]
-        return [float(limit) for limit in found] if None not in found else []
+        limits = [limit for limit in found if limit is not None]
+        return limits if len(limits) == len(found) else []
 
 
 def machine_of(path: Path, folder: Path) -> Machine | None:

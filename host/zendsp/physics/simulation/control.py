@@ -16,13 +16,13 @@ from zendsp.physics.model import Model
 from zendsp.physics.simulation.plant import INNER, Plant, joint_count
 from zendsp.physics.simulation.run import (
     Controller,
-    Extra,
     converge,
     recording,
     reference_rows,
     stretch,
 )
 from zendsp.recording import Recording
+from zendsp.recording.notes import Extra
 from zendsp.reference import Reference
 
 Array = npt.NDArray[np.float64]

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NotRequired, TypedDict
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +24,7 @@ from zendsp.physics.simulation.plant import INNER, Plant, joint_count
 from zendsp.physics.simulation.program import compile_program, run_program
 from zendsp.recording import Recording
 from zendsp.recording.names import gather_vectors
+from zendsp.recording.notes import Extra, Halving, StepCheck
 from zendsp.reference import Reference, check_fits, load_reference
 from zendsp_isr.sources import Source
 from zendsp_protocol.texts import joint_units
@@ -205,38 +206,6 @@ def beyond(model: Model, outcome: Outcome) -> list[str]:
             " for another machine?"
         )
     return said
-
-
-class Halving(TypedDict):
-    """How far each position moved when the steps of a sample were doubled."""
-
-    inner: int
-    change: list[float]
-
-
-class SimulationNote(TypedDict):
-    """What a recording says of the simulation that made it."""
-
-    inner: int  # integration steps a sample
-    model: str  # its file
-    beyond: NotRequired[list[str]]  # limits that it left
-    reference: NotRequired[str]  # what is to be said where it was planned for another machine
-
-
-class Extra(TypedDict):
-    """What a simulation adds to its recording."""
-
-    simulation: SimulationNote
-    step_check: NotRequired[StepCheck]
-
-
-class StepCheck(TypedDict):
-    """Whether more steps a sample would still move the positions, as the recording keeps it."""
-
-    converged: bool
-    units: list[str]  # of each joint's position
-    allowed: list[float]
-    halvings: list[Halving]
 
 
 def converge(model: Model, inner: int, positions: Callable[[int], Array]) -> tuple[int, StepCheck]:

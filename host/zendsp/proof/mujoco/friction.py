@@ -54,8 +54,9 @@ def _tanh(b: Bench, joint: int, s: Scale, size: float, rng: Rng) -> Concealed:
     return truth(b, "coulomb", joint, size, {"level": (level, unit(b))}, ("presliding",), note=note)
 
 
-def lugre(fc: float, fs: float, vs: float, stiffness: float, damping: float) -> Law:
-    """Bristle friction of Canudas de Wit et al. 1995, the bristle stepped exactly for a held speed.
+def lugre(fc: float, fs: float, vs: float, stiffness: float) -> Law:
+    """Bristle friction of Canudas de Wit et al. 1995, undamped, the bristle stepped exactly for a
+    held speed.
     """
 
     def fresh(h: float) -> Callable[[float, float, float, float], float]:
@@ -68,7 +69,7 @@ def lugre(fc: float, fs: float, vs: float, stiffness: float, damping: float) -> 
             end = copysign(level / stiffness, v)
             old = z
             z = end + (z - end) * exp(-rate * h) if rate > 0 else z
-            return -(stiffness * 0.5 * (z + old) + damping * (z - old) / h)
+            return -stiffness * 0.5 * (z + old)
 
         return torque
 
@@ -82,7 +83,7 @@ def _lugre(b: Bench, joint: int, s: Scale, size: float, rng: Rng) -> Concealed:
     bristle = s.reach * rng.uniform(0.002, 0.01)
     stiffness = level / bristle
     rise, slip = rng.uniform(1.2, 1.7), rng.uniform(0.03, 0.1) * s.v_rms
-    b.laws.append((joint, lugre(level, rise * level, slip, stiffness, 0.0)))
+    b.laws.append((joint, lugre(level, rise * level, slip, stiffness)))
     return truth(
         b,
         "presliding",

@@ -18,7 +18,7 @@ from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.screens.console_scope import real
 from zendsp_isr.sources import gather
 from zendsp_protocol.messages import Diagnostic
-from zendsp_protocol.states import DriveState
+from zendsp_protocol.states import DriveAction, DriveState, HostLost
 from zendsp_protocol.texts import counted
 
 
@@ -62,16 +62,20 @@ class ProgramActions(LabScreen):
         """Power on or off."""
         s = self.lab.session.snapshot
         on = not s.explicit or s.drive in (DriveState.OFF, "")
-        self.lab.drive("power on" if on else "power off", "power_on" if on else "power_off")
+        if on:
+            self.lab.drive("power on", DriveAction.POWER_ON)
+        else:
+            self.lab.drive("power off", DriveAction.POWER_OFF)
 
     def action_home(self) -> None:
         """Find the zero position."""
-        self.lab.drive("home", "home")
+        self.lab.drive("home", DriveAction.HOME)
 
     def action_enable(self) -> None:
         """Enable or disable."""
         enabled = self.lab.session.snapshot.drive in (DriveState.ENABLED, DriveState.RUNNING)
-        self.lab.drive("disable" if enabled else "enable", "disable" if enabled else "enable")
+        action = DriveAction.DISABLE if enabled else DriveAction.ENABLE
+        self.lab.drive(action, action)
 
     def action_start(self) -> None:
         """Start the program."""
@@ -84,19 +88,19 @@ class ProgramActions(LabScreen):
     def action_host_lost(self) -> None:
         """Choose the policy."""
         options = [
-            Option("stop", "stop", "zero velocity at once, latched as a trip (the default)"),
+            Option(HostLost.STOP, "stop", "zero velocity at once, latched as a trip (the default)"),
             Option(
-                "hold",
+                HostLost.HOLD,
                 "hold",
                 "the program's parameter hold is set: it comes to rest on its path; without one, as"
                 " stop",
             ),
-            Option("finish", "finish", "the program goes on"),
+            Option(HostLost.FINISH, "finish", "the program goes on"),
         ]
 
         def chosen(keys: list[str] | None) -> None:
             if keys:
-                self.lab.drive("host-lost policy", "host_lost", policy=keys[0])
+                self.lab.drive("host-lost policy", DriveAction.HOST_LOST, policy=keys[0])
 
         self.app.push_screen(Choose("If this host disappears", options), chosen)
 

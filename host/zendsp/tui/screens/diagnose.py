@@ -433,7 +433,7 @@ class DiagnoseScreen(LoopActions):
     def action_compare(self) -> None:
         """Show what sets this diagnosis apart from another."""
         if self._need() is not None:
-            self._choose_diagnosis("Compare with", self.compare_with)
+            self._choose_diagnosis("Compare with", self.compare_with, but=self.shown)
 
     def action_earlier(self) -> None:
         """Open an earlier diagnosis, and go on with its model."""
@@ -445,10 +445,12 @@ class DiagnoseScreen(LoopActions):
 
         self._choose_diagnosis("Diagnoses", then)
 
-    def _choose_diagnosis(self, title: str, then: Callable[[Diagnosed], None]) -> None:
+    def _choose_diagnosis(
+        self, title: str, then: Callable[[Diagnosed], None], but: Diagnosed | None = None
+    ) -> None:
         known = list_diagnoses(self.lab.workspace.diagnoses)
-        if self.shown is not None and title == "Compare with":
-            known = [d for d in known if d.folder != self.shown.folder]
+        if but is not None:
+            known = [d for d in known if d.folder != but.folder]
         if not known:
             self.say("there is no other diagnosis yet", "warning")
             return

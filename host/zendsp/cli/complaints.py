@@ -1,0 +1,56 @@
+"""How an expected error is said: one line on standard error."""
+
+from __future__ import annotations
+
+import re
+import sys
+
+import click
+
+from zendsp.cli.lines import fitted
+from zendsp.errors import ZendspError
+from zendsp_protocol.errors import nearest
+from zendsp_protocol.texts import shown, with_point
+
+
+def say(error: Exception) -> None:
+    """Print an expected error as one line."""
+    if isinstance(error, click.ClickException):
+        words = _wrong_use(error)
+    elif isinstance(error, OSError) and not isinstance(error, ZendspError):
+        where = f"{error.filename}: " if error.filename else ""
+        words = f"{where}{error.strerror or error}"
+    elif isinstance(error, MemoryError):
+        why = str(error) or "none is left"
+        words = f"too little memory ({why}); 'ulimit -v' and 'free' show it"
+    else:
+        words = str(error)
+    click.echo(fitted(f"zendsp: {shown(words)}", sys.stderr), err=True)
+
+
+def _wrong_use(error: click.ClickException) -> str:
+    """One line on a command that was typed wrongly, as of every other error."""
+    context = error.ctx if isinstance(error, click.UsageError) else None
+    if context is not None and isinstance(error, click.exceptions.NoSuchCommand):
+        group = context.command
+        known = group.list_commands(context) if isinstance(group, click.Group) else []
+        close = nearest(error.command_name, known)
+        near = f"did you mean {close[0]}? " if close else ""
+        return (
+            f"no command {error.command_name!r}; {near}'{context.command_path} --help' lists them"
+        )
+    if context is not None and isinstance(error, click.exceptions.NoSuchOption):
+        options = [name for p in context.command.params for name in p.opts]
+        name = error.option_name  # without dashes, in which all are alike
+        close = nearest(name.lstrip("-"), [o.lstrip("-") for o in options])
+        error = click.exceptions.NoSuchOption(name, possibilities=[f"--{o}" for o in close])
+    words = error.format_message()
+    if type(error) is click.BadParameter:  # it is its own sentence
+        words = error.message
+    words = re.sub(r"\s+", " ", words).rstrip(".")
+    if number := re.search(r"'([^']*)' is not a valid (float|integer)", words):
+        words += with_point(number[1])
+    words = (words[:1].lower() + words[1:]).replace(". Did you mean", "; did you mean")
+    if context is None:
+        return words
+    return f"{words}{'' if words.endswith('?') else ';'} '{context.command_path} --help' says more"
