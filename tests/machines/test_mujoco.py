@@ -5,6 +5,7 @@ refuses, what it allocates.
 from __future__ import annotations
 
 import importlib.util
+import re
 import subprocess
 from collections.abc import Sequence
 from pathlib import Path
@@ -367,6 +368,88 @@ def test_a_urdf_whose_meshes_are_in_another_package_runs_without_its_shapes(tmp_
     file.with_suffix(".xml").write_text('<mujoco><asset><mesh file="no.stl"/></asset></mujoco>')
     with pytest.raises(ValueError, match=r"no\.stl"):
         robot(file.with_suffix(".xml"))
+
+
+SHAPE = '<geometry><box size="0.2 0.2 0.2"/></geometry></collision></link>'
+
+
+def with_shapes(tmp_path: Path, *changes: tuple[str, str]) -> Path:
+    """The pole with a box about its joint and one about its base."""
+    file = tmp_path / "pole.urdf"
+    box = "<collision>" + SHAPE
+    text = re.sub(r"<visual>.*?</link>", box, URDF, count=1, flags=re.DOTALL)
+    text = re.sub(r"<collision><geometry><mesh.*?</link>", box, text, flags=re.DOTALL)
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    file.write_text(text)
+    return file
+
+
+def test_the_first_link_of_a_urdf_passes_through_its_base_as_each_link_does_through_the_next(
+    tmp_path: Path,
+) -> None:
+    """Their shapes meet in the joint: MuJoCo collides what touches a base that stands."""
+    with robot(with_shapes(tmp_path), "q1 = 0.1") as plant:
+        for _ in range(200):
+            plant.torque([-2.0 * 9.81 * 0.3 * np.sin(0.1) + 1.0])
+        push, fall = 1.0 / 0.2, 2.0 * 9.81 * 0.3 / 0.2  # rad/s^2; a rad
+        moved = push / fall * (np.cosh(np.sqrt(fall) * 0.2) - 1.0)
+        assert plant.q[0] - 0.1 == pytest.approx(moved, rel=0.02)
+
+
+def test_bodies_that_begin_in_one_another_are_named(tmp_path: Path) -> None:
+    second = """<link name="tip"><inertial><mass value="1"/><inertia ixx="0.02" iyy="0.02"
+    izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial><collision><origin xyz="0 0 -0.35"/>""" + SHAPE
+    joint = """<joint name="bend" type="revolute"><parent link="pole"/><child link="tip"/>
+    <origin xyz="0 0 0.3"/><axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="9"
+    velocity="2"/></joint></robot>"""
+    with robot(with_shapes(tmp_path, ("</robot>", second + joint))) as plant:
+        said = plant.ffi.string(plant.info.text).decode()
+        assert "tip begins 150 mm inside world" in said
+    with robot(ARM) as plant:
+        assert "begins" not in plant.ffi.string(plant.info.text).decode()
+
+
+def test_an_impossible_inertia_of_a_base_that_stands_plays_no_part(tmp_path: Path) -> None:
+    """As of many a base_link: 1e-6 in all six places."""
+    dummy = """<link name="base"><inertial><mass value="1e-6"/><inertia ixx="1e-6" iyy="1e-6"
+    izz="1e-6" ixy="1e-6" ixz="1e-6" iyz="1e-6"/></inertial>"""
+    with robot(with_shapes(tmp_path, ('<link name="base">', dummy))) as plant:
+        assert plant.info.joint[0].inertia == pytest.approx(0.02 + 2 * 0.3**2)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        (
+            'izz="0.001"', 'izz="1"',
+            r"'pole'.*correct the inertia of that link, or write below <robot>: "
+            r'<mujoco><compiler balanceinertia="true"/></mujoco>',
+        ),
+        (
+            'ixx="0.02" iyy="0.02" izz="0.001"', 'ixx="0" iyy="0" izz="0"',
+            r"'pole'.*give that link a mass and an inertia, or write below <robot>: .*boundinertia",
+        ),
+        ('ixz="0"', 'ixz="0.01"', r"'pole'.*no body has such an inertia, correct it"),
+    ],
+)  # fmt: skip
+def test_a_link_that_mujoco_does_not_take_is_named_with_what_to_do_though_meshes_are_missing_too(
+    tmp_path: Path, old: str, new: str, says: str
+) -> None:
+    file = tmp_path / "pole.urdf"
+    assert old in URDF
+    file.write_text(URDF.replace(old, new))
+    with pytest.raises(ValueError, match=says) as refused:
+        robot(file)
+    assert "were fused" not in str(refused.value)
+    if "compiler" in says or "bound" in says:  # what it says is done: then it runs
+        line = re.search(r"<mujoco>.*</mujoco>", str(refused.value))
+        assert line
+        head = '<robot name="pole">'
+        file.write_text(file.read_text().replace(head, head + line[0]))
+        with robot(file):
+            pass
 
 
 def test_a_model_that_is_too_slow_for_the_real_clock_says_how_slow(tmp_path: Path) -> None:
