@@ -17,7 +17,9 @@ from plants import OFF, VELOCITY, Plant
 
 from zendsp_isr.build import build, source_root
 from zendsp_isr.parts import build_machine
-from zendsp_protocol.errors import CompileFailed
+from zendsp_protocol.errors import CompileFailed, Refused
+from zendsp_target.runtime.process.runner import look_at
+from zendsp_target.runtime.process.settings import Settings
 
 mujoco: Any = pytest.importorskip("mujoco")
 MODELS = Path(__file__).parent / "models"
@@ -470,6 +472,38 @@ def test_without_mujoco_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> N
     )
     with pytest.raises(CompileFailed, match=r"pip install 'zendsp\[mujoco\]'"):
         build_machine(str(ARM))
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new"),
+    [
+        ("pole.urdf.xacro", "", ""),
+        ("pole.urdf", "</robot>", '<xacro:arm name="left"/></robot>'),
+        ("pole.urdf", 'xyz="0 0 0.3"', 'xyz="$(optenv POLE_XYZ 0 0 0.3)"'),
+        ("pole.urdf", 'value="2"', 'value="${mass}"'),
+    ],
+)
+def test_a_description_with_xacro_left_in_it_is_to_be_expanded_first(
+    tmp_path: Path, name: str, old: str, new: str
+) -> None:
+    file = tmp_path / name
+    assert old in URDF
+    file.write_text(URDF.replace(old, new))
+    says = r"xacro has to make a URDF of it first: .* > pole.*\.urdf'"
+    with pytest.raises(CompileFailed, match=says):
+        build_machine(str(file))
+
+
+def test_xacro_in_a_comment_alone_is_none(tmp_path: Path) -> None:
+    file = tmp_path / "pole.urdf"
+    file.write_text(URDF + '<!-- made by xacro of <xacro:pole mass="${mass}"/> -->')
+    assert build_machine(str(file)).suffix == ".so"
+
+
+def test_a_model_that_takes_too_long_to_open_says_what_helps(tmp_path: Path) -> None:
+    settings = Settings(str(ARM), {"model": str(ARM)}, load_s=1e-3)
+    with pytest.raises(Refused, match=r"did not open within 0\.001 s, .* smaller meshes or none$"):
+        look_at(settings, tmp_path)
 
 
 HARNESS = rb"""

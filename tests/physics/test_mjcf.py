@@ -16,7 +16,7 @@ from zendsp.physics.files.model_file import load_model, parse_model
 from zendsp.physics.files.model_write import model_text
 from zendsp.physics.robots.mjcf import library, read_mjcf
 from zendsp.physics.robots.robot import mjcf_of, robot_tree
-from zendsp.tree import inverse_dynamics
+from zendsp.tree import inverse_dynamics, read_urdf
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -149,7 +149,10 @@ REFUSED = {
         ),
         "joint 'b' of body 'wrist' is a ball joint",
     ),
-    "a closed loop": (ARM.replace("<actuator>", TIED + "<actuator>"), "'tie' closes a loop at"),
+    "a closed loop": (
+        ARM.replace("<actuator>", TIED + "<actuator>"),
+        "'tie' closes a loop at .*leaves the joints of a loop out",
+    ),
     "a tendon": (ARM.replace("<actuator>", ROPE + "<actuator>"), "tendon 'rope' pulls at joint"),
     "an include that is not there": (
         ARM.replace("<worldbody>", '<include file="gone.xml"/><worldbody>'),
@@ -404,3 +407,10 @@ def test_a_link_that_mujoco_does_not_take_is_named_though_meshes_are_missing_too
         read_mjcf(str(tmp_path / "pole.urdf"))
     assert "its shapes are not used: " in str(refused.value)
     assert "were fused" not in str(refused.value)
+
+
+def test_a_urdf_with_xacro_left_in_it_is_to_be_expanded_first(tmp_path: Path) -> None:
+    file = tmp_path / "arm.urdf"
+    file.write_text('<robot name="a" xmlns:xacro="http://ros.org/wiki/xacro"><xacro:arm/></robot>')
+    with pytest.raises(ModelError, match="xacro has to make a URDF of it first"):
+        read_urdf(str(file))

@@ -310,7 +310,7 @@ def _refuse_loops(taken: Mjcf, path: str) -> None:
         if where:
             raise ModelError(
                 f"{path}: {what} closes a loop at {where}: only trees of hinges and slides can be"
-                " taken over"
+                " taken over; [mechanism] joints = [\"…\"] leaves the joints of a loop out"
             )
     for t in range(m.ntendon):
         first = int(m.tendon_adr[t])
