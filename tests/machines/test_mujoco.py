@@ -474,6 +474,42 @@ def test_without_mujoco_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> N
         build_machine(str(ARM))
 
 
+HAND = """<link name="{0}"><inertial><mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01"
+ixy="0" ixz="0" iyz="0"/><origin xyz="0.2 0 0"/></inertial></link><joint name="{0}" type="revolute">
+<parent link="pole"/><child link="{0}"/><origin xyz="0 0 0.3"/><axis xyz="0 1 0"/>{1}
+<limit lower="-1" upper="1" effort="9" velocity="2"/></joint></robot>"""
+
+
+def test_joints_of_a_urdf_that_are_not_chosen_stand_as_the_diagnosis_takes_them_to(
+    tmp_path: Path,
+) -> None:
+    """Each has a motor: without it the rest of a robot would hang limp from the arm."""
+    file = tmp_path / "pole.urdf"
+    file.write_text(URDF.replace("</robot>", HAND.format("bend", "")))
+    with robot(file, "joints = swing") as plant:
+        said = plant.ffi.string(plant.info.text).decode()
+        assert "1 of its 2 joints, 1 with a drive (simulated, the others stand at 0" in said
+        # both bodies turn as one: about the joint, and half a metre out
+        whole = 0.02 + 2 * 0.3**2 + 0.01 + 1 * (0.3**2 + 0.2**2)
+        assert plant.info.joint[0].inertia == pytest.approx(whole)
+        for _ in range(20):
+            plant.torque([0.0])
+        assert plant.qd[0] == pytest.approx(9.81 * 0.2 / whole * 0.02, rel=0.02)
+    with pytest.raises(ValueError, match="no joint 'swng'; there are swing,bend"):
+        robot(file, "joints = swng")
+
+
+def test_a_joint_that_mimics_a_chosen_one_follows_it(tmp_path: Path) -> None:
+    file = tmp_path / "pole.urdf"
+    follower = HAND.format("bend", '<mimic joint="swing" multiplier="-1"/>')
+    file.write_text(URDF.replace("</robot>", follower))
+    with robot(file, "joints = swing") as plant:
+        assert "1 of its 2 joints, 1 with a drive (simulated" in (
+            said := plant.ffi.string(plant.info.text).decode()
+        )
+        assert "stand" not in said
+
+
 @pytest.mark.parametrize(
     ("name", "old", "new"),
     [

@@ -113,10 +113,11 @@ static int check_time(robot *r, const char *config, double period, char *error, 
         takes = time_sample(r, period);
     }
     snprintf(r->info.text, sizeof r->info.text,
-             "MuJoCo model %.60s, %d of its %d joints, %d with a drive (simulated%s%s): "
+             "MuJoCo model %.60s, %d of its %d joints, %d with a drive (simulated%s%s%s): "
               "steps of %.3g us, "
              "%.3g us for a sample of %.4g us.",
-             r->info.name, r->plant.joints, (int)r->model->njnt, drives,
+             r->info.name, r->plant.joints, (int)r->model->njnt + r->held, drives,
+             r->held ? ", the others stand at 0" : "",
              r->shapeless ? ", without shapes: files of meshes are missing" : "", jammed,
              1e6 * r->plant.substep, 1e6 * takes, 1e6 * period);
     if (strcmp(clock, "real") != 0 || takes < 0.9 * period)
@@ -144,8 +145,9 @@ static void robot_close(void *handle) {
 
 static int load(robot *r, const char *config, double period, char *error, size_t size,
                 const char *file) {
-    char why[800] = "";
-    r->model = read_model(file, &r->shapeless, why, sizeof why);
+    char why[800] = "", joints[1024] = "";
+    machine_config_text(config, "joints", joints, sizeof joints);
+    r->model = read_model(file, joints, &r->shapeless, &r->held, why, sizeof why);
     if (!r->model && strstr(why, "'mujocoinclude'"))
         return refuse(error, size, file, "a part that another file includes: give that file");
     if (!r->model)

@@ -73,9 +73,62 @@ static int free_first_links(mjSpec *spec, const mjModel *m) {
     return pairs;
 }
 
+/* 1: a name is one of a list by comma. */
+static int listed(const char *list, const char *name) {
+    const size_t length = strlen(name);
+    for (const char *at = list; length > 0 && (at = strstr(at, name)); at += length)
+        if ((at == list || strchr(", ", at[-1])) && (!at[length] || strchr(", ", at[length])))
+            return 1;
+    return 0;
+}
+
+/* 1: an equality, as of <mimic>, ties a joint to one of the list. */
+static int tied(mjSpec *spec, const char *name, const char *list) {
+    for (mjsElement *e = mjs_firstElement(spec, mjOBJ_EQUALITY); e; e = mjs_nextElement(spec, e)) {
+        const mjsEquality *tie = mjs_asEquality(e);
+        const char *one = mjs_getString(tie->name1), *other = mjs_getString(tie->name2);
+        if (tie->type == mjEQ_JOINT && ((strcmp(one, name) == 0 && listed(list, other)) ||
+                                        (strcmp(other, name) == 0 && listed(list, one))))
+            return 1;
+    }
+    return 0;
+}
+
+/* Every joint of a URDF has a motor: those that are not chosen stand at their zero, as behind their
+ * brakes, and would fall limp else. Returns how many. */
+static int hold_others(mjSpec *spec, const char *list) {
+    int held = 0;
+    for (mjsElement *e = mjs_firstElement(spec, mjOBJ_JOINT), *next; e; e = next) {
+        const char *name = mjs_getString(mjs_getName(e));
+        next = mjs_nextElement(spec, e);
+        if (mjs_asJoint(e)->type == mjJNT_FREE || listed(list, name) || tied(spec, name, list))
+            continue;
+        for (mjsElement *t = mjs_firstElement(spec, mjOBJ_EQUALITY), *after; t; t = after) {
+            const mjsEquality *tie = mjs_asEquality(t);
+            after = mjs_nextElement(spec, t);
+            if (tie->type == mjEQ_JOINT && (strcmp(mjs_getString(tie->name1), name) == 0 ||
+                                            strcmp(mjs_getString(tie->name2), name) == 0))
+                mjs_delete(spec, t);
+        }
+        held += mjs_delete(spec, e) == 0;
+    }
+    return held;
+}
+
+/* 1: all of a list are joints of the spec. */
+static int known(mjSpec *spec, const char *list) {
+    char names[1024];
+    snprintf(names, sizeof names, "%s", list);
+    for (char *rest = names, *name; (name = strtok_r(rest, ", ", &rest));)
+        if (!mjs_findElement(spec, mjOBJ_JOINT, name))
+            return 0;
+    return list[0] != 0;
+}
+
 /* A URDF with or without its shapes, whose files are often named by packages that are not here: it
  * states the inertias of its links. NULL: why. */
-static mjModel *read_urdf(const char *file, int shapes, char *why, size_t size) {
+static mjModel *read_urdf(const char *file, const char *joints, int shapes, int *held, char *why,
+                          size_t size) {
     mjSpec *spec = mj_parseXML(file, NULL, why, (int)size);
     if (!spec)
         return NULL;
@@ -85,6 +138,7 @@ static mjModel *read_urdf(const char *file, int shapes, char *why, size_t size) 
              e = mjs_firstElement(spec, kinds[k]))
             if (mjs_delete(spec, e) != 0)
                 break;
+    *held = known(spec, joints) ? hold_others(spec, joints) : 0;
     forget_inertia_that_stands(spec);
     mjModel *model = mj_compile(spec, NULL);
     if (model && free_first_links(spec, model) > 0) {
@@ -106,13 +160,16 @@ static void trim(char *text) {
         *--end = 0;
 }
 
-/* The model of a file; NULL: why, with what to do about it. */
-static mjModel *read_model(const char *file, int *shapeless, char *why, size_t size) {
+/* The model of a file; NULL: why, with what to do about it. Of a URDF, joints are those that are
+ * chosen by name (empty: none is), and held is how many others are. */
+static mjModel *read_model(const char *file, const char *joints, int *shapeless, int *held,
+                           char *why, size_t size) {
     char first[400] = "", text[400] = "";
-    mjModel *model = is_urdf(file) ? read_urdf(file, 1, first, sizeof first)
-                                   : mj_loadXML(file, NULL, first, (int)sizeof first);
+    mjModel *model = is_urdf(file)
+                         ? read_urdf(file, joints, 1, held, first, sizeof first)
+                         : mj_loadXML(file, NULL, first, (int)sizeof first);
     if (!model && is_urdf(file)) {
-        model = read_urdf(file, 0, text, sizeof text);
+        model = read_urdf(file, joints, 0, held, text, sizeof text);
         *shapeless = model != NULL;
     }
     if (model)
