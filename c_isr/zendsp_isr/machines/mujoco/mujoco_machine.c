@@ -81,8 +81,8 @@ static double time_sample(robot *r, double period) {
     return best;
 }
 
-/* The two bodies that begin deepest in one another, where that is a millimetre: they jam a joint, or
- * fling it. */
+/* The two bodies that begin deepest in one another, where that is a millimetre: they jam a joint,
+ * or fling it. */
 static void name_jam(robot *r, char *text, size_t size) {
     const mjModel *m = r->model;
     const mjContact *deepest = NULL;

@@ -24,8 +24,8 @@ static const char *remedy(const char *why, const char *file) {
                     : ": correct the inertia of that body, or write in the file: "
                       "<compiler balanceinertia=\"true\"/>";
     if (strstr(why, "mjMINVAL"))
-        return urdf ? ": give that link a mass and an inertia, or write below <robot>: <mujoco><compiler "
-                      "boundmass=\"0.001\" boundinertia=\"1e-6\"/></mujoco>"
+        return urdf ? ": give that link a mass and an inertia, or write below <robot>: "
+                      "<mujoco><compiler boundmass=\"0.001\" boundinertia=\"1e-6\"/></mujoco>"
                     : ": give that body a mass and an inertia, or write in the file: "
                       "<compiler boundmass=\"0.001\" boundinertia=\"1e-6\"/>";
     if (strstr(why, "positive eigenvalues"))
