@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from zendsp_isr.build import Built, build, source_root
 from zendsp_protocol.errors import CompileFailed
 
 _MODELS = (".xml", ".mjcf", ".urdf")  # what MuJoCo reads
+_XACRO = re.compile(r"<xacro:|=\s*\"[^\"<>]*\$[({]")  # what xacro replaces
 
 
 def _trusted(kind: str, built: Built) -> Path:
@@ -77,6 +79,8 @@ def machine_source(machine: str) -> Path:
     'imi_planar.c'
     """
     path = Path(machine)
+    if path.suffix == ".xacro":
+        raise CompileFailed(_expand(path))
     if not machine.endswith(".c"):
         path = source_root() / "machines" / f"{machine}.c"
     if not path.is_file():
@@ -142,12 +146,30 @@ def machine_title(machine: str) -> str:
     return Path(machine).stem if machine.endswith(".c") or is_model(machine) else machine
 
 
+def _expand(path: Path) -> str:
+    """What to do with a description that xacro has yet to make a URDF of."""
+    urdf = Path(path.name.removesuffix(".xacro")).with_suffix(".urdf")
+    urdf = urdf if urdf.name != path.name else urdf.with_stem(f"{urdf.stem}_expanded")
+    return (
+        f"{path}: xacro has to make a URDF of it first: 'pip install xacro', then"
+        f" 'xacro {path} > {urdf}'; give that file"
+    )
+
+
+def _is_xacro(path: Path) -> bool:
+    """Whether a URDF still has in it what xacro replaces."""
+    text = path.read_text(errors="replace") if path.suffix.lower() == ".urdf" else ""
+    return _XACRO.search(re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)) is not None
+
+
 def _build_mujoco(machine: str) -> Path:
     """The machine that runs any model, linked to MuJoCo's library of the installed package; Python
     loads nothing of it.
     """
     if not Path(machine).is_file():
         raise CompileFailed(f"{machine}: no such file: give the path of a MuJoCo model")
+    if _is_xacro(Path(machine)):
+        raise CompileFailed(_expand(Path(machine)))
     found = importlib.util.find_spec("mujoco")
     folders = found.submodule_search_locations if found is not None else None
     package = Path(next(iter(folders))) if folders else None

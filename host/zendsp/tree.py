@@ -259,6 +259,8 @@ def _read(robot: ET.Element, path: str) -> list[Body]:
     if robot.tag != "robot":
         kind = '; a MuJoCo model is kind = "mjcf"' if robot.tag == "mujoco" else ""
         raise ModelError(f"{path}: is not a URDF: its root is <{robot.tag}>, not <robot>{kind}")
+    if any("xacro" in part.tag for part in robot.iter()):
+        raise ModelError(f"{path}: xacro has to make a URDF of it first: xacro {path} > arm.urdf")
     found = robot.findall("link")
     links = {str(link.attrib["name"]): link for link in found}
     if len(links) < len(found):

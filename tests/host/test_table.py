@@ -106,6 +106,17 @@ def test_missing_file_folder_and_unknown_kind_are_told_apart(tmp_path: Path) -> 
         read_table(write(tmp_path / "run.xlsx", "x"))
 
 
+@pytest.mark.parametrize(
+    ("name", "kind"), [("arm.urdf", "urdf"), ("arm.xml", "mjcf"), ("arm.urdf.xacro", "urdf")]
+)
+def test_the_description_of_a_robot_is_no_recording_and_goes_into_a_model_file(
+    tmp_path: Path, name: str, kind: str
+) -> None:
+    says = rf'\[mechanism\] kind = "{kind}", file = "{name}".*zendsp target --machine .*{name}'
+    with pytest.raises(RecordingError, match=says):
+        read_table(write(tmp_path / name, "<robot/>"))
+
+
 def test_mat_vectors_scalars_structures_and_cells(tmp_path: Path) -> None:
     import scipy.io
 

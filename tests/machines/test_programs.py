@@ -376,6 +376,18 @@ def test_gravity_of_the_program_is_pinocchios(wam_of_pinocchio: Any) -> None:
     assert math.isfinite(out["g"].sum())
 
 
+def test_joint_pd_fits_a_joint_that_turns_next_to_nothing(tmp_path: Path) -> None:
+    """As the fins of a model of a fish: 2.5e-7 kg m^2."""
+    pytest.importorskip("mujoco")
+    model = tmp_path / "fin.xml"
+    model.write_text(
+        """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="fin" axis="0 1 0"/>
+        <geom size="0.005" pos="0.01 0 0" mass="0.002"/></body></worldbody></mujoco>"""
+    )
+    with running(str(model), "joint_pd.c") as made:
+        assert 0.0 < np.ravel(made.read(["J"])[1]["J"])[0] < 1e-6
+
+
 def test_a_program_for_any_machine_says_metres_and_newtons_where_joints_slide() -> None:
     pytest.importorskip("mujoco")
     model = str(Path(__file__).parent / "models" / "cart.xml")

@@ -14,9 +14,9 @@ import pytest
 from zendsp.errors import ModelError
 from zendsp.physics.files.model_file import load_model, parse_model
 from zendsp.physics.files.model_write import model_text
-from zendsp.physics.robots.mjcf import library
+from zendsp.physics.robots.mjcf import library, read_mjcf
 from zendsp.physics.robots.robot import mjcf_of, robot_tree
-from zendsp.tree import inverse_dynamics
+from zendsp.tree import inverse_dynamics, read_urdf
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -149,7 +149,10 @@ REFUSED = {
         ),
         "joint 'b' of body 'wrist' is a ball joint",
     ),
-    "a closed loop": (ARM.replace("<actuator>", TIED + "<actuator>"), "'tie' closes a loop at"),
+    "a closed loop": (
+        ARM.replace("<actuator>", TIED + "<actuator>"),
+        "'tie' closes a loop at .*leaves the joints of a loop out",
+    ),
     "a tendon": (ARM.replace("<actuator>", ROPE + "<actuator>"), "tendon 'rope' pulls at joint"),
     "an include that is not there": (
         ARM.replace("<worldbody>", '<include file="gone.xml"/><worldbody>'),
@@ -370,3 +373,44 @@ def test_a_urdf_that_is_wrong_without_its_shapes_too_is_refused_in_the_words_of_
     with pytest.raises(ModelError, match="MuJoCo does not compile it: ") as refused:
         parse_model({"mechanism": mechanism}, str(tmp_path / "m.toml"))
     assert said in str(refused.value)
+
+
+DUMMY = """<robot name="pole"><link name="base"><inertial><mass value="1e-6"/>
+<inertia ixx="1e-6" iyy="1e-6" izz="1e-6" ixy="1e-6" ixz="1e-6" iyz="1e-6"/></inertial></link>
+<link name="pole"><inertial><origin xyz="0 0 0.3"/><mass value="2"/>
+<inertia ixx="0.02" iyy="0.02" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial>
+<collision><geometry><mesh filename="package://somewhere/pole.stl"/></geometry></collision></link>
+<joint name="swing" type="revolute"><parent link="base"/><child link="pole"/><axis xyz="0 1 0"/>
+<limit lower="-1" upper="1" effort="9" velocity="2"/></joint></robot>"""
+
+
+def test_an_impossible_inertia_of_a_base_that_stands_plays_no_part(tmp_path: Path) -> None:
+    """As of many a base_link: 1e-6 in all six places."""
+    (tmp_path / "pole.urdf").write_text(DUMMY)
+    assert len(read_mjcf(str(tmp_path / "pole.urdf")).joints) == 1
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ('izz="0.001"', 'izz="1"', r"'pole'.*write below <robot>: <mujoco><compiler balance"),
+        ('ixx="0.02" iyy="0.02" izz="0.001"', 'ixx="0" iyy="0" izz="0"', "give that link a mass"),
+        ('izz="0.001" ixy="0"', 'izz="0.001" ixy="1"', "'pole'.*no body has such an inertia"),
+    ],
+)  # fmt: skip
+def test_a_link_that_mujoco_does_not_take_is_named_though_meshes_are_missing_too(
+    tmp_path: Path, old: str, new: str, says: str
+) -> None:
+    assert old in DUMMY
+    (tmp_path / "pole.urdf").write_text(DUMMY.replace(old, new))
+    with pytest.raises(ModelError, match=says) as refused:
+        read_mjcf(str(tmp_path / "pole.urdf"))
+    assert "its shapes are not used: " in str(refused.value)
+    assert "were fused" not in str(refused.value)
+
+
+def test_a_urdf_with_xacro_left_in_it_is_to_be_expanded_first(tmp_path: Path) -> None:
+    file = tmp_path / "arm.urdf"
+    file.write_text('<robot name="a" xmlns:xacro="http://ros.org/wiki/xacro"><xacro:arm/></robot>')
+    with pytest.raises(ModelError, match="xacro has to make a URDF of it first"):
+        read_urdf(str(file))

@@ -42,7 +42,7 @@ void UserInit(void) {
     PARAMETER(amplitude, 0.0, "{q}", 0.0, 1.0, "sway of every joint about the reference; 0: none");
     PARAMETER(period, 4.0, "s", 0.5, 60.0,
               "of the sway of joint 1; each next joint sways a fifth faster");
-    PARAMETER_FIRST(J, N, "{J}", 1e-6, 1000.0, "inertia that each joint turns");
+    PARAMETER_FIRST(J, N, "{J}", 1e-12, 1e6, "inertia that each joint turns");
     SIGNAL_FIRST(tau, N, "{tau}", "commands");
 }
 

@@ -45,6 +45,7 @@ READERS = {  # suffix: module of zendsp.recording.formats
 BAG = "metadata.yaml"  # what makes a folder a bag of rosbag2
 SAID = 160  # characters of what another library said of a damaged file
 REPR = 80  # characters of names that a prompt shows
+ROBOTS = (".urdf", ".xacro", ".xml", ".mjcf")
 CONVERSIONS = {  # suffixes of what is not read: the command that makes something of it that is
     ".xlsx": "libreoffice --headless --convert-to csv {path}",
     ".xls": "libreoffice --headless --convert-to csv {path}",
@@ -217,6 +218,13 @@ def _suffix(path: Path) -> str:
 
 
 def _convert(path: Path) -> str:
+    if path.suffix.lower() in ROBOTS:
+        kind = "mjcf" if path.suffix.lower() in (".xml", ".mjcf") else "urdf"
+        return (
+            "it looks like the description of a robot, and a recording of it is wanted. A model"
+            f' file names it: [mechanism] kind = "{kind}", file = "{path.name}" (docs/models.md);'
+            f" 'zendsp target --machine {path}' runs it, to be recorded"
+        )
     command = CONVERSIONS.get(path.suffix.lower())
     if command is None:
         return f"expected {', '.join(READERS)}"

@@ -29,8 +29,7 @@
 #include <setjmp.h> /* MuJoCo's errors while it loads */
 #include <stdio.h>  /* snprintf */
 #include <stdlib.h> /* calloc, free */
-#include <string.h> /* strcmp, strrchr, strstr */
-#include <strings.h> /* strcasecmp */
+#include <string.h> /* strcmp, strstr */
 #include <time.h>   /* clock_gettime */
 
 #include <mujoco/mujoco.h>
@@ -39,6 +38,7 @@
 #include "machine.h"
 #include "machine_config.h"
 #include "mujoco_model.h"
+#include "mujoco_read.h"
 #include "mujoco_robot.h"
 #include "plant.h"
 
@@ -81,9 +81,27 @@ static double time_sample(robot *r, double period) {
     return best;
 }
 
+/* The two bodies that begin deepest in one another, where that is a millimetre: they jam a joint,
+ * or fling it. */
+static void name_jam(robot *r, char *text, size_t size) {
+    const mjModel *m = r->model;
+    const mjContact *deepest = NULL;
+    r->known = 0;
+    mj_fwdPosition(m, r->data);
+    for (int i = 0; i < r->data->ncon; i++)
+        if (r->data->contact[i].dist < (deepest ? deepest->dist : -1e-3))
+            deepest = &r->data->contact[i];
+    if (deepest)
+        snprintf(text, size, ", %.31s begins %.3g mm inside %.31s",
+                 name_of(m, m->name_bodyadr[m->geom_bodyid[deepest->geom[1]]], "a body"),
+                 -1e3 * deepest->dist,
+                 name_of(m, m->name_bodyadr[m->geom_bodyid[deepest->geom[0]]], "a body"));
+}
+
 static int check_time(robot *r, const char *config, double period, char *error, size_t size,
                       const char *file) {
-    char clock[8] = "", text[320];
+    char clock[8] = "", text[320], jammed[128] = "";
+    name_jam(r, jammed, sizeof jammed);
     double takes = time_sample(r, period);
     int drives = 0;
     for (int32_t j = 0; j < r->plant.joints; j++)
@@ -95,11 +113,12 @@ static int check_time(robot *r, const char *config, double period, char *error, 
         takes = time_sample(r, period);
     }
     snprintf(r->info.text, sizeof r->info.text,
-             "MuJoCo model %.60s, %d of its %d joints, %d with a drive (simulated%s): "
+             "MuJoCo model %.60s, %d of its %d joints, %d with a drive (simulated%s%s%s): "
               "steps of %.3g us, "
              "%.3g us for a sample of %.4g us.",
-             r->info.name, r->plant.joints, (int)r->model->njnt, drives,
-             r->shapeless ? ", without shapes: files of meshes are missing" : "",
+             r->info.name, r->plant.joints, (int)r->model->njnt + r->held, drives,
+             r->held ? ", the others stand at 0" : "",
+             r->shapeless ? ", without shapes: files of meshes are missing" : "", jammed,
              1e6 * r->plant.substep, 1e6 * takes, 1e6 * period);
     if (strcmp(clock, "real") != 0 || takes < 0.9 * period)
         return 0;
@@ -124,37 +143,15 @@ static void robot_close(void *handle) {
     free(r);
 }
 
-/* A URDF without its shapes, whose files are often named by packages that are not here: it states
- * the inertias of its links. NULL where the shapes are not what is wrong with it. */
-static mjModel *without_shapes(const char *file) {
-    char why[64];
-    mjSpec *spec = mj_parseXML(file, NULL, why, sizeof why);
-    if (!spec)
-        return NULL;
-    const mjtObj kinds[] = {mjOBJ_GEOM, mjOBJ_MESH};
-    for (size_t k = 0; k < sizeof kinds / sizeof kinds[0]; k++)
-        for (mjsElement *e = mjs_firstElement(spec, kinds[k]); e;
-             e = mjs_firstElement(spec, kinds[k]))
-            if (mjs_delete(spec, e) != 0)
-                break;
-    mjModel *model = mj_compile(spec, NULL);
-    mj_deleteSpec(spec);
-    return model;
-}
-
 static int load(robot *r, const char *config, double period, char *error, size_t size,
                 const char *file) {
-    char why[512] = "";
-    r->model = mj_loadXML(file, NULL, why, sizeof why);
-    const char *kind = strrchr(file, '.');
-    if (!r->model && kind && strcasecmp(kind, ".urdf") == 0) {
-        r->model = without_shapes(file);
-        r->shapeless = r->model != NULL;
-    }
+    char why[800] = "", joints[1024] = "";
+    machine_config_text(config, "joints", joints, sizeof joints);
+    r->model = read_model(file, joints, &r->shapeless, &r->held, why, sizeof why);
     if (!r->model && strstr(why, "'mujocoinclude'"))
         return refuse(error, size, file, "a part that another file includes: give that file");
     if (!r->model)
-        return refuse(error, size, file, why[0] ? why : "MuJoCo cannot read it");
+        return refuse(error, size, file, why);
     const char *array = no_number(r->model);
     if (array) {
         snprintf(why, sizeof why, "a number of %s is nan", array);

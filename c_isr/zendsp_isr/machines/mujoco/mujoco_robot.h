@@ -20,6 +20,7 @@ typedef struct robot {
     plant plant;
     machine_info info;
     int shapeless; /* a URDF whose meshes are not here: without geoms */
+    int held;      /* joints of a URDF that are not chosen: they stand */
     concealed concealed;
     mjModel *model;
     mjData *data;

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -107,14 +106,12 @@ def compiled(path: str) -> Any:
     mj = library()
     if not Path(path).is_file():
         raise ModelError(f"[mechanism] file: {path}: no such file")
+    if Path(path).suffix.lower() == ".urdf":
+        return spec_of(path).compile()
     try:
         return mj.MjModel.from_xml_path(path)
     except (ValueError, RuntimeError, OSError) as error:
-        if Path(path).suffix.lower() == ".urdf":
-            with suppress(ValueError):
-                return spec_of(path).compile()
-        said = " ".join(str(error).split())
-        raise ModelError(f"{path}: MuJoCo does not compile it: {said}") from error
+        raise ModelError(f"{path}: MuJoCo does not compile it: {_said(error, path)}") from error
 
 
 def spec_of(path: str) -> Any:
@@ -123,18 +120,66 @@ def spec_of(path: str) -> Any:
     its links.
     """
     mj, kind = library(), Path(path).suffix.lower()
+    if kind == ".urdf":
+        return _urdf(path)
     # MuJoCo takes a file for XML by its name only, and a model.mjcf of ours includes no other
-    named = kind in (".xml", ".urdf")
-    spec = mj.MjSpec.from_file(path) if named else mj.MjSpec.from_string(Path(path).read_text())
-    try:
-        spec.compile()
-    except ValueError:
-        if kind != ".urdf":
-            raise
-        for shape in [*spec.geoms, *spec.meshes]:
-            spec.delete(shape)
-        spec.compile()
+    spec = (
+        mj.MjSpec.from_file(path)
+        if kind == ".xml"
+        else mj.MjSpec.from_string(Path(path).read_text())
+    )
+    spec.compile()
     return spec
+
+
+def _urdf(path: str) -> Any:
+    """A URDF as its target simulates it (machines/mujoco/mujoco_read.h)."""
+    said = []
+    for shapes in (True, False):
+        try:
+            spec = library().MjSpec.from_file(path)
+            for shape in () if shapes else [*spec.geoms, *spec.meshes]:
+                spec.delete(shape)
+            for body in spec.bodies:
+                if _stands(body):  # its inertia plays no part: many a base_link has an impossible
+                    body.explicitinertial = False
+                    body.fullinertia[0] = np.nan
+            spec.compile()
+        except (ValueError, RuntimeError, OSError) as error:
+            said.append(_said(error, path))
+        else:
+            return spec
+    more = f" (and its shapes are not used: {said[0]})" if said[0] != said[1] else ""
+    raise ModelError(f"{path}: MuJoCo does not compile it: {said[1]}{more}")
+
+
+def _stands(body: Any) -> bool:
+    """Whether no joint moves a body of a spec."""
+    while body is not None and body.name != "world":
+        if body.joints:
+            return False
+        body = body.parent
+    return True
+
+
+def _said(error: Exception, path: str) -> str:
+    """MuJoCo's sentence on one line, with what to do where it does not say that."""
+    said = " ".join(str(error).partition("The static bodies of the spec")[0].split())
+    urdf = Path(path).suffix.lower() == ".urdf"
+    part, where = ("link", "below <robot>") if urdf else ("body", "in the file")
+
+    def line(compiler: str) -> str:
+        return f"<mujoco>{compiler}</mujoco>" if urdf else compiler
+
+    if "balanceinertia" in said:
+        new = line('<compiler balanceinertia="true"/>')
+        return f"{said}: correct the inertia of that {part}, or write {where}: {new}"
+    if "mjMINVAL" in said:
+        new = line('<compiler boundmass="0.001" boundinertia="1e-6"/>')
+        return f"{said}: give that {part} a mass and an inertia, or write {where}: {new}"
+    if "positive eigenvalues" in said:
+        return f"{said}: no body has such an inertia, correct it: no principal moment is 0"
+    return said
 
 
 def name_of(model: Any, what: str, index: int) -> str:
@@ -265,7 +310,7 @@ def _refuse_loops(taken: Mjcf, path: str) -> None:
         if where:
             raise ModelError(
                 f"{path}: {what} closes a loop at {where}: only trees of hinges and slides can be"
-                " taken over"
+                " taken over; [mechanism] joints = [\"…\"] leaves the joints of a loop out"
             )
     for t in range(m.ntendon):
         first = int(m.tendon_adr[t])

@@ -121,6 +121,12 @@ def look_at(settings: Settings, folder: Path) -> str:
     except subprocess.TimeoutExpired:
         raise Refused(
             f"the machine {settings.machine} did not open within {settings.load_s:g} s"
+            + (
+                ", as it does for each program: its meshes are too large for this computer, or"
+                " others keep it busy. Stop these, or give a model with smaller meshes or none"
+                if is_model(settings.machine)
+                else ""
+            )
         ) from None
     finally:
         file.unlink()
