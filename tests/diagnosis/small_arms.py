@@ -151,10 +151,10 @@ def recorded(
 
 
 def prepared(made: tuple[Model, list[Path]]) -> tuple[Data, Data]:
-    """To fit to, and to choose by."""
+    """To fit to, all but the last, and to choose by."""
     model, paths = made
-    fit, choose = (prepare([read_signals(path, model)], model, 64.0) for path in paths)
-    return fit, choose
+    signals = [read_signals(path, model) for path in paths]
+    return prepare(signals[:-1], model, 64.0), prepare(signals[-1:], model, 64.0)
 
 
 def searched(made: tuple[Model, list[Path]]) -> BodySearch:

@@ -24,10 +24,12 @@ from small_arms import (
     prepared,
     recorded,
     searched,
+    simulate,
     urdf,
 )
 
 import zendsp
+from zendsp.diagnosis.data.checks import check_signals
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.decide.absorbed import moved
@@ -41,6 +43,7 @@ from zendsp.diagnosis.search.body_columns import Layout
 from zendsp.diagnosis.search.body_explain import price_of
 from zendsp.diagnosis.search.body_hypotheses import LIMITS, Hypothesis
 from zendsp.diagnosis.search.body_solver import Solver
+from zendsp.errors import RecordingError
 from zendsp.physics.calibration.handles import Handle, set_values
 from zendsp.physics.calibration.joint import JointRecord
 from zendsp.physics.calibration.terms import make_term
@@ -65,6 +68,25 @@ def test_a_payload_is_one_body_with_its_mass_and_centre_beside_friction_that_nob
     assert np.abs(np.array(com) - (0.35, 0.05, 0.03)).max() < 0.003  # m
     std = {key: q.std for key, q in found.term.parameters.items()}
     assert abs(found.term.value("mass") - 1.5) < 4 * std["mass"] < 0.1
+
+
+def test_a_joint_may_rest_in_recordings_of_the_others(record, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    """One joint after another is how arms are identified."""
+    arm = Arm(mass=1.5)
+    model, paths = record("payload", arm)
+    for joint in (1, 3):
+        paths = [*paths, tmp_path / f"held{joint}.npz"]
+        np.savez(paths[-1], **simulate(replace(arm, held=joint), joint))
+    signals = [read_signals(path, model) for path in paths]
+    notes = [note for note in check_signals(signals, model) if "rests" in note]
+    assert [note[: note.index(" rests")] for note in notes] == [
+        f"{path}: joint {joint}: it" for path, joint in zip(paths[2:], (1, 3), strict=True)
+    ]
+    (found,) = searched((model, paths[:1] + paths[2:])).found
+    assert (found.term.effect, found.term.joint) == ("payload", 3)
+    assert found.term.value("mass") == pytest.approx(1.5, rel=0.02)
+    with pytest.raises(RecordingError, match=r"joint 1: the position is constant"):
+        check_signals(signals[2:3], model)
 
 
 def test_a_body_that_is_little_of_what_the_joints_leave_is_kept_for_them(record) -> None:  # type: ignore[no-untyped-def]

@@ -19,6 +19,7 @@ from zendsp.diagnosis.data.columns import check_units, getter
 from zendsp.diagnosis.data.plausibility import check_driven
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
+from zendsp.diagnosis.data.regression import look, regress, rigid_body
 from zendsp.diagnosis.data.sampling import resample_held
 from zendsp.diagnosis.data.signals import Signals
 from zendsp.errors import RecordingError
@@ -483,3 +484,23 @@ def test_an_arm_for_a_model_of_one_joint_is_told_which_kinds_have_more() -> None
     each = {"time": "t", "position": ["q[0]", "q[1]"], "command": ["tau[0]", "tau[1]"]}
     notes = read_signals(arm, parse_model({**ALONE, "columns": each})).notes
     assert any("takes each joint by itself" in note for note in notes)
+
+
+@pytest.mark.parametrize(("second", "told"), [(0.0, False), (0.3, True)])
+def test_in_a_single_sine_no_inertia_is_told_from_a_spring(second: float, told: bool) -> None:
+    """A motion as `joint_pd.c` makes it was refused: an inertia of 0.085 of the model's."""
+    t, random = np.arange(10000) / 500.0, np.random.default_rng(3)
+    parts = ((0.1, 3.0), (0.1 * second, 11.0))
+    q = sum(size * np.sin(w * t) for size, w in parts)
+    qdd = sum(-size * w**2 * np.sin(w * t) for size, w in parts)
+    noise = 2e-4
+    y = (q + random.normal(0.0, noise, len(t)))[np.newaxis]
+    u = (0.01 * qdd + random.normal(0.0, 1e-3, len(t)))[np.newaxis]
+    model = parse_model(
+        {"mechanism": {"kind": "rotary", "parameters": {"inertia": {"value": 0.01}}}}
+    )
+    slow = look(y, u, 0.002, np.array([noise]))
+    found = regress(slow, model, 1, rigid_body(slow, model))
+    assert found is not None
+    assert (found.error < 0.1) == told
+    assert (abs(found.slope - 1.0) < 0.1) == told

@@ -133,7 +133,8 @@ def _cost(choose: Data, explained: Explained) -> tuple[int, float]:
     away = 0.0
     for decision in explained[1]:
         error = rms(window_error(choose, decision.final.model, decision.joint))
-        away += math.log(max(error, noise_floor(choose, decision.joint)))
+        read = max(error, noise_floor(choose, decision.joint))
+        away += math.log(read) if read > 0.0 else 0.0  # nothing moves there any more
     return sum(len(d.claims) for d in explained[1]), away
 
 
@@ -241,6 +242,10 @@ def _search_joint(
     base = calibrate_joint(parts.fit, given, joint, jobs)
     accept = Acceptance(parts.choose)
     searcher = Searcher(parts.fit, joint, accept, jobs, tell, given)
+    late = searcher.dated(base)
+    if late is not None:  # found before any physics is blamed
+        base, given = late, given.with_terms((*given.terms, late.model.terms[-1]))
+        searcher = Searcher(parts.fit, joint, accept, jobs, tell, given)
     search = searcher.search(base)
     # how a friction that the model has turns round is no missing physics, and hides what is
     soft = None if is_white(search.final, joint) else searcher.softened(base)

@@ -28,6 +28,7 @@ EDGE = 0.999  # of the largest command: at it
 QUIET = 0.1  # of the acceleration: so much noise does not matter
 ANGLE_SPAN = 0.2  # rad: over less, sine and cosine of the angle are lines
 PER_COLUMN = 4  # samples at least for each column of a regression
+BLURRED = 0.2  # of the energy that only inertia has: with more noise in it no slope is told
 AT_EDGE = 12  # samples at the largest command: fewer tell nothing
 PULLS_BACK = 0.95  # R^2 of a command by position and speed alone: it holds the joint where it is
 TURNS = 0.1  # of the RMS speed: below, a joint turns round
@@ -37,7 +38,7 @@ BOTH_WAYS = 0.1  # of the time that a joint must move either way for its frictio
 @dataclass(frozen=True)
 class Slow:
     """All joints of one recording below the cutoff, thinned: arrays (joints, n); ``at_edge`` marks
-    commands at their largest value.
+    commands at their largest value, ``noise`` is that of the accelerations, (joints,).
     """
 
     q: Array
@@ -45,6 +46,7 @@ class Slow:
     qdd: Array
     command: Array
     at_edge: npt.NDArray[np.bool_]
+    noise: Array
     sample_time: float  # s, between the thinned samples
 
 
@@ -107,7 +109,8 @@ def look(positions: Array, commands: Array, sample_time: float, noise: Array) ->
         ]
     )
     u = gaussian(commands, width)
-    return Slow(q[:, use], qd[:, use], qdd[:, use], u[:, use], solid[:, use], step * sample_time)
+    of_use = (x[:, use] for x in (q, qd, qdd, u, solid))
+    return Slow(*of_use, noise=white, sample_time=step * sample_time)
 
 
 def _torques(model: Model, states: Sequence[Array]) -> Array:
@@ -168,12 +171,14 @@ def regress(slow: Slow, model: Model, joint: int, body: tuple[Array, Array]) -> 
     # of a joint that moves one way, nothing tells friction from an offset
     ways = min(float(np.mean(way * qd > TURNS * speed)) for way in (1, -1))
     size = float(np.sqrt(np.mean(torque**2)))
+    noise = slow.noise[i] * float(np.std(rigid) / max(np.std(slow.qdd[i]), 1e-300))
+    blurred = _blurred(a[use] / scale, noise / scale[0])
     excess, excess_t = _excess(
         a @ theta - torque, torque, slow.at_edge[i], float(np.sqrt(variance))
     )
     return Regression(
         slope=float(theta[0]),
-        error=float(np.sqrt(max(covariance[0, 0], 0.0)) / scale[0]),
+        error=math.inf if blurred else float(np.sqrt(max(covariance[0, 0], 0.0)) / scale[0]),
         r2=1.0 - float(left @ left) / spread,
         share=float(np.std(rigid)) / max(size, 1e-300),
         friction=(
@@ -186,6 +191,15 @@ def regress(slow: Slow, model: Model, joint: int, body: tuple[Array, Array]) -> 
         alike=repeats(left, slow.sample_time),
         held=_held(q[use], qd[use], torque[use], spread),
     )
+
+
+def _blurred(columns: Array, noise: float) -> bool:
+    """Whether what only the first of some columns has is ``noise`` (RMS) of its own: in a single
+    sine acceleration is as good as position, and its slope is that of noise.
+    """
+    others, *_ = np.linalg.lstsq(columns[:, 1:], columns[:, 0])
+    own = columns[:, 0] - columns[:, 1:] @ others
+    return bool(len(own) * noise**2 > BLURRED * float(own @ own))
 
 
 def _held(q: Array, qd: Array, torque: Array, spread: float) -> bool:

@@ -34,6 +34,7 @@ def notes_of(decisions: Sequence[Decision], given: Model) -> list[str]:
         *_likelier(decisions),
         *_felt(decisions, given),
         *_creeping(decisions, given),
+        *_dated(decisions, given),
         *_other_loads(decisions),
     ]
 
@@ -98,6 +99,19 @@ def _creeping(decisions: Sequence[Decision], given: Model) -> list[str]:
         for unit in [units(given, d.joint)["velocity"]]
         for t in d.final.model.at(d.joint)
         if t.effect == "creep" and not any(g.effect == "creep" for g in given.at(d.joint))
+    ]
+
+
+def _dated(decisions: Sequence[Decision], given: Model) -> list[str]:
+    """Where the command was written down late by less than of rows may be said."""
+    return [
+        f"joint {d.joint}: the command column is {1e3 * t.value('time'):.2g} ms late against the"
+        " position column, less than a row: behind a filter of the log, in a simulator of first"
+        " order, or of a loop faster than the rows ([actuator] hold). The calibrated model has it;"
+        " it is no missing physics"
+        for d in decisions
+        for t in d.base.model.at(d.joint)
+        if t.effect == "column_shift" and not any(g.effect == t.effect for g in given.at(d.joint))
     ]
 
 

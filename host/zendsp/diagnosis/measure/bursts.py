@@ -322,7 +322,7 @@ def _acting(part: _Lacking, joint: int, quiet: float, least: float | None = None
         gap = max(1, round(0.25 / rec[joint - 1].sample_time))
         mask = binary_closing(np.pad(level > above, 1), iterations=gap)[1:-1]
         # the energy of one row that errs stands out for as long as it is summed over
-        masks.append(binary_opening(mask, np.ones(_memory(rec[joint - 1].sample_time))))
+        masks.append(binary_opening(mask, np.ones(_memory(rec[joint - 1].sample_time), bool)))
     return _Acting(part, tuple(masks), above)
 
 

@@ -28,7 +28,7 @@ from zendsp.diagnosis.search.hypothesis import (
 from zendsp.diagnosis.search.rounds import GLANCE, SETTLED, WAIT, WORTH, Rounds
 from zendsp.diagnosis.search.simplify import simplify, split_asymmetry, straightened
 from zendsp.physics.calibration.fit import Data, joint_handles
-from zendsp.physics.calibration.joint import effective_inertia
+from zendsp.physics.calibration.joint import effective_inertia, facts
 from zendsp.physics.calibration.predict import run
 from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model, Quantity, Term
@@ -145,6 +145,26 @@ class Searcher:
         terms = best.model.terms[-1:]
         creep = Rival("creep", self.joint, best, price(terms, self.rounds.n), terms, ())
         return best if self.accept(base, creep) else None
+
+    def dated(self, base: Scored) -> Scored | None:
+        """The calibrated model with a command that was written down late, by less than of rows may
+        be said: a filter of the log, or a simulator of first order. No machine answers a command
+        of the future, so nothing else is that; and many a law resembles it. None where that does
+        not pay.
+        """
+        had = base.model.at(self.joint)
+        if not math.isfinite(base.deviance) or any(t.effect == "column_shift" for t in had):
+            return None
+        effect = get_effect("column_shift")
+        record = self.rounds.data.records[0][self.joint - 1]
+        most = effect.least(facts(record))["time"] if effect.least else 0.0
+        term = Term("column_shift", self.joint, {"time": Quantity(0.5 * most)})
+        model = base.model.with_terms((*base.model.terms, term))
+        handles = joint_handles(base.data, model, self.joint)
+        best = fit_scored(base.data, model, handles, (self.joint,), jobs=self.jobs)
+        terms = best.model.terms[-1:]
+        pays = best.deviance + price(terms, self.rounds.n) < base.deviance - WAIT
+        return best if pays and 0.0 < terms[0].value("time") < most else None
 
     def creeping(self, base: Scored, *known: float) -> Scored:
         """A model with its dry friction creeping, the likeliest of some fits; ``known``: speeds to
