@@ -235,7 +235,7 @@ def test_what_calibration_moves_far_is_told(run: Run) -> None:
     machine = reality.Machine(inertia=0.01 / gain, viscous=0.004 / gain, coulomb=0.03 / gain)
     d = run(Case(machine, [VISCOUS, COULOMB], {}, seconds=LONGER, rate=FAST))
     (note,) = (n for n in d.notes if "calibration moves" in n)
-    assert "coulomb level 0.03 to 0.02499 (-17 %)" in note and "as a torque gain of 1.2" in note
+    assert "coulomb level 0.03 to 0.025 (-17 %)" in note and "as a torque gain of 1.2" in note
     (found,) = d.findings  # one number explains what three would
     assert (found.effect, found.indistinguishable) == ("torque_gain", ("inertia",))
     assert found.parameters["ratio"].value == pytest.approx(0.2, abs=0.01)

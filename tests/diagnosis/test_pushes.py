@@ -201,7 +201,7 @@ def test_a_push_beside_what_is_found_is_told(decided: Decided, bench: Decided) -
     ("spread", "share", "loads", "pushed"),
     [
         (6.0, 0.9, (), True),
-        (6.5, 0.9, (), False),  # more than twice a recording
+        (6.5, 0.9, (), False),  # more than twice a recording, however many parts it has
         (6.0, 0.4, (), False),  # most of what lacks comes at other times
         (6.0, 0.9, ("a.csv",), False),
     ],
@@ -213,12 +213,14 @@ def test_what_comes_often_or_explains_little_or_is_another_load_is_no_push(
     pushed: bool,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    found: Any = SimpleNamespace(intervals=(), recordings=(), spread=spread, share=share)
-    monkeypatch.setattr(pushes, "by_own_numbers", lambda *_: loads)
-    data: Any = SimpleNamespace(records=(1,))
-    parts: Any = SimpleNamespace(
-        fit=data, choose=data, test=data, held=SimpleNamespace(records=(1, 2))
+    found: Any = SimpleNamespace(
+        intervals=(), recordings=(), spread=spread, share=share, beside=0.0
     )
+    monkeypatch.setattr(pushes, "by_own_numbers", lambda *_: loads)
+    monkeypatch.setattr(pushes, "outside", lambda *_: 1.0)
+    one, two, three = ((SimpleNamespace(recording=f"{name}.csv"),) for name in "abc")
+    fit, held = (SimpleNamespace(records=records) for records in ((one, two), (one, two, three)))
+    parts: Any = SimpleNamespace(fit=fit, choose=held, test=held, held=held)
     size: Any = SimpleNamespace(value=0.2)
     monkeypatch.setattr(pushes, "discrepancy", lambda *_: size)
     monkeypatch.setattr(pushes, "in_held", lambda *_: found)
@@ -229,6 +231,32 @@ def test_what_comes_often_or_explains_little_or_is_another_load_is_no_push(
     out = Decision(1, "complete", (), (), base, base, size, size, nothing, size, base, 1.0)
     outcome = pushes.pushed(out, parts, 1)
     assert (outcome is not None and outcome.kind == "disturbance") == pushed
+
+
+@pytest.mark.parametrize("beside", [0.5, 2.0])
+def test_numbers_of_other_recordings_stand_where_a_push_spoils_those_of_the_fit_for_all_times(
+    beside: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What was calibrated on slow motion and lacks something in a fast one was called a push."""
+    push: Any = SimpleNamespace(
+        intervals=(), recordings=(), spread=1.0, share=0.9, beside=beside
+    )
+    monkeypatch.setattr(pushes, "by_own_numbers", lambda *_: ())
+    monkeypatch.setattr(pushes, "outside", lambda *_: 1.0)  # with the numbers of the fit
+    data: Any = SimpleNamespace(records=((SimpleNamespace(recording="a.csv"),),))
+    parts: Any = SimpleNamespace(fit=data, choose=data, test=data, held=data)
+    size: Any = SimpleNamespace(value=0.2)
+    monkeypatch.setattr(pushes, "discrepancy", lambda _, model, __: size)
+    monkeypatch.setattr(pushes, "in_held", lambda *_: None)
+    monkeypatch.setattr(pushes, "in_fit", lambda *_: push)
+    monkeypatch.setattr(pushes, "everywhere", lambda *_: push)
+    other: Any = SimpleNamespace(model=None)
+    monkeypatch.setattr(pushes, "fitted_to", lambda *_: other)
+    nothing: Any = SimpleNamespace(share=0.0, size=0.0, z=0.0, apart=0.0)
+    base: Any = SimpleNamespace(model=None)
+    out = Decision(1, "complete", (), (), base, base, size, size, nothing, size, base, 1.0)
+    outcome = pushes.pushed(out, parts, 1)
+    assert outcome is not None and (outcome.final is other) == (beside < 1.0)
 
 
 def test_a_recording_with_another_load_is_said_to_be_one(decided: Decided) -> None:

@@ -102,8 +102,8 @@ def pushed_beside(
 def comes_and_goes(found: Bursts, parts: Parts) -> bool:
     """Whether pushes hold most of what lacks, and are few: what comes often comes with the motion.
     """
-    records = sum(len(part.records) for part in (parts.fit, parts.held))
-    return found.spread <= FEW * records and found.share >= PREDICTED
+    each = {rec[0].recording for part in (parts.fit, parts.held) for rec in part.records}
+    return found.spread <= FEW * len(each) and found.share >= PREDICTED
 
 
 def of_the_motion(pushed: Decision, parts: Parts, turning: bool) -> bool:
