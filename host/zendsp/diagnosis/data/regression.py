@@ -109,8 +109,9 @@ def look(positions: Array, commands: Array, sample_time: float, noise: Array) ->
         ]
     )
     u = gaussian(commands, width)
-    of_use = (x[:, use] for x in (q, qd, qdd, u, solid))
-    return Slow(*of_use, noise=white, sample_time=step * sample_time)
+    return Slow(
+        q[:, use], qd[:, use], qdd[:, use], u[:, use], solid[:, use], white, step * sample_time
+    )
 
 
 def _torques(model: Model, states: Sequence[Array]) -> Array:
