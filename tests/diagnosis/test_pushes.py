@@ -40,8 +40,9 @@ def test_what_acts_in_the_recordings_to_choose_by_alone_is_not_complete(
 def test_joints_that_are_pushed_at_the_same_times_are_one_finding() -> None:
     def pushed(joint: int, name: str, *spans: tuple[float, float]) -> Any:
         found = Bursts(
-            spans, (name,) * len(spans), 0.9, 5.0 * joint, 2.0, 0.1, 1.0, 10.0, (1.0,) * len(spans)
-        )
+            spans, (name,) * len(spans), 0.9, 5.0 * joint, 2.0, 0.1, 1.0, 10.0,
+            (1.0,) * len(spans), 0.95,
+        )  # fmt: skip
         before = SimpleNamespace(value=0.1 * joint)
         return SimpleNamespace(joint=joint, bursts=found, before=before)
 
@@ -64,7 +65,7 @@ def test_where_pushes_leave_too_little_the_largest_alone_is_cut_out(
     times, and was not looked at without him.
     """
     spans = ((0.5, 0.7), (2.0, 4.0), (6.0, 6.2))
-    held = Bursts(spans, ("a",) * 3, 0.9, 5.0, 2.0, 0.1, 1.0, 1.1, (0.01, 1.0, 0.02))
+    held = Bursts(spans, ("a",) * 3, 0.9, 5.0, 2.0, 0.1, 1.0, 1.1, (0.01, 1.0, 0.02), 0.95)
     asked: list[list[tuple[str, float, float]]] = []
     passes: list[object] = []
 
@@ -198,23 +199,25 @@ def test_a_push_beside_what_is_found_is_told(decided: Decided, bench: Decided) -
 
 
 @pytest.mark.parametrize(
-    ("spread", "share", "loads", "pushed"),
+    ("spread", "share", "steady", "loads", "pushed"),
     [
-        (6.0, 0.9, (), True),
-        (6.5, 0.9, (), False),  # more than twice a recording, however many parts it has
-        (6.0, 0.4, (), False),  # most of what lacks comes at other times
-        (6.0, 0.9, ("a.csv",), False),
+        (6.0, 0.9, 0.95, (), True),
+        (6.5, 0.9, 0.95, (), False),  # more than twice a recording, however many parts it has
+        (6.0, 0.9, 0.75, (), False),  # a joint that rings on its own spring
+        (6.0, 0.4, 0.95, (), False),  # most of what lacks comes at other times
+        (6.0, 0.9, 0.95, ("a.csv",), False),
     ],
 )
 def test_what_comes_often_or_explains_little_or_is_another_load_is_no_push(
     spread: float,
     share: float,
+    steady: float,
     loads: tuple[str, ...],
     pushed: bool,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     found: Any = SimpleNamespace(
-        intervals=(), recordings=(), spread=spread, share=share, beside=0.0
+        intervals=(), recordings=(), spread=spread, share=share, beside=0.0, steady=steady
     )
     monkeypatch.setattr(pushes, "by_own_numbers", lambda *_: loads)
     monkeypatch.setattr(pushes, "outside", lambda *_: 1.0)
@@ -239,7 +242,7 @@ def test_numbers_of_other_recordings_stand_where_a_push_spoils_those_of_the_fit_
 ) -> None:
     """What was calibrated on slow motion and lacks something in a fast one was called a push."""
     push: Any = SimpleNamespace(
-        intervals=(), recordings=(), spread=1.0, share=0.9, beside=beside
+        intervals=(), recordings=(), spread=1.0, share=0.9, beside=beside, steady=0.95
     )
     monkeypatch.setattr(pushes, "by_own_numbers", lambda *_: ())
     monkeypatch.setattr(pushes, "outside", lambda *_: 1.0)  # with the numbers of the fit

@@ -23,7 +23,16 @@ from zendsp.diagnosis.decide.thresholds import (
     PREDICTED,
     SURE,
 )
-from zendsp.diagnosis.measure.bursts import FEW, MANY, OFTEN, Bursts, bursts, everywhere, outside
+from zendsp.diagnosis.measure.bursts import (
+    FEW,
+    MANY,
+    OFTEN,
+    STEADY,
+    Bursts,
+    bursts,
+    everywhere,
+    outside,
+)
 from zendsp.diagnosis.measure.discrepancy import beyond, discrepancy
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
 from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, Structure, structure
@@ -100,10 +109,12 @@ def pushed_beside(
 
 
 def comes_and_goes(found: Bursts, parts: Parts) -> bool:
-    """Whether pushes hold most of what lacks, and are few: what comes often comes with the motion.
+    """Whether pushes hold most of what lacks, and are few: what comes often comes with the motion;
+    and whether they do not ring, as a joint on its own spring does.
     """
     each = {rec[0].recording for part in (parts.fit, parts.held) for rec in part.records}
-    return found.spread <= FEW * len(each) and found.share >= PREDICTED
+    few = found.spread <= FEW * len(each)
+    return few and found.share >= PREDICTED and found.steady > STEADY
 
 
 def of_the_motion(pushed: Decision, parts: Parts, turning: bool) -> bool:
