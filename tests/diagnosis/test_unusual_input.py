@@ -16,7 +16,7 @@ from reality import FAST, KNOWN, RATE
 from zendsp.diagnosis.data import checks
 from zendsp.diagnosis.data.checks import check_excitation, check_motion, check_signals
 from zendsp.diagnosis.data.columns import check_units, getter
-from zendsp.diagnosis.data.plausibility import check_driven
+from zendsp.diagnosis.data.plausibility import DRIVES, check_driven
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.regression import look, regress, rigid_body
@@ -348,6 +348,54 @@ def test_a_joint_that_its_controller_holds_while_another_swings_is_no_bad_record
     run = simulate_loop(model, np.stack([swing, np.zeros(5000)], axis=1))
     signals = Signals("run", t, 0.001, run["q"], run["tau"], None, np.full(2, 4e-5))
     check_driven(["joint 1", "joint 2"], prepare([signals], model, 64.0).records[0], model)
+
+
+def test_a_joint_that_is_held_against_its_weight_is_no_bad_recording(tmp_path: Path) -> None:
+    """As most arms' controllers do: the command is that of a PD controller, and the weight of the
+    links as the model knows it.
+    """
+    link = (
+        '<link name="{0}"><inertial><origin xyz="0 0 {1}"/><mass value="{2}"/><inertia ixx="0.01"'
+        ' iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="to_{0}"'
+        ' type="revolute"><parent link="{3}"/><child link="{0}"/><origin xyz="0 0 {4}"/><axis'
+        ' xyz="0 1 0"/><limit lower="-9" upper="9" effort="99" velocity="9"/></joint>'
+    )
+    links = link.format("upper", -0.2, 2, "base", 0)
+    links += link.format("fore", -0.15, 1.2, "upper", -0.4)
+    (tmp_path / "arm.urdf").write_text(f'<robot name="arm"><link name="base"/>{links}</robot>')
+    mechanism = {"kind": "urdf", "file": str(tmp_path / "arm.urdf")}
+    motor = {"kind": "inertia", "joint": 2, "amount": 0.01}
+    model = parse_model({"sample_time": 0.001, "mechanism": mechanism, "effect": [motor]})
+    own, lever, weight = 0.01 + 1.2 * 0.15**2, 1.2 * 0.4 * 0.15, 1.2 * 0.15 * 9.81
+    t = np.arange(9000) * 0.001
+    tones, phases = np.linspace(0.1, 1.6, 9), np.random.default_rng(1).uniform(0.0, 6.28, 9)
+    turns = 2 * np.pi * tones
+    swing, spin, push = (
+        (0.08 * turns**k * np.sin(turns * t[:, None] + phases + k * np.pi / 2)).sum(axis=1)
+        for k in range(3)
+    )
+    angle = speed = 0.0
+    rows = []
+    for q1, v1, a1 in zip(swing, spin, push, strict=True):
+        held = -30.0 * angle - 2.0 * speed + weight * np.sin(q1 + angle)
+        rows.append((angle, held))
+        coupled = (own + lever * np.cos(angle)) * a1 + lever * np.sin(angle) * v1**2
+        rubs = 0.25 * np.tanh(speed / 0.002) + 0.15 * speed
+        free = held - rubs - weight * np.sin(q1 + angle) - coupled
+        speed += 0.001 * free / (own + 0.01)
+        angle += 0.001 * speed
+    fore = np.array(rows)
+    angles = 1e-5 * np.round(np.stack([swing, fore[:, 0]], axis=1) / 1e-5)
+    command = np.stack([np.zeros(9000), fore[:, 1]], axis=1)
+
+    def held(command: np.ndarray) -> bool:
+        slow = look(angles.T, command.T, 0.001, np.full(2, 3e-6))
+        found = regress(slow, model, 2, rigid_body(slow, model))
+        assert found is not None and abs(found.friction) > DRIVES, "as if it drove"
+        return found.held
+
+    assert held(command)
+    assert not held(-command), "nobody holds a joint by doubling its weight"
 
 
 def test_a_tool_as_heavy_as_a_light_arm_is_no_gear_ratio(tmp_path: Path) -> None:

@@ -96,11 +96,20 @@ def test_a_reference_of_another_machine_is_told_beside_start(tmp_path: Path) -> 
         assert any("can be played" in c.text for c in found) == met, "told once"
 
 
-def _look(snapshot: Snapshot, folder: Path, trial: Trial, **settings: Any) -> list[Condition]:
+class _Twin:
+    """A target of which there is a simulation on this computer."""
+
+    def rehearse(self, *_: Any) -> Rehearsal:
+        return Rehearsal(True, None, "no limit is passed: torque 1 of 5 N m")
+
+
+def _look(
+    snapshot: Snapshot, folder: Path, trial: Trial, port: Any = None, **settings: Any
+) -> list[Condition]:
     machine = machine_of(_seen())
     assert machine is not None
     reference = make_reference("point_to_point", machine, **settings)
-    port: Any = _Port()
+    port = port or _Port()
     return preflight(snapshot, (reference,), (folder / "way.mat",), Setup(), False, trial, port)
 
 
@@ -115,6 +124,20 @@ def test_start_is_free_where_there_is_no_simulation_and_the_list_says_so(tmp_pat
     seen = [c.text for c in found if c.warning]
     assert len(seen) == 2 and UNPREDICTED in seen[0]
     assert seen[1] == "not tried: there is no simulation of arm here"
+
+
+def test_torque_that_the_twin_predicted_is_not_said_to_be_unpredicted(tmp_path: Path) -> None:
+    trial, deadline = Trial(), time.monotonic() + 20.0
+    found = _look(_seen(), tmp_path, trial, _Twin())
+    assert any(UNPREDICTED in c.text for c in found), "so long as nobody has simulated it"
+    while not all(c.met for c in found):
+        assert time.monotonic() < deadline, [c for c in found if not c.met]
+        time.sleep(0.02)
+        found = _look(_seen(), tmp_path, trial, _Twin())
+    texts = [c.text for c in found]
+    assert "no limit is passed: torque 1 of 5 N m" in texts
+    assert "within the limits of position and speed" in texts
+    assert not any(c.warning for c in found), "nothing is left to be told"
 
 
 def test_what_leaves_the_limits_of_the_target_cannot_start(tmp_path: Path) -> None:

@@ -108,15 +108,13 @@ def preflight(
     ]
     if references and machine is not None:
         misfit, differs = _misfit(references, machine)
-        found.append(
-            Condition("planned for this machine", False, misfit)
-            if misfit
-            else _within(references, machine, differs)
-        )
-        if player is not None and not busy and not misfit:
-            # not while a run goes on: where the arm is then is on its way
+        if misfit:
+            found.append(Condition("planned for this machine", False, misfit))
+        elif player is None or busy:  # while a run goes on, the arm is on its way
+            found.append(_within(references, machine, differs))
+        else:
             plan, playable = _playable(s, references, machine, setup)
-            found.append(playable)
+            found += [_within(references, machine, differs, plan, trial), playable]
             if plan is not None:
                 found.append(_tried(plan, trial, s.state == ProgramState.RUNNING))
     known = {v.name for v in s.variables}
@@ -192,7 +190,13 @@ def _misfit(references: Sequence[Reference], machine: Machine) -> tuple[str, str
     return "", told
 
 
-def _within(references: Sequence[Reference], machine: Machine, told: str) -> Condition:
+def _within(
+    references: Sequence[Reference],
+    machine: Machine,
+    told: str,
+    plan: Plan | None = None,
+    trial: Trial | None = None,
+) -> Condition:
     for reference in references:
         broken = machine.find_violations(reference)
         if broken:
@@ -201,6 +205,9 @@ def _within(references: Sequence[Reference], machine: Machine, told: str) -> Con
         return Condition(f"within the limits of {machine.name}, but {told}", True, warning=True)
     if any(reference.jumps for reference in references):
         return Condition(f"within the limits of position; {JUMPS}", True, warning=True)
+    twin = trial.found(plan) if trial is not None and plan is not None else None
+    if not machine.modelled and twin is not None and twin.simulated:  # which told the torque too
+        return Condition("within the limits of position and speed", True)
     if not machine.modelled:
         return Condition(
             f"within the limits of position and speed; {UNPREDICTED}", True, warning=True

@@ -190,7 +190,7 @@ def regress(slow: Slow, model: Model, joint: int, body: tuple[Array, Array]) -> 
         excess=excess,
         excess_t=excess_t,
         alike=repeats(left, slow.sample_time),
-        held=_held(q[use], qd[use], torque[use], spread),
+        held=_held(q[use], qd[use], weight[use], torque[use], spread),
     )
 
 
@@ -203,11 +203,14 @@ def _blurred(columns: Array, noise: float) -> bool:
     return bool(len(own) * noise**2 > BLURRED * float(own @ own))
 
 
-def _held(q: Array, qd: Array, torque: Array, spread: float) -> bool:
-    """Whether the torque pulls back in proportion to position and speed, and does nothing else."""
-    a = np.stack([q, qd, np.ones_like(q)], axis=1)
-    theta, left, *_ = np.linalg.lstsq(a, torque)
-    return bool(theta[0] < 0 and theta[1] < 0 and left.sum() < (1.0 - PULLS_BACK) * spread)
+def _held(q: Array, qd: Array, weight: Array, torque: Array, spread: float) -> bool:
+    """Whether the torque pulls back in proportion to position and speed, bears weight that the
+    model knows, and does nothing else.
+    """
+    columns = [q, qd, np.ones_like(q), *([weight] if np.any(weight) else [])]
+    theta, left, *_ = np.linalg.lstsq(np.stack(columns, axis=1), torque)
+    back = theta[0] < 0 and theta[1] < 0 and all(borne > 0 for borne in theta[3:])
+    return bool(back and left.sum() < (1.0 - PULLS_BACK) * spread)
 
 
 def _excess(
