@@ -309,6 +309,30 @@ def test_what_the_user_fixed_and_what_mujoco_forbids_stays_in_the_model_file(
     assert kept == [("inertia", -0.09), ("inertia", 0.05), ("payload", 1.5), ("viscous", 0.2)]
 
 
+def test_a_mass_is_written_where_its_inertia_about_one_axis_leaves_no_body(tmp_path: Path) -> None:
+    from zendsp.diagnosis.report.files import left_out
+    from zendsp.physics.robots.mjcf_write import write_mjcf
+
+    (tmp_path / "arm.xml").write_text(
+        '<mujoco><compiler angle="radian"/><worldbody><body name="rod"><joint name="hinge"'
+        ' axis="0 1 0"/><inertial pos="0 0 -0.15" mass="0.9" diaginertia="0.012 0.012 0.001"/>'
+        '</body></worldbody><actuator><motor joint="hinge"/></actuator></mujoco>'
+    )
+    numbers = {"mass": {"value": 0.3}, "inertia": {"value": -0.004}}  # 1e-3 - 4e-3: below 0
+    whole = parse_model(
+        {
+            "mechanism": {"kind": "mjcf", "file": "arm.xml"},
+            "effect": [{"kind": "body", "joint": 1, **numbers}],
+        },
+        str(tmp_path / "arm.toml"),
+    )
+    rest = write_mjcf(whole, tmp_path / "model.mjcf")
+    assert rest is not None and 'mass="1.2' in (tmp_path / "model.mjcf").read_text()
+    (stays,) = (t for t in rest.terms if t.effect == "body")
+    assert (stays.value("mass"), stays.value("inertia")) == (0.0, -0.004)
+    assert "except the inertia of body (joint 1)" in left_out(whole)[0]
+
+
 def test_a_mesh_is_still_found_from_where_the_model_is_written(tmp_path: Path) -> None:
     from zendsp.physics.robots.mjcf_write import write_mjcf
 

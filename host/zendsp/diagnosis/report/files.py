@@ -102,7 +102,11 @@ def left_out(model: Model) -> list[str]:
         return ["no model.mjcf is written: this model takes only the bodies from its MJCF"]
     from zendsp.physics.robots.mjcf_write import inexpressible
 
-    stay = [f"{t.effect} (joint {t.joint})" for t in inexpressible(model)]
+    stay = [
+        f"{'the inertia of ' * ('mass' in t.parameters and not t.value('mass'))}{t.effect}"
+        f" (joint {t.joint})"
+        for t in inexpressible(model)
+    ]
     if not stay:
         return []
     return [

@@ -231,15 +231,29 @@ def _bodies(out: Split, taken: Mjcf, terms: Sequence[Term]) -> list[Term]:
     if any(t.effect == "base_tilt" for t in terms):
         out.gravity = _words(turned_gravity(taken.gravity, terms))
     kept: list[Term] = []
-    more = changed(taken.bodies, terms)
     for k in sorted({t.joint - 1 for t in terms if t.effect != "base_tilt"}):
+        here = [t for t in terms if t.joint == k + 1 and t.effect != "base_tilt"]
         body = int(taken.model.jnt_bodyid[taken.joints[k]])
-        values = _inertial(taken, body, k, taken.bodies[k], more[k])
-        if values is None:
-            kept += [t for t in terms if t.joint == k + 1 and t.effect != "base_tilt"]
+        # a recording tells the inertia about one axis, which may leave a body with too little about
+        # others: mass and centre are written then, and that stays
+        weights = [_with(t, inertia=0.0) for t in here]
+        turns = [_with(t, mass=0.0, com_x=0.0, com_y=0.0, com_z=0.0) for t in here]
+        for written, rest in ((here, []), (weights, turns)):
+            after = changed(taken.bodies, written)[k]
+            values = _inertial(taken, body, k, taken.bodies[k], after)
+            if values is not None:
+                out.inertials[_name(taken.model, "body", body)] = values
+                kept += rest
+                break
         else:
-            out.inertials[_name(taken.model, "body", body)] = values
+            kept += here
     return kept
+
+
+def _with(term: Term, **values: float) -> Term:
+    """The term with other numbers."""
+    numbers = {k: replace(q, value=values.get(k, q.value)) for k, q in term.parameters.items()}
+    return replace(term, parameters=numbers)
 
 
 def _inertial(taken: Mjcf, body: int, link: int, before: Body, after: Body) -> Attributes | None:
