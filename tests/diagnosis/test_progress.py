@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import pickle
 import time
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from click.testing import CliRunner
 
+from zendsp.cli import cli
 from zendsp.cli.steps import in_steps
 from zendsp.diagnosis import joints
-from zendsp.diagnosis.progress import Step
+from zendsp.diagnosis.progress import Progress, Step
 
 
 def test_a_progress_only_goes_forward() -> None:
@@ -41,3 +44,20 @@ def test_an_interrupt_waits_for_no_joint(monkeypatch: pytest.MonkeyPatch) -> Non
     with pytest.raises(KeyboardInterrupt):
         joints._search(SimpleNamespace(), arm, arm, 2, interrupted, {})  # type: ignore[arg-type]
     assert time.monotonic() - begin < 30.0
+
+
+def test_what_is_interrupted_says_how_far_it_was(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def interrupted(*_: Any, progress: Progress, **__: Any) -> None:
+        progress(Step.READING.says("reading run.csv"))
+        progress(Step.SEARCHING.says("joint 2: screening the library"))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("zendsp.diagnosis.diagnose", interrupted)
+    asked = ["diagnose", "run.csv", "--model", "arm.toml", "--out", str(tmp_path / "report")]
+    done = CliRunner().invoke(cli, asked)
+    assert done.exit_code != 0 and not (tmp_path / "report" / "report.json").exists()
+    assert done.stderr.splitlines()[0] == (
+        "no report is written; it was at 3/6 searching: joint 2: screening the library"
+    )

@@ -76,6 +76,15 @@ def test_a_jittered_clock_is_resampled_and_the_report_says_so(
     assert any("resampled" in n for n in notes), notes
 
 
+def test_rows_that_are_missing_from_an_even_clock_are_no_jitter(
+    good: Columns, model: Path, tmp_path: Path
+) -> None:
+    columns = {name: np.delete(x, [700, 900, 901]) for name, x in good.items()}
+    notes = _accepted(reality.save(tmp_path / "run.csv", columns), model)
+    said = [n for n in notes if "3 rows missing" in n]
+    assert len(said) == 1 and "run.csv: 3 rows missing, all others evenly spaced" in said[0]
+
+
 def test_stamps_that_jitter_beside_rows_that_do_not_are_not_believed(
     good: Columns, model: Path, tmp_path: Path
 ) -> None:

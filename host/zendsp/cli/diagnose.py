@@ -6,6 +6,8 @@ import json
 import os
 import shlex
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -144,8 +146,8 @@ def _together(asked: _Asked, run_on: str | None) -> None:
     for file in asked.effects:
         load_effects(file)
     out = asked.out
-    with stages(quiet=asked.as_json) as say:
-        tell = in_steps(say)
+    with _how_far() as at, stages(quiet=asked.as_json) as say:
+        tell = in_steps(lambda text: say(at(text)))
         result = diagnose(
             list(asked.train),
             asked.model,
@@ -178,6 +180,27 @@ def _together(asked: _Asked, run_on: str | None) -> None:
     if out is not None and wrong:
         click.echo(f"zendsp: {wrong}", err=True)
         raise click.exceptions.Exit(1)
+
+
+@contextmanager
+def _how_far() -> Iterator[Callable[[str], str]]:
+    """Say after Ctrl-C how far a diagnosis was, by the last sentence that was given, which returns
+    as it is.
+    """
+    from zendsp.diagnosis.progress import Step
+
+    said = [""]
+
+    def at(text: str) -> str:
+        said[0] = text
+        return text
+
+    try:
+        yield at
+    except KeyboardInterrupt:
+        kept = "" if said[0].startswith(f"{Step.REPORTING}/") else "no report is written; "
+        click.echo(f"{kept}it was at {said[0] or 'its beginning'}", err=True)
+        raise
 
 
 def _write(

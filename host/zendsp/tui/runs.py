@@ -150,8 +150,10 @@ def store_run(
         shutil.rmtree(beside, ignore_errors=True)
         elsewhere = rescue(recording, DATA)
         reason = error.strerror if isinstance(error, OSError) and error.strerror else error
-        kept = f"its recording is lost: {error}" if elsewhere is None else f"it is in {elsewhere}"
-        raise RecordingError(f"run {name!r} cannot be kept in {runs} ({reason}); {kept}") from error
+        kept = f"is lost: {error}" if elsewhere is None else f"is in {elsewhere}"
+        raise RecordingError(  # where it is comes first: a narrow screen cuts the rest
+            f"run {name!r} {kept}; it cannot be kept in {runs} ({reason})"
+        ) from error
     return run
 
 

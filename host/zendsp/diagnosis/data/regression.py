@@ -28,7 +28,7 @@ EDGE = 0.999  # of the largest command: at it
 QUIET = 0.1  # of the acceleration: so much noise does not matter
 ANGLE_SPAN = 0.2  # rad: over less, sine and cosine of the angle are lines
 PER_COLUMN = 4  # samples at least for each column of a regression
-BLURRED = 0.2  # of the energy that only inertia has: with more noise in it no slope is told
+IN_NOISE = 0.2  # of the energy that only inertia has: with more noise in it no slope is told
 AT_EDGE = 12  # samples at the largest command: fewer tell nothing
 PULLS_BACK = 0.95  # R^2 of a command by position and speed alone: it holds the joint where it is
 TURNS = 0.1  # of the RMS speed: below, a joint turns round
@@ -200,7 +200,7 @@ def _blurred(columns: Array, noise: float) -> bool:
     """
     others, *_ = np.linalg.lstsq(columns[:, 1:], columns[:, 0])
     own = columns[:, 0] - columns[:, 1:] @ others
-    return bool(len(own) * noise**2 > BLURRED * float(own @ own))
+    return bool(len(own) * noise**2 > IN_NOISE * float(own @ own))
 
 
 def _held(q: Array, qd: Array, weight: Array, torque: Array, spread: float) -> bool:

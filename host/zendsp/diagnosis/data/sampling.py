@@ -30,6 +30,7 @@ UNIT = 50  # a factor between sample times above: seconds, milliseconds, minutes
 OTHER_UNIT = 0.2  # of the stated sample time: further off, the unit is another
 EXACT, ROUNDED = 1e-3, 0.05  # of it: mean and median so near are it, printed with few digits
 JITTER = 0.02  # of the sample time: below, stamps are as good as even
+EVEN = 5e-4  # of the sample time, RMS: below, nothing is to be told of it
 MOST_OF_TWO = 2  # samples that a late stamp and its neighbour span; a missing row makes three
 # of the roughness over stamps: rows that are smoother than this were read evenly. Stamps that are
 # true make it 1 and more, however slow the motion
@@ -167,11 +168,13 @@ def clock(
     lacks = (whole > 1) & (np.round(beside / period) > MOST_OF_TWO)
     spread = float(np.std(step[~lacks])) / period
     missing = int(np.sum(whole - 1, where=lacks, initial=0.0))
-    rows = f", and {counted(missing, 'row')} missing" if missing else ", no row is missing"
-    notes.append(
-        f"{name}: the time from row to row jitters by {100 * spread:.1f} % of the sample time{rows}"
-        f" (largest step {np.max(step) / period:.1f} samples)"
-    )
+    if missing and spread < EVEN:
+        rows = f"{counted(missing, 'row')} missing, all others evenly spaced"
+    else:
+        rows = f"and {counted(missing, 'row')} missing" if missing else "no row is missing"
+        of = "of the sample time"
+        rows = f"the time from row to row jitters by {100 * spread:.1f} % {of}, {rows}"
+    notes.append(f"{name}: {rows} (largest step {np.max(step) / period:.1f} samples)")
     return time, period, notes, np.arange(time[0], time[-1], period)
 
 

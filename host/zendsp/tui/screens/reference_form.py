@@ -131,6 +131,7 @@ class ReferenceForm(LabScreen):
         fields = self.query_one("#fields", VerticalScroll)
         await fields.remove_children()
         await fields.mount(*[self._line(p, (values or {}).get(p.name)) for p in self._parameters()])
+        self._show_units()
         self._plan_soon()
 
     def _parameters(self) -> tuple[Parameter, ...]:
@@ -153,7 +154,7 @@ class ReferenceForm(LabScreen):
             widget = Input(words(value), compact=True, name=p.name)
         bounds = f"  ({p.describe_bounds()})" if p.describe_bounds() and not p.choices else ""
         widget.tooltip = f"{p.description}{bounds}".replace("[", "(").replace("]", ")")
-        unit = Label(p.unit, classes="unit", markup=False)
+        unit = Label(p.unit, classes="unit", name=p.unit, markup=False)
         name = Label(p.name, classes="label", markup=False)
         return Horizontal(name, widget, unit, classes="line parameter")
 
@@ -188,6 +189,13 @@ class ReferenceForm(LabScreen):
         if self._timer is not None:
             self._timer.stop()
         self._timer = self.set_timer(SETTLE_S, self.plan_now)
+
+    @on(Select.Changed, "#fields Select")
+    def _show_units(self) -> None:
+        """Of two units that a parameter may have, position's or torque's, show the one it has."""
+        chosen = int(("quantity", "torque") in self._wanted()[2])
+        for label in self.query("#fields .unit").results(Label):
+            label.update((label.name or "").split(" or ")[-chosen])
 
     def values(self) -> dict[str, Any]:
         """Return the parameters as typed, parsed; raises ReferenceError_ with the reason."""
