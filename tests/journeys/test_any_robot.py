@@ -33,7 +33,7 @@ def test_a_model_file_is_run_moved_recorded_and_stopped(installed: Installed) ->
     target = installed.target("leg", "leg.xml", "--clock", "fast", "--speed", "3")
     ran = installed.run("run", "joint_pd.c", "--set", "amplitude=0.3")
     assert ran.returncode == 0, ran.stdout + ran.stderr
-    made = installed.run("acquire", "q", "r", "tau", "--seconds", "4", "--out", "leg.npz")
+    made = installed.run("acquire", "q", "r", "tau", "--seconds", "8", "--out", "leg.npz")
     assert made.returncode == 0, made.stdout + made.stderr
     looked = installed.script("""
 import numpy as np, zendsp
