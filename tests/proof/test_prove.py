@@ -87,14 +87,13 @@ def test_a_small_sample_holds_every_sort_of_case(seed: int) -> None:
     assert not any(of_bodies(r) for r in requests(seed, True, ("mujoco",), 1)), "no room for all"
 
 
-def test_what_ci_judges_holds_an_effect_a_body_a_foreign_torque_and_two_complete_machines() -> None:
+def test_what_ci_judges_holds_an_effect_a_body_a_foreign_torque_and_a_complete_machine() -> None:
     script = (Path(__file__).parents[2] / ".ci" / "run").read_text()
     sample, seed = re.findall(r"--sample (\d+) --seed (\d+)", script)[0]
     few = requests(int(seed), True, REALITIES, int(sample))
     assert {r.reality for r in few} == set(REALITIES)
     assert {r.kind for r in few} == {"single", "foreign", "complete"}
     assert any(of_bodies(r) for r in few) and not all(of_bodies(r) for r in few)
-    assert len({r.reality for r in few if r.kind == "complete"}) == 2, "of different makers"
 
 
 def test_what_a_reality_cannot_fill_of_a_sample_goes_to_the_others() -> None:

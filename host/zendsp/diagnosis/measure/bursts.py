@@ -293,18 +293,13 @@ def _lacking(data: Data, model: Model, joint: int) -> _Lacking:
     for lack, rec in zip(lacking(data, model, joint, LACKING_BAND), data.records, strict=True):
         record = rec[joint - 1]
         use = kept(record, LACKING_BAND)
-        width = _memory(record.sample_time)
+        width = max(3, round(3.0 / LACKING_BAND / record.sample_time))
         window = np.ones(width) / width
         levels.append(np.asarray(np.convolve(lack**2, window, mode="same")[use], float))
         lacks.append(lack[use])
         smooth.append(np.asarray(np.convolve(lack[use], window, mode="same"), float))
         used.append(use)
     return _Lacking(data, tuple(levels), tuple(lacks), tuple(smooth), tuple(used))
-
-
-def _memory(sample_time: float) -> int:
-    """Samples over which the observer remembers."""
-    return max(3, round(3.0 / LACKING_BAND / sample_time))
 
 
 def _quiet(parts: Sequence[_Lacking]) -> float:
@@ -319,16 +314,12 @@ def _acting(part: _Lacking, joint: int, quiet: float, least: float | None = None
     """
     high = max(float(level.max()) for level in part.levels)
     above = max(BURST * quiet, OF_PEAK * high if least is None else least)
-    from scipy.ndimage import binary_closing, binary_opening  # takes a third of a second
+    from scipy.ndimage import binary_closing  # takes a third of a second
 
     masks = []
     for level, rec in zip(part.levels, part.data.records, strict=True):
         gap = max(1, round(0.25 / rec[joint - 1].sample_time))
-        mask = binary_closing(np.pad(level > above, 1), iterations=gap)[1:-1]
-        # the energy of one row that errs stands out for as long as it is summed over, and the
-        # observer rings for as long again
-        least = 2 * _memory(rec[joint - 1].sample_time)
-        masks.append(binary_opening(mask, np.ones(least, bool)))
+        masks.append(binary_closing(np.pad(level > above, 1), iterations=gap)[1:-1])
     return _Acting(part, tuple(masks), above)
 
 
