@@ -249,7 +249,6 @@ def test_a_body_that_is_not_there_is_proposed_in_vain(record, monkeypatch,
     assert ("payload", 3) in {(r.effect, r.joint) for r in d.rejected}
 
 
-@pytest.mark.long("a sealed case has a payload of six joints; lost: three")
 def test_diagnosis_claims_the_payload_once_for_the_whole_arm(record,
     tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     model, paths = record("payload", Arm(mass=1.5), True)

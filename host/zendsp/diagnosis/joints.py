@@ -242,7 +242,7 @@ def _search_joint(
     base = calibrate_joint(parts.fit, given, joint, jobs)
     accept = Acceptance(parts.choose)
     searcher = Searcher(parts.fit, joint, accept, jobs, tell, given)
-    late = searcher.dated(base)
+    late = searcher.late_log(base)
     if late is not None:  # found before any physics is blamed
         base, given = late, given.with_terms((*given.terms, late.model.terms[-1]))
         searcher = Searcher(parts.fit, joint, accept, jobs, tell, given)

@@ -30,7 +30,7 @@ UNIT = 50  # a factor between sample times above: seconds, milliseconds, minutes
 OTHER_UNIT = 0.2  # of the stated sample time: further off, the unit is another
 EXACT, ROUNDED = 1e-3, 0.05  # of it: mean and median so near are it, printed with few digits
 JITTER = 0.02  # of the sample time: below, stamps are as good as even
-EVEN = 5e-4  # of the sample time, RMS: below, nothing is to be told of it
+EVEN = 5e-4  # of the sample time, RMS: what is less is written as 0.0 %
 MOST_OF_TWO = 2  # samples that a late stamp and its neighbour span; a missing row makes three
 # of the roughness over stamps: rows that are smoother than this were read evenly. Stamps that are
 # true make it 1 and more, however slow the motion

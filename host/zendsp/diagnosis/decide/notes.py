@@ -34,7 +34,7 @@ def notes_of(decisions: Sequence[Decision], given: Model) -> list[str]:
         *_likelier(decisions),
         *_felt(decisions, given),
         *_creeping(decisions, given),
-        *_dated(decisions, given),
+        *_late_log(decisions, given),
         *_against_masses(decisions, given),
         *_other_loads(decisions),
     ]
@@ -103,8 +103,8 @@ def _creeping(decisions: Sequence[Decision], given: Model) -> list[str]:
     ]
 
 
-def _dated(decisions: Sequence[Decision], given: Model) -> list[str]:
-    """Where the command was written down late by less than of rows may be said."""
+def _late_log(decisions: Sequence[Decision], given: Model) -> list[str]:
+    """Where the command column is late by less than what is called a shift of it."""
     return [
         f"joint {d.joint}: the command column is {1e3 * t.value('time'):.2g} ms late against the"
         " position column, less than a row: behind a filter of the log, in a simulator of first"
@@ -119,8 +119,8 @@ def _dated(decisions: Sequence[Decision], given: Model) -> list[str]:
 def _against_masses(decisions: Sequence[Decision], given: Model) -> list[str]:
     """What a gain is measured by, where the masses come from a file."""
     return [
-        f"joint {d.joint}: its torque_gain is told by the masses of {given.file}: where what it"
-        " moves is 2 % heavier than there, the gain is 2 % more"
+        f"joint {d.joint}: its torque_gain is measured by the masses of {given.file}: if what it"
+        " moves is 2 % heavier than there, the true gain is 2 % larger"
         for d in decisions
         if given.kind in TREES and any(c.effect == "torque_gain" for c in d.claims)
     ]

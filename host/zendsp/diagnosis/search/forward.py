@@ -28,9 +28,10 @@ from zendsp.diagnosis.search.hypothesis import (
 from zendsp.diagnosis.search.rounds import GLANCE, SETTLED, WAIT, WORTH, Rounds
 from zendsp.diagnosis.search.simplify import simplify, split_asymmetry, straightened
 from zendsp.physics.calibration.fit import Data, joint_handles
-from zendsp.physics.calibration.joint import effective_inertia, facts
+from zendsp.physics.calibration.joint import effective_inertia
 from zendsp.physics.calibration.predict import run
 from zendsp.physics.effects import get_effect
+from zendsp.physics.effects.column_shift import ROW
 from zendsp.physics.model import Model, Quantity, Term
 
 CREEP = (0.01, 0.1)  # of the fast speed: where the search for a friction that creeps begins
@@ -146,18 +147,15 @@ class Searcher:
         creep = Rival("creep", self.joint, best, price(terms, self.rounds.n), terms, ())
         return best if self.accept(base, creep) else None
 
-    def dated(self, base: Scored) -> Scored | None:
-        """The calibrated model with a command that was written down late, by less than of rows may
-        be said: a filter of the log, or a simulator of first order. No machine answers a command
-        of the future, so nothing else is that; and many a law resembles it. None where that does
-        not pay.
+    def late_log(self, base: Scored) -> Scored | None:
+        """The calibrated model with a command column that is late by less than ``ROW``; None where
+        it is not. No machine answers a command of the future: that is the log, whatever law
+        resembles it.
         """
         had = base.model.at(self.joint)
         if not math.isfinite(base.deviance) or any(t.effect == "column_shift" for t in had):
             return None
-        effect = get_effect("column_shift")
-        record = self.rounds.data.records[0][self.joint - 1]
-        most = effect.least(facts(record))["time"] if effect.least else 0.0
+        most = ROW * self.rounds.data.records[0][self.joint - 1].sample_time
         term = Term("column_shift", self.joint, {"time": Quantity(0.5 * most)})
         model = base.model.with_terms((*base.model.terms, term))
         handles = joint_handles(base.data, model, self.joint)
