@@ -202,7 +202,12 @@ def left_over(decisions: Sequence[Decision], given: Model, fit: Data) -> str:
     words = []
     for d in decisions:
         unit = given.torque_unit(d.joint)
-        if d.after.value > 1.0:
+        if not d.searched:
+            words.append(
+                f"Joint {d.joint}: it was not searched before Ctrl-C; calibrated, the model leaves"
+                f" {percent(d.after.value)} % of its torque"
+            )
+        elif d.after.value > 1.0:
             words.append(
                 f"Joint {d.joint}: the model does not follow the recording: more than all of the"
                 " joint's torque stays unexplained. Check that the model is of this machine, and"
