@@ -17,7 +17,7 @@ from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.data.split import split
 from zendsp.diagnosis.decide.findings import estimates
 from zendsp.diagnosis.decide.naming import between, may_be_nothing, one_number, runs_out
-from zendsp.diagnosis.decide.notes import _against_masses
+from zendsp.diagnosis.decide.notes import _against_masses, _all_for_the_load
 from zendsp.diagnosis.decide.result import Estimate
 from zendsp.diagnosis.engine import _ready
 from zendsp.diagnosis.measure.significance import counterpart, vanishes
@@ -211,6 +211,18 @@ def test_a_torque_gain_of_an_arm_says_by_which_masses_it_is_measured(
     decision: Any = SimpleNamespace(joint=3, claims=(SimpleNamespace(effect=effect),))
     notes = _against_masses([decision], given)
     assert len(notes) == told and all("masses of arm.urdf" in note for note in notes)
+
+
+@pytest.mark.parametrize(("effect", "rotors", "told"), [
+    ("transmission_error", 0, 1), ("transmission_error", 1, 0), ("ripple", 0, 0),
+])  # fmt: skip
+def test_an_error_of_a_transmission_says_of_how_much_inertia_it_is_measured(
+    effect: str, rotors: int, told: int
+) -> None:
+    """With three tenths of the inertia the motor's, 0.0174 were found of 0.0250 rad."""
+    decision: Any = SimpleNamespace(joint=1, claims=(SimpleNamespace(effect=effect),))
+    given: Any = SimpleNamespace(at=lambda _: rotors * [SimpleNamespace(effect="inertia")])
+    assert len(_all_for_the_load([decision], given)) == told
 
 
 def test_a_joint_at_which_nothing_is_left_to_choose_by_costs_nothing(

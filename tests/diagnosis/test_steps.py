@@ -487,6 +487,21 @@ def test_a_filter_that_a_delay_explains_as_well_is_called_a_delay() -> None:
     assert [t.effect for t in best.model.at(1)] == ["viscous", "coulomb", "delay"]
 
 
+@pytest.mark.parametrize("held", [True, False])
+def test_a_rotor_that_the_model_holds_is_not_merged_with_the_inertia_beside_it(
+    held: bool,
+) -> None:
+    """Merged, a transmission's error was measured by an inertia too large: by 0.7 of what it is."""
+    rotor = {"kind": "inertia", "joint": 1, "amount": {"value": 0.003, "free": not held}}
+    data_model = model_of(VISCOUS, COULOMB, rotor, inertia=0.007)
+    motion = reality.multisine(5.0, RATE, 3)
+    data = data_of(reality.simulate(reality.Machine(), motion, RATE), data_model)
+    base = fit_scored(data, data_model, joint_handles(data, data_model, 1), (1,), jobs=1)
+    best, dropped = simplify(JointSearch(1, base), informative(data, 1), 1)
+    assert dropped == (() if held else ("inertia",))
+    assert any(t.effect == "inertia" for t in best.model.terms) == held
+
+
 @pytest.mark.parametrize(("gain", "asked"), [(10.0, [64.0, 16.0]), (100.0, [64.0])])
 def test_what_gains_nothing_under_a_fast_observer_is_begun_again_under_a_slow_one(
     gain: float, asked: list[float], monkeypatch: pytest.MonkeyPatch

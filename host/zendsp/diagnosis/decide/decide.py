@@ -315,7 +315,8 @@ def _asked(out: Decision, parts: Parts, given: Model, turning: bool) -> Decision
         return replace(out, kind="unexplained")
     lawful = lacks > LAWFUL and _lawful(parts, out.base, out.joint, turning)
     off = _off(out, parts.test)
-    if lawful or (lacks > MACHINE and (out.before.low > 0.0 or off)):
+    surely = off and beyond(out.before.low, out.known.all) > LAWFUL
+    if lawful or surely or (lacks > MACHINE and (out.before.low > 0.0 or off)):
         return replace(out, kind="unexplained")
     if off and out.before.high > AMISS:  # a recording too short to say how much torque that is
         return replace(out, kind="unexplained")

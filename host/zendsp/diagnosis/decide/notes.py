@@ -36,6 +36,7 @@ def notes_of(decisions: Sequence[Decision], given: Model) -> list[str]:
         *_creeping(decisions, given),
         *_late_log(decisions, given),
         *_against_masses(decisions, given),
+        *_all_for_the_load(decisions, given),
         *_other_loads(decisions),
     ]
 
@@ -123,6 +124,19 @@ def _against_masses(decisions: Sequence[Decision], given: Model) -> list[str]:
         " moves is 2 % heavier than there, the true gain is 2 % larger"
         for d in decisions
         if given.kind in TREES and any(c.effect == "torque_gain" for c in d.claims)
+    ]
+
+
+def _all_for_the_load(decisions: Sequence[Decision], given: Model) -> list[str]:
+    """What a transmission's error is measured by, where no sensor is on the load."""
+    return [
+        f"joint {d.joint}: its transmission_error is measured by what the load resists, and all"
+        " inertia is taken for the load's: if half of it is the motor's, the true error is twice as"
+        ' large. An effect of kind = "inertia" with free = false says the motor\'s, and [mechanism]'
+        " the load's"
+        for d in decisions
+        if any(c.effect == "transmission_error" for c in d.claims)
+        and not any(t.effect == "inertia" for t in given.at(d.joint))
     ]
 
 

@@ -286,7 +286,8 @@ def simplify(found: JointSearch, n: int, jobs: int) -> tuple[Scored, tuple[str, 
         certain = with_step_error(best.data, best.fit, (found.joint,))
         for i, term in enumerate(best.model.terms):
             of_all = get_effect(term.effect).site == "body"  # every joint that moves it feels it
-            if term.joint != found.joint or of_all or _needed_by(best.model, term):
+            known = not any(q.free for q in term.parameters.values())  # whoever holds it knows it
+            if term.joint != found.joint or of_all or known or _needed_by(best.model, term):
                 continue
             model = best.model.with_terms(
                 tuple(t for k, t in enumerate(best.model.terms) if k != i)
