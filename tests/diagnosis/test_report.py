@@ -500,6 +500,11 @@ def test_the_headline_names_the_law_that_an_unexplained_torque_is_most_like() ->
     assert "no known effect describes" in verdict_sentence("unexplained", [])
 
 
+def test_each_joint_that_stays_unexplained_has_a_line_whatever_its_words() -> None:
+    left: Any = SimpleNamespace(findings=(), unexplained="one. Joint 2: of one\nthe other")
+    assert html._sentences(left) == "<ul><li>one. Joint 2: of one<li>the other</ul>"
+
+
 def test_a_number_that_rounds_to_nothing_has_no_sign() -> None:
     assert number(Estimate(-0.001, 0.1, "rad")) == "0.00 ± 0.10 rad"
     assert number(Estimate(-0.0, 0.0, "rad")) == "0 rad"

@@ -47,10 +47,10 @@ def command(name: str, target: str, connect: str | None, as_json: bool) -> None:
             "machine": machine,
             "variables": list(variables.values()),
             "values": values,
-            "outside": away,
+            "outside": list(map(str, away)),
         }
         further = [
-            *(f"outside    {sentence}" for sentence in away),
+            *(f"outside    {joint}" for joint in away),
             *(f"note       {sentence}" for sentence in status.own),
             *([f"next       {steps}"] if steps else []),
         ]

@@ -296,7 +296,7 @@ class LinkPort:
 def _trip(trip: m.Trip | None) -> TripView | None:
     if trip is None:
         return None
-    return TripView(trip.reason, trip.tick, trip.text or trip.reason, trip.number)
+    return TripView(trip.reason, trip.tick, trip.text or trip.reason, trip.number, trip.cause)
 
 
 def _variable(info: m.VariableInfo, kind: VariableKind) -> Variable:
