@@ -6,13 +6,12 @@ import itertools
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from zendsp.errors import AcquisitionError, VariableError, ZendspError
-from zendsp.experiment.sweep_result import Sweep, short
+from zendsp.experiment.sweep_result import Sweep, SweepRun, short
 from zendsp.link import Target
 from zendsp.link.put_back import kept
 from zendsp.prompt import shows_progress
@@ -119,7 +118,7 @@ def sweep(
             f"{folder}: {counted(len(old), 'recording')} of another sweep, {old[0].name} the first:"
             " move them away, or keep these in another folder"
         )
-    rows: list[Mapping[str, Any]] = []
+    rows: list[SweepRun] = []
     again: list[Mapping[str, float]] = []
     why = ""
 
@@ -142,7 +141,7 @@ def sweep(
             if number > len(runs):
                 again += [results] if results else []
             else:
-                rows.append({**run, **results, "ended": ended})
+                rows.append(SweepRun(run, results, ended))
                 if folder is not None and recording is not None:
                     recording.save(folder / f"{number:03}.mat")
             if on_run is not None:
@@ -207,7 +206,7 @@ def announced(
 
 def _one(
     target: Target,
-    run: Mapping[str, Any],
+    run: Mapping[str, Assignable],
     channels: Sequence[str],
     seconds: float,
     fade: float,
@@ -270,11 +269,12 @@ def _measured(
 
 
 def _columns(
-    rows: Sequence[Mapping[str, Any]], channels: Sequence[str], measures: Sequence[str]
+    rows: Sequence[SweepRun], channels: Sequence[str], measures: Sequence[str]
 ) -> list[str]:
     """The columns that were measured; arrays have several."""
     for row in rows:
-        found = [name.partition(" ")[2] for name in row if name.startswith(f"{measures[0]} ")]
+        first = f"{measures[0]} "
+        found = [name.removeprefix(first) for name in row.results if name.startswith(first)]
         if found:
             return found
     return list(channels)

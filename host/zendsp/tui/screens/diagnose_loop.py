@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.text import Text
@@ -37,6 +37,7 @@ from zendsp.tui.snapshot import LinkState, Snapshot
 from zendsp_isr.sources import gather
 from zendsp_protocol.messages import Program
 from zendsp_protocol.states import ProgramState
+from zendsp_protocol.values import Assignable
 
 if TYPE_CHECKING:
     from zendsp.tui.runs import Run
@@ -417,11 +418,11 @@ class LoopActions(LabScreen):
         raise NotImplementedError
 
 
-def look_s(values: Mapping[str, Any]) -> float:
+def look_s(values: Mapping[str, Assignable]) -> float:
     """Seconds over which the tracking error of a program with these values is compared: one turn,
     as many periods of a sway as the picture holds, or LOOK_S.
     """
-    number = {name: x for name, x in values.items() if isinstance(x, int | float)}
+    number = {name: float(x) for name, x in values.items() if isinstance(x, int | float)}
     turn = 0.0 if values.get("use_table") else number.get(TURN, 0.0)
     if not turn and number.get(SWAY[0]):
         period = number.get(SWAY[1], 0.0)
