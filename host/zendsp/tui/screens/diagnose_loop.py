@@ -37,7 +37,7 @@ from zendsp.tui.snapshot import LinkState, Snapshot
 from zendsp_isr.sources import gather
 from zendsp_protocol.messages import Program
 from zendsp_protocol.states import ProgramState
-from zendsp_protocol.values import Assignable
+from zendsp_protocol.values import Value
 
 if TYPE_CHECKING:
     from zendsp.tui.runs import Run
@@ -418,11 +418,11 @@ class LoopActions(LabScreen):
         raise NotImplementedError
 
 
-def look_s(values: Mapping[str, Assignable]) -> float:
+def look_s(values: Mapping[str, Value]) -> float:
     """Seconds over which the tracking error of a program with these values is compared: one turn,
     as many periods of a sway as the picture holds, or LOOK_S.
     """
-    number = {name: float(x) for name, x in values.items() if isinstance(x, int | float)}
+    number = {name: x for name, x in values.items() if isinstance(x, int | float)}
     turn = 0.0 if values.get("use_table") else number.get(TURN, 0.0)
     if not turn and number.get(SWAY[0]):
         period = number.get(SWAY[1], 0.0)
