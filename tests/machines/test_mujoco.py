@@ -433,7 +433,7 @@ def test_an_impossible_inertia_of_a_base_that_stands_plays_no_part(tmp_path: Pat
             'ixx="0.02" iyy="0.02" izz="0.001"', 'ixx="0" iyy="0" izz="0"',
             r"'pole'.*give that link a mass and an inertia, or write below <robot>: .*boundinertia",
         ),
-        ('ixz="0"', 'ixz="0.01"', r"'pole'.*no body has such an inertia, correct it"),
+        ('ixz="0"', 'ixz="0.01"', r"'pole'.*no link has such an inertia, correct it"),
     ],
 )  # fmt: skip
 def test_a_link_that_mujoco_does_not_take_is_named_with_what_to_do_though_meshes_are_missing_too(
@@ -442,8 +442,8 @@ def test_a_link_that_mujoco_does_not_take_is_named_with_what_to_do_though_meshes
     file = tmp_path / "pole.urdf"
     assert old in URDF
     file.write_text(URDF.replace(old, new))
-    with pytest.raises(ValueError, match=says) as refused:
-        robot(file)
+    with pytest.raises(Refused, match=says) as refused:
+        look_at(Settings(str(file), {"model": str(file)}), tmp_path)
     assert "were fused" not in str(refused.value)
     if "compiler" in says or "bound" in says:  # what it says is done: then it runs
         line = re.search(r"<mujoco>.*</mujoco>", str(refused.value))
