@@ -9,6 +9,7 @@ from pathlib import Path
 
 from zendsp_isr.build import Built, build, source_root
 from zendsp_protocol.errors import CompileFailed
+from zendsp_protocol.states import Severity
 
 _MODELS = (".xml", ".mjcf", ".urdf")  # what MuJoCo reads
 # a word of MuJoCo's sentence, which has no codes; what to do, and the compiler's option for it
@@ -22,7 +23,7 @@ _XACRO = re.compile(r"<xacro:|=\s*\"[^\"<>]*\$[({]")  # what xacro replaces
 
 def _trusted(kind: str, built: Built) -> Path:
     if built.path is None:
-        lines = [str(m) for m in built.messages if m.severity == "error"]
+        lines = [str(m) for m in built.messages if m.severity == Severity.ERROR]
         raise CompileFailed(
             f"the {kind} does not compile with {built.compiler}:\n" + "\n".join(lines)
         )

@@ -36,7 +36,7 @@ from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.snapshot import LinkState, Snapshot
 from zendsp_isr.sources import gather
 from zendsp_protocol.messages import Program
-from zendsp_protocol.states import ProgramState
+from zendsp_protocol.states import ProgramState, Severity
 from zendsp_protocol.values import Value
 
 if TYPE_CHECKING:
@@ -334,7 +334,7 @@ class LoopActions(LabScreen):
             return build
 
         def done(build: Build) -> None:
-            first = next((r for r in build.remarks if r.severity == "error"), None)
+            first = next((r for r in build.remarks if r.severity == Severity.ERROR), None)
             if first is not None:
                 self.say(f"{first.file}:{first.line}: {first.message}", "error")
             else:
