@@ -9,12 +9,15 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+import reality
 from click.testing import CliRunner
+from reality import RATE
 
 from zendsp.cli import cli
 from zendsp.cli.steps import in_steps
-from zendsp.diagnosis import joints
+from zendsp.diagnosis import diagnose, joints
 from zendsp.diagnosis.progress import Progress, Step
+from zendsp.diagnosis.report.summary import headline
 
 
 def test_a_progress_only_goes_forward() -> None:
@@ -44,6 +47,40 @@ def test_an_interrupt_waits_for_no_joint(monkeypatch: pytest.MonkeyPatch) -> Non
     with pytest.raises(KeyboardInterrupt):
         joints._search(SimpleNamespace(), arm, arm, 2, interrupted, {})  # type: ignore[arg-type]
     assert time.monotonic() - begin < 30.0
+
+
+def test_ctrl_c_keeps_what_was_found_of_the_joints_that_were_finished(tmp_path: Path) -> None:
+    """Two joints: the first lacks dry friction, the second is complete, and not reached."""
+    made = [
+        reality.simulate(reality.Machine(coulomb=level), reality.multisine(8.0, RATE, 1), RATE)
+        for level in (0.03, 0.0)
+    ]
+    columns = {"t": made[0]["t"]}
+    for k, one in enumerate(made, 1):
+        columns |= {f"q{k}": one["q"], f"u{k}": one["u"]}
+    run = reality.save(tmp_path / "run.csv", columns)
+    model = {
+        "sample_time": 1.0 / RATE,
+        "mechanism": {"kind": "rotary", "parameters": {"inertia": {"value": [0.01, 0.01]}}},
+        "effect": [{"kind": "viscous", "joint": k, "coefficient": 0.004} for k in (1, 2)],
+        "sensor": {"position_resolution": reality.RESOLUTION},
+        "columns": {"time": "t", "position": ["q1", "q2"], "command": ["u1", "u2"]},
+    }
+    pressed = []
+
+    def press(text: str) -> None:
+        if text.startswith("joint 2: ") and not pressed:
+            pressed.append(text)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        diagnose(run, model, jobs=1, progress=press)
+    pressed.clear()
+    d = diagnose(run, model, jobs=1, progress=press, so_far=True)
+    assert [(f.effect, f.joint) for f in d.findings] == [("coulomb", 1)]
+    assert headline(d).startswith("So far, ended by Ctrl-C: Missing physics: dry friction")
+    assert "Joint 2: it was not searched before Ctrl-C" in d.unexplained
+    assert d.stopped and not d.detectable and d.next_recording is None
 
 
 @pytest.mark.parametrize(

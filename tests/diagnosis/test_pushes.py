@@ -220,7 +220,7 @@ def test_what_comes_often_or_explains_little_or_is_another_load_is_no_push(
         intervals=(), recordings=(), spread=spread, share=share, beside=0.0, steady=steady
     )
     monkeypatch.setattr(pushes, "by_own_numbers", lambda *_: loads)
-    monkeypatch.setattr(pushes, "outside", lambda *_: 1.0)
+    monkeypatch.setattr(pushes, "apart", lambda *_: (1.0, 1.0))
     one, two, three = ((SimpleNamespace(recording=f"{name}.csv"),) for name in "abc")
     fit, held = (SimpleNamespace(records=records) for records in ((one, two), (one, two, three)))
     parts: Any = SimpleNamespace(fit=fit, choose=held, test=held, held=held)
@@ -245,7 +245,7 @@ def test_numbers_of_other_recordings_stand_where_a_push_spoils_those_of_the_fit_
         intervals=(), recordings=(), spread=1.0, share=0.9, beside=beside, steady=0.95
     )
     monkeypatch.setattr(pushes, "by_own_numbers", lambda *_: ())
-    monkeypatch.setattr(pushes, "outside", lambda *_: 1.0)  # with the numbers of the fit
+    monkeypatch.setattr(pushes, "apart", lambda *_: (1.0, 1.0))  # with the numbers of the fit
     data: Any = SimpleNamespace(records=((SimpleNamespace(recording="a.csv"),),))
     parts: Any = SimpleNamespace(fit=data, choose=data, test=data, held=data)
     size: Any = SimpleNamespace(value=0.2)
@@ -332,3 +332,23 @@ def test_numbers_of_its_own_explain_a_recording_as_well_as_the_machine_is_ever_e
     )
     out: Any = SimpleNamespace(joint=1, final=SimpleNamespace(model="base"))
     assert pushes.by_own_numbers(out, parts, 1) == said
+
+
+@pytest.mark.parametrize(
+    ("law", "is_one"),
+    [
+        ((1.2, 0.5), True),  # friction by load of an arm: 5.0, 0.8 N m without it
+        ((3.0, 1.6), False),  # bent to a push: it spoils the other times
+        ((4.8, 0.7), False),
+    ],
+)
+def test_what_a_law_takes_up_without_spoiling_other_times_is_no_push(
+    law: tuple[float, float], is_one: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lacks = {"none": (5.0, 0.8), "law": law}
+    monkeypatch.setattr(pushes, "apart", lambda _, __, model, ___: lacks[model])
+    pushed: Any = SimpleNamespace(bursts=object(), joint=1, final=SimpleNamespace(model="none"))
+    parts: Any = SimpleNamespace(fit=None, held=None)
+    laws: Any = ["law"]
+    assert pushes.of_a_law(pushed, laws, parts) == is_one
+    assert not pushes.of_a_law(pushed, [], parts)

@@ -155,6 +155,7 @@ def _together(asked: _Asked, run_on: str | None) -> None:
             seed=asked.seed,
             jobs=asked.jobs,
             progress=tell,
+            so_far=True,
         )
         if run_on is not None and out is not None:
             from zendsp.experiment.next_recording import run_next

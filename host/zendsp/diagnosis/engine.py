@@ -32,6 +32,7 @@ from zendsp.diagnosis.decide.propose import propose
 from zendsp.diagnosis.decide.pushes import unpushed
 from zendsp.diagnosis.decide.remember import remembered
 from zendsp.diagnosis.decide.result import (
+    Detectable,
     Diagnosis,
     Errors,
     Finding,
@@ -39,7 +40,7 @@ from zendsp.diagnosis.decide.result import (
     Left,
     Workings,
 )
-from zendsp.diagnosis.machine import Found, find
+from zendsp.diagnosis.machine import Found, Stopped, find
 from zendsp.diagnosis.measure.where import Missing, Region, Times, located
 from zendsp.diagnosis.measure.windows import model_error, noise_floor
 from zendsp.diagnosis.progress import Progress, Step
@@ -55,6 +56,11 @@ from zendsp.physics.term_numbers import file_model, kernel_model
 from zendsp.prompt import shows_progress
 from zendsp.recording import Recording, Table
 
+STOPPED = (
+    "Ctrl-C ended the search: this is what was found until then; other explanations, what could"
+    " have been seen and the next recording were not asked for"
+)
+
 
 @shows_progress
 def diagnose(
@@ -65,6 +71,7 @@ def diagnose(
     seed: int = 0,
     jobs: int = 2,
     progress: Progress | None = None,
+    so_far: bool = False,
 ) -> Diagnosis:
     """Find the physics that a model leaves out of real recordings.
 
@@ -84,6 +91,9 @@ def diagnose(
         Threads.
     progress : callable, optional
         Receives a sentence at each stage.
+    so_far : bool
+        After Ctrl-C return what was found of the joints that were finished, where one was; a second
+        one ends that too.
 
     Returns
     -------
@@ -93,6 +103,8 @@ def diagnose(
     ------
     RecordingError, ModelError
         Unusable input: which file, which column or key, what was expected.
+    KeyboardInterrupt
+        After Ctrl-C.
 
     Examples
     --------
@@ -103,34 +115,45 @@ def diagnose(
     """
     # matrices are small and many run at a time: more threads of the linear algebra only wait for
     # each other
+    tell = progress or (lambda _text: None)
     with threadpool_limits(limits=1):
-        return _diagnose(recordings, model, heldout, seed, jobs, progress or (lambda _text: None))
+        given = _as_model(model)
+        if given.kind in CALLED:
+            from zendsp.diagnosis.external.blackbox import diagnose_simulator
+
+            return diagnose_simulator(
+                _sources(recordings), kernel_model(given), _sources(heldout), jobs=jobs,
+                progress=tell,
+            )
+        return _diagnose(
+            (_sources(recordings), _sources(heldout)), given, seed, jobs, tell, so_far
+        )
 
 
 def _diagnose(
-    recordings: Source | Sequence[Source],
-    model: Model | str | Path | dict[str, Any],
-    heldout: Source | Sequence[Source] | None,
+    sources: tuple[list[Source], list[Source]],
+    given_file: Model,
     seed: int,
     jobs: int,
     tell: Progress,
+    so_far: bool,
 ) -> Diagnosis:
     begin = time.perf_counter()
-    given_file = _as_model(model)
     given = kernel_model(given_file)
-    if given.kind in CALLED:
-        from zendsp.diagnosis.external.blackbox import diagnose_simulator
-
-        return diagnose_simulator(
-            _sources(recordings), given, _sources(heldout), jobs=jobs, progress=tell
-        )
-    signals, parts, notes = _ready(recordings, heldout, given, tell)
-    found = find(signals, parts, given, jobs, tell)
+    signals, parts, notes = _ready(*sources, given, tell)
+    stopped = False
+    try:
+        found = find(signals, parts, given, jobs, tell)
+    except Stopped as stop:
+        if not so_far:
+            raise
+        found, stopped = stop.found, True
+        notes.insert(0, STOPPED)
     found, clocks = _by_one_clock(found)
     parts, decisions, whole = found.parts, found.decisions, found.whole
     notes += [note for m in found.measured for note in m.notes]
     findings, refinements, rejected = _name(found, given)
-    verdict = _verdict(findings, decisions)
+    verdict = _verdict(findings, decisions, stopped)
     better = whole.improved if findings else whole.calibrated
     improved = remembered(better, given, decisions, findings)
     shown_on = parts.test if found.load else parts.fit  # where what lacks is to be seen
@@ -138,11 +161,14 @@ def _diagnose(
     seen_at = {j: clearest(shown_on, sides(findings, given, whole, j), j) for j in joints}
     lacking = {j: before for j, (_, before, _) in seen_at.items()}
     places, times, at = _located(lacking, found, findings, verdict)
-    tell(Step.LOOKING_ON.says("asking what could have been seen"))
-    seen = detectable(parts, given, decisions, jobs)
-    decisions = blind(decisions, seen)
-    tell(Step.LOOKING_ON.says("proposing the next recording"))
-    proposal = propose(signals[0], given, found.searches, findings, decisions, seed)
+    seen: tuple[Detectable, ...] = ()
+    proposal = None
+    if not stopped:
+        tell(Step.LOOKING_ON.says("asking what could have been seen"))
+        seen = detectable(parts, given, decisions, jobs)
+        decisions = blind(decisions, seen)
+        tell(Step.LOOKING_ON.says("proposing the next recording"))
+        proposal = propose(signals[0], given, found.searches, findings, decisions, seed)
     alone = unseen(parts, found.bodies.model, decisions)
     seen += (*(d for m in found.measured for d in m.detectable), *alone)
     own, *others = _errors(parts, (given, whole.calibrated, improved))
@@ -174,6 +200,7 @@ def _diagnose(
         missing=lacking,
         remaining={j: after for j, (_, _, after) in seen_at.items()},
         workings=Workings(found.searches, decisions, whole, shown_on, parts.test),
+        stopped=stopped,
     )
 
 
@@ -190,10 +217,13 @@ def _by_one_clock(found: Found) -> tuple[Found, list[str]]:
     return replace(found, decisions=decisions), [sentence for _, sentence in said]
 
 
-def _verdict(findings: Sequence[Finding], decisions: Sequence[Decision]) -> Verdict:
+def _verdict(
+    findings: Sequence[Finding], decisions: Sequence[Decision], stopped: bool
+) -> Verdict:
     if findings:
         return "missing"
-    return "complete" if {d.kind for d in decisions} == {"complete"} else "unexplained"
+    complete = not stopped and {d.kind for d in decisions} == {"complete"}
+    return "complete" if complete else "unexplained"
 
 
 def _left(decision: Decision) -> Left:
@@ -203,8 +233,8 @@ def _left(decision: Decision) -> Left:
 
 
 def _ready(
-    recordings: Source | Sequence[Source],
-    heldout: Source | Sequence[Source] | None,
+    recordings: Sequence[Source],
+    heldout: Sequence[Source],
     given: Model,
     tell: Progress,
 ) -> tuple[tuple[list[Signals], ...], Parts, list[str]]:
@@ -257,10 +287,10 @@ def _sources(given: Source | Sequence[Source] | None) -> list[Source]:
 
 
 def _read(
-    recordings: Source | Sequence[Source], heldout: Source | Sequence[Source] | None, model: Model
+    recordings: Sequence[Source], heldout: Sequence[Source], model: Model
 ) -> tuple[list[Signals], list[Signals], list[Signals], list[str]]:
     """Recordings to fit to, to choose by and to test on, and what was done to them."""
-    signals, held, notes = read_parts(_sources(recordings), _sources(heldout), model)
+    signals, held, notes = read_parts(recordings, heldout, model)
     choose, test, how = halves(held)
     return signals, choose, test, [*notes, *how]
 

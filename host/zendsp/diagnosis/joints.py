@@ -22,9 +22,12 @@ from zendsp.diagnosis.decide.assemble import Assembled, assemble
 from zendsp.diagnosis.decide.claims import Decision, unclaimed
 from zendsp.diagnosis.decide.decide import decide
 from zendsp.diagnosis.decide.notes import MADE_WORSE
+from zendsp.diagnosis.decide.pieces import rms_torque
 from zendsp.diagnosis.decide.pushes import unpushed
+from zendsp.diagnosis.measure.discrepancy import discrepancy
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import Scored, calibrate_joint
+from zendsp.diagnosis.measure.structure import Structure
 from zendsp.diagnosis.measure.windows import model_error, noise_floor, rms, window_error
 from zendsp.diagnosis.progress import Progress, Step
 from zendsp.diagnosis.search.forward import Searcher, is_white
@@ -42,6 +45,15 @@ from zendsp.physics.model import Model
 CREEPS = 0.15
 LOOK_S = 0.5  # between looks at what the processes of the joints are doing
 Explained = tuple[list[JointSearch], list[Decision], Assembled]
+Done = Mapping[int, tuple[JointSearch, Decision]]  # by joint
+
+
+class SearchStopped(KeyboardInterrupt):
+    """Ctrl-C while joints were searched; ``done`` are those that were finished, one at least."""
+
+    def __init__(self, done: Done) -> None:
+        super().__init__()
+        self.done = done
 
 
 class Acceptance:
@@ -144,7 +156,7 @@ def explain(
     beneath: Model,
     jobs: int,
     tell: Progress,
-    done: Mapping[int, tuple[JointSearch, Decision]] = MappingProxyType({}),
+    done: Done = MappingProxyType({}),
 ) -> Explained:
     """Search and decide every joint, and put the machine together; ``beneath`` is the given model,
     with what is known of it by now, ``done`` the joints that are
@@ -200,12 +212,16 @@ def _search(
     beneath: Model,
     jobs: int,
     tell: Progress,
-    known: Mapping[int, tuple[JointSearch, Decision]],
+    known: Done,
 ) -> tuple[list[JointSearch], list[Decision]]:
     joints = [joint for joint in range(1, given.joints + 1) if joint not in known]
     done = dict(known)
     if jobs == 1 or len(joints) < 2:
-        done |= {joint: _search_joint(parts, beneath, joint, jobs, tell) for joint in joints}
+        try:
+            for joint in joints:
+                done[joint] = _search_joint(parts, beneath, joint, jobs, tell)
+        except KeyboardInterrupt as stop:
+            raise (SearchStopped(done) if done else stop) from None
         return _in_order(done)
     # joints are independent: a process each, which inherits the recordings and the effects that a
     # user has added
@@ -221,15 +237,33 @@ def _search(
                 while not stages.empty():
                     tell(stages.get())
             done |= {joint: search.result() for joint, search in searches.items()}
-        except BaseException:  # an interrupt: nobody waits for what was asked
+        except BaseException as stop:  # an interrupt: nobody waits for what was asked
             for process in list(pool._processes.values()):
                 process.terminate()
+            ready = {j: s for j, s in searches.items() if s.done() and not s.exception()}
+            done |= {joint: search.result() for joint, search in ready.items()}
+            if isinstance(stop, KeyboardInterrupt) and done:
+                raise SearchStopped(done) from None
             raise
     return _in_order(done)
 
 
+def not_searched(
+    parts: Parts, given: Model, joint: int, jobs: int
+) -> tuple[JointSearch, Decision]:
+    """What is known of a joint that nobody searched: its calibrated model."""
+    base = calibrate_joint(parts.fit, given, joint, jobs)
+    left, none = discrepancy(parts.test, base.model, joint), Structure(0.0, 0.0, 0.0)
+    scale = rms_torque(parts.test, joint)
+    decision = Decision(
+        joint, "unexplained", (), (), base, base, left, left, none, left, base, scale,
+        searched=False,
+    )  # fmt: skip
+    return JointSearch(joint, base), decision
+
+
 def _in_order(
-    done: Mapping[int, tuple[JointSearch, Decision]],
+    done: Done,
 ) -> tuple[list[JointSearch], list[Decision]]:
     pairs = [done[joint] for joint in sorted(done)]
     return [s for s, _ in pairs], [d for _, d in pairs]

@@ -4,7 +4,8 @@ rest of the recordings where something pushes or another load hangs.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 from zendsp.diagnosis.data.prepare import one_sensor, prepare
@@ -25,10 +26,13 @@ from zendsp.diagnosis.decide.other_load import other_load
 from zendsp.diagnosis.decide.pushes import unpushed
 from zendsp.diagnosis.decide.result import Finding
 from zendsp.diagnosis.joints import (
+    Done,
     Explained,
+    SearchStopped,
     decided_again,
     explain,
     findings_at,
+    not_searched,
     plainer,
     with_bodies,
     with_their_links,
@@ -45,7 +49,7 @@ from zendsp.diagnosis.transmission.links import divided, with_links
 from zendsp.diagnosis.transmission.measured import Measured, measured_transmissions
 from zendsp.diagnosis.transmission.one_sensor import shown
 from zendsp.physics.calibration.fit import Data
-from zendsp.physics.model import Model
+from zendsp.physics.model import Model, Term
 
 # where joints claim what a body may be, a small one is asked for too
 BESIDE = replace(LIMITS, little=0.0, least=0.0)
@@ -73,14 +77,53 @@ class Found:
     fine: tuple[FineRipple, ...] = ()
     load: Finding | None = None  # that only the held-out recordings have
 
+    @property
+    def explained(self) -> Explained:
+        """What its joints came to."""
+        return self.searches, self.decisions, self.whole
+
+    def explained_by(self, other: Explained) -> Found:
+        """The same with other joints."""
+        return replace(self, searches=other[0], decisions=other[1], whole=other[2])
+
+
+class Stopped(KeyboardInterrupt):
+    """Ctrl-C, with what was ``found`` until then."""
+
+    def __init__(self, found: Found) -> None:
+        super().__init__()
+        self.found = found
+
+
+@contextmanager
+def _kept(found: Callable[[], Found]) -> Iterator[None]:
+    """After Ctrl-C say what was found before what is tried here."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise Stopped(found()) from None
+
 
 def find(
     signals: Sequence[Sequence[Signals]], parts: Parts, given: Model, jobs: int, tell: Progress
 ) -> Found:
     """What is found; where something pushes, in the rest of the recordings (``signals``: to fit to,
     to choose by, to test on).
+
+    Raises
+    ------
+    Stopped
+        After Ctrl-C, where something was found by then.
     """
     found = _once(parts, given, jobs, tell)
+    with _kept(lambda: found):
+        return _without_pushes(found, signals, given, jobs, tell)
+
+
+def _without_pushes(
+    found: Found, signals: Sequence[Sequence[Signals]], given: Model, jobs: int, tell: Progress
+) -> Found:
+    """What was found; where something pushes, in the rest of the recordings."""
     pushes = _pushes(found.decisions)
     if not pushes:
         return _loaded(found, given, jobs)
@@ -120,6 +163,15 @@ def _once(measured_motion: Parts, given: Model, jobs: int, tell: Progress) -> Fo
     parts = with_links(measured_motion, given, divided(given))
     bodies = find_bodies(parts.fit, parts.choose, given, jobs, tell)
     found = _beneath(bodies, measured_motion, parts, given, jobs, tell)
+    with _kept(lambda: found):
+        return _settled_once(found, measured_motion, parts, given, jobs, tell)
+
+
+def _settled_once(
+    found: Found, measured_motion: Parts, parts: Parts, given: Model, jobs: int, tell: Progress
+) -> Found:
+    """What was found, with bodies that it hides or that stand for it, and settled together."""
+    bodies = found.bodies
     # torque that comes at another time hides a body, and so does much friction
     beside = timing(found.decisions) or friction_beside_weight(found.decisions)
     if beside and not found.claims:
@@ -173,28 +225,52 @@ def _beneath(
     known = tuple(t for m in measured for t in m.terms)
     beneath, bare = bodies.model.with_terms((*bodies.model.terms, *known)), parts
     parts = with_bodies(bare, beneath)
-    explained = explain(parts, given, beneath, jobs, tell)
-    linked, explained = with_their_links(
-        measured_motion, bare, given, beneath, explained, jobs, tell
-    )
-    if linked is not bare:
-        bare, parts = linked, with_bodies(linked, beneath)
-    decisions = explained[1]
-    claims = decide_bodies(parts, bodies, decisions, jobs)
+
+    def known_by(explained: Explained) -> Found:
+        claims = decide_bodies(parts, bodies, explained[1], jobs)
+        return Found(parts, bare, beneath, bodies, measured, *explained, claims)
+
+    def known_of(done: Done) -> Found:
+        rest = (j for j in range(1, given.joints + 1) if j not in done)
+        every = {**done, **{j: not_searched(parts, beneath, j, jobs) for j in rest}}
+        return known_by(explain(parts, given, beneath, jobs, tell, every))
+
+    try:
+        explained = explain(parts, given, beneath, jobs, tell)
+    except SearchStopped as stop:
+        raise Stopped(known_of(stop.done)) from None
+    with _kept(lambda: known_by(explained)):
+        linked, again = with_their_links(
+            measured_motion, bare, given, beneath, explained, jobs, tell
+        )
+        if linked is not bare:
+            bare, parts = linked, with_bodies(linked, beneath)
+        explained = again
+        return _claimed_of(known_by(explained), known, given, jobs, tell)
+
+
+def _claimed_of(
+    found: Found, known: tuple[Term, ...], given: Model, jobs: int, tell: Progress
+) -> Found:
+    """What is found with those of the bodies that are claimed; ``known``: terms of transmissions
+    that were measured.
+    """
+    bare, bodies, claims, beneath = found.bare, found.bodies, found.claims, found.beneath
     if len(claims) < len(bodies.found):  # what is no body has to be explained at the joints
+        with_all = found.explained
         beneath = given.with_terms((*given.terms, *(c.found.term for c in claims), *known))
         parts = with_bodies(bare, beneath)
-        with_all, explained = explained, explain(parts, given, beneath, jobs, tell)
-        if not claims:
-            apart = Found(parts, bare, beneath, bodies, measured, *explained, ())
-            return _one_body(apart, with_all, given, jobs, tell)
-    elif claims and any(c.mechanism == "inertia" for d in decisions for c in d.claims):
+        explained = explain(parts, given, beneath, jobs, tell)
+        found = replace(found, parts=parts, beneath=beneath).explained_by(explained)
+        return found if claims else _one_body(found, with_all, given, jobs, tell)
+    if claims and any(c.mechanism == "inertia" for d in found.decisions for c in d.claims):
         # a body that the joints have to correct may be none: the plainer explanation stands
         plain = given.with_terms((*given.terms, *known))
-        other = explain(with_bodies(bare, plain), given, plain, jobs, tell)
-        if plainer(bare.test, given, other, explained, len(claims)):
-            claims, beneath, parts, explained = (), plain, with_bodies(bare, plain), other
-    return Found(parts, bare, beneath, bodies, measured, *explained, claims)
+        parts = with_bodies(bare, plain)
+        other = explain(parts, given, plain, jobs, tell)
+        if plainer(bare.test, given, other, found.explained, len(claims)):
+            found = replace(found, parts=parts, beneath=plain, claims=()).explained_by(other)
+    return found
 
 
 def _one_body(
@@ -205,7 +281,7 @@ def _one_body(
     function of the position, so that none misses it. ``explained`` has all bodies proposed.
     """
     test, proposed = apart.bare.test, apart.bodies.found
-    without: Explained = (apart.searches, apart.decisions, apart.whole)
+    without = apart.explained
     if findings_at(test, given, without) < 2:  # a body is one, too
         return apart
     beneath = apart.beneath.with_terms((*apart.beneath.terms, proposed[0].term))

@@ -77,13 +77,14 @@ def check_signals(signals: Sequence[Signals], model: Model) -> list[str]:
                 " play a longer motion, such as a multisine or a trapezoid of 10 s"
             )
         joints = raw.position.shape[1]
-        for j in range(joints):
+        still = [j for j in range(joints) if _rests(s, j) and any(not _rests(o, j) for o in signals)]
+        if still:
+            rest = f"rest at joint{'s' * (len(still) > 1)} {', '.join(str(j + 1) for j in still)}"
+            notes.append(f"{s.name}: {rest}; what is said there comes from the other recordings")
+        for j in (j for j in range(joints) if j not in still):
             where = f"{s.name}: joint {j + 1}" if joints > 1 else s.name
             y = raw.position[:, j]
-            if joints > 1 and _rests(y) and any(not _rests(_raw(o, j)) for o in signals):
-                notes.append(f"{where}: it rests; what is said of this joint comes from the others")
-                continue
-            _moves(where, y, float(raw.resolution[j]), model.kind)
+            _moves(where, y, float(raw.resolution[j]), model)
             _refreshed(
                 where, y, float(raw.resolution[j]), raw.sample_time, model.actuator.hold
             )
@@ -97,34 +98,38 @@ def check_signals(signals: Sequence[Signals], model: Model) -> list[str]:
     return notes
 
 
-def _raw(s: Signals, j: int) -> Array:
-    """Position of a joint (from 0) as it was recorded, (n,)."""
-    return (s.raw or s).position[:, j]
+def _rests(s: Signals, j: int) -> bool:
+    """Whether a joint (from 0), as it was recorded, moves by less than a few counts."""
+    raw = s.raw or s
+    y, least = raw.position[:, j], MIN_COUNTS * float(raw.resolution[j])
+    return _constant(y) or float(np.ptp(y)) < least
 
 
-def _rests(y: Array) -> bool:
-    """Whether a position is the same in all rows."""
+def _constant(y: Array) -> bool:
     return float(np.ptp(y)) <= CONSTANT * max(CONSTANT, float(np.max(np.abs(y))))
 
 
-def _moves(where: str, y: Array, resolution: float, kind: str) -> None:
+def _moves(where: str, y: Array, resolution: float, model: Model) -> None:
     span = float(np.ptp(y))
-    if _rests(y):
+    instead = "excite it more, or leave this recording out"
+    if model.kind == "planar2r":
         instead = (
-            'describe the joint that moves alone, as kind = "rotary" with the inertia that it has'
-            " in this pose"
-            if kind == "planar2r"
-            else 'make this one fixed in the model (in a URDF: type="fixed") and name the columns'
-            " of the others"
+            'let every joint move, or describe the one that moves alone, as kind = "rotary" with the'
+            " inertia that it has in this pose"
         )
+    elif model.joints > 1:
+        instead = (
+            "let every joint of the model move, or make this one fixed in the model (in a URDF:"
+            ' type="fixed") and name the columns of the others'
+        )
+    if _constant(y):
         raise RecordingError(
-            f"{where}: the position is constant; what does not move cannot be diagnosed: let every"
-            f" joint of the model move, or {instead}"
+            f"{where}: the position is constant; what does not move cannot be diagnosed: {instead}"
         )
     if resolution > 0 and span < MIN_COUNTS * resolution:
         raise RecordingError(
             f"{where}: the position spans {span / resolution:.0f} counts of the sensor; a diagnosis"
-            f" needs at least {MIN_COUNTS}: excite the joint more, or leave this recording out"
+            f" needs at least {MIN_COUNTS}: {instead}"
         )
     noise = noise_beside_quantisation(y, resolution)
     if span < NOISE_SPANS * noise:
@@ -322,13 +327,13 @@ def check_motion(data: Data, model: Model, names: Sequence[str]) -> list[str]:
                         " no command column in [columns]; one among others that are driven is"
                         " to be left out"
                     )
-            elif float(np.ptp(record.command)) == 0:
+            elif float(np.ptp(record.command)) > 0:
+                driven = True
+            elif not any(float(np.ptp(r[record.joint - 1].command)) for r in data.records):
                 raise RecordingError(
                     f"{place}: the command is constant ({record.command[0]:.4g}); a diagnosis needs"
                     " an excited recording"
                 )
-            else:
-                driven = True
         if driven:
             of = rec[0].recording
             parts = [part for part in data.records if part is not rec and part[0].recording == of]

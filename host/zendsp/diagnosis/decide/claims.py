@@ -128,6 +128,7 @@ class Decision:
     # hypotheses that were tried where nothing is claimed
     lost: tuple[Rejected, ...] = ()
     near: Near | None = None
+    searched: bool = True  # not where the search was ended before this joint
 
 
 def unclaimed(decision: Decision) -> Decision:

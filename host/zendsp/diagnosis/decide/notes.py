@@ -108,10 +108,10 @@ def _late_log(decisions: Sequence[Decision], given: Model) -> list[str]:
     return [
         f"joint {d.joint}: the command column is {1e3 * t.value('time'):.2g} ms late against the"
         " position column, less than a row: behind a filter of the log, in a simulator of first"
-        " order, or of a loop faster than the rows ([actuator] hold). The calibrated model has it;"
+        " order, or of a loop faster than the rows ([actuator] hold). The model has it;"
         " it is no missing physics"
         for d in decisions
-        for t in d.base.model.at(d.joint)
+        for t in d.final.model.at(d.joint)
         if t.effect == "column_shift" and not any(g.effect == t.effect for g in given.at(d.joint))
     ]
 
@@ -201,7 +201,12 @@ def left_over(decisions: Sequence[Decision], given: Model, fit: Data) -> str:
     words = []
     for d in decisions:
         unit = given.torque_unit(d.joint)
-        if d.after.value > 1.0:
+        if not d.searched:
+            words.append(
+                f"Joint {d.joint}: it was not searched before Ctrl-C; calibrated, the model leaves"
+                f" {percent(d.after.value)} % of its torque"
+            )
+        elif d.after.value > 1.0:
             words.append(
                 f"Joint {d.joint}: the model does not follow the recording: more than all of the"
                 " joint's torque stays unexplained. Check that the model is of this machine, and"

@@ -29,9 +29,9 @@ from zendsp.diagnosis.measure.bursts import (
     OFTEN,
     STEADY,
     Bursts,
+    apart,
     bursts,
     everywhere,
-    outside,
 )
 from zendsp.diagnosis.measure.discrepancy import beyond, discrepancy
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
@@ -72,7 +72,7 @@ def pushed(out: Decision, parts: Parts, jobs: int) -> Decision | None:
         if here is not None and after.value <= out.before.value:
             without = everywhere(here, each, other.model, joint)
             # a push that bends numbers spoils them for all other times
-            if without.beside < outside(without, each, base, joint):
+            if without.beside < apart(without, each, base, joint)[1]:
                 out = replace(out, final=other, after=after)
             else:
                 here = own
@@ -128,6 +128,21 @@ def of_the_motion(pushed: Decision, parts: Parts, turning: bool) -> bool:
         return True
     memory = structure(parts.each, model, pushed.joint, [MEMORY], turning)
     return memory.share > PREDICTED and memory.z > PLAIN
+
+
+def of_a_law(pushed: Decision, laws: Sequence[Model], parts: Parts) -> bool:
+    """Whether one of some fitted laws takes up most of what acts in the times of a push, and lacks
+    no more at other times: that law acts, or what resembles it, however little of it the recordings
+    to judge on show. A law that is bent to a push spoils the other times.
+    """
+    if pushed.bursts is None:
+        return False
+    each = (parts.fit, parts.held)
+    (acts, beside), *left = (
+        apart(pushed.bursts, each, m, pushed.joint) for m in (pushed.final.model, *laws)
+    )
+    most = (1.0 - PREDICTED) * acts**2
+    return any(within**2 < most and outside <= beside for within, outside in left)
 
 
 def beside(decision: Decision, parts: Parts) -> Bursts | None:

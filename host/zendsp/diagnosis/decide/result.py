@@ -300,6 +300,7 @@ class Diagnosis:
     # of a simulator that can only be called: its errors
     workings: Workings | SimulatorErrors | None = None
     out: Path | None = None
+    stopped: bool = False  # Ctrl-C ended the search: what was found until then
 
     @property
     def errors(self) -> tuple[Errors, ...]:

@@ -268,9 +268,11 @@ def everywhere(found: Bursts, parts: Sequence[Data], model: Model, joint: int) -
     return _summed([_acting(part, joint, quiet, found.least) for part in each], joint)
 
 
-def outside(found: Bursts, parts: Sequence[Data], model: Model, joint: int) -> float:
-    """RMS of what a model lacks outside of the times that were found, N m or N."""
-    energy, count = 0.0, 0
+def apart(
+    found: Bursts, parts: Sequence[Data], model: Model, joint: int
+) -> tuple[float, float]:
+    """RMS of what a model lacks within the times that were found, and outside of them, N m or N."""
+    energy, count = [0.0, 0.0], [0, 0]
     for part in parts:
         of = _lacking(part, model, joint)
         for smooth, use, rec in zip(of.smooth, of.used, part.records, strict=True):
@@ -279,9 +281,11 @@ def outside(found: Bursts, parts: Sequence[Data], model: Model, joint: int) -> f
             out = np.ones(len(t), bool)
             for (a, b), name in zip(found.intervals, found.recordings, strict=True):
                 out &= (name != record.recording) | (t < a) | (t > b)
-            energy += float(np.sum(smooth[out] ** 2))
-            count += int(out.sum())
-    return float(np.sqrt(energy / max(count, 1)))
+            for k, times in enumerate((~out, out)):
+                energy[k] += float(np.sum(smooth[times] ** 2))
+                count[k] += int(times.sum())
+    inside, beside = (float(np.sqrt(e / max(n, 1))) for e, n in zip(energy, count, strict=True))
+    return inside, beside
 
 
 def _lacking(data: Data, model: Model, joint: int) -> _Lacking:

@@ -77,6 +77,8 @@ def write_report(
 
 def no_reference(d: Diagnosis) -> str:
     """Why no next_reference.mat is written; empty where one is."""
+    if d.stopped:
+        return "it was not asked for after Ctrl-C"
     if d.next_recording is None and not doubted_in(d):
         return "nothing is left open"
     if d.next_recording is None:

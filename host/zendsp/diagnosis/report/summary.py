@@ -61,11 +61,13 @@ def headline(d: Diagnosis) -> str:
     left = nameless(((x.joint, x.share) for x in d.discrepancy), table.improved, d.noise_floor)
     doubted = doubted_in(d)
     near = nearest(d.verdict, d.rejected)
+    if d.stopped and not d.findings:
+        return "Ended by Ctrl-C before it was done: nothing is claimed."
     text = verdict_sentence(d.verdict, found, unseen, left, doubted or near)
     if d.verdict == "complete" and not (unseen or doubted) and table.given > OFF * table.calibrated:
         times = two_digits(table.given / table.calibrated)
         text += f" The given numbers were off: calibrated, it errs {times} times less (notes)."
-    return text
+    return f"So far, ended by Ctrl-C: {text}" if d.stopped else text
 
 
 def verdict_sentence(
