@@ -96,7 +96,8 @@ def test_it_is_said_where_the_next_motion_is_or_why_there_is_none(folder: Path) 
 
 def _proposing(proposal: object, *rejected: Rejected) -> Diagnosis:
     return SimpleNamespace(  # type: ignore[return-value]
-        next_recording=proposal, verdict="complete", rejected=rejected, regions=(), times=()
+        next_recording=proposal, verdict="complete", rejected=rejected, regions=(), times=(),
+        stopped=False,
     )
 
 

@@ -77,7 +77,9 @@ def check_signals(signals: Sequence[Signals], model: Model) -> list[str]:
                 " play a longer motion, such as a multisine or a trapezoid of 10 s"
             )
         joints = raw.position.shape[1]
-        still = [j for j in range(joints) if _rests(s, j) and any(not _rests(o, j) for o in signals)]
+        still = [
+            j for j in range(joints) if _rests(s, j) and any(not _rests(o, j) for o in signals)
+        ]
         if still:
             rest = f"rest at joint{'s' * (len(still) > 1)} {', '.join(str(j + 1) for j in still)}"
             notes.append(f"{s.name}: {rest}; what is said there comes from the other recordings")
@@ -114,8 +116,8 @@ def _moves(where: str, y: Array, resolution: float, model: Model) -> None:
     instead = "excite it more, or leave this recording out"
     if model.kind == "planar2r":
         instead = (
-            'let every joint move, or describe the one that moves alone, as kind = "rotary" with the'
-            " inertia that it has in this pose"
+            'let every joint move, or describe the one that moves alone, as kind = "rotary" with'
+            " the inertia that it has in this pose"
         )
     elif model.joints > 1:
         instead = (
