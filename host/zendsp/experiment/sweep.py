@@ -118,12 +118,14 @@ def sweep(
             f"{folder}: {counted(len(old), 'recording')} of another sweep, {old[0].name} the first:"
             " move them away, or keep these in another folder"
         )
+    asked = [f"{m} {c}" for c in channels for m in measures]
     rows: list[SweepRun] = []
     again: list[Mapping[str, float]] = []
     why = ""
 
     def so_far() -> Sweep:
-        names = [f"{m} {c}" for c in _columns(rows, channels, measures) for m in measures]
+        # as measured: an array has several columns
+        names = next(filter(None, (list(run.results) for run in rows)), asked)
         columns = {name: name.partition(" ")[2] for name in names}
         units = {name: _unit(infos, columns.get(name, name)) for name in (*values, *names)}
         found = tuple(rows), tuple(again)
@@ -266,18 +268,6 @@ def _measured(
         for k, column in enumerate(recording.columns)
         for m in measures
     }
-
-
-def _columns(
-    rows: Sequence[SweepRun], channels: Sequence[str], measures: Sequence[str]
-) -> list[str]:
-    """The columns that were measured; arrays have several."""
-    for row in rows:
-        first = f"{measures[0]} "
-        found = [name.removeprefix(first) for name in row.results if name.startswith(first)]
-        if found:
-            return found
-    return list(channels)
 
 
 def tried_of(words: Sequence[str]) -> dict[str, list[float]]:
