@@ -24,6 +24,7 @@ from pathlib import Path
 from zendsp_isr.compiler import Compiler, find_compiler, run_compiler
 from zendsp_isr.messages import Message, where_it_lacks
 from zendsp_protocol.errors import CompileFailed
+from zendsp_protocol.states import Severity
 
 # -g1: the line of a crash; more takes a third longer, and three times as long for 900 variables
 _INCLUDED_C = re.compile(r'^[^\S\n]*#[^\S\n]*include[^\S\n]*"([^"\n]+\.c)"', re.MULTILINE)
@@ -211,7 +212,8 @@ def build(
     notes = folder / f"{key}.json"
     if target.exists() and notes.exists():
         os.utime(target)  # used: it is not what `_prune` takes first
-        messages = tuple(Message(**entry) for entry in json.loads(notes.read_text()))
+        kept = json.loads(notes.read_text())
+        messages = tuple(Message(Severity(e.pop("severity")), **e) for e in kept)
         return Built(
             target, key, messages, time.monotonic() - began, True, str(compiler), all_flags
         )
@@ -276,7 +278,7 @@ def _compile(
         )
         if outcome.ok and not output.is_file():
             text = "the compiler made no program: does a flag keep it from that?"
-            return False, (*outcome.messages, Message("error", "", 0, 0, text))
+            return False, (*outcome.messages, Message(Severity.ERROR, "", 0, 0, text))
         if outcome.ok:
             # notes first: a target without notes would be compiled again, notes without a target do
             # no harm

@@ -25,6 +25,7 @@ from pathlib import Path
 
 from zendsp_isr.messages import Message, between, parse_messages, without_between
 from zendsp_protocol.errors import CompileFailed
+from zendsp_protocol.states import Severity
 
 _MAX_FILE = 256 << 20  # bytes of one file
 _MAX_MEMORY = 2 << 30  # bytes of one process; the shipped programs take a tenth
@@ -190,16 +191,16 @@ def run_compiler(
     command = [*launch, *compiler.command, *style, *arguments]
     ended = _run(command, cwd, environment, timeout_s)
     if ended.why:
-        return Outcome(False, (Message("error", "", 0, 0, ended.why),))
+        return Outcome(False, (Message(Severity.ERROR, "", 0, 0, ended.why),))
     reason = _reason(ended.text)  # of a limit: no word of the assembler's about it is needed
     said = tuple(m for m in parse_messages(ended.text) if not (reason and between(m)))
     inside = _inside({m.file for m in said}, cwd, [cwd, *map(Path, allowed)])
     messages = tuple(without_between(m) for m in said if m.file in inside)[:_MAX_MESSAGES]
     here = f"{cwd}/"  # of the linker's objects
     messages = tuple(replace(m, message=m.message.replace(here, "")[:_MAX_TEXT]) for m in messages)
-    if ended.status != 0 and not any(m.severity == "error" for m in messages):
+    if ended.status != 0 and not any(m.severity == Severity.ERROR for m in messages):
         text = f"the compiler ended with status {ended.status}{reason}"
-        messages = (*messages, Message("error", "", 0, 0, text))
+        messages = (*messages, Message(Severity.ERROR, "", 0, 0, text))
     return Outcome(ended.status == 0, messages)
 
 

@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+from zendsp_protocol.states import Severity
 from zendsp_protocol.texts import placed
 
 _TEXT = re.compile(
@@ -38,11 +39,9 @@ _TAB = 8  # columns, as gcc counts
 
 @dataclass(frozen=True)
 class Message:
-    """One diagnostic: severity "error" | "warning" | "note", file, line and column from 1 (0 where
-    unknown).
-    """
+    """One diagnostic: file, line and column from 1 (0 where unknown)."""
 
-    severity: str
+    severity: Severity
     file: str
     line: int
     column: int
@@ -88,10 +87,9 @@ def parse_messages(text: str) -> tuple[Message, ...]:
             or "undefined" in match["message"]
             or "multiple definition" in match["message"]
         ):
-            severity = (match["severity"] or "error").replace("fatal ", "")
             found.append(
                 Message(
-                    severity,
+                    Severity(match["severity"] or "error"),
                     match["file"],
                     int(match["line"]),
                     int(match["column"] or 0),
@@ -99,7 +97,7 @@ def parse_messages(text: str) -> tuple[Message, ...]:
                 )
             )
         elif match := _ASSEMBLER.match(line):
-            severity = match["severity"].lower().replace("fatal ", "")
+            severity = Severity(match["severity"].lower())
             found.append(
                 Message(severity, match["file"], int(match["line"] or 0), 0, match["message"])
             )
@@ -154,7 +152,7 @@ def _blank(text: str) -> str:
 
 
 def _from_json(entry: dict[str, object]) -> list[Message]:
-    severity = str(entry.get("kind", "error")).replace("fatal ", "")
+    severity = Severity(str(entry.get("kind", "error")))
     locations = entry.get("locations")
     file, line, column = "", 0, 0
     if isinstance(locations, list) and locations and isinstance(locations[0], dict):

@@ -9,14 +9,21 @@ from pathlib import Path
 
 from zendsp_isr.build import Built, build, source_root
 from zendsp_protocol.errors import CompileFailed
+from zendsp_protocol.states import Severity
 
 _MODELS = (".xml", ".mjcf", ".urdf")  # what MuJoCo reads
+# a word of MuJoCo's sentence, which has no codes; what to do, and the compiler's option for it
+_REMEDIES = (
+    ("balanceinertia", "correct the inertia of that {}", 'balanceinertia="true"'),
+    ("mjMINVAL", "give that {} a mass and an inertia", 'boundmass="0.001" boundinertia="1e-6"'),
+    ("positive eigenvalues", "no {} has such an inertia, correct it: no principal moment is 0", ""),
+)
 _XACRO = re.compile(r"<xacro:|=\s*\"[^\"<>]*\$[({]")  # what xacro replaces
 
 
 def _trusted(kind: str, built: Built) -> Path:
     if built.path is None:
-        lines = [str(m) for m in built.messages if m.severity == "error"]
+        lines = [str(m) for m in built.messages if m.severity == Severity.ERROR]
         raise CompileFailed(
             f"the {kind} does not compile with {built.compiler}:\n" + "\n".join(lines)
         )
@@ -133,6 +140,25 @@ def is_model(machine: str) -> bool:
     (True, False)
     """
     return Path(machine).suffix.lower() in _MODELS
+
+
+def with_remedy(said: str, model: str) -> str:
+    """What MuJoCo says of a model that it does not compile, with what to do where it does not say
+    that.
+
+    Examples
+    --------
+    >>> with_remedy("body 'a': mass and inertia must be larger than mjMINVAL", "arm.urdf")[-66:]
+    '<mujoco><compiler boundmass="0.001" boundinertia="1e-6"/></mujoco>'
+    """
+    urdf = Path(model).suffix.lower() == ".urdf"
+    part, where = ("link", "below <robot>") if urdf else ("body", "in the file")
+    for word, what, option in _REMEDIES:
+        if word in said:
+            line = f"<compiler {option}/>"
+            new = f", or write {where}: {f'<mujoco>{line}</mujoco>' if urdf else line}"
+            return f"{said}: {what.format(part)}{new if option else ''}"
+    return said
 
 
 def machine_title(machine: str) -> str:

@@ -18,6 +18,7 @@ from zendsp_protocol.states import (
     HostLost,
     ProgramState,
     RecorderState,
+    Severity,
     TripReason,
     VariableKind,
 )
@@ -56,7 +57,7 @@ class Info(Message, frozen=True, kw_only=True):
 class Diagnostic(Message, frozen=True):
     """One message of the compiler."""
 
-    severity: str  # error, warning or note
+    severity: Severity  # error, warning or note
     file: str  # as the host named it
     line: int  # from 1; 0 where the compiler gives none
     column: int  # from 1; 0 where there is none, as of the linker

@@ -45,6 +45,18 @@ class TripReason(_State):
         return cls.OTHER
 
 
+class Severity(_State):
+    """Of a message of the compiler."""
+
+    ERROR = "error"
+    WARNING = "warning"
+    NOTE = "note"
+
+    @classmethod
+    def _missing_(cls, value: object) -> Severity:
+        return cls.ERROR  # "fatal error", "sorry, unimplemented": it ends there
+
+
 # reasons of a trip that no limit has
 STOPS = (TripReason.STOP, TripReason.STOP_INPUT, TripReason.HOST_LOST)
 

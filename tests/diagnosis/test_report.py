@@ -96,7 +96,8 @@ def test_it_is_said_where_the_next_motion_is_or_why_there_is_none(folder: Path) 
 
 def _proposing(proposal: object, *rejected: Rejected) -> Diagnosis:
     return SimpleNamespace(  # type: ignore[return-value]
-        next_recording=proposal, verdict="complete", rejected=rejected, regions=(), times=()
+        next_recording=proposal, verdict="complete", rejected=rejected, regions=(), times=(),
+        stopped=False,
     )
 
 
@@ -498,6 +499,11 @@ def test_the_headline_names_the_law_that_an_unexplained_torque_is_most_like() ->
         " that; no physics is claimed."
     )
     assert "no known effect describes" in verdict_sentence("unexplained", [])
+
+
+def test_each_joint_that_stays_unexplained_has_a_line_whatever_its_words() -> None:
+    left: Any = SimpleNamespace(findings=(), unexplained="one. Joint 2: of one\nthe other")
+    assert html._sentences(left) == "<ul><li>one. Joint 2: of one<li>the other</ul>"
 
 
 def test_a_number_that_rounds_to_nothing_has_no_sign() -> None:

@@ -384,7 +384,7 @@ def test_a_target_whose_folder_was_removed_is_stopped_and_found_by_name(
     target.start()
     folder = Path(os.environ["ZENDSP_RUNTIME_DIR"])
     pid = local_entries()[0].pid
-    shutil.rmtree(folder)
+    shutil.rmtree(folder.rename(folder.with_name("gone")))  # at once: the target writes there
     until(lambda: "alone" in [entry.name for entry in local_entries()], "its entry again")
     assert folder.stat().st_mode & 0o777 == 0o700
     status, said, wrong = typed("stop")

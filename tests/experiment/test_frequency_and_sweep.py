@@ -22,7 +22,7 @@ from zendsp.experiment.frequency import (
 )
 from zendsp.experiment.response import FrequencyResponse
 from zendsp.experiment.sweep import announced, tried_of, values_of
-from zendsp.experiment.sweep_result import Sweep
+from zendsp.experiment.sweep_result import Sweep, SweepRun
 from zendsp.link import Target, local
 from zendsp_protocol.messages import JointInfo, Limits, MachineInfo
 
@@ -394,7 +394,7 @@ def test_equal_gains_are_not_ranked_and_different_ones_are(fast: Target) -> None
     found = zendsp.sweep(fast, gains, ["e1"], seconds=2.0, settle=1.0)  # one turn
     assert "rms e1 is least" in repr(found) and "at Kp1 = 2000; its values" in repr(found)
     assert len(found.rows) == 3 and len(found.again) == 2
-    assert found.spread() < 0.05 * found.best()["rms e1"] and found.best_rows() == [2]
+    assert found.spread() < 0.05 * found.best().results["rms e1"] and found.best_rows() == [2]
 
 
 def test_the_best_of_a_sweep_is_told_where_the_worst_varies_more(fast: Target) -> None:
@@ -406,7 +406,7 @@ def test_the_best_of_a_sweep_is_told_where_the_worst_varies_more(fast: Target) -
     until(lambda: fast.status().t > 2.0, "the arm is on its circle")
     found = zendsp.sweep(fast, {"Kp1": [300.0, 1500.0, 4000.0]}, ["e1"], seconds=2.0, settle=0.2)
     assert found.again_of == found.best_row() == 2
-    most = found.rows[0]["rms e1"]
+    most = found.rows[0].results["rms e1"]
     assert all(row["rms e1"] < most for row in found.again), "it is that one, again"
 
 
@@ -414,7 +414,7 @@ def test_the_best_of_a_sweep_is_told_where_the_worst_varies_more(fast: Target) -
 def test_what_equal_values_may_differ_by_is_no_difference(second: float, rows: list[int]) -> None:
     """The first value, measured three times, varies by 0.0002."""
     measured = [
-        {"Kp1": gain, "rms e1": rms, "ended": ""}
+        SweepRun({"Kp1": gain}, {"rms e1": rms})
         for gain, rms in ((2000.0, 0.0040), (1500.0, second))
     ]
     again = ({"rms e1": 0.0039}, {"rms e1": 0.0041})
@@ -445,9 +445,9 @@ def test_a_run_that_trips_ends_the_sweep_and_says_why(fast: Target) -> None:
         found = zendsp.sweep(
             fast, {"center1": [0.2, 1.5, 0.2]}, ["e1"], seconds=1.0, settle=0.0, fade=0.0
         )
-        assert len(found.rows) == 2 and "exceeds the limit" in found.rows[1]["ended"]
+        assert len(found.rows) == 2 and "exceeds the limit" in found.rows[1].ended
         assert found.best()["center1"] == 0.2 and fast["center1"] == 0.2
-        assert found.ended == f"run 2: {found.rows[1]['ended']}" and found.ended in repr(found)
+        assert found.ended == f"run 2: {found.rows[1].ended}" and found.ended in repr(found)
     finally:
         fast.acknowledge()
 
@@ -460,7 +460,7 @@ def test_a_trip_at_putting_back_is_told(fast: Target) -> None:
     there = {"center1": [1.5], "approach_time": [3.0]}
     try:
         found = zendsp.sweep(fast, there, ["e1"], seconds=0.5, settle=3.0, fade=0.0)
-        assert found.rows[0]["ended"] == "" and fast["center1"] == 0.2
+        assert found.rows[0].ended == "" and fast["center1"] == 0.2
         assert found.ended.startswith("the parameters were put back: ")
         assert "exceeds the limit" in found.ended and found.ended in repr(found)
     finally:
@@ -468,7 +468,7 @@ def test_a_trip_at_putting_back_is_told(fast: Target) -> None:
 
 
 def test_a_sweep_without_a_whole_run_says_why() -> None:
-    rows = ({"Kp1": 1.0, "ended": "joint 1: too fast"},)
+    rows = (SweepRun({"Kp1": 1.0}, ended="joint 1: too fast"),)
     found = Sweep(("Kp1",), ("rms e1",), rows, ended="run 1: joint 1: too fast")
     assert "no run came to its end" in repr(found) and "joint 1: too fast" in repr(found)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from zendsp.link.programs import trouble
 from zendsp.link.way_back import said, way_back
 from zendsp_protocol.messages import Condition, DriveStatus, Status, Trip
 
@@ -59,3 +60,10 @@ def test_the_right_of_another_comes_first_and_a_program_that_holds_is_let_go() -
     assert said(("go_on",), "imi", "tls/lab:7447") == (
         "zendsp set hold=false -t imi --connect tls/lab:7447"
     )
+
+
+@pytest.mark.parametrize("text", ["too fast (sample 7); outputs are safe", "in other words"])
+def test_a_latched_trip_is_told_by_its_cause_and_sample_whatever_its_sentence(text: str) -> None:
+    trip = Trip("speed", tick=7, text=text, cause="too fast")
+    tripped = Status(state="stopped", drive="tripped", trip=trip)
+    assert trouble(tripped).startswith("tripped: too fast (sample 7); outputs are safe;")

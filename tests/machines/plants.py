@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import cffi
@@ -20,6 +21,7 @@ TRUTH = (
     " int mode; double current[8]; } truth;"
 )
 OFF, TORQUE, VELOCITY = 0, 1, 2
+MODELS = Path(__file__).parent / "models"  # MuJoCo's
 
 
 def declarations() -> str:
@@ -85,6 +87,23 @@ class Plant:
     def torque(self, tau: Any) -> np.ndarray:  # type: ignore[type-arg]
         """One sample with a torque command, N m."""
         return self.sample(np.asarray(tau, dtype=float) * self.scale)
+
+
+def robot(model: Path, *lines: str, ideal: bool = True, clock: str = "fast") -> Plant:
+    """The machine of a model, opened as the runner opens it."""
+    config = [f"model = {model}", f"clock = {clock}", *(["ideal = 1"] if ideal else []), *lines]
+    return Plant(str(model), "\n".join(config) + "\n")
+
+
+def edited(tmp_path: Path, model: Path, *changes: tuple[str, str]) -> Path:
+    """A model with words replaced."""
+    text = model.read_text()
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    path = tmp_path / model.name
+    path.write_text(text)
+    return path
 
 
 def follow(plant: Plant, q_ref: Callable[[float], Any], kp: Any, kd: Any, seconds: float,

@@ -419,7 +419,7 @@ def test_an_impossible_inertia_of_a_base_that_stands_plays_no_part(tmp_path: Pat
     [
         ('izz="0.001"', 'izz="1"', r"'pole'.*write below <robot>: <mujoco><compiler balance"),
         ('ixx="0.02" iyy="0.02" izz="0.001"', 'ixx="0" iyy="0" izz="0"', "give that link a mass"),
-        ('izz="0.001" ixy="0"', 'izz="0.001" ixy="1"', "'pole'.*no body has such an inertia"),
+        ('izz="0.001" ixy="0"', 'izz="0.001" ixy="1"', "'pole'.*no link has such an inertia"),
     ],
 )  # fmt: skip
 def test_a_link_that_mujoco_does_not_take_is_named_though_meshes_are_missing_too(

@@ -18,6 +18,7 @@ from zendsp_isr.compiler import find_compiler, run_compiler
 from zendsp_isr.messages import parse_messages
 from zendsp_isr.sources import gather
 from zendsp_protocol.errors import CompileFailed, Refused
+from zendsp_protocol.states import Severity
 from zendsp_target.runtime import Runtime, program_text
 from zendsp_target.runtime.compile_service import compile_program, program_path
 from zendsp_target.runtime.process.settings import Settings, split_options
@@ -296,12 +297,19 @@ def test_messages_of_clang_are_read_from_text() -> None:
         "    y = 1;\n"
         "    ^\n"
         "law.c:9:2: warning: unused [-Wx]\n"
+        "law.c:9:9: fatal error: 'x.h' file not found\n"
         "1 error generated.\n"
     )
     assert [(m.severity, m.file, m.line, m.column) for m in parse_messages(text)] == [
         ("error", "law.c", 3, 5),
         ("warning", "law.c", 9, 2),
+        ("error", "law.c", 9, 9),
     ]
+
+
+def test_what_gcc_cannot_do_is_an_error() -> None:
+    (said,) = parse_messages('[{"kind": "sorry, unimplemented", "message": "no", "children": []}]')
+    assert said.severity is Severity.ERROR
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 from textual.app import App, ComposeResult
 
+from zendsp.link.outside import Outside
 from zendsp.tui.colours import THEMES
 from zendsp.tui.panels.drive import DrivePanel
 from zendsp.tui.snapshot import Snapshot, TripView
@@ -92,7 +93,7 @@ async def test_who_asked_for_stop_and_when_is_said_on_every_width(width: int) ->
     said = f"STOP was requested by {when} (sample 17389); outputs are safe until acknowledged"
     seen = Snapshot(
         link="up", target="imi", machine="imi_planar", state="stopped", drive="stopped", mine=True,
-        trip=TripView("stop", 17389, said),
+        trip=TripView("stop", 17389, said, cause=f"STOP was requested by {when}"),
     )
     async with app.run_test(size=(width, 5)) as pilot:
         app.query_one(StatusBar).show(seen)
@@ -116,7 +117,7 @@ async def test_a_joint_outside_its_limit_is_told_on_every_screen_until_it_is_bac
     async with app.run_test(size=(120, 5)) as pilot:
         seen = Snapshot(
             link="up", target="imi", machine="imi", state="paused", drive="homed",
-            outside=(f"{words}: home the machine (zendsp drive home)",),
+            outside=(Outside(words, "home the machine (zendsp drive home)"),),
         )
         for shown, there in ((seen, True), (replace(seen, outside=()), False)):
             app.query_one(StatusBar).show(shown)
@@ -127,15 +128,14 @@ async def test_a_joint_outside_its_limit_is_told_on_every_screen_until_it_is_bac
         assert f"{words}:\n  home the machine (h on Console)" in told
 
 
+@pytest.mark.parametrize("after", ["(sample 25082); outputs are safe", "by other words, as safe"])
 @pytest.mark.parametrize("width", [80, 120])
-async def test_no_number_of_a_trip_is_cut_to_another(width: int) -> None:
-    said = (
-        "joint 2: position 2.15015 rad is beyond the limit of 2.15 rad (sample 25082); outputs are"
-        " safe until acknowledged"
-    )
+async def test_no_number_of_a_trip_is_cut_to_another(width: int, after: str) -> None:
+    cause = "joint 2: position 2.15015 rad is beyond the limit of 2.15 rad"
+    said = f"{cause} {after}"
     seen = Snapshot(
         link="up", target="imi_planar-23134-49991", machine="imi_planar", state="stopped",
-        drive="tripped", mine=True, trip=TripView("position", 25082, said),
+        drive="tripped", mine=True, trip=TripView("position", 25082, said, cause=cause),
     )
     app = _Bar()
     async with app.run_test(size=(width, 5)) as pilot:

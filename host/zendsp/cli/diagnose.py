@@ -21,7 +21,7 @@ from zendsp_protocol.texts import shown
 
 if TYPE_CHECKING:
     from zendsp.diagnosis import Diagnosis
-    from zendsp.diagnosis.progress import Progress
+    from zendsp.diagnosis.progress import Progress, Said
 
 FILE = click.Path(path_type=Path)
 
@@ -184,23 +184,24 @@ def _together(asked: _Asked, run_on: str | None) -> None:
 
 
 @contextmanager
-def _how_far() -> Iterator[Callable[[str], str]]:
+def _how_far() -> Iterator[Callable[[Said], Said]]:
     """Say after Ctrl-C how far a diagnosis was, by the last sentence that was given, which returns
     as it is.
     """
     from zendsp.diagnosis.progress import Step
 
-    said = [""]
+    said: list[Said] = []
 
-    def at(text: str) -> str:
-        said[0] = text
+    def at(text: Said) -> Said:
+        said[:] = [text]
         return text
 
     try:
         yield at
     except KeyboardInterrupt:
-        kept = "" if said[0].startswith(f"{Step.REPORTING}/") else "no report is written; "
-        click.echo(f"{kept}it was at {said[0] or 'its beginning'}", err=True)
+        reporting = said and said[0].step is Step.REPORTING
+        kept = "" if reporting else "no report is written; "
+        click.echo(f"{kept}it was at {said[0] if said else 'its beginning'}", err=True)
         raise
 
 

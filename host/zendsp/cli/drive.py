@@ -84,7 +84,7 @@ def command(
         seen = t.status()
         held = seen.state == ProgramState.RUNNING and HOLD in t.variables() and bool(t[HOLD])
         if seen.state != ProgramState.EMPTY:  # what limits there are is known with a program
-            lines += [f"  ! {words}" for words in outside(seen, t.machine().joints, t.limits())]
+            lines += [f"  ! {joint}" for joint in outside(seen, t.machine().joints, t.limits())]
         mover = status.moved_by
         moved = f", moved by {mover}" if mover not in ("", status.commander) else ""
         lines.append(

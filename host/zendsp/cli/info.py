@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any
 
 import click
 
@@ -12,6 +11,7 @@ from zendsp.cli.completing import targets
 from zendsp.link.listings import Dictionary
 from zendsp_protocol import messages as m
 from zendsp_protocol.states import ProgramState, VariableKind
+from zendsp_protocol.values import Value
 from zendsp_protocol.views import short, text_table
 
 
@@ -47,10 +47,10 @@ def command(name: str, target: str, connect: str | None, as_json: bool) -> None:
             "machine": machine,
             "variables": list(variables.values()),
             "values": values,
-            "outside": away,
+            "outside": list(map(str, away)),
         }
         further = [
-            *(f"outside    {sentence}" for sentence in away),
+            *(f"outside    {joint}" for joint in away),
             *(f"note       {sentence}" for sentence in status.own),
             *([f"next       {steps}"] if steps else []),
         ]
@@ -73,7 +73,7 @@ def _text(
     status: m.Status,
     machine: m.MachineInfo | None,
     variables: Mapping[str, m.VariableInfo],
-    values: Mapping[str, Any],
+    values: Mapping[str, Value],
     sources: Collection[str],
     further: Sequence[str],
 ) -> str:
@@ -104,7 +104,7 @@ def _text(
     return "\n".join([*lines, *further]) + (f"\n\n{_table(variables, values)}" if variables else "")
 
 
-def _table(variables: Mapping[str, m.VariableInfo], values: Mapping[str, Any]) -> str:
+def _table(variables: Mapping[str, m.VariableInfo], values: Mapping[str, Value]) -> str:
     """The dictionary of variables, each with its value beside its kind."""
     listed = Dictionary(variables)
     header = (*listed.header[:3], "VALUE", *listed.header[3:])

@@ -51,11 +51,11 @@ def _print_table(summary: dict[str, Any]) -> None:
         f" {'the limits of position' if summary['jumps'] else f'{share:g} % of the limits'}"
     )
     u = summary["unit"]
-    force = {"rad": "N m", "m": "N"}.get(u, "N m or N")
-    heads = (f"q min {u}", f"q max {u}", f"{u}/s", f"{u}/s^2", force)
-    if force == "N m or N":  # each joint its own: there is no room in the heads
+    force = {"rad": "N m", "m": "N"}
+    heads = (f"q min {u}", f"q max {u}", f"{u}/s", f"{u}/s^2", force.get(u, ""))
+    if u not in force:  # each joint its own: there is no room in the heads
         heads = ("q min", "q max", "speed", "accel.", "torque")
-        click.echo(f"positions in {u}, speeds and accelerations likewise, torques in {force}")
+        click.echo(f"positions in {u}, speeds and accelerations likewise, torques in N m or N")
     cells = (f"{head:>{width}}" for head, (width, _) in zip(heads, COLUMNS, strict=True))
     click.echo(f"{'joint':>6} {' '.join(cells)}")
     columns = zip(

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from zendsp.diagnosis.progress import Progress, Said, Step
 
 
-def in_steps(tell: Callable[[str], None]) -> Progress:
+def in_steps(tell: Callable[[Said], None]) -> Progress:
     """Return what takes the sentences of a diagnosis and tells them with their step: ``3/6
     searching: joint 1: screening the library``.
     """
@@ -17,6 +17,6 @@ def in_steps(tell: Callable[[str], None]) -> Progress:
         nonlocal reached
         reached = Step.READING if said.step is Step.ANEW else max(reached, said.step)
         name = reached.name.lower().replace("_", " ")
-        tell(f"{reached}/{max(Step)} {name}: {said}")
+        tell(reached.says(f"{reached}/{max(Step)} {name}: {said}"))
 
     return say

@@ -93,6 +93,6 @@ def _tell(found: Sweep, out: Path | None, as_json: bool) -> None:
     shown = text_table(found.header, found.cells())
     if as_json:
         click.echo(repr(found)[1:-1], err=True)
-    emit([dict(row) for row in found.rows], as_json, f"{shown}\n{repr(found)[1:-1]}")
+    emit([run.row() for run in found.rows], as_json, f"{shown}\n{repr(found)[1:-1]}")
     if out is not None:  # last: what was measured is seen where it cannot be written
         found.save(out)

@@ -9,9 +9,9 @@ from zendsp.experiment.registry import EXPERIMENTS, Experiment, run_experiment
 from zendsp.experiment.response import FrequencyResponse
 from zendsp.experiment.result import Estimate, FoundEffect, Result
 from zendsp.experiment.sweep import sweep
-from zendsp.experiment.sweep_result import Sweep
+from zendsp.experiment.sweep_result import Sweep, SweepRun
 
 __all__ = [
     "EXPERIMENTS", "Estimate", "Experiment", "FoundEffect", "FrequencyResponse", "Lab", "Result",
-    "Sweep", "fit_model", "frequency_response", "put_into", "run_experiment", "sweep",
+    "Sweep", "SweepRun", "fit_model", "frequency_response", "put_into", "run_experiment", "sweep",
 ]

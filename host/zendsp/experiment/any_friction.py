@@ -14,7 +14,7 @@ from zendsp.errors import Refused
 from zendsp.experiment.estimates import NORMAL
 from zendsp.experiment.figures import BLUE, RED, label, make_figure, save
 from zendsp.experiment.lab import Bench, Lab
-from zendsp.experiment.result import Estimate, FoundEffect, Result
+from zendsp.experiment.result import Cell, Estimate, FoundEffect, Result
 from zendsp.experiment.wam_friction import (
     Friction,
     Sliding,
@@ -155,7 +155,7 @@ def _of_slide(found: Friction) -> Friction:
 
 def _report(result: Result, joint: int, unit: str, found: Friction) -> None:
     force = "N m" if unit == "rad" else "N"
-    row: dict[str, object] = {"joint": joint}
+    row: dict[str, Cell] = {"joint": joint}
     for word, end in (("+", "pos"), ("-", "neg")):
         level, viscous, dl, dv = found.value[word]
         result.values[f"coulomb{joint}_{end}"] = Estimate(level, dl / NORMAL, force)

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from zendsp.experiment import imi_breakaway, imi_friction
 from zendsp.experiment.figures import AMBER, BLUE, GREY, RED, label, make_figure, save
 from zendsp.experiment.lab import Lab, needed
-from zendsp.experiment.result import Estimate, FoundEffect, Result
+from zendsp.experiment.result import Estimate, FoundEffect, Result, number
 
 Array = npt.NDArray[np.float64]
 
@@ -117,7 +117,7 @@ def fit(lab: Lab) -> Result:
             )
         fast = np.array(
             [
-                (p["speed rad/s"], p["friction N m"])
+                (number(p, "speed rad/s"), number(p, "friction N m"))
                 for p in viscous.tables["points"]
                 if p["joint"] == joint
             ]
@@ -175,7 +175,7 @@ def _draw(curves: dict[int, Curve], static: Result, viscous: Result, lab: Lab, f
             v, f, slowing = stored["speed"], stored["friction"], stored["slowing"]
         fast = np.array(
             [
-                (p["speed rad/s"], p["friction N m"])
+                (number(p, "speed rad/s"), number(p, "friction N m"))
                 for p in viscous.tables["points"]
                 if p["joint"] == joint
             ]

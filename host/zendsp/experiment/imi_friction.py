@@ -8,7 +8,7 @@ import numpy.typing as npt
 from zendsp.experiment.estimates import NORMAL, line_fit, smoothed
 from zendsp.experiment.figures import AMBER, BLUE, GREY, label, make_figure, save
 from zendsp.experiment.lab import Bench, Lab, playing, push_program
-from zendsp.experiment.result import Estimate, Result
+from zendsp.experiment.result import Estimate, Result, Row
 from zendsp.recording import Recording
 from zendsp.reference import load_machine, make_triangle
 
@@ -148,7 +148,7 @@ def low_speed(lab: Lab, cycles: int = 6, rise: float = 1.0) -> Result:
                 rec, joint, reference.samples, round(4 * rise / reference.sample_time)
             )
         result.recordings, result.target = bench.recordings, bench.where
-        rows = []
+        rows: list[Row] = []
         for joint, (v, f, slowing) in curves.items():
             for at in (-0.9, -0.5, -0.2, -0.1, 0.1, 0.2, 0.5, 0.9):
                 near = (np.abs(v - at) < NEAR) & slowing

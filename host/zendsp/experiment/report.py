@@ -8,11 +8,10 @@ import shutil
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from zendsp.errors import RecordingError
 from zendsp.experiment.estimates import NORMAL
-from zendsp.experiment.result import Estimate, Result
+from zendsp.experiment.result import Cell, Estimate, Result, Row, number
 from zendsp.experiment.truth import TRUTH
 from zendsp.experiment.wam_friction import cannot_separate
 
@@ -143,12 +142,12 @@ def table(header: Sequence[str], rows: Rows) -> str:
     return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows), ""])
 
 
-def _from_dicts(rows: Sequence[Mapping[str, Any]]) -> str:
+def _from_dicts(rows: Sequence[Row]) -> str:
     header = list(rows[0])
     return table(header, [[_cell(row.get(key, "")) for key in header] for row in rows])
 
 
-def _cell(value: Any) -> str:
+def _cell(value: Cell) -> str:
     return ", ".join(f"{x:.4g}" for x in value) if isinstance(value, list) else str(value)
 
 
@@ -179,7 +178,7 @@ def _fit(r: Result) -> str:
             str(row["joint"]),
             _cell(row["low"]),
             _cell(row["high"]),
-            f"{row['split']:.2f}",
+            f"{number(row, 'split'):.2f}",
             str(r.values[f"joint{row['joint']}_rms"]),
         ]
         for row in r.tables["program"]
@@ -243,7 +242,8 @@ def _judge_circle(r: Result) -> str:
     apart = max(both("simulation_differs_with"))
     circles = r.tables["slower circles, compensated"]
     first, second = (
-        circles[-1][f"rms joint {j} rad"] / circles[0][f"rms joint {j} rad"] for j in (1, 2)
+        number(circles[-1], of) / number(circles[0], of)
+        for of in ("rms joint 1 rad", "rms joint 2 rad")
     )
     return (
         f"Without compensation {agree} the paper's order of magnitude, and the simulation is within"

@@ -8,7 +8,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import tomli_w
 
@@ -21,6 +21,10 @@ _KEYS = (
     "name", "title", "machine", "target", "figure", "findings", "warnings", "recordings", "values",
     "mechanism", "effect", "table",
 )
+
+
+Cell: TypeAlias = str | float | list[float]
+Row: TypeAlias = Mapping[str, Cell]  # of a table: by the name of its column
 
 
 @dataclass(frozen=True)
@@ -61,8 +65,8 @@ class Result:
         That a model file can take in.
     mechanism : dict of str to Estimate
         ``[mechanism.parameters]`` that it can take in.
-    tables : dict of str to list of dict
-        Rows for people: name of column to cell.
+    tables : dict of str to list of Row
+        For people; what is computed with is read by `number`.
     findings, warnings : list of str
         Sentences.
     recordings : list of str
@@ -79,7 +83,7 @@ class Result:
     values: dict[str, Estimate] = field(default_factory=dict)
     effects: list[FoundEffect] = field(default_factory=list)
     mechanism: dict[str, Estimate] = field(default_factory=dict)
-    tables: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
+    tables: dict[str, list[Row]] = field(default_factory=dict)
     findings: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     recordings: list[str] = field(default_factory=list)
@@ -145,6 +149,14 @@ class Result:
         for key in ("findings", "warnings", "recordings", "figure", "target"):
             setattr(result, key, data.get(key, getattr(result, key)))
         return result
+
+
+def number(row: Row, name: str) -> float:
+    """A cell that is a number."""
+    cell = row[name]
+    if not isinstance(cell, int | float):
+        raise RecordingError(f"{name}: {cell!r} is no number")
+    return float(cell)
 
 
 def _mistyped(data: Mapping[str, Any], where: str) -> str:

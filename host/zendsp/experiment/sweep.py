@@ -6,13 +6,12 @@ import itertools
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from zendsp.errors import AcquisitionError, VariableError, ZendspError
-from zendsp.experiment.sweep_result import Sweep, short
+from zendsp.experiment.sweep_result import Sweep, SweepRun, short
 from zendsp.link import Target
 from zendsp.link.put_back import kept
 from zendsp.prompt import shows_progress
@@ -119,12 +118,14 @@ def sweep(
             f"{folder}: {counted(len(old), 'recording')} of another sweep, {old[0].name} the first:"
             " move them away, or keep these in another folder"
         )
-    rows: list[Mapping[str, Any]] = []
+    asked = [f"{m} {c}" for c in channels for m in measures]
+    rows: list[SweepRun] = []
     again: list[Mapping[str, float]] = []
     why = ""
 
     def so_far() -> Sweep:
-        names = [f"{m} {c}" for c in _columns(rows, channels, measures) for m in measures]
+        # as measured: an array has several columns
+        names = next(filter(None, (list(run.results) for run in rows)), asked)
         columns = {name: name.partition(" ")[2] for name in names}
         units = {name: _unit(infos, columns.get(name, name)) for name in (*values, *names)}
         found = tuple(rows), tuple(again)
@@ -142,7 +143,7 @@ def sweep(
             if number > len(runs):
                 again += [results] if results else []
             else:
-                rows.append({**run, **results, "ended": ended})
+                rows.append(SweepRun(run, results, ended))
                 if folder is not None and recording is not None:
                     recording.save(folder / f"{number:03}.mat")
             if on_run is not None:
@@ -207,7 +208,7 @@ def announced(
 
 def _one(
     target: Target,
-    run: Mapping[str, Any],
+    run: Mapping[str, Assignable],
     channels: Sequence[str],
     seconds: float,
     fade: float,
@@ -267,17 +268,6 @@ def _measured(
         for k, column in enumerate(recording.columns)
         for m in measures
     }
-
-
-def _columns(
-    rows: Sequence[Mapping[str, Any]], channels: Sequence[str], measures: Sequence[str]
-) -> list[str]:
-    """The columns that were measured; arrays have several."""
-    for row in rows:
-        found = [name.partition(" ")[2] for name in row if name.startswith(f"{measures[0]} ")]
-        if found:
-            return found
-    return list(channels)
 
 
 def tried_of(words: Sequence[str]) -> dict[str, list[float]]:

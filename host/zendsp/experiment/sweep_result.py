@@ -10,11 +10,28 @@ from typing import Any
 from zendsp.errors import AcquisitionError
 from zendsp.experiment.table_file import write_rows
 from zendsp_protocol.texts import counted
+from zendsp_protocol.values import Assignable
 from zendsp_protocol.views import html_table, sentence
 
 # Times the range of three measurements: two others that are alike lie further apart once in twenty
 # (Student's t of two degrees of freedom, 4.30 √2, over the mean range in standard deviations, 1.7).
 APART = 3.6
+
+
+@dataclass(frozen=True)
+class SweepRun:
+    """One run of a sweep; ``run["Kp1"]`` and ``run["rms e1"]`` are its values and results."""
+
+    values: Mapping[str, Assignable]  # of the parameters that were tried
+    results: Mapping[str, float] = field(default_factory=dict)  # none where it ended early
+    ended: str = ""  # why the program stopped; "" where it ran
+
+    def __getitem__(self, name: str) -> Assignable:
+        return self.results[name] if name in self.results else self.values[name]
+
+    def row(self) -> dict[str, Assignable]:
+        """All of it by the names of columns, for a file or JSON."""
+        return {**self.values, **self.results, "ended": self.ended}
 
 
 @dataclass(frozen=True, repr=False)
@@ -26,9 +43,7 @@ class Sweep:
     parameters : tuple of str
     results : tuple of str
         Names of what was measured, for example ``"rms e1"``.
-    rows : tuple of dict
-        One a run: its values, its results, and ``"ended"``: why the program stopped, "" where it
-        ran.
+    rows : tuple of SweepRun
     again : tuple of dict
         The results of the best row's values, measured again after the last row: what chance does
         to a small error is small. Where the motion is periodic and a window does not last whole
@@ -45,7 +60,7 @@ class Sweep:
 
     parameters: tuple[str, ...]
     results: tuple[str, ...]
-    rows: tuple[Mapping[str, Any], ...]
+    rows: tuple[SweepRun, ...]
     again: tuple[Mapping[str, float], ...] = ()
     ended: str = ""
     units: Mapping[str, str] = field(default_factory=dict)
@@ -71,8 +86,8 @@ class Sweep:
             Default: the first.
         """
         name = result or self.results[0]
-        every = (self.rows[self.again_of], *self.again)
-        found = [abs(float(row[name])) for row in every if name in row]
+        every = (self.rows[self.again_of].results, *self.again)
+        found = [abs(results[name]) for results in every if name in results]
         return max(found) - min(found) if self.again else float("nan")
 
     def best_rows(self, result: str = "") -> list[int]:
@@ -87,14 +102,14 @@ class Sweep:
         if least is None:
             return []
         spread = self.spread(name)
-        most = abs(float(self.rows[least][name])) + (APART * spread if spread > 0.0 else 0.0)
+        most = abs(self.rows[least].results[name]) + (APART * spread if spread > 0.0 else 0.0)
         return [
             k
             for k, row in enumerate(self.rows)
-            if k == least or (not row["ended"] and abs(float(row[name])) <= most)
+            if k == least or (not row.ended and abs(row.results[name]) <= most)
         ]
 
-    def best(self, result: str = "") -> Mapping[str, Any]:
+    def best(self, result: str = "") -> SweepRun:
         """Return the run with the smallest result; `best_rows` has those that are as good.
 
         Parameters
@@ -120,8 +135,8 @@ class Sweep:
         end.
         """
         name = result or self.results[0]
-        whole = [k for k, row in enumerate(self.rows) if not row["ended"]]
-        return min(whole, key=lambda k: abs(float(self.rows[k][name])), default=None)
+        whole = [k for k, row in enumerate(self.rows) if not row.ended]
+        return min(whole, key=lambda k: abs(self.rows[k].results[name]), default=None)
 
     def save(self, path: str | Path) -> Path:
         """Write the table as CSV.
@@ -131,16 +146,17 @@ class Sweep:
         RecordingError
             The name ends otherwise, or the file cannot be written.
         """
-        return write_rows(path, "a sweep", [*self.parameters, *self.results, "ended"], self.rows)
+        header = [*self.parameters, *self.results, "ended"]
+        return write_rows(path, "a sweep", header, (run.row() for run in self.rows))
 
     def cells(self) -> list[list[str]]:
         """Return the rows as text."""
-        digits = {n: digits_of([row[n] for row in self.rows]) for n in self.parameters}
+        digits = {n: digits_of([row.values[n] for row in self.rows]) for n in self.parameters}
         return [
             [
-                *(short(row[n], digits[n]) for n in self.parameters),
-                *(short(row.get(n, "")) for n in self.results),
-                str(row["ended"]),
+                *(short(row.values[n], digits[n]) for n in self.parameters),
+                *(short(row.results.get(n, "")) for n in self.results),
+                row.ended,
             ]
             for row in self.rows
         ]

@@ -5,13 +5,12 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from zendsp.errors import RecordingError
 
 
 def write_rows(
-    path: str | Path, what: str, header: Sequence[str], rows: Iterable[Mapping[str, Any]]
+    path: str | Path, what: str, header: Sequence[str], rows: Iterable[Mapping[str, object]]
 ) -> Path:
     """Write rows as CSV.
 

@@ -3,11 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from zendsp.link.variables import plain
 from zendsp_protocol import messages as m
 
 BACK = "home the machine (zendsp drive home) or start a program that moves it inward"
+
+
+@dataclass(frozen=True)
+class Outside:
+    """A joint that stands outside its position limits; as text, one sentence."""
+
+    what: str  # which joint, and by how much
+    remedy: str  # what brings it back
+
+    def __str__(self) -> str:
+        return f"{self.what}: {self.remedy}"
 
 
 def positions(status: m.Status, joints: Sequence[m.JointInfo]) -> tuple[float, ...]:
@@ -20,9 +32,11 @@ def positions(status: m.Status, joints: Sequence[m.JointInfo]) -> tuple[float, .
     )
 
 
-def outside(status: m.Status, joints: Sequence[m.JointInfo], limits: m.Limits) -> tuple[str, ...]:
-    """A sentence for each joint that stands outside its position limits: which, by how much, and
-    what brings it back. Nothing where the machine is not homed: nobody knows where it stands.
+def outside(
+    status: m.Status, joints: Sequence[m.JointInfo], limits: m.Limits
+) -> tuple[Outside, ...]:
+    """The joints that stand outside their position limits. Nothing where the machine is not homed:
+    nobody knows where it stands.
     """
     if not status.homed:
         return ()
@@ -33,8 +47,9 @@ def outside(status: m.Status, joints: Sequence[m.JointInfo], limits: m.Limits) -
     ):
         if not least <= q <= most:
             limit = least if q < least else most
-            found.append(
+            what = (
                 f"{joint.name} is {abs(q - limit):.2g} {joint.unit} outside its limit of"
-                f" {limit:.4g} {joint.unit}: {first}{BACK}; it may go no farther out"
+                f" {limit:.4g} {joint.unit}"
             )
+            found.append(Outside(what, f"{first}{BACK}; it may go no farther out"))
     return tuple(found)

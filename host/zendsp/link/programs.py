@@ -340,8 +340,8 @@ def trouble(status: m.Status) -> str:
         what = "stopped" if status.drive == DriveState.STOPPED else "tripped"
         trip = status.trip
         # with the sample at which it happened, where a loop ran
-        when = trip.text[len(trip.cause) :].partition(";")[0]
-        cause = f"{trip.cause}{when}" or trip.reason
+        when = f" (sample {trip.tick})" if trip.tick else ""
+        cause = f"{trip.cause or trip.reason}{when}"
         empty = status.state == ProgramState.EMPTY
         again = "load a program and start it" if empty else "start again"
         return (

@@ -19,7 +19,7 @@ from zendsp.link.put_back import Before
 from zendsp.link.variables import plain
 from zendsp.link.way_back import HOLD, way_back
 from zendsp.recording import Recording
-from zendsp.tui.port import Build, Shot, Sink, Tell
+from zendsp.tui.port import Build, Shot, Sink, Swing, Tell, Tries
 from zendsp.tui.snapshot import LinkState, Snapshot, TripView, Variable
 from zendsp_protocol import messages as m
 from zendsp_protocol.states import DriveAction, ProgramState, RecorderState, VariableKind
@@ -233,23 +233,22 @@ class LinkPort:
         """Try a run on a simulated twin of the machine; this one does not move."""
         return rehearse(self.target, tables, values, seconds, tell)
 
-    def respond(self, settings: Mapping[str, Any], tell: Tell) -> FrequencyResponse:
+    def respond(self, asked: Swing, channels: Sequence[str], tell: Tell) -> FrequencyResponse:
         """Measure a frequency response."""
         from zendsp.experiment import frequency_response
 
-        return frequency_response(self.target, **settings, progress=tell)
+        return frequency_response(self.target, **vars(asked), channels=channels, progress=tell)
 
-    def sweep(
-        self,
-        values: Mapping[str, Sequence[Assignable]],
-        channels: Sequence[str],
-        settings: Mapping[str, Any],
-        tell: Tell,
-    ) -> Sweep:
+    def sweep(self, asked: Tries, on_run: Callable[[Sweep], None], tell: Tell) -> Sweep:
         """Try values of parameters on the running program."""
         from zendsp.experiment import sweep
+        from zendsp.experiment.sweep import tried_of
 
-        return sweep(self.target, values, channels, **settings, progress=tell)
+        return sweep(
+            self.target, tried_of(asked.words.split()), asked.channels.split(),
+            seconds=asked.seconds, settle=asked.settle, measures=asked.measures.split(),
+            together=asked.together, on_run=on_run, progress=tell,
+        )  # fmt: skip
 
     # -- drives
 
@@ -296,7 +295,7 @@ class LinkPort:
 def _trip(trip: m.Trip | None) -> TripView | None:
     if trip is None:
         return None
-    return TripView(trip.reason, trip.tick, trip.text or trip.reason, trip.number)
+    return TripView(trip.reason, trip.tick, trip.text or trip.reason, trip.number, trip.cause)
 
 
 def _variable(info: m.VariableInfo, kind: VariableKind) -> Variable:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,7 @@ from zendsp_protocol.values import Assignable
 if TYPE_CHECKING:  # the experiments are loaded when one is asked for
     from zendsp.experiment import FrequencyResponse, Sweep
 
+Quantity = Literal["position", "torque"]
 Tell = Callable[[float], None]  # what is told of the share that is done; may raise, to end it
 Sink = Callable[[npt.NDArray[np.int64], npt.NDArray[np.float64], float], None]
 
@@ -46,6 +47,33 @@ class Shot:
     level: float = 0.0
     edge: str = "rising"
     pre_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class Swing:
+    """What of `zendsp.frequency_response` a form asks."""
+
+    joint: int = 1
+    quantity: Quantity = "position"
+    amplitude: float | None = None
+    f_min: float = 0.5
+    f_max: float = 30.0
+    lines: int = 30
+    periods: int = 6
+    input: str = ""
+    output: str = ""
+
+
+@dataclass(frozen=True)
+class Tries:
+    """What of `zendsp.sweep` a form asks; names with blanks between them."""
+
+    words: str = ""  # as `zendsp.experiment.sweep.tried_of` reads them
+    channels: str = ""
+    measures: str = "rms max"
+    seconds: float = 2.0
+    settle: float = 0.5
+    together: bool = False
 
 
 class Port(Protocol):
@@ -82,13 +110,6 @@ class Port(Protocol):
         seconds: float,
         tell: Tell,
     ) -> Rehearsal: ...
-    # the arguments of zendsp.frequency_response and zendsp.sweep
-    def respond(self, settings: Mapping[str, Any], tell: Tell) -> FrequencyResponse: ...
-    def sweep(
-        self,
-        values: Mapping[str, Sequence[Assignable]],
-        channels: Sequence[str],
-        settings: Mapping[str, Any],
-        tell: Tell,
-    ) -> Sweep: ...
+    def respond(self, asked: Swing, channels: Sequence[str], tell: Tell) -> FrequencyResponse: ...
+    def sweep(self, asked: Tries, on_run: Callable[[Sweep], None], tell: Tell) -> Sweep: ...
     def close(self) -> None: ...

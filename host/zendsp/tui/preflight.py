@@ -141,7 +141,7 @@ def _drives(s: Snapshot) -> list[Condition]:
             s.trip is None and s.drive not in LATCHED,
             "acknowledge with Ctrl+K",
         ),
-        *(Condition(sentence, True, warning=True) for sentence in map(in_keys, s.outside)),
+        *(Condition(in_keys(str(joint)), True, warning=True) for joint in s.outside),
         Condition(
             "drives enabled",
             s.explicit and s.drive in (DriveState.ENABLED, DriveState.RUNNING),

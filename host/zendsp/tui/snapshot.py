@@ -12,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from zendsp.link.outside import Outside
 from zendsp_protocol.messages import Limits, MachineInfo
 from zendsp_protocol.states import DriveState, ProgramState, TripReason, VariableKind
 from zendsp_protocol.values import Value
@@ -66,6 +67,7 @@ class TripView:
     tick: int
     text: str
     number: int = 0  # 0: told by a target that counts none
+    cause: str = ""  # the first words of the text: what broke which limit
 
 
 @dataclass(frozen=True)
@@ -111,7 +113,7 @@ class Snapshot:
     io: Mapping[str, npt.NDArray[np.float64]] = field(default_factory=dict)
     # of each joint by its encoder, rad or m; also while no program computes anything
     position: tuple[float, ...] = ()
-    outside: tuple[str, ...] = ()  # a sentence for each joint outside its position limits
+    outside: tuple[Outside, ...] = ()  # the joints outside their position limits
     conditions: tuple[tuple[str, bool, str], ...] = ()  # of enabling: name, met, what to do
     # until the program runs: actions by name, or sentences (zendsp.link.way_back)
     steps: tuple[str, ...] = ()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import time
 from textwrap import shorten, wrap
 
@@ -187,8 +186,7 @@ class StatusBar(Widget):
             self._tabs.refresh()
         self._busy = busy
         trouble = self.trouble(snapshot)
-        # up to the sample, or to what is to be done
-        first = cell_len(re.split(r" \(sample|: (?:home|acknowledge) ", trouble.plain)[0])
+        first = cell_len(_short(_what(snapshot))) or trouble.cell_len
         first += trouble.cell_len > first  # the mark of what is cut
         where = self.where(snapshot, first)
         lines = [where, self.loop(snapshot)]
@@ -261,13 +259,12 @@ class StatusBar(Widget):
 
     def trouble(self, s: Snapshot) -> Text:
         """A trip, a crash, or a joint that stands outside its limits; empty where there is none."""
-        words = s.outside[0] if s.outside else ""
+        words = str(s.outside[0]) if s.outside else ""
         if s.trip is not None or s.crash:
             words = s.crash if s.trip is None or s.unsafe else s.trip.text
-            words = words.replace("STOP was requested by", "STOP by")
         colour = self.app.theme_variables["error"]
         known = s.link == LinkState.UP
-        return Text(in_keys(words), Style(color=colour, bold=True)) if known else Text()
+        return Text(in_keys(_short(words)), Style(color=colour, bold=True)) if known else Text()
 
     def loop(self, s: Snapshot) -> Text:
         """Return the line that says how the loop and the link do."""
@@ -301,6 +298,17 @@ class StatusBar(Widget):
         item("lost", str(s.lost), s.lost > 0)
         item("link", latency(s.latency_s))
         return line
+
+
+def _what(s: Snapshot) -> str:
+    """What is wrong, without the sample and what is to be done; empty where that is all of it."""
+    if s.trip is not None and not s.unsafe:
+        return s.trip.cause
+    return s.outside[0].what if s.outside and not s.crash else ""
+
+
+def _short(words: str) -> str:
+    return words.replace("STOP was requested by", "STOP by")
 
 
 def left_alone(s: Snapshot) -> str:

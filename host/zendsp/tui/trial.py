@@ -7,7 +7,6 @@ import threading
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -45,7 +44,7 @@ class Plan:
     parameters: Mapping[str, Assignable]
     player: Player
     playlist: Playlist
-    values: Mapping[str, Any]
+    values: Mapping[str, Assignable]
     lead: float
 
     @property

@@ -17,6 +17,7 @@ from elftools.elf.sections import SymbolTableSection
 from zendsp_isr.build import Built, build, cache_root, source_root
 from zendsp_protocol.errors import Refused
 from zendsp_protocol.messages import CompileResult, Diagnostic
+from zendsp_protocol.states import Severity
 
 _NAME = re.compile(r"^[A-Za-z0-9_][A-Za-z0-9_.+-]*\.[ch]$")
 _FLAG = re.compile(
@@ -126,7 +127,7 @@ def compile_program(
             ok = False
             built.path.unlink(missing_ok=True)
             first = next(name for name in sources if name.endswith(".c"))
-            diagnostics.append(Diagnostic("error", first, 0, 0, problem))
+            diagnostics.append(Diagnostic(Severity.ERROR, first, 0, 0, problem))
     return _result(built, ok, diagnostics)
 
 

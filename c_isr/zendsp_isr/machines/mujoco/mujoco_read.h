@@ -1,5 +1,4 @@
-/* mujoco_read.h: reads the file of a model, MJCF or URDF, and says what to do where MuJoCo does not
- * compile it. */
+/* mujoco_read.h: reads the file of a model, MJCF or URDF. */
 #ifndef ZENDSP_MUJOCO_READ_H
 #define ZENDSP_MUJOCO_READ_H
 
@@ -13,24 +12,6 @@
 static int is_urdf(const char *file) {
     const char *kind = strrchr(file, '.');
     return kind && strcasecmp(kind, ".urdf") == 0;
-}
-
-/* What to do about MuJoCo's sentence; empty where it says that itself. */
-static const char *remedy(const char *why, const char *file) {
-    const int urdf = is_urdf(file);
-    if (strstr(why, "balanceinertia"))
-        return urdf ? ": correct the inertia of that link, or write below <robot>: "
-                      "<mujoco><compiler balanceinertia=\"true\"/></mujoco>"
-                    : ": correct the inertia of that body, or write in the file: "
-                      "<compiler balanceinertia=\"true\"/>";
-    if (strstr(why, "mjMINVAL"))
-        return urdf ? ": give that link a mass and an inertia, or write below <robot>: "
-                      "<mujoco><compiler boundmass=\"0.001\" boundinertia=\"1e-6\"/></mujoco>"
-                    : ": give that body a mass and an inertia, or write in the file: "
-                      "<compiler boundmass=\"0.001\" boundinertia=\"1e-6\"/>";
-    if (strstr(why, "positive eigenvalues"))
-        return ": no body has such an inertia, correct it: no principal moment is 0";
-    return "";
 }
 
 /* 1: no joint moves it. */
@@ -160,7 +141,7 @@ static void trim(char *text) {
         *--end = 0;
 }
 
-/* The model of a file; NULL: why, with what to do about it. Of a URDF, joints are those that are
+/* The model of a file; NULL: why. Of a URDF, joints are those that are
  * chosen by name (empty: none is), and held is how many others are. */
 static mjModel *read_model(const char *file, const char *joints, int *shapeless, int *held,
                            char *why, size_t size) {
@@ -177,11 +158,9 @@ static mjModel *read_model(const char *file, const char *joints, int *shapeless,
     trim(first);
     trim(text);
     if (text[0] && strcmp(text, first) != 0)
-        snprintf(why, size, "%.200s%s (and its shapes are not used: %.150s)", text,
-                 remedy(text, file), first);
+        snprintf(why, size, "%.200s (and its shapes are not used: %.150s)", text, first);
     else
-        snprintf(why, size, "%s%s", first[0] ? first : "MuJoCo cannot read it",
-                 remedy(first, file));
+        snprintf(why, size, "%s", first[0] ? first : "MuJoCo cannot read it");
     return NULL;
 }
 

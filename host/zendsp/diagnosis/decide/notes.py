@@ -210,8 +210,7 @@ def _held(fit: Data, given: Model) -> str:
 
 
 def left_over(decisions: Sequence[Decision], given: Model, fit: Data) -> str:
-    """What nothing named explains, joint by joint, in words; empty where it is too little to
-    matter.
+    """What nothing named explains, a line for each joint; empty where it is too little to matter.
     """
     words = []
     for d in decisions:
@@ -277,4 +276,4 @@ def left_over(decisions: Sequence[Decision], given: Model, fit: Data) -> str:
                 f" {spans(d.beside.intervals, d.beside.recordings)} that no state explains: a push"
                 " bends the numbers of what was found"
             )
-    return ". ".join(words)
+    return "\n".join(words)

@@ -264,7 +264,7 @@ class Diagnosis:
     given, calibrated, improved : Model
         As it came, with its free parameters refitted, with what was found.
     unexplained : str
-        A sentence; empty where nothing is.
+        A line for each joint; empty where nothing is.
     discrepancy : tuple of Left
     detectable : tuple of Detectable
     others : tuple of Errors
@@ -390,8 +390,7 @@ class Diagnosis:
         said = "".join(
             sentence(f"{f.sentence} (confidence {100 * f.confidence:.0f} %)") for f in self.findings
         )
-        if self.unexplained:
-            said += sentence(self.unexplained)
+        said += "".join(map(sentence, self.unexplained.splitlines()))
         rows = [
             (f.effect, f.joint, name, number(e))
             for f in self.findings
@@ -417,8 +416,7 @@ class Diagnosis:
     def __str__(self) -> str:
         lines = [f"verdict: {self.verdict}"]
         lines += [f"  {f.sentence} (confidence {100 * f.confidence:.0f} %)" for f in self.findings]
-        if self.unexplained:
-            lines.append(f"  {self.unexplained}")
+        lines += [f"  {words}" for words in self.unexplained.splitlines()]
         own, shares = self.errors[0], ((x.joint, x.share) for x in self.discrepancy)
         lines += [
             f"  {100 * share:.2g} % of the torque of joint {joint} has no name: more is left than"

@@ -14,7 +14,6 @@ from zendsp.diagnosis.report.chart import Chart
 from zendsp.diagnosis.report.summary import (
     SMALLER,
     before,
-    by_joint,
     doubted_in,
     headline,
     unnamed,
@@ -103,7 +102,7 @@ def _sentences(d: Diagnosis) -> str:
     ]
     if len(said) < len(d.findings):
         items.append(f"<li>and {len(d.findings) - len(said)} more, under <i>Findings</i>")
-    items += [f"<li>{escape(words)}" for words in by_joint(d.unexplained)]
+    items += [f"<li>{escape(words)}" for words in d.unexplained.splitlines()]
     return f"<ul>{''.join(items)}</ul>" if items else ""
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -47,17 +46,6 @@ def word_of(mechanism: str, effects: Sequence[str]) -> str:
     if set(effects) == {"coupling"}:
         return "the other joints' motion"
     return WORDS.get(mechanism, effects[0])
-
-
-def by_joint(unexplained: str) -> list[str]:
-    """The sentences on each joint.
-
-    Examples
-    --------
-    >>> by_joint("Joint 1: 2 N m stay. Record longer. Joint 2: 3 N m stay"), by_joint("")
-    (['Joint 1: 2 N m stay. Record longer', 'Joint 2: 3 N m stay'], [])
-    """
-    return re.split(r"\. (?=Joint \d+: )", unexplained) if unexplained else []
 
 
 def doubted_in(d: Diagnosis) -> tuple[tuple[str, int], ...]:
@@ -170,7 +158,7 @@ def summary(d: Diagnosis) -> str:
     for k, f in enumerate(d.findings, 1):
         lines.append(f"{k}. {f.effect}, joint {f.joint} (confidence {100 * f.confidence:.0f} %)")
         lines.append(f"   {f.sentence}")
-    lines += by_joint(d.unexplained)
+    lines += d.unexplained.splitlines()
     if d.findings or d.unexplained:
         lines.append("")
     for e in d.errors:

@@ -20,6 +20,7 @@ from zendsp.errors import ModelError
 from zendsp.extras import need
 from zendsp.physics.model import Quantity, Term
 from zendsp.tree import Body, axis_turn, inverse_dynamics, joined
+from zendsp_isr.parts import with_remedy
 
 log = logging.getLogger(__name__)
 Array = npt.NDArray[np.float64]
@@ -111,7 +112,8 @@ def compiled(path: str) -> Any:
     try:
         return mj.MjModel.from_xml_path(path)
     except (ValueError, RuntimeError, OSError) as error:
-        raise ModelError(f"{path}: MuJoCo does not compile it: {_said(error, path)}") from error
+        said = with_remedy(_said(error), path)
+        raise ModelError(f"{path}: MuJoCo does not compile it: {said}") from error
 
 
 def spec_of(path: str) -> Any:
@@ -146,11 +148,11 @@ def _urdf(path: str) -> Any:
                     body.fullinertia[0] = np.nan
             spec.compile()
         except (ValueError, RuntimeError, OSError) as error:
-            said.append(_said(error, path))
+            said.append(_said(error))
         else:
             return spec
     more = f" (and its shapes are not used: {said[0]})" if said[0] != said[1] else ""
-    raise ModelError(f"{path}: MuJoCo does not compile it: {said[1]}{more}")
+    raise ModelError(f"{path}: MuJoCo does not compile it: {with_remedy(said[1] + more, path)}")
 
 
 def _stands(body: Any) -> bool:
@@ -162,24 +164,9 @@ def _stands(body: Any) -> bool:
     return True
 
 
-def _said(error: Exception, path: str) -> str:
-    """MuJoCo's sentence on one line, with what to do where it does not say that."""
-    said = " ".join(str(error).partition("The static bodies of the spec")[0].split())
-    urdf = Path(path).suffix.lower() == ".urdf"
-    part, where = ("link", "below <robot>") if urdf else ("body", "in the file")
-
-    def line(compiler: str) -> str:
-        return f"<mujoco>{compiler}</mujoco>" if urdf else compiler
-
-    if "balanceinertia" in said:
-        new = line('<compiler balanceinertia="true"/>')
-        return f"{said}: correct the inertia of that {part}, or write {where}: {new}"
-    if "mjMINVAL" in said:
-        new = line('<compiler boundmass="0.001" boundinertia="1e-6"/>')
-        return f"{said}: give that {part} a mass and an inertia, or write {where}: {new}"
-    if "positive eigenvalues" in said:
-        return f"{said}: no body has such an inertia, correct it: no principal moment is 0"
-    return said
+def _said(error: Exception) -> str:
+    """MuJoCo's sentence on one line, without what is of no use to who has the file only."""
+    return " ".join(str(error).partition("The static bodies of the spec")[0].split())
 
 
 def name_of(model: Any, what: str, index: int) -> str:

@@ -23,6 +23,7 @@ from zendsp.errors import CompileFailed, RunnerDied, ZendspError
 from zendsp.physics.simulation.loaded import Job, LoadedProgram, Outcome
 from zendsp.physics.simulation.plant import Plant
 from zendsp_isr.sources import Source, gather
+from zendsp_protocol.states import Severity
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ def compile_program(program: Source, flags: Sequence[str] = ()) -> Build:
     encoded = {name: text.encode() for name, text in sources.items()}
     built = build("program", encoded, [source_root() / "include"], flags=tuple(flags))
     if built.path is None:
-        lines = [str(m) for m in built.messages if m.severity == "error"]
+        lines = [str(m) for m in built.messages if m.severity == Severity.ERROR]
         raise CompileFailed("\n".join(lines))
     return Build(built.path, sources, built.compiler, tuple(flags))
 

@@ -16,6 +16,7 @@ from textual.widgets.option_list import Option
 
 from zendsp.tui.dialogs.base import Dialog
 from zendsp_protocol.messages import Diagnostic
+from zendsp_protocol.states import Severity
 from zendsp_protocol.texts import placed
 
 
@@ -61,9 +62,9 @@ class SourceView(Dialog[bool]):
         c = self.app.theme_variables
         colour = (
             c["error"]
-            if r.severity == "error"
+            if r.severity == Severity.ERROR
             else c["warning"]
-            if r.severity == "warning"
+            if r.severity == Severity.WARNING
             else c["foreground"]
         )
         text = Text(placed(r.file, r.line, r.column, ""), Style(bold=True))

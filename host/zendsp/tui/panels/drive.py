@@ -96,10 +96,10 @@ class DrivePanel(Vertical):
         text = Text(no_wrap=True, overflow="ellipsis")
         if s.link in (LinkState.LOST, LinkState.ENDED):
             return text
-        for sentence in s.outside:
+        for joint in s.outside:
             text.append("! ", Style(color=c["error"], bold=True))
             # which and how far, and below it what is to be done: one line has no room for both
-            text.append(in_keys(sentence).replace(": ", ":\n  ", 1), Style(color=c["error"]))
+            text.append(f"{joint.what}:\n  {in_keys(joint.remedy)}", Style(color=c["error"]))
             text.append("\n")
         unmet = [(name, advice) for name, met, advice in s.conditions if not met]
         if s.conditions and not unmet:

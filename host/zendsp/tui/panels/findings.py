@@ -22,7 +22,6 @@ from zendsp.diagnosis.decide.contract import (
 from zendsp.diagnosis.report.chart import Chart
 from zendsp.diagnosis.report.summary import (
     before,
-    by_joint,
     unnamed,
     verdict_sentence,
 )
@@ -88,7 +87,7 @@ def entries(d: Diagnosed, theme: Mapping[str, str]) -> list[Entry]:
     """
     r, charts = d.report, d.charts
     out = [_finding(k, f, charts, theme) for k, f in enumerate(r["findings"])]
-    for k, words in enumerate(by_joint(r["unexplained"] or "")):
+    for k, words in enumerate(r["unexplained"].splitlines()):
         line = Text("left".ljust(LABEL) + words, theme["warning"])
         out.append(Entry(f"unexplained-{k}" if k else "unexplained", line))
     out += _errors(r, charts)

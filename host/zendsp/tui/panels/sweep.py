@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from rich.text import Text
@@ -10,6 +11,7 @@ from textual.containers import Vertical
 from textual.widgets import DataTable, Static
 
 from zendsp.tui.panels.table import ListTable
+from zendsp_protocol.values import Assignable
 
 if TYPE_CHECKING:
     from zendsp.experiment.sweep_result import Sweep
@@ -48,8 +50,6 @@ class SweepView(Vertical):
             table.add_row(Text("●" if k in best else " "), *(Text(c, style) for c in cells))
         table.move_cursor(row=sweep.best_row() or 0)
 
-    def values(self, row: int) -> dict[str, float]:
+    def values(self, row: int) -> Mapping[str, Assignable]:
         """Return the parameters of a row."""
-        if self.sweep is None:
-            return {}
-        return {name: self.sweep.rows[row][name] for name in self.sweep.parameters}
+        return {} if self.sweep is None else self.sweep.rows[row].values

@@ -18,7 +18,7 @@ from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.screens.console_scope import real
 from zendsp_isr.sources import gather
 from zendsp_protocol.messages import Diagnostic
-from zendsp_protocol.states import DriveAction, DriveState, HostLost
+from zendsp_protocol.states import DriveAction, DriveState, HostLost, Severity
 from zendsp_protocol.texts import counted
 
 
@@ -168,9 +168,9 @@ class ProgramActions(LabScreen):
     def _built(self, build: Build) -> None:
         self.remarks = build.remarks
         for r in build.remarks:
-            level = "error" if r.severity == "error" else "warning"
+            level = "error" if r.severity == Severity.ERROR else "warning"
             self.lab.session.events.add(str(r), level)
-        errors = sum(r.severity == "error" for r in build.remarks)
+        errors = sum(r.severity == Severity.ERROR for r in build.remarks)
         if build.ok:
             warnings = (
                 f", {len(build.remarks)} remark{'' if len(build.remarks) == 1 else 's'} (g)"
@@ -184,7 +184,7 @@ class ProgramActions(LabScreen):
             )
             self.built()
         else:
-            first = next((r for r in build.remarks if r.severity == "error"), None)
+            first = next((r for r in build.remarks if r.severity == Severity.ERROR), None)
             where = f": {first.file}:{first.line}: {first.message}" if first else ""
             self.say(
                 f"{errors} error{'' if errors == 1 else 's'}{where}; g opens the source there",

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.text import Text
@@ -36,7 +36,8 @@ from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.snapshot import LinkState, Snapshot
 from zendsp_isr.sources import gather
 from zendsp_protocol.messages import Program
-from zendsp_protocol.states import ProgramState
+from zendsp_protocol.states import ProgramState, Severity
+from zendsp_protocol.values import Value
 
 if TYPE_CHECKING:
     from zendsp.tui.runs import Run
@@ -333,7 +334,7 @@ class LoopActions(LabScreen):
             return build
 
         def done(build: Build) -> None:
-            first = next((r for r in build.remarks if r.severity == "error"), None)
+            first = next((r for r in build.remarks if r.severity == Severity.ERROR), None)
             if first is not None:
                 self.say(f"{first.file}:{first.line}: {first.message}", "error")
             else:
@@ -417,7 +418,7 @@ class LoopActions(LabScreen):
         raise NotImplementedError
 
 
-def look_s(values: Mapping[str, Any]) -> float:
+def look_s(values: Mapping[str, Value]) -> float:
     """Seconds over which the tracking error of a program with these values is compared: one turn,
     as many periods of a sway as the picture holds, or LOOK_S.
     """

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from textual import on
@@ -17,6 +17,7 @@ from zendsp.tui.measure_job import MeasureJob
 from zendsp.tui.panels.response import ResponseView
 from zendsp.tui.panels.sweep import SweepView
 from zendsp.tui.play_job import PlayJob, usual_channels
+from zendsp.tui.port import Quantity, Swing, Tries
 from zendsp.tui.runs import Outcome, Run, store_run
 from zendsp.tui.screens.console_program import positive, whole
 from zendsp.tui.screens.console_scope import real
@@ -46,7 +47,7 @@ class MeasureActions(RunActions):
     def __init__(self) -> None:
         super().__init__()
         self.job: PlayJob | MeasureJob | None = None
-        self._asked: dict[str, Mapping[str, Any]] = {}  # last answers of the two forms
+        self._swing, self._tries = Swing(), Tries()  # last answers of the two forms
 
     # -- frequency response
 
@@ -56,37 +57,32 @@ class MeasureActions(RunActions):
         snapshot = self._ready_to_measure()
         if snapshot is None:
             return
-        last = self._asked.get(Outcome.RESPONSE, {})
+        last = self._swing
         joints = max(snapshot.joints, 1)
-        swings: list[Literal["position", "torque"]] = ["position"]
+        swings: list[Quantity] = ["position"]
         if any(v.name == "ref_tau" for v in snapshot.variables):
             swings.append("torque")
-        quantity = last.get("quantity", "position")
+        quantity = last.quantity if last.quantity in swings else "position"
         fields = [
-            Field(
-                "joint", "Joint", last.get("joint", 1), f"1 … {joints}", lambda t: _up_to(t, joints)
-            ),
-            Field(
-                "quantity", "What swings", quantity if quantity in swings else "position",
-                choices=swings,
-            ),
-            Field("amplitude", "Peak", last.get("amplitude") or "", "rad, N m", _or_usual,
+            Field("joint", "Joint", last.joint, f"1 … {joints}", lambda t: _up_to(t, joints)),
+            Field("quantity", "What swings", quantity, choices=swings),
+            Field("amplitude", "Peak", last.amplitude or "", "rad, N m", _or_usual,
                   hint=_usual(snapshot, swings)),
-            Field("f_min", "From", last.get("f_min", 0.5), "Hz", positive),
-            Field("f_max", "To", last.get("f_max", 30.0), "Hz", positive),
-            Field("lines", "Frequencies at most", last.get("lines", 30), "", whole),
-            Field("periods", "Periods", last.get("periods", 6), "", whole),
-            Field("input", "Input", last.get("input", ""), hint="else the reference, or torque"),
-            Field("output", "Output", last.get("output", ""), hint="else the position"),
+            Field("f_min", "From", last.f_min, "Hz", positive),
+            Field("f_max", "To", last.f_max, "Hz", positive),
+            Field("lines", "Frequencies at most", last.lines, "", whole),
+            Field("periods", "Periods", last.periods, "", whole),
+            Field("input", "Input", last.input, hint="else the reference, or torque"),
+            Field("output", "Output", last.output, hint="else the position"),
         ]  # fmt: skip
         form = Form("Frequency response", fields, f"{BODE} {MOVES}", ok="Measure")
-        self.app.push_screen(form, lambda r: self._respond(r) if r else None)
+        self.app.push_screen(form, lambda r: self._respond(Swing(**r)) if r else None)
 
-    def _respond(self, asked: Mapping[str, Any]) -> None:
-        self._asked[Outcome.RESPONSE] = asked
-        settings = {**asked, "channels": usual_channels(self.lab.session.snapshot)}
+    def _respond(self, asked: Swing) -> None:
+        self._swing = asked
+        channels = usual_channels(self.lab.session.snapshot)
         runs = self.lab.workspace.runs
-        name = f"bode joint {asked['joint']}"
+        name = f"bode joint {asked.joint}"
 
         def keep(found: FrequencyResponse) -> Run:
             sources = self.lab.source_texts()
@@ -98,7 +94,7 @@ class MeasureActions(RunActions):
             MeasureJob(
                 self.lab.session,
                 "frequency response",
-                lambda port, tell: port.respond(settings, tell),
+                lambda port, tell: port.respond(asked, channels, tell),
                 keep,
             )
         )
@@ -131,35 +127,33 @@ class MeasureActions(RunActions):
         if snapshot.state != ProgramState.RUNNING:
             self.say("a sweep is of a program that runs: start it first (F2, s)", "warning")
             return
-        last = self._asked.get("sweep", {})
+        last = self._tries
         parameters = [v for v in snapshot.variables if v.kind == VariableKind.PARAMETER]
         known, example = {v.name: v.length for v in parameters}, _example(parameters)
         errors = [c for c in usual_channels(snapshot) if c.rstrip("0123456789") == "e"]
         fields = [
-            Field("words", "Parameters", last.get("words", ""), hint=example,
+            Field("words", "Parameters", last.words, hint=example,
                   check=lambda text: _parameters(text, known, example)),
-            Field("channels", "Measured of", last.get("channels", " ".join(errors)), check=_words),
-            Field("measures", "Measures", last.get("measures", "rms max"), check=_words,
+            Field("channels", "Measured of", last.channels or " ".join(errors), check=_words),
+            Field("measures", "Measures", last.measures, check=_words,
                   hint="rms max mean std p2p"),
-            Field("seconds", "Measured for", last.get("seconds", 2.0), "s", positive),
-            Field("settle", "Left out before", last.get("settle", 0.5), "s", _from_zero),
-            Field("together", "Not all combinations", bool(last.get("together", False))),
+            Field("seconds", "Measured for", last.seconds, "s", positive),
+            Field("settle", "Left out before", last.settle, "s", _from_zero),
+            Field("together", "Not all combinations", last.together),
         ]  # fmt: skip
         form = Form("Sweep", fields, f"{SWEEP} {MOVES}", ok="Measure")
-        self.app.push_screen(form, lambda r: self._sweep(r) if r else None)
+        self.app.push_screen(form, lambda r: self._sweep(Tries(**r)) if r else None)
 
-    def _sweep(self, asked: Mapping[str, Any]) -> None:
-        self._asked["sweep"] = asked
+    def _sweep(self, asked: Tries) -> None:
+        self._tries = asked
         from zendsp.experiment.sweep import announced, tried_of
 
-        options = {name: asked[name] for name in ("seconds", "settle", "together")}
-        tried = tried_of(asked["words"].split())
+        tried = tried_of(asked.words.split())
         try:
-            self.say(announced(tried, **options))
+            self.say(announced(tried, asked.seconds, asked.settle, asked.together))
         except ZendspError as error:
             self.say(str(error), "error")
             return
-        channels, measures = asked["channels"].split(), asked["measures"].split()
         workspace = self.lab.workspace
 
         def keep(found: Sweep) -> tuple[Sweep, Path]:
@@ -167,8 +161,7 @@ class MeasureActions(RunActions):
             return found, found.save(workspace.free(workspace.sweeps, stem, ".csv"))
 
         def measure(port: Port, tell: Tell) -> Sweep:
-            settings = {**options, "measures": measures, "on_run": reached}
-            return port.sweep(tried, channels, settings, tell)
+            return port.sweep(asked, reached, tell)
 
         def reached(found: Sweep) -> None:
             job.reached = found
@@ -179,8 +172,10 @@ class MeasureActions(RunActions):
     @on(DataTable.RowSelected, "#sweep")
     def _use_row(self, event: DataTable.RowSelected) -> None:
         """Lead the program over to the values of a row."""
+        from zendsp.experiment.sweep_result import short
+
         values = self.query_one(SweepView).values(event.cursor_row)
-        words = ", ".join(f"{name} = {value:.6g}" for name, value in values.items())
+        words = ", ".join(f"{name} = {short(value, 6)}" for name, value in values.items())
         self.lab.session.do("sweep", lambda port: port.fade(values)).add_done_callback(
             lambda done: None if done.exception() else self.lab.session.events.add(words, "good")
         )
@@ -243,7 +238,7 @@ def _or_usual(text: str) -> float | None:
     return positive(text) if text.strip() else None
 
 
-def _usual(s: Snapshot, swings: Sequence[Literal["position", "torque"]]) -> str:
+def _usual(s: Snapshot, swings: Sequence[Quantity]) -> str:
     """Say how far the first joint swings where nothing is typed."""
     from zendsp.experiment.frequency import usual_amplitude
 

@@ -15,7 +15,7 @@ import weakref
 from pathlib import Path
 from typing import Any
 
-from zendsp_isr.parts import build_machine, build_runner, is_model
+from zendsp_isr.parts import build_machine, build_runner, is_model, with_remedy
 from zendsp_protocol import stop_page
 from zendsp_protocol.errors import Refused, RunnerDied, ZendspError
 from zendsp_protocol.states import Clock
@@ -113,9 +113,11 @@ def look_at(settings: Settings, folder: Path) -> str:
         command = [str(build_runner()), "--look", str(file.path)]
         status = subprocess.run(command, timeout=settings.load_s, check=False).returncode
         if status != 0:
+            said = text_of(control.error)
+            if said and is_model(settings.machine):
+                said = with_remedy(said, settings.machine)
             raise Refused(
-                text_of(control.error)
-                or f"the machine {settings.machine} ended the runner with status {status}"
+                said or f"the machine {settings.machine} ended the runner with status {status}"
             )
         return text_of(control.info.text)
     except subprocess.TimeoutExpired:
