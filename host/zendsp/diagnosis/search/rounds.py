@@ -195,7 +195,7 @@ class Rounds:
             rest = [(c, get_effect(c.effect)) for _, c in options if c.effect not in first]
             listed += [[c] for c, effect in rest if effect.common or effect.hides]
         seen = {c.effect for group in listed for c in group}
-        idle = [] if only else [g for g in listed if self._is_idle(current, g, options)]
+        idle = [] if only else [g for g in listed if self._is_idle(current, g)]
         # what takes longest comes first, so that no thread is left with it at the end
         listed = [
             *simulated(current.data, current.model, self.joint, only, self.jobs, self.given),
@@ -266,7 +266,7 @@ class Rounds:
             for share, c in options
             if c.effect not in seen and share > PROMISING and self._deviance_of(share) > best
         ]
-        more = [group for group in more if not self._is_idle(current, group, options)]
+        more = [group for group in more if not self._is_idle(current, group)]
         found = each(lambda group: self._quick(current, group), more)
         return [r for r in found if r is not None]
 
@@ -274,22 +274,26 @@ class Rounds:
         """Decrease of the deviance with a share of the cost."""
         return -self.n * math.log1p(-min(share, 1.0 - 1e-9))
 
-    def _is_idle(
-        self, current: Scored, group: list[Candidate], options: Sequence[tuple[float, Candidate]]
-    ) -> bool:
+    def _is_idle(self, current: Scored, group: list[Candidate]) -> bool:
         """Whether a screened hypothesis promises so little that no fit makes a step of it: on all
-        samples, under the model's own observer; and in its screen too, where the model needs a fast
-        one. A screen that thins may promise much that all samples deny. Not asked where a state of
-        its own is in the model, which no screen sees, nor of what replaces something.
+        samples, under the model's own observer, and where that is fast under a settled one too. A
+        screen that thins may promise much that all samples deny. Not asked where a state of its own
+        is in the model, which no screen sees, nor of what replaces something.
         """
-        first, terms = group[0], current.model.at(self.joint)
-        if first.replaces or any(get_effect(t.effect).scan is not None for t in terms):
+        terms = current.model.at(self.joint)
+        if group[0].replaces or any(get_effect(t.effect).scan is not None for t in terms):
             return False
-        least = REACH * (WAIT + self._price_of(group))
-        if current.data.bandwidth[self.joint - 1] > SETTLED:
-            share = max(share for share, c in options if c.effect == first.effect)
-            if self._deviance_of(share) > least:
-                return False
+        least = WAIT + self._price_of(group)
+        if self._promised(current, group) > REACH * least:
+            return False
+        if current.data.bandwidth[self.joint - 1] <= SETTLED:
+            return True
+        slow = self._under(current, current.data.at_bandwidth(self.joint, SETTLED))
+        behind = max(0.0, slow.deviance - current.deviance)
+        return self._promised(slow, group) < REACH * (least + behind)
+
+    def _promised(self, current: Scored, group: list[Candidate]) -> float:
+        """Decrease of the deviance that a hypothesis promises on all samples, to first order."""
         if id(current) not in self._screens:
             joints, handles = (self.joint,), current.fit.handles
             here = fit(current.data, current.model, handles, joints=joints, iterations=0)
@@ -297,7 +301,7 @@ class Rounds:
             self._screens[id(current)] = current, screen
         screen = self._screens[id(current)][1]
         gain = max(screen.gain_of(candidate) for candidate in group)
-        return self._deviance_of(gain / float(screen.r @ screen.r)) < least
+        return self._deviance_of(gain / float(screen.r @ screen.r))
 
     def _price_of(self, group: list[Candidate]) -> float:
         return price(group[0].terms, self.n)
