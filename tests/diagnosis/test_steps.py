@@ -374,6 +374,25 @@ def test_a_transmission_that_promises_next_to_nothing_beside_another_law_is_not_
             assert not transmissions & set(fitted)
 
 
+@pytest.mark.parametrize("push", [0.0, 0.01])
+def test_what_promises_nothing_on_all_samples_is_not_fitted(
+    push: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fitted: list[str] = []
+    quick = Rounds._quick
+
+    def noted(self: Rounds, current: Scored, group: list[Candidate]) -> Rival | None:
+        fitted.append(group[0].effect)
+        return quick(self, current, group)
+
+    monkeypatch.setattr(Rounds, "_quick", noted)
+    machine = reality.Machine(push=(push, 0.0, 99.0))
+    columns = reality.simulate(machine, reality.multisine(6.0, RATE, 3), RATE)
+    data = data_of(columns, base := model_of(VISCOUS, COULOMB))
+    Rounds(data, 1, 1, print, base).round(calibrate_joint(data, base, 1))
+    assert ("torque_offset" in fitted) is (push > 0.0)  # every search lists it
+
+
 def test_no_move_begins_from_a_gap_that_has_closed(monkeypatch: pytest.MonkeyPatch) -> None:
     moves: list[float] = []
     monkeypatch.setattr(backlash, "lossy", lambda scored, *_: moves.append(1.0) or scored)
@@ -533,6 +552,7 @@ def test_what_promises_more_than_anything_listed_keeps_is_not_overlooked(
     monkeypatch.setattr(
         Rounds, "_quick", lambda _, base, group: replace(listed, effect=group[0].effect)
     )
+    monkeypatch.setattr(Rounds, "_is_idle", lambda *_: False)  # nothing is missing here
     each = Rounds(data, 1, 1, lambda _: None)
     assert 100 < 0.05 * each.n < 1000
     more = each._overlooked(current, options, [[options[0][1]]], [listed], map)

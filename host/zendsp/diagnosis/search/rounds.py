@@ -194,7 +194,6 @@ class Rounds:
             first = {c.effect for group in listed for c in group}
             rest = [(c, get_effect(c.effect)) for _, c in options if c.effect not in first]
             listed += [[c] for c, effect in rest if effect.common or effect.hides]
-        seen = {c.effect for group in listed for c in group}
         idle = [] if only else [g for g in listed if self._is_idle(current, g)]
         # what takes longest comes first, so that no thread is left with it at the end
         listed = [
@@ -206,8 +205,7 @@ class Rounds:
         with threads(self.jobs) as each:
             quick = self._looked_at(current, listed, each, all_of_them=bool(only))
             if not only:
-                seen |= {c.effect for group in listed for c in group}
-                quick += self._overlooked(current, options, seen, quick, each)
+                quick += self._overlooked(current, options, [*listed, *idle], quick, each)
             quick.sort(key=lambda r: r.value)
             reach = 0.5 * (current.deviance - quick[0].value) if quick else 0.0
             # what is idle gains nothing, and costs its price: it would be likelier than that
@@ -253,7 +251,7 @@ class Rounds:
         self,
         current: Scored,
         options: Sequence[tuple[float, Candidate]],
-        seen: set[str],
+        listed: list[list[Candidate]],
         quick: list[Rival],
         each: Each,
     ) -> list[Rival]:
@@ -261,6 +259,7 @@ class Rounds:
         observer a screen promises many effects much, and the true one no more than others.
         """
         best = max((current.deviance - r.value for r in quick), default=0.0)
+        seen = {c.effect for group in listed for c in group}
         more = [
             starts_of(c, current.data)
             for share, c in options
@@ -296,8 +295,9 @@ class Rounds:
         """Decrease of the deviance that a hypothesis promises on all samples, to first order."""
         if id(current) not in self._screens:
             joints, handles = (self.joint,), current.fit.handles
-            here = fit(current.data, current.model, handles, joints=joints, iterations=0)
-            screen = Screen(current.data, here, self.joint, joints)
+            data, model = current.data, current.model
+            here = fit(data, model, handles, joints=joints, iterations=0, jobs=self.jobs)
+            screen = Screen(data, here, self.joint, joints)
             self._screens[id(current)] = current, screen
         screen = self._screens[id(current)][1]
         gain = max(screen.gain_of(candidate) for candidate in group)
