@@ -374,9 +374,9 @@ def test_a_transmission_that_promises_next_to_nothing_beside_another_law_is_not_
             assert not transmissions & set(fitted)
 
 
-@pytest.mark.parametrize("push", [0.0, 0.01])
+@pytest.mark.parametrize("drag", [0.0, 0.002])
 def test_what_promises_nothing_on_all_samples_is_not_fitted(
-    push: float, monkeypatch: pytest.MonkeyPatch
+    drag: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fitted: list[str] = []
     quick = Rounds._quick
@@ -386,11 +386,10 @@ def test_what_promises_nothing_on_all_samples_is_not_fitted(
         return quick(self, current, group)
 
     monkeypatch.setattr(Rounds, "_quick", noted)
-    machine = reality.Machine(push=(push, 0.0, 99.0))
-    columns = reality.simulate(machine, reality.multisine(6.0, RATE, 3), RATE)
+    columns = reality.simulate(reality.Machine(drag=drag), reality.multisine(6.0, RATE, 3), RATE)
     data = data_of(columns, base := model_of(VISCOUS, COULOMB))
     Rounds(data, 1, 1, print, base).round(calibrate_joint(data, base, 1))
-    assert ("torque_offset" in fitted) is (push > 0.0)  # every search lists it
+    assert ("quadratic_drag" in fitted) is (drag > 0.0)  # every search lists it
 
 
 def test_no_move_begins_from_a_gap_that_has_closed(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -277,10 +277,11 @@ class Rounds:
         """Whether a screened hypothesis promises so little that no fit makes a step of it: on all
         samples, under the model's own observer, and where that is fast under a settled one too. A
         screen that thins may promise much that all samples deny. Not asked where a state of its own
-        is in the model, which no screen sees, nor of what replaces something.
+        is in the model, which no screen sees, nor of what replaces another or hides from screens.
         """
         terms = current.model.at(self.joint)
-        if group[0].replaces or any(get_effect(t.effect).scan is not None for t in terms):
+        unseen = get_effect(group[0].effect).hides or group[0].replaces
+        if unseen or any(get_effect(t.effect).scan is not None for t in terms):
             return False
         least = WAIT + self._price_of(group)
         if self._promised(current, group) > REACH * least:
