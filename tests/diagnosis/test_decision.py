@@ -7,6 +7,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from reality import FAST, KNOWN, RATE
 
 from zendsp.diagnosis import Diagnosis, diagnose, engine
 from zendsp.diagnosis.decide import decide as decision
+from zendsp.diagnosis.decide import detectable as sizes
 from zendsp.diagnosis.decide import laws
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.detectable import detectable
@@ -25,6 +27,8 @@ from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.report.figures import charts
 from zendsp.diagnosis.report.laws import law_chart
 from zendsp.diagnosis.report.summary import headline
+from zendsp.physics.calibration.handles import get_values
+from zendsp.physics.effects import get_effect
 from zendsp.physics.files.model_file import parse_model
 from zendsp.physics.files.model_write import model_text
 
@@ -239,6 +243,30 @@ def test_complete_says_what_would_have_been_seen_and_an_effect_of_twice_that_is_
     assert 0 < ripple.size < 0.01
     again = decided(reality.Machine(ripple=2 * ripple.size))
     assert [f.effect for f in again.findings] == ["ripple"]
+
+
+@pytest.mark.usefixtures("searched_once")
+def test_a_larger_implant_is_fitted_from_what_the_smaller_one_has_bent(
+    decided: Decided, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fits: list[Any] = []
+    fit_scored = sizes.fit_scored
+
+    def noted(data: Any, model: Any, handles: Any, *rest: Any, **more: Any) -> Any:
+        out = fit_scored(data, model, handles, *rest, **more)
+        fits.append((model.terms[-1], get_values(model, handles), get_values(out.model, handles)))
+        return out
+
+    monkeypatch.setattr(sizes, "fit_scored", noted)
+    decided(reality.Machine())
+    given, larger = fits[0][1], 0
+    for (small, _, ended), (large, begun, _) in pairwise(fits):
+        key = sizes._key(get_effect(small.effect))
+        if small.effect == large.effect and large.value(key) > small.value(key):
+            grown = large.value(key) / small.value(key)
+            assert begun == pytest.approx(given + grown * (ended - given))
+            larger += 1
+    assert larger
 
 
 @pytest.mark.usefixtures("searched_once")

@@ -374,6 +374,24 @@ def test_a_transmission_that_promises_next_to_nothing_beside_another_law_is_not_
             assert not transmissions & set(fitted)
 
 
+@pytest.mark.parametrize("drag", [0.0, 0.002])
+def test_what_promises_nothing_on_all_samples_is_not_fitted(
+    drag: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fitted: list[str] = []
+    quick = Rounds._quick
+
+    def noted(self: Rounds, current: Scored, group: list[Candidate]) -> Rival | None:
+        fitted.append(group[0].effect)
+        return quick(self, current, group)
+
+    monkeypatch.setattr(Rounds, "_quick", noted)
+    columns = reality.simulate(reality.Machine(drag=drag), reality.multisine(6.0, RATE, 3), RATE)
+    data = data_of(columns, base := model_of(VISCOUS, COULOMB))
+    Rounds(data, 1, 1, print, base).round(calibrate_joint(data, base, 1))
+    assert ("quadratic_drag" in fitted) is (drag > 0.0)  # every search lists it
+
+
 def test_no_move_begins_from_a_gap_that_has_closed(monkeypatch: pytest.MonkeyPatch) -> None:
     moves: list[float] = []
     monkeypatch.setattr(backlash, "lossy", lambda scored, *_: moves.append(1.0) or scored)
@@ -548,6 +566,7 @@ def test_what_promises_more_than_anything_listed_keeps_is_not_overlooked(
     monkeypatch.setattr(
         Rounds, "_quick", lambda _, base, group: replace(listed, effect=group[0].effect)
     )
+    monkeypatch.setattr(Rounds, "_is_idle", lambda *_: False)  # nothing is missing here
     each = Rounds(data, 1, 1, lambda _: None)
     assert 100 < 0.05 * each.n < 1000
     more = each._overlooked(current, options, [[options[0][1]]], [listed], map)

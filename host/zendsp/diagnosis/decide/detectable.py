@@ -51,12 +51,13 @@ from zendsp.diagnosis.measure.discrepancy import (
     mean_square,
 )
 from zendsp.diagnosis.measure.evidence import compare
-from zendsp.diagnosis.measure.likelihood import fit_scored, informative
+from zendsp.diagnosis.measure.likelihood import Scored, fit_scored, informative
 from zendsp.diagnosis.measure.windows import standing_out, window_error
 from zendsp.diagnosis.search.hypothesis import price
 from zendsp.diagnosis.search.rounds import PROMISING, WAIT
 from zendsp.diagnosis.search.screen import Screen, phase_of
 from zendsp.physics.calibration.fit import Data, Fit, fit, joint_handles, residual
+from zendsp.physics.calibration.handles import get_values, set_values
 from zendsp.physics.calibration.terms import grid_of, make_term, usable
 from zendsp.physics.effects import Effect, get_effect, library, mechanism_of, unit_of
 from zendsp.physics.model import Model, Term
@@ -237,6 +238,7 @@ class _Implant:
         None where an effect that is not small would not.
         """
         key, absorbed = _key(get_effect(term.effect)), 0
+        without, grown = None, 1.0
         for _ in range(IMPLANTS):
             held = {name: replace(q, free=False) for name, q in term.parameters.items()}
             model = self.final.model.with_terms(
@@ -244,25 +246,36 @@ class _Implant:
             )
             if difference(self.test, model, self.final.model, self.joint) > NOT_SMALL:
                 return None
-            lacking, torque = self._short_by(term, model, least)
+            without = self._without(model, without, grown)
+            lacking, torque = self._short_by(term, without, least)
             if lacking <= 1.0:
                 return term.value(key), torque
             absorbed += not math.isfinite(lacking)
             if absorbed == ABSORBED:
                 return None
-            larger = AMPLE * min(max(lacking, LARGER), FARTHER) * term.value(key)
-            term = _set(term, {key: larger})
+            grown = AMPLE * min(max(lacking, LARGER), FARTHER)
+            term = _set(term, {key: grown * term.value(key)})
         return None
 
-    def _short_by(self, term: Term, model: Model, least: float) -> tuple[float, float]:
+    def _without(self, model: Model, smaller: Scored | None, grown: float) -> Scored:
+        """The calibrated numbers and the observer beside an implant. They begin where those beside
+        a ``smaller`` one ended, the numbers further by as much as it has ``grown``: to first order
+        they go with its size.
+        """
+        data, joints = (smaller or self.final).data, (self.joint,)
+        handles = joint_handles(data, model, self.joint)
+        if smaller is not None:
+            at, ended = (get_values(m, handles) for m in (model, smaller.model))
+            model = set_values(model, handles, at + grown * (ended - at))
+        return fit_scored(
+            data, model, handles, joints, iterations=ITERATIONS, jobs=self.jobs, rounds=2
+        )
+
+    def _short_by(self, term: Term, without: Scored, least: float) -> tuple[float, float]:
         """By how many times an effect would have to be larger, 1 or less: it is seen; and its
         torque.
         """
         test, joint, final = self.test, self.joint, self.final
-        handles = joint_handles(final.data, model, joint)
-        without = fit_scored(
-            final.data, model, handles, (joint,), iterations=ITERATIONS, jobs=self.jobs, rounds=2
-        )
         torque = difference(test, without.model, final.model, joint)
         worth = max(WAIT + price((term,), self.n), PROMISING * self.n)
         found = without.deviance - final.deviance

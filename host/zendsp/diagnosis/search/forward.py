@@ -17,7 +17,6 @@ import numpy as np
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
 from zendsp.diagnosis.progress import Progress
 from zendsp.diagnosis.search.backlash import refine
-from zendsp.diagnosis.search.candidates import screened
 from zendsp.diagnosis.search.hypothesis import (
     SUFFICIENT,
     JointSearch,
@@ -233,8 +232,8 @@ class Searcher:
         """Whether white innovations hide an effect: under a slower observer one promises a step. So
         does what is small everywhere, such as a delay of a tenth of a row.
         """
-        data, n = base.data, self.rounds.n
-        best = screened(data, base.model, self.joint, jobs=self.jobs)[:1]
+        n = self.rounds.n
+        best = self.rounds.options(base)[:1]
         return any(share * n > WAIT + price(option.terms, n) for share, option in best)
 
     def _in_gap(self, current: Scored, chosen: Rival) -> Rival:

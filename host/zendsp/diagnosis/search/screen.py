@@ -227,6 +227,14 @@ class Screen:
         effect = get_effect(name)
         return self._candidate(effect, *max(self._at(effect, points), key=lambda found: found[0]))
 
+    def gain_of(self, candidate: Candidate) -> float:
+        """Decrease of the cost that a candidate of one term promises where its grid point is."""
+        effect = get_effect(candidate.effect)
+        free = {*effect.linear, phase_of(effect), "neutral"}
+        numbers = candidate.terms[0].parameters.items()
+        point = {name: q.value for name, q in numbers if name not in free}
+        return max(gain for gain, _ in self._at(effect, [point]))
+
     def _best(self, effect: Effect) -> list[Candidate]:
         """An effect at its best grid point; one for each choice of the numbers that no fit moves (a
         coupling's law).
