@@ -109,7 +109,7 @@ def test_where_the_joints_have_one_finding_no_body_is_asked(
     monkeypatch.setattr(machine, "explain", lambda *_: pytest.fail("searched once more"))
     parts = SimpleNamespace(test=None)
     apart: Any = SimpleNamespace(
-        bare=parts, bodies=SimpleNamespace(found=[1, 2]), searches=[], decisions=[], whole=None
+        bare=parts, bodies=SimpleNamespace(found=[1, 2]), explained=([], [], None)
     )
     found = machine._one_body(apart, ([], [], None), None, 1, print)  # type: ignore[arg-type]
     assert found is apart
@@ -373,13 +373,22 @@ def test_what_a_joint_claims_may_be_a_bodys_weight(
 
 
 @pytest.mark.parametrize(
-    ("mechanism", "left_open"),
-    [("position_torque", {2, 5}), ("actuator", {2, 5}), ("dry_friction", {5})],
+    ("mechanism", "left_open", "after"),
+    [
+        ("position_torque", {2, 5}, 1.0),
+        ("actuator", {2, 5}, 1.0),
+        ("dry_friction", {5}, 1.0),
+        ("actuator", {2, 5}, 2.0),  # slow motion: 1.5 kg became -4.9
+    ],
 )
 def test_a_spring_or_a_gain_fitted_beside_a_body_leaves_its_joints_weight_open(
-    monkeypatch: pytest.MonkeyPatch, mechanism: str, left_open: set[int]
+    monkeypatch: pytest.MonkeyPatch, mechanism: str, left_open: set[int], after: float
 ) -> None:
-    """The spring of a real arm's balancer, fitted beside 159 kg, made 175 ± 5 of them; of 150."""
+    """The spring of a real arm's balancer, fitted beside 159 kg, made 175 ± 5 of them; of 150.
+    Numbers that predict worse are not taken.
+    """
+    errors = iter((1.0, after))
+    monkeypatch.setattr(decide_bodies, "model_error", lambda *_: next(errors))
     asked: list[frozenset[int]] = []
 
     def found_again(*args: Any) -> Any:
@@ -397,7 +406,8 @@ def test_a_spring_or_a_gain_fitted_beside_a_body_leaves_its_joints_weight_open(
     claim = BodyClaim(found, {}, 1.0, 0.9)
     at: Any = [SimpleNamespace(joint=2, claims=[SimpleNamespace(mechanism=mechanism)])]
     (settled,), _ = decide_bodies.settled(parts, [claim], planar(0.15), at, 1)
-    assert asked == [left_open] and settled.found.explained == "again"
+    assert asked == [left_open]
+    assert (settled.found.explained == "again") == (after <= 1.0)
 
 
 @pytest.mark.parametrize(("several", "proposed"), [(True, False), (False, False), (True, True)])

@@ -56,11 +56,6 @@ from zendsp.physics.term_numbers import file_model, kernel_model
 from zendsp.prompt import shows_progress
 from zendsp.recording import Recording, Table
 
-STOPPED = (
-    "Ctrl-C ended the search: this is what was found until then; other explanations, what could"
-    " have been seen and the next recording were not asked for"
-)
-
 
 @shows_progress
 def diagnose(
@@ -141,19 +136,12 @@ def _diagnose(
     begin = time.perf_counter()
     given = kernel_model(given_file)
     signals, parts, notes = _ready(*sources, given, tell)
-    stopped = False
-    try:
-        found = find(signals, parts, given, jobs, tell)
-    except Stopped as stop:
-        if not so_far:
-            raise
-        found, stopped = stop.found, True
-        notes.insert(0, STOPPED)
+    found, stopped = _found(signals, parts, given, jobs, tell, so_far)
     found, clocks = _by_one_clock(found)
     parts, decisions, whole = found.parts, found.decisions, found.whole
-    notes += [note for m in found.measured for note in m.notes]
+    notes = [*stopped, *notes, *(note for m in found.measured for note in m.notes)]
     findings, refinements, rejected = _name(found, given)
-    verdict = _verdict(findings, decisions, stopped)
+    verdict = _verdict(findings, decisions, bool(stopped))
     better = whole.improved if findings else whole.calibrated
     improved = remembered(better, given, decisions, findings)
     shown_on = parts.test if found.load else parts.fit  # where what lacks is to be seen
@@ -200,8 +188,28 @@ def _diagnose(
         missing=lacking,
         remaining={j: after for j, (_, _, after) in seen_at.items()},
         workings=Workings(found.searches, decisions, whole, shown_on, parts.test),
-        stopped=stopped,
+        stopped=bool(stopped),
     )
+
+
+def _found(
+    signals: Sequence[Sequence[Signals]],
+    parts: Parts,
+    given: Model,
+    jobs: int,
+    tell: Progress,
+    so_far: bool,
+) -> tuple[Found, list[str]]:
+    """What is found, and a note where Ctrl-C ended the search (``so_far``: it is to be kept)."""
+    try:
+        return find(signals, parts, given, jobs, tell), []
+    except Stopped as stop:
+        if not so_far:
+            raise
+        return stop.found, [
+            "Ctrl-C ended the search: this is what was found until then; other explanations, what"
+            " could have been seen and the next recording were not asked for"
+        ]
 
 
 def _by_one_clock(found: Found) -> tuple[Found, list[str]]:

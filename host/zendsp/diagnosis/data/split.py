@@ -20,6 +20,9 @@ Array = npt.NDArray[np.float64]
 
 # s before and after what is cut out: an observer comes late, and a joint swings on
 PUSH_MARGIN_S = 0.25
+# of its travel: a joint that moves by no more rests; held by a loop while another one moves, one of
+# an arm moved by 0.05
+RESTS = 0.1
 LEFT = 0.5  # of the rows that cutting leaves at least
 # of the travel: a joint that stays so near to where it ends stands; and s: a rest at the end that
 # is as long is left out. Chosen on one arm, which crept by 0.002 of its travel in eight seconds
@@ -109,32 +112,44 @@ def _until_rest(s: Signals) -> tuple[Signals, list[str]]:
 
 
 def halves(held: Sequence[Signals]) -> tuple[list[Signals], list[Signals], list[str]]:
-    """Recordings to choose by and recordings to test on: whole ones where there are several, else
-    the halves of the one.
+    """Recordings to choose by and recordings to test on: whole ones where there are several, and
+    the same joints move in both; else the halves of each.
 
     Returns
     -------
     choose, test, notes
-        One list, where it is too short to be divided.
+        One list, where all are too short to be divided.
     """
-    if len(held) > 1:
-        middle = len(held) // 2
+    middle = len(held) // 2
+    if middle and _moved(held[:middle], held) == _moved(held[middle:], held):
         return list(held[:middle]), list(held[middle:]), []
-    (s,) = held
-    n = len(s.time)
-    if n < 2 * MIN_SAMPLES:
+    long = [s for s in held if len(s.time) >= 2 * MIN_SAMPLES]
+    if middle and len(long) < len(held):
+        return list(held[:middle]), list(held[middle:]), []
+    if not long:
         note = (
-            f"{s.name}: too short to be divided: what was chosen by it is tested on it too, so the"
-            " tested figures flatter"
+            f"{held[0].name}: too short to be divided: what was chosen by it is tested on it too,"
+            " so the tested figures flatter"
         )
-        return (both := [s]), both, [note]
-    way = _way(s)
-    cut = int(np.clip(np.searchsorted(way, 0.5), MIN_SAMPLES, n - MIN_SAMPLES))
+        return (both := list(held)), both, [note]
+    cuts = [
+        int(np.clip(np.searchsorted(_way(s), 0.5), MIN_SAMPLES, len(s.time) - MIN_SAMPLES))
+        for s in long
+    ]
+    cut = list(zip(long, cuts, strict=True))
     return (
-        [s.part(0, cut, f"{s.name} (to choose by)")],
-        [s.part(cut, n, f"{s.name} (to test on)")],
+        [s.part(0, n, f"{s.name} (to choose by)") for s, n in cut],
+        [s.part(n, len(s.time), f"{s.name} (to test on)") for s, n in cut],
         [],
     )
+
+
+def _moved(some: Sequence[Signals], every: Sequence[Signals]) -> frozenset[int]:
+    """Joints (from 0) that move in some recordings, as far as a joint that rests does not."""
+    here, there = (
+        np.max([np.ptp(s.position, axis=0) for s in signals], axis=0) for signals in (some, every)
+    )
+    return frozenset(np.flatnonzero(here > RESTS * there).tolist())
 
 
 def cut_out(signals: Sequence[Signals], spans: Sequence[tuple[str, float, float]]) -> list[Signals]:

@@ -71,7 +71,7 @@ from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model, Quantity, Term
 
 Array = npt.NDArray[np.float64]
-TRIED = 6  # of the first round's hypotheses, the likeliest
+LIKELIEST = 6  # of the first round's hypotheses, the likeliest
 
 
 def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Progress) -> Decision:
@@ -235,7 +235,7 @@ def _nothing_named(
     beside = discrepancy(parts.test, search.final.model, joint) if pieces else before
     least = search.final.deviance
     tried = {e: p.without.deviance - least for p in pieces for e in p.effects}
-    tried |= {r.effect: base.deviance - r.value for r in search.tried[:TRIED]}
+    tried |= {r.effect: base.deviance - r.value for r in search.tried[:LIKELIEST]}
     lost = tuple(_lost(e, joint, gain, pieces, before, beside) for e, gain in tried.items())
     out = Decision(
         joint,
@@ -255,7 +255,7 @@ def _nothing_named(
         near=nearest_law(lost, pieces, before, beside),
     )
     push = pushed(out, parts, jobs)
-    laws = [r.scored.model for r in search.tried[:TRIED] if get_effect(r.effect).over != "time"]
+    laws = [r.scored.model for r in search.tried[:LIKELIEST] if get_effect(r.effect).over != "time"]
     if not (push is None or of_the_motion(push, parts, turning) or of_a_law(push, laws, parts)):
         return push
     asked = _asked(out, parts, given, turning)

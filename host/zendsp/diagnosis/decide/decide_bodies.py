@@ -26,6 +26,7 @@ from zendsp.diagnosis.measure.discrepancy import difference, mean_square
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import fit_scored
 from zendsp.diagnosis.measure.significance import INTEGRATION_ERROR
+from zendsp.diagnosis.measure.windows import model_error
 from zendsp.diagnosis.search.bodies import BodySearch, FoundBody, agreed, refined, stated, unsure
 from zendsp.diagnosis.search.body_columns import Layout
 from zendsp.diagnosis.search.body_hypotheses import COM, LIMITS
@@ -246,7 +247,8 @@ def settled(
 ) -> tuple[tuple[BodyClaim, ...], Model]:
     """The claims with their numbers estimated again beside all that was found at the joints, and
     the model with these. A spring or a gain there was fitted beside the body as it was proposed,
-    and takes up what that is off: such a joint's own functions of the position stay free.
+    and takes up what that is off: such a joint's own functions of the position stay free. Numbers
+    that predict worse are not taken: in slow motion these functions are all that a body does.
     """
     loose = {
         d.joint
@@ -273,8 +275,12 @@ def settled(
             claim.found.aside | loose,
         )
         new = stated(layout, again)
-        improved = improved.with_terms(tuple(new if t == term else t for t in improved.terms))
-        out.append(replace(claim, found=replace(claim.found, term=new, explained=again)))
+        other = improved.with_terms(tuple(new if t == term else t for t in improved.terms))
+        before, after = (model_error(parts.choose, m) for m in (improved, other))
+        if after <= before:
+            improved = other
+            claim = replace(claim, found=replace(claim.found, term=new, explained=again))
+        out.append(claim)
     return tuple(out), improved
 
 

@@ -14,6 +14,7 @@ from zendsp.diagnosis.decide.findings import percent
 from zendsp.diagnosis.decide.near import likeness
 from zendsp.diagnosis.decide.result import Errors
 from zendsp.diagnosis.decide.thresholds import AMISS, LAWFUL, OF_STATE
+from zendsp.diagnosis.measure.bursts import Bursts
 from zendsp.diagnosis.measure.where import units
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.model import TREES, Model
@@ -216,10 +217,7 @@ def left_over(decisions: Sequence[Decision], given: Model, fit: Data) -> str:
     for d in decisions:
         unit = given.torque_unit(d.joint)
         if not d.searched:
-            words.append(
-                f"Joint {d.joint}: it was not searched before Ctrl-C; calibrated, the model leaves"
-                f" {percent(d.after.value)} % of its torque"
-            )
+            words.append(_not_searched(d))
         elif d.after.value > 1.0:
             words.append(
                 f"Joint {d.joint}: the model does not follow the recording: more than all of the"
@@ -270,10 +268,21 @@ def left_over(decisions: Sequence[Decision], given: Model, fit: Data) -> str:
                 f"({percent(d.after.value)} % of the torque) stays unexplained"
             )
         if d.beside is not None and d.kind != "complete":
-            words.append(
-                f"Joint {d.joint}: in the recordings of the fit a torque of up to"
-                f" {two_digits(d.beside.peak)} {unit} acts at"
-                f" {spans(d.beside.intervals, d.beside.recordings)} that no state explains: a push"
-                " bends the numbers of what was found"
-            )
+            words.append(_bending(d.joint, d.beside, unit))
     return "\n".join(words)
+
+
+def _not_searched(decision: Decision) -> str:
+    return (
+        f"Joint {decision.joint}: it was not searched before Ctrl-C; calibrated, the model leaves"
+        f" {percent(decision.after.value)} % of its torque"
+    )
+
+
+def _bending(joint: int, push: Bursts, unit: str) -> str:
+    """A push in the recordings of the fit, beside what is claimed."""
+    return (
+        f"Joint {joint}: in the recordings of the fit a torque of up to {two_digits(push.peak)}"
+        f" {unit} acts at {spans(push.intervals, push.recordings)} that no state explains: a push"
+        " bends the numbers of what was found"
+    )
