@@ -35,7 +35,13 @@ from zendsp.diagnosis.report.chart import Panel, Series
 from zendsp.diagnosis.report.figures import charts, from_a_whole_second
 from zendsp.diagnosis.report.files import stands_for, write_report
 from zendsp.diagnosis.report.laws import axis_of
-from zendsp.diagnosis.report.summary import _sized, headline, percent, verdict_sentence
+from zendsp.diagnosis.report.summary import (
+    _sized,
+    headline,
+    percent,
+    unnamed,
+    verdict_sentence,
+)
 from zendsp.physics.effects import get_effect, library, mechanism_of
 from zendsp.physics.files.model_file import load_model
 from zendsp.physics.model import Model, Quantity, Term
@@ -199,6 +205,12 @@ def test_the_unit_of_a_pure_number_is_not_read_out() -> None:
 )
 def test_a_share_of_a_torque_is_never_a_power_of_ten(share: float, text: str) -> None:
     assert percent(share) == text
+
+
+def test_a_remainder_of_which_nothing_is_known_is_never_called_small() -> None:
+    assert unnamed(0.0, 1.0) == "at most 100 % of its torque, and perhaps nothing"
+    assert unnamed(0.0, 0.2) == "at most 20 % of its torque, and perhaps nothing"
+    assert unnamed(1.0, 1.0) == "100 % of its torque"
 
 
 def test_time_stamps_of_a_calendar_are_drawn_from_a_whole_second_that_the_axis_names() -> None:

@@ -214,10 +214,10 @@ def _sized(x: Detectable) -> str:
 
 def unnamed(share: float, high: float) -> str:
     """What of a joint's torque nothing named explains, and at most where that says anything."""
-    says = SMALLEST_SHARE < high < 1.0
-    if says and share < SMALLEST_SHARE:
+    if share < SMALLEST_SHARE < high:
         return f"at most {percent(high)} of its torque, and perhaps nothing"
-    return f"{percent(share)} of its torque{f' (at most {percent(high)})' if says else ''}"
+    most = f" (at most {percent(high)})" if SMALLEST_SHARE < high < 1.0 else ""
+    return f"{percent(share)} of its torque{most}"
 
 
 def before(given: float, calibrated: float, improved: float) -> tuple[str, float]:
