@@ -49,8 +49,8 @@ def test_an_interrupt_waits_for_no_joint(monkeypatch: pytest.MonkeyPatch) -> Non
     assert time.monotonic() - begin < 30.0
 
 
-def test_ctrl_c_keeps_what_was_found_of_the_joints_that_were_finished(tmp_path: Path) -> None:
-    """Two joints: the first lacks dry friction, the second is complete, and not reached."""
+def _two_joints(folder: Path) -> tuple[Path, dict[str, Any]]:
+    """The first lacks dry friction, the second is complete."""
     made = [
         reality.simulate(reality.Machine(coulomb=level), reality.multisine(8.0, RATE, 1), RATE)
         for level in (0.03, 0.0)
@@ -58,7 +58,7 @@ def test_ctrl_c_keeps_what_was_found_of_the_joints_that_were_finished(tmp_path: 
     columns = {"t": made[0]["t"]}
     for k, one in enumerate(made, 1):
         columns |= {f"q{k}": one["q"], f"u{k}": one["u"]}
-    run = reality.save(tmp_path / "run.csv", columns)
+    run = reality.save(folder / "run.csv", columns)
     model = {
         "sample_time": 1.0 / RATE,
         "mechanism": {"kind": "rotary", "parameters": {"inertia": {"value": [0.01, 0.01]}}},
@@ -66,6 +66,11 @@ def test_ctrl_c_keeps_what_was_found_of_the_joints_that_were_finished(tmp_path: 
         "sensor": {"position_resolution": reality.RESOLUTION},
         "columns": {"time": "t", "position": ["q1", "q2"], "command": ["u1", "u2"]},
     }
+    return run, model
+
+
+def test_ctrl_c_keeps_what_was_found_of_the_joints_that_were_finished(tmp_path: Path) -> None:
+    run, model = _two_joints(tmp_path)
     pressed = []
 
     def press(text: str) -> None:
@@ -81,6 +86,26 @@ def test_ctrl_c_keeps_what_was_found_of_the_joints_that_were_finished(tmp_path: 
     assert headline(d).startswith("So far, ended by Ctrl-C: Missing physics: dry friction")
     assert "Joint 2: it was not searched before Ctrl-C" in d.unexplained
     assert d.stopped and not d.detectable and d.next_recording is None
+    assert str(d).startswith("verdict: missing, so far, ended by Ctrl-C\n")
+
+
+def test_ctrl_c_after_the_search_keeps_all_that_was_found(tmp_path: Path) -> None:
+    run, model = _two_joints(tmp_path)
+    pressed = []
+
+    def press(text: str) -> None:
+        if text == "asking what could have been seen":
+            pressed.append(text)
+            raise KeyboardInterrupt
+
+    d = diagnose(run, model, jobs=1, progress=press, so_far=True)
+    assert pressed and d.stopped
+    assert [(f.effect, f.joint) for f in d.findings] == [("coulomb", 1)]
+    assert not d.unexplained and not d.detectable and d.next_recording is None
+    assert "when all joints had been searched" in d.notes[0]
+    assert headline(d).startswith("So far, ended by Ctrl-C: Missing physics: dry friction")
+    with pytest.raises(KeyboardInterrupt):
+        diagnose(run, model, jobs=1, progress=press)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -38,6 +38,7 @@ from zendsp.diagnosis.decide.result import (
     Finding,
     FitTable,
     Left,
+    Next,
     Workings,
 )
 from zendsp.diagnosis.machine import Found, Stopped, find
@@ -55,6 +56,15 @@ from zendsp.physics.model import CALLED, Model
 from zendsp.physics.term_numbers import file_model, kernel_model
 from zendsp.prompt import shows_progress
 from zendsp.recording import Recording, Table
+
+ENDED = (
+    "Ctrl-C ended the search: this is what was found until then; other explanations, what could"
+    " have been seen and the next recording were not asked for"
+)
+ENDED_LAST = (
+    "Ctrl-C ended the diagnosis when all joints had been searched; what could have been seen and"
+    " the next recording were not asked for"
+)
 
 
 @shows_progress
@@ -87,8 +97,8 @@ def diagnose(
     progress : callable, optional
         Receives a sentence at each stage.
     so_far : bool
-        After Ctrl-C return what was found of the joints that were finished, where one was; a second
-        one ends that too.
+        After Ctrl-C return what was found of the joints that were finished, where one was, also
+        where only what follows the search was left to do; a second one ends that too.
 
     Returns
     -------
@@ -139,8 +149,15 @@ def _diagnose(
     found, stopped = _found(signals, parts, given, jobs, tell, so_far)
     found, clocks = _by_one_clock(found)
     parts, decisions, whole = found.parts, found.decisions, found.whole
-    notes = [*stopped, *notes, *(note for m in found.measured for note in m.notes)]
     findings, refinements, rejected = _name(found, given)
+    looked = _Looked(decisions)
+    try:
+        if not stopped:
+            looked = _look_on(found, given, findings, signals[0], seed, jobs, tell)
+    except KeyboardInterrupt:
+        if not so_far:
+            raise
+        stopped = [ENDED_LAST]
     verdict = _verdict(findings, decisions, bool(stopped))
     better = whole.improved if findings else whole.calibrated
     improved = remembered(better, given, decisions, findings)
@@ -149,16 +166,10 @@ def _diagnose(
     seen_at = {j: clearest(shown_on, sides(findings, given, whole, j), j) for j in joints}
     lacking = {j: before for j, (_, before, _) in seen_at.items()}
     places, times, at = _located(lacking, found, findings, verdict)
-    seen: tuple[Detectable, ...] = ()
-    proposal = None
-    if not stopped:
-        tell(Step.LOOKING_ON.says("asking what could have been seen"))
-        seen = detectable(parts, given, decisions, jobs)
-        decisions = blind(decisions, seen)
-        tell(Step.LOOKING_ON.says("proposing the next recording"))
-        proposal = propose(signals[0], given, found.searches, findings, decisions, seed)
+    decisions = looked.decisions
     alone = unseen(parts, found.bodies.model, decisions)
-    seen += (*(d for m in found.measured for d in m.detectable), *alone)
+    notes = [*stopped, *notes, *(note for m in found.measured for note in m.notes)]
+    seen = (*looked.seen, *(d for m in found.measured for d in m.detectable), *alone)
     own, *others = _errors(parts, (given, whole.calibrated, improved))
     notes += [*said(alone), *notes_of(decisions, given), *clocks]
     notes += [*of_load(found.load), *moved(given, whole.calibrated if found.load else better)]
@@ -178,7 +189,7 @@ def _diagnose(
         discrepancy=tuple(_left(d) for d in decisions),
         detectable=seen,
         rejected=rejected,
-        next_recording=proposal,
+        next_recording=looked.proposal,
         seconds=time.perf_counter() - begin,
         notes=(*notes, *left_out(file_model(improved))),
         given=given_file,
@@ -206,10 +217,33 @@ def _found(
     except Stopped as stop:
         if not so_far:
             raise
-        return stop.found, [
-            "Ctrl-C ended the search: this is what was found until then; other explanations, what"
-            " could have been seen and the next recording were not asked for"
-        ]
+        return stop.found, [ENDED]
+
+
+@dataclass(frozen=True)
+class _Looked:
+    """After the search: decisions of what could have been seen, and the next recording."""
+
+    decisions: Sequence[Decision]
+    seen: tuple[Detectable, ...] = ()
+    proposal: Next | None = None
+
+
+def _look_on(
+    found: Found,
+    given: Model,
+    findings: Sequence[Finding],
+    fit: Sequence[Signals],
+    seed: int,
+    jobs: int,
+    tell: Progress,
+) -> _Looked:
+    tell(Step.LOOKING_ON.says("asking what could have been seen"))
+    seen = detectable(found.parts, given, found.decisions, jobs)
+    decisions = blind(found.decisions, seen)
+    tell(Step.LOOKING_ON.says("proposing the next recording"))
+    proposal = propose(fit, given, found.searches, findings, decisions, seed)
+    return _Looked(decisions, seen, proposal)
 
 
 def _by_one_clock(found: Found) -> tuple[Found, list[str]]:

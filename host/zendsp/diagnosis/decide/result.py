@@ -414,7 +414,7 @@ class Diagnosis:
         return sentence(f"verdict: {self.verdict}") + said + numbers + fit
 
     def __str__(self) -> str:
-        lines = [f"verdict: {self.verdict}"]
+        lines = [f"verdict: {self.verdict}{', so far, ended by Ctrl-C' if self.stopped else ''}"]
         lines += [f"  {f.sentence} (confidence {100 * f.confidence:.0f} %)" for f in self.findings]
         lines += [f"  {words}" for words in self.unexplained.splitlines()]
         own, shares = self.errors[0], ((x.joint, x.share) for x in self.discrepancy)
