@@ -224,7 +224,7 @@ def _found(
 class _Looked:
     """After the search: decisions of what could have been seen, and the next recording."""
 
-    decisions: Sequence[Decision]
+    decisions: list[Decision]
     seen: tuple[Detectable, ...] = ()
     proposal: Next | None = None
 
