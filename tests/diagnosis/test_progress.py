@@ -130,3 +130,21 @@ def test_what_is_interrupted_says_how_far_it_was(
     done = CliRunner().invoke(cli, asked)
     assert done.exit_code != 0 and not (tmp_path / "report" / "report.json").exists()
     assert done.stderr.splitlines()[0] == f"{says}: 6/6 reporting"
+
+
+def test_a_report_whose_pictures_are_interrupted_is_named(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def interrupted(_: Any, out: Path, *__: Any) -> None:
+        out.mkdir()
+        (out / "report.json").write_text("{}")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("zendsp.diagnosis.diagnose", lambda *_, **__: SimpleNamespace())
+    monkeypatch.setattr("zendsp.cli.diagnose._write", interrupted)
+    out = tmp_path / "report"
+    asked = ["diagnose", "run.csv", "--model", "arm.toml", "--out", str(out)]
+    done = CliRunner().invoke(cli, asked)
+    assert done.exit_code != 0
+    said = f"{out / 'report.json'} is written, without pictures; it was at 6/6"
+    assert said in done.stderr

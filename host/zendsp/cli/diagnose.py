@@ -146,7 +146,7 @@ def _together(asked: _Asked, run_on: str | None) -> None:
     for file in asked.effects:
         load_effects(file)
     out = asked.out
-    with _how_far() as at, stages(quiet=asked.as_json) as say:
+    with _how_far(out) as at, stages(quiet=asked.as_json) as say:
         tell = in_steps(lambda text: say(at(text)))
         result = diagnose(
             list(asked.train),
@@ -184,9 +184,9 @@ def _together(asked: _Asked, run_on: str | None) -> None:
 
 
 @contextmanager
-def _how_far() -> Iterator[Callable[[Said], Said]]:
+def _how_far(out: Path | None) -> Iterator[Callable[[Said], Said]]:
     """Say after Ctrl-C how far a diagnosis was, by the last sentence that was given, which returns
-    as it is.
+    as it is, and what of its report is there.
     """
     from zendsp.diagnosis.progress import Step
 
@@ -201,6 +201,8 @@ def _how_far() -> Iterator[Callable[[Said], Said]]:
     except KeyboardInterrupt:
         reporting = said and said[0].step is Step.REPORTING
         kept = "" if reporting else "no report is written; "
+        if reporting and out is not None and (out / "report.json").is_file():
+            kept = f"{out / 'report.json'} is written, without pictures; "
         click.echo(f"{kept}it was at {said[0] if said else 'its beginning'}", err=True)
         raise
 
