@@ -41,7 +41,7 @@ from zendsp.physics.term_numbers import chosen
 
 # the same torque where a joint moves one way
 ALIKE_ONE_WAY = ("coulomb", "torque_offset", "coulomb_asymmetry")
-OF_BODIES = (0.0, 1.0)  # laws of a coupling that rigid bodies have: inertia and coriolis
+RIGID = (0.0, 1.0)  # laws of a coupling that rigid bodies have: inertia and coriolis
 # stated of a disturbance; not learned: the cases have too few of them
 IN_TIME = 0.85
 
@@ -215,7 +215,7 @@ def _same(given: Model, claim: Claim, data: Data) -> tuple[str, ...]:
     law, more = claim.effect, []
     if law == "gravity" and given.kind in TREES:
         more = ["body"]
-    if law == "coupling" and given.kind in TREES and claim.term.value("law") in OF_BODIES:
+    if law == "coupling" and given.kind in TREES and claim.term.value("law") in RIGID:
         more = ["body", "payload"]
     if law in ALIKE_ONE_WAY and never_reverses(data, claim.term.joint):
         more += [name for name in ALIKE_ONE_WAY if name != law]
