@@ -438,8 +438,10 @@ def test_a_unit_that_is_not_known_is_refused_with_those_that_are(
 
 @pytest.mark.parametrize(("kind", "way"), [("planar2r", 'kind = "rotary"'), ("urdf", "fixed")])
 def test_of_a_joint_that_is_held_is_said_how_to_describe_the_others(kind: str, way: str) -> None:
-    with pytest.raises(RecordingError, match=way):
-        checks._moves("run.csv: joint 2", np.full(9, 0.3), 1e-4, kind)
+    model: Any = SimpleNamespace(kind=kind, joints=2)
+    for still in (np.full(9, 0.3), np.linspace(0.3, 0.3004, 9)):  # exactly, and by four counts
+        with pytest.raises(RecordingError, match=way):
+            checks._moves("run.csv: joint 2", still, 1e-4, model)
 
 
 def test_a_part_in_which_the_joints_hardly_move_accuses_no_gain_that_another_shows_right(
