@@ -20,7 +20,7 @@ from zendsp.diagnosis.data import checks, plausibility
 from zendsp.diagnosis.data.checks import check_signals
 from zendsp.diagnosis.data.plausibility import scaled
 from zendsp.diagnosis.data.reading import read_signals
-from zendsp.diagnosis.data.split import read_parts
+from zendsp.diagnosis.data.split import read_divided
 from zendsp.errors import RecordingError
 from zendsp.physics.files.model_file import load_model
 
@@ -186,9 +186,9 @@ def test_beside_a_longer_recording_one_of_a_second_is_taken(
     short = {k: v[500:1200] for k, v in good.items()}
     shorter = {k: v[500:900] for k, v in good.items()}
     files = [reality.save(tmp_path / "run.csv", good), reality.save(tmp_path / "m.csv", short)]
-    assert len(read_parts(files, [], load_model(model))[0]) == 2
+    assert len(read_divided(files, [], load_model(model))[0]) == 2
     with pytest.raises(RecordingError, match="at least 1 s each, where there are several"):
-        read_parts([*files, reality.save(tmp_path / "s.csv", shorter)], [], load_model(model))
+        read_divided([*files, reality.save(tmp_path / "s.csv", shorter)], [], load_model(model))
 
 
 def test_what_a_diagnosis_refuses_the_check_of_a_model_refuses_too(
@@ -438,8 +438,10 @@ def test_a_unit_that_is_not_known_is_refused_with_those_that_are(
 
 @pytest.mark.parametrize(("kind", "way"), [("planar2r", 'kind = "rotary"'), ("urdf", "fixed")])
 def test_of_a_joint_that_is_held_is_said_how_to_describe_the_others(kind: str, way: str) -> None:
-    with pytest.raises(RecordingError, match=way):
-        checks._moves("run.csv: joint 2", np.full(9, 0.3), 1e-4, kind)
+    model: Any = SimpleNamespace(kind=kind, joints=2)
+    for still in (np.full(9, 0.3), np.linspace(0.3, 0.3004, 9)):  # exactly, and by four counts
+        with pytest.raises(RecordingError, match=way):
+            checks._moves("run.csv: joint 2", still, 1e-4, model)
 
 
 def test_a_part_in_which_the_joints_hardly_move_accuses_no_gain_that_another_shows_right(

@@ -16,7 +16,13 @@ from zendsp.diagnosis import joints
 from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.data.split import halves, split
 from zendsp.diagnosis.decide.findings import estimates
-from zendsp.diagnosis.decide.naming import between, may_be_nothing, one_number, runs_out
+from zendsp.diagnosis.decide.naming import (
+    _same,
+    between,
+    may_be_nothing,
+    one_number,
+    runs_out,
+)
 from zendsp.diagnosis.decide.notes import _against_masses, _all_for_the_load
 from zendsp.diagnosis.decide.result import Estimate
 from zendsp.diagnosis.engine import _ready
@@ -216,6 +222,22 @@ def test_a_law_whose_number_is_known_to_a_third_is_not_surely_the_law(
     values = {"coefficient": Estimate(0.7, std, "N m/rad³"), "neutral": Estimate(0.1, 0.3, "rad")}
     assert least < one_number("cubic_stiffness", values) <= most
     assert one_number("dead_zone", values) == 1.0
+
+
+@pytest.mark.parametrize(("kind", "law", "others"), [
+    ("urdf", 0.0, ("body", "payload")),  # by acceleration: a mass that swings with both
+    ("mjcf", 1.0, ("body", "payload")),
+    ("urdf", 2.0, ()),  # by speed: a friction that two joints share
+    ("rotary", 0.0, ()),
+])  # fmt: skip
+def test_a_coupling_of_an_arm_that_a_body_may_be_is_not_told_from_one(
+    kind: str, law: float, others: tuple[str, ...]
+) -> None:
+    """Where recordings move one joint each, 1.5 kg at a tip were two couplings and two inertias."""
+    given: Any = SimpleNamespace(kind=kind)
+    term = Term("coupling", 2, {"law": Quantity(law, free=False)})
+    claim: Any = SimpleNamespace(effect="coupling", term=term, same=())
+    assert _same(given, claim, None) == others  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("kind", "effect", "told"), [

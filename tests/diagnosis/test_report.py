@@ -388,7 +388,8 @@ def test_recordings_that_show_nothing_are_not_called_a_complete_model() -> None:
     assert dark([(1, (0.0, 0.2)), (2, (0.0, 1.0))]) == (2,)
     assert verdict_sentence("complete", [], ()).startswith("Complete: ")
     assert verdict_sentence("complete", [], (1, 2)) == (
-        "Cannot tell: nothing is seen to be missing, but these recordings show next to nothing of"
+        "Cannot tell: nothing is seen to be missing, but the recordings to judge on leave open"
+        " up to all of the torque of"
         " joints 1 and 2."
     )
 

@@ -53,7 +53,7 @@ FILE = click.Path(path_type=Path)
 )
 @click.option(
     "--jobs", type=click.IntRange(1), default=None,
-    help="Threads, or processes with --each. Default: all cores.",
+    help="Threads; processes where there are several joints, or with --each. Default: all cores.",
 )
 @click.option(
     "--effects", multiple=True, type=FILE,

@@ -18,7 +18,7 @@ from zendsp.diagnosis.data.checks import check_excitation, check_motion
 from zendsp.diagnosis.data.prepare import one_sensor, prepare
 from zendsp.diagnosis.data.reading import Source
 from zendsp.diagnosis.data.signals import Parts, Signals
-from zendsp.diagnosis.data.split import halves, read_parts
+from zendsp.diagnosis.data.split import halves, read_divided
 from zendsp.diagnosis.decide.absorbed import moved
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.clocks import apart_in_time
@@ -93,7 +93,7 @@ def diagnose(
     seed : int
         Of what is drawn at random (the proposed reference).
     jobs : int
-        Threads.
+        Threads; processes where there are several joints.
     progress : callable, optional
         Receives a sentence at each stage.
     so_far : bool
@@ -332,7 +332,7 @@ def _read(
     recordings: Sequence[Source], heldout: Sequence[Source], model: Model
 ) -> tuple[list[Signals], list[Signals], list[Signals], list[str]]:
     """Recordings to fit to, to choose by and to test on, and what was done to them."""
-    signals, held, notes = read_parts(recordings, heldout, model)
+    signals, held, notes = read_divided(recordings, heldout, model)
     choose, test, how = halves(held)
     return signals, choose, test, [*notes, *how]
 

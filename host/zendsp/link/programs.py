@@ -13,7 +13,7 @@ from zendsp.here.stop_page import StopPage, find
 from zendsp.here.stopped import TAKEN_S, at_rest, stopped_at
 from zendsp.link.requests import Part
 from zendsp_protocol import messages as m
-from zendsp_protocol.states import DriveState, ProgramState
+from zendsp_protocol.states import DriveState, ProgramState, TripReason
 
 if TYPE_CHECKING:
     from zendsp_isr.sources import Source
@@ -339,8 +339,9 @@ def trouble(status: m.Status) -> str:
     if status.trip is not None:
         what = "stopped" if status.drive == DriveState.STOPPED else "tripped"
         trip = status.trip
-        # with the sample at which it happened, where a loop ran
-        when = f" (sample {trip.tick})" if trip.tick else ""
+        # with the sample at which it happened; a STOP may come where no loop runs
+        looped = trip.tick or trip.reason not in (TripReason.STOP, TripReason.HOST_LOST)
+        when = f" (sample {trip.tick})" if looped else ""
         cause = f"{trip.cause or trip.reason}{when}"
         empty = status.state == ProgramState.EMPTY
         again = "load a program and start it" if empty else "start again"

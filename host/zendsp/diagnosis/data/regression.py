@@ -200,7 +200,8 @@ def _blurred(columns: Array, noise: float) -> bool:
     """
     others, *_ = np.linalg.lstsq(columns[:, 1:], columns[:, 0])
     own = columns[:, 0] - columns[:, 1:] @ others
-    return bool(len(own) * noise**2 > IN_NOISE * float(own @ own))
+    # not their squares: the noise of a joint that rests may be any number
+    return bool(math.sqrt(len(own)) * noise > math.sqrt(IN_NOISE) * float(np.linalg.norm(own)))
 
 
 def _held(q: Array, qd: Array, weight: Array, torque: Array, spread: float) -> bool:

@@ -29,7 +29,7 @@ LEFT = 0.5  # of the rows that cutting leaves at least
 AT_REST, REST_S = 0.002, 2.0
 
 
-def read_parts(
+def read_divided(
     recordings: Sequence[Source], heldout: Sequence[Source], model: Model
 ) -> tuple[list[Signals], list[Signals], list[str]]:
     """Read and check recordings; returns those to fit to, those held out, and notes.

@@ -43,7 +43,7 @@ G = 9.81  # m/s²
 
 
 def shifted(
-    given: Model, search: Decision, whole: Assembled, found: Collection[str], test: Data
+    given: Model, decision: Decision, whole: Assembled, found: Collection[str], test: Data
 ) -> list[tuple[float, float, Finding]]:
     """Findings about mechanism parameters that moved far from their given values, with their z and
     the torque that the given value would leave, as a part of the RMS torque.
@@ -60,14 +60,14 @@ def shifted(
     -------
     list of (float, float, Finding)
     """
-    joint = search.joint
+    joint = decision.joint
     sprung = any(
         effect in library() and get_effect(effect).family == "transmission" for effect in found
     )
     if sprung or "torque_gain" in found:
         return []
     if given.kind in TREES:
-        return _rotor(given, search, whole, test)
+        return _rotor(given, decision, whole, test)
     if given.kind not in ("rotary", "linear"):
         return []
     moves = {}
@@ -87,13 +87,13 @@ def shifted(
     both = [moves[key][1] for key in (main, "gravity") if key in moves]
     heavier = len(both) == 2 and _both_far(*both)
     if main not in moves or not (abs(moves[main][1]) > FAR or heavier):
-        return _gravity_only(given, search, moves, test)
+        return _gravity_only(given, decision, moves, test)
     ratio, z, amount, std = moves[main]
     if 0.0 < ratio < _by_unseen(whole.improved, joint, test):
         return []
     if heavier:
         z = math.copysign(math.hypot(z, moves["gravity"][1]), z)
-    size = _size(_held(given, search, main), search, test)
+    size = _size(_held(given, decision, main), decision, test)
     if size is None:
         return []
     factor = _one_factor(given, whole.improved, joint)
@@ -267,13 +267,13 @@ def _numbers(given: Model, calibrated: Model, joint: int) -> Iterator[_Number]:
 
 
 def _rotor(
-    given: Model, search: Decision, whole: Assembled, test: Data
+    given: Model, decision: Decision, whole: Assembled, test: Data
 ) -> list[tuple[float, float, Finding]]:
     """The same of the rotor inertia that a model states beside the bodies of its file."""
-    joint = search.joint
+    joint = decision.joint
     both = [
         [t for t in m.at(joint) if t.effect == "inertia"]
-        for m in (given, search.final.model, whole.improved)
+        for m in (given, decision.final.model, whole.improved)
     ]
     if any(len(terms) != 1 for terms in both):
         return []
@@ -284,8 +284,8 @@ def _rotor(
     amount = after.value - before.value
     z = amount / math.hypot(max(TOLERANCE * before.value, before.std), after.std)
     fixed = stated.held()
-    terms = tuple(fixed if t is fitted else t for t in search.final.model.terms)
-    size = _size(search.final.model.with_terms(terms), search, test) if abs(z) >= FAR else None
+    terms = tuple(fixed if t is fitted else t for t in decision.final.model.terms)
+    size = _size(decision.final.model.with_terms(terms), decision, test) if abs(z) >= FAR else None
     if size is None:
         return []
     unit = "kg" if given.joint_kind(joint) == "linear" else "kg m²"
@@ -314,25 +314,25 @@ def _by_unseen(improved: Model, joint: int, test: Data) -> float:
     return unseen / max(needed, 1e-300)
 
 
-def _held(given: Model, search: Decision, key: str) -> Model:
+def _held(given: Model, decision: Decision, key: str) -> Model:
     """The model of a joint with a parameter of the mechanism as it was given."""
     items = tuple(replace(q, free=False) for q in given.mechanism[key])
-    model = search.final.model
+    model = decision.final.model
     return replace(model, mechanism={**model.mechanism, key: items})
 
 
-def _size(held: Model, search: Decision, test: Data) -> float | None:
+def _size(held: Model, decision: Decision, test: Data) -> float | None:
     """Torque that a model without a shift leaves, as a part of the RMS torque; None where the
     recordings, held-out ones included, do not insist on the shift.
     """
-    final, joint = search.final, search.joint
+    final, joint = decision.final, decision.joint
     handles = joint_handles(final.data, held, joint)
     fixed = fit_scored(final.data, held, handles, (joint,), rounds=3)
     if fixed.deviance - final.deviance < INSISTS:
         return None
     # as any finding: more than what stays unexplained
     size = difference(test, fixed.model, final.model, joint)
-    if size <= max(search.after.value, search.state.size):
+    if size <= max(decision.after.value, decision.state.size):
         return None
     evidence = compare(fixed, final, test, joint)
     return size if evidence.gain > PAYS and evidence.z > SURELY else None
@@ -340,13 +340,13 @@ def _size(held: Model, search: Decision, test: Data) -> float | None:
 
 def _gravity_only(
     given: Model,
-    search: Decision,
+    decision: Decision,
     moves: dict[str, tuple[float, float, float, float]],
     test: Data,
 ) -> list[tuple[float, float, Finding]]:
     if "gravity" not in moves or abs(moves["gravity"][1]) < WEIGHT_ALONE * FAR:
         return []
-    joint, size = search.joint, _size(_held(given, search, "gravity"), search, test)
+    joint, size = decision.joint, _size(_held(given, decision, "gravity"), decision, test)
     if size is None:
         return []
     ratio, z, amount, std = moves["gravity"]

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 from zendsp.diagnosis.data.signals import Parts
-from zendsp.diagnosis.decide.claims import LAWS_OF, Claim, Decision
+from zendsp.diagnosis.decide.claims import Claim, Decision, needed
 from zendsp.diagnosis.decide.nameless import without_law
 from zendsp.diagnosis.decide.pieces import piece_of
 from zendsp.diagnosis.decide.pushes import unpushed
 from zendsp.diagnosis.decide.thresholds import (
     A_PART,
-    FALSE_DISCOVERIES,
     OF_STATE,
     PREDICTED,
     SURE,
@@ -190,8 +188,7 @@ def all_late(
     best = max(alike, key=gain)
     claims = {r.joint: _of_many(parts, given, searches[r.joint - 1], r, jobs) for r in best}
     shown = [c.log_e for c in claims.values()]
-    needed = math.log(len(searches) * len(LAWS_OF) / FALSE_DISCOVERIES)
-    if sum(shown) < needed or sum(x > 0.0 for x in shown) < LATE_TOGETHER:
+    if sum(shown) < needed(len(searches)) or sum(x > 0.0 for x in shown) < LATE_TOGETHER:
         return list(decisions)
     same = _alike({best[0].effect}) - {best[0].effect}
     late = {r.joint: r.scored for r in best}

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from zendsp.diagnosis.decide.contract import Reason, Rejected, Verdict
+from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES
 from zendsp.diagnosis.measure.bursts import Bursts
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
@@ -17,6 +18,13 @@ from zendsp.physics.model import Term
 
 # the laws that write a mechanism down, as the effect files say
 LAWS_OF: dict[str, tuple[str, ...]] = {mechanism: laws_of(mechanism) for mechanism in MECHANISMS}
+
+
+def needed(joints: int) -> float:
+    """Logarithm of the e-value from which on something is claimed at one of so many joints: all
+    mechanisms were asked at each.
+    """
+    return math.log(joints * len(LAWS_OF) / FALSE_DISCOVERIES)
 
 
 @dataclass(frozen=True)

@@ -16,12 +16,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from zendsp.diagnosis.data.signals import Parts
-from zendsp.diagnosis.decide.claims import LAWS_OF, Decision
+from zendsp.diagnosis.decide.claims import Decision, needed
 from zendsp.diagnosis.decide.confidence import SUREST
 from zendsp.diagnosis.decide.contract import Further, Rejected
 from zendsp.diagnosis.decide.pieces import log_e_value
 from zendsp.diagnosis.decide.result import Estimate, Finding, number
-from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES, LAW_ERROR, OWN_SHARE, PLAIN, SURE
+from zendsp.diagnosis.decide.thresholds import LAW_ERROR, OWN_SHARE, PLAIN, SURE
 from zendsp.diagnosis.measure.discrepancy import difference, mean_square
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import fit_scored
@@ -102,15 +102,15 @@ class Heard:
     z: float
 
 
-def borne(heard: Sequence[Heard], needed: float) -> float | None:
+def borne(heard: Sequence[Heard], least: float) -> float | None:
     """How much larger a body is than what stays unexplained at the joints that bear it.
 
     A joint alone need not be sure: it is one body, and what the joints say of it adds up. None
-    where that is less than is ``needed``, or most of its torque acts at joints that do not miss it.
+    where that is less than ``least``, or most of its torque acts at joints that do not miss it.
     """
     bear = [h for h in heard if h.log_e > 0.0 and h.z > PLAIN and h.size > h.left]
     total, here = (sum(h.size**2 for h in part) for part in (heard, bear))
-    if here <= LARGER_THAN_LEFT * total or sum(h.log_e for h in heard) <= needed:
+    if here <= LARGER_THAN_LEFT * total or sum(h.log_e for h in heard) <= least:
         return None
     return math.sqrt(here / max(sum(h.left**2 for h in bear), 1e-18))
 
@@ -121,8 +121,7 @@ def _decided(
     if unsure(found.explained):
         return None
     heard, gain = _heard(parts, found, decisions, links, jobs)
-    needed = math.log(len(decisions) * len(LAWS_OF) / FALSE_DISCOVERIES)
-    ratio = borne(list(heard.values()), needed)
+    ratio = borne(list(heard.values()), needed(len(decisions)))
     return None if ratio is None else _claim(found, heard, gain, ratio)
 
 

@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.data.signals import Parts
-from zendsp.diagnosis.decide.claims import LAWS_OF, Decision
+from zendsp.diagnosis.decide.claims import Decision, needed
 from zendsp.diagnosis.decide.confidence import least_stated
 from zendsp.diagnosis.decide.pieces import (
     dependence,
@@ -36,7 +36,6 @@ from zendsp.diagnosis.decide.pieces import (
 from zendsp.diagnosis.decide.result import Detectable
 from zendsp.diagnosis.decide.thresholds import (
     CLAIMED,
-    FALSE_DISCOVERIES,
     LAW_ERROR,
     LEFT_BY_A_LAW,
 )
@@ -220,9 +219,8 @@ class _Implant:
         self.test, self.joint, self.final, self.jobs = (
             parts.test, decision.joint, decision.final, jobs
         )  # fmt: skip
-        needed = math.log(self.test.joints * len(LAWS_OF) / FALSE_DISCOVERIES)
         # a gain of G = |c|² s² / σ² is 2 log e in the mean, with standard deviation 2 √G
-        self.root = NINE_IN_TEN + math.sqrt(NINE_IN_TEN**2 + 2.0 * needed)
+        self.root = NINE_IN_TEN + math.sqrt(NINE_IN_TEN**2 + 2.0 * needed(self.test.joints))
         self.errors = window_error(self.test, self.final.model, self.joint)
         bandwidth = self.final.data.bandwidth[self.joint - 1]
         data = self.test.at_bandwidth(self.joint, bandwidth)

@@ -41,6 +41,7 @@ from zendsp.physics.term_numbers import chosen
 
 # the same torque where a joint moves one way
 ALIKE_ONE_WAY = ("coulomb", "torque_offset", "coulomb_asymmetry")
+RIGID = (0.0, 1.0)  # laws of a coupling that rigid bodies have: inertia and coriolis
 # stated of a disturbance; not learned: the cases have too few of them
 IN_TIME = 0.85
 
@@ -208,11 +209,14 @@ def _grown(fit: Fit, gravity: Term, unit: str) -> Estimate:
 
 def _same(given: Model, claim: Claim, data: Data) -> tuple[str, ...]:
     """Effects that these recordings cannot tell from a law: what the choice among laws says, what a
-    gravity at one joint of an arm is, a link's centre of mass elsewhere, and whatever is constant
-    where a joint moves one way.
+    gravity at one joint of an arm is, a link's centre of mass elsewhere, what another joint's
+    acceleration or speed does there, a body, and whatever is constant where a joint moves one way.
     """
-    law = claim.effect
-    more = ["body"] if law == "gravity" and given.kind in TREES else []
+    law, more = claim.effect, []
+    if law == "gravity" and given.kind in TREES:
+        more = ["body"]
+    if law == "coupling" and given.kind in TREES and claim.term.value("law") in RIGID:
+        more = ["body", "payload"]
     if law in ALIKE_ONE_WAY and never_reverses(data, claim.term.joint):
         more += [name for name in ALIKE_ONE_WAY if name != law]
     return tuple(dict.fromkeys([*claim.same, *more]))

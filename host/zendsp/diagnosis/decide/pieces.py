@@ -11,14 +11,13 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.data.series import repeats
 from zendsp.diagnosis.data.signals import Parts
-from zendsp.diagnosis.decide.claims import LAWS_OF, Known, Piece
+from zendsp.diagnosis.decide.claims import Known, Piece, needed
 from zendsp.diagnosis.decide.findings import new_terms
 from zendsp.diagnosis.decide.near import why_apart
 from zendsp.diagnosis.decide.thresholds import (
     A_PART,
     CLAIMED,
     EXPLAINS,
-    FALSE_DISCOVERIES,
     FINEST,
     HANGING,
     LACKED,
@@ -307,8 +306,7 @@ def sure(test: Data, piece: Piece) -> bool:
 def _likely(test: Data, piece: Piece) -> bool:
     """Whether untouched recordings are less likely without a mechanism, whose torque lacks there.
     """
-    needed = math.log(test.joints * len(LAWS_OF) / FALSE_DISCOVERIES)
-    return piece.log_e > needed and piece.lacks
+    return piece.log_e > needed(test.joints) and piece.lacks
 
 
 def _even(piece: Piece) -> bool:

@@ -38,8 +38,8 @@ RUN_AWAY = 1.0
 # models it was at most 0.001
 OF_STATE = 0.0025
 # the same, of what comes and goes, follows from the motion before, or repeats itself; at most
-# 0.008. And of what surely lacks where the position is BEYOND_SENSOR: of 55 complete models there 0
-# was the most, foreign torques of 1.2 and 2.4 % had 0.011 and 0.023
+# 0.008. And of what surely lacks where the position is BEYOND_SENSOR: at six such complete models
+# of other makers it was 0.003 at most, of a foreign torque 0.023
 LAWFUL = 0.01
 # the same, of a push that is told and is no finding: a hand that held a table had 0.0012, and 49
 # complete machines of two examiners no such thing from 0.0005 on

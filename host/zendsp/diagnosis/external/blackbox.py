@@ -23,10 +23,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.data.split import read_parts
+from zendsp.diagnosis.data.split import read_divided
 from zendsp.diagnosis.decide.absorbed import moved
 from zendsp.diagnosis.decide.contract import Rejected, Verdict
 from zendsp.diagnosis.decide.result import Diagnosis, FitTable, SimulatorErrors
+from zendsp.diagnosis.decide.thresholds import LEFT_BY_A_LAW
 from zendsp.diagnosis.external.hunt import (
     SHORT_WAYS,
     Hunt,
@@ -177,22 +178,21 @@ def _diagnose(
         base = fit_output(train, model, (), given_error, 1)
     hunt = Hunt(train, test, tell)
     current, steps = _hunted(hunt, base, train)
-    findings, names = findings_of(model, base, current, steps, train)
     tell(Step.LOOKING_ON.says("looking at what remains"))
     before = missing_over_time(Near(train, base))
     after = missing_over_time(Near(train, current)) if steps else before
-    left = _left(after, train)
+    named = {claim.term.joint for claim, _, _ in steps}
+    others = (left for j, left in _left(after, train).items() if j not in named)
+    if steps and max(others, default=0.0) > LEFT_BY_A_LAW:  # its part of a body is no joint's gain
+        current, steps, after = base, [], before
+    findings, names = findings_of(model, base, current, steps, train)
+    left = max(_left(after, train).values(), default=0.0)
     floor = _floor(test)
     rest = _rms(test, current.model)
     unexplained = "" if rest <= OVER_NOISE * floor else _unexplained(left, rest, floor, train[0])
     verdict: Verdict = "missing" if findings else "unexplained" if unexplained else "complete"
     places, spans, at = located(before)
     calibrated, improved = _noted(base.fit), _noted(current.fit)
-    rejected = tuple(
-        Rejected(e, j, why, score - (steps[0][0].gain if steps else 0.0))
-        for (e, j), (score, _z, why) in hunt.tried.items()
-        if (e, j) not in names
-    )
     return Diagnosis(
         verdict=verdict,
         findings=findings,
@@ -205,7 +205,7 @@ def _diagnose(
         ),
         heldout=FitTable(_rms(test, model), _rms(test, base.model), rest),
         noise_floor=floor,
-        rejected=tuple(sorted(rejected, key=lambda r: -r.score)[:12]),
+        rejected=_rejected(hunt, steps[0][0].gain if steps else 0.0, names),
         next_recording=next_of(findings),
         seconds=time.perf_counter() - begin,
         notes=(*notes, _untried(train, test), *moved(model, improved)),
@@ -217,6 +217,16 @@ def _diagnose(
         remaining=after,
         workings=_errors_over_time(test[0], base.model, current.model),
     )
+
+
+def _rejected(hunt: Hunt, gain: float, names: set[tuple[str, int]]) -> tuple[Rejected, ...]:
+    """What was tried and is not claimed, against the gain of what is, the best first."""
+    rejected = (
+        Rejected(e, j, why, score - gain)
+        for (e, j), (score, _z, why) in hunt.tried.items()
+        if (e, j) not in names
+    )
+    return tuple(sorted(rejected, key=lambda r: -r.score)[:12])
 
 
 def _unexplained(left: float, rest: float, floor: float, b: Bench) -> str:
@@ -288,7 +298,7 @@ def _untried(train: Sequence[Bench], test: Sequence[Bench]) -> str:
 def _recordings(
     sources: Sequence[Any], heldout: Sequence[Any], model: Model, simulator: Simulator
 ) -> tuple[list[Bench], list[Bench], list[str]]:
-    signals, held, notes = read_parts(sources, heldout, model)
+    signals, held, notes = read_divided(sources, heldout, model)
     train = [bench(s, model, simulator) for s in signals]
     test = [bench(s, model, simulator) for s in held]
     for benches in (train, test):
@@ -331,13 +341,15 @@ def _floor(benches: Sequence[Bench]) -> float:
     return float(np.sqrt(np.mean(squares)))
 
 
-def _left(missing: dict[int, list[Missing]], benches: Sequence[Bench]) -> float:
-    sizes = [
-        float(np.sqrt(np.mean(m.torque**2))) / b.records[j - 1].scale.torque
+def _left(missing: dict[int, list[Missing]], benches: Sequence[Bench]) -> dict[int, float]:
+    """The largest torque that a recording lacks, by joint, as a part of the RMS torque."""
+    return {
+        j: max(
+            float(np.sqrt(np.mean(m.torque**2))) / b.records[j - 1].scale.torque
+            for m, b in zip(parts, benches, strict=True)
+        )
         for j, parts in missing.items()
-        for m, b in zip(parts, benches, strict=True)
-    ]
-    return max(sizes, default=0.0)
+    }
 
 
 def _errors_over_time(b: Bench, calibrated: Model, improved: Model) -> SimulatorErrors:

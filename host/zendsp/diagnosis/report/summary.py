@@ -109,8 +109,8 @@ def verdict_sentence(
     """
     if verdict == "complete" and unseen:
         return (
-            "Cannot tell: nothing is seen to be missing, but these recordings show next to nothing"
-            f" of {listed(unseen)}."
+            "Cannot tell: nothing is seen to be missing, but the recordings to judge on leave open"
+            f" up to all of the torque of {listed(unseen)}."
         )
     what = " and ".join(f"{effect} at joint {joint}" for effect, joint in doubted)
     if doubted and verdict == "unexplained":

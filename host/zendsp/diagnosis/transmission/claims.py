@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from zendsp.diagnosis.decide.claims import LAWS_OF
-from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES, PLAIN, SURE
+from zendsp.diagnosis.decide.claims import needed
+from zendsp.diagnosis.decide.thresholds import PLAIN, SURE
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.transmission.sets import Sets
 from zendsp.diagnosis.transmission.terms import (
@@ -55,10 +55,6 @@ class Claim:
     order_std: float = 0.0
     damping: tuple[float, float] = (0.0, 0.0)
     same: tuple[str, ...] = ()
-
-
-def needed(model: Model) -> float:
-    return math.log(model.joints * len(LAWS_OF) / FALSE_DISCOVERIES)
 
 
 def unexplained(residual: Sequence[Array], twists: Sequence[Twist]) -> float:
@@ -121,7 +117,7 @@ def _judged(slow: Sets, chosen: Chosen, term: str, scale: float, model: Model) -
     found, log_e = evidence(without, with_all, slow.test)
     size = apart(slow.test, without, with_all)
     value, spread = numbers_of(chosen.terms, chosen.fit, scale)[term]
-    sure = log_e > needed(model) and found.z > PLAIN and abs(value) > SURE * spread
+    sure = log_e > needed(model.joints) and found.z > PLAIN and abs(value) > SURE * spread
     if not sure or size <= ENOUGH * left:
         return None
     if term == "gap" and "spring" not in chosen.terms:  # a contact that yields is in its width
@@ -144,7 +140,7 @@ def _like_a_disc(slow: Sets, scale: float, model: Model) -> bool:
         return False
     disc, both = (fitted(slow.fit, terms, True, scale) for terms in ((), ("spring",)))
     _, log_e = evidence(disc.residual, both.residual, slow.fit)
-    return log_e < needed(model) or both.x[0] >= 0
+    return log_e < needed(model.joints) or both.x[0] >= 0
 
 
 def least_compliance(slow: Sets, chosen: Chosen, scale: float, model: Model) -> float:
@@ -161,6 +157,6 @@ def least_compliance(slow: Sets, chosen: Chosen, scale: float, model: Model) -> 
         math.sqrt(float(alone.covariance[0, 0])),
         max(t.noise for t in slow.test) / (size * math.sqrt(count)),
     )
-    root = POWER + math.sqrt(POWER**2 + 2.0 * needed(model))
+    root = POWER + math.sqrt(POWER**2 + 2.0 * needed(model.joints))
     left = unexplained(nothing.residual, slow.test)
     return max(root * error, left / size)

@@ -8,8 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from zendsp.diagnosis.decide.claims import needed
 from zendsp.diagnosis.decide.thresholds import PLAIN, SURE
-from zendsp.diagnosis.transmission.claims import ENOUGH, Claim, apart, needed, unexplained
+from zendsp.diagnosis.transmission.claims import ENOUGH, Claim, apart, unexplained
 from zendsp.diagnosis.transmission.sets import Sets
 from zendsp.diagnosis.transmission.torsion import (
     Array,
@@ -100,7 +101,7 @@ def _wave(raw: Sets, model: Model, order: float) -> Claim | None:
     held, log_e = evidence(without, with_it, raw.test)
     log_e -= 0.5 * len(raw.test) * math.log(sum(len(r) for r in with_it))  # of the phases
     size, left = apart(raw.test, without, with_it), unexplained(with_it, raw.test)
-    sure = log_e > needed(model) and held.z > PLAIN and amplitude > SURE * std
+    sure = log_e > needed(model.joints) and held.z > PLAIN and amplitude > SURE * std
     if not sure or size <= ENOUGH * left:
         return None
     # of a sine's frequency, from its phase at both ends of the range (Rife and Boorstyn 1974)

@@ -32,7 +32,7 @@ from zendsp.physics.calibration.predict import ran_away, run, run_many
 from zendsp.physics.effects import get_effect
 from zendsp.physics.kernel.native import LANES
 from zendsp.physics.kernel.threads import Each, threads
-from zendsp.physics.model import Model, Quantity
+from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
 T = TypeVar("T")
@@ -541,8 +541,3 @@ def robust_covariance(jac: Array, r: Array, block: int, prior: Array | None = No
     covariance[idle, :], covariance[:, idle] = 0.0, 0.0
     covariance[idle, idle] = UNKNOWN
     return covariance
-
-
-def quantity(value: float, free: bool = True) -> Quantity:
-    """A Quantity of that value."""
-    return Quantity(value, free)
