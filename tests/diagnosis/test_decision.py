@@ -207,7 +207,8 @@ def test_what_a_faster_loop_does_between_rows_is_no_missing_physics(tmp_path: Pa
     faster.write_text(held.read_text().replace("hold = 0.01", f"hold = {1 / FAST}"))
     machine = reality.Machine(resolution=counts)
     taken_as_held = verdict(machine, held)
-    assert taken_as_held.verdict == "complete"
+    assert taken_as_held.verdict == "unexplained"
+    assert "[actuator] hold" in taken_as_held.unexplained
     (late,) = (note for note in taken_as_held.notes if "[actuator] hold" in note)
     assert "command column is 4" in late and "ms late" in late  # 0.4 rows: five commands a row
     d = verdict(machine, faster)
