@@ -78,9 +78,9 @@ def test_a_joint_may_rest_in_recordings_of_the_others(record, tmp_path: Path) ->
         paths = [*paths, tmp_path / f"held{joint}.npz"]
         np.savez(paths[-1], **simulate(replace(arm, held=joint), joint))
     signals = [read_signals(path, model) for path in paths]
-    notes = [note for note in check_signals(signals, model) if "rest at" in note]
+    notes = [note for note in check_signals(signals, model) if " rests;" in note]
     assert [note.partition(";")[0] for note in notes] == [
-        f"{path}: rest at joint {joint}" for path, joint in zip(paths[2:], (1, 3), strict=True)
+        f"{path}: joint {joint} rests" for path, joint in zip(paths[2:], (1, 3), strict=True)
     ]
     (found,) = searched((model, paths[:1] + paths[2:])).found
     assert (found.term.effect, found.term.joint) == ("payload", 3)

@@ -80,8 +80,12 @@ def check_signals(signals: Sequence[Signals], model: Model) -> list[str]:
         moved = [j for j in range(joints) if any(not _rests(other, j) for other in signals)]
         still = [j for j in moved if _rests(s, j)]
         if still:
-            rest = f"rest at joint{'s' * (len(still) > 1)} {', '.join(str(j + 1) for j in still)}"
-            notes.append(f"{s.name}: {rest}; what is said there comes from the other recordings")
+            one, joints_of = len(still) == 1, ", ".join(str(j + 1) for j in still)
+            rest = f"joint {joints_of} rests" if one else f"joints {joints_of} rest"
+            notes.append(
+                f"{s.name}: {rest}; what is said of {'it' if one else 'them'} comes from the other"
+                " recordings"
+            )
         for j in (j for j in range(joints) if j not in still):
             where = f"{s.name}: joint {j + 1}" if joints > 1 else s.name
             y = raw.position[:, j]
