@@ -23,7 +23,7 @@ from zendsp.diagnosis.decide.naming import (
     one_number,
     runs_out,
 )
-from zendsp.diagnosis.decide.notes import _against_masses, _all_for_the_load
+from zendsp.diagnosis.decide.notes import _against_masses, _all_for_the_load, _late_log
 from zendsp.diagnosis.decide.result import Estimate
 from zendsp.diagnosis.engine import _ready
 from zendsp.diagnosis.measure.significance import counterpart, vanishes
@@ -263,6 +263,18 @@ def test_an_error_of_a_transmission_says_of_how_much_inertia_it_is_measured(
     decision: Any = SimpleNamespace(joint=1, claims=(SimpleNamespace(effect=effect),))
     given: Any = SimpleNamespace(at=lambda _: rotors * [SimpleNamespace(effect="inertia")])
     assert len(_all_for_the_load([decision], given)) == told
+
+
+@pytest.mark.parametrize("kept", [True, False])
+def test_a_log_is_called_late_only_where_the_model_keeps_it(kept: bool) -> None:
+    """What was missing had bent the clock of the calibrated model."""
+    late = Term("column_shift", 1, {"time": Quantity(4e-4)})
+    none, has = (SimpleNamespace(at=lambda _, terms=t: terms) for t in ((), (late,)))
+    decision: Any = SimpleNamespace(
+        joint=1, base=SimpleNamespace(model=has), final=SimpleNamespace(model=has if kept else none)
+    )
+    given: Any = none
+    assert len(_late_log([decision], given)) == kept
 
 
 def test_a_joint_at_which_nothing_is_left_to_choose_by_costs_nothing(

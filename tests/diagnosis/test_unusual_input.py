@@ -19,7 +19,7 @@ from zendsp.diagnosis.data.columns import check_units, getter
 from zendsp.diagnosis.data.plausibility import DRIVES, check_driven
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
-from zendsp.diagnosis.data.regression import look, regress, rigid_body
+from zendsp.diagnosis.data.regression import _blurred, look, regress, rigid_body
 from zendsp.diagnosis.data.sampling import resample_held
 from zendsp.diagnosis.data.signals import Signals
 from zendsp.errors import RecordingError
@@ -561,3 +561,37 @@ def test_in_a_single_sine_no_inertia_is_told_from_a_spring(second: float, told: 
     assert found is not None
     assert (found.error < 0.1) == told
     assert (abs(found.slope - 1.0) < 0.1) == told
+
+
+def test_the_noise_of_a_joint_that_rests_overflows_nothing() -> None:
+    """A user read "overflow encountered in scalar power"."""
+    columns = np.random.default_rng(0).normal(size=(50, 3))
+    with np.errstate(all="raise"):
+        assert _blurred(columns, 1e200) and not _blurred(columns, 1e-200)
+
+
+@pytest.mark.parametrize("driven_elsewhere", [True, False])
+def test_a_constant_command_is_refused_only_where_no_recording_drives_the_joint(
+    driven_elsewhere: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A joint that stands in one recording may be held by the same torque all the time."""
+
+    def record(joint: int, run: str, *command: float) -> Any:
+        states = (np.zeros(2), np.array([0.0, 1.0]), np.zeros(2))
+        return SimpleNamespace(
+            joint=joint, recording=run, command=np.array(command),
+            motion=SimpleNamespace(states=states),
+        )  # fmt: skip
+
+    monkeypatch.setattr(checks, "check_driven", lambda *_, **__: None)
+    other = record(2, "b", -0.007, 0.1 if driven_elsewhere else -0.007)
+    data: Any = SimpleNamespace(
+        records=((record(1, "a", 0.0, 1.0), record(2, "a", -0.007, -0.007)),
+                 (record(1, "b", 0.0, 1.0), other))
+    )  # fmt: skip
+    model: Any = SimpleNamespace(columns={"command": "u"})
+    if driven_elsewhere:
+        assert check_motion(data, model, ["a", "b"]) == []
+    else:
+        with pytest.raises(RecordingError, match="joint 2: the command is constant"):
+            check_motion(data, model, ["a", "b"])

@@ -98,7 +98,8 @@ def diagnose(
         Receives a sentence at each stage.
     so_far : bool
         After Ctrl-C return what was found of the joints that were finished, where one was, also
-        where only what follows the search was left to do; a second one ends that too.
+        where only what follows the search was left to do; a second one ends that too. Of a
+        simulator that can only be called nothing is kept.
 
     Returns
     -------

@@ -249,10 +249,10 @@ def _search(
 
 
 def not_searched(
-    parts: Parts, given: Model, joint: int, jobs: int
+    parts: Parts, beneath: Model, joint: int, jobs: int
 ) -> tuple[JointSearch, Decision]:
     """What is known of a joint that nobody searched: its calibrated model."""
-    base = calibrate_joint(parts.fit, given, joint, jobs)
+    base = calibrate_joint(parts.fit, beneath, joint, jobs)
     left, none = discrepancy(parts.test, base.model, joint), Structure(0.0, 0.0, 0.0)
     scale = rms_torque(parts.test, joint)
     decision = Decision(

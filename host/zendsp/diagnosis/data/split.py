@@ -113,7 +113,7 @@ def _until_rest(s: Signals) -> tuple[Signals, list[str]]:
 
 def halves(held: Sequence[Signals]) -> tuple[list[Signals], list[Signals], list[str]]:
     """Recordings to choose by and recordings to test on: whole ones where there are several, and
-    the same joints move in both; else the halves of each.
+    the same joints move in both or one is too short to be divided; else the halves of each.
 
     Returns
     -------

@@ -16,7 +16,7 @@ observer.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -181,9 +181,7 @@ def _diagnose(
     tell(Step.LOOKING_ON.says("looking at what remains"))
     before = missing_over_time(Near(train, base))
     after = missing_over_time(Near(train, current)) if steps else before
-    named = {claim.term.joint for claim, _, _ in steps}
-    others = (left for j, left in _left(after, train).items() if j not in named)
-    if steps and max(others, default=0.0) > LEFT_BY_A_LAW:  # its part of a body is no joint's gain
+    if _a_part(_left(after, train), {claim.term.joint for claim, _, _ in steps}):
         current, steps, after = base, [], before
     findings, names = findings_of(model, base, current, steps, train)
     left = max(_left(after, train).values(), default=0.0)
@@ -350,6 +348,13 @@ def _left(missing: dict[int, list[Missing]], benches: Sequence[Bench]) -> dict[i
         )
         for j, parts in missing.items()
     }
+
+
+def _a_part(left: dict[int, float], named: Collection[int]) -> bool:
+    """Whether much stays unexplained at a joint without a claim: each joint feels its part of a
+    body, and one may take it for a gain.
+    """
+    return bool(named) and any(x > LEFT_BY_A_LAW for j, x in left.items() if j not in named)
 
 
 def _errors_over_time(b: Bench, calibrated: Model, improved: Model) -> SimulatorErrors:

@@ -58,10 +58,11 @@ WAIT = 40.0  # deviance beyond its price below which a step is not worth a look
 # of a step that may wait for another, and of a gap whose narrow optimum is searched
 WORTH = 10 * WAIT
 # of the best gain: hypotheses with less are not ordered anew; nor is a transmission fitted that
-# promises less. A true one gained 1.4 to 10 times what it promised, a gap up to 5 times. Of the
-# least gain that counts: nothing is fitted that promises less on all samples. What counted gained
-# up to 9.4 times what it promised there (a voltage limit), elsewhere up to 5.5 times
+# promises less. A true one gained 1.4 to 10 times what it promised, a gap up to 5 times
 REACH = 0.1
+# of the least gain that counts: nothing is fitted that promises less on all samples. What counted
+# gained up to 9.4 times what it promised there (a voltage limit), elsewhere up to 5.5 times
+PROMISED_ON_ALL = 0.1
 
 
 def _promise(group: Sequence[Candidate]) -> float:
@@ -284,13 +285,13 @@ class Rounds:
         if unseen or any(get_effect(t.effect).scan is not None for t in terms):
             return False
         least = WAIT + self._price_of(group)
-        if self._promised(current, group) > REACH * least:
+        if self._promised(current, group) > PROMISED_ON_ALL * least:
             return False
         if current.data.bandwidth[self.joint - 1] <= SETTLED:
             return True
         slow = self._under(current, current.data.at_bandwidth(self.joint, SETTLED))
         behind = max(0.0, slow.deviance - current.deviance)
-        return self._promised(slow, group) < REACH * (least + behind)
+        return self._promised(slow, group) < PROMISED_ON_ALL * (least + behind)
 
     def _promised(self, current: Scored, group: list[Candidate]) -> float:
         """Decrease of the deviance that a hypothesis promises on all samples, to first order."""
