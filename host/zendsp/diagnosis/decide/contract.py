@@ -199,6 +199,7 @@ class Report(TypedDict):
     """The whole of it."""
 
     verdict: Verdict
+    headline: str
     findings: list[FindingReport]
     refinements: list[FindingReport]
     discrepancy: list[LeftReport]
@@ -211,20 +212,6 @@ class Report(TypedDict):
     unexplained: str
     notes: list[str]
     seconds: float
-
-
-def rejected_in(report: Report) -> list[Rejected]:
-    """What lost, as a file has it."""
-    return [
-        Rejected(
-            r["effect"],
-            r["joint"],
-            r["why"],
-            r["score"] or 0.0,
-            next(reason for reason in Reason if r["why"].startswith(reason)),
-        )
-        for r in report["rejected"]
-    ]
 
 
 def nameless(
