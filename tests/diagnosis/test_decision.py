@@ -183,10 +183,37 @@ def test_a_position_far_off_in_recordings_too_short_to_say_by_what_torque_is_not
 ) -> None:
     monkeypatch.setattr(decision, "discrepancy", lambda *_: Size(0.0, 0.0, 0.4))
     assert decided(reality.Machine()).verdict == "complete"
-    monkeypatch.setattr(decision, "_off", lambda *_: True)
+    _sensor(monkeypatch, 4.0)
     d = decided(reality.Machine())
     assert d.verdict == "unexplained"
     assert "up to 40 % of the torque may be missing" in d.unexplained
+
+
+def _sensor(monkeypatch: pytest.MonkeyPatch, times: float) -> None:
+    """The position is off by so many times what the sensor errs."""
+    monkeypatch.setattr(decision, "rms", lambda *_: times)
+    monkeypatch.setattr(decision, "noise_floor", lambda *_: 1.0)
+
+
+@pytest.mark.usefixtures("searched_once")
+@pytest.mark.parametrize(
+    ("lacks", "low", "times", "verdict"),
+    [
+        (0.005, 0.0, 10.0, "unexplained"),
+        (0.005, 0.004, 4.0, "complete"),
+        (0.02, 0.016, 2.5, "unexplained"),
+        (0.02, 0.0, 2.5, "complete"),
+        (0.002, 0.002, 1000.0, "complete"),
+    ],
+)
+def test_a_small_torque_that_throws_the_position_far_off_is_missing(
+    decided: Decided, monkeypatch: pytest.MonkeyPatch, lacks: float, low: float, times: float,
+    verdict: str,
+) -> None:
+    """Commands that a controller dropped left 0.5 % of the torque, and were complete."""
+    monkeypatch.setattr(decision, "discrepancy", lambda *_: Size(lacks, low, 2 * lacks))
+    _sensor(monkeypatch, times)
+    assert decided(reality.Machine()).verdict == verdict
 
 
 def test_what_a_faster_loop_does_between_rows_is_no_missing_physics(tmp_path: Path) -> None:

@@ -314,9 +314,13 @@ def _asked(out: Decision, parts: Parts, given: Model, turning: bool) -> Decision
             return replace(out, kind="missing", claims=(claim,))
         return replace(out, kind="unexplained")
     lawful = lacks > LAWFUL and _lawful(parts, out.base, out.joint, turning)
-    off = _off(out, parts.test)
-    surely = off and beyond(out.before.low, out.known.all) > LAWFUL
-    if lawful or surely or (lacks > MACHINE and (out.before.low > 0.0 or off)):
+    error = rms(window_error(parts.test, out.base.model, out.joint))
+    sensor = noise_floor(parts.test, out.joint)
+    off = error > BEYOND_SENSOR * sensor
+    # what throws the position off by n times the sensor's error is as much at an nth of the torque
+    surely = lacks if off else beyond(out.before.low, out.known.all)
+    thrown = surely > OF_STATE and surely * error > MACHINE * sensor
+    if lawful or thrown or (lacks > MACHINE and out.before.low > 0.0):
         return replace(out, kind="unexplained")
     if off and out.before.high > AMISS:  # a recording too short to say how much torque that is
         return replace(out, kind="unexplained")
@@ -325,12 +329,6 @@ def _asked(out: Decision, parts: Parts, given: Model, turning: bool) -> Decision
         if beyond(chosen.value, out.known.all) > AMISS:
             return replace(out, kind="unexplained", after=chosen)
     return out
-
-
-def _off(out: Decision, test: Data) -> bool:
-    """Whether the position is off by far more than the sensor errs by."""
-    error = rms(window_error(test, out.base.model, out.joint))
-    return error > BEYOND_SENSOR * noise_floor(test, out.joint)
 
 
 def _lawful(parts: Parts, base: Scored, joint: int, turning: bool) -> bool:
