@@ -98,7 +98,7 @@ def test_it_is_said_where_the_next_motion_is_or_why_there_is_none(folder: Path) 
 def _proposing(proposal: object, *rejected: Rejected) -> Diagnosis:
     return SimpleNamespace(  # type: ignore[return-value]
         next_recording=proposal, verdict="complete", rejected=rejected, regions=(), times=(),
-        stopped=False, doubted=contradicted("complete", rejected),
+        stopped=False, doubted=contradicted(rejected),
     )
 
 
@@ -397,9 +397,8 @@ def test_what_only_the_recordings_of_the_fit_say_is_not_called_complete() -> Non
         Rejected("delay", 3, "on the recordings held out", 626.0),
         Rejected("delay", 4, "does not explain the mismatch", 0.0),
     ]
-    assert contradicted("missing", tried) == ()
-    assert (doubted := contradicted("complete", tried)) == (("backlash", 1),)
-    assert verdict_sentence("complete", [], doubted=doubted) == (
+    assert (doubted := contradicted(tried)) == (("backlash", 1),)
+    assert verdict_sentence("unexplained", [], doubted=doubted) == (
         "Cannot tell: the recordings of the fit are by far likelier with backlash at joint 1, and"
         " the untouched ones do not show it. Hold out motion as fast as theirs."
     )
@@ -494,7 +493,7 @@ def test_the_headline_names_the_law_that_an_unexplained_torque_is_most_like() ->
     ]
     assert nearest("unexplained", tried) == (("hysteresis", 1),)
     assert not nearest("complete", tried) and not nearest("unexplained", tried[:1])
-    said = verdict_sentence("unexplained", [], doubted=nearest("unexplained", tried))
+    said = verdict_sentence("unexplained", [], near=nearest("unexplained", tried))
     assert said == (
         "Unexplained: something is missing that is most like hysteresis at joint 1, and not surely"
         " that; no physics is claimed."

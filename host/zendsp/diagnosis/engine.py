@@ -201,6 +201,7 @@ def _diagnose(
         remaining={j: after for j, (_, _, after) in seen_at.items()},
         workings=Workings(found.searches, decisions, whole, shown_on, parts.test),
         stopped=bool(stopped),
+        doubted=_doubted(findings, decisions),
     )
 
 
@@ -267,6 +268,15 @@ def _verdict(
         return "missing"
     complete = not stopped and {d.kind for d in decisions} == {"complete"}
     return "complete" if complete else "unexplained"
+
+
+def _doubted(
+    findings: Sequence[Finding], decisions: Sequence[Decision]
+) -> tuple[tuple[str, int], ...]:
+    """What only the recordings of the fit say, where that is all that is left open."""
+    if findings or any(d.kind != "complete" and not d.doubted for d in decisions):
+        return ()
+    return tuple(law for d in decisions for law in d.doubted)
 
 
 def _left(decision: Decision) -> Left:

@@ -136,6 +136,8 @@ class Decision:
     # hypotheses that were tried where nothing is claimed
     lost: tuple[Rejected, ...] = ()
     near: Near | None = None
+    # untouched recordings do not show what those of the fit surely do: effects and joint
+    doubted: tuple[tuple[str, int], ...] = ()
     searched: bool = True  # not where the search was ended before this joint
 
 

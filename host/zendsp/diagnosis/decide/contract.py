@@ -241,12 +241,10 @@ def _likeliest(rejected: Iterable[Rejected]) -> list[Rejected]:
     return [best[joint] for joint in sorted(best)]
 
 
-def contradicted(verdict: Verdict, rejected: Iterable[Rejected]) -> tuple[tuple[str, int], ...]:
+def contradicted(rejected: Iterable[Rejected]) -> tuple[tuple[str, int], ...]:
     """Effects and joints by which the recordings of the fit say that something is missing where the
     untouched ones do not: their motion may not show it.
     """
-    if verdict != "complete":
-        return ()
     return tuple(
         (r.effect, r.joint)
         for r in _likeliest(rejected)

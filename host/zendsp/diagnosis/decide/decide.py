@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Decision, Piece
-from zendsp.diagnosis.decide.contract import Reason, Rejected
+from zendsp.diagnosis.decide.contract import Reason, Rejected, contradicted
 from zendsp.diagnosis.decide.findings import new_terms, percent
 from zendsp.diagnosis.decide.laws import believed, named
 from zendsp.diagnosis.decide.nameless import only_mechanism
@@ -56,6 +56,7 @@ from zendsp.diagnosis.decide.thresholds import (
     PREDICTED,
     RUN_AWAY,
     SURE,
+    THROWN,
 )
 from zendsp.diagnosis.measure.bursts import periodic
 from zendsp.diagnosis.measure.discrepancy import Size, beyond, discrepancy
@@ -89,6 +90,8 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
         Receives a sentence at each stage.
     """
     out = _decided(parts, given, search, jobs, tell)
+    if out.kind == "complete" and (doubted := contradicted(out.lost)):
+        out = replace(out, kind="unexplained", doubted=doubted)
     turning = not rubs(search.base.model, search.joint)
     if out.kind == "missing" and not any(c.effect == "unknown" for c in out.claims):
         models = [out.final]
@@ -317,10 +320,10 @@ def _asked(out: Decision, parts: Parts, given: Model, turning: bool) -> Decision
     error = rms(window_error(parts.test, out.base.model, out.joint))
     sensor = noise_floor(parts.test, out.joint)
     off = error > BEYOND_SENSOR * sensor
+    surely = off and beyond(out.before.low, out.known.all) > LAWFUL
     # what throws the position off by n times the sensor's error is as much at an nth of the torque
-    surely = lacks if off else beyond(out.before.low, out.known.all)
-    thrown = surely > OF_STATE and surely * error > MACHINE * sensor
-    if lawful or thrown or (lacks > MACHINE and out.before.low > 0.0):
+    thrown = off and lacks > OF_STATE and lacks * error > THROWN * sensor
+    if lawful or surely or thrown or (lacks > MACHINE and out.before.low > 0.0):
         return replace(out, kind="unexplained")
     if off and out.before.high > AMISS:  # a recording too short to say how much torque that is
         return replace(out, kind="unexplained")

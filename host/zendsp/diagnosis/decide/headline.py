@@ -34,6 +34,7 @@ def verdict_sentence(
     found: Sequence[tuple[str, Sequence[str], int]],
     unseen: Sequence[int] = (),
     left: Sequence[tuple[int, float]] = (),
+    near: Sequence[tuple[str, int]] = (),
     doubted: Sequence[tuple[str, int]] = (),
 ) -> str:
     """The verdict in one sentence, or two.
@@ -46,9 +47,9 @@ def verdict_sentence(
         Joints of which the recordings show nothing, see ``dark``.
     left : sequence of (joint, share)
         What of a joint's torque a complete model leaves, see ``nameless``.
-    doubted : sequence of (effect, joint)
-        What only the recordings of the fit say, see ``contradicted``; what an unexplained verdict
-        is most like, see ``nearest``.
+    near, doubted : sequence of (effect, joint)
+        What an unexplained verdict is most like, see ``nearest``; what only the recordings of the
+        fit say, where nothing else is unexplained, see ``contradicted``.
 
     Examples
     --------
@@ -61,9 +62,9 @@ def verdict_sentence(
     'Other than the model says: a mass or an inertia (payload) at joint 2.'
     >>> verdict_sentence("complete", [], left=[(1, 0.015)]).rpartition(" and ")[2]
     'has no name: 1.5 % of the torque of joint 1.'
-    >>> verdict_sentence("complete", [], doubted=[("backlash", 1)])[:73]
+    >>> verdict_sentence("unexplained", [], doubted=[("backlash", 1)])[:73]
     'Cannot tell: the recordings of the fit are by far likelier with backlash '
-    >>> verdict_sentence("unexplained", [], doubted=[("backlash", 1)])[:66]
+    >>> verdict_sentence("unexplained", [], near=[("backlash", 1)])[:66]
     'Unexplained: something is missing that is most like backlash at jo'
     """
     if verdict == "complete" and unseen:
@@ -71,16 +72,15 @@ def verdict_sentence(
             "Cannot tell: nothing is seen to be missing, but the recordings to judge on leave open"
             f" up to all of the torque of {listed(unseen)}."
         )
-    what = " and ".join(f"{effect} at joint {joint}" for effect, joint in doubted)
-    if doubted and verdict == "unexplained":
-        return (
-            f"Unexplained: something is missing that is most like {what}, and not surely that; no"
-            " physics is claimed."
-        )
     if doubted:
         return (
-            f"Cannot tell: the recordings of the fit are by far likelier with {what}, and the"
-            " untouched ones do not show it. Hold out motion as fast as theirs."
+            f"Cannot tell: the recordings of the fit are by far likelier with {_at(doubted)}, and"
+            " the untouched ones do not show it. Hold out motion as fast as theirs."
+        )
+    if near and verdict == "unexplained":
+        return (
+            f"Unexplained: something is missing that is most like {_at(near)}, and not surely that;"
+            " no physics is claimed."
         )
     if verdict == "complete" and left:
         shares = " and ".join(f"{percent(share)} of the torque of joint {j}" for j, share in left)
@@ -109,6 +109,10 @@ def verdict_sentence(
     masses = all(word_of(m, effects) in (WORDS["inertia"], TILTED) for m, effects, _ in found)
     begin = "Other than the model says" if masses else "Missing physics"
     return f"{begin}: {'; '.join(where)}."
+
+
+def _at(laws: Sequence[tuple[str, int]]) -> str:
+    return " and ".join(f"{effect} at joint {joint}" for effect, joint in laws)
 
 
 def percent(share: float) -> str:

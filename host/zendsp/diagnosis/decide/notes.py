@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from zendsp.diagnosis.decide.claims import Decision
-from zendsp.diagnosis.decide.contract import contradicted, spans, two_digits
+from zendsp.diagnosis.decide.contract import spans, two_digits
 from zendsp.diagnosis.decide.findings import percent
 from zendsp.diagnosis.decide.near import likeness
 from zendsp.diagnosis.decide.result import Errors
@@ -32,24 +32,12 @@ def notes_of(decisions: Sequence[Decision], given: Model) -> list[str]:
     """What each joint's decision says beside a finding."""
     return [
         *_loosely_fitted(decisions),
-        *_likelier(decisions),
         *_felt(decisions, given),
         *_creeping(decisions, given),
         *_late_log(decisions, given),
         *_against_masses(decisions, given),
         *_all_for_the_load(decisions, given),
         *_other_loads(decisions),
-    ]
-
-
-def _likelier(decisions: Sequence[Decision]) -> list[str]:
-    """Where nothing is missing on untouched recordings, and those of the fit say otherwise."""
-    lost = [tried for d in decisions if d.kind == "complete" for tried in d.lost]
-    return [
-        f"joint {joint}: the recordings of the fit are by far likelier with {effect}, and the"
-        " untouched ones do not say so: hold out motion as fast as theirs, or look for what is"
-        " wrong with them alone"
-        for effect, joint in contradicted("complete", lost)
     ]
 
 
@@ -110,8 +98,12 @@ def _late_log(decisions: Sequence[Decision], given: Model) -> list[str]:
     return [
         f"joint {d.joint}: the command column is {1e3 * t.value('time'):.2g} ms late against the"
         " position column, less than a row: behind a filter of the log, in a simulator of first"
-        " order, or of a loop faster than the rows ([actuator] hold). The model has it;"
-        " it is no missing physics"
+        " order, or of a loop faster than the rows ([actuator] hold). The model has it; "
+        + (
+            "it may stand in for a part of what is missing"
+            if d.kind == "unexplained"
+            else "it is no missing physics"
+        )
         for d in decisions
         for t in d.final.model.at(d.joint)
         if t.effect == "column_shift" and not any(g.effect == t.effect for g in given.at(d.joint))
@@ -224,6 +216,12 @@ def left_over(decisions: Sequence[Decision], given: Model, fit: Data) -> str:
                 " joint's torque stays unexplained. Check that the model is of this machine, and"
                 " its units, [actuator] gain and limit those of the command column"
                 + _hardly_moves(fit, d.joint)
+            )
+        elif d.doubted:
+            words.append(
+                f"Joint {d.joint}: the recordings of the fit are by far likelier with"
+                f" {d.doubted[0][0]}, and the untouched ones do not say so: hold out motion as fast"
+                " as theirs, or look for what is wrong with them alone"
             )
         elif d.kind == "unexplained" and d.state.size > OF_STATE:
             words.append(

@@ -21,7 +21,6 @@ from zendsp.diagnosis.decide.contract import (
     Report,
     Verdict,
     WhereReport,
-    contradicted,
     dark,
     nameless,
     nearest,
@@ -307,6 +306,8 @@ class Diagnosis:
     workings: Workings | SimulatorErrors | None = None
     out: Path | None = None
     stopped: bool = False  # Ctrl-C ended the search: what was found until then
+    # effects and joints of which the headline says that it cannot tell
+    doubted: tuple[tuple[str, int], ...] = ()
 
     @property
     def errors(self) -> tuple[Errors, ...]:
@@ -323,11 +324,6 @@ class Diagnosis:
         return " or ".join(u for u in ("rad", "m") if any(e.unit == u for e in self.errors))
 
     @property
-    def doubted(self) -> tuple[tuple[str, int], ...]:
-        """Effects and joints of which the headline says that it cannot tell."""
-        return contradicted(self.verdict, self.rejected)
-
-    @property
     def headline(self) -> str:
         """The verdict in a sentence, or two; the mechanism first."""
         if self.stopped and not self.findings:
@@ -337,10 +333,10 @@ class Diagnosis:
         shares = ((x.joint, x.share) for x in self.discrepancy)
         table = self.test or self.heldout
         left = nameless(shares, table.improved, self.noise_floor)
-        doubted = self.doubted or nearest(self.verdict, self.rejected)
-        text = verdict_sentence(self.verdict, found, unseen, left, doubted)
+        near = nearest(self.verdict, self.rejected)
+        text = verdict_sentence(self.verdict, found, unseen, left, near, self.doubted)
         off = table.given > OFF * table.calibrated
-        if self.verdict == "complete" and not (unseen or self.doubted) and off:
+        if self.verdict == "complete" and not unseen and off:
             times = two_digits(table.given / table.calibrated)
             text += f" The given numbers were off: calibrated, it errs {times} times less (notes)."
         return f"So far, ended by Ctrl-C: {text}" if self.stopped else text
