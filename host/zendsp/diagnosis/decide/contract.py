@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Literal, TypedDict
+from typing import Literal, NotRequired, TypedDict
 
 # times the sensor's error, from which on a complete model says what it leaves: 22 of 99 of a
 # campaign were off by as much (seed 229); and of a joint's torque: less is not worth a sentence
@@ -30,15 +30,17 @@ WORDS = {
     "disturbance": "a disturbance",
 }
 
+NOT_SURELY = "not surely this law"  # the first words of what is near
+
 Verdict = Literal["complete", "missing", "unexplained"]
 
 
 class Reason(StrEnum):
-    """Why a hypothesis lost, by the first words of its ``why`` in report.json."""
+    """Why a hypothesis lost; its ``why`` says it in words."""
 
-    NEAR = "not surely this law"  # the likeliest, and takes most of what lacks
-    TOO_SMALL = "too small to be told"  # surely there, and less than a finding has
-    OTHER = ""
+    NEAR = "near"  # the likeliest, and takes most of what lacks
+    TOO_SMALL = "too_small"  # surely there, and less than a finding has
+    OTHER = "other"
 
 
 @dataclass(frozen=True)
@@ -186,6 +188,7 @@ class RejectedReport(TypedDict):
     joint: int
     why: str
     score: float
+    reason: NotRequired[str]  # of ``Reason``; older files have none
 
 
 class NextReport(TypedDict):
@@ -221,7 +224,7 @@ def rejected_in(report: Report) -> list[Rejected]:
             r["joint"],
             r["why"],
             r["score"] or 0.0,
-            next(reason for reason in Reason if r["why"].startswith(reason)),
+            Reason(r.get("reason", Reason.OTHER)),
         )
         for r in report["rejected"]
     ]

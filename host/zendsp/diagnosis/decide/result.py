@@ -344,7 +344,13 @@ class Diagnosis:
             "fit": self.errors[0].as_dict(),
             "fit_other_unit": [e.as_dict() for e in self.others],
             "rejected": [
-                {"effect": r.effect, "joint": r.joint, "why": r.why, "score": round(r.score, 1)}
+                {
+                    "effect": r.effect,
+                    "joint": r.joint,
+                    "why": r.why,
+                    "score": round(r.score, 1),
+                    "reason": str(r.reason),
+                }
                 for r in self.rejected
             ],
             "next_recording": (

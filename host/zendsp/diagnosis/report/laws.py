@@ -89,9 +89,10 @@ def law_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Chart:
     less, more = f"without {finding.effect}", f"with {finding.effect}"
     two = Sides(kernel_model(d.given), whole.improved, "as given", "calibrated")
     if "recordings" in finding.numbers:  # a load that others have not
-        two = Sides(whole.calibrated, whole.improved, less, more)
+        two = Sides(whole.calibrated, whole.improved, less, more, by_law=True)
     elif terms:
-        two = Sides(whole.improved.with_terms((*kept, *replaced)), whole.improved, less, more)
+        bare = whole.improved.with_terms((*kept, *replaced))
+        two = Sides(bare, whole.improved, less, more, by_law=True)
     if get_effect(finding.effect).site == "body":  # it acts by the motion of all joints
         force = d.given.torque_unit
         alike = [j for j in range(1, d.given.joints + 1) if force(j) == force(finding.joint)]
@@ -117,7 +118,8 @@ def law_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Chart:
     chart = two_panels(d, finding, index, [law, *curves], (two.was, two.now))
     panels = tuple(replace(p, xlabel=along or p.xlabel) for p in chart.panels)
     flat = f" What lasts less than {1e3 * AROUND / band:.0f} ms is flatter here than it is."
-    return replace(chart, panels=panels, note=chart.note + flat)
+    title = _title(finding, joint, two)
+    return replace(chart, title=title, panels=panels, note=chart.note + flat)
 
 
 def two_panels(
@@ -128,7 +130,7 @@ def two_panels(
     titles: tuple[str, str],
     unit: str = "",
 ) -> Chart:
-    """The chart of three curves: the law, what lacks without it, and with it.
+    """The chart of three curves, without a title: the law, what lacks without it, and with it.
 
     Parameters
     ----------
@@ -150,7 +152,6 @@ def two_panels(
         finding.sentence,
         _name(finding, index),
         tuple(replace(p, limits=limits) for p in panels),
-        title=_whose(finding, joint, titles[0]),
         beside=True,
         same=True,
         size=(7.2, 3.2),
@@ -160,14 +161,14 @@ def two_panels(
     )
 
 
-def _whose(finding: Finding, joint: int, was: str) -> str:
+def _title(finding: Finding, joint: int, two: Sides) -> str:
     """What a law's figure shows: the law's own torque, which is not what a model lacks that is
     fitted without it; of a number that was given wrong, what lacked with it.
     """
-    if was.startswith("without "):
+    if two.by_law:
         what = f"torque of {finding.effect}: the improved model without it and with it"
         return f"Joint {joint}: {what}"
-    return f"Joint {joint}: torque that the model {was} lacks, by {finding.effect}"
+    return f"Joint {joint}: torque that the model {two.was} lacks, by {finding.effect}"
 
 
 def broken(at: Array, mean: Array) -> tuple[Array, Array]:
@@ -265,7 +266,7 @@ def _over_time(
         finding.sentence,
         _name(finding, index),
         (Panel("time [s]", torque_label(unit), tuple(lines), clock=True),),
-        title=f"{_whose(finding, joint, two.was)}, where it acts most",
+        title=f"{_title(finding, joint, two)}, where it acts most",
         size=(7.2, 3.2),
         finding=index,
         joint=joint,
