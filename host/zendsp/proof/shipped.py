@@ -83,7 +83,7 @@ class Machine:
 
 
 @contextmanager
-def opened(name: str, config: str) -> Iterator[Machine]:
+def _opened(name: str, config: str) -> Iterator[Machine]:
     machine = Machine(name, config)
     try:
         yield machine
@@ -107,7 +107,7 @@ def record(r: Rig, shape: str, rng: Rng) -> Run:
     command, speed = np.zeros(r.n), np.zeros(r.n)
     seed = int(rng.integers(2**31))  # of the machine's noise
     plain = f"friction = plain\nseed = {seed}\nideal = {int(r.ideal)}\n"
-    with opened(r.name, f"{plain}{start}{lines}") as machine:
+    with _opened(r.name, f"{plain}{start}{lines}") as machine:
         for k in range(rows):
             machine.write(command)
             y[k], q[k], v[k] = machine.read(r.n)
