@@ -4,6 +4,7 @@ one name everywhere.
 
 from __future__ import annotations
 
+import ast
 import dataclasses
 import importlib
 import inspect
@@ -12,11 +13,13 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 from waiting import PATIENCE_S
 
+ROOT = Path(__file__).parents[2]
 ROOMS = (
     "zendsp", "zendsp.link", "zendsp.recording", "zendsp.reference", "zendsp.physics",
     "zendsp.physics.effects", "zendsp.diagnosis", "zendsp.experiment", "zendsp.demo",
@@ -112,6 +115,19 @@ def test_everything_public_has_a_summary() -> None:
         if not summary or generated or summary[-1] not in ".:…)":
             odd[name] = summary
     assert odd == {}
+
+
+def test_every_public_name_of_a_module_says_what_it_is() -> None:
+    silent = [
+        f"{path.relative_to(ROOT)}:{node.lineno} {node.name}"
+        for package in ("host", "target", "protocol", "c_isr")
+        for path in sorted((ROOT / package).rglob("*.py"))
+        for node in ast.parse(path.read_text("utf-8")).body
+        if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)
+        and not node.name.startswith("_")
+        and not ast.get_docstring(node)
+    ]
+    assert silent == []
 
 
 def test_every_parameter_of_a_public_function_is_documented() -> None:

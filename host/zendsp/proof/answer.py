@@ -20,6 +20,8 @@ class ContractError(ValueError):
 
 @dataclass(frozen=True)
 class Estimate:
+    """A parameter as the report states it, SI; ``std`` is NaN where there is none."""
+
     value: float
     std: float
 

@@ -31,6 +31,7 @@ class Rival:
 
 
 def stack(*columns: Array) -> Array:
+    """Columns side by side, (rows, columns)."""
     return np.stack(columns, 1)
 
 

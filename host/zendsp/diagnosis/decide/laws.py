@@ -77,6 +77,17 @@ def named(
     jobs: int,
     tell: Progress,
 ) -> Decision:
+    """Name each claimed mechanism by its law, or by none where no law describes it.
+
+    Parameters
+    ----------
+    final : Scored
+        The model of the search with its claims, which every law is held against.
+    claimed, rest : sequence of Piece
+        Mechanisms that the untouched recordings show, and what only improves the fit.
+    before : Size
+        What lacks without them.
+    """
     joint = search.joint
     rounds = Rounds(parts.fit, joint, jobs, tell, given)
     after = discrepancy(parts.test, final.model, joint)

@@ -22,6 +22,9 @@ PARTS: dict[str, tuple[str, tuple[str, ...], Part]] = {}
 
 
 def part(name: str, words: str, mechanisms: tuple[str, ...]) -> Callable[[Part], Part]:
+    """Enter the function below as a part of foreign machines: what it is, and which mechanisms it
+    is.
+    """
     def keep(function: Part) -> Part:
         PARTS[name] = (words, mechanisms, function)
         return function
