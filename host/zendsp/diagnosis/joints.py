@@ -1,5 +1,8 @@
-"""Every joint searched and decided, in a process of its own where there are several; and the
-machine put together of them.
+"""Searches and decides every joint, in a process of its own where there are several, and puts the
+machine together.
+
+Two models go through this file: ``given`` is the user's, ``beneath`` is that with what is known of
+the machine by now, on which a joint's search begins.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What several joints lack at once: one cause is likelier than a law each."""
+"""What several joints lack at once: one common cause is likelier than a law at each."""
 
 from __future__ import annotations
 

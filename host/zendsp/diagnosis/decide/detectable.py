@@ -1,17 +1,16 @@
 """What these recordings would have shown: for each joint and mechanism the smallest effect that the
 decision would have claimed.
 
-An effect of some size leaves its trace in the innovations of the model that was found, less what
-the calibrated numbers, fitted to the recordings of the fit, take up of it. From the trace's energy
-in the recordings to test on follows the evidence that an effect of that size would have had there,
-and from its torque whether it would have stood out of the discrepancy, and been named: the smallest
-size that passes all of these is stated. It is looked for to first order, then implanted, and asked
-as the decision asks: calibrated numbers and observer are fitted without it to the recordings of the
-fit, and those to test on have to say that it lacks. A command that is too large by a part is no
-more than inertia, weight and friction that are. Of the phases of a wave and the neutral positions
-of a spring the one that is seen worst counts.
-The search is not run again for every size; ``zendsp prove --implant`` measures how well the figures
-hold.
+An effect leaves a trace in the innovations of the model that was found; what calibration takes up
+of it is taken off. The trace's energy in the recordings to test on gives the evidence for the
+effect there. Its torque tells whether it stands out of the discrepancy, and would be named. The
+smallest size that passes all of these is stated.
+
+It is first looked for to first order. Then it is implanted, and asked as the decision asks: without
+it calibrated numbers and observer are fitted to the recordings of the fit, and those to test on
+have to say that it lacks. Of the phases of a wave, and of the neutral positions of a spring, the
+one that is seen worst counts. The search is not run again for every size: ``zendsp prove
+--implant`` measures how well the figures hold.
 """
 
 from __future__ import annotations

@@ -16,7 +16,8 @@ import numpy.typing as npt
 from zendsp.diagnosis.external.simulator import Bench, on_input, on_timing
 from zendsp.diagnosis.progress import Progress, Step
 from zendsp.physics.calibration.bounds import parameter_bounds
-from zendsp.physics.calibration.fit import NEAR, TOO_FAR, Fit, robust_covariance
+from zendsp.physics.calibration.covariance import robust_covariance
+from zendsp.physics.calibration.fit import NEAR, TOO_FAR, Fit
 from zendsp.physics.calibration.handles import Handle, get_values, set_values
 from zendsp.physics.calibration.terms import grid_of, make_term, usable
 from zendsp.physics.effects import Effect, get_effect, is_supported, library

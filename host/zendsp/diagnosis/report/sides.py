@@ -1,5 +1,5 @@
-"""What a figure compares: the model before and after, and the observer that shows best what parts
-them.
+"""What a figure compares: the model before and after, and the observer under which the two differ
+most clearly.
 """
 
 from __future__ import annotations
