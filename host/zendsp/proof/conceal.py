@@ -148,10 +148,6 @@ def _hide_foreign(d: Draft, effect: str, size: float, scales: list[Scale], rng: 
     d.concealed.append(add_foreign(d, effect, joint, scales[joint], size, rng))
 
 
-def _prepare_behind(d: Draft, effect: str, rng: Rng) -> None:
-    no_preparation(d, effect, rng)
-
-
 def hide_behind(d: Draft, effect: str, size: float, scales: list[Scale], rng: Rng) -> None:
     """The effect stands behind a larger one that the given model has."""
     joint = _pick_joint(d, rng)
@@ -210,7 +206,7 @@ def hide_replacement(d: Draft, effect: str, size: float, scales: list[Scale], rn
 KINDS: dict[str, Kind] = {
     "single": Kind(no_preparation, _hide_single),
     "pair": Kind(_prepare_pair, hide_pair),
-    "behind": Kind(_prepare_behind, hide_behind),
+    "behind": Kind(no_preparation, hide_behind),
     "part": Kind(prepare_part, _hide_single),
     "replace": Kind(no_preparation, hide_replacement),
     "complete": Kind(prepare_complete, hide_nothing),
