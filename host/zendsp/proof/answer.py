@@ -85,6 +85,7 @@ class Answer:
 
     @staticmethod
     def from_json(table: Mapping[str, Any]) -> Answer:
+        """Read a report; ``ContractError`` where it is not what the contract says."""
         regions = tuple(
             Region(r["joint"], r["variable"], tuple(r["interval"])) for r in table["regions"]
         )

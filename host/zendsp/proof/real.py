@@ -147,6 +147,7 @@ class Seen:
 
     @property
     def good(self) -> bool:
+        """Whether the answer came, without trouble, and says all that was published."""
         return not self.absent and not self.answer.trouble and all(ok for _, ok in self.kept)
 
 

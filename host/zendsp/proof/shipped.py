@@ -68,6 +68,7 @@ class Machine:
         self.actuators = self.ffi.new("machine_actuators *")
 
     def write(self, torque: Array) -> None:
+        """Give the drives a torque, (joints,), N m or N."""
         self.actuators.mode = TORQUE
         for j, value in enumerate(torque):
             self.actuators.aout[j] = float(value) * self.info.joint[j].mv_per_torque

@@ -46,10 +46,12 @@ class Rig:
 
     @property
     def n(self) -> int:
+        """Number of joints."""
         return len(self.kp)
 
     @property
     def resolution(self) -> float:
+        """Of the encoders, rad."""
         return 2 * np.pi / self.counts
 
     def inertia(self, joint: int) -> float:

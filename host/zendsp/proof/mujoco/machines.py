@@ -83,6 +83,7 @@ class Bench:
 
     @property
     def n(self) -> int:
+        """Number of joints."""
         return len(self.joints)
 
     def freeze(self) -> Bench:
