@@ -7,10 +7,9 @@ white do not pretend to know more than they do.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +26,6 @@ from zendsp.physics.kernel.threads import Each, threads
 from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
-T = TypeVar("T")
 
 # factor within which an inertial figure is calibrated where the recordings give no range of their
 # own
@@ -160,24 +158,12 @@ def residuals(
         for rec in data.records
         for j in joints
     ]
-    return _side_by_side(works, models, each)
-
-
-def _side_by_side(
-    works: Sequence[Callable[[Sequence[T]], Array]], items: Sequence[T], each: Each
-) -> Array:
-    """Columns of some items, as many at a time as the kernel takes, below one another by who works
-    them out.
-    """
-    groups = [items[i : i + LANES] for i in range(0, len(items), LANES)]
+    # as many models at a time as the kernel takes
+    groups = [models[i : i + LANES] for i in range(0, len(models), LANES)]
     tasks = [(work, group) for work in works for group in groups]
     done = list((map if len(tasks) == 1 else each)(lambda task: task[0](task[1]), tasks))
-    if len(groups) > 1:
-        done = [
-            np.concatenate(done[i : i + len(groups)], axis=1)
-            for i in range(0, len(done), len(groups))
-        ]
-    return np.concatenate(done) if len(done) > 1 else done[0]
+    beside = [done[i : i + len(groups)] for i in range(0, len(done), len(groups))]
+    return np.concatenate([np.concatenate(parts, axis=1) for parts in beside])
 
 
 def bounds_and_steps(
