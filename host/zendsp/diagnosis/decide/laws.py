@@ -106,7 +106,7 @@ def named(
         ranked = _ranked(parts.test, given, final, piece, search.base, jobs)
         ranked = _upon(ranked, after.value)
         first = ranked[0]
-        law = law_of(parts, given, search, rounds, final, piece, first, jobs, tell)
+        law = law_of(parts, given, search, rounds, final, piece, first, tell)
         own, beside = judge.findings_among(ranked, piece)
         refinements += [c for p in beside for c in _plain(p)]
         left = judge.left_by(piece)
@@ -116,7 +116,7 @@ def named(
             claims.append(replace(law, effect="unknown", left=left, why=why))
             continue
         claims.append(replace(law, left=left, size=first.size if len(own) > 1 else piece.size))
-        claims += [law_of(parts, given, search, rounds, final, p, p, jobs, tell) for p in own[1:]]
+        claims += [law_of(parts, given, search, rounds, final, p, p, tell) for p in own[1:]]
     refinements += [c for p in rest for c in _plain(p)]
     claims.sort(key=lambda c: -c.evidence.gain)
     claims, more = _beside_unknown(claims, after.value)

@@ -48,7 +48,6 @@ def law_of(
     final: Scored,
     piece: Piece,
     first: Piece,
-    jobs: int,
     tell: Progress,
 ) -> Claim:
     """The law of a mechanism with its probability: laws that could stand in its place are fitted,
