@@ -24,7 +24,14 @@ from zendsp.diagnosis import Diagnosis, diagnose
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.split import split
 from zendsp.diagnosis.decide import decide
-from zendsp.diagnosis.decide.contract import Rejected, contradicted, dark, nearest, rejected_in
+from zendsp.diagnosis.decide.contract import (
+    Reason,
+    Rejected,
+    contradicted,
+    dark,
+    nearest,
+    rejected_in,
+)
 from zendsp.diagnosis.decide.findings import waves
 from zendsp.diagnosis.decide.result import Detectable, Estimate, Finding, number
 from zendsp.diagnosis.measure.curve import Axis, samples_of
@@ -397,6 +404,12 @@ def _read(*rejected: tuple[str, int, str, float | None]) -> list[Rejected]:
     keys = ("effect", "joint", "reason", "score")
     report: Any = {"rejected": [{**dict(zip(keys, r, strict=True)), "why": "so"} for r in rejected]}
     return rejected_in(report)
+
+
+def test_a_report_of_before_has_no_reason_why_a_law_lost() -> None:
+    old = {"effect": "ripple", "joint": 1, "why": "so", "score": 1.0}
+    report: Any = {"rejected": [old, {**old, "reason": "near"}]}
+    assert [r.reason for r in rejected_in(report)] == [Reason.OTHER, Reason.NEAR]
 
 
 def test_what_only_the_recordings_of_the_fit_say_is_not_called_complete() -> None:
