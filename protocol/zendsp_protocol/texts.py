@@ -116,16 +116,22 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
-def with_point(text: str) -> str:
-    """A hint for a number with a decimal comma; empty for everything else.
+def number_hint(text: str) -> str:
+    """A hint for a number with a decimal comma or a unit; empty for everything else.
 
     Examples
     --------
-    >>> with_point("0,15"), with_point("1,2,3"), with_point("0.15")
+    >>> number_hint("0,15"), number_hint("1,2,3"), number_hint("0.15")
     ('; with a decimal point it is 0.15', '', '')
+    >>> number_hint("10 N"), number_hint("1e-3rad"), number_hint("1 2"), number_hint("1e5")
+    ('; without its unit it is 10', '; without its unit it is 1e-3', '', '')
     """
     comma = re.fullmatch(r"\s*([-+]?\d+),(\d+(?:[eE][-+]?\d+)?)\s*", text)
-    return f"; with a decimal point it is {comma[1]}.{comma[2]}" if comma else ""
+    if comma:
+        return f"; with a decimal point it is {comma[1]}.{comma[2]}"
+    unit = re.fullmatch(r"\s*([-+]?\d*\.?\d+(?:[eE][-+]?\d+)?)\s*([^\W\d_xX]|[%°]).*", text)
+    exponent = re.fullmatch(r"[eE][-+]?\d*", text[unit.end(1):].strip()) if unit else None
+    return f"; without its unit it is {unit[1]}" if unit and not exponent else ""
 
 
 def suspicious(data: bytes) -> bool:

@@ -27,7 +27,7 @@ from zendsp_isr.parts import machine_title
 from zendsp_protocol.errors import ZendspError
 from zendsp_protocol.files_left import need_files
 from zendsp_protocol.states import Clock
-from zendsp_protocol.texts import with_point
+from zendsp_protocol.texts import number_hint
 from zendsp_target.access.admission import settle
 from zendsp_target.access.endpoints import Security
 
@@ -67,12 +67,12 @@ def number(text: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number{with_point(text)}") from None
+        raise argparse.ArgumentTypeError(f"{text!r} is no number{number_hint(text)}") from None
 
 
 def machine_option(text: str) -> str:
     """KEY=VALUE; a decimal comma would be read as far as the comma."""
-    if point := with_point(text.partition("=")[2]):
+    if point := number_hint(text.partition("=")[2]):
         raise argparse.ArgumentTypeError(f"{text!r} is no number{point}")
     return text
 

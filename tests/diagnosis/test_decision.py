@@ -26,7 +26,6 @@ from zendsp.diagnosis.measure import structure as measure_structure
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.report.figures import charts
 from zendsp.diagnosis.report.laws import law_chart
-from zendsp.diagnosis.report.summary import headline
 from zendsp.physics.calibration.handles import get_values
 from zendsp.physics.effects import get_effect
 from zendsp.physics.files.model_file import parse_model
@@ -281,7 +280,7 @@ def test_recordings_that_would_show_no_friction_nor_torque_over_position_cannot_
         engine, "detectable", lambda *a: tuple(x for x in detectable(*a) if x.effect == shown)
     )
     d = decided(reality.Machine())
-    assert headline(d).startswith(word), headline(d)
+    assert d.headline.startswith(word), d.headline
     assert (d.next_recording is not None) == (shown == "delay")
 
 

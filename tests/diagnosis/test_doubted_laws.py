@@ -14,10 +14,10 @@ from small_models import VISCOUS, data_of, model_of
 from zendsp.diagnosis.decide import absorbed, patchwork, pushes
 from zendsp.diagnosis.decide.claims import Claim
 from zendsp.diagnosis.decide.contract import nameless, spans
+from zendsp.diagnosis.decide.headline import verdict_sentence
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.structure import MEMORY, Structure
 from zendsp.diagnosis.measure.where import Missing, energy, located
-from zendsp.diagnosis.report.summary import verdict_sentence
 from zendsp.diagnosis.search.rounds import Rounds
 from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.model import Quantity, Term

@@ -17,7 +17,6 @@ from zendsp.cli import cli
 from zendsp.cli.steps import in_steps
 from zendsp.diagnosis import diagnose, joints
 from zendsp.diagnosis.progress import Progress, Step
-from zendsp.diagnosis.report.summary import headline
 
 
 def test_a_progress_only_goes_forward() -> None:
@@ -83,7 +82,7 @@ def test_ctrl_c_keeps_what_was_found_of_the_joints_that_were_finished(tmp_path: 
     pressed.clear()
     d = diagnose(run, model, jobs=1, progress=press, so_far=True)
     assert [(f.effect, f.joint) for f in d.findings] == [("coulomb", 1)]
-    assert headline(d).startswith("So far, ended by Ctrl-C: Missing physics: dry friction")
+    assert d.headline.startswith("So far, ended by Ctrl-C: Missing physics: dry friction")
     assert "Joint 2: it was not searched before Ctrl-C" in d.unexplained
     assert d.stopped and not d.detectable and d.next_recording is None
     assert str(d).startswith("verdict: missing, so far, ended by Ctrl-C\n")
@@ -103,7 +102,7 @@ def test_ctrl_c_after_the_search_keeps_all_that_was_found(tmp_path: Path) -> Non
     assert [(f.effect, f.joint) for f in d.findings] == [("coulomb", 1)]
     assert not d.unexplained and not d.detectable and d.next_recording is None
     assert "when all joints had been searched" in d.notes[0]
-    assert headline(d).startswith("So far, ended by Ctrl-C: Missing physics: dry friction")
+    assert d.headline.startswith("So far, ended by Ctrl-C: Missing physics: dry friction")
     with pytest.raises(KeyboardInterrupt):
         diagnose(run, model, jobs=1, progress=press)
 

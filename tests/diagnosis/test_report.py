@@ -24,15 +24,9 @@ from zendsp.diagnosis import Diagnosis, diagnose
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.split import split
 from zendsp.diagnosis.decide import decide
-from zendsp.diagnosis.decide.contract import (
-    Reason,
-    Rejected,
-    contradicted,
-    dark,
-    nearest,
-    rejected_in,
-)
+from zendsp.diagnosis.decide.contract import Reason, Rejected, contradicted, dark, nearest
 from zendsp.diagnosis.decide.findings import waves
+from zendsp.diagnosis.decide.headline import percent, verdict_sentence
 from zendsp.diagnosis.decide.result import Detectable, Estimate, Finding, number
 from zendsp.diagnosis.measure.curve import Axis, samples_of
 from zendsp.diagnosis.measure.discrepancy import Size
@@ -42,13 +36,7 @@ from zendsp.diagnosis.report.chart import Panel, Series
 from zendsp.diagnosis.report.figures import charts, from_a_whole_second
 from zendsp.diagnosis.report.files import stands_for, write_report
 from zendsp.diagnosis.report.laws import axis_of
-from zendsp.diagnosis.report.summary import (
-    _sized,
-    headline,
-    percent,
-    unnamed,
-    verdict_sentence,
-)
+from zendsp.diagnosis.report.summary import _sized, unnamed
 from zendsp.physics.effects import get_effect, library, mechanism_of
 from zendsp.physics.files.model_file import load_model
 from zendsp.physics.model import Model, Quantity, Term
@@ -110,7 +98,7 @@ def test_it_is_said_where_the_next_motion_is_or_why_there_is_none(folder: Path) 
 def _proposing(proposal: object, *rejected: Rejected) -> Diagnosis:
     return SimpleNamespace(  # type: ignore[return-value]
         next_recording=proposal, verdict="complete", rejected=rejected, regions=(), times=(),
-        stopped=False,
+        stopped=False, doubted=contradicted("complete", rejected),
     )
 
 
@@ -157,7 +145,7 @@ def test_report_has_every_key_of_the_contract_with_its_type(report: dict[str, An
         assert table["given"] >= table["calibrated"] > table["improved"] > 0
     assert fit["noise_floor"] > 0
     for row in report["rejected"]:
-        assert set(row) == {"effect", "joint", "why", "score", "reason"} and row["why"]
+        assert set(row) == {"effect", "joint", "why", "score"} and row["why"]
     assert report["next_recording"] is None or {"sentence", "reference"} <= set(
         report["next_recording"]
     )
@@ -399,27 +387,14 @@ def test_recordings_that_show_nothing_are_not_called_a_complete_model() -> None:
     )
 
 
-def _read(*rejected: tuple[str, int, str, float | None]) -> list[Rejected]:
-    """As a report.json has them."""
-    keys = ("effect", "joint", "reason", "score")
-    report: Any = {"rejected": [{**dict(zip(keys, r, strict=True)), "why": "so"} for r in rejected]}
-    return rejected_in(report)
-
-
-def test_a_report_of_before_has_no_reason_why_a_law_lost() -> None:
-    old = {"effect": "ripple", "joint": 1, "why": "so", "score": 1.0}
-    report: Any = {"rejected": [old, {**old, "reason": "near"}]}
-    assert [r.reason for r in rejected_in(report)] == [Reason.OTHER, Reason.NEAR]
-
-
 def test_what_only_the_recordings_of_the_fit_say_is_not_called_complete() -> None:
-    tried = _read(
-        ("backlash", 1, "other", 5925.0),
-        ("ripple", 1, "too_small", 900.0),
-        ("ripple", 2, "too_small", 9000.0),
-        ("delay", 3, "other", 626.0),
-        ("delay", 4, "other", None),
-    )
+    tried = [
+        Rejected("backlash", 1, "on the recordings held out", 5925.0),
+        Rejected("ripple", 1, "0.02 % of the torque", 900.0, Reason.TOO_SMALL),
+        Rejected("ripple", 2, "0.02 % of the torque", 9000.0, Reason.TOO_SMALL),
+        Rejected("delay", 3, "on the recordings held out", 626.0),
+        Rejected("delay", 4, "does not explain the mismatch", 0.0),
+    ]
     assert contradicted("missing", tried) == ()
     assert (doubted := contradicted("complete", tried)) == (("backlash", 1),)
     assert verdict_sentence("complete", [], doubted=doubted) == (
@@ -464,7 +439,7 @@ def test_recordings_that_show_nothing_are_to_be_made_again_for_longer(tmp_path: 
         'position_resolution = 0.0015\n[columns]\ntime = "t"\nposition = "q"\ncommand = "u"\n'
     )
     d = diagnose(tmp_path / "run.npz", tmp_path / "model.toml", jobs=1)
-    assert headline(d).startswith("Cannot tell: ") and d.next_recording is not None
+    assert d.headline.startswith("Cannot tell: ") and d.next_recording is not None
     assert d.next_recording.sentence.startswith("Record joint 1 for longer, ")
     write_report(d, tmp_path / "report")
     assert "class='verdict unexplained'" in (tmp_path / "report" / "report.html").read_text()
@@ -478,7 +453,7 @@ def test_the_page_does_not_say_nowhere_above_a_picture_with_shaded_spans() -> No
     assert "3.70–4.20 s" in text and "Nowhere" not in text
     assert "No interval of a joint's own velocity" in text, "the map may be over another joint's"
     none = SimpleNamespace(
-        verdict="missing", regions=(), times=(), times_of=(), missing={}, rejected=()
+        verdict="missing", regions=(), times=(), times_of=(), missing={}, doubted=()
     )
     for pictured in (True, False):
         said = html._where(none, pictured=pictured)  # type: ignore[arg-type]
@@ -510,11 +485,11 @@ def test_waves_that_describe_a_torque_without_a_law_are_told_with_their_numbers(
 
 
 def test_the_headline_names_the_law_that_an_unexplained_torque_is_most_like() -> None:
-    tried = _read(
-        ("delay", 1, "other", 9e4),
-        ("hysteresis", 1, "near", 3e4),
-        ("ripple", 1, "near", 2e4),
-    )
+    tried = [
+        Rejected("delay", 1, "on the recordings held out", 9e4),
+        Rejected("hysteresis", 1, "0.46 % of the torque", 3e4, Reason.NEAR),
+        Rejected("ripple", 1, "0.1 % of the torque", 2e4, Reason.NEAR),
+    ]
     assert nearest("unexplained", tried) == (("hysteresis", 1),)
     assert not nearest("complete", tried) and not nearest("unexplained", tried[:1])
     said = verdict_sentence("unexplained", [], doubted=nearest("unexplained", tried))

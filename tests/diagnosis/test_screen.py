@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -9,12 +11,13 @@ import reality
 from reality import RATE
 from small_models import COULOMB, VISCOUS, data_of, model_of
 
-from zendsp.diagnosis.search.screen import Screen
+from zendsp.diagnosis.search.screen import Screen, phase_of
 from zendsp.physics.calibration.fit import fit, joint_handles
 from zendsp.physics.calibration.joint import facts
-from zendsp.physics.calibration.terms import make_term
-from zendsp.physics.effects import get_effect
-from zendsp.physics.model import Term
+from zendsp.physics.calibration.terms import grid_of, make_term
+from zendsp.physics.effects import get_effect, library
+from zendsp.physics.files.model_file import parse_model
+from zendsp.physics.model import Model, Term
 
 Array = npt.NDArray[np.float64]
 
@@ -66,3 +69,49 @@ def test_the_size_that_would_be_seen_is_that_of_the_worst_phase_or_neutral_posit
         for other in tried
     ]
     assert least <= 1.02 * min(sizes) < 0.9 * max(sizes)
+
+
+def _axis(*terms: dict[str, object]) -> Model:
+    mechanism = {"kind": "linear", "parameters": {"mass": {"value": 0.010}}}
+    return parse_model(
+        {"sample_time": 1.0 / RATE, "mechanism": mechanism, "effect": list(terms)}
+    )
+
+
+def _between(values: Sequence[float], share: float) -> float:
+    """A number within a grid's range, evenly by order of size where the grid is."""
+    low, high = min(values), max(values)
+    if low > 0.0 and high > 3.0 * low:
+        return float(low * (high / low) ** share)
+    return low + share * (high - low)
+
+
+@pytest.mark.parametrize("model", [model_of(VISCOUS, COULOMB), _axis(VISCOUS, COULOMB)])
+def test_no_effect_falls_between_two_points_of_its_grid(model: Model) -> None:
+    """Friction that repeated every 20 mm on an axis of 0.27 m was looked for at 18 and 27 mm."""
+    reference = 0.4 + reality.multisine(12.0, RATE, 3)
+    data = data_of(reality.simulate(reality.Machine(), reference, RATE), model)
+    fitted = fit(data, model, joint_handles(data, model, 1), joints=(1,), iterations=1)
+    screen = Screen(data, fitted, 1, (1,))
+    draw = np.random.default_rng(1)
+    asked = []
+    for effect in library().values():
+        grid = grid_of(effect, screen.records[0], model)
+        present = {t.effect for t in model.terms}
+        if len(grid) < 2 or len(grid[0]) != 1 or not screen._applies(effect, present):
+            continue
+        (name,) = grid[0]
+        if not effect.parameter(name).fitted:
+            continue
+        asked.append(effect.name)
+        for share in draw.uniform(size=24):
+            point = {name: _between([p[name] for p in grid], share)}
+            ways = screen._directions(effect, point)
+            sizes = draw.normal(size=len(ways)) if phase_of(effect) else np.ones(len(ways))
+            terms = [(make_term(effect, 1, values),) for values in ways]
+            column = sizes @ screen.series(terms, alone=bool(effect.replaces))
+            column -= screen.q @ (screen.q.T @ column)
+            screen.left = -column
+            seen = max(gain for gain, _ in screen._at(effect, grid))
+            assert seen > 0.5 * float(column @ column), (effect.name, point)
+    assert {"position_friction", "ripple", "stribeck", "dead_zone"} <= {*asked}

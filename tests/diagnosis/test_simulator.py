@@ -21,7 +21,6 @@ from zendsp.diagnosis.external.nearby import Near
 from zendsp.diagnosis.external.output_error import errors, fit_output, with_term
 from zendsp.diagnosis.external.simulator import Entry, bench
 from zendsp.diagnosis.report.files import write_report
-from zendsp.diagnosis.report.summary import headline
 from zendsp.errors import ModelError, RecordingError
 from zendsp.physics import load_model
 from zendsp.physics.calibration.handles import Handle, free_handles, set_values
@@ -227,7 +226,7 @@ def test_what_calibration_made_of_a_simulators_numbers_is_noted(tmp_path: Path) 
     off = OWN.replace("gravity = { value = 0.206 }", "gravity = { value = 0.15 }")
     train, test, model = files(tmp_path, machine, parameters=off)
     d = diagnose(train, model, test, jobs=1)
-    assert d.verdict == "complete" and "(notes)" in headline(d)
+    assert d.verdict == "complete" and "(notes)" in d.headline
     (note,) = [note for note in d.notes if "calibration moves" in note]
     assert note.startswith("calibration moves ") and "gravity 0.15 to " in note
 

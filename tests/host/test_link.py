@@ -239,6 +239,9 @@ def test_a_recording_that_another_host_cuts_short_says_so_and_keeps_what_there_i
     assert "acquire_load() brings home" in caught.value.__notes__[0]
     rows = running.acquire_load()
     assert f"({len(rows)} of" in str(caught.value) and 0 < len(rows) < 10_000
+    trip = running.status().trip
+    assert (trip is None) == (what == "pause")
+    assert str(caught.value).endswith("rows)" if trip is None else f"rows): {trip.text}")
     assert np.array_equal(rows["q[0]"], rows.start_tick + np.arange(len(rows)))
 
 

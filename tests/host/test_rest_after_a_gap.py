@@ -5,15 +5,15 @@ it tripped.
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import pytest
 
 from zendsp.errors import Incomplete
 from zendsp.link import acquire
 from zendsp.link.acquire import AFTER_TRIP_REAL_S, Recorder
-from zendsp_protocol.messages import AcquireStatus, Status
-from zendsp_protocol.states import ProgramState, RecorderState
+from zendsp_protocol.messages import AcquireStatus, Status, Trip
+from zendsp_protocol.states import ProgramState, RecorderState, TripReason
 
 GAP_S = AFTER_TRIP_REAL_S + 0.5
 TRIP = 5000  # sample, the first after the gap
@@ -35,9 +35,9 @@ class Frozen(Recorder):
             state = RecorderState.DONE if self.ended_at else RecorderState.RUNNING
             return AcquireStatus(state, wanted=60_000, count=self.tick())
         trips = self.now > GAP_S
-        trip = SimpleNamespace(tick=TRIP, reason="stop") if trips else None
+        trip = Trip(TripReason.STOP, tick=TRIP, text="STOP by a host") if trips else None
         state = ProgramState.STOPPED if trips else ProgramState.RUNNING
-        return cast(Status, SimpleNamespace(state=state, trip=trip, tick=self.tick(), rate_hz=1e3))
+        return Status(state, trip=trip, tick=self.tick(), rate_hz=1e3)
 
     def _end_ring(self, patience: float) -> None:
         self.ended_at = self.tick()
@@ -47,6 +47,6 @@ def test_that_it_was_last_seen_to_run_long_ago_is_no_end(monkeypatch: pytest.Mon
     target = Frozen()
     time = SimpleNamespace(monotonic=lambda: target.now, sleep=lambda s: None)
     monkeypatch.setattr(acquire, "time", time)
-    with pytest.raises(Incomplete, match="was stopped before the recording was complete"):
+    with pytest.raises(Incomplete, match=r"was stopped before .* rows\): STOP by a host"):
         target._wait_done(60.0, 1.0, None)
     assert TRIP + 1000 <= target.ended_at < TRIP + 1100

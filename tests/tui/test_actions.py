@@ -317,7 +317,7 @@ async def test_a_number_that_is_cut_says_so() -> None:
 def test_whole_numbers_and_reals_are_refused_in_words() -> None:
     with pytest.raises(ValueError, match="'s' is not a whole number"):
         whole("s")
-    with pytest.raises(ValueError, match="'1 V' is not a number"):
+    with pytest.raises(ValueError, match="'1 V' is not a number; without its unit it is 1"):
         real("1 V")
 
 

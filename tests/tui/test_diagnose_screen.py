@@ -215,6 +215,37 @@ async def test_a_diagnosis_is_cancelled_and_leaves_nothing(
         assert not list((tmp_path / "diagnoses").glob("*")), "nothing half is left"
 
 
+async def test_what_was_found_before_a_diagnosis_was_cancelled_is_shown(
+    tmp_path: Path, until: Until, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run, model = cases.bench(tmp_path)
+    monkeypatch.setattr(
+        command,
+        "call",
+        lambda parent: (
+            f"from zendsp.parent import die_with; die_with({parent})\n"
+            "import time, zendsp.cli, zendsp.diagnosis.engine as engine\n"
+            "def slow(*_):\n    print('slow', flush=True); time.sleep(600)\n"
+            "engine.detectable = slow\n"
+            "zendsp.cli.main()"
+        ),
+    )
+    async with _alone(tmp_path, until) as (pilot, screen):
+        screen.added, screen.roles, screen.model = [str(run)], {str(run): "fit"}, str(model)
+        await pilot.press("s")
+        await until(pilot, lambda: "slow" in screen.said, "the search is done")
+        await pilot.press("ctrl+c")
+        await until(pilot, lambda: screen.shown and not screen.busy, "so far")
+        assert text_of(screen, "#verdict").startswith("So far, ended by Ctrl-C: Missing physics")
+        assert screen.shown is not None and screen.shown.page.exists()
+        await pilot.press("s")
+        await until(pilot, lambda: "slow" in screen.said, "once more")
+        screen.action_cancel()
+        screen.action_cancel()
+        await until(pilot, lambda: not screen.busy, "at once")
+        assert len(list_diagnoses(tmp_path / "diagnoses")) == 1, "twice, it keeps nothing"
+
+
 async def test_a_click_on_what_has_to_wait_says_why_as_its_key_does(
     tmp_path: Path, until: Until, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -190,6 +190,12 @@ async def test_a_mistyped_number_is_named_and_nothing_is_planned(
     async with app.run_test(size=(160, 48)) as pilot:
         screen = _screen(app)
         await until(pilot, lambda: screen.plan is not None, "planned")
+        _field(screen, "goal").focus()
+        view = screen.view
+        await pilot.press("v")
+        assert screen.view == view, "letters are typed into the field"
+        await pilot.press("escape", "v")
+        assert screen.view != view, "Esc leaves it: they are keys"
         _field(screen, "goal").value = "1.0 zwei"
         await until(
             pilot,

@@ -21,7 +21,7 @@ from click.core import ParameterSource
 from zendsp.cli import completing
 from zendsp.cli.lines import fitted
 from zendsp.errors import ZendspError
-from zendsp_protocol.texts import shown, with_point
+from zendsp_protocol.texts import number_hint, shown
 from zendsp_protocol.values import Assignable, Packed, from_wire
 
 if TYPE_CHECKING:
@@ -242,7 +242,7 @@ def parse_value(text: str) -> Any:
                 f"{text!r} is not a value: values are written without their unit ({unit[1]}), in"
                 " the unit that 'zendsp info' shows"
             ) from None
-        if point := with_point(text):
+        if point := number_hint(text):
             raise click.BadParameter(f"{text!r} is not a value{point}") from None
     if isinstance(value, bool | int | float) or _numbers(value):
         return value

@@ -10,7 +10,7 @@ import click
 from zendsp.cli.lines import fitted
 from zendsp.errors import ZendspError
 from zendsp_protocol.errors import nearest
-from zendsp_protocol.texts import shown, with_point
+from zendsp_protocol.texts import number_hint, shown
 
 
 def say(error: Exception) -> None:
@@ -49,7 +49,7 @@ def _wrong_use(error: click.ClickException) -> str:
         words = error.message
     words = re.sub(r"\s+", " ", words).rstrip(".")
     if number := re.search(r"'([^']*)' is not a valid (float|integer)", words):
-        words += with_point(number[1])
+        words += number_hint(number[1])
     words = (words[:1].lower() + words[1:]).replace(". Did you mean", "; did you mean")
     if context is None:
         return words

@@ -411,10 +411,7 @@ class Recorder(Transfers):
             if status.state in ENDED and not lost:
                 return status  # ended before it was full, by a host
             if status.state in ENDED:
-                raise _loadable(Incomplete(
-                    f"the program was {overall.state} before the recording was complete "
-                    f"({status.count - status.first} of {status.wanted} rows)"
-                ))  # fmt: skip
+                raise _cut_short(overall, status)
             running = overall.state == ProgramState.RUNNING
             stood = 0.0 if running else stood or time.monotonic()
             if (
@@ -424,12 +421,9 @@ class Recorder(Transfers):
             ):
                 self._end_ring(patience)
                 status = self.insist("acquire_status", patience)
-                if (have := status.count - status.first) >= status.wanted:
+                if status.count - status.first >= status.wanted:
                     return status
-                raise _loadable(Incomplete(
-                    f"the program was {overall.state} before the recording was complete "
-                    f"({have} of {status.wanted} rows)"
-                ))  # fmt: skip
+                raise _cut_short(overall, status)
             if deadline is not None and time.monotonic() > deadline:
                 raise _loadable(
                     Incomplete(
@@ -438,6 +432,16 @@ class Recorder(Transfers):
                     )
                 )
             time.sleep(POLL_S)
+
+
+def _cut_short(overall: m.Status, status: m.AcquireStatus) -> ZendspError:
+    """A recording that ended with its program."""
+    rows = f"{status.count - status.first} of {status.wanted} rows"
+    why = overall.trip.text or overall.trip.reason if overall.trip is not None else ""
+    return _loadable(Incomplete(
+        f"the program was {overall.state} before the recording was complete ({rows})"
+        f"{why and f': {why}'}"
+    ))  # fmt: skip
 
 
 def _comes_to_rest(status: m.Status, stood: float) -> bool:

@@ -14,7 +14,7 @@ import numpy as np
 from zendsp.errors import ReferenceError_
 from zendsp.reference.core import Array, Reference
 from zendsp.reference.machine import Machine
-from zendsp_protocol.texts import with_point
+from zendsp_protocol.texts import number_hint
 
 # joints: one number, or one per joint. list: any count of numbers.
 ParameterType = Literal["float", "int", "bool", "choice", "joints", "list", "path"]
@@ -94,7 +94,7 @@ class Parameter:
                 )
             return value
         one = self.type in ("int", "float") or (self.type == "joints" and machine.joints == 1)
-        if one and (point := with_point(str(value))):
+        if one and (point := number_hint(str(value))):
             raise ReferenceError_(f'{self.name} is "{value}"{point}')
         numbers = self._numbers(value)
         if self.type == "joints":

@@ -196,7 +196,8 @@ ACTIONS = (
     # -- diagnose
     Action("diagnose", "start", "s", "Start",
            "Compare the marked recordings with the model and name what it lacks.", footer=True),
-    Action("diagnose", "cancel", "ctrl+c,escape", "Cancel", "End the diagnosis that runs."),
+    Action("diagnose", "cancel", "ctrl+c,escape", "Cancel",
+           "End the diagnosis with what it has found so far; twice: at once, with nothing."),
     Action("diagnose", "model", "m", "Model", "Choose the model file.", footer=True),
     Action("diagnose", "use", "space", "Use",
            "Use the marked recording for the fit, hold it out to judge on, or leave it out.",

@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from zendsp.parent import call
@@ -73,12 +74,18 @@ class Command:
         self.status = await process.wait()
         return self.status
 
+    def interrupt(self) -> None:
+        """What Ctrl-C does in a terminal: it may still say what it has."""
+        self._ended = self._process is None  # it has nothing to say yet
+        self._signal(signal.SIGINT)
+
     def end(self) -> None:
         """End it and all that it has started."""
         self._ended = True
+        self._signal(signal.SIGTERM)
+
+    def _signal(self, number: signal.Signals) -> None:
         process = self._process
         if process is not None and process.returncode is None:
-            try:
-                os.killpg(process.pid, signal.SIGTERM)
-            except ProcessLookupError:
-                return
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, number)

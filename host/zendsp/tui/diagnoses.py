@@ -19,8 +19,8 @@ from textwrap import wrap
 from typing import Literal
 
 from zendsp.diagnosis.decide.contract import FitReport, LeftReport, Report
+from zendsp.diagnosis.decide.headline import percent
 from zendsp.diagnosis.report.chart import SUFFIX, Chart, load_chart
-from zendsp.diagnosis.report.summary import percent
 from zendsp.tui.workspace import file_name
 from zendsp_protocol import written
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from zendsp.tui.scope.ticks import number
 from zendsp.tui.snapshot import Variable
-from zendsp_protocol.texts import with_point
+from zendsp_protocol.texts import number_hint
 from zendsp_protocol.views import NOTHING
 
 LARGEST = 2.0**31 - 1.0
@@ -77,12 +77,12 @@ def _scalar(variable: Variable, text: str) -> Any:
         try:
             value: float = int(word, 0)
         except ValueError:
-            raise ValueError(f"{text!r} is not a whole number{with_point(text)}") from None
+            raise ValueError(f"{text!r} is not a whole number{number_hint(text)}") from None
     else:
         try:
             value = float(word)
         except ValueError:
-            raise ValueError(f"{text!r} is not a number{with_point(text)}") from None
+            raise ValueError(f"{text!r} is not a number{number_hint(text)}") from None
     if not math.isfinite(value):
         raise ValueError(f"{text} is not finite")
     if not variable.minimum <= value <= variable.maximum:

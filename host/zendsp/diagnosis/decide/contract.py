@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Literal, NotRequired, TypedDict
+from typing import Literal, TypedDict
 
 # times the sensor's error, from which on a complete model says what it leaves: 22 of 99 of a
 # campaign were off by as much (seed 229); and of a joint's torque: less is not worth a sentence
@@ -188,7 +188,6 @@ class RejectedReport(TypedDict):
     joint: int
     why: str
     score: float
-    reason: NotRequired[str]  # of ``Reason``; older files have none
 
 
 class NextReport(TypedDict):
@@ -202,6 +201,7 @@ class Report(TypedDict):
     """The whole of it."""
 
     verdict: Verdict
+    headline: str
     findings: list[FindingReport]
     refinements: list[FindingReport]
     discrepancy: list[LeftReport]
@@ -214,20 +214,6 @@ class Report(TypedDict):
     unexplained: str
     notes: list[str]
     seconds: float
-
-
-def rejected_in(report: Report) -> list[Rejected]:
-    """What lost, as a file has it."""
-    return [
-        Rejected(
-            r["effect"],
-            r["joint"],
-            r["why"],
-            r["score"] or 0.0,
-            Reason(r.get("reason", Reason.OTHER)),
-        )
-        for r in report["rejected"]
-    ]
 
 
 def nameless(

@@ -21,8 +21,13 @@ from zendsp.diagnosis.decide.contract import (
     Report,
     Verdict,
     WhereReport,
+    contradicted,
+    dark,
     nameless,
+    nearest,
+    two_digits,
 )
+from zendsp.diagnosis.decide.headline import verdict_sentence
 from zendsp.diagnosis.measure.where import Missing, Region
 from zendsp.diagnosis.search.hypothesis import JointSearch
 from zendsp.physics.calibration.fit import Data
@@ -30,6 +35,7 @@ from zendsp.physics.model import Model
 from zendsp_protocol.views import html_table, sentence, with_std
 
 Array = npt.NDArray[np.float64]
+OFF = 3.0  # times the calibrated model's error: what is given is not what the machine has
 
 
 @dataclass(frozen=True)
@@ -316,10 +322,34 @@ class Diagnosis:
         """Of all positions, as a `Reference` has it: "rad", "m", or "rad or m"."""
         return " or ".join(u for u in ("rad", "m") if any(e.unit == u for e in self.errors))
 
+    @property
+    def doubted(self) -> tuple[tuple[str, int], ...]:
+        """Effects and joints of which the headline says that it cannot tell."""
+        return contradicted(self.verdict, self.rejected)
+
+    @property
+    def headline(self) -> str:
+        """The verdict in a sentence, or two; the mechanism first."""
+        if self.stopped and not self.findings:
+            return "Ended by Ctrl-C before it was done: nothing is claimed."
+        found = [(f.mechanism, (f.effect, *f.indistinguishable), f.joint) for f in self.findings]
+        unseen = dark((x.joint, x.interval) for x in self.discrepancy)
+        shares = ((x.joint, x.share) for x in self.discrepancy)
+        table = self.test or self.heldout
+        left = nameless(shares, table.improved, self.noise_floor)
+        doubted = self.doubted or nearest(self.verdict, self.rejected)
+        text = verdict_sentence(self.verdict, found, unseen, left, doubted)
+        off = table.given > OFF * table.calibrated
+        if self.verdict == "complete" and not (unseen or self.doubted) and off:
+            times = two_digits(table.given / table.calibrated)
+            text += f" The given numbers were off: calibrated, it errs {times} times less (notes)."
+        return f"So far, ended by Ctrl-C: {text}" if self.stopped else text
+
     def report(self) -> Report:
         """report.json of the contract, as plain numbers and strings."""
         return {
             "verdict": self.verdict,
+            "headline": self.headline,
             "findings": [f.as_dict() for f in self.findings],
             "refinements": [f.as_dict() for f in self.refinements],
             "discrepancy": [
@@ -344,13 +374,7 @@ class Diagnosis:
             "fit": self.errors[0].as_dict(),
             "fit_other_unit": [e.as_dict() for e in self.others],
             "rejected": [
-                {
-                    "effect": r.effect,
-                    "joint": r.joint,
-                    "why": r.why,
-                    "score": round(r.score, 1),
-                    "reason": str(r.reason),
-                }
+                {"effect": r.effect, "joint": r.joint, "why": r.why, "score": round(r.score, 1)}
                 for r in self.rejected
             ],
             "next_recording": (

@@ -16,7 +16,6 @@ from zendsp.diagnosis.progress import Progress, Step
 from zendsp.diagnosis.report.chart import SUFFIX, save_chart
 from zendsp.diagnosis.report.figures import charts
 from zendsp.diagnosis.report.laws import as_stated
-from zendsp.diagnosis.report.summary import doubted_in
 from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.files.model_write import model_text
 from zendsp.physics.model import Model
@@ -79,7 +78,7 @@ def no_reference(d: Diagnosis) -> str:
     """Why no next_reference.mat is written; empty where one is."""
     if d.stopped:
         return "it was not asked for after Ctrl-C"
-    if d.next_recording is None and not doubted_in(d):
+    if d.next_recording is None and not d.doubted:
         return "nothing is left open"
     if d.next_recording is None:
         return "no motion can be proposed for what is open"

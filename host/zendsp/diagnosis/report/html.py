@@ -9,16 +9,10 @@ from pathlib import Path
 
 from zendsp.diagnosis.data.sampling import whole_second
 from zendsp.diagnosis.decide.contract import dark, spans
+from zendsp.diagnosis.decide.headline import word_of
 from zendsp.diagnosis.decide.result import Diagnosis, Errors, Finding, number
 from zendsp.diagnosis.report.chart import Chart
-from zendsp.diagnosis.report.summary import (
-    SMALLER,
-    before,
-    doubted_in,
-    headline,
-    unnamed,
-    word_of,
-)
+from zendsp.diagnosis.report.summary import SMALLER, before, unnamed
 
 SAID = 4  # findings on the first sheet, the most telling first
 SHARE = (
@@ -63,7 +57,7 @@ def page(d: Diagnosis, figures: list[tuple[Chart, Path]]) -> str:
             f" content='width=device-width'><title>{title}</title>"
         ),
         f"<style>{CSS}</style><h1>{title}</h1>",
-        f"<div class='verdict {_colour(d)}'><b>{escape(headline(d))}</b>{_sentences(d)}</div>",
+        f"<div class='verdict {_colour(d)}'><b>{escape(d.headline)}</b>{_sentences(d)}</div>",
         _pictures([first] if first else [], first[0].section if first else ""),
         _untouched(d),
         _left(d),
@@ -200,7 +194,7 @@ def _where(d: Diagnosis, *, pictured: bool = False) -> str:
     doubt = FEW_PASSES if pictured else ""
     if not d.regions and not d.times:
         if d.verdict == "complete":
-            return f"<p>{UNTOLD if doubted_in(d) else NOWHERE}</p>"
+            return f"<p>{UNTOLD if d.doubted else NOWHERE}</p>"
         return f"<p>{NO_INTERVAL} Nor does any interval of time.{doubt}</p>"
     rows = [
         "<tr><th>joint<th>variable<th>from … to<th class=n>of the mismatch<th class=n>of the time"

@@ -5,20 +5,25 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from zendsp.physics.effects.axes import HARMONICS
 from zendsp.physics.effects.base import Effect, Facts, Parameter
 
-SHARES = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.65, 0.8, 1.0, 1.3, 1.7, 2.5)
+FINEST = 0.02  # of the travel
 
 
 def _periods(facts: Facts) -> Sequence[float]:
-    """Parts of a turn, or shares of the travel on a linear axis."""
+    """Parts of a turn; of the travel of a linear axis, so finely that none falls between two."""
     span = facts.scale.position
-    turns = (
-        []
-        if facts.slides
-        else [2 * math.pi / m for m in range(1, 25) if 2 * math.pi / m > 0.03 * span]
-    )
-    return turns or [share * span for share in SHARES]
+    turns = [2 * math.pi / m for m in range(1, HARMONICS + 1)]
+    parts = [2 * span / i for i in range(1, round(2 / FINEST) + 1)]
+    return parts if facts.slides else [p for p in turns if p <= 2 * span] or parts
+
+
+def _limits(facts: Facts) -> tuple[float, float]:
+    """Down to a part of the travel, or of a turn; up to twice the travel."""
+    span = facts.scale.position
+    least = FINEST * span if facts.slides else min(FINEST * span, math.pi / HARMONICS)
+    return least, 2.0 * span
 
 
 EFFECT = Effect(
@@ -31,7 +36,7 @@ EFFECT = Effect(
             "period",
             "position",
             lower=1e-09,
-            limits=lambda f: (0.02 * f.scale.position, 2.0 * f.scale.position),
+            limits=_limits,
             meaning="P",
         ),
         Parameter("phase", "angle", lower=-6.5, upper=6.5, meaning="φ"),

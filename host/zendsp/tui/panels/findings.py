@@ -9,22 +9,9 @@ from dataclasses import dataclass
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.text import Text
 
-from zendsp.diagnosis.decide.contract import (
-    FindingReport,
-    FitReport,
-    Report,
-    contradicted,
-    dark,
-    nameless,
-    nearest,
-    rejected_in,
-)
+from zendsp.diagnosis.decide.contract import FindingReport, FitReport, Report, dark
 from zendsp.diagnosis.report.chart import Chart
-from zendsp.diagnosis.report.summary import (
-    before,
-    unnamed,
-    verdict_sentence,
-)
+from zendsp.diagnosis.report.summary import before, unnamed
 from zendsp.tui.diagnoses import Diagnosed, other_fits
 from zendsp_protocol.texts import counted
 from zendsp_protocol.views import with_std
@@ -58,18 +45,8 @@ class Hanging:
 
 
 def headline(report: Report) -> str:
-    """Return the verdict in one sentence."""
-    found = [
-        (f["mechanism"], (f["effect"], *f["indistinguishable"]), f["joint"])
-        for f in report["findings"]
-    ]
-    fit = report["fit"]
-    shares = ((x["joint"], x["share"]) for x in report["discrepancy"])
-    left = nameless(shares, fit["test"]["improved"], fit["noise_floor"])
-    verdict = report["verdict"]
-    rejected = rejected_in(report)
-    doubted = contradicted(verdict, rejected) or nearest(verdict, rejected)
-    return verdict_sentence(verdict, found, unseen(report), left, doubted)
+    """Return the verdict in one sentence; of reports of before it was written there, its word."""
+    return report.get("headline", report["verdict"])
 
 
 def unseen(report: Report) -> tuple[int, ...]:

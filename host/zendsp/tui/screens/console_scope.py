@@ -15,7 +15,7 @@ from zendsp.tui.scope.picture import arrange
 from zendsp.tui.scope.settings import LANES, MOST_CHANNELS
 from zendsp.tui.screens.base import LabScreen
 from zendsp_protocol.states import VariableKind
-from zendsp_protocol.texts import counted, units_of, with_point
+from zendsp_protocol.texts import counted, number_hint, units_of
 
 
 def real(text: str) -> float:
@@ -23,7 +23,7 @@ def real(text: str) -> float:
     try:
         value = float(text)
     except ValueError:
-        raise ValueError(f"{text!r} is not a number{with_point(text)}") from None
+        raise ValueError(f"{text!r} is not a number{number_hint(text)}") from None
     if value != value or abs(value) == float("inf"):
         raise ValueError("must be finite")
     return value

@@ -345,7 +345,7 @@ class DiagnoseScreen(LoopActions):
         try:
             status = await command.run()
             self.coming = None
-            if status == 0 and not self._cancelled:
+            if status == 0:  # cancelled or not: what was found so far is a report too
                 self.open(keep(coming, folder))
                 return
             if self.shown is coming:
@@ -362,11 +362,16 @@ class DiagnoseScreen(LoopActions):
                 self._paint(0.0)
 
     def action_cancel(self) -> None:
-        """End the diagnosis that runs."""
-        if self.command is not None:
-            self._cancelled = True
+        """End the diagnosis that runs with what it has found so far; asked again, at once."""
+        if self.command is None:
+            return
+        if self.coming is None or self._cancelled:
             self.command.end()
             self.say("diagnosis cancelled", "warning")
+        else:
+            self.command.interrupt()
+            self.say("the diagnosis ends with what it has found; once more ends it at once")
+        self._cancelled = True
 
     def on_unmount(self) -> None:
         if self.command is not None:

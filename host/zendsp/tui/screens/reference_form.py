@@ -72,6 +72,12 @@ class ReferenceForm(LabScreen):
                 yield PathPlot(id="path")
                 yield Static("", id="check", markup=False)
 
+    def on_key(self, event: events.Key) -> None:
+        """Esc leaves a field of the form: letters are keys again."""
+        if event.key == "escape" and isinstance(self.focused, Input):
+            event.stop()
+            self.set_focus(None)
+
     def _machines(self) -> list[tuple[Text, str]]:
         own = [] if self._own is None else [(Text(f"{self._own.name} (target)"), TARGET)]
         return [*own, *((Text(name), name) for name in MACHINES)]
