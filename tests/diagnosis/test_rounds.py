@@ -20,6 +20,7 @@ from zendsp.diagnosis.search import rounds
 from zendsp.diagnosis.search.hypothesis import Rival
 from zendsp.diagnosis.search.rounds import Rounds
 from zendsp.diagnosis.search.screen import Candidate
+from zendsp.diagnosis.search.short_fits import WAIT, ShortFits
 from zendsp.physics.calibration.fit import Data, fit, joint_handles
 from zendsp.physics.calibration.terms import make_term
 from zendsp.physics.effects import get_effect
@@ -88,13 +89,13 @@ def test_a_round_has_one_entry_an_effect_also_where_a_second_look_is_taken(
 def fitted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Effects that rounds fit, as they do."""
     fitted: list[str] = []
-    quick = Rounds._quick
+    quick = ShortFits.quick
 
-    def noted(self: Rounds, current: Scored, group: list[Candidate]) -> Rival | None:
+    def noted(self: ShortFits, current: Scored, group: list[Candidate]) -> Rival | None:
         fitted.append(group[0].effect)
         return quick(self, current, group)
 
-    monkeypatch.setattr(Rounds, "_quick", noted)
+    monkeypatch.setattr(ShortFits, "quick", noted)
     return fitted
 
 
@@ -133,7 +134,7 @@ def test_a_hypothesis_that_a_first_look_bends_is_fitted_upon_the_numbers_of_the_
     of a spring of which the look itself promised nothing: no model is worse than one it contains.
     """
     if not promised:
-        monkeypatch.setattr(Rounds, "_gain_of_look", lambda *_: 0.0)
+        monkeypatch.setattr(ShortFits, "gain_of_look", lambda *_: 0.0)
     reference = reality.multisine(6.0, RATE, 3)
     pushed = reality.simulate(reality.Machine(push=(0.004, 0.0, 99.0)), reference, RATE)
     model = model_of(VISCOUS, COULOMB)
@@ -144,8 +145,8 @@ def test_a_hypothesis_that_a_first_look_bends_is_fitted_upon_the_numbers_of_the_
     monkeypatch.setattr(rounds, "first_look", lambda *_: data_of(other, model))
     begin = make_term(get_effect("torque_offset"), 1, {"level": -0.003})
     asked = [Candidate("torque_offset", 1, (begin,), (), 1.0)]
-    found = Rounds(current.data, 1, 1, lambda _: None, model)._quick(current, asked)
-    assert found is not None and found.value < current.deviance - rounds.WAIT
+    found = Rounds(current.data, 1, 1, lambda _: None, model).short.quick(current, asked)
+    assert found is not None and found.value < current.deviance - WAIT
     found_level = found.scored.model.at(1)[-1].value("level")
     assert found_level == pytest.approx(-0.004, rel=0.1)
 
@@ -166,18 +167,18 @@ def test_where_thinned_recordings_mislead_a_hypothesis_is_fitted_to_every_sample
     other = data_of(reality.simulate(reality.Machine(coulomb=0.12), reference, RATE), model)
     monkeypatch.setattr(rounds, "first_look", lambda *_: other)
     hypotheses: list[Data] = []
-    short = Rounds._short
+    short = ShortFits._short
 
-    def noted(self: Rounds, data: Data, model: Model, *rest: Any) -> Any:
+    def noted(self: ShortFits, data: Data, model: Model, *rest: Any) -> Any:
         if any(t.effect == "torque_offset" for t in model.terms):
             hypotheses.append(data)
         return short(self, data, model, *rest)
 
-    monkeypatch.setattr(Rounds, "_short", noted)
+    monkeypatch.setattr(ShortFits, "_short", noted)
     begin = make_term(get_effect("torque_offset"), 1, {"level": -0.003})
     each = Rounds(current.data, 1, 1, lambda _: None, model)
-    found = each._quick(current, [Candidate("torque_offset", 1, (begin,), (), 1.0)])
-    assert found is not None and found.value < current.deviance - rounds.WAIT
+    found = each.short.quick(current, [Candidate("torque_offset", 1, (begin,), (), 1.0)])
+    assert found is not None and found.value < current.deviance - WAIT
     assert (hypotheses[0] is other) is thinned
 
 
@@ -197,7 +198,7 @@ def test_a_hypothesis_that_ends_worse_on_every_sample_is_looked_at_on_thinned_on
         begun.append(given[-1])
         return option, done, whole if given[-1] else 1000.0
 
-    monkeypatch.setattr(Rounds, "_misleads", lambda *_: True)
+    monkeypatch.setattr(ShortFits, "misleads", lambda *_: True)
     monkeypatch.setattr(Rounds, "_from_starts", starts)
     monkeypatch.setattr(Rounds, "_upon_its_numbers", lambda *_: (done, -70.0))
     current = Scored(done, data, 0.0, (1,))
@@ -227,7 +228,7 @@ def test_what_gains_nothing_under_a_fast_observer_is_begun_again_under_a_slow_on
         return Rival("stiffness", 1, scored, 0.0, (spring,), ())
 
     monkeypatch.setattr(Rounds, "_short_fits", short)
-    found = Rounds(data, 1, 1, lambda _: None)._quick(
+    found = Rounds(data, 1, 1, lambda _: None).short.quick(
         current, [Candidate("stiffness", 1, (spring,), (), 1.0)]
     )
     assert begun == asked
@@ -250,7 +251,7 @@ def test_what_promises_more_than_anything_listed_keeps_is_not_overlooked(
         for share, term in ((0.2, wave), (0.05, spring))
     ]
     monkeypatch.setattr(
-        Rounds, "_quick", lambda _, base, group: replace(listed, effect=group[0].effect)
+        ShortFits, "quick", lambda _, base, group: replace(listed, effect=group[0].effect)
     )
     monkeypatch.setattr(Rounds, "_is_idle", lambda *_: False)  # nothing is missing here
     each = Rounds(data, 1, 1, lambda _: None)

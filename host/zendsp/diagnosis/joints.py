@@ -35,7 +35,7 @@ from zendsp.diagnosis.measure.windows import model_error, noise_floor, rms, wind
 from zendsp.diagnosis.progress import Progress, Step
 from zendsp.diagnosis.search.forward import Searcher, is_white
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
-from zendsp.diagnosis.search.rounds import WAIT
+from zendsp.diagnosis.search.short_fits import WAIT
 from zendsp.diagnosis.search.simplify import upon
 from zendsp.diagnosis.transmission.links import divided, with_links
 from zendsp.parent import die_with

@@ -64,7 +64,7 @@ from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, structure
 from zendsp.diagnosis.measure.windows import noise_floor, rms, window_error
 from zendsp.diagnosis.progress import Progress, Step
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
-from zendsp.diagnosis.search.rounds import WAIT
+from zendsp.diagnosis.search.short_fits import WAIT
 from zendsp.diagnosis.search.simplify import simplify
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.effects import get_effect

@@ -52,8 +52,9 @@ from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored, informative
 from zendsp.diagnosis.measure.windows import standing_out, window_error
 from zendsp.diagnosis.search.hypothesis import price
-from zendsp.diagnosis.search.rounds import PROMISING, WAIT
+from zendsp.diagnosis.search.rounds import PROMISING
 from zendsp.diagnosis.search.screen import Screen, phase_of
+from zendsp.diagnosis.search.short_fits import WAIT
 from zendsp.physics.calibration.fit import Data, Fit, fit, joint_handles, residual
 from zendsp.physics.calibration.handles import get_values, set_values
 from zendsp.physics.calibration.terms import grid_of, make_term, usable
