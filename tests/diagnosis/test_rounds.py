@@ -16,7 +16,7 @@ from zendsp.diagnosis.measure.likelihood import (
     calibrate_joint,
     fit_scored,
 )
-from zendsp.diagnosis.search import rounds
+from zendsp.diagnosis.search import rounds, short_fits
 from zendsp.diagnosis.search.hypothesis import Rival
 from zendsp.diagnosis.search.rounds import Rounds
 from zendsp.diagnosis.search.screen import Candidate
@@ -142,7 +142,7 @@ def test_a_hypothesis_that_a_first_look_bends_is_fitted_upon_the_numbers_of_the_
     other = reality.simulate(
         reality.Machine(push=(0.004, 0.0, 99.0), coulomb=0.12), reference, RATE
     )
-    monkeypatch.setattr(rounds, "first_look", lambda *_: data_of(other, model))
+    monkeypatch.setattr(short_fits, "first_look", lambda *_: data_of(other, model))
     begin = make_term(get_effect("torque_offset"), 1, {"level": -0.003})
     asked = [Candidate("torque_offset", 1, (begin,), (), 1.0)]
     found = Rounds(current.data, 1, 1, lambda _: None, model).short.quick(current, asked)
@@ -165,7 +165,7 @@ def test_where_thinned_recordings_mislead_a_hypothesis_is_fitted_to_every_sample
     data = data_of(pushed, model).at_bandwidth(1, bandwidth)
     current = fit_scored(data, model, joint_handles(data, model, 1), (1,), rounds=1)
     other = data_of(reality.simulate(reality.Machine(coulomb=0.12), reference, RATE), model)
-    monkeypatch.setattr(rounds, "first_look", lambda *_: other)
+    monkeypatch.setattr(short_fits, "first_look", lambda *_: other)
     hypotheses: list[Data] = []
     short = ShortFits._short
 
@@ -199,10 +199,10 @@ def test_a_hypothesis_that_ends_worse_on_every_sample_is_looked_at_on_thinned_on
         return option, done, whole if given[-1] else 1000.0
 
     monkeypatch.setattr(ShortFits, "misleads", lambda *_: True)
-    monkeypatch.setattr(Rounds, "_from_starts", starts)
-    monkeypatch.setattr(Rounds, "_upon_its_numbers", lambda *_: (done, -70.0))
+    monkeypatch.setattr(ShortFits, "_from_starts", starts)
+    monkeypatch.setattr(ShortFits, "_upon_its_numbers", lambda *_: (done, -70.0))
     current = Scored(done, data, 0.0, (1,))
-    found = Rounds(data, 1, 1, lambda _: None)._short_fits(current, [option], data)
+    found = Rounds(data, 1, 1, lambda _: None).short._short_fits(current, [option], data)
     assert begun == asked
     assert found is not None
 
@@ -222,12 +222,12 @@ def test_what_gains_nothing_under_a_fast_observer_is_begun_again_under_a_slow_on
     spring = make_term(get_effect("stiffness"), 1, {"coefficient": 1.0, "neutral": 0.0})
     begun: list[float] = []
 
-    def short(_: Rounds, base: Scored, __: list[Candidate], given: Data) -> Rival:
+    def short(_: ShortFits, base: Scored, __: list[Candidate], given: Data) -> Rival:
         begun.append(given.bandwidth[0])
         scored = replace(base, deviance=-gain * len(begun))
         return Rival("stiffness", 1, scored, 0.0, (spring,), ())
 
-    monkeypatch.setattr(Rounds, "_short_fits", short)
+    monkeypatch.setattr(ShortFits, "_short_fits", short)
     found = Rounds(data, 1, 1, lambda _: None).short.quick(
         current, [Candidate("stiffness", 1, (spring,), (), 1.0)]
     )
