@@ -8,6 +8,7 @@
     │   └── VersionMismatch
     ├── Refused (RuntimeError)             the target says no, and why
     │   └── TooSoon                        not yet: what was sent before is not in effect
+    ├── Tripped (RuntimeError)             a STOP, a limit or a fault ended a program at its start
     ├── NotYet (TimeoutError)              accepted, and still waiting for its sample
     ├── VariableError (ValueError)         unknown name, wrong type, outside limits, NaN; one line per variable
     ├── CompileFailed (RuntimeError)       the user's C code: file, line, column of each message

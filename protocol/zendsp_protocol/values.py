@@ -1,8 +1,8 @@
 """Values of variables on the wire: bool, int, float, a list of these, or a packed array.
 
 A packed array is ``{"dtype": "<f8", "data": <binary, little endian>, "columns": 1}`` with dtype one
-of ``<f8 <f4 <i4 <i8 |b1``; with more columns it holds the rows of a
-table or a matrix, one after the other.
+of ``<f8 <f4 <i4 <i8 |b1``; with more columns it holds the rows of a table or a matrix, one after
+the other.
 Short arrays travel as lists so that any client can read them; long ones packed, 60 times faster.
 """
 

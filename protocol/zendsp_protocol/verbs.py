@@ -27,40 +27,56 @@ class Nothing(Arguments, frozen=True, kw_only=True):
 
 
 class Compile(Arguments, frozen=True, kw_only=True):
+    """C sources that the target compiles."""
+
     sources: dict[str, str]  # file name to text
     flags: list[str] = []  # for the compiler
 
 
 class Load(Arguments, frozen=True, kw_only=True):
+    """Which of the compiled programs is loaded."""
+
     key: str  # of CompileResult
 
 
 class Start(Arguments, frozen=True, kw_only=True):
+    """How long the program runs, and whether its host must stay."""
+
     ticks: int | None = None  # samples after which it pauses; nil: none
     attended: bool = False  # if this host is lost before a pause, the host-lost policy acts
 
 
 class Read(Arguments, frozen=True, kw_only=True):
+    """Which values are read, and after which write."""
+
     names: list[str]  # of variables, or elements of arrays
     after: int = 0  # `sequence` of a write whose values are to be seen
 
 
 class Write(Arguments, frozen=True, kw_only=True):
+    """Values, and when and how fast they take effect: of ``check``, ``write`` and ``update``."""
+
     values: dict[str, WireValue]  # by name
     at_tick: int | None = None  # sample at whose start they take effect; nil: the next
     fade: float = 0.0  # s, over which numbers go over to their new values; at most 2
 
 
 class Wait(Arguments, frozen=True, kw_only=True):
+    """For which write to wait, and for how long."""
+
     sequence: int  # of Written
     timeout: float = 2.0  # s
 
 
 class Log(Arguments, frozen=True, kw_only=True):
+    """From where on the log is told."""
+
     since: int = 0  # lines that are left out, the oldest first
 
 
 class SetLimits(Arguments, frozen=True, kw_only=True):
+    """Limits, SI: only those that are given change."""
+
     position_min: list[float] | None = None  # rad or m, one number a joint; nil: as it is
     position_max: list[float] | None = None  # rad or m
     speed_max: list[float] | None = None  # rad/s or m/s
@@ -70,23 +86,33 @@ class SetLimits(Arguments, frozen=True, kw_only=True):
 
 
 class SetDrive(Arguments, frozen=True, kw_only=True):
+    """When the drives are on."""
+
     mode: DriveMode  # auto: on at start, off at pause
 
 
 class SetRamp(Arguments, frozen=True, kw_only=True):
+    """Time of the soft start and the soft stop."""
+
     seconds: float  # s
 
 
 class SetOverrun(Arguments, frozen=True, kw_only=True):
+    """What an overrun does."""
+
     policy: OverrunPolicy
     limit: int = 10  # overruns in a row after which it trips
 
 
 class SetInputs(Arguments, frozen=True, kw_only=True):
+    """Digital inputs of a simulated machine."""
+
     bits: int  # one an input, the first the lowest
 
 
 class Drive(Arguments, frozen=True, kw_only=True):
+    """A step of the safe sequence; each of the other fields belongs to one action."""
+
     action: DriveAction
     mode: DriveMode = DriveMode.TORQUE  # of enable: torque or velocity
     force: bool = False  # of take
@@ -94,20 +120,28 @@ class Drive(Arguments, frozen=True, kw_only=True):
 
 
 class Acknowledge(Arguments, frozen=True, kw_only=True):
+    """Which trip is acknowledged; nil: whichever is latched."""
+
     trip: int | None = None  # number of the one that is meant: no other is acknowledged
 
 
 class RunBegin(Arguments, frozen=True, kw_only=True):
+    """What a run sets, and what happens at its end."""
+
     names: list[str]  # what the run will set; those that the program lacks are left out
     moves: bool = False  # it moves the machine: if its host is lost, the host-lost policy acts
     fade: float = 0.0  # s, over which it is put back while the program runs; at most 2
 
 
 class RunEnd(Arguments, frozen=True, kw_only=True):
+    """Which run ends."""
+
     run: int  # of RunBegun
 
 
 class AcquireConfigure(Arguments, frozen=True, kw_only=True):
+    """What the recorder records, how often, how long and from when on."""
+
     channels: list[str]  # variables or elements
     decimation: int = 1  # samples per row
     seconds: float = 1.0  # s, length; of a continuous ring, what it holds
@@ -117,16 +151,22 @@ class AcquireConfigure(Arguments, frozen=True, kw_only=True):
 
 
 class AcquireStart(Arguments, frozen=True, kw_only=True):
+    """Whether the trigger is waited for."""
+
     force: bool = False  # fires the trigger by hand
 
 
 class AcquireRead(Arguments, frozen=True, kw_only=True):
+    """Which rows are sent, and in parts of what size."""
+
     first: int  # index of a row
     count: int  # rows
     chunk: int = 1 << 20  # bytes of one reply, about
 
 
 class TableBegin(Arguments, frozen=True, kw_only=True):
+    """The array that is uploaded, and what has to arrive."""
+
     name: str  # of the table, or array
     dtype: str  # as of packed values
     length: int  # elements
@@ -134,6 +174,8 @@ class TableBegin(Arguments, frozen=True, kw_only=True):
 
 
 class TableChunk(Arguments, frozen=True, kw_only=True):
+    """A part of an upload; it may be sent again."""
+
     upload: int  # of TableState
     offset: int  # bytes
     data: bytes  # little endian
@@ -141,6 +183,8 @@ class TableChunk(Arguments, frozen=True, kw_only=True):
 
 
 class TableCommit(Arguments, frozen=True, kw_only=True):
+    """Which upload takes effect, and when; refused until all of its bytes are there."""
+
     upload: int  # of TableState
     at_tick: int | None = None  # as of write
 
@@ -153,6 +197,8 @@ class TableState(m.Message, frozen=True, kw_only=True):
 
 
 class LiveOpen(Arguments, frozen=True, kw_only=True):
+    """What a live stream carries, and how often."""
+
     channels: list[str]  # variables or elements
     decimation: int = 1  # samples per row
     interval: float = 0.001  # s between messages at the least
@@ -160,6 +206,8 @@ class LiveOpen(Arguments, frozen=True, kw_only=True):
 
 
 class LiveClose(Arguments, frozen=True, kw_only=True):
+    """Which live stream is left."""
+
     stream: int  # of LiveOpened
 
 

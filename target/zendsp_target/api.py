@@ -36,6 +36,8 @@ RECORDER = 0  # the acquisition stream that `acquire_…` verbs speak of
 
 @dataclass(frozen=True)
 class AcquireConfig:
+    """What the recorder records, how often, how long and from when on."""
+
     channels: tuple[str, ...]  # variable, array element "q[0]", or built-in signal
     decimation: int = 1
     seconds: float = 1.0  # per shot, or ring length

@@ -24,9 +24,10 @@ from zendsp.diagnosis.measure.discrepancy import difference, discrepancy, mean_s
 from zendsp.diagnosis.measure.where import Missing, Region, mismatch
 from zendsp.diagnosis.report import figures
 from zendsp.diagnosis.report.chart import Chart, Panel, Series
+from zendsp.diagnosis.report.curve_panels import beside_the_law, broken
 from zendsp.diagnosis.report.drawing import SPANS, draw, places
 from zendsp.diagnosis.report.figures import charts
-from zendsp.diagnosis.report.laws import beside_the_law, broken, in_waves, unclaimed_chart
+from zendsp.diagnosis.report.laws import in_waves, unclaimed_chart
 from zendsp.physics.files.model_file import load_model, parse_model
 
 MODEL = """

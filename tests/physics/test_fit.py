@@ -21,7 +21,8 @@ from zendsp.diagnosis.measure.likelihood import (
     tune_bandwidth,
 )
 from zendsp.physics.calibration.convergence import step_error, with_step_error
-from zendsp.physics.calibration.fit import Data, fit, robust_covariance
+from zendsp.physics.calibration.covariance import robust_covariance
+from zendsp.physics.calibration.fit import Data, fit
 from zendsp.physics.calibration.handles import free_handles, get_values, set_values
 from zendsp.physics.calibration.predict import run
 from zendsp.physics.files.model_file import parse_model

@@ -152,6 +152,7 @@ def test_every_error_of_the_tree_crosses_the_wire_as_itself() -> None:
     for kind in kinds:
         with pytest.raises(kind, match="why"):
             codec.decode_reply(codec.encode_error(kind("why")), m.Empty)
+        assert f" {kind.__name__} " in f"{errors.__doc__}".replace("\n", " "), "the tree lacks it"
 
 
 def test_texts_from_elsewhere_command_no_terminal() -> None:

@@ -4,6 +4,7 @@ one name everywhere.
 
 from __future__ import annotations
 
+import ast
 import dataclasses
 import importlib
 import inspect
@@ -12,11 +13,13 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 from waiting import PATIENCE_S
 
+ROOT = Path(__file__).parents[2]
 ROOMS = (
     "zendsp", "zendsp.link", "zendsp.recording", "zendsp.reference", "zendsp.physics",
     "zendsp.physics.effects", "zendsp.diagnosis", "zendsp.experiment", "zendsp.demo",
@@ -112,6 +115,45 @@ def test_everything_public_has_a_summary() -> None:
         if not summary or generated or summary[-1] not in ".:…)":
             odd[name] = summary
     assert odd == {}
+
+
+# methods that a framework calls, and those that answer a verb: the table of verbs says what they do
+CALLED = re.compile(
+    r"(on|do|action)_\w+|compose|render(_lines?)?|body|ready|get_content_height"
+    r"|(list|get|format)_commands?"
+)
+
+
+def unexplained(body: list[ast.stmt], said: dict[str, set[str]]) -> Iterator[ast.stmt]:
+    """Public classes, functions and methods without a docstring; what a base of the same module
+    says, by ``said``, or a protocol's line, needs none.
+    """
+    for node in body:
+        kinds = ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
+        if not isinstance(node, kinds) or node.name.startswith("_"):
+            continue
+        if not ast.get_docstring(node) and ast.unparse(node.body[-1]) != "...":
+            yield node
+        if isinstance(node, ast.ClassDef):
+            known = set().union(*(said.get(ast.unparse(base), set()) for base in node.bases))
+            for method in unexplained(node.body, said):
+                name = getattr(method, "name", "")
+                if name not in known and not CALLED.fullmatch(name):
+                    yield method
+
+
+def test_every_public_name_says_what_it_is() -> None:
+    silent = []
+    for package in ("host", "target", "protocol", "c_isr"):
+        for path in sorted((ROOT / package).rglob("*.py")):
+            body = ast.parse(path.read_text("utf-8")).body
+            said = {
+                node.name: {m.name for m in node.body if isinstance(m, ast.FunctionDef)}
+                for node in body
+                if isinstance(node, ast.ClassDef)
+            }
+            silent += [f"{path.relative_to(ROOT)}:{n.lineno}" for n in unexplained(body, said)]
+    assert silent == []
 
 
 def test_every_parameter_of_a_public_function_is_documented() -> None:

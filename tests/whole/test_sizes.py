@@ -19,7 +19,6 @@ LONG = {
     "host/zendsp/proof/scoreboard.py:headline": "the sentences of a page, in their order",
     "host/zendsp/proof/rivals.py:rivals": "a table of rivals and what each is given",
     "host/zendsp/reference/kinds/swing.py:_collocate": "one optimal control problem, stated whole",
-    "host/zendsp/diagnosis/decide/laws.py:named": "the decision, case by case",
     "c_isr/zendsp_isr/runtime/contain.c:filter_calls": "the table of what is refused",
     "host/zendsp/physics/kernel/filter.c:zf_smooth": "a pass forward and one back, on one memory",
     "host/zendsp/physics/simulation/solve.h:solve": "one search for who slides, who sticks",

@@ -5,7 +5,6 @@ ends the target.
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -108,6 +107,8 @@ def _seed(told: Told) -> str:
 
 
 def _outcome(told: Told, files: list[Path], teller: Narrator) -> dict[str, Any]:
+    from zendsp.diagnosis.report.files import finite
+
     report = told.diagnosis.report()
     tracking = None
     if told.tracking is not None:
@@ -138,13 +139,4 @@ def _outcome(told: Told, files: list[Path], teller: Narrator) -> dict[str, Any]:
         "seconds": round(teller.seconds, 1),
         "said": teller.said,
     }
-    return {key: _finite(value) for key, value in outcome.items()}
-
-
-def _finite(value: Any) -> Any:
-    """Infinities and NaN have no place in JSON: they become null."""
-    if isinstance(value, dict):
-        return {k: _finite(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(v) for v in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    return {key: finite(value) for key, value in outcome.items()}

@@ -1,5 +1,8 @@
-"""Every joint searched and decided, in a process of its own where there are several; and the
-machine put together of them.
+"""Searches and decides every joint, in a process of its own where there are several, and puts the
+machine together.
+
+Two models go through this file: ``given`` is the user's, ``beneath`` is that with what is known of
+the machine by now, on which a joint's search begins.
 """
 
 from __future__ import annotations
@@ -32,7 +35,7 @@ from zendsp.diagnosis.measure.windows import model_error, noise_floor, rms, wind
 from zendsp.diagnosis.progress import Progress, Step
 from zendsp.diagnosis.search.forward import Searcher, is_white
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
-from zendsp.diagnosis.search.rounds import WAIT
+from zendsp.diagnosis.search.short_fits import WAIT
 from zendsp.diagnosis.search.simplify import upon
 from zendsp.diagnosis.transmission.links import divided, with_links
 from zendsp.parent import die_with
@@ -173,19 +176,19 @@ def explain(
 
 
 def _no_worse(
-    parts: Parts, given: Model, decisions: list[Decision], jobs: int
+    parts: Parts, beneath: Model, decisions: list[Decision], jobs: int
 ) -> tuple[list[Decision], Assembled]:
     """The machine put together, without the claims of joints whose untouched data it would predict
     worse with them: than calibrated, or than as given, where something in the recordings of the fit
     bends the numbers.
     """
     while True:
-        whole = assemble(parts, given, decisions, jobs)
+        whole = assemble(parts, beneath, decisions, jobs)
         worse = {}
         for d in decisions:
             if d.claims:
                 named = any(c.effect != "unknown" for c in d.claims)
-                before = (given, whole.calibrated) if named else (given,)
+                before = (beneath, whole.calibrated) if named else (beneath,)
                 *errors, after = (
                     rms(window_error(parts.test, m, d.joint)) for m in (*before, whole.improved)
                 )
@@ -270,22 +273,22 @@ def _in_order(
 
 
 def _search_joint(
-    parts: Parts, given: Model, joint: int, jobs: int, tell: Progress
+    parts: Parts, beneath: Model, joint: int, jobs: int, tell: Progress
 ) -> tuple[JointSearch, Decision]:
     tell(Step.CALIBRATING.says(f"joint {joint}: calibrating the given model"))
-    base = calibrate_joint(parts.fit, given, joint, jobs)
+    base = calibrate_joint(parts.fit, beneath, joint, jobs)
     accept = Acceptance(parts.choose)
-    searcher = Searcher(parts.fit, joint, accept, jobs, tell, given)
+    searcher = Searcher(parts.fit, joint, accept, jobs, tell, beneath)
     late = searcher.late_log(base)
     if late is not None:  # found before any physics is blamed
-        base, given = late, given.with_terms((*given.terms, late.model.terms[-1]))
-        searcher = Searcher(parts.fit, joint, accept, jobs, tell, given)
+        base, beneath = late, beneath.with_terms((*beneath.terms, late.model.terms[-1]))
+        searcher = Searcher(parts.fit, joint, accept, jobs, tell, beneath)
     search = searcher.search(base)
     # how a friction that the model has turns round is no missing physics, and hides what is
     soft = None if is_white(search.final, joint) else searcher.softened(base)
     if soft is not None:
         tell(Step.SEARCHING.says(f"joint {joint}: again, with a dry friction that creeps"))
-        creeping = given.with_terms((*given.terms, soft.model.terms[-1]))
+        creeping = beneath.with_terms((*beneath.terms, soft.model.terms[-1]))
         again = Searcher(parts.fit, joint, accept, jobs, tell, creeping)
         warm = _upon_creep(search, soft, again, jobs)
         other = warm or again.search(soft)
@@ -293,8 +296,8 @@ def _search_joint(
             if warm and all(t.effect != "creep" for t in warm.final.model.at(joint)):
                 search = replace(warm, base=base)  # it is not needed any more
             else:
-                search, given = other, creeping
-    return search, decide(parts, given, search, jobs, tell)
+                search, beneath = other, creeping
+    return search, decide(parts, beneath, search, jobs, tell)
 
 
 def _upon_creep(
@@ -332,12 +335,12 @@ def decided_again(
 _inherited: list[tuple[Parts, Model, Progress]] = []
 
 
-def _inherit(parent: int, parts: Parts, given: Model, tell: Progress) -> None:
+def _inherit(parent: int, parts: Parts, beneath: Model, tell: Progress) -> None:
     die_with(parent)  # killed, it could not end them
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # a Ctrl-C is the parent's to tell
-    _inherited[:] = [(parts, given, tell)]
+    _inherited[:] = [(parts, beneath, tell)]
 
 
 def _search_inherited(joint: int) -> tuple[JointSearch, Decision]:
-    parts, given, tell = _inherited[0]
-    return _search_joint(parts, given, joint, 1, tell)
+    parts, beneath, tell = _inherited[0]
+    return _search_joint(parts, beneath, joint, 1, tell)

@@ -14,7 +14,7 @@ from zendsp.experiment.figures import BLUE, GREEN, RED, label, make_figure, save
 from zendsp.experiment.lab import Lab
 from zendsp.experiment.result import Estimate, FoundEffect, Result
 from zendsp.physics import parse_model, simulate_loop
-from zendsp.physics.calibration.fit import robust_covariance
+from zendsp.physics.calibration.covariance import robust_covariance
 from zendsp.physics.model import Model
 from zendsp.recording import Recording
 

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.errors import RecordingError
 from zendsp.experiment.table_file import write_rows
 from zendsp.recording import Recording
+from zendsp.recording.plot import save_figure
 from zendsp_protocol.views import curves, html_table, sentence
 
 if TYPE_CHECKING:
@@ -194,13 +194,7 @@ class FrequencyResponse:
         figure.suptitle(
             f"{self.output} over {self.input}; bars: ± one standard deviation", fontsize=10
         )
-        if path is not None:
-            try:
-                path = Path(path).expanduser()
-                path.parent.mkdir(parents=True, exist_ok=True)
-                figure.savefig(path, dpi=120)
-            except (OSError, ValueError) as error:
-                raise RecordingError(f"{path}: cannot be written ({error})") from error
+        save_figure(figure, path)
         return figure
 
     def __repr__(self) -> str:

@@ -15,7 +15,7 @@ import zenoh
 from zendsp.errors import LinkError, NoAnswer, Refused, ZendspError
 from zendsp.here.registered import local_entries
 from zendsp.link.background import END_S, Listener, background, open_links
-from zendsp.link.repeated_writes import RepeatedWrites
+from zendsp.link.repeated_requests import RepeatedRequests
 from zendsp.link.session import new_author, not_there, open_session
 from zendsp.link.settings import Credentials
 from zendsp_protocol import codec, kept, keys
@@ -65,7 +65,7 @@ class Link:
         self.identity = credentials.identity
         self.own = credentials.own  # of the same user on the same computer, by the target's entry
         self.author = new_author(self.identity)
-        self._writes = RepeatedWrites()
+        self._repeats = RepeatedRequests()
         self._alive = threading.Event()
         self._lost = threading.Event()
         self._returned: list[Callable[[], None]] = []
@@ -151,7 +151,7 @@ class Link:
             Whatever the target says.
         """
         row, querier = self._ready.get(verb) or self._make_ready(verb)
-        payload = self._writes.encode(verb, arguments, self.author)
+        payload = self._repeats.encode(verb, arguments, self.author)
         number, instance = next(self._requests) if row.once else 0, self.instance
         first = stamp(self._name, number, instance, FIRST) if row.once else None
         limit = timeout or (STOP_S if row.lane == "stop" else row.timeout)
@@ -177,7 +177,7 @@ class Link:
                 if row.once
                 else self._until_answered(row, querier, payload, limit, begin)
             )
-        return self._writes.decode(sample.payload.to_bytes(), row.result)
+        return self._repeats.decode(sample.payload.to_bytes(), row.result, arguments)
 
     def _until_answered(
         self,

@@ -215,4 +215,5 @@ def _change(change: m.Change) -> ParameterChange:
 
 
 def host_version() -> str:
+    """What this host runs, as a recording keeps it."""
     return f"zendsp {metadata.version('zendsp')}, python {platform.python_version()}"

@@ -69,6 +69,7 @@ def open_session(
 
 
 def not_there(session: zenoh.Session, target: str, endpoints: Sequence[str]) -> str:
+    """A sentence: which target is not there, and which ones are."""
     names = [
         keys.target_of(str(reply.ok.key_expr))
         for reply in session.liveliness().get(keys.alive(), timeout=0.5)

@@ -20,6 +20,8 @@ class ContractError(ValueError):
 
 @dataclass(frozen=True)
 class Estimate:
+    """A parameter as the report states it, SI; ``std`` is NaN where there is none."""
+
     value: float
     std: float
 
@@ -83,6 +85,7 @@ class Answer:
 
     @staticmethod
     def from_json(table: Mapping[str, Any]) -> Answer:
+        """Read a report; ``ContractError`` where it is not what the contract says."""
         regions = tuple(
             Region(r["joint"], r["variable"], tuple(r["interval"])) for r in table["regions"]
         )
@@ -109,7 +112,7 @@ def kept_finding(table: Mapping[str, Any]) -> Finding:
     )
 
 
-def need(table: Mapping[str, Any], key: str, where: str) -> Any:
+def _need(table: Mapping[str, Any], key: str, where: str) -> Any:
     if key not in table:
         raise ContractError(f"report.json: {where} has no {key!r}")
     return table[key]
@@ -126,26 +129,27 @@ def number(value: Any, where: str) -> float:
     raise ContractError(f"report.json: {where} is {value!r}, expected a number")
 
 
-def read_finding(table: Mapping[str, Any], where: str) -> Finding:
+def _read_finding(table: Mapping[str, Any], where: str) -> Finding:
     parameters = {}
-    for name, entry in need(table, "parameters", where).items():
+    for name, entry in _need(table, "parameters", where).items():
         if not isinstance(entry, Mapping) or isinstance(entry.get("value"), str):
             continue  # words, such as the law of a coupling
         spot = f"{where}.parameters.{name}"
         std = entry.get("std")
         parameters[name] = Estimate(
-            number(need(entry, "value", spot), spot), math.nan if std is None else number(std, spot)
+            number(_need(entry, "value", spot), spot),
+            math.nan if std is None else number(std, spot),
         )
-    confidence = number(need(table, "confidence", where), f"{where}.confidence")
+    confidence = number(_need(table, "confidence", where), f"{where}.confidence")
     if not 0.0 <= confidence <= 1.0:
         raise ContractError(f"report.json: {where}.confidence is {confidence}, expected 0 to 1")
     return Finding(
-        str(need(table, "effect", where)),
-        int(need(table, "joint", where)),
+        str(_need(table, "effect", where)),
+        int(_need(table, "joint", where)),
         parameters,
         confidence,
-        tuple(names(need(table, "indistinguishable", where))),
-        tuple(names(need(table, "replaces", where))),
+        tuple(names(_need(table, "indistinguishable", where))),
+        tuple(names(_need(table, "replaces", where))),
         (
             f"{table['law']}, from joint {table['from_joint']}"
             if {"law", "from_joint"} <= set(table)
@@ -159,7 +163,7 @@ def read_finding(table: Mapping[str, Any], where: str) -> Finding:
 def read_findings(report: Mapping[str, Any], key: str) -> tuple[Finding, ...]:
     """Every finding below one key of the report."""
     return tuple(
-        read_finding(f, f"{key}[{i}]") for i, f in enumerate(need(report, key, "the report"))
+        _read_finding(f, f"{key}[{i}]") for i, f in enumerate(_need(report, key, "the report"))
     )
 
 
@@ -180,7 +184,7 @@ def read_report(path: Path, seconds: float) -> Answer:
         table = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, json.JSONDecodeError) as error:
         raise ContractError(f"{path}: no readable report.json: {error}") from error
-    verdict = need(table, "verdict", "the report")
+    verdict = _need(table, "verdict", "the report")
     if verdict not in VERDICTS:
         raise ContractError(
             f"report.json: verdict is {verdict!r}, expected one of {', '.join(VERDICTS)}"
@@ -190,24 +194,24 @@ def read_report(path: Path, seconds: float) -> Answer:
         raise ContractError("report.json: verdict is complete but there are findings")
     if verdict == "missing" and not findings:
         raise ContractError("report.json: verdict is missing but there is no finding")
-    where = need(table, "where", "the report")
+    where = _need(table, "where", "the report")
     regions = tuple(
         Region(
             int(r["joint"]), str(r["variable"]), (float(r["interval"][0]), float(r["interval"][1]))
         )
-        for r in need(where, "state", "where")
+        for r in _need(where, "state", "where")
     )
-    times = tuple((float(a), float(b)) for a, b in need(where, "time", "where"))
-    fit = need(table, "fit", "the report")
-    held = need(fit, "heldout", "fit")
+    times = tuple((float(a), float(b)) for a, b in _need(where, "time", "where"))
+    fit = _need(table, "fit", "the report")
+    held = _need(fit, "heldout", "fit")
     return Answer(
         verdict,
         findings,
         regions,
         times,
-        number(need(held, "calibrated", "fit.heldout"), "fit.heldout.calibrated"),
-        number(need(held, "improved", "fit.heldout"), "fit.heldout.improved"),
-        number(need(fit, "noise_floor", "fit"), "fit.noise_floor"),
+        number(_need(held, "calibrated", "fit.heldout"), "fit.heldout.calibrated"),
+        number(_need(held, "improved", "fit.heldout"), "fit.heldout.improved"),
+        number(_need(fit, "noise_floor", "fit"), "fit.noise_floor"),
         seconds,
         refinements=read_findings(table, "refinements") if "refinements" in table else (),
         smallest=tuple(

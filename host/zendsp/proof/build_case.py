@@ -59,10 +59,10 @@ def attempting(request: Request) -> Callable[[Request, Rng], Case]:
         from zendsp.proof import shipped
 
         return shipped.attempt_case
-    return attempt_case
+    return _attempt_case
 
 
-def attempt_case(request: Request, rng: Rng) -> Case:
+def _attempt_case(request: Request, rng: Rng) -> Case:
     d = MACHINES[request.machine](rng)
     d.stated_gain = [float(j.get("gain", 1.0)) for j in d.joints]
     d.notes.append(f"kind {request.kind}")

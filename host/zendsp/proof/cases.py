@@ -57,6 +57,7 @@ class Order:
 
 
 def fits(machine: str, effect: str) -> bool:
+    """Whether a machine can have an effect, or each of several joined by ``+``."""
     return all(name not in UNFIT[machine] for name in effect.split("+"))
 
 

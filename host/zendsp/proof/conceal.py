@@ -18,14 +18,14 @@ Rng = np.random.Generator
 # reference shapes in which an effect shows itself; the others draw from the machine's own choice
 
 
-class Hide(Protocol):
+class _Hide(Protocol):
 
     def __call__(
         self, d: Draft, effect: str, size: float, scales: list[Scale], rng: Rng
     ) -> None: ...
 
 
-class Prepare(Protocol):
+class _Prepare(Protocol):
     def __call__(self, d: Draft, effect: str, rng: Rng) -> None: ...
 
 
@@ -33,8 +33,8 @@ class Prepare(Protocol):
 class Kind:
     """How a kind of case is made."""
 
-    prepare: Prepare
-    conceal: Hide
+    prepare: _Prepare
+    conceal: _Hide
 
 
 def no_preparation(d: Draft, effect: str, rng: Rng) -> None:
@@ -47,12 +47,12 @@ def no_preparation(d: Draft, effect: str, rng: Rng) -> None:
         d.parameters["gravity"] = 0.3 * d.parameters["inertia"] / 0.01
 
 
-def pick_joint(d: Draft, rng: Rng) -> int:
+def _pick_joint(d: Draft, rng: Rng) -> int:
     return int(rng.integers(d.n))
 
 
-def hide_single(d: Draft, effect: str, size: float, scales: list[Scale], rng: Rng) -> None:
-    joint = 0 if effect in ("elasticity", "backlash") and d.n > 1 else pick_joint(d, rng)
+def _hide_single(d: Draft, effect: str, size: float, scales: list[Scale], rng: Rng) -> None:
+    joint = 0 if effect in ("elasticity", "backlash") and d.n > 1 else _pick_joint(d, rng)
     d.concealed.append(EFFECTS[effect](d, joint, scales[joint], size, rng))
 
 
@@ -78,7 +78,7 @@ PAIRS = (
 )
 
 
-def prepare_pair(d: Draft, effect: str, rng: Rng) -> None:
+def _prepare_pair(d: Draft, effect: str, rng: Rng) -> None:
     for name in effect.split("+"):
         no_preparation(d, name, rng)
 
@@ -86,8 +86,8 @@ def prepare_pair(d: Draft, effect: str, rng: Rng) -> None:
 def hide_pair(d: Draft, effect: str, size: float, scales: list[Scale], rng: Rng) -> None:
     """Two effects on one joint, or on two joints where there are two."""
     first, second = effect.split("+")
-    joint = pick_joint(d, rng)
-    other = pick_joint(d, rng)
+    joint = _pick_joint(d, rng)
+    other = _pick_joint(d, rng)
     d.concealed.append(EFFECTS[first](d, joint, scales[joint], size, rng))
     kept = set(d.terms[other])
     d.concealed.append(
@@ -143,18 +143,14 @@ def prepare_hard(d: Draft, effect: str, rng: Rng) -> None:
     ]
 
 
-def hide_foreign(d: Draft, effect: str, size: float, scales: list[Scale], rng: Rng) -> None:
-    joint = pick_joint(d, rng)
+def _hide_foreign(d: Draft, effect: str, size: float, scales: list[Scale], rng: Rng) -> None:
+    joint = _pick_joint(d, rng)
     d.concealed.append(add_foreign(d, effect, joint, scales[joint], size, rng))
-
-
-def prepare_behind(d: Draft, effect: str, rng: Rng) -> None:
-    no_preparation(d, effect, rng)
 
 
 def hide_behind(d: Draft, effect: str, size: float, scales: list[Scale], rng: Rng) -> None:
     """The effect stands behind a larger one that the given model has."""
-    joint = pick_joint(d, rng)
+    joint = _pick_joint(d, rng)
     s = scales[joint]
     # a big one that is not of the concealed one's own family
     choice = (
@@ -186,7 +182,7 @@ REPLACEMENTS = (
 
 def hide_replacement(d: Draft, effect: str, size: float, scales: list[Scale], rng: Rng) -> None:
     """The given model has friction by the wrong law."""
-    joint = pick_joint(d, rng)
+    joint = _pick_joint(d, rng)
     s = scales[joint]
     if effect == "viscous_for_coulomb":
         set_friction(d, joint, coulomb=0.0, viscous=0.0)
@@ -208,16 +204,16 @@ def hide_replacement(d: Draft, effect: str, size: float, scales: list[Scale], rn
 
 
 KINDS: dict[str, Kind] = {
-    "single": Kind(no_preparation, hide_single),
-    "pair": Kind(prepare_pair, hide_pair),
-    "behind": Kind(prepare_behind, hide_behind),
-    "part": Kind(prepare_part, hide_single),
+    "single": Kind(no_preparation, _hide_single),
+    "pair": Kind(_prepare_pair, hide_pair),
+    "behind": Kind(no_preparation, hide_behind),
+    "part": Kind(prepare_part, _hide_single),
     "replace": Kind(no_preparation, hide_replacement),
     "complete": Kind(prepare_complete, hide_nothing),
     "complete_slow": Kind(prepare_slow, hide_nothing),
     "nuisance": Kind(prepare_nuisance, hide_nothing),
-    "nuisance_single": Kind(prepare_nuisance, hide_single),
-    "foreign": Kind(no_preparation, hide_foreign),
-    "hard": Kind(prepare_hard, hide_single),
+    "nuisance_single": Kind(prepare_nuisance, _hide_single),
+    "foreign": Kind(no_preparation, _hide_foreign),
+    "hard": Kind(prepare_hard, _hide_single),
     "hard_complete": Kind(prepare_hard, hide_nothing),
 }

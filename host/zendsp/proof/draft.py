@@ -101,6 +101,7 @@ class Draft:
 
     @property
     def n(self) -> int:
+        """Number of joints."""
         return len(self.joints)
 
     def truth(self) -> MachineTruth:
@@ -156,12 +157,15 @@ class Scale:
 
     @property
     def v_rms(self) -> float:
+        """RMS speed, rad/s or m/s."""
         return float(np.sqrt(np.mean(self.v**2)))
 
     @property
     def v_peak(self) -> float:
+        """Largest speed, rad/s or m/s."""
         return float(np.max(np.abs(self.v)))
 
     @property
     def reach(self) -> float:
+        """Travel, rad or m."""
         return float(np.ptp(self.q))

@@ -43,6 +43,7 @@ def length(d: Draft) -> str:
 
 
 def either(rng: Rng) -> float:
+    """1 or -1 by chance."""
     return float(rng.choice([-1.0, 1.0]))
 
 
@@ -60,6 +61,7 @@ def at_rest(joint: int) -> list[Place]:
 def set_friction(
     d: Draft, joint: int, *, coulomb: float | None = None, viscous: float | None = None
 ) -> None:
+    """Give a joint the same friction in both directions, N m and N m s/rad."""
     if coulomb is not None:
         d.joints[joint].update(coulomb_pos=coulomb, coulomb_neg=coulomb)
     if viscous is not None:

@@ -103,7 +103,7 @@ def _elasticity(d: Draft, joint: int, s: Scale, size: float, rng: Rng) -> Concea
     split(d, joint, load, k, damping, 0.0)
     u = {"stiffness": (k, unit(d, per="/rad")), "damping": (damping, unit(d, per=" s/rad"))}
     return Concealed(
-        "elasticity", joint + 1, {**u, "load_inertia": load_unit(d, load)}, size,
+        "elasticity", joint + 1, {**u, "load_inertia": _load_unit(d, load)}, size,
         unscored=["damping"],
     )
 
@@ -119,12 +119,12 @@ def _backlash(d: Draft, joint: int, s: Scale, size: float, rng: Rng) -> Conceale
     u = {
         "gap": (gap, length(d)),
         "stiffness": (k, unit(d, per="/rad")),
-        "load_inertia": load_unit(d, load),
+        "load_inertia": _load_unit(d, load),
     }
     return Concealed("backlash", joint + 1, u, size, unscored=["stiffness"], where=at_rest(joint))
 
 
-def load_unit(d: Draft, load: float) -> tuple[float, str]:
+def _load_unit(d: Draft, load: float) -> tuple[float, str]:
     return load, "kg" if d.kind == "linear" else "kg m^2"
 
 

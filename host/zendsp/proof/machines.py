@@ -13,7 +13,7 @@ from zendsp.proof.wam import wam
 Rng = np.random.Generator
 
 
-def log_uniform(rng: Rng, low: float, high: float) -> float:
+def _log_uniform(rng: Rng, low: float, high: float) -> float:
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
@@ -23,13 +23,13 @@ def shapes(rng: Rng) -> tuple[str, str]:
     return train, train if rng.random() < 0.4 else str(rng.choice(["mixed", *RICH]))
 
 
-def sensor(rng: Rng, bits: int) -> dict[str, float]:
+def _sensor(rng: Rng, bits: int) -> dict[str, float]:
     return {"resolution": 2 * np.pi / 2**bits, "floor_counts": float(rng.random() < 0.3)}
 
 
 def rotary(rng: Rng) -> Draft:
     """A small rotary bench: 1 kHz, PD loop, 12 to 16 bits, with or without gravity."""
-    inertia = log_uniform(rng, 0.004, 0.02)
+    inertia = _log_uniform(rng, 0.004, 0.02)
     gravity = inertia / 0.01 * rng.uniform(0.1, 0.5) if rng.random() < 0.6 else 0.0
     bits = int(rng.choice([12, 14, 16], p=[0.4, 0.4, 0.2]))
     dt = float(rng.choice([1e-3, 5e-4, 2e-3], p=[0.8, 0.1, 0.1]))
@@ -47,7 +47,7 @@ def rotary(rng: Rng) -> Draft:
         "viscous_pos": felt / speed * rng.uniform(0.05, 0.15),
         "delay": known,
         "limit": round(8 * felt, 2),
-        **sensor(rng, bits),
+        **_sensor(rng, bits),
     }
     joint.update(coulomb_neg=joint["coulomb_pos"], viscous_neg=joint["viscous_pos"])
     train, held = shapes(rng)
@@ -119,7 +119,7 @@ def pendulum(rng: Rng) -> Draft:
     coulomb, viscous = rng.uniform(0.005, 0.02), rng.uniform(2e-4, 8e-4)
     joint = {
         "coulomb_pos": coulomb, "coulomb_neg": coulomb, "viscous_pos": viscous,
-        "viscous_neg": viscous, "limit": 0.8, **sensor(rng, 12),
+        "viscous_neg": viscous, "limit": 0.8, **_sensor(rng, 12),
     }
     open_loop = bool(rng.random() < 0.5)
     return Draft(

@@ -16,7 +16,7 @@ DRESSINGS = ("float32", "origin", "unit")
 EPOCH = 1.7e9  # s, what a logger's clock shows
 
 
-def rounded(x: Array) -> Array:
+def _rounded(x: Array) -> Array:
     return np.asarray(x.astype(np.float32).astype(np.float64))
 
 
@@ -84,7 +84,7 @@ def apply_faults(run: Run, faults: Sequence[str], sample_time: float, rng: Rng) 
     for fault in faults:
         name, _, number = fault.partition(" ")
         if name == "float32":
-            run = replace(run, measured=rounded(run.measured), command=rounded(run.command))
+            run = replace(run, measured=_rounded(run.measured), command=_rounded(run.command))
         elif name == "repeat":
             run = repeated(run, rng)
         elif name == "stale":

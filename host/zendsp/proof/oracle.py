@@ -36,6 +36,7 @@ class Visibility:
 
     @property
     def detectable(self) -> bool:
+        """Whether a method could see it: its log-likelihood is `DETECTABLE` at least."""
         return self.log_likelihood >= DETECTABLE
 
 
@@ -109,6 +110,7 @@ class Judge:
         return out
 
     def project(self, columns: Array) -> Array:
+        """Columns without what the free parameters of the given model can imitate."""
         return np.asarray(columns - self.basis @ (self.basis.T @ columns))
 
     def measure(self, rest: Array) -> Visibility:

@@ -74,7 +74,7 @@ def plain(entry: Any) -> Any:
     return entry["value"] if isinstance(entry, dict) else entry
 
 
-def is_free(entry: Any) -> bool:
+def _is_free(entry: Any) -> bool:
     return bool(entry.get("free", True)) if isinstance(entry, dict) else True
 
 
@@ -109,7 +109,7 @@ def effect_columns(entry: EffectTable, m: Motion, joint: int) -> tuple[Array, Ar
     }
     columns = np.stack(laws[kind](), 1)
     values = [e for k, e in entry.items() if k not in ("kind", "joint")]
-    if all(is_free(e) for e in values):
+    if all(_is_free(e) for e in values):
         return columns, np.zeros(len(v))
     return columns[:, :0], columns[:, 0] * float(plain(values[0]))
 
@@ -119,7 +119,7 @@ def split_model(model: ModelTable, m: Motion, joint: int) -> tuple[Array, Array]
     entries = model["mechanism"].get("parameters", {})
     free, fixed = [], np.zeros(len(m.t))
     for name, column in mechanism_columns(model, m, joint).items():
-        if is_free(entries[name]):
+        if _is_free(entries[name]):
             free.append(column)
         else:
             fixed = fixed + float(plain(entries[name])) * column

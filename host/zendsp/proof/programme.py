@@ -146,10 +146,12 @@ class Prepared:
 
     @property
     def cases(self) -> Path:
+        """Folder of the cases."""
         return self.folder / "cases"
 
     @property
     def truth(self) -> Path:
+        """Folder of what they conceal."""
         return self.folder / "truth"
 
 

@@ -72,7 +72,7 @@ def load_of_150_kg(answer: Answer) -> bool:
     return abs(mass.value - LOAD) < min(0.15 * LOAD, 2.0 * mass.std)
 
 
-def wrist_coupling(answer: Answer) -> bool:
+def _wrist_coupling(answer: Answer) -> bool:
     return any(f.effect == "coupling" and f.joint in (5, 6) for f in answer.findings)
 
 
@@ -108,7 +108,7 @@ MACHINES = (
                 (f"Coulomb friction of axis {j}", lambda a, j=j: dry_friction(a, j))
                 for j in range(1, 7)
             ),
-            ("wrist coupling of axes 5 and 6", wrist_coupling),
+            ("wrist coupling of axes 5 and 6", _wrist_coupling),
         ),
     ),
     Machine(
@@ -147,6 +147,7 @@ class Seen:
 
     @property
     def good(self) -> bool:
+        """Whether the answer came, without trouble, and says all that was published."""
         return not self.absent and not self.answer.trouble and all(ok for _, ok in self.kept)
 
 

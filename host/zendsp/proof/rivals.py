@@ -31,10 +31,11 @@ class Rival:
 
 
 def stack(*columns: Array) -> Array:
+    """Columns side by side, (rows, columns)."""
     return np.stack(columns, 1)
 
 
-def spaced(low: float, high: float, count: int) -> tuple[float, ...]:
+def _spaced(low: float, high: float, count: int) -> tuple[float, ...]:
     return tuple(float(x) for x in np.geomspace(low, high, count))
 
 
@@ -67,7 +68,7 @@ def rivals(d: Draft, joint: int, scales: list[Scale], judge: Judge) -> Iterator[
     q, v, a, sign, one = s.q, s.v, s.a, np.sign(s.v), np.ones_like(s.q)
     t = np.arange(q.size) * d.sample_time
     reach, dt = max(s.reach, 1e-9), d.sample_time
-    turns = spaced(2 * np.pi / reach, 60 * np.pi / reach, 140)
+    turns = _spaced(2 * np.pi / reach, 60 * np.pi / reach, 140)
     yield "viscous", Rival(lambda _: stack(v))
     yield "coulomb", Rival(lambda _: stack(sign))
     yield "coulomb_asymmetry", Rival(lambda _: stack(sign, one))
@@ -82,14 +83,14 @@ def rivals(d: Draft, joint: int, scales: list[Scale], judge: Judge) -> Iterator[
         "stribeck",
         Rival(
             lambda x: stack(sign, sign * np.exp(-((v / x) ** 2))),
-            grid=spaced(0.02 * s.v_rms, s.v_rms, 10),
+            grid=_spaced(0.02 * s.v_rms, s.v_rms, 10),
         ),
     )
     yield "presliding", Rival(
-        lambda x: stack(sign, bristle(q, x)), grid=spaced(1e-3 * reach, 0.1 * reach, 8)
+        lambda x: stack(sign, bristle(q, x)), grid=_spaced(1e-3 * reach, 0.1 * reach, 8)
     )
     yield "hysteresis", Rival(
-        lambda x: stack(bouc_wen(q, x)), grid=spaced(3e-3 * reach, 0.2 * reach, 7)
+        lambda x: stack(bouc_wen(q, x)), grid=_spaced(3e-3 * reach, 0.2 * reach, 7)
     )
     yield (
         "position_friction",
@@ -100,7 +101,7 @@ def rivals(d: Draft, joint: int, scales: list[Scale], judge: Judge) -> Iterator[
         "friction_drift",
         Rival(
             lambda x: stack(sign, v, sign * np.exp(-t / x), v * np.exp(-t / x)),
-            grid=spaced(0.05 * t[-1], t[-1], 7),
+            grid=_spaced(0.05 * t[-1], t[-1], 7),
         ),
     )
     if d.fixed & set(d.parameters):
@@ -117,20 +118,20 @@ def rivals(d: Draft, joint: int, scales: list[Scale], judge: Judge) -> Iterator[
         "delay",
         Rival(
             drive=lambda x: np.asarray(np.interp(t - x, t, s.drive)),
-            grid=(0.0, *spaced(0.1 * dt, 20 * dt, 9)),
+            grid=(0.0, *_spaced(0.1 * dt, 20 * dt, 9)),
         ),
     )
-    yield "lag", Rival(drive=lambda x: lagged(s.drive, x, dt), grid=spaced(0.1 * dt, 20 * dt, 9))
+    yield "lag", Rival(drive=lambda x: lagged(s.drive, x, dt), grid=_spaced(0.1 * dt, 20 * dt, 9))
     peak = float(np.max(np.abs(s.drive)))
     yield (
         "dead_zone",
         Rival(
             drive=lambda x: s.drive - np.clip(s.drive, -x, x),
-            grid=spaced(1e-3 * peak, 0.3 * peak, 9),
+            grid=_spaced(1e-3 * peak, 0.3 * peak, 9),
         ),
     )
     yield "saturation", Rival(
-        drive=lambda x: np.clip(s.drive, -x, x), grid=spaced(0.2 * peak, peak, 9)
+        drive=lambda x: np.clip(s.drive, -x, x), grid=_spaced(0.2 * peak, peak, 9)
     )
 
 

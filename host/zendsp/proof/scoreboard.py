@@ -30,11 +30,11 @@ def rate(values: Iterable[bool | None]) -> tuple[int, int]:
     return sum(known), len(known)
 
 
-def shown(good: int, total: int) -> str:
+def _shown(good: int, total: int) -> str:
     return f"{good}/{total} = {good / total:.1%}" if total else "-"
 
 
-def percentile(values: Sequence[float], share: float) -> float:
+def _percentile(values: Sequence[float], share: float) -> float:
     ordered = sorted(values)
     return (
         ordered[min(len(ordered) - 1, math.ceil(share * len(ordered)) - 1)] if ordered else math.nan
@@ -55,45 +55,45 @@ def headline(judged: Sequence[Judgement]) -> list[tuple[str, str, str]]:
     answered = [j for j in judged if not j.trouble]
     return [
         (
-            "mechanism first, on its joint or body", shown(*rate(j.mechanism for j in named)),
+            "mechanism first, on its joint or body", _shown(*rate(j.mechanism for j in named)),
             ">= 97 %",
         ),
-        ("law first (or the set that holds it)", shown(*rate(j.law for j in named)), ">= 92 %"),
-        ("  of one effect alone", shown(*rate(j.named for j in singles)), ">= 95 %"),
-        ("  the very name", shown(*rate(j.strict for j in singles)), ""),
-        ("  mean size of the set", f"{mean([j.set_size for j in singles if j.named]):.2f}", ""),
-        ("all of several effects", shown(*rate(j.both for j in judged)), ">= 85 %"),
-        ("wrong term replaced", shown(*rate(j.replaced for j in judged)), ">= 85 %"),
+        ("law first (or the set that holds it)", _shown(*rate(j.law for j in named)), ">= 92 %"),
+        ("  of one effect alone", _shown(*rate(j.named for j in singles)), ">= 95 %"),
+        ("  the very name", _shown(*rate(j.strict for j in singles)), ""),
+        ("  mean size of the set", f"{_mean([j.set_size for j in singles if j.named]):.2f}", ""),
+        ("all of several effects", _shown(*rate(j.both for j in judged)), ">= 85 %"),
+        ("wrong term replaced", _shown(*rate(j.replaced for j in judged)), ">= 85 %"),
         (
-            "false alarms", f"{shown(alarms, quiet)}, 95 % bound {upper_bound(alarms, quiet):.1%}",
+            "false alarms", f"{_shown(alarms, quiet)}, 95 % bound {upper_bound(alarms, quiet):.1%}",
             "<= 2 %",
         ),
-        ("foreign torque: no law claimed", shown(*rate(j.refused for j in judged)), ">= 90 %"),
+        ("foreign torque: no law claimed", _shown(*rate(j.refused for j in judged)), ">= 90 %"),
         (
             "names beyond the truth, per case with an effect",
-            f"{mean([j.extra for j in judged if j.effects]):.2f}", "<= 0.1",
+            f"{_mean([j.extra for j in judged if j.effects]):.2f}", "<= 0.1",
         ),
         (
             "names beyond the truth, per case of any kind",
-            f"{mean([j.extra for j in judged]):.2f}", "",
+            f"{_mean([j.extra for j in judged]):.2f}", "",
         ),
         (
             "cases with a wrong name stated at 80 % or more",
-            shown(*rate(j.sure_wrong for j in answered)),
+            _shown(*rate(j.sure_wrong for j in answered)),
             "<= 2 %",
         ),
         (
             "called complete above the size stated as seen",
-            shown(*rate(j.missed for j in judged)),
+            _shown(*rate(j.missed for j in judged)),
             "0",
         ),
-        ("findings that make untouched data worse", shown(*rate(j.worse for j in judged)), "0"),
+        ("findings that make untouched data worse", _shown(*rate(j.worse for j in judged)), "0"),
         (
             "parameter error, median",
             f"{statistics.median(errors):.2%}" if errors else "-",
             "<= 3 %",
         ),
-        ("90 % intervals hold the truth", shown(*covered), "85-95 %"),
+        ("90 % intervals hold the truth", _shown(*covered), "85-95 %"),
         (
             "stated confidence less hit rate, mean",
             f"{100 * gap:.1f} points" if math.isfinite(gap) else "-",
@@ -109,17 +109,17 @@ def headline(judged: Sequence[Judgement]) -> list[tuple[str, str, str]]:
             f"{statistics.median(gaps):.1%}" if gaps else "-",
             ">= 90 %",
         ),
-        ("place found", shown(*rate(j.localised for j in judged)), ""),
+        ("place found", _shown(*rate(j.localised for j in judged)), ""),
         ("seconds, median / 95 %", spread([j.seconds for j in judged]), ""),
         ("CPU seconds, median / 95 %", spread([j.cpu for j in judged]), ""),
-        ("no answer (error, time limit, broken report)", shown(len(failed), len(judged)), "0"),
+        ("no answer (error, time limit, broken report)", _shown(len(failed), len(judged)), "0"),
     ]
 
 
 def spread(values: Sequence[float]) -> str:
     """Median and 95 % of what is known."""
     known = [v for v in values if math.isfinite(v)]
-    return f"{percentile(known, 0.5):.1f} / {percentile(known, 0.95):.1f}" if known else "-"
+    return f"{_percentile(known, 0.5):.1f} / {_percentile(known, 0.95):.1f}" if known else "-"
 
 
 @dataclass(frozen=True)
@@ -157,9 +157,9 @@ def missed_marks(judged: Sequence[Judgement]) -> list[str]:
         good, total = rate(values)
         if total and (good < mark * total if least else good > mark * total):
             out.append(
-                f"{what}: {shown(good, total)}, {'at least' if least else 'at most'} {mark:.0%}"
+                f"{what}: {_shown(good, total)}, {'at least' if least else 'at most'} {mark:.0%}"
             )
-    extra = mean([j.extra for j in answered])
+    extra = _mean([j.extra for j in answered])
     if extra > marks.extra:
         out.append(f"names beyond the truth, per case: {extra:.2f}, at most {marks.extra:g}")
     return out
@@ -189,16 +189,16 @@ def by_given(judged: Sequence[Judgement]) -> list[tuple[str, str, str, str]]:
         (
             f"given as {form}",
             str(len(pairs)),
-            shown(*rate(pair[k].mechanism for pair in pairs)),
-            shown(*rate(pair[k].law for pair in pairs)),
+            _shown(*rate(pair[k].mechanism for pair in pairs)),
+            _shown(*rate(pair[k].law for pair in pairs)),
         )
         for k, form in enumerate(("urdf", "mjcf"))
     ]
-    same = shown(*rate(a.first == b.first for a, b in pairs))
+    same = _shown(*rate(a.first == b.first for a, b in pairs))
     return [*rows, ("the same first name in both", str(len(pairs)), same, "")]
 
 
-def mean(values: Sequence[float]) -> float:
+def _mean(values: Sequence[float]) -> float:
     return sum(values) / len(values) if values else math.nan
 
 
@@ -214,8 +214,8 @@ def reliability(judged: Sequence[Judgement]) -> list[tuple[float, float, int, fl
                     low,
                     min(high, 1.0),
                     len(inside),
-                    mean([p[0] for p in inside]),
-                    mean([float(p[1]) for p in inside]),
+                    _mean([p[0] for p in inside]),
+                    _mean([float(p[1]) for p in inside]),
                 )
             )
     return out

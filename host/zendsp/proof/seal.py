@@ -24,11 +24,13 @@ def truth_text(truth: Truth) -> str:
 
 
 def write_truth(folder: Path, name: str, truth: Truth) -> None:
+    """Write what a case conceals into a folder, which is made."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / f"{name}.json").write_text(truth_text(truth), encoding="utf-8")
 
 
 def digest(path: Path) -> str:
+    """SHA-256 of a file, in hexadecimal."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 

@@ -68,6 +68,7 @@ class Machine:
         self.actuators = self.ffi.new("machine_actuators *")
 
     def write(self, torque: Array) -> None:
+        """Give the drives a torque, (joints,), N m or N."""
         self.actuators.mode = TORQUE
         for j, value in enumerate(torque):
             self.actuators.aout[j] = float(value) * self.info.joint[j].mv_per_torque
@@ -83,7 +84,7 @@ class Machine:
 
 
 @contextmanager
-def opened(name: str, config: str) -> Iterator[Machine]:
+def _opened(name: str, config: str) -> Iterator[Machine]:
     machine = Machine(name, config)
     try:
         yield machine
@@ -107,7 +108,7 @@ def record(r: Rig, shape: str, rng: Rng) -> Run:
     command, speed = np.zeros(r.n), np.zeros(r.n)
     seed = int(rng.integers(2**31))  # of the machine's noise
     plain = f"friction = plain\nseed = {seed}\nideal = {int(r.ideal)}\n"
-    with opened(r.name, f"{plain}{start}{lines}") as machine:
+    with _opened(r.name, f"{plain}{start}{lines}") as machine:
         for k in range(rows):
             machine.write(command)
             y[k], q[k], v[k] = machine.read(r.n)

@@ -46,10 +46,12 @@ class Rig:
 
     @property
     def n(self) -> int:
+        """Number of joints."""
         return len(self.kp)
 
     @property
     def resolution(self) -> float:
+        """Of the encoders, rad."""
         return 2 * np.pi / self.counts
 
     def inertia(self, joint: int) -> float:
@@ -92,17 +94,17 @@ Values = dict[str, float]
 Law = Callable[[Rig, int, Scale, float, Rng], Values]
 
 
-def share_of_speed(power: int) -> Law:
+def _share_of_speed(power: int) -> Law:
     return lambda r, j, s, x, rng: {
         "coefficient": x * s.torque / float(np.sqrt(np.mean(s.v ** (2 * power))))
     }
 
 
-def middle(s: Scale) -> float:
+def _middle(s: Scale) -> float:
     return float(np.mean(s.q))
 
 
-def elastic(r: Rig, j: int, s: Scale, x: float, rng: Rng) -> Values:
+def _elastic(r: Rig, j: int, s: Scale, x: float, rng: Rng) -> Values:
     load = 0.4 * r.inertia(j)
     stiffness = load * (2 * np.pi * rng.uniform(4.0, 8.0)) ** 2
     return {
@@ -112,7 +114,7 @@ def elastic(r: Rig, j: int, s: Scale, x: float, rng: Rng) -> Values:
     }
 
 
-def gap(r: Rig, j: int, s: Scale, x: float, rng: Rng) -> Values:
+def _gap(r: Rig, j: int, s: Scale, x: float, rng: Rng) -> Values:
     load = 0.4 * r.inertia(j)
     return {
         "gap": 0.1 * x * s.reach,
@@ -123,7 +125,7 @@ def gap(r: Rig, j: int, s: Scale, x: float, rng: Rng) -> Values:
 
 # parameters in the machine's order, by effect; sizes are shares of the RMS torque
 LAWS: dict[str, Law] = {
-    "quadratic_drag": share_of_speed(2),
+    "quadratic_drag": _share_of_speed(2),
     "load_friction": lambda r, j, s, x, rng: {"coefficient": x},
     "position_friction": lambda r, j, s, x, rng: {
         "amplitude": 1.4 * x * s.torque,
@@ -140,11 +142,11 @@ LAWS: dict[str, Law] = {
     },
     "stiffness": lambda r, j, s, x, rng: {
         "coefficient": x * s.torque / float(np.std(s.q)),
-        "neutral": middle(s) + rng.uniform(-0.3, 0.3) * s.reach,
+        "neutral": _middle(s) + rng.uniform(-0.3, 0.3) * s.reach,
     },
     "cubic_stiffness": lambda r, j, s, x, rng: {
-        "coefficient": x * s.torque / float(np.sqrt(np.mean((s.q - middle(s)) ** 6))),
-        "neutral": middle(s),
+        "coefficient": x * s.torque / float(np.sqrt(np.mean((s.q - _middle(s)) ** 6))),
+        "neutral": _middle(s),
     },
     "hysteresis": lambda r, j, s, x, rng: {
         "force": 1.4 * x * s.torque,
@@ -167,8 +169,8 @@ LAWS: dict[str, Law] = {
     },
     "lag": lambda r, j, s, x, rng: {"time_constant": rng.uniform(0.005, 0.012)},
     "delay": lambda r, j, s, x, rng: {"time": float(rng.integers(3, 8)) * PERIOD},
-    "elasticity": elastic,
-    "backlash": gap,
+    "elasticity": _elastic,
+    "backlash": _gap,
     "disturbance": lambda r, j, s, x, rng: {
         "level": 2 * x * s.torque,
         "begin": rng.uniform(5.0, 10.0),

@@ -119,12 +119,12 @@ def frame(row: Row) -> tuple[Array, Array]:
     return np.array([[1, 0, 0], [0, c, -s], [0, s, c]]), np.array([row.a, 0.0, row.d])
 
 
-def matrix(row: Row) -> Array:
+def _matrix(row: Row) -> Array:
     xx, yy, zz, xy, xz, yz = row.inertia
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-def triple(x: Array) -> tuple[float, float, float]:
+def _triple(x: Array) -> tuple[float, float, float]:
     return float(x[0]), float(x[1]), float(x[2])
 
 
@@ -137,13 +137,13 @@ def chain() -> tuple[LinkTruth, ...]:
     for row in TABLE:
         turn, shift = frame(row)
         com = turn @ np.array(row.com) + shift
-        inertia = turn @ matrix(row) @ turn.T
+        inertia = turn @ _matrix(row) @ turn.T
         links.append(
             LinkTruth(
                 tuple(rotation.ravel()),
-                triple(place),
+                _triple(place),
                 row.mass,
-                triple(com),
+                _triple(com),
                 tuple(inertia.ravel()),
             )
         )
@@ -157,7 +157,7 @@ def urdf() -> str:
     parent, place, alpha = "base", np.zeros(3), 0.0
     for k, row in enumerate(TABLE, 1):
         turn, shift = frame(row)
-        com, m = turn @ np.array(row.com) + shift, turn @ matrix(row) @ turn.T
+        com, m = turn @ np.array(row.com) + shift, turn @ _matrix(row) @ turn.T
         xyz = " ".join(repr(float(x)) for x in com)
         ixx = ["ixx", "iyy", "izz", "ixy", "ixz", "iyz"]
         values = (m[0, 0], m[1, 1], m[2, 2], m[0, 1], m[0, 2], m[1, 2])

@@ -48,11 +48,26 @@ def plot(recording: Samples, names: Sequence[str] | None, path: str | Path | Non
     )
     if title:
         figure.suptitle(title, fontsize=10)
-    if path is not None:
-        path = Path(path).expanduser()
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=120)
+    save_figure(figure, path)
     return figure
+
+
+def save_figure(figure: Figure, path: str | Path | None, dpi: int = 120) -> None:
+    """Write a figure as a picture, in a folder that is made where it lacks; None: nowhere.
+
+    Raises
+    ------
+    RecordingError
+        It cannot be written there, or not as a picture of that kind.
+    """
+    if path is None:
+        return
+    path = Path(path).expanduser()
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path, dpi=dpi)
+    except (OSError, ValueError) as error:
+        raise RecordingError(f"{path}: cannot be written ({error})") from error
 
 
 def _unit(recording: Samples, name: str) -> str:

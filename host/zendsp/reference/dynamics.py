@@ -31,7 +31,7 @@ class Dynamics(Protocol):
         ...
 
 
-class Planar2R:
+class Planar2R(Dynamics):
     """M(q) qdd + C(q, qd) + viscous qd + coulomb sign(qd) = tau of two joints on vertical axes.
 
     M = [[p1 + 2 p3 cos q2, p2 + p3 cos q2], [p2 + p3 cos q2, p2]], C = p3 sin q2 [-qd2 (2 qd1 +
@@ -64,7 +64,7 @@ class Planar2R:
         return (m22 * r1 - m12 * r2) / det, (m11 * r2 - m12 * r1) / det
 
 
-class Pendulum:
+class Pendulum(Dynamics):
     """theta1 qdd + theta2 g sin q + theta3 tanh(beta qd) + viscous qd = tau (Hardware 2025, 3(3),
     11, with a viscous term).
     """
@@ -90,7 +90,7 @@ class Pendulum:
         return ((tau[0] - resist) / self.theta1,)
 
 
-class DHArm:
+class DHArm(Dynamics):
     """A serial arm given by standard Denavit–Hartenberg frames."""
 
     def __init__(self, parameters: Mapping[str, Any]) -> None:

@@ -192,24 +192,24 @@ def spread(machine: Machine, name: str, value: Any) -> Array:
     return x
 
 
-def move_one_joint(machine: Machine, start: Array, joint: int, motion: Array) -> Array:
-    """All joints, shape (N, joints): ``start`` plus ``motion`` (N,) on one joint (1-based), or on
-    every joint for 0.
+def on_joints(machine: Machine, joint: int, x: Array) -> Array:
+    """A scalar signal (N,) on one joint (1-based) or on all (0), shape (N, joints).
 
     Examples
     --------
     >>> import numpy as np
     >>> from zendsp.reference import load_machine
-    >>> move_one_joint(load_machine("imi_planar"), np.zeros(2), 2, np.ones(1)).tolist()
-    [[0.0, 1.0]]
+    >>> on_joints(load_machine("imi_planar"), 1, np.ones(1)).tolist()
+    [[1.0, 0.0]]
     """
     if not 0 <= joint <= machine.joints:
         raise ReferenceError_(
             f"joint is {joint}; {machine.name} has joints 1 to {machine.joints} (0 moves all of"
             " them)"
         )
-    moving = np.ones(machine.joints) if joint == 0 else np.eye(machine.joints)[joint - 1]
-    return np.asarray(start + motion[:, None] * moving)
+    out = np.zeros((len(x), machine.joints))
+    out[:, slice(joint - 1, joint) if joint else slice(None)] = x[:, None]
+    return out
 
 
 CALM_S = 2.0  # of a move whose time nobody gave; the shortest takes 0.1 to 0.7 s

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from zendsp.recording.plot import save_figure
 from zendsp.reference.core import Reference
 from zendsp.reference.kinematics import forward_kinematics
 from zendsp.reference.machine import Machine
@@ -114,8 +115,5 @@ def plot_reference(
         ax.set_ylabel("y [m]")
         ax.legend(fontsize="small")
         ax.grid(alpha=0.3)
-    if path is not None:
-        path = Path(path).expanduser()
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=120)
+    save_figure(figure, path)
     return figure

@@ -164,6 +164,7 @@ def without_repeats(get: Getter, columns: Columns) -> tuple[Getter, int]:
 
 
 def has(get: Getter, column: Any) -> bool:
+    """Whether a recording has a column, or each of a list of columns."""
     try:
         for item in column if isinstance(column, list) else [column]:
             get(item)
@@ -178,10 +179,19 @@ def names_of(spec: Any) -> list[str]:
 
 
 def column_name(spec: Any, index: int) -> str:
+    """The name of one joint's column; ``index`` from 0."""
     return str(spec[index]) if isinstance(spec, list) else str(spec)
 
 
 def matrix(name: str, label: str, get: Getter, spec: Any, joints: int) -> Array:
+    """The values of a column specification, (rows, joints), as they stand in the file; ``label``
+    names their role in errors.
+
+    Raises
+    ------
+    RecordingError
+        Where a column is missing or no number a row, or the columns are not as many as the joints.
+    """
     if isinstance(spec, list):
         parts = [np.asarray(get(str(item)), float) for item in spec]
         for item, part in zip(spec, parts, strict=True):

@@ -123,6 +123,15 @@ def _forwards(name: str, column: str, time: Array, step: Array) -> None:
 def clock(
     name: str, get: Getter, columns: Columns, model: Model, n: int
 ) -> tuple[Array, float, list[str], Array | None]:
+    """The clock of a recording's ``n`` rows: time of each row and sample time, s, notes on what its
+    stamps lack, and, where they are not even, the even times onto which to resample.
+
+    Raises
+    ------
+    RecordingError
+        Where there is no time, it stands still, runs back or has a gap, or its rate is not the
+        model's.
+    """
     notes: list[str] = []
     if "time" not in columns or not has(get, columns["time"]):
         if model.sample_time is None:
@@ -313,6 +322,9 @@ def between_rows(s: Signals, hold: float) -> Signals:
 
 
 def decimated(signals: Signals) -> Signals:
+    """The signals averaged down to the rate that a fit can afford, with the original ones as
+    ``raw``; as they are where that is no lower rate. Positions of a coarse sensor are not averaged.
+    """
     seconds = len(signals.time) * signals.sample_time
     affordable = BUDGET / (seconds * signals.position.shape[1])
     rate = min(TARGET_RATE, max(SLOWEST_RATE, affordable))

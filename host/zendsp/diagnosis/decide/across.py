@@ -1,4 +1,4 @@
-"""What several joints lack at once: one cause is likelier than a law each."""
+"""What several joints lack at once: one common cause is likelier than a law at each."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
 from zendsp.diagnosis.measure.significance import counterpart
 from zendsp.diagnosis.measure.windows import rms, window_error
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
-from zendsp.diagnosis.search.rounds import WAIT
+from zendsp.diagnosis.search.short_fits import WAIT
 from zendsp.physics.calibration.fit import joint_handles
 from zendsp.physics.calibration.terms import make_term
 from zendsp.physics.effects import get_effect, library, mechanism_of

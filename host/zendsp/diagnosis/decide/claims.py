@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from zendsp.diagnosis.decide.contract import Reason, Rejected, Verdict
+from zendsp.diagnosis.decide.contract import NOT_SURELY, Reason, Rejected, Verdict
 from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES
 from zendsp.diagnosis.measure.bursts import Bursts
 from zendsp.diagnosis.measure.discrepancy import Size
@@ -149,7 +149,7 @@ def unclaimed(decision: Decision) -> Decision:
     why = "with it the whole machine predicts untouched recordings worse"
     laws = [c.effect for c in decision.claims if c.effect != "unknown"]
     lost = (
-        Rejected(effect, decision.joint, f"{Reason.NEAR}: {why}", gained, Reason.NEAR)
+        Rejected(effect, decision.joint, f"{NOT_SURELY}: {why}", gained, Reason.NEAR)
         for effect in laws
     )
     near = Near(laws[0], decision.before.value, decision.after.value, why) if laws else None

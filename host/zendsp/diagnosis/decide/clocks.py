@@ -15,7 +15,7 @@ import numpy as np
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.thresholds import PREDICTED
 from zendsp.diagnosis.measure.discrepancy import discrepancy
-from zendsp.diagnosis.search.rounds import SETTLED
+from zendsp.diagnosis.search.short_fits import SETTLED
 from zendsp.physics.calibration.joint import JointRecord
 from zendsp.physics.calibration.predict import ran_away, run
 from zendsp.physics.effects.column_shift import ROW

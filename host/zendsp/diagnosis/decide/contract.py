@@ -30,15 +30,17 @@ WORDS = {
     "disturbance": "a disturbance",
 }
 
+NOT_SURELY = "not surely this law"  # the first words of what is near
+
 Verdict = Literal["complete", "missing", "unexplained"]
 
 
 class Reason(StrEnum):
-    """Why a hypothesis lost, by the first words of its ``why`` in report.json."""
+    """Why a hypothesis lost; its ``why`` says it in words."""
 
-    NEAR = "not surely this law"  # the likeliest, and takes most of what lacks
-    TOO_SMALL = "too small to be told"  # surely there, and less than a finding has
-    OTHER = ""
+    NEAR = "near"  # the likeliest, and takes most of what lacks
+    TOO_SMALL = "too_small"  # surely there, and less than a finding has
+    OTHER = "other"
 
 
 @dataclass(frozen=True)

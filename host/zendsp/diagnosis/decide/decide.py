@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Decision, Piece
-from zendsp.diagnosis.decide.contract import Reason, Rejected, contradicted
+from zendsp.diagnosis.decide.contract import NOT_SURELY, Reason, Rejected, contradicted
 from zendsp.diagnosis.decide.findings import new_terms, percent
 from zendsp.diagnosis.decide.laws import believed, named
 from zendsp.diagnosis.decide.nameless import only_mechanism
@@ -65,7 +65,7 @@ from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, structure
 from zendsp.diagnosis.measure.windows import noise_floor, rms, window_error
 from zendsp.diagnosis.progress import Progress, Step
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
-from zendsp.diagnosis.search.rounds import WAIT
+from zendsp.diagnosis.search.short_fits import WAIT
 from zendsp.diagnosis.search.simplify import simplify
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.effects import get_effect
@@ -354,7 +354,8 @@ def _lost(
         size = f"{percent(seen.size)} % of the torque"
         if seen.size < finest(effect):
             reason = Reason.TOO_SMALL
-            why = f"{reason}: {size}, and findings have {percent(finest(effect))} % at least"
+            least = f"findings have {percent(finest(effect))} % at least"
+            why = f"too small to be told: {size}, and {least}"
         elif beside.value**2 > (1.0 - PREDICTED) * before.value**2:
             left = f"{percent(beside.value)} % stays unexplained beside it"
             why = f"not what is missing: {size}, and {left}"
@@ -362,7 +363,7 @@ def _lost(
             reason = Reason.NEAR
             left = f"up to {percent(beside.high)} % may stay unexplained beside it"
             because = f"; {seen.why}" if seen.why else ""
-            why = f"{reason}: {size}, and {left}{because}"
+            why = f"{NOT_SURELY}: {size}, and {left}{because}"
     elif gain < WAIT:
         why = not_likelier(0.5 * gain, 0.5 * WAIT)
     else:

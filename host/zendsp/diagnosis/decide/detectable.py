@@ -1,17 +1,16 @@
 """What these recordings would have shown: for each joint and mechanism the smallest effect that the
 decision would have claimed.
 
-An effect of some size leaves its trace in the innovations of the model that was found, less what
-the calibrated numbers, fitted to the recordings of the fit, take up of it. From the trace's energy
-in the recordings to test on follows the evidence that an effect of that size would have had there,
-and from its torque whether it would have stood out of the discrepancy, and been named: the smallest
-size that passes all of these is stated. It is looked for to first order, then implanted, and asked
-as the decision asks: calibrated numbers and observer are fitted without it to the recordings of the
-fit, and those to test on have to say that it lacks. A command that is too large by a part is no
-more than inertia, weight and friction that are. Of the phases of a wave and the neutral positions
-of a spring the one that is seen worst counts.
-The search is not run again for every size; ``zendsp prove --implant`` measures how well the figures
-hold.
+An effect leaves a trace in the innovations of the model that was found; what calibration takes up
+of it is taken off. The trace's energy in the recordings to test on gives the evidence for the
+effect there. Its torque tells whether it stands out of the discrepancy, and would be named. The
+smallest size that passes all of these is stated.
+
+It is first looked for to first order. Then it is implanted, and asked as the decision asks: without
+it calibrated numbers and observer are fitted to the recordings of the fit, and those to test on
+have to say that it lacks. Of the phases of a wave, and of the neutral positions of a spring, the
+one that is seen worst counts. The search is not run again for every size: ``zendsp prove
+--implant`` measures how well the figures hold.
 """
 
 from __future__ import annotations
@@ -53,8 +52,9 @@ from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored, informative
 from zendsp.diagnosis.measure.windows import standing_out, window_error
 from zendsp.diagnosis.search.hypothesis import price
-from zendsp.diagnosis.search.rounds import PROMISING, WAIT
+from zendsp.diagnosis.search.rounds import PROMISING
 from zendsp.diagnosis.search.screen import Screen, phase_of
+from zendsp.diagnosis.search.short_fits import WAIT
 from zendsp.physics.calibration.fit import Data, Fit, fit, joint_handles, residual
 from zendsp.physics.calibration.handles import get_values, set_values
 from zendsp.physics.calibration.terms import grid_of, make_term, usable

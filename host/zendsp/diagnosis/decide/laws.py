@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -61,7 +61,7 @@ from zendsp.diagnosis.search.hypothesis import JointSearch
 from zendsp.diagnosis.search.rounds import Rounds
 from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.effects import get_effect, mechanism_of
-from zendsp.physics.model import Model
+from zendsp.physics.model import Model, Term
 
 Array = npt.NDArray[np.float64]
 
@@ -77,14 +77,25 @@ def named(
     jobs: int,
     tell: Progress,
 ) -> Decision:
+    """Name each claimed mechanism by its law, or by none where no law describes it.
+
+    Parameters
+    ----------
+    final : Scored
+        The model of the search with its claims, which every law is held against.
+    claimed, rest : sequence of Piece
+        Mechanisms that the untouched recordings show, and what only improves the fit.
+    before : Size
+        What lacks without them.
+    """
     joint = search.joint
     rounds = Rounds(parts.fit, joint, jobs, tell, given)
     after = discrepancy(parts.test, final.model, joint)
     state = structure(parts.each, final.model, joint, STRUCTURED)
     known = known_discrepancy(given, parts.test, joint)
-    travel = max(rec[joint - 1].scale.position for rec in parts.fit.records)
     scale = rms_torque(parts.test, joint)
     bent = stand_on_nothing(final, joint, scale)
+    judge = _Judge(parts, given, final, claimed, joint, after, known.of_state, bent)
     claims: list[Claim] = []
     refinements: list[Claim] = []
     for piece in claimed:
@@ -95,53 +106,17 @@ def named(
         ranked = _ranked(parts.test, given, final, piece, search.base, jobs)
         ranked = _upon(ranked, after.value)
         first = ranked[0]
-        law = law_of(parts, given, search, rounds, final, piece, first, jobs, tell)
-        # how dry friction turns round (bristles, a simulator's softness) refines its law
-        left = (
-            structure(parts.each, final.model, joint, [piece.mechanism], piece.mechanism != DRY)
-            if piece.mechanism in STRUCTURED
-            else None
-        )
-        own = [first]
-        for other in ranked[1:]:
-            large = other.size**2 >= OWN_SHARE * piece.size**2
-            if large and not _one_with(first, other) and _counts(other, first, after.value):
-                own.append(other)
-            else:
-                refinements += _plain(other)
-        kind = [p for p in claimed if p.mechanism in kind_of(piece.mechanism)]
-        # a larger law's error is no lack of this one, nor what this machine is known to leave
-        allowed = math.hypot(max(may_leave(p) for p in kind), known.of_state)
-        # what the law by itself leaves to itself
-        again = [p.size for p in ranked[1:] if repeats(p, first)]
-        least = max(allowed, SIMULATORS_DIFFER)  # untouched recordings have to show so much
-        poor = math.hypot(*again) > allowed or (
-            left is not None and after.high > least and _surely_more(left, least)
-        )
-        # a constant beside several laws of the position is a part of the curve that they draw
-        of_position = piece.mechanism == "position_torque"
-        level = sum(all(get_effect(t.effect).constant for t in p.terms) for p in claimed)
-        drawn = of_position and is_curve(ranked, travel)
-        part = part_of_a_wave(first.terms[0], level + len(own) - 1, travel)
-        pieces = len(own) + (level if of_position and len(own) > 1 else 0)
-        over_speed = (bool(bent) and piece.mechanism in FRICTION) or (
-            piece.mechanism == FLUID and makes_another_grow(given, final, first.terms[0])
-        )
-        why = why_curve(
-            {
-                "it leaves more of what its variables predict than a law may": poor,
-                "laws that are no harmonics of one, or not told apart, draw a curve": drawn,
-                "the travel shows no whole period of it": part,
-                "it stands upon what it bends": over_speed,
-                f"{pieces} laws of one mechanism draw any curve": pieces >= CURVE,
-            }
-        )
+        law = law_of(parts, given, search, rounds, final, piece, first, tell)
+        own, beside = judge.findings_among(ranked, piece)
+        refinements += [c for p in beside for c in _plain(p)]
+        left = judge.left_by(piece)
+        why = judge.why_no_law(piece, ranked, own, left)
         if why:
             refinements += [c for p in own[1:] for c in _plain(p)]
             claims.append(replace(law, effect="unknown", left=left, why=why))
             continue
         claims.append(replace(law, left=left, size=first.size if len(own) > 1 else piece.size))
-        claims += [law_of(parts, given, search, rounds, final, p, p, jobs, tell) for p in own[1:]]
+        claims += [law_of(parts, given, search, rounds, final, p, p, tell) for p in own[1:]]
     refinements += [c for p in rest for c in _plain(p)]
     claims.sort(key=lambda c: -c.evidence.gain)
     claims, more = _beside_unknown(claims, after.value)
@@ -166,6 +141,88 @@ def named(
         scale,
         known=known,
     )
+
+
+@dataclass(frozen=True)
+class _Judge:
+    """Says whether a mechanism's law describes it: what it is judged by at a joint.
+
+    ``after`` is what is left with all that is ``claimed``; ``known`` of that, what depends on the
+    state and this machine is known to leave; ``bent`` are terms that stand on nothing.
+    """
+
+    parts: Parts
+    given: Model
+    final: Scored
+    claimed: Sequence[Piece]
+    joint: int
+    after: Size
+    known: float
+    bent: Sequence[Term]
+
+    def findings_among(
+        self, ranked: Sequence[Piece], piece: Piece
+    ) -> tuple[list[Piece], list[Piece]]:
+        """The laws of a mechanism that are findings of their own, the first among them; and the
+        others, which refine it.
+        """
+        own: list[Piece] = [ranked[0]]
+        beside: list[Piece] = []
+        for other in ranked[1:]:
+            large = other.size**2 >= OWN_SHARE * piece.size**2
+            counts = _counts(other, ranked[0], self.after.value)
+            apart = large and not _one_with(ranked[0], other) and counts
+            (own if apart else beside).append(other)
+        return own, beside
+
+    def left_by(self, piece: Piece) -> Structure | None:
+        """What is left that the mechanism's variables predict; None where it has none."""
+        if piece.mechanism not in STRUCTURED:
+            return None
+        # how dry friction turns round (bristles, a simulator's softness) refines its law
+        turning = piece.mechanism != DRY
+        return structure(self.parts.each, self.final.model, self.joint, [piece.mechanism], turning)
+
+    def why_no_law(
+        self, piece: Piece, ranked: Sequence[Piece], own: Sequence[Piece], left: Structure | None
+    ) -> str:
+        """Why no law describes a mechanism; empty where its first one does."""
+        first, of_position = ranked[0], piece.mechanism == "position_torque"
+        travel = max(rec[self.joint - 1].scale.position for rec in self.parts.fit.records)
+        # a constant beside several laws of the position is a part of the curve that they draw
+        level = sum(all(get_effect(t.effect).constant for t in p.terms) for p in self.claimed)
+        pieces = len(own) + (level if of_position and len(own) > 1 else 0)
+        return why_curve(
+            {
+                "it leaves more of what its variables predict than a law may": (
+                    self._leaves_more(piece, ranked, left)
+                ),
+                "laws that are no harmonics of one, or not told apart, draw a curve": (
+                    of_position and is_curve(ranked, travel)
+                ),
+                "the travel shows no whole period of it": (
+                    part_of_a_wave(first.terms[0], level + len(own) - 1, travel)
+                ),
+                "it stands upon what it bends": self._bends_what_it_stands_on(first),
+                f"{pieces} laws of one mechanism draw any curve": pieces >= CURVE,
+            }
+        )
+
+    def _leaves_more(self, piece: Piece, ranked: Sequence[Piece], left: Structure | None) -> bool:
+        kind = [p for p in self.claimed if p.mechanism in kind_of(piece.mechanism)]
+        # a larger law's error is no lack of this one, nor what this machine is known to leave
+        allowed = math.hypot(max(may_leave(p) for p in kind), self.known)
+        # what the law by itself leaves to itself
+        again = [p.size for p in ranked[1:] if repeats(p, ranked[0])]
+        least = max(allowed, SIMULATORS_DIFFER)  # untouched recordings have to show so much
+        return math.hypot(*again) > allowed or (
+            left is not None and self.after.high > least and _surely_more(left, least)
+        )
+
+    def _bends_what_it_stands_on(self, first: Piece) -> bool:
+        return (bool(self.bent) and first.mechanism in FRICTION) or (
+            first.mechanism == FLUID and makes_another_grow(self.given, self.final, first.terms[0])
+        )
 
 
 def _turns_a_known_one(

@@ -27,7 +27,8 @@ from zendsp.diagnosis.measure.evidence import block_scores, settling
 from zendsp.diagnosis.measure.likelihood import Scored, informative
 from zendsp.diagnosis.progress import Progress, Step
 from zendsp.diagnosis.search.hypothesis import SUFFICIENT, JointSearch, Rival, price
-from zendsp.diagnosis.search.rounds import WAIT, Rounds
+from zendsp.diagnosis.search.rounds import Rounds
+from zendsp.diagnosis.search.short_fits import WAIT
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.effects import get_effect, library, mechanism_of
 from zendsp.physics.model import Model, Term
@@ -48,7 +49,6 @@ def law_of(
     final: Scored,
     piece: Piece,
     first: Piece,
-    jobs: int,
     tell: Progress,
 ) -> Claim:
     """The law of a mechanism with its probability: laws that could stand in its place are fitted,

@@ -318,6 +318,14 @@ def _apart(claim: Any, rivals: Sequence[Any], term: Term) -> tuple[tuple[str, ..
 def findings_of(
     given: Model, base: Output, final: Output, steps: list[Any], train: Sequence[Bench]
 ) -> tuple[tuple[Finding, ...], set[tuple[str, int]]]:
+    """The accepted claims as findings, with estimates of the final fit, and the effect and joint of
+    each. A share is that of the squared error that all of them take away.
+
+    Parameters
+    ----------
+    steps : list of (claim, rivals, output before it)
+        As they were accepted.
+    """
     out = []
 
     def power(output: Output) -> float:
@@ -353,6 +361,7 @@ def findings_of(
 
 
 def next_of(findings: Sequence[Finding]) -> Next | None:
+    """The recording that would separate the first finding from its rivals; None: none has any."""
     open_ones = [f for f in findings if f.indistinguishable]
     if not open_ones:
         return None

@@ -25,7 +25,7 @@ from zendsp.diagnosis.external.output_error import (
     weights,
 )
 from zendsp.diagnosis.external.simulator import Bench
-from zendsp.physics.calibration.fit import robust_covariance
+from zendsp.physics.calibration.covariance import robust_covariance
 from zendsp.physics.calibration.handles import Handle, free_handles, get_values, set_values
 from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model, per_joint

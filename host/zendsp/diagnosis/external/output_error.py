@@ -16,7 +16,8 @@ import numpy.typing as npt
 from zendsp.diagnosis.external.simulator import Bench, on_input, on_timing
 from zendsp.diagnosis.progress import Progress, Step
 from zendsp.physics.calibration.bounds import parameter_bounds
-from zendsp.physics.calibration.fit import NEAR, TOO_FAR, Fit, robust_covariance
+from zendsp.physics.calibration.covariance import robust_covariance
+from zendsp.physics.calibration.fit import NEAR, TOO_FAR, Fit
 from zendsp.physics.calibration.handles import Handle, get_values, set_values
 from zendsp.physics.calibration.terms import grid_of, make_term, usable
 from zendsp.physics.effects import Effect, get_effect, is_supported, library
@@ -62,6 +63,9 @@ def errors(benches: Sequence[Bench], model: Model) -> Array:
 
 
 def sensor_noise(b: Bench, i: int) -> float:
+    """Standard deviation of a measured position, rad or m: noise and resolution; ``i`` is the
+    joint, from 0.
+    """
     m = b.records[i].measurement
     white = math.hypot(m.noise, m.resolution / math.sqrt(12))
     return max(white, 1e-7 * b.records[i].scale.position)
@@ -341,6 +345,7 @@ def _projected(benches: Sequence[Bench], current: Output) -> tuple[Array, Array,
 
 
 def with_term(model: Model, term: Term) -> Model:
+    """The model with one term more, without those of the joint that it replaces."""
     gone = get_effect(term.effect).replaces
     kept = tuple(t for t in model.terms if not (t.joint == term.joint and t.effect in gone))
     return model.with_terms((*kept, term))

@@ -247,6 +247,7 @@ class Bench:
         return np.asarray(command - held / gain, dtype=np.float64)
 
     def sensed(self, out: Array, model: Model) -> Array:
+        """What the position sensors say of a simulated motion, (N, joints)."""
         out = out.copy()
         for i, record in enumerate(self.records):
             if terms := tuple(t for t in model.at(i + 1) if get_effect(t.effect).site == "sensor"):

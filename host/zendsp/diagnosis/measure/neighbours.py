@@ -1,9 +1,9 @@
 """Whether a law predicts better than its neighbours: the same torque, bent a little.
 
-A law that a machine does not follow can still explain most of what lacks; what is wrong with it is
-then how it goes on: with the cube of the speed where it says the square, less at one end of the
-travel. A neighbour has as many numbers as the law and nobody's name. Where one predicts better, the
-law is not what acts (target and decoy, Elias and Gygi 2007).
+A law that a machine does not follow can still explain most of what lacks. Its shape is then wrong:
+the torque grows with the cube of the speed where the law has the square, or is smaller at one end
+of the travel. A neighbour has as many numbers as the law, and no name. Where one predicts better,
+the law is not what acts (target and decoy, Elias and Gygi 2007).
 """
 
 from __future__ import annotations

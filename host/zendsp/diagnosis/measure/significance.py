@@ -15,6 +15,7 @@ INTEGRATION_ERROR = 2e-3
 
 
 def essence_of(effect: str) -> tuple[str, ...]:
+    """Parameters without which an effect is none, as the torque of Coulomb friction."""
     entry = get_effect(effect)
     return entry.essence or (entry.linear if len(entry.linear) == 1 and not entry.replaces else ())
 

@@ -95,6 +95,7 @@ def ranges_of(data: Data, joint: int) -> Ranges:
 
 
 def unit(x: Array, limits: tuple[float, float]) -> Array:
+    """Values over their limits: 0 at the lower, 1 at the upper."""
     return np.asarray((x - limits[0]) / max(limits[1] - limits[0], 1e-300))
 
 

@@ -4,8 +4,8 @@ command.
 The torque that a model lacks is what corrects an observer that keeps the model on the motion
 (discrepancy.py). One correction says little of it: on a plateau of the encoder there is none, at
 the next change of the code a large one. So the torque of a sample is the one that fits the
-corrections around it best, and is as uncertain as what a torque does to them is small. Its energy
-above that of the sensor's noise is the mismatch.
+corrections around it best; the less a torque changes these, the less sure it is. Its energy above
+that of the sensor's noise is the mismatch.
 """
 
 from __future__ import annotations

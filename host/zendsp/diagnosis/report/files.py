@@ -128,7 +128,7 @@ def _improved_text(model: Model, folder: Path) -> str:
 
 def report_text(d: Diagnosis) -> str:
     """report.json of the contract."""
-    return json.dumps(_finite(d.report()), indent=1, ensure_ascii=False, allow_nan=False)
+    return json.dumps(finite(d.report()), indent=1, ensure_ascii=False, allow_nan=False)
 
 
 def _compensation(d: Diagnosis, folder: Path) -> None:
@@ -188,12 +188,12 @@ def stands_for(report: Report) -> set[tuple[str, int]]:
     return stand
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
     """Infinities and NaN have no place in JSON: they become null."""
     if isinstance(value, dict):
-        return {k: _finite(v) for k, v in value.items()}
+        return {k: finite(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(v) for v in value]
+        return [finite(v) for v in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value

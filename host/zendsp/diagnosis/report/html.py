@@ -145,10 +145,10 @@ def _could_not(d: Diagnosis) -> str:
 
 
 def _fit_table(d: Diagnosis) -> str:
-    return "".join(_fit_of(d, e) for e in d.errors)
+    return "".join(_fit_of(e) for e in d.errors)
 
 
-def _fit_of(d: Diagnosis, e: Errors) -> str:
+def _fit_of(e: Errors) -> str:
     rows = "".join(
         f"<tr><td>{name}<td class=n>{t.given:.3g}<td class=n>{t.calibrated:.3g}<td"
         f" class=n><b>{t.improved:.3g}</b><td class=n>{e.noise_floor:.3g}"

@@ -7,7 +7,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +18,6 @@ from zendsp.diagnosis.measure.curve import (
     BINS,
     Axis,
     Curve,
-    Samples,
     binned,
     curve_of,
     curve_over,
@@ -27,6 +25,12 @@ from zendsp.diagnosis.measure.curve import (
 from zendsp.diagnosis.measure.discrepancy import band_of
 from zendsp.diagnosis.measure.where import AROUND, VARIABLES, Missing, mismatch
 from zendsp.diagnosis.report.chart import Chart, Panel, Series
+from zendsp.diagnosis.report.curve_panels import (
+    common_limits,
+    curve_panel,
+    law_name,
+    two_panels,
+)
 from zendsp.diagnosis.report.sides import (
     Sides,
     between,
@@ -46,16 +50,12 @@ FOLDED = 6  # repetitions over the travel: a pattern with more is drawn over one
 FLATTENED = 0.5
 MAY_STICK = 0.2  # of that speed: slower, dry friction may hold the joint
 CURVE_SAMPLES = 300  # samples of a curve
-DOTS = 4000  # of a panel
 IN_A_WAVE = 8  # bins of one wave at least: with fewer a wave looks like another one, or noise
 MOST_BINS = 400
 SHOWN = 0.5  # of a law's energy that its curve must explain, or it is drawn over time
 SHOWN_S = 2.0  # of such a figure
 UNCHANGED = 1e-9  # of a number: it is the same
-CONTRADICTS = 4.0  # standard errors: means that are further from the law contradict it
 LARGEST_BAR = 0.99  # quantile that stands for it
-BRIDGED = 3.5  # widths of a bin that a line crosses at most: two empty ones, and rounding
-LITTLE = 0.1  # of a law: what lies beside it and is less is told of no law
 
 
 def axis_of(finding: Finding) -> Axis:
@@ -89,9 +89,10 @@ def law_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Chart:
     less, more = f"without {finding.effect}", f"with {finding.effect}"
     two = Sides(kernel_model(d.given), whole.improved, "as given", "calibrated")
     if "recordings" in finding.numbers:  # a load that others have not
-        two = Sides(whole.calibrated, whole.improved, less, more)
+        two = Sides(whole.calibrated, whole.improved, less, more, by_law=True)
     elif terms:
-        two = Sides(whole.improved.with_terms((*kept, *replaced)), whole.improved, less, more)
+        bare = whole.improved.with_terms((*kept, *replaced))
+        two = Sides(bare, whole.improved, less, more, by_law=True)
     if get_effect(finding.effect).site == "body":  # it acts by the motion of all joints
         force = d.given.torque_unit
         alike = [j for j in range(1, d.given.joints + 1) if force(j) == force(finding.joint)]
@@ -117,64 +118,18 @@ def law_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Chart:
     chart = two_panels(d, finding, index, [law, *curves], (two.was, two.now))
     panels = tuple(replace(p, xlabel=along or p.xlabel) for p in chart.panels)
     flat = f" What lasts less than {1e3 * AROUND / band:.0f} ms is flatter here than it is."
-    return replace(chart, panels=panels, note=chart.note + flat)
+    title = _title(finding, joint, two)
+    return replace(chart, title=title, panels=panels, note=chart.note + flat)
 
 
-def two_panels(
-    d: Diagnosis,
-    finding: Finding,
-    index: int,
-    curves: Sequence[Curve],
-    titles: tuple[str, str],
-    unit: str = "",
-) -> Chart:
-    """The chart of three curves: the law, what lacks without it, and with it.
-
-    Parameters
-    ----------
-    unit : str
-        Of what is drawn; that of the joint's torque where empty.
-    """
-    joint, law = finding.joint, curves[0]
-    line = Series("line", "law", *broken(law.at, law.mean), f"{finding.effect}, as found")
-    panels = [
-        _curve_panel(d, joint, curve, role, title, *lines)
-        for curve, role, title, lines in zip(
-            curves[1:], ("before", "after"), titles, ((line,), ()), strict=True
-        )
-    ]
-    limits = _common_limits(panels)
-    unit = unit or units_at(d, joint)["torque"]
-    return Chart(
-        "law",
-        finding.sentence,
-        _name(finding, index),
-        tuple(replace(p, limits=limits) for p in panels),
-        title=_whose(finding, joint, titles[0]),
-        beside=True,
-        same=True,
-        size=(7.2, 3.2),
-        finding=index,
-        joint=joint,
-        note=beside_the_law(law, curves[2], panels[0].xlabel, unit),
-    )
-
-
-def _whose(finding: Finding, joint: int, was: str) -> str:
+def _title(finding: Finding, joint: int, two: Sides) -> str:
     """What a law's figure shows: the law's own torque, which is not what a model lacks that is
     fitted without it; of a number that was given wrong, what lacked with it.
     """
-    if was.startswith("without "):
+    if two.by_law:
         what = f"torque of {finding.effect}: the improved model without it and with it"
         return f"Joint {joint}: {what}"
-    return f"Joint {joint}: torque that the model {was} lacks, by {finding.effect}"
-
-
-def broken(at: Array, mean: Array) -> tuple[Array, Array]:
-    """A line over bins, with NaN where it would cross more than two in which nothing was seen."""
-    apart = np.diff(at)
-    gaps = np.flatnonzero(apart > BRIDGED * np.min(apart, initial=np.inf)) + 1
-    return np.insert(at, gaps, at[gaps - 1]), np.insert(mean, gaps, np.nan)
+    return f"Joint {joint}: torque that the model {two.was} lacks, by {finding.effect}"
 
 
 def _told_of(d: Diagnosis, w: Workings, finding: Finding) -> list[Term]:
@@ -216,29 +171,6 @@ def _refining(d: Diagnosis, finding: Finding) -> set[tuple[str, int]]:
     return {(r.effect, r.joint) for r in d.refinements if (r.mechanism, r.joint) == key}
 
 
-def beside_the_law(law: Curve, after: Curve, xlabel: str, unit: str) -> str:
-    """Whether the means lie on the law, in a sentence: bars are their standard errors."""
-    size = np.sqrt(np.mean(law.mean**2)) if len(law.mean) else 0.0
-    apart = np.abs(after.mean) / np.maximum(after.spread, 1e-300)
-    beside = (apart > CONTRADICTS) & (np.abs(after.mean) > LITTLE * size)
-    if not beside.any():
-        bars, most = "Bars are standard errors", math.ceil(np.max(apart, initial=0.0))
-        if most > CONTRADICTS:
-            return f"{bars}: what lies beside the law is less than a tenth of it."
-        return f"{bars}: the means lie on the law within {f'{most} of ' if most > 1 else ''}them."
-    k = int(np.argmax(np.where(beside, np.abs(after.mean), 0.0)))
-    what, _, of = xlabel.rstrip("]").partition(" [")
-    at = f"{what} {after.at[k]:.2g} {of}".rstrip()
-    return (
-        f"Beside the law something is left: {abs(after.mean[k]):.2g} {unit} at {at},"
-        f" {apart[k]:.0f} standard errors (the bars)."
-    )
-
-
-def _name(finding: Finding, index: int) -> str:
-    return f"law_{index + 1}_{finding.effect}_joint{finding.joint}"
-
-
 def _over_time(
     d: Diagnosis,
     finding: Finding,
@@ -263,9 +195,9 @@ def _over_time(
     return Chart(
         "law",
         finding.sentence,
-        _name(finding, index),
+        law_name(finding, index),
         (Panel("time [s]", torque_label(unit), tuple(lines), clock=True),),
-        title=f"{_whose(finding, joint, two.was)}, where it acts most",
+        title=f"{_title(finding, joint, two)}, where it acts most",
         size=(7.2, 3.2),
         finding=index,
         joint=joint,
@@ -369,7 +301,7 @@ def unknown_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Ch
     if period:
         along = _within(period, units_at(d, joint)["position"])
         chart = replace(chart, panels=tuple(replace(p, xlabel=along) for p in chart.panels))
-    return replace(chart, caption=finding.sentence, name=_name(finding, index), finding=index)
+    return replace(chart, caption=finding.sentence, name=law_name(finding, index), finding=index)
 
 
 def _within(period: float, unit: str) -> str:
@@ -407,68 +339,17 @@ def unclaimed_chart(d: Diagnosis, joint: int) -> Chart | None:
 
 
 def _without_a_law(d: Diagnosis, joint: int, curve: Curve) -> Chart:
-    panel = _curve_panel(d, joint, curve, "before", "without a law")
+    panel = curve_panel(d, joint, curve, "before", "without a law")
     return Chart(
         "law",
         "",
         "",
-        (replace(panel, limits=_common_limits([panel])),),
+        (replace(panel, limits=common_limits([panel])),),
         title=f"Joint {joint}: torque that the calibrated model lacks, over its {curve.axis}",
         size=(7.2, 3.2),
         joint=joint,
         note="Bars are standard errors of the means.",
     )
-
-
-def _curve_panel(
-    d: Diagnosis, joint: int, curve: Curve, role: str, title: str, *lines: Series
-) -> Panel:
-    """Samples and means of a curve."""
-    units = units_at(d, joint)
-    label = torque_label(units["torque"])
-    dots = _as_they_count(curve.samples)
-    series = (
-        Series("dots", "data", dots.x, dots.torque),
-        Series("means", role, curve.at, curve.mean, f"{title}: means", curve.spread),
-        *lines,
-    )
-    return Panel(
-        f"{curve.axis} [{units[curve.axis.variable]}]",
-        label.replace(" [", " against the motion [") if curve.against else label,
-        series,
-        title,
-    )
-
-
-def _as_they_count(samples: Samples) -> Samples:
-    """Some samples of all, the more of them the more they say."""
-    order = np.cumsum(samples.weight)
-    at = np.linspace(0.0, order[-1], DOTS, endpoint=False)
-    some = np.unique(np.searchsorted(order, at, side="right"))
-    some = some[some < len(order)]
-    s = samples
-    return Samples(s.x[some], s.torque[some], s.weight[some], s.block[some])
-
-
-def _common_limits(panels: Sequence[Panel]) -> tuple[float, float]:
-    """Of panels with the same axes: all means with bars of the usual length, all of the law, and
-    the dots but for a few.
-    """
-    shown: list[npt.NDArray[np.floating[Any]]] = []
-    for panel in panels:
-        for s in panel.series:
-            if s.kind == "dots":
-                shown += [np.quantile(s.y, [0.01, 0.99])] if len(s.y) else []
-            elif s.spread is None or not len(s.y):
-                shown.append(s.y)
-            else:
-                bar = np.minimum(s.spread, 3.0 * np.median(s.spread))
-                shown += [s.y - bar, s.y + bar]
-    values = np.concatenate(shown)
-    values = values[np.isfinite(values)]
-    low, high = (float(values.min()), float(values.max())) if len(values) else (-1.0, 1.0)
-    room = 0.08 * (high - low) or 1.0
-    return low - room, high + room
 
 
 def _too_fine(train: Data, finding: Finding) -> bool:

@@ -1,5 +1,5 @@
-"""What a figure compares: the model before and after, and the observer that shows best what parts
-them.
+"""What a figure compares: the model before and after, and the observer under which the two differ
+most clearly.
 """
 
 from __future__ import annotations
@@ -22,13 +22,15 @@ from zendsp.physics.model import Model
 @dataclass(frozen=True)
 class Sides:
     """Two models of a joint that a figure compares, in kernel form; the same where nothing was
-    found.
+    found. ``was`` and ``now`` are their labels; where ``by_law``, ``before`` is ``after`` without
+    one law.
     """
 
     before: Model
     after: Model
     was: str
     now: str
+    by_law: bool = False
 
 
 def sides(findings: Sequence[Finding], given: Model, whole: Assembled, joint: int) -> Sides:

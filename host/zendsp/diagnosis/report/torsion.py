@@ -13,7 +13,7 @@ from zendsp.diagnosis.decide.result import Diagnosis, Finding, Workings
 from zendsp.diagnosis.measure.curve import Axis, Curve, Samples, binned
 from zendsp.diagnosis.measure.discrepancy import ENERGY_BLOCK
 from zendsp.diagnosis.report.chart import Chart
-from zendsp.diagnosis.report.laws import two_panels
+from zendsp.diagnosis.report.curve_panels import two_panels
 from zendsp.diagnosis.report.sides import units_at
 from zendsp.diagnosis.transmission.findings import measured
 from zendsp.diagnosis.transmission.torsion import (

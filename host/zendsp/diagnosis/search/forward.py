@@ -24,7 +24,8 @@ from zendsp.diagnosis.search.hypothesis import (
     Step,
     price,
 )
-from zendsp.diagnosis.search.rounds import GLANCE, SETTLED, WAIT, WORTH, Rounds
+from zendsp.diagnosis.search.rounds import GLANCE, WORTH, Rounds
+from zendsp.diagnosis.search.short_fits import SETTLED, WAIT
 from zendsp.diagnosis.search.simplify import simplify, split_asymmetry, straightened
 from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.calibration.joint import effective_inertia

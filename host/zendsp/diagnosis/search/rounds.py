@@ -1,7 +1,7 @@
 """Hypotheses at one joint, fitted on top of a model.
 
 The library is screened, what promises something is fitted shortly with all calibrated parameters
-free, and the best of these to the end.
+free (``short_fits.py``), and the best of these to the end.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from zendsp.diagnosis.measure.likelihood import (
     fit_scored,
     informative,
     slower,
-    tune_bandwidth,
 )
 from zendsp.diagnosis.measure.significance import counterpart, vanishes
 from zendsp.diagnosis.progress import Progress, Step
@@ -31,9 +30,9 @@ from zendsp.diagnosis.search.candidates import (
     starts_of,
 )
 from zendsp.diagnosis.search.hypothesis import UNSETTLED, Rival, price, with_numbers
-from zendsp.diagnosis.search.screen import Candidate, Screen, with_candidate
-from zendsp.physics.calibration.fit import Data, Fit, fit, joint_handles
-from zendsp.physics.calibration.handles import Handle
+from zendsp.diagnosis.search.screen import Candidate, Screen
+from zendsp.diagnosis.search.short_fits import SETTLED, WAIT, ShortFits
+from zendsp.physics.calibration.fit import Data, fit, joint_handles
 from zendsp.physics.calibration.joint import facts, own_terms
 from zendsp.physics.calibration.terms import make_term
 from zendsp.physics.effects import get_effect
@@ -49,12 +48,6 @@ FINALISTS = 4
 # lost in what thinned recordings say of the other numbers
 PROMISED = 2
 GLANCE = 4  # hypotheses of a round that is only looked at
-# relative gain of a step below which a first look ends: in a narrow valley the first step gains
-# little, and 1 % is a deviance of 200
-QUICK = 1e-4
-UPON = 2  # iterations on all samples of a hypothesis that lost on thinned ones
-SETTLED = 16.0  # rad/s: an observer this slow follows little of what is missing
-WAIT = 40.0  # deviance beyond its price below which a step is not worth a look
 # of a step that may wait for another, and of a gap whose narrow optimum is searched
 WORTH = 10 * WAIT
 # of the best gain: hypotheses with less are not ordered anew; nor is a transmission fitted that
@@ -92,9 +85,8 @@ class Rounds:
         self.data, self.joint, self.jobs = data, joint, jobs
         self.progress, self.given = progress, given
         self.n = informative(data, joint)
+        self.short = ShortFits(joint, jobs, self.n)
         self._rounds: dict[int, tuple[Scored, list[Rival]]] = {}
-        self._levels: dict[int, tuple[Scored, float, float]] = {}
-        self._under_others: dict[int, tuple[Scored, Scored]] = {}
         self._screens: dict[int, tuple[Scored, Screen]] = {}
         self._options: dict[object, tuple[Scored, list[tuple[float, Candidate]]]] = {}
 
@@ -136,10 +128,8 @@ class Rounds:
             else []
         )
         with threads(self.jobs) as each:
-            quick = [
-                r for r in each(lambda group: self._quick(current, group), listed) if r is not None
-            ]
-        return min((r.value for r in quick), default=math.inf)
+            found = list(each(lambda group: self.short.quick(current, group), listed))
+        return min((r.value for r in found if r is not None), default=math.inf)
 
     def order(self, current: Scored, rivals: list[Rival]) -> list[Rival]:
         """Order hypotheses by what they gain.
@@ -240,7 +230,7 @@ class Rounds:
         """
 
         def short(groups: list[list[Candidate]]) -> list[Rival]:
-            found = each(lambda group: self._quick(current, group), groups)
+            found = each(lambda group: self.short.quick(current, group), groups)
             return [r for r in found if r is not None]
 
         slow = [g for g in listed if not all_of_them and math.isfinite(_promise(g))]
@@ -267,7 +257,7 @@ class Rounds:
             if c.effect not in seen and share > PROMISING and self._deviance_of(share) > best
         ]
         more = [group for group in more if not self._is_idle(current, group)]
-        found = each(lambda group: self._quick(current, group), more)
+        found = each(lambda group: self.short.quick(current, group), more)
         return [r for r in found if r is not None]
 
     def _deviance_of(self, share: float) -> float:
@@ -289,7 +279,7 @@ class Rounds:
             return False
         if current.data.bandwidth[self.joint - 1] <= SETTLED:
             return True
-        slow = self._under(current, current.data.at_bandwidth(self.joint, SETTLED))
+        slow = self.short.under(current, current.data.at_bandwidth(self.joint, SETTLED))
         behind = max(0.0, slow.deviance - current.deviance)
         return self._promised(slow, group) < PROMISED_ON_ALL * (least + behind)
 
@@ -329,39 +319,11 @@ class Rounds:
         """Before nothing is found: hypotheses that gain most on the thinned recordings that they
         were fitted to. On all samples their other numbers, fitted to these, may cost more.
         """
-        if self._misleads(current):
+        if self.short.misleads(current):
             return []
-        gains = [self._gain_of_look(current, r.scored.model) - r.price for r in rivals]
+        gains = [self.short.gain_of_look(current, r.scored.model) - r.price for r in rivals]
         best = sorted(zip(gains, range(len(rivals)), strict=True), reverse=True)[:PROMISED]
         return [rivals[i] for gain, i in best if gain > WAIT]
-
-    def _looked_through(self, current: Scored) -> tuple[float, float]:
-        """Of a model fitted to its thinned recordings: its deviance there, and on all samples."""
-        if id(current) not in self._levels:
-            joints = (self.joint,)
-            look = first_look(current.data, current.model, self.joint)
-            base = self._short(look, current.model, current.fit.handles, 6, self.jobs).model
-            seen = deviance(look, base, joints), deviance(current.data, base, joints)
-            self._levels[id(current)] = (current, *seen)
-        return self._levels[id(current)][1:]
-
-    def _misleads(self, current: Scored) -> bool:
-        """Whether a model's numbers are others on thinned recordings, where a joint turns round in
-        another way. What is fitted to these then begins with a loss, whatever it gains.
-
-        Of a model that needs a fast observer much is missing: its numbers are off anyhow, and a
-        look says well enough which hypothesis brings most.
-        """
-        if current.data.bandwidth[self.joint - 1] > SETTLED:
-            return False
-        return self._looked_through(current)[1] > current.deviance + WAIT
-
-    def _gain_of_look(self, current: Scored, model: Model) -> float:
-        """Deviance that a model gains upon another on the thinned recordings of a first look, to
-        which that one is fitted too.
-        """
-        look = first_look(current.data, current.model, self.joint)
-        return self._looked_through(current)[0] - deviance(look, model, (self.joint,))
 
     def _too_small(self, rival: Rival, term: Term) -> bool:
         """Whether a term is below what its effect says that a recording can show of it."""
@@ -388,103 +350,6 @@ class Rounds:
             ):
                 return False
         return True
-
-    def _short(
-        self, data: Data, model: Model, handles: Sequence[Handle], rounds: int, jobs: int = 1
-    ) -> Fit:
-        return fit(
-            data, model, handles, joints=(self.joint,), iterations=rounds, tolerance=QUICK,
-            jobs=jobs, brief=True,
-        )  # fmt: skip
-
-    def _quick(self, current: Scored, group: list[Candidate]) -> Rival | None:
-        """A short fit from each start; the best is followed to slower observers. Where it gains
-        nothing, under a slow observer from the beginning: a fast one follows what is missing.
-        """
-        data, slow = current.data, get_effect(group[0].effect).slow
-        settled = data
-        if data.bandwidth[self.joint - 1] > SETTLED:
-            settled = data.at_bandwidth(self.joint, SETTLED)
-        best = self._short_fits(current, group, settled if slow else data)
-        begun = slow or get_effect(group[0].effect).scan is not None  # by simulations, not a screen
-        if settled is data or begun or (best and best.value < current.deviance - WAIT):
-            return best
-        other = self._short_fits(current, group, settled)
-        return other if other and not (best and best.value <= other.value) else best
-
-    def _short_fits(self, current: Scored, group: list[Candidate], data: Data) -> Rival | None:
-        """The best of a short fit from each start, at some observer's bandwidth: to thinned
-        recordings, or to all samples where those mislead.
-        """
-        screened_for = get_effect(group[0].effect).scan is None
-        whole = screened_for and self._misleads(current)
-        begin = current if data is current.data else self._under(current, data)
-        candidate, result, value = self._from_starts(current, group, begin, whole)
-        if not math.isfinite(value):
-            return None
-        # worse than the model that it contains, or a look, which is but a part, gained more
-        worse = screened_for and value > current.deviance + WAIT
-        if worse and whole:
-            candidate, result, value = self._from_starts(current, group, begin, False)
-        gained = max(current.deviance - value, WAIT)
-        if worse or (not whole and self._gain_of_look(current, result.model) > gained):
-            result, value = self._upon_its_numbers(current, candidate, result, value)
-        slow, data = data is not current.data, current.data
-        if slow or value < current.deviance:
-            data, value = tune_bandwidth(
-                data, result.model, (self.joint,), down_only=True, known=value
-            )
-        return self._rival(candidate, Scored(result, data, value, (self.joint,)))
-
-    def _under(self, current: Scored, data: Data) -> Scored:
-        """A model with the numbers that another observer wants, to begin with there."""
-        if id(current) not in self._under_others:
-            handles, joints = current.fit.handles, (self.joint,)
-            found = self._short(data, current.model, handles, 6, self.jobs)
-            other = Scored(found, data, deviance(data, found.model, joints), joints)
-            self._under_others[id(current)] = current, other
-        return self._under_others[id(current)][1]
-
-    def _from_starts(
-        self, current: Scored, group: list[Candidate], begin: Scored, whole: bool
-    ) -> tuple[Candidate, Fit, float]:
-        """The best of a short fit from each start, upon the numbers and under the observer to begin
-        with, to all samples or to thinned recordings; and its deviance under the model's own.
-        """
-        tried: list[tuple[float, Candidate, Fit]] = []
-        data = begin.data
-        for candidate in group:
-            model = with_candidate(begin.model, candidate)
-            handles = joint_handles(data, model, self.joint)
-            look = data if whole else first_look(data, model, self.joint)
-            result = self._short(look, model, handles, 3 if len(group) > 1 else 6)
-            tried.append((result.cost, candidate, result))
-        _, candidate, result = min(tried, key=lambda t: t[0])
-        value = deviance(current.data, result.model, (self.joint,))
-        rough = get_effect(candidate.effect).rough
-        paid = self._rival(candidate, Scored(result, data, value, ())).price
-        if len(group) > 1 and (value + paid < current.deviance or rough):
-            here = current.data
-            look = here if whole else first_look(here, result.model, self.joint)
-            result = self._short(look, result.model, result.handles, 10 if rough else 5)
-            value = deviance(here, result.model, (self.joint,))
-        return candidate, result, value
-
-    def _upon_its_numbers(
-        self, current: Scored, candidate: Candidate, result: Fit, value: float
-    ) -> tuple[Fit, float]:
-        """A hypothesis as a first look found it, or upon the other numbers that the model had, from
-        there or from where it began, whichever is likeliest: on thinned recordings a joint turns
-        round in another way, and what describes that may be moved far off.
-        """
-        best = result, value
-        for terms in (result.model.terms[-len(candidate.terms) :], candidate.terms):
-            model = with_candidate(current.model, replace(candidate, terms=terms))
-            handles = joint_handles(current.data, model, self.joint)
-            other = self._short(current.data, model, handles, UPON)
-            again = deviance(current.data, other.model, (self.joint,))
-            best = (other, again) if again < best[1] else best
-        return best
 
     def _full(self, current: Scored, rival: Rival, worth: float) -> Rival:
         jobs = self.jobs  # the longest of them ends alone
@@ -513,14 +378,3 @@ class Rounds:
                 )
         best = min(options, key=lambda s: s.deviance)
         return replace(rival, scored=slower(best, self.joint, jobs))
-
-    def _rival(self, candidate: Candidate, scored: Scored) -> Rival:
-        other_law = candidate.replaces and candidate.effect not in candidate.replaces
-        return Rival(
-            candidate.effect,
-            self.joint,
-            scored,
-            price(candidate.terms, self.n, (candidate.effect,) if other_law else ()),
-            candidate.terms,
-            candidate.replaces,
-        )

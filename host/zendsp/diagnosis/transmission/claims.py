@@ -58,6 +58,7 @@ class Claim:
 
 
 def unexplained(residual: Sequence[Array], twists: Sequence[Twist]) -> float:
+    """RMS torsion that is left beside the sensors' noise, rad."""
     noise = max(t.noise for t in twists)
     return math.sqrt(max(rms(judged(twists, residual)) ** 2 - noise**2, 0.0))
 

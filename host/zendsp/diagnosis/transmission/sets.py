@@ -110,6 +110,7 @@ def lag_of(raw: Sets, band: float) -> float:
 
 
 def torque_scale(twists: Sequence[Twist]) -> float:
+    """RMS torque through the transmission, N m: no number of a fit depends on its unit."""
     return max(rms([t.torque[t.kept] for t in twists]), 1e-300)
 
 

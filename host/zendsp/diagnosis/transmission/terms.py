@@ -61,12 +61,16 @@ def may_be_off(slow: Sets) -> bool:
 
 
 def fitted(twists: Sequence[Twist], terms: Sequence[str], off: bool, scale: float) -> Linear:
+    """The torsion regressed on some terms, and on a disc off centre where ``off``; ``scale`` is
+    `torque_scale`.
+    """
     return regress(twists, [columns_of(t, terms, scale) for t in twists], off)
 
 
 def applied(
     twists: Sequence[Twist], terms: Sequence[str], off: bool, scale: float, x: Array
 ) -> list[Array]:
+    """What coefficients ``x`` of such a fit leave of the torsion, rad, one array a twist."""
     return regress(twists, [columns_of(t, terms, scale) for t in twists], off, x).residual
 
 

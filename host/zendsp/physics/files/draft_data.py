@@ -81,6 +81,7 @@ def one_or_each(units: Sequence[str]) -> str:
 
 
 def groups_of(table: Table) -> dict[Role, list[Group]]:
+    """The columns of a table by their role, those that differ only in a number together."""
     found: dict[tuple[Role, str], list[str]] = {}
     for name, values in table.columns.items():
         if np.isfinite(values).any():
@@ -159,6 +160,7 @@ def _longest(last: npt.NDArray[np.bool_]) -> slice:
 
 
 def is_behind(group: Group) -> bool:
+    """Whether the first column's name says that it is the load's, behind the transmission."""
     return bool({*LOAD} & set(re.findall(r"[a-z]+", group.names[0].lower())))
 
 
@@ -216,6 +218,7 @@ def _moves(position: Group, velocity: Group, clock: Group) -> float:
 
 
 def finite(column: Array) -> Array:
+    """The numbers of a column that are finite."""
     kept: Array = column[np.isfinite(column)]
     return kept
 

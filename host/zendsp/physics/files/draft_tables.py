@@ -226,5 +226,6 @@ def put_columns(
 
 
 def listed(values: list[float]) -> str:
+    """Numbers as TOML writes them: one by itself, several as a list."""
     same = values[0] if len(values) == 1 else values
     return json.dumps(same)

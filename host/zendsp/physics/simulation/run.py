@@ -234,6 +234,9 @@ def converge(model: Model, inner: int, positions: Callable[[int], Array]) -> tup
 def reference_rows(
     reference: Any, model: Model
 ) -> tuple[Array | None, Array | None, str]:
+    """A reference as rows at the model's sample time, (rows, joints): positions, torques to feed
+    forward, and the mode in which it is played. None where there are none.
+    """
     n, sample_time = joint_count(model), model.sample_time or 0.0
     if reference is None:
         return None, None, ""
@@ -266,6 +269,9 @@ def stretch(rows: Array, count: int, *, hold: bool) -> Array:
 
 
 def recording(model: Model, out: dict[str, Array], r: Array | None, extra: Extra) -> Recording:
+    """What a simulation recorded, under the model's column names and units, with the true state as
+    ``plant_…``.
+    """
     of_joints = _units(model)
     unit, speed, torque = (
         joint_units(words, of_joints, len(of_joints)) for words in ("{q}", "{q}/s", "{tau}")

@@ -22,6 +22,9 @@ PARTS: dict[str, tuple[str, tuple[str, ...], Part]] = {}
 
 
 def part(name: str, words: str, mechanisms: tuple[str, ...]) -> Callable[[Part], Part]:
+    """Enter the function below as a part of foreign machines: what it is, and which mechanisms it
+    is.
+    """
     def keep(function: Part) -> Part:
         PARTS[name] = (words, mechanisms, function)
         return function
@@ -29,7 +32,7 @@ def part(name: str, words: str, mechanisms: tuple[str, ...]) -> Callable[[Part],
     return keep
 
 
-def site(name: str, pos: tuple[float, float, float]) -> str:
+def _site(name: str, pos: tuple[float, float, float]) -> str:
     return f'<site name="{name}" pos="{numbers(pos)}"/>'
 
 
@@ -43,8 +46,8 @@ def tip(b: Bench, k: int) -> tuple[float, float, float]:
 def _hose(b: Bench, joint: int, s: Scale, rng: Rng) -> Callable[[float], None]:
     last = min(max(joint, 1), b.n - 1)
     end = tip(b, last)
-    b.world.still += site("hook", (-0.15, 0.35, 0.45))
-    b.world.on_link[last] = b.world.on_link.get(last, "") + site("end", end)
+    b.world.still += _site("hook", (-0.15, 0.35, 0.45))
+    b.world.on_link[last] = b.world.on_link.get(last, "") + _site("end", end)
     size = s.torque / (max(s.reach, 0.1) * 0.1)
 
     def scaled(factor: float) -> None:

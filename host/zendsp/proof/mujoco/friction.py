@@ -29,6 +29,7 @@ def smooth(s: Scale) -> float:
 
 
 def mujoco_dry(soft: bool) -> Maker:
+    """The maker of MuJoCo's own dry friction; ``soft``: it creeps before it breaks away."""
     def make(b: Bench, joint: int, s: Scale, size: float, rng: Rng) -> Concealed:
         unknown_dry(b, joint)
         j = b.joints[joint]

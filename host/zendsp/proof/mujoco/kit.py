@@ -26,6 +26,7 @@ def maker(name: str) -> Callable[[Maker], Maker]:
 
 
 def unit(b: Bench, per: str = "") -> str:
+    """Unit of a torque or force at the joints, with ``per`` behind it, written with rad."""
     force, length = ("N", "m") if b.kind == "linear" else ("N m", "rad")
     return f"{force}{per.replace('rad', length)}"
 
@@ -43,6 +44,7 @@ def truth(
     body: str = "",
     joints: tuple[int, ...] = (),
 ) -> Concealed:
+    """What is concealed, for the case's truth; ``joint`` and ``joints`` count from 0."""
     return Concealed(
         effect, joint + 1, parameters, size, accepted=list(accepted), unscored=list(unscored),
         note=note, mechanisms=list(mechanisms), body=body, accepted_joints=[j + 1 for j in joints],

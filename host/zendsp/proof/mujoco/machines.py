@@ -83,6 +83,7 @@ class Bench:
 
     @property
     def n(self) -> int:
+        """Number of joints."""
         return len(self.joints)
 
     def freeze(self) -> Bench:
@@ -96,7 +97,7 @@ class Bench:
         return self
 
 
-def log_uniform(rng: Rng, low: float, high: float) -> float:
+def _log_uniform(rng: Rng, low: float, high: float) -> float:
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
@@ -124,22 +125,22 @@ def harden(b: Bench) -> None:
     b.notes = [note.replace("soft", "hard") for note in b.notes]
 
 
-def drawn(rng: Rng, shapes: tuple[str, ...]) -> tuple[str, str]:
+def _drawn(rng: Rng, shapes: tuple[str, ...]) -> tuple[str, str]:
     return str(rng.choice(shapes)), str(rng.choice(shapes))
 
 
-def flavour_of(rng: Rng) -> str:
+def _flavour_of(rng: Rng) -> str:
     return str(rng.choice(["none", "hard", "soft"], p=[0.4, 0.5, 0.1]))
 
 
-def loop_of(rng: Rng, cascade: bool = True) -> str:
+def _loop_of(rng: Rng, cascade: bool = True) -> str:
     return str(rng.choice(["pd", "computed", "cascade"] if cascade else ["pd", "computed"]))
 
 
 def joint(rng: Rng) -> Bench:
     """A motor and a link that hangs from it: rotor inertia, gravity, 10 to 20 s at 1 kHz or 500 Hz.
     """
-    mass, length, radius = log_uniform(rng, 0.1, 1.0), rng.uniform(0.12, 0.4), 0.01
+    mass, length, radius = _log_uniform(rng, 0.1, 1.0), rng.uniform(0.12, 0.4), 0.01
     link = replace(rod(mass, length, radius, 2).moved((0.0, 0.0, -length)), axis=(0.0, -1.0, 0.0))
     swung = mass * (length**2 / 3 + radius**2 / 4)
     rotor = swung * rng.uniform(0.2, 1.0)
@@ -150,11 +151,11 @@ def joint(rng: Rng) -> Bench:
     felt = inertia * speed * 4 + 0.5 * gravity
     bits = int(rng.choice([12, 14, 16, 18]))
     resolution = 2 * np.pi / 2**bits
-    flavour = flavour_of(rng)
+    flavour = _flavour_of(rng)
     j = Joint(armature=rotor, damping=felt / speed * rng.uniform(0.05, 0.15))
     dry(rng, [j], [felt * rng.uniform(0.06, 0.15)], flavour)
-    train, held = drawn(rng, ("multisine", "mixed", "sines", "triangles", "chirp", "moves"))
-    kind = loop_of(rng)
+    train, held = _drawn(rng, ("multisine", "mixed", "sines", "triangles", "chirp", "moves"))
+    kind = _loop_of(rng)
     # a count of the encoder must not shake the motor: slower loops behind coarse encoders
     fast = min(rng.uniform(12.0, 25.0), np.sqrt(0.1 * felt * 0.006 / (resolution * inertia * 1.0)))
     return Bench(
@@ -171,18 +172,18 @@ def joint(rng: Rng) -> Bench:
 
 def cart(rng: Rng) -> Bench:
     """A mass on a rail, pulled by a motor: force per volt, 10 to 20 s at 1 kHz or 500 Hz."""
-    mass = log_uniform(rng, 1.0, 60.0)
+    mass = _log_uniform(rng, 1.0, 60.0)
     rotor = mass * rng.uniform(0.05, 0.4)
     body = Link(
         (0, 0, 0), (1.0, 0.0, 0.0), mass, (0, 0, 0), (0.1, 0.1, 0.1, 0.0, 0.0, 0.0), slides=True
     )
     speed = rng.uniform(0.3, 0.8)
     felt = (mass + rotor) * speed * 4
-    flavour = flavour_of(rng)
+    flavour = _flavour_of(rng)
     gain = felt / rng.uniform(2.0, 5.0)
     j = Joint(armature=rotor, damping=felt / speed * rng.uniform(0.05, 0.2), gain=gain)
     dry(rng, [j], [felt * rng.uniform(0.06, 0.15)], flavour)
-    train, held = drawn(rng, ("multisine", "mixed", "sines", "triangles", "moves"))
+    train, held = _drawn(rng, ("multisine", "mixed", "sines", "triangles", "moves"))
     return Bench(
         "mj_cart",
         "linear",
@@ -197,7 +198,7 @@ def cart(rng: Rng) -> Bench:
         [float(rng.choice([1e-5, 2e-6, 5e-7]))],
         rng.uniform(15.0, 30.0),
         0.7,
-        loop_of(rng),
+        _loop_of(rng),
         str(rng.choice(INTEGRATORS)),
         feedforward=bool(rng.random() < 0.5),
         noise=float(rng.choice([0.0, 0.5, 1.0])),
@@ -217,12 +218,12 @@ def planar2r(rng: Rng) -> Bench:
     size = [m1 * l1**2 / 3 + m2 * l1**2, m2 * l2**2 / 3]
     speed = [rng.uniform(3.0, 5.0), rng.uniform(3.0, 6.0)]
     felt = [4 * s * v for s, v in zip(size, speed, strict=True)]
-    flavour = flavour_of(rng)
+    flavour = _flavour_of(rng)
     joints = [
         Joint(damping=f / v * rng.uniform(0.05, 0.15)) for f, v in zip(felt, speed, strict=True)
     ]
     dry(rng, joints, [f * rng.uniform(0.06, 0.15) for f in felt], flavour)
-    train, held = drawn(rng, ("multisine", "mixed", "sines", "moves"))
+    train, held = _drawn(rng, ("multisine", "mixed", "sines", "moves"))
     return Bench(
         "mj_planar2r",
         "planar2r",
@@ -237,7 +238,7 @@ def planar2r(rng: Rng) -> Bench:
         [2 * np.pi / 2**17] * 2,
         rng.uniform(10.0, 18.0),
         0.8,
-        loop_of(rng, cascade=False),
+        _loop_of(rng, cascade=False),
         str(rng.choice(INTEGRATORS)),
         feedforward=bool(rng.random() < 0.5),
         noise=float(rng.choice([0.0, 0.5])),
@@ -262,7 +263,7 @@ def arm(
         Joint(armature=a, damping=1.2 * level * s)
         for a, level, s in zip(armature, levels, spread, strict=True)
     ]
-    flavour = flavour_of(rng)
+    flavour = _flavour_of(rng)
     dry(
         rng,
         joints,
@@ -271,7 +272,7 @@ def arm(
     )
     dt = float(rng.choice([2e-3, 4e-3, 1e-2], p=[0.6, 0.3, 0.1]))
     slow = dt > 5e-3
-    train, held = drawn(rng, ("multisine", "sines", "mixed", "moves"))
+    train, held = _drawn(rng, ("multisine", "sines", "mixed", "moves"))
     bench = Bench(
         name,
         "urdf",
@@ -286,7 +287,7 @@ def arm(
         [2 * np.pi / 2**19] * n,
         6.0 if slow else rng.uniform(9.0, 15.0),
         0.9,
-        loop_of(rng, cascade=False),
+        _loop_of(rng, cascade=False),
         str(rng.choice(INTEGRATORS)),
         feedforward=True,
         velocity_filter=2 * dt,

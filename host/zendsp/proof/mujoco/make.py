@@ -46,7 +46,7 @@ def attempt_case(request: Request, rng: Rng) -> Case:
     b = MACHINES[request.machine](rng)
     dress(b, request, rng)
     try:
-        base = simulate(b, b.train_shape, fork(rng))
+        base = simulate(b, b.train_shape, _fork(rng))
         scales = scales_of(b, base)
         conceal(b, request, scales, rng)
         size = [s.torque for s in scales]
@@ -54,7 +54,7 @@ def attempt_case(request: Request, rng: Rng) -> Case:
         for shape in (
             b.train_shape, b.heldout_shape, b.heldout_shape,
         ):  # the last is never diagnosed
-            records.append(simulate(b, shape, fork(rng), size))
+            records.append(simulate(b, shape, _fork(rng), size))
             check(b, records[-1], base)
     except Unstable as error:
         raise Unusable(str(error)) from error
@@ -62,14 +62,14 @@ def attempt_case(request: Request, rng: Rng) -> Case:
     form, divided = format_of(rng)
     model = given(b, columns_of(names, b.n, divided), rng, f"{b.machine}_{request.seed}")
     truth = truth_of(b, request, records[0])
-    runs = [apply_faults(record.run, b.faults, b.sample_time, fork(rng)) for record in records]
+    runs = [apply_faults(record.run, b.faults, b.sample_time, _fork(rng)) for record in records]
     files = {"arm.urdf": urdf(b.nominal, b.limit, b.machine)} if b.kind == "urdf" else {}
     if files and request.given == "mjcf":
         model, files = as_mjcf(b, model)
     return Case(runs[0], runs[1], model, truth, form, "heldout", runs[2], files)
 
 
-def fork(rng: Rng) -> Rng:
+def _fork(rng: Rng) -> Rng:
     return np.random.default_rng(rng.integers(2**63))
 
 
@@ -143,7 +143,7 @@ def foreign_of(
     return out
 
 
-def middle(x: Array) -> Array:
+def _middle(x: Array) -> Array:
     return np.asarray(0.5 * (x[1:] + x[:-1]))
 
 
@@ -152,7 +152,7 @@ def scales_of(b: Bench, record: Record) -> list[Scale]:
     nuisance.
     """
     r = record.run
-    q, v = middle(r.q), middle(r.v)
+    q, v = _middle(r.q), _middle(r.v)
     a = np.diff(r.v, axis=0) / np.diff(r.time)[:, None]
     for i, order, size, phase in b.sensor:  # in the sensor's coordinates, as data have them
         angle, e = order * q[:, i] + phase, size * order

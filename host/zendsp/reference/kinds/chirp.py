@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from zendsp.errors import ReferenceError_
 from zendsp.reference.core import Array, Reference
-from zendsp.reference.kind import Kind, Parameter
-from zendsp.reference.kinds.signal import QUANTITY, START, Quantity, make_signal, on_joints
+from zendsp.reference.kind import Kind, Parameter, on_joints
+from zendsp.reference.kinds.signal import QUANTITY, START, Quantity, make_signal
 from zendsp.reference.machine import Machine
 from zendsp.reference.profiles import fade, make_grid
 
@@ -108,16 +108,12 @@ def make_chirp(
     x = amplitude * w * s
     xd = amplitude * (wd * s + w * c * pd)
     xdd = amplitude * (wdd * s + 2 * wd * c * pd + w * (c * pdd - s * pd**2))
-    signal = (
-        on_joints(machine, joint, x),
-        on_joints(machine, joint, xd),
-        on_joints(machine, joint, xdd),
-    )
+    x, xd, xdd = (on_joints(machine, joint, each) for each in (x, xd, xdd))
     used = {
         "joint": joint, "amplitude": amplitude, "f0": f0, "f1": f1, "duration": duration,
         "sweep": sweep, "fade_time": fade_time,
     }
-    return make_signal(machine, "chirp", quantity, start, signal, dt, used)
+    return make_signal(machine, "chirp", quantity, start, (x, xd, xdd), dt, used)
 
 
 KIND = Kind(

@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from zendsp.errors import ReferenceError_
 from zendsp.reference.core import Array, Reference
-from zendsp.reference.kind import Kind, Parameter
-from zendsp.reference.kinds.signal import START, make_signal, on_joints
+from zendsp.reference.kind import Kind, Parameter, on_joints
+from zendsp.reference.kinds.signal import START, make_signal
 from zendsp.reference.machine import Machine
 from zendsp.reference.profiles import integrate_velocity, make_grid
 
@@ -130,12 +130,8 @@ def make_prbs(
     knots.append(knots[-1] + max(ramp, dt))
     values.append(0.0)
     x, xd, xdd = integrate_velocity(make_grid(knots[-1], dt), knots, values)
-    signal = (
-        on_joints(machine, joint, x),
-        on_joints(machine, joint, xd),
-        on_joints(machine, joint, xdd),
-    )
-    moved = make_signal(machine, "prbs", "position", start, signal, dt, used)
+    x, xd, xdd = (on_joints(machine, joint, each) for each in (x, xd, xdd))
+    moved = make_signal(machine, "prbs", "position", start, (x, xd, xdd), dt, used)
     return Reference(moved.q, dt, moved.qd, moved.qdd, kind="prbs", machine=machine.name,
                      parameters={**moved.parameters, "quantity": "velocity"})  # fmt: skip
 

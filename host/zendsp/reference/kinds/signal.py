@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Literal
 
-import numpy as np
 import numpy.typing as npt
 
 from zendsp.errors import ReferenceError_
@@ -96,26 +95,3 @@ def make_signal(
     return Reference(
         q, sample_time, qd, qdd, x, kind=kind, parameters=used, machine=machine.name, mode="torque"
     )
-
-
-def on_joints(machine: Machine, joint: int, x: Array) -> Array:
-    """A scalar signal (N,) on one joint (1-based) or on all (0), shape (N, joints).
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from zendsp.reference import load_machine
-    >>> on_joints(load_machine("imi_planar"), 1, np.ones(1)).tolist()
-    [[1.0, 0.0]]
-    """
-    if not 0 <= joint <= machine.joints:
-        raise ReferenceError_(
-            f"joint is {joint}; {machine.name} has joints 1 to {machine.joints} (0 moves all of"
-            " them)"
-        )
-    out = np.zeros((len(x), machine.joints))
-    if joint == 0:
-        out[:] = x[:, None]
-    else:
-        out[:, joint - 1] = x
-    return out

@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.reference.core import Reference
-from zendsp.reference.kind import Kind, Parameter
-from zendsp.reference.kinds.signal import QUANTITY, START, Quantity, make_signal, on_joints
+from zendsp.reference.kind import Kind, Parameter, on_joints
+from zendsp.reference.kinds.signal import QUANTITY, START, Quantity, make_signal
 from zendsp.reference.machine import Machine
 from zendsp.reference.profiles import make_grid
 

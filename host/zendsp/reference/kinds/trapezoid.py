@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from zendsp.errors import ReferenceError_
 from zendsp.reference.core import Reference
-from zendsp.reference.kind import Kind, Parameter, move_one_joint, spread
+from zendsp.reference.kind import Kind, Parameter, on_joints, spread
 from zendsp.reference.machine import Machine
 from zendsp.reference.profiles import integrate_velocity, make_grid
 
@@ -83,11 +83,8 @@ def make_trapezoid(
             now = knots[-1]
     t = make_grid(now, dt)
     motion = integrate_velocity(t, knots, values)
-    rest = np.zeros(machine.joints)
-    q, qd, qdd = (
-        move_one_joint(machine, base, joint, x)
-        for base, x in zip((a, rest, rest), motion, strict=True)
-    )
+    q, qd, qdd = (on_joints(machine, joint, x) for x in motion)
+    q += a
     used = {
         "joint": joint,
         "start": a.tolist(),

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.reference.core import Reference
-from zendsp.reference.kind import Kind, Parameter, move_one_joint, spread
+from zendsp.reference.kind import Kind, Parameter, on_joints, spread
 from zendsp.reference.machine import Machine
 from zendsp.reference.profiles import integrate_velocity, make_grid
 
@@ -61,9 +61,9 @@ def make_triangle(
     knots = (np.arange(4 * cycles + 1) * rise).tolist()
     values = [0.0, peak, 0.0, -peak] * cycles + [0.0]
     s, sd, sdd = integrate_velocity(make_grid(knots[-1], dt), knots, values)
-    rest = np.zeros(machine.joints)
-    q = move_one_joint(machine, a, joint, s - 0.5 * peak * rise)
-    qd, qdd = move_one_joint(machine, rest, joint, sd), move_one_joint(machine, rest, joint, sdd)
+    motion = s - 0.5 * peak * rise, sd, sdd
+    q, qd, qdd = (on_joints(machine, joint, x) for x in motion)
+    q += a
     used = {"joint": joint, "start": a.tolist(), "peak": peak, "rise": rise, "cycles": cycles}
     return Reference(
         q, dt, qd, qdd, kind="triangle", parameters=used, machine=machine.name, cyclic=True

@@ -105,6 +105,7 @@ class ConsoleScreen(ViewActions, VariableActions, ProgramActions, AnalysisAction
         self.plot_names(keep)
 
     def curve_names(self) -> list[str]:
+        """Variables that the scope draws."""
         return sources(self.scope.channels)
 
     def action_plot(self) -> None:

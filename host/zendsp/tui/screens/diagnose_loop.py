@@ -257,7 +257,7 @@ class LoopActions(LabScreen):
         except ZendspError as error:
             self.say(str(error), "error")
             return
-        self._offer(c, self._place(source, texts), texts)
+        self._offer(c, self._place(source), texts)
 
     def _offer_loaded(self, c: Compensation, program: Program) -> None:
         try:
@@ -298,7 +298,7 @@ class LoopActions(LabScreen):
             lambda yes: self._build(c, place, texts, flags) if yes else None,
         )
 
-    def _place(self, source: Path, texts: Mapping[str, str]) -> Path:
+    def _place(self, source: Path) -> Path:
         """Where the program stands that takes the compensation: a shipped one becomes a copy here.
         """
         shipped = source.parent in {p.parent for p in self.lab.examples()}

@@ -88,6 +88,7 @@ class RunActions(AnalysisActions):
         return next((run for run in self.runs if str(run.folder) == key), None)
 
     def meant_run(self) -> Run | None:
+        """The run that is marked in the list; the newest one where none is."""
         return self.this_run() or super().meant_run()
 
     def _need_run(self) -> Run | None:

@@ -1,0 +1,143 @@
+"""Panels of a torque over what it depends on: samples, means with their errors, and the law."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.diagnosis.decide.result import Diagnosis, Finding
+from zendsp.diagnosis.measure.curve import Curve, Samples
+from zendsp.diagnosis.report.chart import Chart, Panel, Series
+from zendsp.diagnosis.report.sides import torque_label, units_at
+
+Array = npt.NDArray[np.float64]
+DOTS = 4000  # of a panel
+CONTRADICTS = 4.0  # standard errors: means that are further from the law contradict it
+LITTLE = 0.1  # of a law: what lies beside it and is less is told of no law
+BRIDGED = 3.5  # widths of a bin that a line crosses at most: two empty ones, and rounding
+
+
+def law_name(finding: Finding, index: int) -> str:
+    """Name of the files of a law's figure; ``index`` is the finding's, from 0."""
+    return f"law_{index + 1}_{finding.effect}_joint{finding.joint}"
+
+
+def two_panels(
+    d: Diagnosis,
+    finding: Finding,
+    index: int,
+    curves: Sequence[Curve],
+    titles: tuple[str, str],
+    unit: str = "",
+) -> Chart:
+    """The chart of three curves, without a title: the law, what lacks without it, and with it.
+
+    Parameters
+    ----------
+    unit : str
+        Of what is drawn; that of the joint's torque where empty.
+    """
+    joint, law = finding.joint, curves[0]
+    line = Series("line", "law", *broken(law.at, law.mean), f"{finding.effect}, as found")
+    panels = [
+        curve_panel(d, joint, curve, role, title, *lines)
+        for curve, role, title, lines in zip(
+            curves[1:], ("before", "after"), titles, ((line,), ()), strict=True
+        )
+    ]
+    limits = common_limits(panels)
+    unit = unit or units_at(d, joint)["torque"]
+    return Chart(
+        "law",
+        finding.sentence,
+        law_name(finding, index),
+        tuple(replace(p, limits=limits) for p in panels),
+        beside=True,
+        same=True,
+        size=(7.2, 3.2),
+        finding=index,
+        joint=joint,
+        note=beside_the_law(law, curves[2], panels[0].xlabel, unit),
+    )
+
+
+def broken(at: Array, mean: Array) -> tuple[Array, Array]:
+    """A line over bins, with NaN where it would cross more than two in which nothing was seen."""
+    apart = np.diff(at)
+    gaps = np.flatnonzero(apart > BRIDGED * np.min(apart, initial=np.inf)) + 1
+    return np.insert(at, gaps, at[gaps - 1]), np.insert(mean, gaps, np.nan)
+
+
+def beside_the_law(law: Curve, after: Curve, xlabel: str, unit: str) -> str:
+    """Whether the means lie on the law, in a sentence: bars are their standard errors."""
+    size = np.sqrt(np.mean(law.mean**2)) if len(law.mean) else 0.0
+    apart = np.abs(after.mean) / np.maximum(after.spread, 1e-300)
+    beside = (apart > CONTRADICTS) & (np.abs(after.mean) > LITTLE * size)
+    if not beside.any():
+        bars, most = "Bars are standard errors", math.ceil(np.max(apart, initial=0.0))
+        if most > CONTRADICTS:
+            return f"{bars}: what lies beside the law is less than a tenth of it."
+        return f"{bars}: the means lie on the law within {f'{most} of ' if most > 1 else ''}them."
+    k = int(np.argmax(np.where(beside, np.abs(after.mean), 0.0)))
+    what, _, of = xlabel.rstrip("]").partition(" [")
+    at = f"{what} {after.at[k]:.2g} {of}".rstrip()
+    return (
+        f"Beside the law something is left: {abs(after.mean[k]):.2g} {unit} at {at},"
+        f" {apart[k]:.0f} standard errors (the bars)."
+    )
+
+
+def curve_panel(
+    d: Diagnosis, joint: int, curve: Curve, role: str, title: str, *lines: Series
+) -> Panel:
+    """Samples and means of a curve."""
+    units = units_at(d, joint)
+    label = torque_label(units["torque"])
+    dots = _as_they_count(curve.samples)
+    series = (
+        Series("dots", "data", dots.x, dots.torque),
+        Series("means", role, curve.at, curve.mean, f"{title}: means", curve.spread),
+        *lines,
+    )
+    return Panel(
+        f"{curve.axis} [{units[curve.axis.variable]}]",
+        label.replace(" [", " against the motion [") if curve.against else label,
+        series,
+        title,
+    )
+
+
+def _as_they_count(samples: Samples) -> Samples:
+    """Some samples of all, the more of them the more they say."""
+    order = np.cumsum(samples.weight)
+    at = np.linspace(0.0, order[-1], DOTS, endpoint=False)
+    some = np.unique(np.searchsorted(order, at, side="right"))
+    some = some[some < len(order)]
+    s = samples
+    return Samples(s.x[some], s.torque[some], s.weight[some], s.block[some])
+
+
+def common_limits(panels: Sequence[Panel]) -> tuple[float, float]:
+    """Of panels with the same axes: all means with bars of the usual length, all of the law, and
+    the dots but for a few.
+    """
+    shown: list[npt.NDArray[np.floating[Any]]] = []
+    for panel in panels:
+        for s in panel.series:
+            if s.kind == "dots":
+                shown += [np.quantile(s.y, [0.01, 0.99])] if len(s.y) else []
+            elif s.spread is None or not len(s.y):
+                shown.append(s.y)
+            else:
+                bar = np.minimum(s.spread, 3.0 * np.median(s.spread))
+                shown += [s.y - bar, s.y + bar]
+    values = np.concatenate(shown)
+    values = values[np.isfinite(values)]
+    low, high = (float(values.min()), float(values.max())) if len(values) else (-1.0, 1.0)
+    room = 0.08 * (high - low) or 1.0
+    return low - room, high + room

@@ -1,0 +1,180 @@
+"""Short fits of one hypothesis upon a model: from each of its starts, to thinned recordings or to
+all samples, under the observer that shows it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+from zendsp.diagnosis.measure.likelihood import Scored, deviance, tune_bandwidth
+from zendsp.diagnosis.search.candidates import first_look
+from zendsp.diagnosis.search.hypothesis import Rival, price
+from zendsp.diagnosis.search.screen import Candidate, with_candidate
+from zendsp.physics.calibration.fit import Data, Fit, fit, joint_handles
+from zendsp.physics.calibration.handles import Handle
+from zendsp.physics.effects import get_effect
+from zendsp.physics.model import Model
+
+# relative gain of a step below which a first look ends: in a narrow valley the first step gains
+# little, and 1 % is a deviance of 200
+QUICK = 1e-4
+UPON = 2  # iterations on all samples of a hypothesis that lost on thinned ones
+SETTLED = 16.0  # rad/s: an observer this slow follows little of what is missing
+WAIT = 40.0  # deviance beyond its price below which a step is not worth a look
+
+
+class ShortFits:
+    """Short fits at one joint.
+
+    Parameters
+    ----------
+    joint : int
+        1-based.
+    jobs : int
+        Threads, of what is fitted for all hypotheses once.
+    count : int
+        Samples that count.
+    """
+
+    def __init__(self, joint: int, jobs: int, count: int) -> None:
+        self.joint, self.jobs, self.n = joint, jobs, count
+        self._levels: dict[int, tuple[Scored, float, float]] = {}
+        self._under_others: dict[int, tuple[Scored, Scored]] = {}
+
+    def quick(self, current: Scored, group: list[Candidate]) -> Rival | None:
+        """A short fit from each start; the best is followed to slower observers. Where it gains
+        nothing, under a slow observer from the beginning: a fast one follows what is missing.
+        """
+        data, slow = current.data, get_effect(group[0].effect).slow
+        settled = data
+        if data.bandwidth[self.joint - 1] > SETTLED:
+            settled = data.at_bandwidth(self.joint, SETTLED)
+        best = self._short_fits(current, group, settled if slow else data)
+        begun = slow or get_effect(group[0].effect).scan is not None  # by simulations, not a screen
+        if settled is data or begun or (best and best.value < current.deviance - WAIT):
+            return best
+        other = self._short_fits(current, group, settled)
+        return other if other and not (best and best.value <= other.value) else best
+
+    def _short_fits(self, current: Scored, group: list[Candidate], data: Data) -> Rival | None:
+        """The best of a short fit from each start, at some observer's bandwidth: to thinned
+        recordings, or to all samples where those mislead.
+        """
+        screened_for = get_effect(group[0].effect).scan is None
+        whole = screened_for and self.misleads(current)
+        begin = current if data is current.data else self.under(current, data)
+        candidate, result, value = self._from_starts(current, group, begin, whole)
+        if not math.isfinite(value):
+            return None
+        # worse than the model that it contains, or a look, which is but a part, gained more
+        worse = screened_for and value > current.deviance + WAIT
+        if worse and whole:
+            candidate, result, value = self._from_starts(current, group, begin, False)
+        gained = max(current.deviance - value, WAIT)
+        if worse or (not whole and self.gain_of_look(current, result.model) > gained):
+            result, value = self._upon_its_numbers(current, candidate, result, value)
+        slow, data = data is not current.data, current.data
+        if slow or value < current.deviance:
+            data, value = tune_bandwidth(
+                data, result.model, (self.joint,), down_only=True, known=value
+            )
+        return self._rival(candidate, Scored(result, data, value, (self.joint,)))
+
+    def _from_starts(
+        self, current: Scored, group: list[Candidate], begin: Scored, whole: bool
+    ) -> tuple[Candidate, Fit, float]:
+        """The best of a short fit from each start, upon the numbers and under the observer to begin
+        with, to all samples or to thinned recordings; and its deviance under the model's own.
+        """
+        tried: list[tuple[float, Candidate, Fit]] = []
+        data = begin.data
+        for candidate in group:
+            model = with_candidate(begin.model, candidate)
+            handles = joint_handles(data, model, self.joint)
+            look = data if whole else first_look(data, model, self.joint)
+            result = self._short(look, model, handles, 3 if len(group) > 1 else 6)
+            tried.append((result.cost, candidate, result))
+        _, candidate, result = min(tried, key=lambda t: t[0])
+        value = deviance(current.data, result.model, (self.joint,))
+        rough = get_effect(candidate.effect).rough
+        paid = self._rival(candidate, Scored(result, data, value, ())).price
+        if len(group) > 1 and (value + paid < current.deviance or rough):
+            here = current.data
+            look = here if whole else first_look(here, result.model, self.joint)
+            result = self._short(look, result.model, result.handles, 10 if rough else 5)
+            value = deviance(here, result.model, (self.joint,))
+        return candidate, result, value
+
+    def _upon_its_numbers(
+        self, current: Scored, candidate: Candidate, result: Fit, value: float
+    ) -> tuple[Fit, float]:
+        """A hypothesis as a first look found it, or upon the other numbers that the model had, from
+        there or from where it began, whichever is likeliest: on thinned recordings a joint turns
+        round in another way, and what describes that may be moved far off.
+        """
+        best = result, value
+        for terms in (result.model.terms[-len(candidate.terms) :], candidate.terms):
+            model = with_candidate(current.model, replace(candidate, terms=terms))
+            handles = joint_handles(current.data, model, self.joint)
+            other = self._short(current.data, model, handles, UPON)
+            again = deviance(current.data, other.model, (self.joint,))
+            best = (other, again) if again < best[1] else best
+        return best
+
+    def under(self, current: Scored, data: Data) -> Scored:
+        """A model with the numbers that another observer wants, to begin with there."""
+        if id(current) not in self._under_others:
+            handles, joints = current.fit.handles, (self.joint,)
+            found = self._short(data, current.model, handles, 6, self.jobs)
+            other = Scored(found, data, deviance(data, found.model, joints), joints)
+            self._under_others[id(current)] = current, other
+        return self._under_others[id(current)][1]
+
+    def misleads(self, current: Scored) -> bool:
+        """Whether a model's numbers are others on thinned recordings, where a joint turns round in
+        another way. What is fitted to these then begins with a loss, whatever it gains.
+
+        Of a model that needs a fast observer much is missing: its numbers are off anyhow, and a
+        look says well enough which hypothesis brings most.
+        """
+        if current.data.bandwidth[self.joint - 1] > SETTLED:
+            return False
+        return self._looked_through(current)[1] > current.deviance + WAIT
+
+    def gain_of_look(self, current: Scored, model: Model) -> float:
+        """Deviance that a model gains upon another on the thinned recordings of a first look, to
+        which that one is fitted too.
+        """
+        look = first_look(current.data, current.model, self.joint)
+        return self._looked_through(current)[0] - deviance(look, model, (self.joint,))
+
+    def _looked_through(self, current: Scored) -> tuple[float, float]:
+        """Of a model fitted to its thinned recordings: its deviance there, and on all samples."""
+        if id(current) not in self._levels:
+            joints = (self.joint,)
+            look = first_look(current.data, current.model, self.joint)
+            base = self._short(look, current.model, current.fit.handles, 6, self.jobs).model
+            seen = deviance(look, base, joints), deviance(current.data, base, joints)
+            self._levels[id(current)] = (current, *seen)
+        return self._levels[id(current)][1:]
+
+    def _short(
+        self, data: Data, model: Model, handles: Sequence[Handle], rounds: int, jobs: int = 1
+    ) -> Fit:
+        return fit(
+            data, model, handles, joints=(self.joint,), iterations=rounds, tolerance=QUICK,
+            jobs=jobs, brief=True,
+        )  # fmt: skip
+
+    def _rival(self, candidate: Candidate, scored: Scored) -> Rival:
+        other_law = candidate.replaces and candidate.effect not in candidate.replaces
+        return Rival(
+            candidate.effect,
+            self.joint,
+            scored,
+            price(candidate.terms, self.n, (candidate.effect,) if other_law else ()),
+            candidate.terms,
+            candidate.replaces,
+        )

@@ -1,0 +1,56 @@
+"""How uncertain the numbers of a fit are where its residuals are not white."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.physics.calibration.predict import ran_away
+
+Array = npt.NDArray[np.float64]
+
+FEW_BLOCKS = 20  # as many blocks as the classical variance counts for
+UNKNOWN = 1e30  # variance of a number of which nothing is known
+
+
+def robust_covariance(jac: Array, r: Array, block: int, prior: Array | None = None) -> Array:
+    """Covariance of least squares that holds when residuals are correlated within blocks
+    (sandwich), (p, p).
+
+    Where the blocks vary more than white innovations would, their variance counts. They may vary
+    less: what a fast observer gets wrong in one sample it makes good in the next. Then their
+    variance counts as much as there are blocks, beside the classical one.
+
+    ``prior``: 1 over the standard deviation that a number has without any recording, 0 where it has
+    none, (p,). What a model lacks makes residuals larger, but not a sensor's zero more uncertain.
+    """
+    n, p = jac.shape
+    if not p:
+        return np.zeros((0, 0))
+    normal, noise = jac.T @ jac, float(r @ r) / max(1, n - p)
+    known = np.diag(noise * prior**2) if prior is not None else np.zeros((p, p))
+    normal = normal + known
+    if not np.all(np.isfinite(jac)) or ran_away(r):
+        return np.diag(np.full(p, UNKNOWN))  # the prediction has diverged
+    strength = np.diag(normal)
+    idle = strength <= float(r @ r) / UNKNOWN  # numbers that nothing depends on
+    scale = np.where(idle, 1.0, np.sqrt(strength))
+    inverse = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-13) / np.outer(scale, scale)
+    classic = inverse * noise
+    starts = np.arange(0, n, block)
+    scores = np.add.reduceat(jac * r[:, None], starts, axis=0)
+    count = len(scores)
+    spread = scores.T @ scores * count / max(1, count - p) + noise * known
+    sandwich = inverse @ spread @ inverse
+    white = np.maximum(np.diag(classic), 1e-300)
+    blocks = np.maximum(np.diag(sandwich), 1e-6 * white)
+    grow = np.sqrt(
+        np.where(
+            blocks < white, (count * blocks + FEW_BLOCKS * white) / (count + FEW_BLOCKS), blocks
+        )
+        / blocks
+    )
+    covariance: Array = sandwich * np.outer(grow, grow)
+    covariance[idle, :], covariance[:, idle] = 0.0, 0.0
+    covariance[idle, idle] = UNKNOWN
+    return covariance
