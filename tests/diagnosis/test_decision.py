@@ -35,9 +35,24 @@ Decided = Callable[..., Diagnosis]
 
 
 def test_what_only_the_recordings_of_the_fit_show_is_not_claimed(decided: Decided) -> None:
-    d = decided(reality.Machine(ripple=0.03), reality.Machine())
+    d = decided(reality.Machine(ripple=0.02), reality.Machine())
     assert d.findings == ()
     assert d.test is not None and d.test.improved <= d.test.calibrated
+
+
+def test_what_the_recordings_of_the_fit_surely_show_leaves_the_verdict_open(
+    tmp_path: Path,
+) -> None:
+    """A loose mass showed in the recording of the fit alone; report.json said complete."""
+    runs = [
+        reality.save(
+            tmp_path / f"{seed}.csv",
+            reality.simulate(machine, reality.multisine(12.0, RATE, seed), RATE),
+        )
+        for seed, machine in ((1, reality.Machine(ripple=0.03)), (2, reality.Machine()))
+    ]
+    d = diagnose(runs[0], reality.model_file(tmp_path / "m.toml", RATE, *KNOWN), runs[1], jobs=1)
+    assert d.findings == ()
     assert d.verdict == d.report()["verdict"] == "unexplained", "a script reads no headline"
     assert d.doubted == (("ripple", 1),) and d.headline.startswith("Cannot tell: ")
     assert "by far likelier with ripple" in d.unexplained

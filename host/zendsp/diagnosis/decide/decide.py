@@ -323,7 +323,9 @@ def _asked(out: Decision, parts: Parts, given: Model, turning: bool) -> Decision
     surely = off and beyond(out.before.low, out.known.all) > LAWFUL
     # what throws the position off by n times the sensor's error is as much at an nth of the torque
     thrown = off and lacks > OF_STATE and lacks * error > THROWN * sensor
-    if lawful or surely or thrown or (lacks > MACHINE and out.before.low > 0.0):
+    if lawful or surely or (lacks > MACHINE and out.before.low > 0.0):
+        return replace(out, kind="unexplained")
+    if thrown and felt(out, parts, turning) is None:
         return replace(out, kind="unexplained")
     if off and out.before.high > AMISS:  # a recording too short to say how much torque that is
         return replace(out, kind="unexplained")

@@ -207,67 +207,84 @@ def left_over(decisions: Sequence[Decision], given: Model, fit: Data) -> str:
     """
     words = []
     for d in decisions:
-        unit = given.torque_unit(d.joint)
-        if not d.searched:
-            words.append(_not_searched(d))
-        elif d.after.value > 1.0:
-            words.append(
-                f"Joint {d.joint}: the model does not follow the recording: more than all of the"
-                " joint's torque stays unexplained. Check that the model is of this machine, and"
-                " its units, [actuator] gain and limit those of the command column"
-                + _hardly_moves(fit, d.joint)
-            )
-        elif d.doubted:
-            words.append(
-                f"Joint {d.joint}: the recordings of the fit are by far likelier with"
-                f" {d.doubted[0][0]}, and the untouched ones do not say so: hold out motion as fast"
-                " as theirs, or look for what is wrong with them alone"
-            )
-        elif d.kind == "unexplained" and d.state.size > OF_STATE:
-            words.append(
-                f"Joint {d.joint}: a torque of {two_digits(d.state.size * d.scale)} {unit} RMS"
-                f" ({percent(d.state.size)} % of the torque) depends on the state of the joint"
-                + (f". {likeness(d.near)}" if d.near else " and is none of the known effects")
-                + (_behind_another(decisions, given, d.joint) or _hardly_moves(fit, d.joint))
-            )
-        elif d.kind == "unexplained" and d.after.value < LAWFUL and d.after.high > AMISS:
-            words.append(
-                f"Joint {d.joint}: the position is off by far more than the sensor errs by, and the"
-                " recordings held out are too short to say by what: up to"
-                f" {percent(min(1.0, d.after.high))} % of the torque may be missing. Hold a"
-                " longer recording out"
-            )
-        elif d.kind == "unexplained" and d.after.value < OF_STATE:
-            words.append(
-                f"Joint {d.joint}: recordings are surely likelier with what was tried, and none of"
-                f" it is surely what acts: at most {percent(min(1.0, d.after.high))} % of the"
-                f" torque is missing. {f'{likeness(d.near)}. ' if d.near else ''}Larger and faster"
-                " motion would show more of it"
-            )
-        elif d.kind == "unexplained":
-            words.append(
-                f"Joint {d.joint}: a torque of {two_digits(d.after.value * d.scale)} {unit} RMS"
-                f" ({percent(d.after.value)} % of the torque) is missing that "
-                + (
-                    f"no function of the joint's state predicts. {likeness(d.near)}"
-                    if d.near
-                    else "neither a known effect nor any function of the joint's state predicts"
-                )
-                + (
-                    _behind_another(decisions, given, d.joint)
-                    or _hardly_moves(fit, d.joint)
-                    or _held(fit, given)
-                )
-            )
-        elif d.kind == "missing" and d.after.low > OF_STATE:
-            words.append(
-                f"Joint {d.joint}: beside what was found,"
-                f" {two_digits(d.after.value * d.scale)} {unit} RMS "
-                f"({percent(d.after.value)} % of the torque) stays unexplained"
-            )
+        words.append(_left_at(d, decisions, given, fit))
         if d.beside is not None and d.kind != "complete":
-            words.append(_bending(d.joint, d.beside, unit))
-    return "\n".join(words)
+            words.append(_bending(d.joint, d.beside, given.torque_unit(d.joint)))
+    return "\n".join(line for line in words if line)
+
+
+def _left_at(d: Decision, decisions: Sequence[Decision], given: Model, fit: Data) -> str:
+    """What nothing named explains at a joint."""
+    most = percent(min(1.0, d.after.high))
+    if not d.searched:
+        return _not_searched(d)
+    if d.after.value > 1.0:
+        return (
+            f"Joint {d.joint}: the model does not follow the recording: more than all of the"
+            " joint's torque stays unexplained. Check that the model is of this machine, and its"
+            " units, [actuator] gain and limit those of the command column"
+            + _hardly_moves(fit, d.joint)
+        )
+    if d.doubted:
+        return (
+            f"Joint {d.joint}: the recordings of the fit are by far likelier with"
+            f" {d.doubted[0][0]}, and the untouched ones do not say so: hold out motion as fast as"
+            " theirs, or look for what is wrong with them alone"
+        )
+    if d.kind == "missing":
+        rest = _beside(d)
+        told = rest > OF_STATE and d.after.low > OF_STATE
+        what = f"beside what was found, {_torque(d, rest, given)} stays unexplained"
+        return f"Joint {d.joint}: {what}" if told else ""
+    if d.kind != "unexplained":
+        return ""
+    if d.state.size > OF_STATE:
+        return (
+            f"Joint {d.joint}: a torque of {_torque(d, d.state.size, given)} depends on the state"
+            " of the joint"
+            + (f". {likeness(d.near)}" if d.near else " and is none of the known effects")
+            + (_behind_another(decisions, given, d.joint) or _hardly_moves(fit, d.joint))
+        )
+    if d.after.value < LAWFUL and d.after.high > AMISS:
+        return (
+            f"Joint {d.joint}: the position is off by far more than the sensor errs by, and the"
+            f" recordings held out are too short to say by what: up to {most} % of the torque may"
+            " be missing. Hold a longer recording out"
+        )
+    if d.after.value < OF_STATE:
+        return (
+            f"Joint {d.joint}: recordings are surely likelier with what was tried, and none of it"
+            f" is surely what acts: at most {most} % of the torque is missing."
+            f" {f'{likeness(d.near)}. ' if d.near else ''}Larger and faster motion would show more"
+            " of it"
+        )
+    return (
+        f"Joint {d.joint}: a torque of {_torque(d, d.after.value, given)} is missing that "
+        + (
+            f"no function of the joint's state predicts. {likeness(d.near)}"
+            if d.near
+            else "neither a known effect nor any function of the joint's state predicts"
+        )
+        + (
+            _behind_another(decisions, given, d.joint)
+            or _hardly_moves(fit, d.joint)
+            or _held(fit, given)
+        )
+    )
+
+
+def _torque(d: Decision, share: float, given: Model) -> str:
+    """A part of a joint's torque, in its unit and in per cent."""
+    size = two_digits(share * d.scale)
+    return f"{size} {given.torque_unit(d.joint)} RMS ({percent(share)} % of the torque)"
+
+
+def _beside(d: Decision) -> float:
+    """What is left beside the findings: a torque without a law that no refinement draws is in no
+    model.
+    """
+    drawn = 0.0 if d.refinements else sum(c.size**2 for c in d.claims if c.effect == "unknown")
+    return float(np.sqrt(max(d.after.value**2 - drawn, 0.0)))
 
 
 def _not_searched(decision: Decision) -> str:

@@ -28,7 +28,8 @@ MACHINE = 0.03  # of the RMS torque: below, slow random torques that every machi
 # 4.4 and more
 BEYOND_SENSOR = 3.0
 # the same, times the part of the torque that lacks: at 51 complete models of three makers 0.052 at
-# most (0.03 with a random torque of 0.6 %), of dropped commands, a sagging supply, a loose mass 0.08
+# most (0.03 with a random torque of 0.6 %); with dropped commands, a sagging supply or a loose mass
+# 0.08
 THROWN = 0.06
 # as MACHINE, in the recordings to choose by alone: there a push of a second is as uncertain as
 # it is large; at 253 joints of 206 complete models (seeds 103, 107) 0.054 was the most. And what a
