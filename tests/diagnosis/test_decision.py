@@ -25,7 +25,7 @@ from zendsp.diagnosis.decide.detectable import detectable
 from zendsp.diagnosis.measure import structure as measure_structure
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.report.figures import charts
-from zendsp.diagnosis.report.laws import law_chart
+from zendsp.diagnosis.report.laws import law_chart, unknown_chart
 from zendsp.physics.calibration.handles import get_values
 from zendsp.physics.effects import get_effect
 from zendsp.physics.files.model_file import parse_model
@@ -128,6 +128,10 @@ def test_a_mechanism_without_a_law_has_the_curve_of_its_torque_and_a_figure(
     taken = given @ np.linalg.lstsq(given, true - torque, rcond=None)[0]
     assert np.corrcoef(torque, true - taken)[0, 1] > 0.9
     assert [c.name for c in charts(d) if c.section == "law"] == ["law_1_unknown_joint1"]
+    for variable in ("position", "velocity"):  # whatever the recordings of the fit say
+        said: Any = {"curve": {**found.numbers["curve"], "variable": variable}}
+        chart = unknown_chart(d, d.workings, replace(found, numbers=said), 0)  # type: ignore[arg-type]
+        assert chart is not None and chart.panels[0].xlabel.startswith(variable)
 
 
 def test_viscous_friction_that_depends_on_the_position_is_called_no_dry_friction(

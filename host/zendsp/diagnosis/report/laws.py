@@ -19,7 +19,6 @@ from zendsp.diagnosis.measure.curve import (
     Axis,
     Curve,
     binned,
-    curve_of,
     curve_over,
 )
 from zendsp.diagnosis.measure.discrepancy import band_of
@@ -291,9 +290,11 @@ def unknown_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Ch
         band, lacks, _ = clearest(w.train, Sides(beside, whole.improved, "", ""), joint)
         band = band_of(w.train.records[0][joint - 1], band)
         lacks = _passing_slowly(lacks, max(periods), band)
-    curve = curve_of(lacks, finding.mechanism)
-    if curve is None:
+    said = finding.numbers.get("curve")
+    if said is None:
         return None
+    # over what its sentence says, whatever the recordings of the fit would say
+    curve = curve_over(lacks, Axis(said["variable"]), finding.mechanism)
     curve, period = in_waves(curve, [p for p in periods if p])
     chart = _without_a_law(d, joint, curve)
     what = "torque without a law, which the model lacks beside what is named"
