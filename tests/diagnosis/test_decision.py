@@ -265,6 +265,27 @@ def test_what_a_faster_loop_does_between_rows_is_no_missing_physics(tmp_path: Pa
     assert verdict(replace(machine, wave=0.06), faster).verdict != "complete"
 
 
+@pytest.mark.parametrize(("late", "claimed"), [(4, False), (13, True)])
+def test_a_log_that_is_late_among_rows_of_a_faster_loop_is_told_and_no_finding(
+    late: int, claimed: bool, tmp_path: Path
+) -> None:
+    """Four logs 3 to 14 ms behind a filter became ten shifts of 8 to 20 ms, joint by joint."""
+    runs = []
+    for seed in (1, 2):
+        motion = reality.multisine(12.0, FAST, seed)
+        run = reality.simulate(reality.Machine(late=late), motion, FAST)
+        every = {name: column[::5] for name, column in run.items()}
+        runs.append(reality.save(tmp_path / f"{seed}.csv", every))
+    model = reality.model_file(tmp_path / "m.toml", FAST / 5, *KNOWN)
+    model.write_text(model.read_text().replace("hold = 0.01", f"hold = {1 / FAST}"))
+    d = diagnose(runs[0], model, runs[1], jobs=1)
+    assert [f.effect for f in d.findings] == ["column_shift"] * claimed
+    times = [t.value("time") for t in d.improved.terms if t.effect == "column_shift"]
+    assert times == pytest.approx([late / FAST], rel=0.05)
+    told = [note for note in d.notes if "command column is 8 ms (0.8 rows) late" in note]
+    assert bool(told) is not claimed
+
+
 @pytest.mark.usefixtures("searched_once")
 def test_what_acts_surely_and_drowns_in_what_stays_unexplained_is_not_complete(
     decided: Decided, monkeypatch: pytest.MonkeyPatch

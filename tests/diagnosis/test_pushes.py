@@ -18,6 +18,7 @@ from zendsp.diagnosis.decide import decide, pushes
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.naming import _disturbance, at_once
 from zendsp.diagnosis.measure.bursts import Bursts
+from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.report.figures import charts
 
 Decided = Callable[..., Diagnosis]
@@ -89,6 +90,17 @@ def test_where_pushes_leave_too_little_the_largest_alone_is_cut_out(
     machine.find(signals, "all", None, 1, lambda _: None)  # type: ignore[arg-type]
     assert asked[-1] == [("a", 2.0, 4.0)]
     assert passes == ["all", machine.Parts(["fit"], ["choose"], ["test"])]  # type: ignore[arg-type]
+
+
+def test_what_a_model_lacks_that_runs_away_is_no_push(
+    decided: Decided, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Behind a spring whose load was heavier than the joint, 484 kN m were a disturbance."""
+    machine = reality.Machine(push=(0.06, 2.0, 4.0))
+    assert [f.effect for f in decided(machine, machine).findings] == ["disturbance"]
+    for lacks in (7000.0, float("nan")):
+        monkeypatch.setattr(pushes, "discrepancy", lambda *_, x=lacks: Size(x, x, x))
+        assert not decided(machine, machine).findings
 
 
 def test_a_push_is_a_disturbance_with_its_times(decided: Decided) -> None:

@@ -26,7 +26,7 @@ from zendsp.diagnosis.search.short_fits import WAIT
 from zendsp.physics.calibration.fit import joint_handles
 from zendsp.physics.calibration.terms import make_term
 from zendsp.physics.effects import get_effect, library, mechanism_of
-from zendsp.physics.effects.column_shift import ROW
+from zendsp.physics.effects.column_shift import least_shift
 from zendsp.physics.model import Model, Term
 
 PLACE = "position_torque"
@@ -170,7 +170,8 @@ def all_late(
     jobs : int
         Threads.
     """
-    least = ROW * parts.fit.records[0][0].sample_time
+    first = parts.fit.records[0][0]
+    least = least_shift(first.sample_time, first.between > 0.0)
     by_name: dict[str, list[Rival]] = {}
     for search, decision in zip(searches, decisions, strict=True):
         free = all(c.effect == "unknown" and _comes_late(c.term) for c in decision.claims)

@@ -18,7 +18,7 @@ from zendsp.diagnosis.measure.discrepancy import discrepancy
 from zendsp.diagnosis.search.short_fits import SETTLED
 from zendsp.physics.calibration.joint import JointRecord
 from zendsp.physics.calibration.predict import ran_away, run
-from zendsp.physics.effects.column_shift import ROW
+from zendsp.physics.effects.column_shift import least_shift
 from zendsp.physics.model import Model, Quantity, Term
 
 Shift = tuple[float, float]
@@ -52,7 +52,8 @@ def apart_in_time(
                 if (shift := _shift(record, model)) is not None:
                     shifts.setdefault(record.recording, []).append(shift)
         found = {name: _mean(each) for name, each in shifts.items()}
-        late, others = _late(found, ROW * parts.fit.records[0][joint - 1].sample_time)
+        first = parts.fit.records[0][joint - 1]
+        late, others = _late(found, least_shift(first.sample_time, first.between > 0.0))
         said += [
             (
                 joint,

@@ -39,6 +39,7 @@ from zendsp.diagnosis.decide.pushes import (
     by_own_numbers,
     felt,
     fitted_to,
+    lost,
     of_a_law,
     of_the_motion,
     predicts,
@@ -93,6 +94,8 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
     if out.kind == "complete" and (doubted := contradicted(out.lost)):
         out = replace(out, kind="unexplained", doubted=doubted)
     turning = not rubs(search.base.model, search.joint)
+    if lost(parts, search.base.model, search.joint):
+        return out
     if out.kind == "missing" and not any(c.effect == "unknown" for c in out.claims):
         models = [out.final]
     # a friction that is missing hides pushes, and they hide it

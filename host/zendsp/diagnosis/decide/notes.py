@@ -96,9 +96,10 @@ def _creeping(decisions: Sequence[Decision], given: Model) -> list[str]:
 def _late_log(decisions: Sequence[Decision], given: Model) -> list[str]:
     """Where the command column is late by less than what is called a shift of it."""
     return [
-        f"joint {d.joint}: the command column is {1e3 * t.value('time'):.2g} ms late against the"
-        " position column, less than a row: behind a filter of the log, in a simulator of first"
-        " order, or of a loop faster than the rows ([actuator] hold). The model has it; "
+        f"joint {d.joint}: the command column is {1e3 * t.value('time'):.2g} ms"
+        f" ({t.value('time') / d.final.data.records[0][d.joint - 1].sample_time:.2g} rows) late"
+        " against the position column: behind a filter of the log, in a simulator of first order,"
+        " or of a loop faster than the rows ([actuator] hold). The model has it; "
         + (
             "it may stand in for a part of what is missing"
             if d.kind == "unexplained"

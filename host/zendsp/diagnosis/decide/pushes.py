@@ -17,6 +17,7 @@ from zendsp.diagnosis.decide.thresholds import (
     BY_CHANCE,
     FELT,
     LAWFUL,
+    LOST,
     MACHINE,
     OF_STATE,
     PLAIN,
@@ -48,7 +49,7 @@ def pushed(out: Decision, parts: Parts, jobs: int) -> Decision | None:
     joint, base, known = out.joint, out.base.model, out.known.all
     others = (discrepancy(part, base, joint).value for part in (parts.fit, parts.choose))
     somewhere = beyond(max(out.before.value, *others), known)
-    if somewhere < LAWFUL:
+    if somewhere < LAWFUL or lost(parts, base, joint):
         return None
     # a push may lie where the held-out recording was cut, or in the recordings of the fit alone:
     # there what comes when the joint turns round may be its friction, however seldom
@@ -93,7 +94,7 @@ def pushed_beside(
     joint, best = out.joint, None
     for scored in models:
         model = scored.model
-        if discrepancy(parts.fit, model, joint).value < LAWFUL:
+        if lost(parts, model, joint) or discrepancy(parts.fit, model, joint).value < LAWFUL:
             continue
         for found in (in_held(parts, model, joint, OFTEN), in_fit(parts, model, joint, MANY)):
             if found is None:
@@ -106,6 +107,11 @@ def pushed_beside(
             ):
                 best = both
     return best
+
+
+def lost(parts: Parts, model: Model, joint: int) -> bool:
+    """Whether a model runs away somewhere: what it lacks there nobody pushes with."""
+    return any(not discrepancy(part, model, joint).value < LOST for part in parts.each)
 
 
 def comes_and_goes(found: Bursts, parts: Parts) -> bool:

@@ -31,7 +31,7 @@ from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.calibration.joint import effective_inertia
 from zendsp.physics.calibration.predict import run
 from zendsp.physics.effects import get_effect
-from zendsp.physics.effects.column_shift import ROW
+from zendsp.physics.effects.column_shift import least_shift
 from zendsp.physics.model import Model, Quantity, Term
 
 CREEP = (0.01, 0.1)  # of the fast speed: where the search for a friction that creeps begins
@@ -148,14 +148,15 @@ class Searcher:
         return best if self.accept(base, creep) else None
 
     def late_log(self, base: Scored) -> Scored | None:
-        """The calibrated model with a command column that is late by less than ``ROW``; None where
-        it is not. No machine answers a command of the future: that is the log, whatever law
+        """The calibrated model with a command column that is late by less than is claimed; None
+        where it is not. No machine answers a command of the future: that is the log, whatever law
         resembles it.
         """
         had = base.model.at(self.joint)
         if not math.isfinite(base.deviance) or any(t.effect == "column_shift" for t in had):
             return None
-        most = ROW * self.rounds.data.records[0][self.joint - 1].sample_time
+        first = self.rounds.data.records[0][self.joint - 1]
+        most = least_shift(first.sample_time, first.between > 0.0)
         term = Term("column_shift", self.joint, {"time": Quantity(0.5 * most)})
         model = base.model.with_terms((*base.model.terms, term))
         handles = joint_handles(base.data, model, self.joint)

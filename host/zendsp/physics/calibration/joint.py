@@ -338,6 +338,7 @@ def facts(
             strongest=float(command.max()),
             sample_time=record.sample_time,
             slides=record.slides,
+            lines=record.between > 0.0,
             joint=record.joint,
             joints=len(record.others),
             gain=1.0,

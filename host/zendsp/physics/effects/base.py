@@ -83,6 +83,8 @@ class Facts:
         At the beginning, °C; nan where no column says.
     replaced : mapping
         Numbers of the term that the effect would replace; empty where there is none.
+    lines : bool
+        Rows are samples of a faster loop, and lines stand for its command between them.
     """
 
     scale: Scale
@@ -100,6 +102,7 @@ class Facts:
     friction: float = 0.0
     temperature: float = float("nan")
     replaced: Numbers = field(default_factory=dict)
+    lines: bool = False
 
 
 @dataclass(frozen=True)
