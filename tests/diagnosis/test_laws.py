@@ -16,6 +16,7 @@ from small_models import COULOMB, VISCOUS, data_of, model_of
 from zendsp.diagnosis import joints
 from zendsp.diagnosis.decide import absorbed, laws, nameless, patchwork, pieces
 from zendsp.diagnosis.decide.absorbed import _by
+from zendsp.diagnosis.decide.assemble import _known_to
 from zendsp.diagnosis.decide.claims import Claim, Decision, unclaimed
 from zendsp.diagnosis.decide.confidence import confidence, least_stated, stated
 from zendsp.diagnosis.decide.contract import Reason
@@ -474,17 +475,19 @@ def test_an_actuator_is_not_blamed_for_what_its_command_has_to_bear(
 
 
 def test_no_inertia_is_known_better_than_simulators_agree(monkeypatch: pytest.MonkeyPatch) -> None:
+    known = _known_to(Quantity(0.025), "inertia", 1e-7)
+    assert known.std == pytest.approx(0.002 * 0.025, rel=0.01)
+    assert _known_to(Quantity(-1.0), "phase", 0.0).std == pytest.approx(0.002)
+    assert _known_to(Quantity(314.0), "order", 1e-3).std == 1e-3, "positions are measured"
     monkeypatch.setattr(absorbed, "_size", lambda *_: 0.1)
     given = parse_model({"mechanism": {"kind": "rotary", "parameters": {"inertia": 0.020}}})
-    moved = replace(given, mechanism={"inertia": (Quantity(0.025, std=1e-7),)})
-    whole: Any = SimpleNamespace(improved=moved)
+    whole: Any = SimpleNamespace(improved=replace(given, mechanism={"inertia": (known,)}))
     search: Any = SimpleNamespace(joint=1, final=SimpleNamespace(model=given))
     nothing: Any = SimpleNamespace(records=())
     ((_, size, finding),) = absorbed.shifted(given, search, whole, (), nothing)
     assert size == 0.1
     amount = finding.parameters["amount"]
-    assert amount.value == pytest.approx(0.005)
-    assert amount.std == pytest.approx(0.002 * 0.025, rel=0.01)
+    assert amount.value == pytest.approx(0.005) and amount.std == known.std
 
 
 def test_what_calibration_makes_of_a_number_is_told_with_its_uncertainty() -> None:
