@@ -104,7 +104,11 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
         models += [search.best] if search.best is not None else []
     else:
         return replace(out, beside=felt(out, parts, turning))
-    return replace(out, bursts=pushed_beside(out, models, parts, turning))
+    out = replace(out, bursts=pushed_beside(out, models, parts, turning))
+    small = out.kind == "unexplained" and beyond(out.before.value, out.known.all) < LAWFUL
+    if small and out.bursts is None:
+        return replace(out, beside=felt(out, parts, turning))
+    return out
 
 
 def _decided(
@@ -326,9 +330,7 @@ def _asked(out: Decision, parts: Parts, given: Model, turning: bool) -> Decision
     surely = off and beyond(out.before.low, out.known.all) > LAWFUL
     # what throws the position off by n times the sensor's error is as much at an nth of the torque
     thrown = off and lacks > OF_STATE and lacks * error > THROWN * sensor
-    if lawful or surely or (lacks > MACHINE and out.before.low > 0.0):
-        return replace(out, kind="unexplained")
-    if thrown and felt(out, parts, turning) is None:
+    if lawful or surely or thrown or (lacks > MACHINE and out.before.low > 0.0):
         return replace(out, kind="unexplained")
     if off and out.before.high > AMISS:  # a recording too short to say how much torque that is
         return replace(out, kind="unexplained")

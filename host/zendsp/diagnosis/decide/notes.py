@@ -49,7 +49,7 @@ def _felt(decisions: Sequence[Decision], given: Model) -> list[str]:
         " that no state explains; all of the time it is less than the"
         f" {percent(LAWFUL)} % of the torque that a finding has. Was the machine touched?"
         for d in decisions
-        if d.kind == "complete" and d.beside is not None
+        if not d.claims and d.beside is not None
     ]
 
 
@@ -209,7 +209,7 @@ def left_over(decisions: Sequence[Decision], given: Model, fit: Data) -> str:
     words = []
     for d in decisions:
         words.append(_left_at(d, decisions, given, fit))
-        if d.beside is not None and d.kind != "complete":
+        if d.beside is not None and d.claims:
             words.append(_bending(d.joint, d.beside, given.torque_unit(d.joint)))
     return "\n".join(line for line in words if line)
 

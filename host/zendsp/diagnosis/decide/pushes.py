@@ -160,10 +160,10 @@ def beside(decision: Decision, parts: Parts) -> Bursts | None:
 
 
 def felt(out: Decision, parts: Parts, turning: bool) -> Bursts | None:
-    """A push that is too small for a finding, where nothing else lacks: it is told all the same."""
+    """A push that is too small for a finding, where nothing is claimed: it is told all the same."""
     model, joint = out.base.model, out.joint
     lacks = max(out.before.value, discrepancy(parts.fit, model, joint).value)
-    if out.kind != "complete" or beyond(lacks, out.known.all) < FELT:
+    if out.kind == "disturbance" or beyond(lacks, out.known.all) < FELT:
         return None
     found = in_held(parts, model, joint, OFTEN) or in_fit(parts, model, joint)
     if found is None:
