@@ -15,7 +15,7 @@ import reality
 from zendsp.diagnosis import joints
 from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.data.split import halves, split
-from zendsp.diagnosis.decide.findings import estimates
+from zendsp.diagnosis.decide.findings import estimates, sentence
 from zendsp.diagnosis.decide.naming import (
     _same,
     between,
@@ -96,6 +96,16 @@ def test_what_a_longer_recording_does_not_make_better_stands_in_the_uncertainty(
 
 def test_only_the_coupling_that_cannot_be_told_from_none_vanishes(fit: Fit) -> None:
     assert [vanishes(fit, term) for term in _couplings(0.9)] == [False, True, False]
+
+
+@pytest.mark.parametrize(
+    ("unit", "said"),
+    [("N m", "a constant torque of 31.40 ± 0.10 N m"), ("N", "a constant force of 31.40 ± 0.10 N"),
+     ("A", "a constant torque of 31.40 ± 0.10 A")],
+)  # fmt: skip
+def test_what_pulls_at_a_joint_that_slides_is_called_a_force(unit: str, said: str) -> None:
+    words = sentence(Term("torque_offset", 1, {}), {"level": Estimate(31.4, 0.1, unit)})
+    assert words == f"The drive of joint 1 has to overcome {said}."
 
 
 def test_a_ripple_is_found_again_by_how_often_it_repeats() -> None:
