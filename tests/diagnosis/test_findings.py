@@ -275,16 +275,23 @@ def test_an_error_of_a_transmission_says_of_how_much_inertia_it_is_measured(
     assert len(_all_for_the_load([decision], given)) == told
 
 
-@pytest.mark.parametrize("kept", [True, False])
-def test_a_log_is_called_late_only_where_the_model_keeps_it(kept: bool) -> None:
-    """What was missing had bent the clock of the calibrated model."""
+@pytest.mark.parametrize(("kept", "claimed"), [(True, False), (False, False), (True, True)])
+def test_a_log_is_called_late_only_where_the_model_keeps_it(kept: bool, claimed: bool) -> None:
+    """What was missing had bent the clock of the calibrated model. Of a shift that is claimed no
+    note says that it is no missing physics.
+    """
     late = Term("column_shift", 1, {"time": Quantity(4e-4)})
     none, has = (SimpleNamespace(at=lambda _, terms=t: terms) for t in ((), (late,)))
     decision: Any = SimpleNamespace(
-        joint=1, base=SimpleNamespace(model=has), final=SimpleNamespace(model=has if kept else none)
-    )
+        joint=1, kind="missing", base=SimpleNamespace(model=has),
+        final=SimpleNamespace(
+            model=has if kept else none,
+            data=SimpleNamespace(records=[[SimpleNamespace(sample_time=1e-3)]]),
+        ),
+        claims=[SimpleNamespace(effect="column_shift")] * claimed,
+    )  # fmt: skip
     given: Any = none
-    assert len(_late_log([decision], given)) == kept
+    assert len(_late_log([decision], given)) == (kept and not claimed)
 
 
 def test_a_joint_at_which_nothing_is_left_to_choose_by_costs_nothing(

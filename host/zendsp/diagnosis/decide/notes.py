@@ -94,7 +94,9 @@ def _creeping(decisions: Sequence[Decision], given: Model) -> list[str]:
 
 
 def _late_log(decisions: Sequence[Decision], given: Model) -> list[str]:
-    """Where the command column is late by less than what is called a shift of it."""
+    """Where the command column is late by less than what is called a shift of it: of one that is
+    claimed its finding says what it is.
+    """
     return [
         f"joint {d.joint}: the command column is {1e3 * t.value('time'):.2g} ms"
         f" ({t.value('time') / d.final.data.records[0][d.joint - 1].sample_time:.2g} rows) late"
@@ -107,7 +109,8 @@ def _late_log(decisions: Sequence[Decision], given: Model) -> list[str]:
         )
         for d in decisions
         for t in d.final.model.at(d.joint)
-        if t.effect == "column_shift" and not any(g.effect == t.effect for g in given.at(d.joint))
+        if t.effect == "column_shift"
+        and not any(g.effect == t.effect for g in (*given.at(d.joint), *d.claims))
     ]
 
 
