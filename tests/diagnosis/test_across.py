@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from zendsp.diagnosis.decide import across
-from zendsp.diagnosis.decide.claims import Claim, Decision
+from zendsp.diagnosis.decide.claims import Claim, Decision, Near
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.structure import Structure
@@ -57,6 +57,28 @@ def test_a_law_of_position_is_none_beside_a_joint_that_lacks_as_much_without_a_l
     nobody = replace(nobody, state=Structure(size, 0.9, 5.0))
     found = across.across_joints([pulled, nobody])
     assert named(found)[0] == [(law, "position_torque", ())]
+
+
+def test_a_law_of_position_is_none_where_another_joint_lacks_one_that_is_like_it() -> None:
+    """A hose over six joints was gravity at one of them, where the others had no law."""
+    pulled = lacking(1, "gravity", torque=2.0, angle=0.0)
+    other = replace(lacking(2, "coulomb", level=1.0), kind="unexplained", claims=())
+    other = replace(other, state=Structure(0.01, 0.9, 5.0))
+    for like, law in (("stiffness", "unknown"), ("ripple", "gravity"), ("stribeck", "gravity")):
+        near = replace(other, near=Near(like, 0.2, 0.1, ""))
+        assert named(across.across_joints([pulled, near]))[0][0][0] == law
+    assert named(across.across_joints([replace(pulled, claims=()), near])) == [[], []]
+
+
+def test_bodies_that_explain_less_than_joints_lack_of_their_state_are_none() -> None:
+    left = [
+        replace(lacking(j, "coulomb", level=1.0), kind="unexplained", claims=()) for j in (1, 2)
+    ]
+    strong = [replace(d, state=Structure(0.3, 0.9, 5.0)) for d in left]
+    assert across.overshadowed(0.05, strong) and not across.overshadowed(0.5, strong)
+    assert not across.overshadowed(0.05, strong[:1]), "one joint may have its own"
+    weak = [replace(d, state=Structure(0.05, 0.9, 5.0)) for d in left]
+    assert not across.overshadowed(1e-4, weak), "a real arm leaves so much"
 
 
 @pytest.mark.parametrize(

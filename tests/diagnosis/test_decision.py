@@ -258,7 +258,7 @@ def test_what_a_faster_loop_does_between_rows_is_no_missing_physics(tmp_path: Pa
     assert taken_as_held.verdict == "unexplained"
     assert "[actuator] hold" in taken_as_held.unexplained
     (late,) = (note for note in taken_as_held.notes if "[actuator] hold" in note)
-    assert "command column is 4" in late and "ms late" in late  # 0.4 rows: five commands a row
+    assert "command column is 4.2 ms (0.42 rows) late" in late  # five commands a row
     d = verdict(machine, faster)
     assert d.verdict == "complete"
     assert sum("in between, lines stand" in note for note in d.notes) == 2

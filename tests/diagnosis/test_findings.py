@@ -282,16 +282,17 @@ def test_a_log_is_called_late_only_where_the_model_keeps_it(kept: bool, claimed:
     """
     late = Term("column_shift", 1, {"time": Quantity(4e-4)})
     none, has = (SimpleNamespace(at=lambda _, terms=t: terms) for t in ((), (late,)))
-    decision: Any = SimpleNamespace(
-        joint=1, kind="missing", base=SimpleNamespace(model=has),
-        final=SimpleNamespace(
-            model=has if kept else none,
-            data=SimpleNamespace(records=[[SimpleNamespace(sample_time=1e-3)]]),
-        ),
-        claims=[SimpleNamespace(effect="column_shift")] * claimed,
-    )  # fmt: skip
+    data = SimpleNamespace(records=((SimpleNamespace(sample_time=1e-3),),))
+    final = SimpleNamespace(model=has if kept else none, data=data)
+    claims = (SimpleNamespace(effect="column_shift"),) * claimed
+    base = SimpleNamespace(model=has)
+    decision: Any = SimpleNamespace(joint=1, base=base, final=final, claims=claims)
     given: Any = none
-    assert len(_late_log([decision], given)) == (kept and not claimed)
+    for decision.kind, end in (("complete", "no missing physics"), ("unexplained", "is missing")):
+        said = _late_log([decision], given)
+        assert len(said) == (kept and not claimed)
+        assert all("0.4 ms (0.4 rows) late" in note for note in said)
+        assert all(note.endswith(end) for note in said), "four of four were physics that lacked"
 
 
 def test_a_joint_at_which_nothing_is_left_to_choose_by_costs_nothing(

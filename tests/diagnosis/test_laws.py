@@ -16,7 +16,8 @@ from small_models import COULOMB, VISCOUS, data_of, model_of
 from zendsp.diagnosis import joints
 from zendsp.diagnosis.decide import absorbed, laws, nameless, patchwork, pieces
 from zendsp.diagnosis.decide.absorbed import _by
-from zendsp.diagnosis.decide.claims import Claim, Decision, unclaimed
+from zendsp.diagnosis.decide.assemble import _known_to
+from zendsp.diagnosis.decide.claims import Claim, Decision, Piece, unclaimed
 from zendsp.diagnosis.decide.confidence import confidence, least_stated, stated
 from zendsp.diagnosis.decide.contract import Reason
 from zendsp.diagnosis.decide.notes import bent
@@ -474,17 +475,19 @@ def test_an_actuator_is_not_blamed_for_what_its_command_has_to_bear(
 
 
 def test_no_inertia_is_known_better_than_simulators_agree(monkeypatch: pytest.MonkeyPatch) -> None:
+    known = _known_to(Quantity(0.025), "inertia", 1e-7)
+    assert known.std == pytest.approx(0.002 * 0.025, rel=0.01)
+    assert _known_to(Quantity(-1.0), "phase", 0.0).std == pytest.approx(0.002)
+    assert _known_to(Quantity(314.0), "order", 1e-3).std == 1e-3, "positions are measured"
     monkeypatch.setattr(absorbed, "_size", lambda *_: 0.1)
     given = parse_model({"mechanism": {"kind": "rotary", "parameters": {"inertia": 0.020}}})
-    moved = replace(given, mechanism={"inertia": (Quantity(0.025, std=1e-7),)})
-    whole: Any = SimpleNamespace(improved=moved)
+    whole: Any = SimpleNamespace(improved=replace(given, mechanism={"inertia": (known,)}))
     search: Any = SimpleNamespace(joint=1, final=SimpleNamespace(model=given))
     nothing: Any = SimpleNamespace(records=())
     ((_, size, finding),) = absorbed.shifted(given, search, whole, (), nothing)
     assert size == 0.1
     amount = finding.parameters["amount"]
-    assert amount.value == pytest.approx(0.005)
-    assert amount.std == pytest.approx(0.002 * 0.025, rel=0.01)
+    assert amount.value == pytest.approx(0.005) and amount.std == known.std
 
 
 def test_what_calibration_makes_of_a_number_is_told_with_its_uncertainty() -> None:
@@ -505,3 +508,25 @@ def test_a_neighbour_says_nothing_against_a_law_beside_which_more_stays_than_it_
     ahead = against_neighbours(data, fitted, fitted.model.at(1)[-1], 1, LAW_ERROR)
     assert (ahead <= -BEHIND) is refuted
     assert ahead <= 0.0  # a neighbour predicts better
+
+
+@pytest.mark.parametrize(
+    ("sizes", "first"),
+    [((0.01, 0.02, 0.03), "coulomb"), ((0.01, 0.3, 0.03), "hysteresis")],
+)
+def test_of_laws_that_stand_in_for_one_another_the_one_found_first_is_named(
+    sizes: tuple[float, ...], first: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Coulomb friction and bristles shared what lacked; its drift was named in their place."""
+    terms = tuple(Term(e, 1, {}) for e in ("coulomb", "hysteresis", "friction_drift"))
+    size = {t.effect: x for t, x in zip(terms, sizes, strict=True)}
+    nothing: Any = None
+
+    def alone(*of: Any) -> Piece:
+        (term,) = of[4]
+        return Piece("dry_friction", (term,), nothing, size[term.effect], nothing, 1.0)
+
+    monkeypatch.setattr(laws, "piece_of", alone)
+    whole = Piece("dry_friction", terms, nothing, 0.4, nothing, 1.0)
+    ranked = laws._ranked(nothing, nothing, nothing, whole, nothing, 1)
+    assert ranked[0].effects == (first,) and len(ranked) == 3

@@ -13,11 +13,11 @@ import reality
 from small_models import VISCOUS, data_of, model_of
 
 from zendsp.diagnosis.decide import decide as decision
-from zendsp.diagnosis.decide import naming, notes, patchwork, pieces
+from zendsp.diagnosis.decide import naming, patchwork, pieces
 from zendsp.diagnosis.decide.claims import Claim, Decision, Known, Near, Piece
 from zendsp.diagnosis.decide.contract import Reason, Rejected
 from zendsp.diagnosis.decide.near import likeness, nearest_law
-from zendsp.diagnosis.decide.notes import _likelier, left_over
+from zendsp.diagnosis.decide.notes import left_over
 from zendsp.diagnosis.measure.discrepancy import Size, difference
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.structure import Structure
@@ -459,13 +459,22 @@ def test_what_a_joint_lacks_beside_a_gap_of_another_one_is_told_from_missing_phy
     ("reason", "said"), [(Reason.OTHER, True), (Reason.NEAR, True), (Reason.TOO_SMALL, False)]
 )
 def test_untouched_recordings_that_show_what_is_too_small_are_not_blamed(
-    reason: Reason, said: bool
+    reason: Reason, said: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    one: Any = SimpleNamespace(model=SimpleNamespace(at=lambda _: ()))
+    found = _concluded((Rejected("stiffness", 1, "", 5000.0, reason),), monkeypatch)
+    assert bool(found.doubted) == said
+
+
+def _concluded(lost: tuple[Rejected, ...], monkeypatch: pytest.MonkeyPatch) -> Decision:
+    """The decision where nothing is missing on untouched recordings, and some laws lost."""
+    one: Any = SimpleNamespace(model=None)
     left = Size(0.0, 0.0, 0.0)
-    d = Decision(1, "complete", (), (), one, one, left, left, NOTHING, left, one, 7.0)
-    found = replace(d, lost=(Rejected("stiffness", 1, "", 5000.0, reason),))
-    assert bool(_likelier([found])) == said
+    d = Decision(1, "complete", (), (), one, one, left, left, NOTHING, left, one, 7.0, lost=lost)
+    for name, answer in (("_decided", d), ("rubs", True), ("lost", True)):
+        monkeypatch.setattr(decision, name, lambda *_, answer=answer: answer)
+    search: Any = SimpleNamespace(joint=1, base=one)
+    given: Any = None
+    return decision.decide(PARTS, given, search, 1, lambda _: None)
 
 
 @pytest.mark.parametrize(("names", "loads"), [("aaa", ()), ("aab", ("b",))])
@@ -487,16 +496,18 @@ def test_of_another_load_is_spoken_where_there_are_several_recordings(
     assert decision._decided(parts, given, search, 1, lambda _: None).loads == loads
 
 
-@pytest.mark.parametrize(("score", "told"), [(10368.0, 1), (626.0, 0)])
-def test_what_only_the_recordings_of_the_fit_say_is_told_of_a_complete_model(
-    score: float, told: int
+@pytest.mark.parametrize(("score", "open_"), [(10368.0, True), (626.0, False)])
+def test_what_only_the_recordings_of_the_fit_say_leaves_a_joint_open(
+    score: float, open_: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A joint that was late by 5 ms, beside a held-out motion too slow to show it."""
-    lost = (Rejected("delay", 3, "", score), Rejected("lag", 3, "", 12.0))
-    d: Any = SimpleNamespace(joint=3, kind="complete", lost=lost)
-    worse: Any = SimpleNamespace(joint=3, kind="unexplained", lost=lost)
-    found = notes._likelier([d, worse])
-    assert len(found) == told and all("joint 3" in n and "delay" in n for n in found)
+    lost = (Rejected("delay", 1, "", score), Rejected("lag", 1, "", 12.0))
+    found = _concluded(lost, monkeypatch)
+    assert found.doubted == ((("delay", 1),) if open_ else ())
+    assert found.kind == ("unexplained" if open_ else "complete")
+    fit: Any = None
+    said = left_over([found], model_of(), fit)
+    assert ("by far likelier with delay" in said) is open_
 
 
 @pytest.mark.parametrize(

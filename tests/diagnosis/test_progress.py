@@ -77,8 +77,15 @@ def test_ctrl_c_keeps_what_was_found_of_the_joints_that_were_finished(tmp_path: 
             pressed.append(text)
             raise KeyboardInterrupt
 
+    said: list[str] = []
+
+    def listen(text: str) -> None:
+        said.append(text)
+        press(text)
+
     with pytest.raises(KeyboardInterrupt):
-        diagnose(run, model, jobs=1, progress=press)
+        diagnose(run, model, jobs=1, progress=listen)
+    assert "joint 1 is done, by itself: coulomb seems to be missing" in said
     pressed.clear()
     d = diagnose(run, model, jobs=1, progress=press, so_far=True)
     assert [(f.effect, f.joint) for f in d.findings] == [("coulomb", 1)]

@@ -297,7 +297,21 @@ def _search_joint(
                 search = replace(warm, base=base)  # it is not needed any more
             else:
                 search, beneath = other, creeping
-    return search, decide(parts, beneath, search, jobs, tell)
+    decision = decide(parts, beneath, search, jobs, tell)
+    if beneath.joints > 1:
+        tell(Step.SEARCHING.says(f"joint {joint} is done, by itself: {_seems(decision)}"))
+    return search, decision
+
+
+def _seems(decision: Decision) -> str:
+    """What one joint came to, before all are looked at together."""
+    laws = ", ".join(c.effect for c in decision.claims)
+    plain = {
+        "complete": "nothing seems to be missing",
+        "disturbance": "something pushes it",
+        "unexplained": "something is missing that has no name",
+    }
+    return plain.get(decision.kind) or f"{laws} seems to be missing"
 
 
 def _upon_creep(

@@ -11,7 +11,12 @@ from dataclasses import dataclass, replace
 from zendsp.diagnosis.data.prepare import one_sensor, prepare
 from zendsp.diagnosis.data.signals import Parts, Signals
 from zendsp.diagnosis.data.split import cut_out
-from zendsp.diagnosis.decide.across import across_joints, friction_beside_weight, timing
+from zendsp.diagnosis.decide.across import (
+    across_joints,
+    friction_beside_weight,
+    overshadowed,
+    timing,
+)
 from zendsp.diagnosis.decide.assemble import Assembled, assemble, calibrated_machine
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.decide_bodies import (
@@ -186,7 +191,8 @@ def _settled_once(
     finished = _finished(found, given, jobs, tell)
     test, whole = finished.parts.test, finished.whole
     least = (1.0 + ROUNDING) * model_error(test, whole.calibrated)
-    if finished.claims and model_error(test, whole.improved) > least:
+    shadow = overshadowed(sum(c.square for c in finished.claims), finished.decisions)
+    if finished.claims and (shadow or model_error(test, whole.improved) > least):
         none = replace(bodies, model=given, found=())
         found = _beneath(none, measured_motion, parts, given, jobs, tell)
         finished = _finished(found, given, jobs, tell)

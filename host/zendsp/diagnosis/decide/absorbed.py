@@ -20,7 +20,6 @@ from zendsp.diagnosis.decide.thresholds import TOLERANCE
 from zendsp.diagnosis.measure.discrepancy import difference
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import fit_scored
-from zendsp.diagnosis.measure.significance import INTEGRATION_ERROR
 from zendsp.diagnosis.search.body_hypotheses import LIMITS, calibrated
 from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.calibration.joint import effective_inertia
@@ -81,8 +80,7 @@ def shifted(
         ratio = after.value / before.value - 1.0
         known = max(TOLERANCE, before.std / abs(before.value))
         spread = math.hypot(known, after.std / abs(before.value))
-        std = math.hypot(after.std, INTEGRATION_ERROR * after.value)
-        moves[key] = (ratio, ratio / spread, after.value - before.value, std)
+        moves[key] = (ratio, ratio / spread, after.value - before.value, after.std)
     main = "inertia" if given.kind == "rotary" else "mass"
     both = [moves[key][1] for key in (main, "gravity") if key in moves]
     heavier = len(both) == 2 and _both_far(*both)

@@ -12,6 +12,7 @@ from zendsp.diagnosis.decide.pieces import piece_of
 from zendsp.diagnosis.decide.pushes import unpushed
 from zendsp.diagnosis.decide.thresholds import (
     A_PART,
+    AMISS,
     OF_STATE,
     PREDICTED,
     SURE,
@@ -55,7 +56,8 @@ def across_joints(decisions: Sequence[Decision]) -> list[Decision]:
         With the mechanism alone where two joints or more are pulled at; a constant torque at
         another joint is a part of it.
     """
-    several = sum(any(_pulls(c) for c in d.claims) for d in decisions) > 1
+    claimed = sum(any(_pulls(c) for c in d.claims) for d in decisions)
+    several = claimed > 0 and claimed + sum(_is_pulled(d) for d in decisions) > 1
     beside = _of_state(decisions) / A_PART
 
     def section(c: Claim, d: Decision) -> bool:
@@ -67,19 +69,44 @@ def across_joints(decisions: Sequence[Decision]) -> list[Decision]:
     ]
 
 
+def overshadowed(square: float, decisions: Sequence[Decision]) -> bool:
+    """Whether two joints or more lack a torque of their state that no law explains, and more of it
+    than bodies explain at all joints: what pulls at them resembles a little of a body.
+
+    Parameters
+    ----------
+    square : float
+        Of what the bodies explain, as parts of the joints' RMS torques.
+    decisions : sequence of Decision
+        Beside the bodies, one a joint.
+    """
+    left = [d.state.size for d in decisions if _lacks_of_state(d) and d.state.size > AMISS]
+    return len(left) > 1 and square < A_PART * sum(size**2 for size in left)
+
+
 def _of_state(decisions: Sequence[Decision]) -> float:
     """The largest torque, RMS, that depends on the state of its joint and that nothing explains."""
-    lacking = [
-        d.state.size * d.scale
-        for d in decisions
-        if d.kind == "unexplained" and d.state.size > OF_STATE and d.state.z > SURE
-    ]
-    return max(lacking, default=0.0)
+    return max((d.state.size * d.scale for d in decisions if _lacks_of_state(d)), default=0.0)
+
+
+def _lacks_of_state(d: Decision) -> bool:
+    return d.kind == "unexplained" and d.state.size > OF_STATE and d.state.z > SURE
+
+
+def _is_pulled(d: Decision) -> bool:
+    """Whether what a joint lacks without a law is most like a torque over position."""
+    return _lacks_of_state(d) and d.near is not None and _is_place(d.near.effect)
+
+
+def _is_place(effect: str) -> bool:
+    law = get_effect(effect)
+    return law.mechanism == PLACE and "order" not in law.names
 
 
 def _pulls(claim: Claim) -> bool:
-    law = get_effect(claim.term.effect) if claim.effect != "unknown" else None
-    return claim.mechanism == PLACE and (law is None or "order" not in law.names)
+    if claim.effect == "unknown":
+        return claim.mechanism == PLACE
+    return _is_place(claim.term.effect)
 
 
 def _may_be_one(claim: Claim) -> bool:

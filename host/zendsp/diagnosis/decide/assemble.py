@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -11,6 +12,7 @@ from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.thresholds import SURE, TOLERANCE
 from zendsp.diagnosis.measure.likelihood import Scored
+from zendsp.diagnosis.measure.significance import INTEGRATION_ERROR
 from zendsp.physics.calibration.convergence import with_step_error
 from zendsp.physics.calibration.fit import Data, Fit, fit
 from zendsp.physics.calibration.handles import free_handles, set_values
@@ -233,13 +235,16 @@ def _with_shared(model: Model, parts: Sequence[Scored]) -> Model:
 
 
 def _noted(model: Model, fits: dict[int, Fit]) -> Model:
-    """Write the standard deviations of the fits into the model."""
+    """Write the standard deviations of the fits into the model, with what any two simulators'
+    equations do differently.
+    """
     mechanism = {key: list(items) for key, items in model.mechanism.items()}
     terms = {id(t): dict(t.parameters) for t in model.terms}
     for fitted in fits.values():
         for h, s in zip(fitted.handles, fitted.std, strict=True):
             if h.place == "mechanism":
-                mechanism[h.key][h.index] = replace(mechanism[h.key][h.index], std=float(s))
+                known = mechanism[h.key][h.index]
+                mechanism[h.key][h.index] = _known_to(known, h.key, float(s))
             elif h.place == "term":
                 source = fitted.model.terms[h.index]
                 for t in model.terms:
@@ -249,9 +254,16 @@ def _noted(model: Model, fits: dict[int, Fit]) -> Model:
                         and t.parameters == source.parameters
                     ):
                         old: Quantity = terms[id(t)][h.key]
-                        terms[id(t)][h.key] = replace(old, std=float(s))
+                        terms[id(t)][h.key] = _known_to(old, h.key, float(s))
     return replace(
         model,
         mechanism={key: tuple(items) for key, items in mechanism.items()},
         terms=tuple(Term(t.effect, t.joint, terms[id(t)]) for t in model.terms),
     )
+
+
+def _known_to(number: Quantity, name: str, std: float) -> Quantity:
+    if name in ("order", "period"):  # of positions, which are measured
+        return replace(number, std=std)
+    size = 1.0 if name in ("phase", "angle") else abs(number.value)
+    return replace(number, std=math.hypot(std, INTEGRATION_ERROR * size))

@@ -441,12 +441,17 @@ def _surely_more(left: Structure, allowed: float) -> bool:
 def _ranked(
     test: Data, given: Model, final: Scored, piece: Piece, base: Scored, jobs: int
 ) -> list[Piece]:
-    """Each law of a mechanism by itself, the one whose removal costs most first."""
+    """Each law of a mechanism by itself, the one whose removal costs most first; where no removal
+    costs much, since they stand in for one another, the one that the search found first.
+    """
     laws = [t for t in piece.terms if mechanism_of(t.effect) == piece.mechanism]
     if len(laws) == 1:
         return [replace(piece, terms=tuple(laws))]
     each = [piece_of(test, given, final, piece.mechanism, (t,), base, jobs) for t in laws]
-    return sorted(each, key=lambda p: -p.size)
+    ranked = sorted(each, key=lambda p: -p.size)
+    if ranked[0].size ** 2 < OWN_SHARE * piece.size**2:
+        ranked.sort(key=lambda p: p is not each[0])
+    return ranked
 
 
 def _upon(ranked: Sequence[Piece], after: float) -> list[Piece]:

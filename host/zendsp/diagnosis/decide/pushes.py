@@ -14,10 +14,10 @@ from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.pieces import dry_torque
 from zendsp.diagnosis.decide.thresholds import (
     A_PART,
+    ASTRAY,
     BY_CHANCE,
     FELT,
     LAWFUL,
-    LOST,
     MACHINE,
     OF_STATE,
     PLAIN,
@@ -111,7 +111,7 @@ def pushed_beside(
 
 def lost(parts: Parts, model: Model, joint: int) -> bool:
     """Whether a model runs away somewhere: what it lacks there nobody pushes with."""
-    return any(not discrepancy(part, model, joint).value < LOST for part in parts.each)
+    return any(not discrepancy(part, model, joint).value < ASTRAY for part in parts.each)
 
 
 def comes_and_goes(found: Bursts, parts: Parts) -> bool:

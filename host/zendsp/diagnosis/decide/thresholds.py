@@ -40,7 +40,7 @@ AMISS = 0.1
 RUN_AWAY = 1.0
 # of the RMS torque: more lacks where the model itself runs away (7 000, behind a spring whose load
 # was heavier than the joint); pushes of an acrobot's free joint were 25 at most
-LOST = 100.0
+ASTRAY = 100.0
 # of the RMS torque: a function of state above is missing physics, whatever its name; in 96 complete
 # models it was at most 0.001
 OF_STATE = 0.0025
