@@ -110,7 +110,8 @@ def _late_log(decisions: Sequence[Decision], given: Model) -> list[str]:
         for d in decisions
         for t in d.final.model.at(d.joint)
         if t.effect == "column_shift"
-        and not any(g.effect == t.effect for g in (*given.at(d.joint), *d.claims))
+        and not any(g.effect == t.effect for g in given.at(d.joint))
+        and not any(c.effect == t.effect for c in d.claims)
     ]
 
 
