@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,12 +23,13 @@ from zendsp.diagnosis.decide.result import Workings
 from zendsp.diagnosis.measure.curve import Axis, Curve, Samples, binned
 from zendsp.diagnosis.measure.discrepancy import difference, discrepancy, mean_square
 from zendsp.diagnosis.measure.where import Missing, Region, mismatch
-from zendsp.diagnosis.report import figures
+from zendsp.diagnosis.report import figures, laws
 from zendsp.diagnosis.report.chart import Chart, Panel, Series
 from zendsp.diagnosis.report.curve_panels import beside_the_law, broken
 from zendsp.diagnosis.report.drawing import SPANS, draw, places
 from zendsp.diagnosis.report.figures import charts
 from zendsp.diagnosis.report.laws import in_waves, unclaimed_chart
+from zendsp.diagnosis.report.sides import torque_label
 from zendsp.physics.files.model_file import load_model, parse_model
 
 MODEL = """
@@ -223,6 +225,16 @@ def test_a_stribeck_curve_is_drawn_with_the_level_on_which_it_stands(decided: De
     fast = np.abs(means.x) > 1.5
     assert np.allclose(np.abs(means.y[fast]), 0.02, atol=0.002)
     assert np.max(np.abs(means.y)) > 0.025, "passed in less than an observer remembers"
+
+
+@pytest.mark.parametrize(("unit", "word"), [("N", "force"), ("N m", "torque"), ("A", "torque")])
+def test_the_title_of_a_law_calls_a_force_what_its_axis_does(unit: str, word: str) -> None:
+    found: Any = SimpleNamespace(effect="ripple")
+    sides: Any = SimpleNamespace(by_law=True, was="calibrated")
+    assert laws._title(found, 1, sides, unit).startswith(f"Joint 1: {word} of ripple: ")
+    sides.by_law = False
+    assert laws._title(found, 1, sides, unit).startswith(f"Joint 1: {word} that the model ")
+    assert torque_label(unit) == f"{word} [{unit}]"
 
 
 @LAW

@@ -15,7 +15,7 @@ import reality
 from zendsp.diagnosis import joints
 from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.data.split import halves, split
-from zendsp.diagnosis.decide.findings import estimates
+from zendsp.diagnosis.decide.findings import estimates, sentence
 from zendsp.diagnosis.decide.naming import (
     _same,
     between,
@@ -96,6 +96,16 @@ def test_what_a_longer_recording_does_not_make_better_stands_in_the_uncertainty(
 
 def test_only_the_coupling_that_cannot_be_told_from_none_vanishes(fit: Fit) -> None:
     assert [vanishes(fit, term) for term in _couplings(0.9)] == [False, True, False]
+
+
+@pytest.mark.parametrize(
+    ("unit", "said"),
+    [("N m", "a constant torque of 31.40 ± 0.10 N m"), ("N", "a constant force of 31.40 ± 0.10 N"),
+     ("A", "a constant torque of 31.40 ± 0.10 A")],
+)  # fmt: skip
+def test_what_pulls_at_a_joint_that_slides_is_called_a_force(unit: str, said: str) -> None:
+    words = sentence(Term("torque_offset", 1, {}), {"level": Estimate(31.4, 0.1, unit)})
+    assert words == f"The drive of joint 1 has to overcome {said}."
 
 
 def test_a_ripple_is_found_again_by_how_often_it_repeats() -> None:
@@ -265,18 +275,23 @@ def test_an_error_of_a_transmission_says_of_how_much_inertia_it_is_measured(
     assert len(_all_for_the_load([decision], given)) == told
 
 
-@pytest.mark.parametrize("kept", [True, False])
-def test_a_log_is_called_late_only_where_the_model_keeps_it(kept: bool) -> None:
-    """What was missing had bent the clock of the calibrated model."""
+@pytest.mark.parametrize(("kept", "claimed"), [(True, False), (False, False), (True, True)])
+def test_a_log_is_called_late_only_where_the_model_keeps_it(kept: bool, claimed: bool) -> None:
+    """What was missing had bent the clock of the calibrated model. Of a shift that is claimed no
+    note says that it is no missing physics.
+    """
     late = Term("column_shift", 1, {"time": Quantity(4e-4)})
     none, has = (SimpleNamespace(at=lambda _, terms=t: terms) for t in ((), (late,)))
     data = SimpleNamespace(records=((SimpleNamespace(sample_time=1e-3),),))
     final = SimpleNamespace(model=has if kept else none, data=data)
-    decision: Any = SimpleNamespace(joint=1, base=SimpleNamespace(model=has), final=final)
+    claims = (SimpleNamespace(effect="column_shift"),) * claimed
+    base = SimpleNamespace(model=has)
+    decision: Any = SimpleNamespace(joint=1, base=base, final=final, claims=claims)
     given: Any = none
     for decision.kind, end in (("complete", "no missing physics"), ("unexplained", "is missing")):
         said = _late_log([decision], given)
-        assert len(said) == kept and all("0.4 ms (0.4 rows) late" in note for note in said)
+        assert len(said) == (kept and not claimed)
+        assert all("0.4 ms (0.4 rows) late" in note for note in said)
         assert all(note.endswith(end) for note in said), "four of four were physics that lacked"
 
 

@@ -20,7 +20,7 @@ from zendsp.diagnosis.decide.assemble import _known_to
 from zendsp.diagnosis.decide.claims import Claim, Decision, Piece, unclaimed
 from zendsp.diagnosis.decide.confidence import confidence, least_stated, stated
 from zendsp.diagnosis.decide.contract import Reason
-from zendsp.diagnosis.decide.notes import bent
+from zendsp.diagnosis.decide.notes import apart, bent
 from zendsp.diagnosis.decide.pieces import may_leave
 from zendsp.diagnosis.decide.remember import remembered
 from zendsp.diagnosis.decide.result import Errors, FitTable
@@ -253,6 +253,21 @@ def test_calibration_that_makes_untouched_recordings_worse_is_told() -> None:
     assert "(0.0002 m against 0.0001 m)" in told(1e-4, 2e-4, 2e-4)[0]
     assert not told(1e-4, 1.2e-4, 1e-4)
     assert not told(1e-6, 1e-5, 1e-5), "both within the sensor's noise"
+
+
+def test_a_fit_that_explains_its_own_recordings_and_no_others_says_so() -> None:
+    """An arm without a load was fitted, and the same arm with one held out."""
+
+    def told(fitted: float, untouched: float) -> list[str]:
+        own, others = (FitTable(1e-3, e, e) for e in (fitted, untouched))
+        errors = Errors("rad", (), own, others, others, 1.3e-5)
+        assert not apart(errors, "missing"), "what is found tells more"
+        return apart(errors, "unexplained")
+
+    (note,) = told(1.4e-5, 2.7e-3)
+    assert "to 1.4e-05 rad" in note and "to 0.0027 rad only" in note and "--each" in note
+    assert not told(4.7e-4, 4.2e-3), "not explained either"
+    assert not told(1.4e-5, 5e-5), "faster motion"
 
 
 def test_an_exponent_that_is_fitted_at_the_end_does_not_count_against_a_law() -> None:

@@ -98,8 +98,14 @@ def test_it_is_said_where_the_next_motion_is_or_why_there_is_none(folder: Path) 
 def _proposing(proposal: object, *rejected: Rejected) -> Diagnosis:
     return SimpleNamespace(  # type: ignore[return-value]
         next_recording=proposal, verdict="complete", rejected=rejected, regions=(), times=(),
-        stopped=False, doubted=contradicted(rejected),
+        stopped=False, doubted=contradicted(rejected), nameless=(),
     )
+
+
+def test_where_something_is_left_without_a_name_nothing_says_that_nothing_is_open() -> None:
+    left = SimpleNamespace(**(vars(_proposing(None)) | {"nameless": ((1, 0.003),)}))
+    why = files.no_reference(left)  # type: ignore[arg-type]
+    assert why == "what is left has no name, and no rival to be told from"
 
 
 def test_where_the_headline_cannot_tell_nothing_says_that_all_is_settled() -> None:

@@ -105,6 +105,17 @@ async def test_the_terminal_does_not_sleep_and_says_what_a_lost_host_would_mean(
         await until(pilot, lambda: "its program brings it to rest" in said(), "the policy is told")
 
 
+async def test_ctrl_c_where_it_ends_nothing_says_what_leaves_and_what_stops(
+    lab: ZendspApp, until: Until
+) -> None:
+    async with lab.run_test(size=(80, 24)) as pilot:
+        await until(pilot, lambda: lab.session.snapshot.link == "up", "link")
+        await pilot.press("ctrl+c")
+        await until(pilot, lambda: bool(lab._notifications), "a message")
+        (said,) = [n.message for n in lab._notifications]
+        assert said == "Ctrl+C ends nothing here: Ctrl+Q leaves, F9 is STOP"
+
+
 @pytest.mark.parametrize("answer", ["stay", "build"])
 async def test_a_build_that_ends_a_program_that_moves_the_machine_is_asked(
     lab: ZendspApp, target: Target, until: Until, answer: str

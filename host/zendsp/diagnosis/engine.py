@@ -26,7 +26,7 @@ from zendsp.diagnosis.decide.contract import Rejected, Verdict
 from zendsp.diagnosis.decide.decide_bodies import rejected_bodies
 from zendsp.diagnosis.decide.detectable import blind, detectable
 from zendsp.diagnosis.decide.naming import name_findings
-from zendsp.diagnosis.decide.notes import bent, left_over, notes_of
+from zendsp.diagnosis.decide.notes import apart, bent, left_over, notes_of
 from zendsp.diagnosis.decide.other_load import of_load
 from zendsp.diagnosis.decide.propose import propose
 from zendsp.diagnosis.decide.pushes import unpushed
@@ -176,6 +176,7 @@ def _diagnose(
     notes += [*of_load(found.load), *moved(given, whole.calibrated if found.load else better)]
     if not findings and all(d.final is d.base for d in decisions):  # else it is told by then
         notes += [note for errors in (own, *others) for note in bent(errors)]
+    notes += [n for e in (own, *others) for n in apart(e, verdict)]
     return Diagnosis(
         verdict=verdict,
         findings=findings,

@@ -197,6 +197,10 @@ class ZendspApp(TypeAhead):
         self.session.events.add(text, "warning")
         self.toast(text, "warning")
 
+    def action_help_quit(self) -> None:
+        """Ctrl+C where it ends nothing: say what leaves and what stops."""
+        self.toast("Ctrl+C ends nothing here: Ctrl+Q leaves, F9 is STOP", "warning")
+
     def _leave(self, keys: list[str] | None) -> None:
         if keys == ["leave"]:
             self.exit()

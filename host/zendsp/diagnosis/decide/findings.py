@@ -114,7 +114,7 @@ def percent(share: float) -> str:
 
 
 def sentence(term: Term, values: dict[str, Estimate]) -> str:
-    """The effect's own sentence with its numbers."""
+    """The effect's own sentence with its numbers; of a joint that slides, with a force."""
     words: dict[str, str] = {n: number(e) for n, e in values.items()}
     words["joint"] = str(term.joint)
     if "order" in values:
@@ -130,7 +130,9 @@ def sentence(term: Term, values: dict[str, Estimate]) -> str:
         part = number(Estimate(100.0 * abs(ratio.value), 100.0 * ratio.std, "%"))
         words["relative"] = f"{part} {'more' if ratio.value > 0 else 'less'}"
     words |= {name: str(what) for name, what in chosen(term).items()}
-    return get_effect(term.effect).sentence.format(**words)
+    text = get_effect(term.effect).sentence.format(**words)
+    slides = any(e.unit.split("/")[0] == "N" for e in values.values())
+    return text.replace("torque", "force") if slides else text
 
 
 def repeats(order: Estimate) -> str:

@@ -324,15 +324,19 @@ class Diagnosis:
         return " or ".join(u for u in ("rad", "m") if any(e.unit == u for e in self.errors))
 
     @property
+    def nameless(self) -> tuple[tuple[int, float], ...]:
+        """Joint and share of what has no name, and is more than the error of the sensor."""
+        shares = ((x.joint, x.share) for x in self.discrepancy)
+        return nameless(shares, (self.test or self.heldout).improved, self.noise_floor)
+
+    @property
     def headline(self) -> str:
         """The verdict in a sentence, or two; the mechanism first."""
         if self.stopped and not self.findings:
             return "Ended by Ctrl-C before it was done: nothing is claimed."
         found = [(f.mechanism, (f.effect, *f.indistinguishable), f.joint) for f in self.findings]
         unseen = dark((x.joint, x.interval) for x in self.discrepancy)
-        shares = ((x.joint, x.share) for x in self.discrepancy)
-        table = self.test or self.heldout
-        left = nameless(shares, table.improved, self.noise_floor)
+        table, left = self.test or self.heldout, self.nameless
         near = nearest(self.verdict, self.rejected)
         text = verdict_sentence(self.verdict, found, unseen, left, near, self.doubted)
         off = table.given > OFF * table.calibrated

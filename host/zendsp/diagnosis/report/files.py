@@ -79,7 +79,8 @@ def no_reference(d: Diagnosis) -> str:
     if d.stopped:
         return "it was not asked for after Ctrl-C"
     if d.next_recording is None and not d.doubted:
-        return "nothing is left open"
+        open_ = "what is left has no name, and no rival to be told from"
+        return open_ if d.nameless else "nothing is left open"
     if d.next_recording is None:
         return "no motion can be proposed for what is open"
     by_hand = "the experiment that it names is set up by hand"

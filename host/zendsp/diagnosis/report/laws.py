@@ -35,6 +35,7 @@ from zendsp.diagnosis.report.sides import (
     between,
     clearest,
     torque_label,
+    torque_word,
     units_at,
 )
 from zendsp.physics.calibration.fit import Data
@@ -117,18 +118,18 @@ def law_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Chart:
     chart = two_panels(d, finding, index, [law, *curves], (two.was, two.now))
     panels = tuple(replace(p, xlabel=along or p.xlabel) for p in chart.panels)
     flat = f" What lasts less than {1e3 * AROUND / band:.0f} ms is flatter here than it is."
-    title = _title(finding, joint, two)
+    title = _title(finding, joint, two, units_at(d, joint)["torque"])
     return replace(chart, title=title, panels=panels, note=chart.note + flat)
 
 
-def _title(finding: Finding, joint: int, two: Sides) -> str:
+def _title(finding: Finding, joint: int, two: Sides, unit: str) -> str:
     """What a law's figure shows: the law's own torque, which is not what a model lacks that is
     fitted without it; of a number that was given wrong, what lacked with it.
     """
     if two.by_law:
-        what = f"torque of {finding.effect}: the improved model without it and with it"
+        what = f"{torque_word(unit)} of {finding.effect}: the improved model without it and with it"
         return f"Joint {joint}: {what}"
-    return f"Joint {joint}: torque that the model {two.was} lacks, by {finding.effect}"
+    return f"Joint {joint}: {torque_word(unit)} that the model {two.was} lacks, by {finding.effect}"
 
 
 def _told_of(d: Diagnosis, w: Workings, finding: Finding) -> list[Term]:
@@ -196,7 +197,7 @@ def _over_time(
         finding.sentence,
         law_name(finding, index),
         (Panel("time [s]", torque_label(unit), tuple(lines), clock=True),),
-        title=f"{_title(finding, joint, two)}, where it acts most",
+        title=f"{_title(finding, joint, two, unit)}, where it acts most",
         size=(7.2, 3.2),
         finding=index,
         joint=joint,

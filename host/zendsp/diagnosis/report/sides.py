@@ -74,9 +74,14 @@ def units_at(d: Diagnosis, joint: int) -> dict[str, str]:
     }
 
 
+def torque_word(unit: str) -> str:
+    """What it is called: a force where it is in N."""
+    return "force" if unit == "N" else "torque"
+
+
 def torque_label(unit: str) -> str:
-    """Of an axis: a force where it is in N."""
-    return f"{'force' if unit == 'N' else 'torque'} [{unit}]"
+    """Of an axis."""
+    return f"{torque_word(unit)} [{unit}]"
 
 
 def clearest(data: Data, two: Sides, joint: int) -> tuple[float, list[Missing], list[Missing]]:
