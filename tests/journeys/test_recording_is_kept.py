@@ -87,4 +87,4 @@ def test_a_picture_that_cannot_be_drawn_hides_no_recording(installed: Installed)
     done = installed.run(*words)
     assert done.returncode == 1
     assert "100 rows of 2 signals to q.csv" in done.stdout
-    assert done.stderr.startswith("zendsp: file/q.png: cannot be drawn (")
+    assert done.stderr.startswith("zendsp: file/q.png: cannot be written (File exists)")

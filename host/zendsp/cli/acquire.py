@@ -10,6 +10,7 @@ import click
 from zendsp.cli.common import emit, open_target, out_option, progress, target_options
 from zendsp.cli.completing import variables
 from zendsp.cli.progress import drawing
+from zendsp.errors import RecordingError
 
 if TYPE_CHECKING:
     from zendsp.recording import Recording
@@ -154,7 +155,7 @@ def _draw(recording: Recording, path: Path) -> bool:
     try:
         with drawing(path, quiet=False):
             recording.plot(path=path)
-    except OSError as error:
-        click.echo(f"zendsp: {path}: cannot be drawn ({error.strerror})", err=True)
+    except RecordingError as error:
+        click.echo(f"zendsp: {error}", err=True)
         return False
     return True

@@ -67,7 +67,8 @@ def save_figure(figure: Figure, path: str | Path | None, dpi: int = 120) -> None
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, dpi=dpi)
     except (OSError, ValueError) as error:
-        raise RecordingError(f"{path}: cannot be written ({error})") from error
+        why = error.strerror if isinstance(error, OSError) and error.strerror else error
+        raise RecordingError(f"{path}: cannot be written ({why})") from error
 
 
 def _unit(recording: Samples, name: str) -> str:
