@@ -15,7 +15,8 @@ import reality
 
 from zendsp.diagnosis import Diagnosis, diagnose
 from zendsp.diagnosis.data.reading import read_signals
-from zendsp.diagnosis.external import hunt
+from zendsp.diagnosis.decide.contract import Rejected
+from zendsp.diagnosis.external import blackbox, hunt
 from zendsp.diagnosis.external.blackbox import WINDOW, _a_part
 from zendsp.diagnosis.external.nearby import Near
 from zendsp.diagnosis.external.output_error import errors, fit_output, with_term
@@ -218,6 +219,17 @@ def test_complete_simulator_raises_no_alarm(tmp_path: Path) -> None:
     d = diagnose(train, model, test, jobs=1)
     assert d.verdict == "complete" and d.findings == ()
     assert not [note for note in d.notes if "calibration moves" in note]
+
+
+def test_of_a_simulator_too_what_only_the_recordings_of_the_fit_show_stays_open(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lost = (Rejected("backlash", 1, "on the recordings held out", 5e3),)
+    monkeypatch.setattr(blackbox, "_rejected", lambda *_: lost)
+    train, test, model = files(tmp_path, reality.Machine(gravity=0.2, coulomb=0.0))
+    d = diagnose(train, model, test, jobs=1)
+    assert d.verdict == "unexplained" and d.headline.startswith("Cannot tell: ")
+    assert "by far likelier with backlash" in d.unexplained
 
 
 def test_what_calibration_made_of_a_simulators_numbers_is_noted(tmp_path: Path) -> None:

@@ -90,6 +90,15 @@ def nearest_law(
     return Near(named[0][0], before.value, after.value, piece.why, tuple(beside))
 
 
+def only_in_the_fit(joint: int, effect: str) -> str:
+    """A sentence, without its full stop, on what untouched recordings do not show."""
+    return (
+        f"Joint {joint}: the recordings of the fit are by far likelier with {effect}, and the"
+        " untouched ones do not say so: hold out motion as fast as theirs, or look for what is"
+        " wrong with them alone"
+    )
+
+
 def likeness(near: Near) -> str:
     """A sentence, without its full stop, on a law that comes near.
 

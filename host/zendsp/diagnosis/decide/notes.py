@@ -11,7 +11,7 @@ import numpy as np
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.contract import BEYOND, Verdict, spans, two_digits
 from zendsp.diagnosis.decide.findings import percent
-from zendsp.diagnosis.decide.near import likeness
+from zendsp.diagnosis.decide.near import likeness, only_in_the_fit
 from zendsp.diagnosis.decide.result import Errors
 from zendsp.diagnosis.decide.thresholds import AMISS, LAWFUL, OF_STATE
 from zendsp.diagnosis.measure.bursts import Bursts
@@ -250,11 +250,7 @@ def _left_at(d: Decision, decisions: Sequence[Decision], given: Model, fit: Data
             + _hardly_moves(fit, d.joint)
         )
     if d.doubted:
-        return (
-            f"Joint {d.joint}: the recordings of the fit are by far likelier with"
-            f" {d.doubted[0][0]}, and the untouched ones do not say so: hold out motion as fast as"
-            " theirs, or look for what is wrong with them alone"
-        )
+        return only_in_the_fit(d.joint, d.doubted[0][0])
     if d.kind == "missing":
         rest = _beside(d)
         told = rest > OF_STATE and d.after.low > OF_STATE

@@ -25,7 +25,8 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.data.split import read_divided
 from zendsp.diagnosis.decide.absorbed import moved
-from zendsp.diagnosis.decide.contract import Rejected, Verdict
+from zendsp.diagnosis.decide.contract import Rejected, Verdict, contradicted
+from zendsp.diagnosis.decide.near import only_in_the_fit
 from zendsp.diagnosis.decide.result import Diagnosis, FitTable, SimulatorErrors
 from zendsp.diagnosis.decide.thresholds import LEFT_BY_A_LAW
 from zendsp.diagnosis.external.hunt import (
@@ -188,6 +189,9 @@ def _diagnose(
     floor = _floor(test)
     rest = _rms(test, current.model)
     unexplained = "" if rest <= OVER_NOISE * floor else _unexplained(left, rest, floor, train[0])
+    rejected = _rejected(hunt, steps[0][0].gain if steps else 0.0, names)
+    doubted = () if findings or unexplained else contradicted(rejected)
+    unexplained = unexplained or "\n".join(only_in_the_fit(j, e) for e, j in doubted)
     verdict: Verdict = "missing" if findings else "unexplained" if unexplained else "complete"
     places, spans, at = located(before)
     calibrated, improved = _noted(base.fit), _noted(current.fit)
@@ -203,7 +207,7 @@ def _diagnose(
         ),
         heldout=FitTable(_rms(test, model), _rms(test, base.model), rest),
         noise_floor=floor,
-        rejected=_rejected(hunt, steps[0][0].gain if steps else 0.0, names),
+        rejected=rejected,
         next_recording=next_of(findings),
         seconds=time.perf_counter() - begin,
         notes=(*notes, _untried(train, test), *moved(model, improved)),
@@ -214,6 +218,7 @@ def _diagnose(
         missing=before,
         remaining=after,
         workings=_errors_over_time(test[0], base.model, current.model),
+        doubted=doubted,
     )
 
 
