@@ -398,9 +398,11 @@ def test_what_only_the_recordings_of_the_fit_say_is_not_called_complete() -> Non
         Rejected("backlash", 1, "on the recordings held out", 5925.0),
         Rejected("ripple", 1, "0.02 % of the torque", 900.0, Reason.TOO_SMALL),
         Rejected("ripple", 2, "0.02 % of the torque", 9000.0, Reason.TOO_SMALL),
-        Rejected("delay", 3, "on the recordings held out", 626.0),
+        Rejected("delay", 3, "a simulator of other steps seems as late", 1871.0),
         Rejected("delay", 4, "does not explain the mismatch", 0.0),
     ]
+    mass = Rejected("voltage_limit", 5, "on the recordings held out", 1196.0)
+    assert contradicted([*tried, mass]) == (("backlash", 1), ("voltage_limit", 5))
     assert (doubted := contradicted(tried)) == (("backlash", 1),)
     assert verdict_sentence("unexplained", [], doubted=doubted) == (
         "Cannot tell: the recordings of the fit are by far likelier with backlash at joint 1, and"

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from zendsp.diagnosis.data.series import repeats
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Known, Piece, needed
+from zendsp.diagnosis.decide.contract import is_stepped
 from zendsp.diagnosis.decide.findings import new_terms
 from zendsp.diagnosis.decide.near import why_apart
 from zendsp.diagnosis.decide.thresholds import (
@@ -223,7 +224,7 @@ def _lacks(test: Data, without: Model, final: Model, terms: Sequence[Term], size
     joint = terms[0].joint
     if discrepancy(test, without, joint).high > LACKED * size:
         return True
-    stepped = any(_stepped(t.effect) for t in terms)
+    stepped = any(is_stepped(t.effect) for t in terms)
     return not stepped and falls(test, without, final, joint, LACKED**2)
 
 
@@ -323,14 +324,7 @@ def _often(gains: Array) -> float:
 
 def finest(effect: str) -> float:
     """The least size of an effect that is a finding, as a part of the RMS torque."""
-    return STEPPED if _stepped(effect) else FINEST
-
-
-def _stepped(effect: str) -> bool:
-    """Whether a simulator that takes other steps, or rows that say little of the command between
-    them, may look like an effect: what comes late or swings.
-    """
-    return get_effect(effect).family in ("timing", "transmission")
+    return STEPPED if is_stepped(effect) else FINEST
 
 
 def _rubbing(parts: Parts, search: JointSearch, final: Scored, piece: Piece) -> list[Term]:

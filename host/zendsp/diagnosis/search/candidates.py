@@ -19,7 +19,6 @@ from zendsp.physics.effects import Effect, get_effect, is_supported, library
 from zendsp.physics.kernel.threads import threads
 from zendsp.physics.model import Model, Term
 
-COARSE = 1e-3  # s
 LIVELY = 6.0  # s of a recording, or a quarter of it: enough to choose where a transmission begins
 SLOWEST = 8.0  # rad/s: no screen looks through a slower observer
 SAME_INERTIA = 0.05  # change, as a logarithm, that is within the basin of a gap
@@ -175,20 +174,12 @@ def as_given(model: Model, given: Model) -> Model:
     return replace(model, mechanism=given.mechanism, terms=tuple(terms))
 
 
-def coarse(data: Data) -> Data:
-    """The same recordings with integration steps of up to a millisecond, for a first look at a
-    hypothesis.
-    """
-    steps = [min(data.inner, math.ceil(rec[0].sample_time / COARSE - 1e-6)) for rec in data.records]
-    return replace(data, inner=max(1, *steps))
-
-
 def first_look(data: Data, model: Model, joint: int) -> Data:
-    """The recordings for a first look at a model: coarse, and thinned where no resonance of a
-    transmission needs every sample.
+    """The recordings for a first look at a model: thinned where no resonance of a transmission
+    needs every sample.
     """
     fast = any(get_effect(t.effect).family == "transmission" for t in model.at(joint))
-    return coarse(data if fast else data.thinned())
+    return data if fast else data.thinned()
 
 
 def scan(
@@ -215,7 +206,7 @@ def scan(
             for values in effect.scan(facts(record, model, numbers))
         ]
     if effect.family == "transmission":
-        data = coarse(data).liveliest(joint, LIVELY)
+        data = data.liveliest(joint, LIVELY)
     elif not any(get_effect(t.effect).family == "transmission" for t in models[0].at(joint)):
         data = data.thinned()
     trials = [

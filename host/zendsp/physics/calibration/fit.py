@@ -7,6 +7,7 @@ white do not pretend to know more than they do.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -36,6 +37,9 @@ NEAR = 0.02  # of a bound, and a number counts as lying at it
 ZERO_ERROR = 2e-3
 # s between the samples of a first look: sixteen a radian at the fastest observer that is tried
 FIRST_LOOK = 4e-3
+# s: no longer integration step where a sample is taken in one; where that is too long, a fit's
+# step error says so (convergence.py), and the search halves it
+INNER_STEP = 2e-3
 REMEMBERED = 32  # fits of a recording: a search asks for some of them again
 
 
@@ -52,6 +56,11 @@ def joint_handles(data: Data, model: Model, joint: int) -> tuple[Handle, ...]:
             continue
         out.append(h)
     return tuple(out)
+
+
+def inner_steps(records: Sequence[Sequence[JointRecord]]) -> int:
+    """Integration steps a sample to begin with: as many as a millisecond wants, two at most."""
+    return max(min(2, math.ceil(rec[0].sample_time / INNER_STEP - 1e-6)) for rec in records)
 
 
 @dataclass(frozen=True)
@@ -74,13 +83,11 @@ class Data:
 
     def thinned(self) -> Data:
         """The same recordings with samples as rare as a first look at a hypothesis needs them."""
-        return replace(
-            self,
-            records=tuple(
-                tuple(r.thinned(int(FIRST_LOOK / r.sample_time + 1e-6)) for r in rec)
-                for rec in self.records
-            ),
+        records = tuple(
+            tuple(r.thinned(int(FIRST_LOOK / r.sample_time + 1e-6)) for r in rec)
+            for rec in self.records
         )
+        return replace(self, records=records, inner=inner_steps(records))
 
     def liveliest(self, joint: int, seconds: float) -> Data:
         """The same recordings with the part of each in which a joint (1-based) is accelerated most:
