@@ -66,7 +66,7 @@ def law_of(
         or not (contains(r, term) or _beside_a_number(given, final, first, r))
     ]
     scores = _scores(parts, joint, final, term, every)
-    instead = _likelier(piece, final, every, scores)
+    instead = _likelier(final, every, scores)
     other = [r.effect != term.effect for r in every]
     rivals, scores = [r for r, o in zip(every, other, strict=True) if o], scores[[True, *other]]
     weights = _weights(scores)
@@ -136,17 +136,15 @@ def _scores(parts: Parts, joint: int, final: Scored, term: Term, every: Sequence
     return np.asarray(scores + np.array(prices)[:, None] / scores.shape[1])
 
 
-def _likelier(piece: Piece, final: Scored, every: Sequence[Rival], scores: Array) -> Scored | None:
-    """A law of the same mechanism, or the same one at other numbers, that is clearly more likely
-    than the one that stands in the final model, on the recordings to choose by too.
+def _likelier(final: Scored, every: Sequence[Rival], scores: Array) -> Scored | None:
+    """A law of this mechanism or another, or the same one at other numbers, that is clearly more
+    likely than the one that stands in the final model, on the recordings to choose by too.
     """
     behind = scores[1:].sum(axis=1) - scores[0].sum()
     better = [
         (float(d), r.scored)
         for d, r in zip(behind, every, strict=True)
-        if d < -WAIT
-        and mechanism_of(r.effect) == piece.mechanism
-        and r.scored.deviance < final.deviance - WAIT
+        if d < -WAIT and r.scored.deviance < final.deviance - WAIT
     ]
     return min(better, key=lambda b: b[0])[1] if better else None
 
