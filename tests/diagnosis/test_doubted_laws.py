@@ -15,6 +15,7 @@ from zendsp.diagnosis.decide import absorbed, patchwork, pushes
 from zendsp.diagnosis.decide.claims import Claim
 from zendsp.diagnosis.decide.contract import nameless, spans
 from zendsp.diagnosis.decide.headline import verdict_sentence
+from zendsp.diagnosis.decide.rivals import _likelier
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.structure import MEMORY, Structure
 from zendsp.diagnosis.measure.where import Missing, energy, located
@@ -217,3 +218,18 @@ def test_an_inertia_that_the_command_between_the_rows_may_make_is_no_finding(
     whole: Any = SimpleNamespace(improved=improved)
     claims = absorbed.shifted(given, search, whole, (), data)
     assert [f.effect for _, _, f in claims] == (["inertia"] if found else [])
+
+
+def test_a_law_of_another_mechanism_takes_the_place_of_one_that_it_is_far_likelier_than() -> None:
+    """A joint without its rotor and its friction was a gain of -68 %, and its friction a third."""
+    final: Any = SimpleNamespace(deviance=-51000.0)
+
+    def rival(effect: str, deviance: float) -> Any:
+        return SimpleNamespace(effect=effect, scored=SimpleNamespace(deviance=deviance))
+
+    rivals = [rival("inertia", -72000.0), rival("load_friction", -60000.0)]
+    scores = np.array([[0.0, 0.0], [-9000.0, -9000.0], [-4000.0, -4000.0]])
+    assert _likelier(final, rivals, scores) is rivals[0].scored
+    scores[1:] *= -1  # the recordings to choose by deny it
+    assert _likelier(final, rivals, scores) is None
+    assert _likelier(final, [rival("inertia", -51001.0)], -scores[:2]) is None  # hardly likelier
