@@ -536,3 +536,28 @@ def test_a_term_without_which_all_recordings_are_far_less_likely_is_not_fitted_a
     given: Any = None
     assert pieces.worth_choosing(parts, given, search, 1) is final
     assert len(long) == refitted
+
+
+def test_a_piece_is_not_worth_more_than_all_that_was_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Viscous friction of 380 N m s/rad and another joint's of -360: of two joints that moved alike
+    each was "missing" at 95 %, since without one the other ran away.
+    """
+    base, final = (SimpleNamespace(deviance=d, model=d) for d in (0.0, -9.0))
+    away = SimpleNamespace(deviance=-5.0, model=-5.0)
+    sizes = {away.model: 14.0, base.model: 0.6}
+    monkeypatch.setattr(pieces, "_without", lambda *_: away)
+    monkeypatch.setattr(pieces, "difference", lambda _, without, *__: sizes[without])
+    monkeypatch.setattr(pieces, "compare", lambda *_: Evidence(9.0, 9.0, np.ones(4)))
+    monkeypatch.setattr(pieces, "log_e_value", lambda *_: 0.0)
+    monkeypatch.setattr(pieces, "_lacks", lambda *_: True)
+    test: Any = SimpleNamespace(joints=1)
+    terms = (Term("viscous", 1, {"coefficient": Quantity(380.0)}),)
+
+    def asked() -> Piece:
+        return pieces.piece_of(test, Any, final, "fluid_friction", terms, base, 1)  # type: ignore[arg-type]
+
+    assert (asked().without, asked().size) == (base, 0.6)
+    sizes[away.model] = 0.5
+    assert (asked().without, asked().size) == (away, 0.5)

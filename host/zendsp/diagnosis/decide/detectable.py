@@ -53,7 +53,7 @@ from zendsp.diagnosis.measure.likelihood import Scored, fit_scored, informative
 from zendsp.diagnosis.measure.windows import standing_out, window_error
 from zendsp.diagnosis.search.hypothesis import price
 from zendsp.diagnosis.search.rounds import PROMISING
-from zendsp.diagnosis.search.screen import Screen, phase_of
+from zendsp.diagnosis.search.screen import FIRST_ORDER, Screen, phase_of
 from zendsp.diagnosis.search.short_fits import WAIT
 from zendsp.physics.calibration.fit import Data, Fit, fit, joint_handles, residual
 from zendsp.physics.calibration.handles import get_values, set_values
@@ -135,8 +135,9 @@ def _joint(parts: Parts, given: Model, decision: Decision, jobs: int) -> list[De
         if size is None:
             continue
         parameter = effect.parameter(_key(effect))
-        if size[0] > max(r.scale.of(parameter.size) for r in screen.records):
-            continue  # as large as all torque, or all travel, and not shown: no size is
+        most = max(r.scale.of(parameter.size) for r in screen.records)
+        if size[0] > (FIRST_ORDER if parameter.size == "time" else most):
+            continue  # as large as all torque or travel, or beyond any fit, and not shown: no size
         unit = unit_of(
             parameter.size,
             given.joint_kind(joint),

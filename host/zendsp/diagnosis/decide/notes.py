@@ -144,7 +144,8 @@ def _all_for_the_load(decisions: Sequence[Decision], given: Model) -> list[str]:
 def bent(errors: Errors) -> list[str]:
     """The note where calibration makes it worse: what the model lacks bends its numbers."""
     test, unit = errors.test, errors.unit
-    if test.calibrated < MADE_WORSE * max(test.given, errors.noise_floor):
+    least = MADE_WORSE * max(test.given, errors.noise_floor)
+    if not test.calibrated or test.calibrated < least:  # of a joint that rests all are nothing
         return []
     return [
         "calibrated, the model predicts the untouched recordings worse than as given"

@@ -25,6 +25,7 @@ from zendsp.diagnosis.decide.thresholds import (
     LAW_ERROR,
     LEFT_BY_A_LAW,
     PREDICTED,
+    RUN_AWAY,
     STEPPED,
     SURE,
 )
@@ -183,13 +184,16 @@ def piece_of(
     jobs: int,
 ) -> Piece:
     """What taking some terms of a joint away costs on untouched recordings; ``base`` is the
-    calibrated model, which every one of them contains and so none can fit worse than.
+    calibrated model, which every one of them contains and so none can fit worse than. Nor is one
+    worth more than all of them: where two others cancel without it, they run away from each other.
     """
     joint = terms[0].joint
     without = _without(given, final, joint, terms, jobs)
     without = min(without, base, key=lambda scored: scored.deviance)
-    held = compare(without, final, test, joint)
     size = difference(test, without.model, final.model, joint)
+    if size > RUN_AWAY and size > (whole := difference(test, base.model, final.model, joint)):
+        without, size = base, whole
+    held = compare(without, final, test, joint)
     size *= _unseen(test, final.model, terms, joint)
     log_e = log_e_value(held, without, final, test, joint)
     lacks = _lacks(test, without.model, final.model, terms, size)

@@ -142,17 +142,18 @@ def shapes(
 
 def _swung(record: JointRecord) -> Array:
     """What hangs on the joint and swings: position and speed of damped masses on springs of several
-    frequencies, carried along, (columns, n). Any linear law with a memory is near a sum of them.
+    frequencies, carried along, (columns, n); zero where the samples are too rare for one. Any
+    linear law with a memory is near a sum of them.
     """
     a, h = record.motion.states[2], record.sample_time
-    columns = []
-    for hertz in SWINGING:
+    columns = np.zeros((len(SWINGING), 2, record.n))
+    for column, hertz in zip(columns, SWINGING, strict=True):
         if hertz * h < SLOWER:
             w = 2 * np.pi * hertz
             decay, turn = np.exp(-DAMPING * w * h), np.cos(w * np.sqrt(1 - DAMPING**2) * h)
             place = swung(a, h, 2 * decay * turn, -(decay**2))
-            columns += [w**2 * place, w * np.gradient(place, h)]
-    return np.array(columns).reshape(-1, record.n)
+            column[:] = w**2 * place, w * np.gradient(place, h)
+    return columns.reshape(-1, record.n)
 
 
 STRUCTURED = ("position_torque", "dry_friction", "fluid_friction", "actuator")

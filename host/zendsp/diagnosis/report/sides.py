@@ -4,6 +4,7 @@ most clearly.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -88,7 +89,7 @@ def clearest(data: Data, two: Sides, joint: int) -> tuple[float, list[Missing], 
     """The fastest observer to which what parts two models (of one: what it lacks) stands out of the
     noise, or the one to which it stands out most: its band, rad/s, and what each of the two lacks.
     """
-    best = -1.0
+    best = -math.inf
     for band in BANDS:
         before, after = (mismatch(data, model, joint, band) for model in (two.before, two.after))
         alone = two.before is two.after
