@@ -26,6 +26,7 @@ from zendsp.diagnosis.measure import structure as measure_structure
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.report.figures import charts
 from zendsp.diagnosis.report.laws import law_chart, unknown_chart
+from zendsp.diagnosis.search.screen import FIRST_ORDER
 from zendsp.physics.calibration.handles import get_values
 from zendsp.physics.effects import get_effect
 from zendsp.physics.files.model_file import parse_model
@@ -313,6 +314,17 @@ def test_complete_says_what_would_have_been_seen_and_an_effect_of_twice_that_is_
     assert 0 < ripple.size < 0.01
     again = decided(reality.Machine(ripple=2 * ripple.size))
     assert [f.effect for f in again.findings] == ["ripple"]
+
+
+@pytest.mark.usefixtures("searched_once")
+@pytest.mark.parametrize("late", [0.02, 0.2])
+def test_no_delay_is_said_to_be_missed_below_a_time_that_no_fit_reaches(
+    late: float, decided: Decided, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a KUKA a delay of 0.2 s "may have been missed"."""
+    monkeypatch.setattr(sizes._Implant, "seen", lambda *_: (late, 0.1))
+    told = {x.effect for x in decided(reality.Machine()).detectable}
+    assert ("delay" in told) is (late < FIRST_ORDER)
 
 
 @pytest.mark.usefixtures("searched_once")

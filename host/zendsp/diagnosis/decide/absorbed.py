@@ -271,7 +271,7 @@ def _rotor(
     joint = decision.joint
     both = [
         [t for t in m.at(joint) if t.effect == "inertia"]
-        for m in (given, decision.final.model, whole.improved)
+        for m in (given, decision.alone.model, whole.improved)
     ]
     if any(len(terms) != 1 for terms in both):
         return []
@@ -282,8 +282,8 @@ def _rotor(
     amount = after.value - before.value
     z = amount / math.hypot(max(TOLERANCE * before.value, before.std), after.std)
     fixed = stated.held()
-    terms = tuple(fixed if t is fitted else t for t in decision.final.model.terms)
-    size = _size(decision.final.model.with_terms(terms), decision, test) if abs(z) >= FAR else None
+    terms = tuple(fixed if t is fitted else t for t in decision.alone.model.terms)
+    size = _size(decision.alone.model.with_terms(terms), decision, test) if abs(z) >= FAR else None
     if size is None:
         return []
     unit = "kg" if given.joint_kind(joint) == "linear" else "kg m²"
@@ -315,15 +315,16 @@ def _by_unseen(improved: Model, joint: int, test: Data) -> float:
 def _held(given: Model, decision: Decision, key: str) -> Model:
     """The model of a joint with a parameter of the mechanism as it was given."""
     items = tuple(replace(q, free=False) for q in given.mechanism[key])
-    model = decision.final.model
+    model = decision.alone.model
     return replace(model, mechanism={**model.mechanism, key: items})
 
 
 def _size(held: Model, decision: Decision, test: Data) -> float | None:
     """Torque that a model without a shift leaves, as a part of the RMS torque; None where the
-    recordings, held-out ones included, do not insist on the shift.
+    recordings, held-out ones included, do not insist on the shift. Asked beside the claims alone:
+    what only refines the fit is bent to make up for a wrong mass.
     """
-    final, joint = decision.final, decision.joint
+    final, joint = decision.alone, decision.joint
     handles = joint_handles(final.data, held, joint)
     fixed = fit_scored(final.data, held, handles, (joint,), rounds=3)
     if fixed.deviance - final.deviance < INSISTS:
