@@ -136,6 +136,17 @@ def test_coulomb_friction_that_a_python_simulator_lacks_is_named(tmp_path: Path)
     assert again.verdict == "complete", again.findings
 
 
+def test_a_simulator_gets_the_command_as_late_as_the_model_says(tmp_path: Path) -> None:
+    """A machine of zendsp was a lag of 1.6 ms in the FMU that is exactly it."""
+    train, _, path = files(tmp_path, reality.Machine(gravity=0.2))
+    path.write_text(path.read_text().replace("[actuator]", "[actuator]\ndelay = 0.008"))
+    model = load_model(path)
+    b = bench(read_signals(train, model), model, Entry(model))
+    given, told = b.signals.command[:, 0], b.command(model)[:, 0]
+    assert told[2:] == pytest.approx(given[:-2]), "two rows late"
+    assert told[:2] == pytest.approx(given[:1].repeat(2)), "before the first row: as in it"
+
+
 @pytest.mark.long("each joint alone is tested; lost: in how few rounds, a matter of time")
 def test_effects_of_several_joints_are_taken_in_one_round(tmp_path: Path) -> None:
     """One at a time, six joints with friction took a quarter of an hour."""

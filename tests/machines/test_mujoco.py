@@ -220,6 +220,43 @@ def test_two_motors_of_a_joint_are_one_drive_as_strong_as_both(tmp_path: Path) -
         assert plant.info.joint[1].torque_max != 80.0, "one of the two has no limit"
 
 
+def test_a_joint_without_a_limit_is_as_strong_as_its_weight_asks_wherever_it_turns(
+    tmp_path: Path,
+) -> None:
+    """Upright it weighs nothing; a drive that lifts nothing lets it fall at the first sway."""
+    model = tmp_path / "upright.xml"
+    model.write_text(
+        """<mujoco><worldbody><body><joint name="turn" axis="0 1 0" frictionloss="0.2"/>
+        <geom size="0.01" pos="0 0 0.2" mass="0.5"/></body></worldbody></mujoco>"""
+    )
+    with robot(model) as plant:
+        weighs, turns = 0.5 * 9.81 * 0.2, 0.5 * 0.2**2
+        wanted = 2.0 * (weighs + 0.2) + 50.0 * turns
+        assert plant.info.joint[0].torque_max == pytest.approx(wanted, rel=0.03)
+
+
+@pytest.mark.parametrize("limit", [2.0, 2000.0])
+def test_a_torque_limit_beyond_all_need_makes_no_noise_that_moves_the_joint(
+    tmp_path: Path, limit: float
+) -> None:
+    """As in URDFs, in which 1000 N m stand wherever nobody knew."""
+    model = tmp_path / "light.xml"
+    model.write_text(
+        f"""<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="turn" axis="0 1 0"/>
+        <geom size="0.05" mass="1"/></body></worldbody>
+        <actuator><motor joint="turn" ctrlrange="-{limit} {limit}"/></actuator></mujoco>"""
+    )
+    with robot(model, ideal=False) as plant:
+        assert plant.info.joint[0].torque_max == limit, "the limit is the file's"
+        speeds = []
+        for _ in range(400):
+            plant.torque([0.0])
+            speeds.append(plant.qd[0])
+    inertia, fits = 1e-3, 50.0 * 1e-3
+    noise = np.std(np.diff(speeds)) * inertia / 0.001
+    assert 0.3e-4 * fits < noise < 1.5e-4 * fits
+
+
 def test_a_slide_is_in_metres_and_joints_without_a_motor_have_an_encoder_when_named() -> None:
     with robot(MODELS / "cart.xml", "joints = slider,pole", "q2 = 0.1") as plant:
         assert [plant.ffi.string(plant.info.joint[j].unit) for j in range(2)] == [b"m", b"rad"]

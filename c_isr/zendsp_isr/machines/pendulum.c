@@ -236,7 +236,7 @@ static void pendulum_write(void *handle, const machine_actuators *actuators) {
     pendulum *m = handle;
     plant_command(&m->plant, &m->info, actuators);
     if (m->by_voltage && actuators->mode == MACHINE_TORQUE)
-        m->plant.command[0] = plant_analog(&m->plant, actuators->aout[0]) * supply / full_scale;
+        m->plant.command[0] = plant_analog(&m->plant, 0, actuators->aout[0]) * supply / full_scale;
 }
 
 static void pendulum_step(void *handle, double dt) {

@@ -53,6 +53,7 @@ typedef struct plant_drive {
 typedef struct plant_electronics {
     double dac_step;                    /* mV, resolution of the analog command */
     double dac_noise;                   /* mV rms on the analog command, new in every sample */
+    double finer[PLANT_JOINTS];         /* part of both that a joint's own drive has; 0: all */
     double current_loop;                /* s, time constant of the drive's current loop */
     double encoder_noise[PLANT_JOINTS]; /* counts rms, of a sensor that is interpolated */
 } plant_electronics;
@@ -298,11 +299,12 @@ static inline int32_t plant_counts(plant *p, const machine_info *info, int j, do
     return (int32_t)floor(position * joint->counts_per_unit + joint->zero_counts + noise);
 }
 
-/* What the analog output makes of a number, mV. */
-static inline double plant_analog(plant *p, double mv) {
+/* What the analog output of joint j makes of a number, mV. */
+static inline double plant_analog(plant *p, int j, double mv) {
     const plant_electronics *e = &p->electronics;
-    const double shown = e->dac_step > 0.0 ? e->dac_step * floor(mv / e->dac_step + 0.5) : mv;
-    return shown + plant_noise(p, e->dac_noise);
+    const double part = e->finer[j] > 0.0 ? e->finer[j] : 1.0, step = part * e->dac_step;
+    const double shown = step > 0.0 ? step * floor(mv / step + 0.5) : mv;
+    return shown + plant_noise(p, part * e->dac_noise);
 }
 
 /* Take over the actuators: mV → N m or rad/s. A drive that changes into velocity mode starts its
@@ -313,7 +315,7 @@ static inline void plant_command(plant *p, const machine_info *info, const machi
         const double scale =
             a->mode == MACHINE_VELOCITY ? joint->mv_per_speed : joint->mv_per_torque;
         p->command[j] =
-            a->mode == MACHINE_OFF || scale == 0.0 ? 0.0 : plant_analog(p, a->aout[j]) / scale;
+            a->mode == MACHINE_OFF || scale == 0.0 ? 0.0 : plant_analog(p, j, a->aout[j]) / scale;
         if (a->mode != p->mode)
             p->integral[j] = 0.0;
     }

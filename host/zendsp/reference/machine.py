@@ -324,7 +324,8 @@ def load_machine(name: str) -> Machine:
     if path.suffix != ".toml" or not path.is_file():
         raise ReferenceError_(
             f'no machine "{name}": expected {", ".join(MACHINES)} or the path of a .toml'
-            " description"
+            " description; for any other, start its target and plan in the terminal (zendsp tui,"
+            " F4)"
         )
     try:
         return _parse(written.toml(path.read_text()), str(path))

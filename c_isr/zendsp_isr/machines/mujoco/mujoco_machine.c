@@ -173,8 +173,12 @@ static int load(robot *r, const char *config, double period, char *error, size_t
     r->plant.carry_self = r;
     describe(r, config);
     plant_equip(&r->plant, config, &usual, 2.0 * full_scale);
-    for (int j = 0; j < r->plant.joints; j++)
+    for (int j = 0; j < r->plant.joints; j++) {
         r->plant.q[j] = r->data->qpos[r->position[j]];
+        /* A limit far beyond what the joint needs (1000 N m stand in many a URDF) is no reason for
+         * an analog output so coarse, and so noisy, that a diagnosis finds it. */
+        r->plant.electronics.finer[j] = fmin(1.0, r->fits[j] / r->info.joint[j].torque_max);
+    }
     if (concealed_attach(&r->concealed, &r->plant, config, error, size) != 0)
         return -1;
     return check_time(r, config, period, error, size, file);

@@ -224,15 +224,32 @@ static int place(robot *r, const char *config, char *error, size_t size, const c
     return 0;
 }
 
-/* Smallest and present inertia of every joint, over poses spread through its range (a
- * low-discrepancy sequence). */
-static void look_at_inertia(robot *r, double *least, double *here) {
+/* Of every joint, over poses spread through its range (a low-discrepancy sequence). */
+typedef struct look {
+    double least[PLANT_JOINTS], here[PLANT_JOINTS]; /* inertia: the smallest, and at the start */
+    double heaviest[PLANT_JOINTS];                  /* largest weight, springs with it, N m */
+} look;
+
+static void look_at(robot *r, double *now, double *heaviest) {
+    const mjData *d = r->data;
+    inertia_here(r, now);
+    for (int j = 0; j < r->plant.joints; j++) {
+        const int dof = r->speed[j];
+        heaviest[j] = fmax(heaviest[j], fabs(d->qfrc_bias[dof] - d->qfrc_passive[dof]));
+    }
+}
+
+static void look_around(robot *r, look *seen) {
     mjData *d = r->data;
-    double start[PLANT_JOINTS], now[PLANT_JOINTS];
-    for (int j = 0; j < r->plant.joints; j++)
+    double start[PLANT_JOINTS], now[PLANT_JOINTS], loss[PLANT_JOINTS];
+    *seen = (look){0};
+    for (int j = 0; j < r->plant.joints; j++) {
         start[j] = d->qpos[r->position[j]];
-    inertia_here(r, here);
-    memcpy(least, here, sizeof(double) * PLANT_JOINTS);
+        loss[j] = r->model->dof_frictionloss[r->speed[j]];
+        r->model->dof_frictionloss[r->speed[j]] = 0.0; /* a joint that it holds seems heavy */
+    }
+    look_at(r, seen->here, seen->heaviest);
+    memcpy(seen->least, seen->here, sizeof seen->least);
     for (int i = 1; i <= POSES; i++) {
         for (int j = 0; j < r->plant.joints; j++) {
             const double *range = range_of(r->model, r->joint[j]);
@@ -240,13 +257,14 @@ static void look_at_inertia(robot *r, double *least, double *here) {
             const double share = fmod(i * pow(1.2207440846, -(j + 1.0)), 1.0);
             d->qpos[r->position[j]] = low + share * (high - low);
         }
-        inertia_here(r, now);
+        look_at(r, now, seen->heaviest);
         for (int j = 0; j < r->plant.joints; j++)
-            if (now[j] < least[j])
-                least[j] = now[j];
+            seen->least[j] = fmin(seen->least[j], now[j]);
     }
-    for (int j = 0; j < r->plant.joints; j++)
+    for (int j = 0; j < r->plant.joints; j++) {
         d->qpos[r->position[j]] = start[j];
+        r->model->dof_frictionloss[r->speed[j]] = loss[j];
+    }
     mju_zero(d->qvel, (int)r->model->nv);
     mju_zero(d->qfrc_applied, (int)r->model->nv);
     mju_zero(d->qacc_warmstart, (int)r->model->nv);
@@ -315,21 +333,24 @@ static double joint_torque(const mjModel *m, int joint) {
     return most > 0.0 && own > 0.0 ? fmin(most, own) : most > 0.0 ? most : own;
 }
 
-static void describe_joint(robot *r, int j, const char *config, double inertia, double gravity) {
+static void describe_joint(robot *r, int j, const char *config, const look *seen) {
     mjModel *m = r->model;
     const int joint = r->joint[j], actuator = actuator_of(m, joint),
               slide = m->jnt_type[joint] == mjJNT_SLIDE;
     const double *range = range_of(m, joint);
+    const double inertia = seen->here[j];
     machine_joint *info = &r->info.joint[j];
     char text[MACHINE_NAME];
     snprintf(text, sizeof text, "joint %d", j + 1);
     snprintf(info->name, sizeof info->name, "%.31s", name_of(m, m->name_jntadr[joint], text));
     snprintf(info->unit, sizeof info->unit, slide ? "m" : "rad");
     r->gear[j] = actuator >= 0 ? m->actuator_gear[6 * m->actuator_outadr[actuator]] : 1.0;
-    /* a model that names no limit gets what lifts it twice over and 50 rad/s² (m/s²) besides */
+    /* a model that names no limit gets what lifts it twice over, anywhere, and 50 rad/s² (m/s²)
+     * besides */
+    r->fits[j] = 2.0 * (seen->heaviest[j] + m->dof_frictionloss[r->speed[j]]) + 50.0 * inertia;
     double torque = joint_torque(m, joint);
     if (torque <= 0.0)
-        torque = 2.0 * fabs(gravity) + 50.0 * inertia;
+        torque = r->fits[j];
     torque = machine_config_double(config, "torque_max", torque);
     const double speed = machine_config_double(config, "speed_max",
                                                slide   ? 2.0
@@ -439,14 +460,14 @@ static void describe(robot *r, const char *config) {
     r->info.stop_input = 0;
     r->info.stop_level = 1;
     snprintf(r->info.name, sizeof r->info.name, "%.31s", name_of(m, 0, "mujoco"));
-    double least[PLANT_JOINTS], here[PLANT_JOINTS];
-    look_at_inertia(r, least, here);
+    look seen;
+    look_around(r, &seen);
     mj_forward(m, r->data);
     begin_gains(r);
     r->longest = 5e-4;
     for (int j = 0; j < r->plant.joints; j++) {
-        describe_joint(r, j, config, here[j], r->data->qfrc_bias[r->speed[j]]);
-        r->longest = fmin(r->longest, take_friction(r, j, least[j]));
+        describe_joint(r, j, config, &seen);
+        r->longest = fmin(r->longest, take_friction(r, j, seen.least[j]));
     }
     step_by(r, machine_config_double(config, "substep", fmax(fmin(r->longest, 1e-4), 2e-6)));
     name_sensors(r);

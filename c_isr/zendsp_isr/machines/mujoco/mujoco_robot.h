@@ -29,6 +29,7 @@ typedef struct robot {
     int position[PLANT_JOINTS];    /* place in qpos */
     int speed[PLANT_JOINTS];       /* place in qvel */
     double gear[PLANT_JOINTS];     /* joint torque a unit of actuator force */
+    double fits[PLANT_JOINTS];     /* N m, limit of a drive that fits the joint */
     double net[PLANT_JOINTS];      /* N m, last torque on the joints */
     int sensor[MACHINE_ADCS];      /* of the model */
     int element[MACHINE_ADCS];     /* of the sensor */

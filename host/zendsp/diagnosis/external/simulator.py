@@ -235,7 +235,7 @@ class Bench:
             0.01 * record.scale.speed,
         ) * self.blur
         torque = trace(record, model, terms, floor) if terms else np.zeros(record.n)
-        motion, command = along(record, model), record.command
+        motion, command = along(record, model), self._arrived(record)
         for term, effect in effects:
             numbers = {name: q.value for name, q in term.parameters.items()}
             if effect.retime is not None:
@@ -245,6 +245,15 @@ class Bench:
         # held from its row to the next: what acts meanwhile is the mean of both
         held = 0.5 * (torque + np.r_[torque[1:], torque[-1:]])
         return np.asarray(command - held / gain, dtype=np.float64)
+
+    def _arrived(self, record: JointRecord) -> Array:
+        """A joint's command as late as ``[actuator] delay`` says, (n,)."""
+        late, moved = self.given.actuator.delay, get_effect("delay").retime
+        if not late or moved is None:
+            return record.command
+        before = record.command[0]  # what was commanded before the first row is not known
+        arrived = before + moved(record.command - before, record.sample_time, {"time": late})
+        return np.asarray(arrived, dtype=np.float64)
 
     def sensed(self, out: Array, model: Model) -> Array:
         """What the position sensors say of a simulated motion, (N, joints)."""
