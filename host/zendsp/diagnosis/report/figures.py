@@ -130,17 +130,16 @@ def torque_chart(d: Diagnosis, two: Sides, joint: int) -> Chart:
             cut = _thin(len(m.time))
             at = m.time - m.time[0] + start
             series.append(Series("line", role, at[cut], torque[cut], "" if k else label))
-    name = {"calibrated": "calibrated model", "as given": "model as given"}[two.was]
     return Chart(
         "where",
-        f"Joint {joint}: the torque that the {name} lacks, over time",
+        f"Joint {joint}: the torque that the {two.lacking} lacks, over time",
         f"torque_joint{joint}",
         (
             Panel(
                 "time [s]" if len(times) == 1 else JOINED,
                 torque_label(units_at(d, joint)["torque"]),
                 tuple(series),
-                f"Joint {joint}: torque that the {name} lacks along the {_shown_on(d)}",
+                f"Joint {joint}: torque that the {two.lacking} lacks along the {_shown_on(d)}",
                 spans=d.times[:4] if len(times) == 1 else (),  # of one recording's clock
                 clock=len(times) == 1,
             ),

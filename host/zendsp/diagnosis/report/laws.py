@@ -32,6 +32,7 @@ from zendsp.diagnosis.report.curve_panels import (
 )
 from zendsp.diagnosis.report.sides import (
     Sides,
+    as_given,
     between,
     clearest,
     torque_label,
@@ -87,7 +88,7 @@ def law_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Chart:
     replaced = [t for t in whole.calibrated.at(finding.joint) if t.effect in finding.replaces]
     kept = [t for t in whole.improved.terms if t not in terms]
     less, more = f"without {finding.effect}", f"with {finding.effect}"
-    two = Sides(kernel_model(d.given), whole.improved, "as given", "calibrated")
+    two = as_given(kernel_model(d.given), whole.improved)
     if "recordings" in finding.numbers:  # a load that others have not
         two = Sides(whole.calibrated, whole.improved, less, more, by_law=True)
     elif terms:
@@ -129,7 +130,7 @@ def _title(finding: Finding, joint: int, two: Sides, unit: str) -> str:
     if two.by_law:
         what = f"{torque_word(unit)} of {finding.effect}: the improved model without it and with it"
         return f"Joint {joint}: {what}"
-    return f"Joint {joint}: {torque_word(unit)} that the model {two.was} lacks, by {finding.effect}"
+    return f"Joint {joint}: {torque_word(unit)} that the {two.lacking} lacks, by {finding.effect}"
 
 
 def _told_of(d: Diagnosis, w: Workings, finding: Finding) -> list[Term]:

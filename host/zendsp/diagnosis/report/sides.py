@@ -22,14 +22,23 @@ from zendsp.physics.model import Model
 @dataclass(frozen=True)
 class Sides:
     """Two models of a joint that a figure compares, in kernel form; the same where nothing was
-    found. ``was`` and ``now`` are their labels; where ``by_law``, ``before`` is ``after`` without
-    one law.
+    found.
+
+    Attributes
+    ----------
+    was, now : str
+        Labels of their lines.
+    lacking : str
+        What a title calls ``before``, the model that lacks something.
+    by_law : bool
+        Whether ``before`` is ``after`` without one law.
     """
 
     before: Model
     after: Model
     was: str
     now: str
+    lacking: str = "calibrated model"
     by_law: bool = False
 
 
@@ -46,8 +55,13 @@ def sides(findings: Sequence[Finding], given: Model, whole: Assembled, joint: in
         return Sides(whole.calibrated, whole.calibrated, "calibrated", "calibrated")
     here = [f for f in findings if f.joint == joint]
     if here and all(_absorbed(whole.improved, f) for f in here):
-        return Sides(given, whole.improved, "as given", "calibrated")
+        return as_given(given, whole.improved)
     return Sides(whole.calibrated, whole.improved, "calibrated", "improved")
+
+
+def as_given(given: Model, improved: Model) -> Sides:
+    """The model with its given numbers, and with those that calibration found."""
+    return Sides(given, improved, "as given", "calibrated", lacking="model as given")
 
 
 def _absorbed(improved: Model, finding: Finding) -> bool:
