@@ -54,6 +54,13 @@ def _drawn(screen: DiagnoseScreen) -> None:
         assert len(dots) > 20
 
 
+def _changed(monkeypatch: pytest.MonkeyPatch, change: str) -> None:
+    """Let the process that diagnoses run these lines of Python first."""
+    begin = "from zendsp.parent import die_with; die_with({})\nimport time, zendsp.cli\n"
+    rest = change + "zendsp.cli.main()\n"
+    monkeypatch.setattr(command, "call", lambda parent: begin.format(parent) + rest)
+
+
 def _model_line(screen: DiagnoseScreen) -> str:
     return screen.query_one("#given-model").render_line(0).text
 
@@ -112,20 +119,18 @@ async def test_findings_are_shown_while_the_report_is_still_drawn(
 ) -> None:
     run, model = cases.bench(tmp_path)
     drawn = tmp_path / "drawn"
-    monkeypatch.setattr(
-        command,
-        "call",
-        lambda parent: (
-            f"from zendsp.parent import die_with; die_with({parent})\n"
-            "import pathlib, time, zendsp.cli\n"
-            "import zendsp.diagnosis.report.drawing as drawing\n"
-            "real = drawing.draw_all\n"
-            "def slow(charts, folder):\n"
-            f"    while not pathlib.Path({str(drawn)!r}).exists(): time.sleep(0.05)\n"
-            "    return real(charts, folder)\n"
-            "drawing.draw_all = slow\n"
-            "zendsp.cli.main()"
-        ),
+    _changed(
+        monkeypatch,
+        f"""\
+import pathlib
+import zendsp.diagnosis.report.drawing as drawing
+real = drawing.draw_all
+def slow(charts, folder):
+    while not pathlib.Path({str(drawn)!r}).exists():
+        time.sleep(0.05)
+    return real(charts, folder)
+drawing.draw_all = slow
+""",
     )
     async with _alone(tmp_path, until) as (pilot, screen):
         screen.added, screen.roles, screen.model = [str(run)], {str(run): "fit"}, str(model)
@@ -219,16 +224,15 @@ async def test_what_was_found_before_a_diagnosis_was_cancelled_is_shown(
     tmp_path: Path, until: Until, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run, model = cases.bench(tmp_path)
-    monkeypatch.setattr(
-        command,
-        "call",
-        lambda parent: (
-            f"from zendsp.parent import die_with; die_with({parent})\n"
-            "import time, zendsp.cli, zendsp.diagnosis.engine as engine\n"
-            "def slow(*_):\n    print('slow', flush=True); time.sleep(600)\n"
-            "engine.detectable = slow\n"
-            "zendsp.cli.main()"
-        ),
+    _changed(
+        monkeypatch,
+        """\
+import zendsp.diagnosis.engine as engine
+def slow(*_):
+    print("slow", flush=True)
+    time.sleep(600)
+engine.detectable = slow
+""",
     )
     async with _alone(tmp_path, until) as (pilot, screen):
         screen.added, screen.roles, screen.model = [str(run)], {str(run): "fit"}, str(model)
