@@ -1,4 +1,4 @@
-"""Diagnose: from a recording to findings, and what is seen of them."""
+"""Diagnose: from a recording to findings on the screen."""
 
 from __future__ import annotations
 
@@ -277,7 +277,7 @@ async def test_a_click_on_what_has_to_wait_says_why_as_its_key_does(
         await until(pilot, lambda: not screen.busy, "it ends")
 
 
-async def test_what_fails_is_said(tmp_path: Path, until: Until) -> None:
+async def test_a_failed_diagnosis_says_why(tmp_path: Path, until: Until) -> None:
     run, _ = cases.bench(tmp_path, seconds=1.0)
     (tmp_path / "bad.toml").write_text('name = "bad"\n')
     async with _alone(tmp_path, until) as (pilot, screen):
@@ -372,7 +372,7 @@ async def test_the_last_motion_is_marked_and_others_can_be_held_out(
         assert not screen.chosen("fit"), "what is not in focus is not changed"
 
 
-async def test_names_in_a_list_are_whole_however_soon_it_is_drawn(
+async def test_names_in_a_list_are_whole_also_when_drawn_at_once(
     tmp_path: Path, until: Until
 ) -> None:
     """The picture between the rows and Textual's next idle moment stayed: "benc" of bench.csv."""
