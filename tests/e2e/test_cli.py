@@ -1,6 +1,7 @@
-"""The command line as a user has it: real targets, exit codes, JSON that parses. Commands that run
-on are processes of their own; the others are called in this process, which saves half a second
-each. tests/journeys types all of them as users do.
+"""The command line as a user has it: real targets, exit codes, JSON that parses.
+
+Commands that run on are processes of their own; the others are called in this process, which saves
+half a second each. tests/journeys types all of them as users do.
 """
 
 from __future__ import annotations

@@ -1,7 +1,9 @@
 """Every command and every Python block of the pages is run as it stands, page by page, in an empty
-folder. What a page takes for granted (a recording, a model, a target) is prepared by its `Plan`.
-What cannot run here stands in `not_run.py` with its reason. Every other block has to be a file that
-the page's commands use.
+folder.
+
+What a page takes for granted (a recording, a model, a target) is prepared by its `Plan`. What
+cannot run here stands in `not_run.py` with its reason. Every other block has to be a file that the
+page's commands use.
 """
 
 from __future__ import annotations

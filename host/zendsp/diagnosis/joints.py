@@ -1,6 +1,8 @@
 """Searches and decides every joint, in a process of its own where there are several, and assembles
-the machine. Two models go through this file: ``given`` is the user's; ``beneath`` adds what is
-known of the machine so far, and is the start of a joint's search.
+the machine.
+
+Two models go through this file: ``given`` is the user's; ``beneath`` adds what is known of the
+machine so far, and is the start of a joint's search.
 """
 
 from __future__ import annotations
@@ -103,6 +105,7 @@ def with_their_links(
     tell: Progress,
 ) -> tuple[Parts, Explained]:
     """The explanation, repeated where a joint was found to have a transmission or a sensor error.
+
     Other joints feel the true motion of its link, and otherwise have to explain it by something of
     their own. The joints are taken one after the other, each time the one that explains the machine
     best, as long as that claims no more and predicts no worse.

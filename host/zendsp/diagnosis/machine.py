@@ -65,6 +65,7 @@ ROUNDING = 1e-4
 @dataclass(frozen=True)
 class Found:
     """The findings of a machine before they are put into words: bodies, transmissions, joints.
+
     ``bare``: the recordings without inertias from inverse dynamics. ``beneath``: the given model
     with the bodies and transmissions with which the joints were searched.
     """

@@ -42,11 +42,12 @@ LATE_TOGETHER = 3
 
 
 def across_joints(decisions: Sequence[Decision]) -> list[Decision]:
-    """The decisions, with laws removed where several joints lack a torque over position. A hose, a
-    strap or a spring between links pulls at several joints. Its potential depends on all their
-    positions, so a law at each joint is only a section through it. Ripples stay, since each belongs
-    to its own motor. Bodies were considered before. At one of the joints the torque may also depend
-    on the state without any law.
+    """The decisions, with laws removed where several joints lack a torque over position.
+
+    A hose, a strap or a spring between links pulls at several joints. Its potential depends on all
+    their positions, so a law at each joint is only a section through it. Ripples stay, since each
+    belongs to its own motor. Bodies were considered before. At one of the joints the torque may
+    also depend on the state without any law.
 
     Parameters
     ----------
@@ -139,11 +140,12 @@ def pushed_alone(decisions: Sequence[Decision]) -> list[Decision]:
 
 
 def same_timing(parts: Parts, decisions: Sequence[Decision], jobs: int) -> list[Decision]:
-    """The decisions, with one common law where several joints are late by the same time. A filter
-    of all position columns, a current loop or a bus delays every joint alike, and a single joint
-    can hardly tell which. So all joints decide together, also for a joint that would claim no law
-    by itself. Where every joint names the same law, the other side of the loop is equally likely: a
-    filter of all position columns looks like a command that is as late.
+    """The decisions, with one common law where several joints are late by the same time.
+
+    A filter of all position columns, a current loop or a bus delays every joint alike, and a single
+    joint can hardly tell which. So all joints decide together, also for a joint that would claim no
+    law by itself. Where every joint names the same law, the other side of the loop is equally
+    likely: a filter of all position columns looks like a command that is as late.
 
     Parameters
     ----------

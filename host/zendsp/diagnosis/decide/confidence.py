@@ -1,8 +1,10 @@
-"""The probability that a finding is right. A logistic regression, learned on findings of known
-truth from makers of cases that share no code. Its features: what a law leaves unexplained relative
-to its size, how many free numbers it has, and how small a part it is of the missing torque that
-larger ones do not explain. Its reliability was judged on makers left out of the regression
-(docs/measurements/diagnosis_choices.md). To repeat it: `python benchmarks/confidence.py`.
+"""The probability that a finding is right.
+
+A logistic regression, learned on findings of known truth from makers of cases that share no code.
+Its features: what a law leaves unexplained relative to its size, how many free numbers it has, and
+how small a part it is of the missing torque that larger ones do not explain. Its reliability was
+judged on makers left out of the regression (docs/measurements/diagnosis_choices.md). To repeat it:
+`python benchmarks/confidence.py`.
 """
 
 from __future__ import annotations

@@ -199,10 +199,11 @@ def find_sounder(
     parts: Parts, search: JointSearch, final: Scored, pieces: Sequence[Piece], jobs: int
 ) -> JointSearch | None:
     """The next search to decide upon where nothing proposed can be claimed; None where nothing is
-    left to try. If the proposed model diverges on recordings that it was not fitted to: the next
-    hypothesis of the first step, alone. Otherwise the first step without those that followed: they
-    may have absorbed some discrepancy between machine and model, which costs the first its
-    evidence.
+    left to try.
+
+    If the proposed model diverges on recordings that it was not fitted to: the next hypothesis of
+    the first step, alone. Otherwise the first step without those that followed: they may have
+    absorbed some discrepancy between machine and model, which costs the first its evidence.
     """
     if any(p.size > RUN_AWAY for p in pieces):
         there = {t.effect for t in final.model.at(search.joint)}

@@ -1,8 +1,10 @@
 """The decision about bodies, by the cost of taking a body away on untouched recordings, as for the
-mechanisms of one joint. The search of the joints went on with the bodies in the model. Here each
-body is taken away and everything else at the joints that bear it is fitted again. The joints'
-evidence for the one body adds up. It is claimed where most of its torque acts at joints at which
-its loss is larger than what stays unexplained.
+mechanisms of one joint.
+
+The search of the joints went on with the bodies in the model. Here each body is taken away and
+everything else at the joints that bear it is fitted again. The joints' evidence for the one body
+adds up. It is claimed where most of its torque acts at joints at which its loss is larger than what
+stays unexplained.
 """
 
 from __future__ import annotations
@@ -102,9 +104,10 @@ class Heard:
 
 
 def borne(heard: Sequence[Heard], least: float) -> float | None:
-    """The ratio of a body's size to what stays unexplained at the joints that bear it. A single
-    joint need not be sure, since the evidence for the one body adds up. None where the sum is below
-    ``least``, or most of the body's torque acts at joints that do not miss it.
+    """The ratio of a body's size to what stays unexplained at the joints that bear it.
+
+    A single joint need not be sure, since the evidence for the one body adds up. None where the sum
+    is below ``least``, or most of the body's torque acts at joints that do not miss it.
     """
     bear = [h for h in heard if h.log_e > 0.0 and h.z > PLAIN and h.size > h.left]
     total, here = (sum(h.size**2 for h in part) for part in (heard, bear))

@@ -1,5 +1,6 @@
-"""The smallest effect that these recordings would have shown, for each joint and mechanism. An
-effect leaves a trace in the innovations of the final model, less what calibration absorbs of it.
+"""The smallest effect that these recordings would have shown, for each joint and mechanism.
+
+An effect leaves a trace in the innovations of the final model, less what calibration absorbs of it.
 The trace's energy in the test recordings gives the evidence. Its torque decides whether it exceeds
 the discrepancy and would be named. The smallest size that passes all of these is stated.
 

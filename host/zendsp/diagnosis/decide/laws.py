@@ -146,9 +146,10 @@ def named(
 
 @dataclass(frozen=True)
 class _Judge:
-    """Judges whether a law describes its mechanism at a joint. ``after``: torque left with all that
-    is ``claimed``. ``known``: the part over the state that this machine is known to leave.
-    ``bent``: terms whose base law has vanished.
+    """Judges whether a law describes its mechanism at a joint.
+
+    ``after``: torque left with all that is ``claimed``. ``known``: the part over the state that
+    this machine is known to leave. ``bent``: terms whose base law has vanished.
     """
 
     parts: Parts

@@ -1,6 +1,7 @@
-"""Another load in the held-out recordings, where inertia and gravity differ together. The numbers
-of a body added between recordings are found on those to choose by, and judged on those to test on.
-For machines of one joint; bodies of an arm are found by all its joints.
+"""Another load in the held-out recordings, where inertia and gravity differ together.
+
+The numbers of a body added between recordings are found on those to choose by, and judged on those
+to test on. For machines of one joint; bodies of an arm are found by all its joints.
 """
 
 from __future__ import annotations

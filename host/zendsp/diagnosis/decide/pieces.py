@@ -232,8 +232,10 @@ def log_e_value(
     held: Evidence, without: Scored, final: Scored, test: Data, joint: int
 ) -> float:
     """Logarithm of the e-value of a gain: half of it, divided by the samples that count as one
-    independent sample. That is taken from the model with the less correlated innovations: a wrong
-    model's innovations are correlated by the missing physics itself.
+    independent sample.
+
+    That is taken from the model with the less correlated innovations: a wrong model's innovations
+    are correlated by the missing physics itself.
     """
     alike = min(dependence(s, test, joint) for s in (without, final))
     return 0.5 * held.gain / alike
@@ -258,8 +260,10 @@ def held_apart(
     parts: Parts, given: Model, search: JointSearch, final: Scored, pieces: Sequence[Piece]
 ) -> tuple[list[Piece], list[Piece]]:
     """The mechanisms that are claimed, and those that only refine the fit; pieces come in the order
-    of their size. A mechanism must be larger than what stays unexplained over its own variables,
-    and larger than the possible error of larger laws of its kind, found or given.
+    of their size.
+
+    A mechanism must be larger than what stays unexplained over its own variables, and larger than
+    the possible error of larger laws of its kind, found or given.
     """
     joint = search.joint
     after = discrepancy(parts.test, final.model, joint).value
@@ -401,8 +405,10 @@ def kind_of(mechanism: str) -> frozenset[str]:
 
 def may_leave(piece: Piece) -> float:
     """The torque over its own variables that a mechanism's laws may leave, as a part of the RMS
-    torque. A law of several free numbers can imitate another one, so it may leave less. (An
-    exponent, fitted only at the end, does not count.)
+    torque.
+
+    A law of several free numbers can imitate another one, so it may leave less. (An exponent,
+    fitted only at the end, does not count.)
     """
     laws = [t for t in piece.terms if mechanism_of(t.effect) == piece.mechanism] or list(
         piece.terms

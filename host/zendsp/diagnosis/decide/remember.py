@@ -16,8 +16,9 @@ def remembered(
     model: Model, given: Model, decisions: Sequence[Decision], findings: Sequence[Finding]
 ) -> Model:
     """The improved model for the next diagnosis: with the torque that stayed unexplained at each
-    joint, the uncertainties of the findings, and the numbers of refinements held fixed. A
-    refinement is no claimed physics; if free it would be bent to what the next recording lacks.
+    joint, the uncertainties of the findings, and the numbers of refinements held fixed.
+
+    A refinement is no claimed physics; if free it would be bent to what the next recording lacks.
 
     Parameters
     ----------

@@ -1,6 +1,4 @@
-"""What a figure compares: the model before and after, and the observer under which the two differ
-most clearly.
-"""
+"""The two models that a figure compares, and the observer under which they differ most clearly."""
 
 from __future__ import annotations
 
@@ -43,8 +41,8 @@ class Sides:
 
 
 def sides(findings: Sequence[Finding], given: Model, whole: Assembled, joint: int) -> Sides:
-    """The calibrated and the improved model; of a joint at which only given numbers were wrong, the
-    given and the calibrated one; where no physics is claimed, the calibrated one.
+    """The calibrated and the improved model; the given and the calibrated one, for a joint at which
+    only given numbers were wrong; the calibrated one alone, where no physics is claimed.
 
     Parameters
     ----------
@@ -65,9 +63,9 @@ def as_given(given: Model, improved: Model) -> Sides:
 
 
 def _absorbed(improved: Model, finding: Finding) -> bool:
-    """Whether calibration took a finding up: it has a law, and no term of it stands in the improved
-    model. Not so of what two sensors on a transmission show, which moves no torque, nor of a load
-    that only the held-out recordings have.
+    """Whether calibration absorbed a finding: it has a law but no term in the improved model. False
+    for findings by two sensors on a transmission, which have no torque, and for a load of the
+    held-out recordings only.
     """
     terms = [t for t in improved.at(finding.joint) if t.effect == finding.effect]
     elsewhere = measured(finding) or "recordings" in finding.numbers
@@ -89,18 +87,19 @@ def units_at(d: Diagnosis, joint: int) -> dict[str, str]:
 
 
 def torque_word(unit: str) -> str:
-    """What it is called: a force where it is in N."""
+    """The word for a torque: "force" where it is in N."""
     return "force" if unit == "N" else "torque"
 
 
 def torque_label(unit: str) -> str:
-    """Of an axis."""
+    """The label of an axis for torques."""
     return f"{torque_word(unit)} [{unit}]"
 
 
 def clearest(data: Data, two: Sides, joint: int) -> tuple[float, list[Missing], list[Missing]]:
-    """The fastest observer to which what parts two models (of one: what it lacks) stands out of the
-    noise, or the one to which it stands out most: its band, rad/s, and what each of the two lacks.
+    """The fastest observer for which the difference of two models (or what a single one lacks)
+    exceeds the noise, or else the one for which it is clearest: its band, rad/s, and what each
+    model lacks.
     """
     best = -1.0
     for band in BANDS:
@@ -118,7 +117,7 @@ def clearest(data: Data, two: Sides, joint: int) -> tuple[float, list[Missing], 
 
 
 def between(before: Sequence[Missing], after: Sequence[Missing]) -> list[Missing]:
-    """The torque between two models, and by how much both are uncertain."""
+    """The torque between two models with the uncertainty of both."""
     return [
         replace(a, torque=a.torque - b.torque, std=np.hypot(a.std, b.std))
         for a, b in zip(before, after, strict=True)

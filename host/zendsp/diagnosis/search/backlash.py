@@ -1,6 +1,8 @@
-"""The narrow optimum of a gap. Contacts that begin and end at other instants make a rough cost with
-a deep valley a few percent wide. A fit from afar ends in a local minimum. Three moves, in turn,
-lead on from there; each overcomes what stops the others:
+"""The narrow optimum of a gap.
+
+Contacts that begin and end at other instants make a rough cost with a deep valley a few percent
+wide. A fit from afar ends in a local minimum. Three moves, in turn, lead on from there; each
+overcomes what stops the others:
 
 * A contact with much damping: one that bounces for ever, or sticks, gives no gradient.
 * Ever slower observers: a fast one corrects the load at every sample and hides the instants when a

@@ -1,5 +1,6 @@
-"""Hypotheses about the whole robot: a payload, a wrong link, a tilted base, and their rivals. At a
-single joint a wrong body looks like a gain, a coupling or a gravity. Here all joints decide
+"""Hypotheses about the whole robot: a payload, a wrong link, a tilted base, and their rivals.
+
+At a single joint a wrong body looks like a gain, a coupling or a gravity. Here all joints decide
 together. To first order, the torque that a body adds along the measured motion appears in the
 observers' innovations (``response`` of ``physics/calibration/predict.py``). That torque is linear
 in ten numbers of each link (``physics/robots/bodies.py``). Beside them, every joint has nuisance
@@ -69,10 +70,12 @@ class FoundBody:
 
 @dataclass(frozen=True)
 class BodySearch:
-    """The proposed bodies of a machine. ``model``: the given one with them. ``tried``: all
-    explanations of the last round. ``aside``: joints set aside for a fault of their own.
-    ``instead``: the body that explains as much as the first of these faults, and that joint.
-    ``small``: the best body, where it is too small a part of what the joints leave to be proposed.
+    """The proposed bodies of a machine.
+
+    ``model``: the given one with them. ``tried``: all explanations of the last round. ``aside``:
+    joints set aside for a fault of their own. ``instead``: the body that explains as much as the
+    first of these faults, and that joint. ``small``: the best body, where it is too small a part of
+    what the joints leave to be proposed.
     """
 
     model: Model
@@ -313,10 +316,12 @@ def refined(
     aside: Collection[int] = (),
 ) -> Explained:
     """An explanation estimated again around its own numbers until they converge; a mass gets an
-    inertia of its own where that shows. Unexplained torque recurs with the poses and so biases the
-    numbers by more than the blocks of one recording show. Another recording has other poses; the
-    standard deviations grow by how far it moves the numbers beyond their uncertainty. They include
-    a common gain error of all actuators, which resembles a mass.
+    inertia of its own where that shows.
+
+    Unexplained torque recurs with the poses and so biases the numbers by more than the blocks of
+    one recording show. Another recording has other poses; the standard deviations grow by how far
+    it moves the numbers beyond their uncertainty. They include a common gain error of all
+    actuators, which resembles a mass.
     """
     return _refined(fit, choose, layout, first, limits, jobs, aside)[0]
 

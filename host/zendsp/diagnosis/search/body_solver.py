@@ -17,9 +17,11 @@ Array = npt.NDArray[np.float64]
 
 class Solver:
     """Linear fits of hypotheses to the recordings of the fit, and their evidence on those to choose
-    by. ``origin``: coefficients of the part of a hypothesis that the model behind the sums has
-    already. ``aside``: joints (1-based) with a fault of their own, whose gain and functions of
-    position are nuisance too. Without ``rotors`` each motor's inertia is the model's.
+    by.
+
+    ``origin``: coefficients of the part of a hypothesis that the model behind the sums has already.
+    ``aside``: joints (1-based) with a fault of their own, whose gain and functions of position are
+    nuisance too. Without ``rotors`` each motor's inertia is the model's.
     """
 
     def __init__(
@@ -220,6 +222,7 @@ class Solver:
 
     def better(self, x: Array, other: Array) -> float:
         """Standard deviations by which x predicts the recordings to choose by better than another.
+
         The larger of two measures. First, the mean gain of a block over its spread; it stays small
         where blocks differ in motion. Second, the best mix of both predictions (0: x alone, 1: the
         other; at a half they are as good), over the blocks' disagreement about it; it stays small

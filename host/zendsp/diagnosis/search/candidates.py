@@ -28,8 +28,9 @@ SAME_INERTIA = 0.05  # change, as a logarithm, within which a fit of a gap still
 def screened(
     data: Data, model: Model, joint: int, *, jobs: int = 1, only: frozenset[str] = frozenset()
 ) -> list[tuple[float, Candidate]]:
-    """Candidates with the share of the cost that each promises to remove, best first. The screen
-    has a slower observer than the data, which sees what a fast one follows.
+    """Candidates with the share of the cost that each promises to remove, best first.
+
+    The screen has a slower observer than the data, which sees what a fast one follows.
 
     Parameters
     ----------
@@ -88,7 +89,9 @@ def loosened(
     model: Model, joint: int, only: frozenset[str] = frozenset()
 ) -> list[list[Candidate]]:
     """Hypotheses that free the numbers of the model's fixed terms: a law may be right and its
-    number wrong. Numbers with a standard deviation, held by an earlier diagnosis, stay.
+    number wrong.
+
+    Numbers with a standard deviation, held by an earlier diagnosis, stay.
     """
     terms = model.at(joint)
     names = [t.effect for t in terms]

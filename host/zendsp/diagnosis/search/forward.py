@@ -1,4 +1,5 @@
 """The forward selection at one joint: hypotheses that explain what the calibrated model leaves.
+
 Each round screens the library, fits the promising hypotheses with all calibrated parameters free,
 and keeps the most likely. Rounds follow until no step passes. Alternatives to the first step guard
 against one effect that imitates two. Finally every found term and every term of the given model has
@@ -179,9 +180,10 @@ class Searcher:
 
     def _chain(self, base: Scored, begin: Rival | None = None, most: int = 6) -> JointSearch:
         """The search that adds effects to a calibrated model until none passes, the first of them
-        ``begin`` where given. A likely step that fails on the recordings to choose by may need
-        another effect that is still hidden: it waits for the next one, and both are judged
-        together.
+        ``begin`` where given.
+
+        A likely step that fails on the recordings to choose by may need another effect that is
+        still hidden: it waits for the next one, and both are judged together.
         """
         found = JointSearch(self.joint, base)
         current = held = base  # held: the model of all accepted steps

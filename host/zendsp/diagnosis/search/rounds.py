@@ -1,5 +1,7 @@
-"""Hypotheses at one joint, fitted upon a model. The library is screened, promising effects get a
-short fit with all calibrated parameters free (``short_fits.py``), and the best of these a full one.
+"""Hypotheses at one joint, fitted upon a model.
+
+The library is screened, promising effects get a short fit with all calibrated parameters free
+(``short_fits.py``), and the best of these a full one.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
-"""Every effect of the library, tried to first order at the cost of one least squares. The torque of
-an effect along the measured motion, passed through the observer's error dynamics, is its trace in
-the innovations. What the calibrated parameters can imitate is projected out first: the baseline of
-every claim is the refitted model.
+"""Every effect of the library, tried to first order at the cost of one least squares.
+
+The torque of an effect along the measured motion, passed through the observer's error dynamics, is
+its trace in the innovations. What the calibrated parameters can imitate is projected out first: the
+baseline of every claim is the refitted model.
 """
 
 from __future__ import annotations
@@ -187,7 +188,7 @@ class Screen:
         for begin in range(0, len(columns), each):
             some = slice(begin, begin + each)
             inner, outer = gram[some, some], moment[some]
-            if np.any(np.diag(inner) < IMITATED * whole[some]):  # the difference of almost equal numbers
+            if np.any(np.diag(inner) < IMITATED * whole[some]):  # almost equal numbers
                 b = columns[some] - known[some] @ self.q.T
                 inner, outer = b @ b.T, b @ self.left
             norm = np.sqrt(np.diag(inner))

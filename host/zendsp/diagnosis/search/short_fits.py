@@ -53,7 +53,7 @@ class ShortFits:
         if data.bandwidth[self.joint - 1] > SETTLED:
             settled = data.at_bandwidth(self.joint, SETTLED)
         best = self._short_fits(current, group, settled if slow else data)
-        begun = slow or get_effect(group[0].effect).scan is not None  # start values from simulations, not from a screen
+        begun = slow or get_effect(group[0].effect).scan is not None  # begun by simulations
         if settled is data or begun or (best and best.value < current.deviance - WAIT):
             return best
         other = self._short_fits(current, group, settled)

@@ -91,8 +91,9 @@ def straightened(found: JointSearch, current: Scored, jobs: int) -> Scored:
 
 def _resolved(best: Scored, joint: int, jobs: int) -> Scored:
     """The model refitted at ever smaller steps, until halving them moves its numbers less than
-    their uncertainty, or than two simulators differ. Otherwise a finding might only be an
-    integration error.
+    their uncertainty, or than two simulators differ.
+
+    Otherwise a finding might only be an integration error.
     """
     if len(best.fit.residual) != len(residual(best.data, best.model, (joint,))):
         # numbers so far fitted only to thinned recordings
@@ -202,8 +203,10 @@ def _as_payload(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored:
 
 def _as_spring(found: JointSearch, best: Scored, jobs: int) -> Scored:
     """The model with a hardening spring and a constant torque replaced by a linear spring with a
-    neutral point, where that explains as much. On a pendulum the calibrated weight has absorbed the
-    linear part, k q = k sin q + k q³ / 6 + …, and returns it.
+    neutral point, where that explains as much.
+
+    On a pendulum the calibrated weight has absorbed the linear part, k q = k sin q + k q³ / 6 + …,
+    and returns it.
     """
     had = {t.effect for t in found.base.model.at(found.joint)}
     new = {t.effect: t for t in best.model.at(found.joint) if t.effect not in had}
