@@ -27,6 +27,7 @@ from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
 
+SINE_BAND = 64.0  # rad/s, of the observer in which a sine is looked for
 LACKING_BAND = 32.0  # rad/s, of the observer that shows the missing torque
 BRIEF = 0.4  # of the time at most: a torque that acts longer is no disturbance
 # of the energy outside that time, against that of a normally distributed random torque there
@@ -389,7 +390,7 @@ def _summed(parts: Sequence[_Acting], joint: int) -> Bursts:
     )
 
 
-def periodic(data: Data, model: Model, joint: int, band: float = 64.0) -> float:
+def periodic(data: Data, model: Model, joint: int) -> float:
     """RMS of the one sine that stands out of the missing torque, as a part of the RMS torque; 0
     where none does in every recording (Fisher 1929, with the noise of the neighbouring lines).
     """
@@ -397,9 +398,9 @@ def periodic(data: Data, model: Model, joint: int, band: float = 64.0) -> float:
 
     sizes, places = [], []
     scale = np.sqrt(mean_square(data, joint))
-    for lack, rec in zip(lacking(data, model, joint, band), data.records, strict=True):
+    for lack, rec in zip(lacking(data, model, joint, SINE_BAND), data.records, strict=True):
         record = rec[joint - 1]
-        here = lack[kept(record, band)]
+        here = lack[kept(record, SINE_BAND)]
         window, seconds = np.hanning(len(here)), len(here) * record.sample_time
         power = np.abs(np.fft.rfft((here - here.mean()) * window)) ** 2
         level = median_filter(power, 2 * NEIGHBOUR_LINES + 1, mode="nearest") / np.log(2)

@@ -255,6 +255,7 @@ def _stands_out(missing: Sequence[Missing], excess: Array) -> bool:
 
 Times = tuple[tuple[float, float], ...]
 MOST = 6  # reported regions and times
+LARGEST = 5  # times of one recording
 
 
 def located(
@@ -282,7 +283,7 @@ def located(
     )
 
 
-def intervals(missing: Missing, most: int = 5) -> list[tuple[float, float, float]]:
+def intervals(missing: Missing) -> list[tuple[float, float, float]]:
     """Time intervals in which the mismatch is concentrated: (start s, end s, share), largest share
     first.
     """
@@ -311,4 +312,4 @@ def intervals(missing: Missing, most: int = 5) -> list[tuple[float, float, float
         )
         for a, b in spans
     ]
-    return sorted(out, key=lambda s: -s[2])[:most]
+    return sorted(out, key=lambda s: -s[2])[:LARGEST]

@@ -31,6 +31,7 @@ from zendsp.physics.model import Model
 from zendsp.physics.term_numbers import kernel_model
 
 Array = npt.NDArray[np.float64]
+MOST_POINTS = 6000  # of a line
 MOST_JOINTS = 7  # joints with figures of their own
 JOINED = "time [s], one recording after the other"
 TIME = "of the time"
@@ -42,8 +43,8 @@ SENSOR_LEFT = (
 FLOOR_DRAWN = 0.3  # of the noise floor: windows with smaller errors are drawn there
 
 
-def _thin(count: int, most: int = 6000) -> slice:
-    return slice(None, None, max(1, count // most))
+def _thin(count: int) -> slice:
+    return slice(None, None, max(1, count // MOST_POINTS))
 
 
 def _models(two: Sides) -> tuple[tuple[Model, str, str], ...]:

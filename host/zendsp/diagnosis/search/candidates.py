@@ -22,6 +22,7 @@ from zendsp.physics.model import Model, Term
 COARSE = 1e-3  # s
 LIVELY = 6.0  # s, or a quarter of a recording: enough for start values of a transmission
 SLOWEST = 8.0  # rad/s: slowest observer of a screen
+KEPT = 2  # start values of an effect that are fitted
 SAME_INERTIA = 0.05  # change, as a logarithm, within which a fit of a gap still converges
 
 
@@ -198,7 +199,6 @@ def scan(
     joint: int,
     effect: Effect,
     gone: tuple[str, ...],
-    keep: int = 2,
     jobs: int = 1,
 ) -> list[tuple[Term, Model, float]]:
     """The most likely of an effect's start values, one simulation each, upon each of some models
@@ -237,4 +237,4 @@ def scan(
         (*listed[i], gain)
         for i in order
         if unlike.get(listed[i][0].value(effect.apart, float(i))) == i
-    ][:keep]
+    ][:KEPT]
