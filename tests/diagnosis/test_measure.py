@@ -283,8 +283,8 @@ def test_numbers_on_which_recordings_disagree_are_less_certain() -> None:
 
 @pytest.mark.parametrize("soft", [False, True])
 def test_numbers_that_differ_with_a_slower_observer_are_less_certain(soft: bool) -> None:
-    """A load behind a spring rings where the model has none: which inertia that makes depends on
-    the observer, and its blocks do not show it.
+    """Without its spring in the model, a ringing load shifts the inertia, differently for each
+    observer; blocks of one observer do not show that.
     """
     machine = reality.Machine(soft=20.0, load=0.005) if soft else reality.Machine()
     model = model_of(VISCOUS, COULOMB)

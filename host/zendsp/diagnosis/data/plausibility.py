@@ -191,11 +191,11 @@ def thousandfold(factor: float, unit: str) -> str:
 
 
 def scaled(name: str, slopes: Sequence[float], unit: str) -> None:
-    """Refuse where the inertias of all joints that show theirs are off by one factor (``slopes``,
-    of the model's); ``unit``: of the command, as the model expects it.
+    """Refuse recordings in which the inertias of all joints that show them are off by one factor.
+    ``slopes``: inertias over the model's. ``unit``: of the command, as the model expects it.
     """
     low, high = min(slopes, default=1.0), max(slopes, default=1.0)
-    # once the factor is undone, each is as near its model's as RIGHT allows
+    # without the factor, each is within RIGHT of the model's
     alike = len(slopes) > 1 and 0.0 < high < RIGHT[1] / RIGHT[0] * low
     if alike and (low > GEARED or high < 1.0 / GEARED):
         factor = math.exp(math.fsum(map(math.log, slopes)) / len(slopes))
@@ -219,7 +219,7 @@ def _sign(name: str, found: Regression) -> None:
             f" {found.slope:.2g} of the model's): the sign of the command or of the position is"
             " flipped"
         )
-    # the other way round its inertia would be below nothing, where it shows at all
+    # with the sign flipped its inertia would be negative, if it shows at all
     drives = -FULL < found.friction < -DRIVES and found.slope < ERRORS * error
     if sure and drives and not found.held and found.slope + ERRORS * error < LITTLE:
         raise RecordingError(
@@ -231,8 +231,8 @@ def _sign(name: str, found: Regression) -> None:
 def _mistakes(
     here: _Looked, rotary: bool, of: str
 ) -> list[tuple[str, tuple[Array, Array, Array]]]:
-    """The likely mistakes, and position, command and noise with each of them undone; ``of``: the
-    unit of the command, empty where no unit is mistaken, as all joints of a kind have it in common.
+    """The likely mistakes, with position, command and noise after undoing each. ``of``: the unit of
+    the command; empty where a wrong unit is excluded, since all joints of a kind share it.
     """
     y, u, noise = here.y, here.u, here.noise
     small = DEGREE if rotary else 1e3
@@ -257,13 +257,14 @@ def _undo(
     model: Model,
     i: int,
 ) -> None:
-    """Name the mistake that, undone, makes recording and model agree."""
+    """Refuse a recording with the name of the mistake that, undone, makes it agree with the model.
+    """
     for words, (q, command, spread) in mistakes:
         slow = look(q, command, period, spread)
         again = regress(slow, model, i + 1, rigid_body(slow, model))
         if again is None or again.share < SHOWS:
-            # so read the inertia would hardly show, as it does where a joint is hardly driven at
-            # all: no explanation
+            # with this mistake undone the inertia would hardly show, as at a hardly driven joint:
+            # no explanation
             continue
         if (
             again.r2 > max(SOUND, found.r2 - R2_NO_WORSE)

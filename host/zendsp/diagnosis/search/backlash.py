@@ -76,7 +76,7 @@ def refine(scored: Scored, joint: int, before: float, worth: float, jobs: int) -
 
 
 def lossy(scored: Scored, joint: int, jobs: int) -> Scored:
-    """Refit from a contact that loses a fifth of critical; the same where it loses about so much
+    """A fit from a contact with a fifth of critical damping; unchanged where it has about that
     already.
     """
     values = _values(scored.model, joint)
@@ -88,7 +88,7 @@ def lossy(scored: Scored, joint: int, jobs: int) -> Scored:
 
 
 def descend(scored: Scored, joint: int, jobs: int) -> Scored:
-    """Refit with ever slower observers, then with central differences where that was likeliest."""
+    """Fits with ever slower observers, then with central differences at the likeliest."""
     best, model, idle = scored, scored.model, 0
     bandwidth = scored.data.bandwidth[joint - 1]
     while bandwidth / 2 >= SLOWEST and idle < IDLE:
