@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -129,13 +130,13 @@ class ReferenceForm(LabScreen):
 
     # -- the form
 
-    async def _fill_form(self) -> None:
-        """Make a line for each parameter, with its default."""
+    async def _fill_form(self, values: Mapping[str, Any] | None = None) -> None:
+        """Make a line for each parameter, with its default unless ``values`` has it."""
         kind = KINDS[self.kind]
         self.query_one("#about", Static).update(kind.description)
         fields = self.query_one("#fields", VerticalScroll)
         await fields.remove_children()
-        await fields.mount(*[self._line(p) for p in self._parameters()])
+        await fields.mount(*[self._line(p, (values or {}).get(p.name)) for p in self._parameters()])
         self._show_units()
         self._plan_soon()
 
@@ -145,8 +146,8 @@ class ReferenceForm(LabScreen):
         """
         return (*KINDS[self.kind].parameters, HEADROOM)
 
-    def _line(self, p: Parameter) -> Horizontal:
-        value = p.default_for(self.machine)
+    def _line(self, p: Parameter, value: Any = None) -> Horizontal:
+        value = p.default_for(self.machine) if value is None else value
         widget: Input | Select[str] | Switch
         if p.type == "choice":
             widget = Select(
