@@ -29,7 +29,7 @@ SWINGS = np.array([1, 1, 1, 30, 1, 1, 1, 1, 20, 1, 1, 1, 25, 1, 1, 1], float)
 
 
 def sums(torque: float, rng: np.random.Generator) -> Any:
-    """Gram matrices of one joint: a nuisance, the column of a body, and innovations with ``size``
+    """Gram matrices of one joint: a nuisance, the column of a body, and innovations with ``torque``
     times that column beside noise.
     """
     grams, counts = np.zeros((1, BLOCKS, NUISANCE + 2, NUISANCE + 2)), np.full((1, BLOCKS), 150.0)

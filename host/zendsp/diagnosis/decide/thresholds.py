@@ -71,8 +71,8 @@ A_PART = 0.5
 # standard deviations by which a neighbour predicts better, above which a law is not the law
 # (docs/measurements/diagnosis_choices.md)
 BEHIND = 1.5
-# of a wave's order and amplitude: a wave that differs by less is its twin. A ripple of the torque
-# constant gave two such pairs, 0.7 and 0.1 % apart
+# of a wave's order and amplitude: a wave that differs by less is its twin. Two ripples of a torque
+# constant gave such pairs, 0.7 and 0.1 % apart
 TWINS = 0.05
 # of the missing torque that a function of the command must predict to blame the actuator, since in
 # a loop the command follows whatever the joint bears. Errors of an actuator had 0.92 to 1.0, a

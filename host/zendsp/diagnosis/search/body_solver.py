@@ -52,7 +52,7 @@ class Solver:
         self.counts = fit.counts.sum(axis=1)
 
     def beside_gain(self, by: float) -> Solver:
-        """The solver for actuators that all give a part ``gain`` more than stated."""
+        """The solver for actuators that all give a part ``by`` more than stated."""
         origin = self.origin.copy()
         origin[:, self.layout.own] -= by
         return Solver(
