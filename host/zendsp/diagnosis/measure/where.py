@@ -255,7 +255,7 @@ def _stands_out(missing: Sequence[Missing], excess: Array) -> bool:
 
 Times = tuple[tuple[float, float], ...]
 MOST = 6  # reported regions and times
-LARGEST = 5  # times of one recording
+MOST_TIMES = 5  # times of one recording
 
 
 def located(
@@ -312,4 +312,4 @@ def intervals(missing: Missing) -> list[tuple[float, float, float]]:
         )
         for a, b in spans
     ]
-    return sorted(out, key=lambda s: -s[2])[:LARGEST]
+    return sorted(out, key=lambda s: -s[2])[:MOST_TIMES]

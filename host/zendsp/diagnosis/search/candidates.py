@@ -22,7 +22,7 @@ from zendsp.physics.model import Model, Term
 COARSE = 1e-3  # s
 LIVELY = 6.0  # s, or a quarter of a recording: enough for start values of a transmission
 SLOWEST = 8.0  # rad/s: slowest observer of a screen
-KEPT = 2  # start values of an effect that are fitted
+STARTS = 2  # start values of an effect that are fitted
 SAME_INERTIA = 0.05  # change, as a logarithm, within which a fit of a gap still converges
 
 
@@ -237,4 +237,4 @@ def scan(
         (*listed[i], gain)
         for i in order
         if unlike.get(listed[i][0].value(effect.apart, float(i))) == i
-    ][:KEPT]
+    ][:STARTS]

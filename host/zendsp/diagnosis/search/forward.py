@@ -40,7 +40,7 @@ WHITE = 1.2  # slow variation of the innovations, over that of white noise
 # gain per sample, a tenth of the innovations' energy: below it no second effect is looked for
 # behind a first
 LOOK_AHEAD = 0.1
-STEPS = 6  # most effects of a chain
+LONGEST_CHAIN = 6  # most effects of a chain
 WAITING = 3  # steps that may wait for another at the same time
 FIRST = 0.4  # of the best gain: least gain of a runner-up to be tried as the first step
 # of the samples with a change of the count: with fewer (slow motion), whiteness is not tested
@@ -189,7 +189,7 @@ class Searcher:
         found = JointSearch(self.joint, base)
         current = held = base  # held: the model of all accepted steps
         waiting: list[Step] = []
-        while len(found.steps) + len(waiting) < STEPS:
+        while len(found.steps) + len(waiting) < LONGEST_CHAIN:
             if is_white(current, self.joint) and not (current is base and self._shows(base)):
                 break
             rivals = self.rounds.round(current)
