@@ -63,7 +63,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def number(text: str) -> float:
-    """A number as typed."""
+    """A number of the command line."""
     try:
         return float(text)
     except ValueError:
@@ -197,7 +197,7 @@ def _take_files() -> None:
 
 
 def _need_memory() -> None:
-    """Refuse what NumPy's library would look for without end."""
+    """Refuse too little memory, in which NumPy's library would search without end."""
     most = resource.getrlimit(resource.RLIMIT_AS)[0]
     if 0 <= most < LEAST_MEMORY:
         raise MemoryError(f"{most >> 20} MB of addresses, it needs {LEAST_MEMORY >> 20} MB")
@@ -205,7 +205,7 @@ def _need_memory() -> None:
 
 @contextlib.contextmanager
 def _patience(text: str) -> Iterator[None]:
-    """Say what takes so long, where something does."""
+    """Print what takes so long, where something does."""
     told = threading.Timer(PATIENCE_S, print, (text,), {"file": sys.stderr, "flush": True})
     told.daemon = True
     told.start()

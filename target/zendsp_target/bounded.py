@@ -1,4 +1,4 @@
-"""A dictionary of work made ready, that does not grow without end."""
+"""A dictionary of prepared work with a bounded size."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from zendsp.physics.term_numbers import kernel_model
 
 
 def accepted(file: Path, model: Path) -> list[str]:
-    """Check a recording against a model file; what is said of it, where nothing is refused."""
+    """The notes on a recording that passes the checks against a model file."""
     given = kernel_model(load_model(model))
     signals = [read_signals(file, given)]
     notes = check_signals(signals, given)

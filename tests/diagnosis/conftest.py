@@ -37,7 +37,7 @@ def model(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def seconds() -> tuple[float, float]:
-    """Of run1.csv and run2.csv: of the second one half is chosen by, the other judged on."""
+    """Length of run1.csv and run2.csv: half of the second is to choose by, half to test on."""
     return 6.0, 9.0
 
 
@@ -82,8 +82,8 @@ def searches() -> dict[tuple[object, ...], JointSearch]:
 def searched_once(
     searches: dict[tuple[object, ...], JointSearch], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """For tests that alter the decision alone: of the same recordings, the search before it is made
-    once a session.
+    """For tests that change only the decision: the search on the same recordings runs once a
+    session.
     """
     search = Searcher.search
 
@@ -100,8 +100,8 @@ def searched_once(
 
 @pytest.fixture(scope="session")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Diagnosis]:
-    """Diagnose a machine along two motions, each machine with each model once a session: tests look
-    at what came, and alter nothing.
+    """Diagnose a machine along two motions, once a session for each machine and model. Tests only
+    read the result.
     """
     done: dict[tuple[object, ...], Diagnosis] = {}
 
@@ -131,7 +131,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Diagnosis]:
 
 @pytest.fixture
 def refuse(typed: Callable[..., tuple[object, str, str]]) -> Callable[..., str]:
-    """Run `zendsp diagnose` and give the one sentence that it ends with."""
+    """The one sentence with which `zendsp diagnose` refuses."""
 
     def run(*args: object) -> str:
         status, out, err = typed("diagnose", *args)

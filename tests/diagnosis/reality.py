@@ -1,4 +1,4 @@
-"""A machine that shares no code with what is judged: plain C (reality.c), semi-implicit Euler at 10
+"""A machine that shares no code with the diagnosis: plain C (reality.c), semi-implicit Euler at 10
 kHz, friction by tanh.
 
 The equation is M q̈ + friction + gravity + … = torque; a PD loop with a quantised encoder computes
@@ -20,7 +20,7 @@ from zendsp_isr.build import build
 
 RESOLUTION = 2 * math.pi / 16384
 RATE = 250.0  # Hz, of a recording
-FAST = 500.0  # where what is to be told needs it
+FAST = 500.0  # Hz, where an effect needs a faster recording to be seen
 
 
 @dataclass

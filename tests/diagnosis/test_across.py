@@ -1,4 +1,4 @@
-"""What several joints lack at once has one cause."""
+"""Joints that lack the same torque or delay at once get one common explanation."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def named(decisions: list[Decision]) -> list[list[tuple[str, str, tuple[str, ...
     return [[(c.effect, c.mechanism, c.same) for c in d.claims] for d in decisions]
 
 
-def test_torques_of_position_at_two_joints_have_no_law_each() -> None:
+def test_torques_over_the_position_at_two_joints_are_not_named_as_a_law_of_each() -> None:
     pulled = [lacking(1, "stiffness", coefficient=2.0), lacking(2, "stiffness", coefficient=1.0)]
     assert named(across.across_joints(pulled)) == [[("unknown", "position_torque", ())]] * 2
     other = [pulled[0], lacking(2, "coulomb", level=1.0)]
@@ -48,7 +48,7 @@ def test_torques_of_position_at_two_joints_have_no_law_each() -> None:
 
 
 @pytest.mark.parametrize(("size", "law"), [(0.6, "unknown"), (0.4, "stiffness")])
-def test_a_law_of_position_is_none_beside_a_joint_that_lacks_as_much_without_a_law(
+def test_no_law_over_position_is_named_beside_a_joint_that_lacks_as_much_without_a_law(
     size: float, law: str
 ) -> None:
     pulled = lacking(1, "stiffness", coefficient=2.0)
@@ -59,8 +59,8 @@ def test_a_law_of_position_is_none_beside_a_joint_that_lacks_as_much_without_a_l
     assert named(found)[0] == [(law, "position_torque", ())]
 
 
-def test_a_law_of_position_is_none_where_another_joint_lacks_one_that_is_like_it() -> None:
-    """A hose over six joints was gravity at one of them, where the others had no law."""
+def test_no_law_over_position_is_named_where_another_joint_lacks_a_similar_one() -> None:
+    """A hose over six joints had been called gravity at one of them; the others had no law."""
     pulled = lacking(1, "gravity", torque=2.0, angle=0.0)
     other = replace(lacking(2, "coulomb", level=1.0), kind="unexplained", claims=())
     other = replace(other, state=Structure(0.01, 0.9, 5.0))
@@ -70,7 +70,7 @@ def test_a_law_of_position_is_none_where_another_joint_lacks_one_that_is_like_it
     assert named(across.across_joints([replace(pulled, claims=()), near])) == [[], []]
 
 
-def test_bodies_that_explain_less_than_joints_lack_of_their_state_are_none() -> None:
+def test_no_body_is_claimed_that_explains_less_than_the_joints_lack_over_their_state() -> None:
     left = [
         replace(lacking(j, "coulomb", level=1.0), kind="unexplained", claims=()) for j in (1, 2)
     ]
@@ -98,7 +98,7 @@ def test_beside_a_joint_where_as_much_depends_on_the_state_nothing_is_a_push(
 
 
 @pytest.mark.parametrize(("of_filter", "law"), [(10.0, "position_filter"), (30.0, "lag")])
-def test_joints_that_come_late_by_as_much_do_so_by_one_law(
+def test_joints_with_equal_delays_get_one_law(
     of_filter: float, law: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     late = [
@@ -123,7 +123,7 @@ def test_joints_that_come_late_by_as_much_do_so_by_one_law(
 @pytest.mark.parametrize(("law", "parameter", "other"), [
     ("lag", "time_constant", "position_filter"), ("delay", "time", "column_shift"),
 ])
-def test_where_all_joints_come_late_alike_command_and_position_cannot_be_told_apart(
+def test_where_all_joints_are_equally_late_a_late_command_and_a_late_position_are_indistinguishable(
     law: str, parameter: str, other: str
 ) -> None:
     late = [lacking(1, law, **{parameter: 0.0040}), lacking(2, law, **{parameter: 0.0038})]
@@ -132,7 +132,7 @@ def test_where_all_joints_come_late_alike_command_and_position_cannot_be_told_ap
     assert across.same_timing(SimpleNamespace(), late[:1], 1) == late[:1]  # type: ignore[arg-type]
 
 
-def test_a_joint_that_is_late_like_the_others_has_their_law() -> None:
+def test_a_joint_as_late_as_the_others_gets_the_law_of_the_others() -> None:
     late = [lacking(joint, "delay", time=0.0072) for joint in (1, 2, 3, 4)]
     for k, time in ((2, 0.008), (3, 0.020)):
         (claim,) = lacking(k + 1, "delay", time=time).claims
@@ -152,13 +152,13 @@ def test_a_joint_that_is_late_like_the_others_has_their_law() -> None:
         ((0.0041, 0.0046), (30.0, 40.0), 0),  # two joints are not many
     ],
 )
-def test_joints_that_all_come_late_say_together_what_none_says_alone(
+def test_delays_too_small_to_be_sure_at_each_joint_are_sure_over_all_joints(
     times: tuple[float, ...],
     shown: tuple[float, ...],
     claimed: int,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """All six commands of an arm were a row late: a fifth of a percent of the torque each."""
+    """All six commands of an arm were one row late, which cost each joint 0.2 % of the torque."""
     searches, decisions = [], []
     for joint, time in enumerate(times, 1):
         term = make_term(get_effect("delay"), joint, {"time": time})
@@ -182,7 +182,7 @@ def test_joints_that_all_come_late_say_together_what_none_says_alone(
     assert all(c.effect == "delay" and "column_shift" in c.same for d in found for c in d.claims)
 
 
-def test_joints_that_come_late_by_unlike_times_keep_their_laws() -> None:
+def test_joints_with_different_delays_keep_their_own_laws() -> None:
     late = [
         lacking(1, "lag", time_constant=0.010),
         lacking(2, "position_filter", time_constant=0.0035),
@@ -195,16 +195,18 @@ def test_joints_that_come_late_by_unlike_times_keep_their_laws() -> None:
     [("gravity", {"torque": 0.1, "angle": 0.0}, True), ("inertia", {"amount": 0.1}, True),
      ("torque_offset", {"level": 0.1}, True), ("quadratic_drag", {"coefficient": 0.1}, False)],
 )  # fmt: skip
-def test_a_body_is_asked_for_beside_the_friction_that_joints_lack(
+def test_a_body_is_looked_for_beside_missing_joint_friction(
     name: str, numbers: dict[str, float], asked: bool
 ) -> None:
-    """0.12 kg of a link of a Z1 were a gravity at one joint, beside 20 times as much friction."""
+    """0.12 kg too much at a link of a Unitree Z1 had been called gravity at one joint, beside
+    friction 20 times as large.
+    """
     decisions = [lacking(1, "coulomb", level=1.0), lacking(2, name, **numbers)]
     beside = [t.effect for t in across.friction_beside_weight(decisions)]
     assert ("coulomb" in beside) is asked
 
 
-def test_beside_a_mechanism_without_any_law_no_joint_is_asked_whether_it_is_late() -> None:
+def test_delays_are_not_compared_across_joints_beside_a_mechanism_without_a_law() -> None:
     nameless = lacking(1, "coulomb", level=1.0)
     claim = nameless.claims[0]
     bare = replace(claim, effect="unknown", term=Term("unknown", 1, {}))

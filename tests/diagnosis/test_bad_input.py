@@ -179,10 +179,10 @@ def test_short_recordings_are_refused(
     assert words in refuse(reality.save(tmp_path / "run.csv", columns), "--model", model)
 
 
-def test_beside_a_longer_recording_one_of_a_second_is_taken(
+def test_a_short_recording_is_accepted_beside_a_longer_one(
     good: Columns, model: Path, tmp_path: Path
 ) -> None:
-    """As a robot's move of 1.9 s, beside one of 5 s."""
+    """For example a robot's move of 1.9 s beside one of 5 s."""
     short = {k: v[500:1200] for k, v in good.items()}
     shorter = {k: v[500:900] for k, v in good.items()}
     files = [reality.save(tmp_path / "run.csv", good), reality.save(tmp_path / "m.csv", short)]
@@ -191,7 +191,7 @@ def test_beside_a_longer_recording_one_of_a_second_is_taken(
         read_divided([*files, reality.save(tmp_path / "s.csv", shorter)], [], load_model(model))
 
 
-def test_what_a_diagnosis_refuses_the_check_of_a_model_refuses_too(
+def test_zendsp_model_check_refuses_what_a_diagnosis_refuses(
     good: Columns, model: Path, tmp_path: Path
 ) -> None:
     file = reality.save(tmp_path / "run.csv", {k: v[500:1200] for k, v in good.items()})
@@ -199,7 +199,7 @@ def test_what_a_diagnosis_refuses_the_check_of_a_model_refuses_too(
     assert done.exit_code != 0 and "at least 2 s" in str(done.exception), done.output
 
 
-def test_as_many_rows_as_fill_two_seconds_last_two_seconds(
+def test_a_recording_with_exactly_the_rows_of_two_seconds_is_accepted(
     good: Columns, model: Path, tmp_path: Path, refuse: Callable[..., str]
 ) -> None:
     def saved(rows: int) -> Path:
@@ -351,7 +351,7 @@ def test_scheduler_without_each_is_refused(
 
 
 @pytest.mark.parametrize("gain, factor", [(10.0, "10"), (0.05, "0.05")])
-def test_a_gain_that_is_wrong_by_one_factor_at_all_joints_is_refused(
+def test_a_command_wrong_by_the_same_factor_at_all_joints_is_refused(
     gain: float, factor: str
 ) -> None:
     with pytest.raises(RecordingError, match=f"divide the actuator's gain by about {factor}"):
@@ -361,7 +361,7 @@ def test_a_gain_that_is_wrong_by_one_factor_at_all_joints_is_refused(
 
 
 @pytest.mark.parametrize("gain, cause", [(1.1e3, "mA in place of A"), (9e-4, "A under a head")])
-def test_a_thousandfold_command_at_all_joints_is_a_unit_and_no_torque_constant(
+def test_a_command_off_by_1000_at_all_joints_is_called_a_unit_error(
     gain: float, cause: str
 ) -> None:
     with pytest.raises(RecordingError, match=cause) as refused:
@@ -370,7 +370,7 @@ def test_a_thousandfold_command_at_all_joints_is_a_unit_and_no_torque_constant(
 
 
 @pytest.mark.parametrize("mistake", ["two runs glued", "the same run twice", "NaN", "gap"])
-def test_the_command_that_a_refusal_names_makes_recordings_that_are_taken(
+def test_the_command_that_a_refusal_proposes_makes_acceptable_recordings(
     mistake: str, good: Columns, model: Path, tmp_path: Path, refuse: Callable[..., str],
     typed: Callable[..., tuple[object, str, str]],
 ) -> None:  # fmt: skip
@@ -394,11 +394,11 @@ def test_the_command_that_a_refusal_names_makes_recordings_that_are_taken(
     check_signals([read_signals(part, load_model(model)) for part in parts], load_model(model))
 
 
-def test_one_command_for_each_recording_takes_out_all_that_a_sensor_hung(
+def test_one_command_for_each_recording_removes_all_times_with_a_hanging_sensor(
     good: Columns, model: Path, tmp_path: Path, refuse: Callable[..., str],
     typed: Callable[..., tuple[object, str, str]],
 ) -> None:  # fmt: skip
-    """It was refused as two runs glued together, cut at one jump, and refused again at the next."""
+    """Such a recording had been refused as two runs glued together, once for each jump."""
     columns = {k: v.copy() for k, v in good.items()}
     _hung(columns)
     paths = [reality.save(tmp_path / f"{name}.csv", columns) for name in ("one", "two")]
@@ -416,10 +416,10 @@ def test_one_command_for_each_recording_takes_out_all_that_a_sensor_hung(
     check_signals([read_signals(part, given) for part in parts], given)
 
 
-def test_a_unit_that_is_not_known_is_refused_with_those_that_are(
+def test_an_unknown_unit_is_refused_and_the_known_ones_are_listed(
     good: Columns, model: Path, tmp_path: Path
 ) -> None:
-    """A note was not read, and nothing of the report was true."""
+    """When this was only a note, nobody read it, and the whole report was wrong."""
     turns = reality.save(tmp_path / "run.csv", {**good, "q": good["q"] / (2 * np.pi)})
     head, rest = turns.read_text().split("\n", 1)
     turns.write_text(re.sub(r"\bq\b", "q [Umdrehungen]", head) + "\n" + rest)
@@ -437,18 +437,18 @@ def test_a_unit_that_is_not_known_is_refused_with_those_that_are(
 
 
 @pytest.mark.parametrize(("kind", "way"), [("planar2r", 'kind = "rotary"'), ("urdf", "fixed")])
-def test_of_a_joint_that_is_held_is_said_how_to_describe_the_others(kind: str, way: str) -> None:
+def test_the_refusal_of_a_held_joint_says_how_to_describe_the_others(kind: str, way: str) -> None:
     model: Any = SimpleNamespace(kind=kind, joints=2)
     for still in (np.full(9, 0.3), np.linspace(0.3, 0.3004, 9)):  # exactly, and by four counts
         with pytest.raises(RecordingError, match=way):
             checks._moves("run.csv: joint 2", still, 1e-4, model)
 
 
-def test_a_part_in_which_the_joints_hardly_move_accuses_no_gain_that_another_shows_right(
-    monkeypatch: pytest.MonkeyPatch,
+def test_no_gain_is_called_wrong_by_a_part_that_hardly_moves_when_another_shows_it_right(
+    monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A table had ended after two seconds, and the arm stood for eight: the part to test on said
-    that the actuators' gain is 0.026 times the model's.
+    """A table ended after two seconds and the arm stood still for eight. By the test part alone the
+    actuators had 0.026 times the model's gain.
     """
     few = SimpleNamespace(
         r2=0.99, slope=0.026, error=1e-4, share=0.5, excess=0.0, excess_t=0.0, alike=1.0

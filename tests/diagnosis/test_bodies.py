@@ -70,8 +70,8 @@ def test_a_payload_is_one_body_with_its_mass_and_centre_beside_friction_that_nob
     assert abs(found.term.value("mass") - 1.5) < 4 * std["mass"] < 0.1
 
 
-def test_a_joint_may_rest_in_recordings_of_the_others(record, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
-    """One joint after another is how arms are identified."""
+def test_a_joint_may_rest_in_recordings_where_others_move(record, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    """Arms are often identified one joint after another."""
     arm = Arm(mass=1.5)
     model, paths = record("payload", arm)
     for joint in (1, 3):
@@ -89,8 +89,9 @@ def test_a_joint_may_rest_in_recordings_of_the_others(record, tmp_path: Path) ->
         check_signals(signals[2:3], model)
 
 
-def test_a_body_that_is_little_of_what_the_joints_leave_is_kept_for_them(record) -> None:  # type: ignore[no-untyped-def]
-    """A coarse encoder: a centre of mass 3 cm off hid beside the joints' free constants."""
+def test_a_body_too_small_to_be_proposed_is_remembered_and_can_be_taken(record) -> None:  # type: ignore[no-untyped-def]
+    """Behind a coarse encoder a centre of mass 3 cm off had hidden in the joints' free constants.
+    """
     none = replace(LIMITS, part=2.0, clear=1e3)  # no explanation is large enough
     for arm, name in ((Arm(mass=1.5), "payload"), (Arm(), "none")):
         model, _ = made = record(name, arm)
@@ -103,8 +104,8 @@ def test_a_body_that_is_little_of_what_the_joints_leave_is_kept_for_them(record)
             assert taken.found == (search.small,) and taken.model.terms[-1] is search.small.term
 
 
-def test_recordings_agree_on_a_payload_or_leave_its_mass_open(record) -> None:  # type: ignore[no-untyped-def]
-    """One recording of a real arm said 214 kg, the other 297, both together 148."""
+def test_where_recordings_disagree_on_a_payload_its_interval_holds_all_their_masses(record) -> None:  # type: ignore[no-untyped-def]
+    """Of a real arm one recording gave 214 kg, another 297 kg, and both together 148 kg."""
     model, (first, second) = record("payload", Arm(mass=1.5))
     _, (_, heavier) = record("heavier_payload", Arm(mass=1.9))
     fit, same, other = (
@@ -121,7 +122,7 @@ def test_recordings_agree_on_a_payload_or_leave_its_mass_open(record) -> None:  
     assert np.all(np.abs(apart.values[0] - np.array([1.5, 1.9])) < 2.0 * apart.std[0])
 
 
-def test_a_payload_is_as_sure_as_the_torque_constants_that_the_model_states(record) -> None:  # type: ignore[no-untyped-def]
+def test_a_payloads_uncertainty_includes_that_of_the_torque_constants(record) -> None:  # type: ignore[no-untyped-def]
     model, _ = made = record("payload", Arm(mass=1.5))
     fit, choose = prepared(made)
     (found,) = find_bodies(fit, choose, model, 1, lambda _text: None).found
@@ -137,7 +138,7 @@ def test_a_payload_is_as_sure_as_the_torque_constants_that_the_model_states(reco
 
 
 def test_a_mass_is_drawn_at_the_joint_where_its_torque_is_largest(record) -> None:  # type: ignore[no-untyped-def]
-    """On the axis of joint 3 it hangs 0.4 m from that of joint 2."""
+    """The mass lies on the axis of joint 3, and 0.4 m from that of joint 2."""
     made = record("on_axis", Arm(mass=1.5, com=(0.0, 0.05, 0.0)), True)
     model, (data, _) = kernel_model(made[0]), prepared(made)
     load = make_term(get_effect("payload"), 3, {"mass": 1.5, "com_y": 0.05})
@@ -172,14 +173,14 @@ def test_a_shifted_centre_of_mass_is_the_links(record) -> None:  # type: ignore[
     )
 
 
-def test_a_tilted_base_is_gravity_and_no_body(record) -> None:  # type: ignore[no-untyped-def]
+def test_a_tilted_base_is_named_as_gravity_direction_and_not_as_a_body(record) -> None:  # type: ignore[no-untyped-def]
     (found,) = searched(record("tilt", Arm(tilt=np.deg2rad(2.0)))).found
     assert found.term.effect == "base_tilt" and found.body == ""
     assert found.term.value("angle_x") == pytest.approx(np.deg2rad(2.0), rel=0.03)
     assert abs(found.term.value("angle_y")) < 1e-3
 
 
-def test_a_gain_of_one_joint_is_no_body(record) -> None:  # type: ignore[no-untyped-def]
+def test_a_wrong_gain_of_one_joint_is_not_claimed_as_a_body(record) -> None:  # type: ignore[no-untyped-def]
     search = searched(record("gain", Arm(gain=0.93)))
     assert search.found == () and search.aside == {2}
 
@@ -276,9 +277,9 @@ def test_diagnosis_claims_the_payload_once_for_the_whole_arm(record,
     ]
 
 
-def test_what_no_joint_feels_of_a_centre_is_no_number_to_look_for() -> None:
-    """Two parallel axes: a place along them gave a centre of 30 km, and springs that balance it; a
-    tilt along which no gravity acts one of three million radians.
+def test_a_coordinate_of_a_centre_of_mass_that_no_joint_feels_is_not_fitted() -> None:
+    """With two parallel axes, a coordinate along them had come out as 30 km, with springs to
+    balance it. A tilt without any effect had come out as three million radians.
     """
     from zendsp.diagnosis.search.body_hypotheses import felt, turned
     from zendsp.physics.robots.bodies import Links
@@ -300,8 +301,8 @@ def test_what_no_joint_feels_of_a_centre_is_no_number_to_look_for() -> None:
 
 
 def test_the_inertia_of_joints_that_accelerate_together_stays_in_its_range(tmp_path: Path) -> None:
-    """The model knows a third of a rotor. Joints 1 and 3 accelerate nearly as joint 2 does, so the
-    coupling columns take part of its inertia: by them alone it would be 0.22 kg m² at most.
+    """The model has a third of a rotor's inertia. Joints 1 and 3 accelerate nearly as joint 2 does,
+    so the coupling columns absorb a part: from them alone it would be 0.22 kg m² at most.
     """
     import pinocchio as pin
 
@@ -329,9 +330,9 @@ def test_the_inertia_of_joints_that_accelerate_together_stays_in_its_range(tmp_p
     assert low < rotor < high
 
 
-def test_what_a_noisy_command_of_one_joint_does_to_the_others_is_known(tmp_path: Path) -> None:
-    """A feedback's noise at one joint shakes all; no smoothing of their positions finds it, and a
-    complete model of a six-axis arm had an elastic joint.
+def test_noise_in_the_command_of_one_joint_is_not_blamed_on_the_others(tmp_path: Path) -> None:
+    """Feedback noise at one joint shakes all others, too little to be seen in their smoothed
+    positions. A complete model of a six-axis arm had been given an elastic joint for it.
     """
     import pinocchio as pin
 
@@ -392,8 +393,8 @@ def test_a_rotor_that_is_a_third_off_is_named_and_one_within_its_tolerance_is_no
 
 
 def test_rotors_that_a_file_lacks_are_named_beside_a_link_without_inertia(record) -> None:  # type: ignore[no-untyped-def]
-    """Without its rotor the wrist runs away in any simulation, and what an observer sees of it is
-    its damping.
+    """Without its rotor the wrist diverges in any simulation, and an observer sees only its
+    damping.
     """
     motors = (0.3, 0.4, 0.02)
     model, paths = record("rotors", Arm(motors=motors, links=WRIST), True)
@@ -406,8 +407,8 @@ def test_rotors_that_a_file_lacks_are_named_beside_a_link_without_inertia(record
 
 
 def test_what_calibration_moved_is_told_by_name_in_the_numbers_of_a_model_file() -> None:
-    """Laws that were replaced made the others answer for each other's numbers, and a breakaway
-    torque was told without Coulomb's level, which the file has in it.
+    """After a law was replaced, numbers had been reported under the wrong law. A breakaway torque
+    had been reported without the Coulomb level that the model file counts into it.
     """
     laws = (
         {"kind": "coulomb", "joint": 1, "level": {"value": 0.1}},
@@ -429,7 +430,7 @@ def test_what_calibration_moved_is_told_by_name_in_the_numbers_of_a_model_file()
 def test_beside_a_body_a_mechanism_without_a_law_stands_but_for_a_constant(
     law: str, stands: bool
 ) -> None:
-    """A constant is what a body's weight may be wrong by, whatever it is called."""
+    """A constant torque may be the error of a body's weight, whatever its name."""
     nothing: Any = None
     term = Term(law, 1, {})
     claim = Claim("unknown", "actuator", term, 0.001, nothing, 0.0, {}, (), (), ())
@@ -447,7 +448,7 @@ def test_beside_a_body_a_mechanism_without_a_law_stands_but_for_a_constant(
 def test_a_figure_that_the_model_calls_rough_is_calibrated_at_no_price(
     std: float, price: bool
 ) -> None:
-    """From 0.29 to 0.24, which is 17 %."""
+    """From 0.29 to 0.24, a change of 17 %."""
     found: Any = SimpleNamespace(
         hypothesis=Hypothesis("calibration", free=("p3",), cost=9.0), values=np.array([-0.05])
     )
@@ -459,7 +460,7 @@ def test_a_figure_that_the_model_calls_rough_is_calibrated_at_no_price(
 
 
 def test_a_payload_on_a_joint_that_slides_has_a_mass_and_no_known_centre() -> None:
-    """No motion of it shows a centre of mass: any is as good."""
+    """No motion of a sliding joint shows the centre of mass."""
     body = SimpleNamespace(mass=6.0, com=np.zeros(3), inertia=np.eye(3))
     solver: Any = SimpleNamespace(
         layout=SimpleNamespace(links=SimpleNamespace(bodies=(body,))), limits=LIMITS

@@ -29,8 +29,8 @@ SWINGS = np.array([1, 1, 1, 30, 1, 1, 1, 1, 20, 1, 1, 1, 25, 1, 1, 1], float)
 
 
 def sums(torque: float, rng: np.random.Generator) -> Any:
-    """Gram matrices of one joint: nuisance, the column of a body, innovations that hold so much of
-    it beside noise.
+    """Gram matrices of one joint: a nuisance, the column of a body, and innovations with ``torque``
+    times that column beside noise.
     """
     grams, counts = np.zeros((1, BLOCKS, NUISANCE + 2, NUISANCE + 2)), np.full((1, BLOCKS), 150.0)
     for block, swing in enumerate(SWINGS):
@@ -43,7 +43,7 @@ def sums(torque: float, rng: np.random.Generator) -> Any:
 
 
 def sureness(torque: float, seed: int) -> float:
-    """Of the body's column, estimated on one recording, over nothing, on another."""
+    """How sure the body's column is, estimated on one recording, to beat nothing on another."""
     rng = np.random.default_rng(seed)
     layout: Any = SimpleNamespace(joints=1, width=NUISANCE + 1, own=NUISANCE + 1)
     solver = Solver(sums(torque, rng), sums(torque, rng), layout, LIMITS)
@@ -54,21 +54,21 @@ def sureness(torque: float, seed: int) -> float:
 
 
 def test_a_body_that_is_felt_in_few_blocks_only_is_sure() -> None:
-    """The mean gain of a block over its spread stays below 3 here, however heavy the body is; 0.3
-    of the column is 100 standard deviations of the noise, known from three blocks' spread.
+    """The mean gain of a block over its spread stays below 3 here, however heavy the body. Yet 0.3
+    of the column is 100 standard deviations of the noise.
     """
     assert all(sureness(0.3, seed) > LIMITS.sure for seed in range(20))
     assert all(sureness(3.0, seed) > 10 for seed in range(20))
 
 
 def test_a_body_that_is_not_there_is_hardly_ever_sure() -> None:
-    """Of a normal deviate 0.1 % are above three; 4 of 400 leaves room for the draw."""
+    """A normal deviate exceeds three in 0.1 % of draws; 4 of 400 leaves room for chance."""
     assert sum(sureness(0.0, seed) > LIMITS.sure for seed in range(400)) <= 4
 
 
 def test_what_joints_say_of_one_body_adds_up() -> None:
-    """A base tilted by 2 degrees, as six joints of a small arm told of it: the first, which bears
-    most of it as a part of its own torque, is not sure alone (9 are needed).
+    """A base tilted by 2 degrees, seen by six joints of a small arm. The first, where it is the
+    largest part of the torque, is not sure alone (9 are needed).
     """
     told = [
         Heard(0.241, 0.070, 4.1, 4.6), Heard(0.074, 0.0004, 13.8, 44.6),
@@ -85,7 +85,7 @@ def test_what_joints_say_of_one_body_adds_up() -> None:
 def test_a_body_stands_where_the_joints_need_more_findings_and_predict_no_better(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A real arm's load was a spring and two wrong rotors, of which no joint misses the body."""
+    """A real arm's load had been explained by a spring and two wrong rotors."""
     findings = {"body": 1, "joints": 3}
     errors = {"body": 3.2e-4, "joints": 3.5e-4}  # rad
     machines: list[Any] = [([], [], SimpleNamespace(improved=name)) for name in findings]
@@ -102,8 +102,8 @@ def test_a_body_stands_where_the_joints_need_more_findings_and_predict_no_better
     assert not stands(), "it predicts worse"
 
 
-def test_where_the_joints_have_one_finding_no_body_is_asked(
-    monkeypatch: pytest.MonkeyPatch,
+def test_no_body_is_considered_where_the_joints_need_only_one_finding(
+    monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(machine, "findings_at", lambda *_: 1)
     monkeypatch.setattr(machine, "explain", lambda *_: pytest.fail("searched once more"))
@@ -122,8 +122,8 @@ def explained(joint: int, *free: str, cost: float, behind: float) -> Explained:
 
 
 def test_fewer_numbers_of_a_link_must_predict_as_well_as_more_of_it() -> None:
-    """Else the joints have to explain the rest: 3 cm of a link's centre were taken for less mass
-    and a gravity and an offset beside it. Other links' numbers do not hurry.
+    """Otherwise the joints must explain the rest: a centre 3 cm off had become less mass, a gravity
+    and an offset. Numbers of other links may follow later.
     """
     mass = explained(2, "mass", cost=2.0, behind=2.2)
     centre = explained(2, "com_x", "com_y", "com_z", cost=4.0, behind=0.0)
@@ -134,8 +134,8 @@ def test_fewer_numbers_of_a_link_must_predict_as_well_as_more_of_it() -> None:
     assert first_of([nearly, centre], LIMITS) is nearly
 
 
-def test_numbers_of_a_link_of_which_none_is_known_do_not_stand_for_one_that_is() -> None:
-    """0.12 kg of a link that moves one joint of a Z1 were 0.9 ± 20 kg, 0.7 m off: no body."""
+def test_undetermined_numbers_of_a_link_do_not_replace_a_determined_one() -> None:
+    """0.12 kg at a link of a Unitree Z1 had become 0.9 ± 20 kg at 0.7 m, and so no body."""
     mass = explained(2, "mass", cost=2.0, behind=1.9)
     every = explained(2, "mass", "com_x", "com_z", cost=4.0, behind=0.0)
     assert first_of([mass, every], LIMITS) is every
@@ -143,7 +143,7 @@ def test_numbers_of_a_link_of_which_none_is_known_do_not_stand_for_one_that_is()
 
 
 @pytest.mark.parametrize(("com", "nothing"), [(0.45, True), (0.65, False)])
-def test_a_body_of_which_no_number_is_surely_other_than_nothing_is_none(
+def test_a_body_with_no_number_surely_different_from_zero_is_not_claimed(
     com: float, nothing: bool
 ) -> None:
     """A payload of 70 ± 64 g somewhere on its link; its moment may still be sure."""
@@ -155,8 +155,8 @@ def test_a_body_of_which_no_number_is_surely_other_than_nothing_is_none(
 
 
 @pytest.mark.parametrize(("at", "carried"), [(1.1, True), (1.6, False)])
-def test_what_a_link_of_a_metre_carries_may_sit_beyond_its_end(at: float, carried: bool) -> None:
-    """Reach counts from the link's centre of mass, not from the joint at its begin."""
+def test_a_payload_may_have_its_centre_beyond_the_end_of_its_link(at: float, carried: bool) -> None:
+    """Its reach is measured from the link's centre of mass, not from the joint."""
     link = SimpleNamespace(mass=1.0, com=np.array([0.0, 0.0, 0.5]))
     solver: Any = SimpleNamespace(
         layout=SimpleNamespace(links=SimpleNamespace(bodies=[link, link])), limits=LIMITS
@@ -166,7 +166,7 @@ def test_what_a_link_of_a_metre_carries_may_sit_beyond_its_end(at: float, carrie
 
 
 def gaining(**gains: float) -> Any:
-    """A solver in which each effect gains so much, and none predicts better than another."""
+    """A solver in which each effect has a given gain, and all predict equally well."""
     left = lambda x: 1000.0 - gains.get(x, 0.0)  # noqa: E731
     return SimpleNamespace(
         limits=LIMITS,
@@ -181,9 +181,11 @@ def gaining(**gains: float) -> Any:
 
 
 @pytest.mark.parametrize(("rotors", "first"), [(300.0, "body"), (598.0, "gravity")])
-def test_what_needs_a_rotor_as_well_goes_behind_what_does_not(rotors: float, first: str) -> None:
-    """A first link of 10 % more mass was a gravity and an inertia of its joint, and a balancer must
-    not become a link.
+def test_an_explanation_that_also_needs_a_rotor_ranks_behind_one_that_does_not(
+    rotors: float, first: str
+) -> None:
+    """A first link 10 % heavier had become a gravity and an inertia of its joint. But a balancer
+    must not become a heavier link.
     """
     tried = [
         Hypothesis("gravity", 1, "", ("sine", "cosine"), COST["gravity"]),
@@ -194,9 +196,11 @@ def test_what_needs_a_rotor_as_well_goes_behind_what_does_not(rotors: float, fir
 
 
 @pytest.mark.parametrize(("behind", "first"), [(0.5, "torque_gain"), (2.2, "body")])
-def test_what_falls_behind_pays_for_it(behind: float, first: str) -> None:
-    """A centre of mass that was 5 cm off was a gain of one joint of half its gain in likelihood,
-    2.2 standard deviations behind, since that has three numbers less.
+def test_a_hypothesis_that_predicts_worse_loses_likelihood_for_it(
+    behind: float, first: str
+) -> None:
+    """A centre of mass 5 cm off had been called a gain of one joint. The gain has three numbers
+    fewer, but half the likelihood gain, and predicts 2.2 standard deviations worse.
     """
     centre = Hypothesis("body", 1, "upper", ("com_x", "com_z"), COST["body"] + 2)
     tried = [Hypothesis("torque_gain", 1, "", ("ratio",), COST["torque_gain"]), centre]
@@ -205,9 +209,9 @@ def test_what_falls_behind_pays_for_it(behind: float, first: str) -> None:
     assert explain(solver, tried, solver)[0].hypothesis.effect == first
 
 
-def test_what_is_hardly_better_than_nothing_does_not_predict_as_well_as_what_is() -> None:
-    """A gain of one joint, two deviations better than nothing, stood before a link of 16 % more
-    mass, and nothing was proposed.
+def test_a_hypothesis_hardly_better_than_none_does_not_tie_with_one_that_is() -> None:
+    """A gain of one joint, only two standard deviations better than nothing, had outranked a link
+    16 % heavier, and nothing was proposed.
     """
     tried = [
         Hypothesis("torque_gain", 1, "", ("ratio",), COST["torque_gain"]),
@@ -220,7 +224,7 @@ def test_what_is_hardly_better_than_nothing_does_not_predict_as_well_as_what_is(
 
 
 @pytest.mark.parametrize(("mass", "kept"), [(0.5, False), (3.0, True)])
-def test_a_centre_of_mass_is_wrong_alone_where_the_mass_may_be_right(
+def test_a_wrong_centre_of_mass_is_claimed_alone_where_the_mass_may_be_right(
     mass: float, kept: bool
 ) -> None:
     names = ("mass", "com_x", "com_z")
@@ -238,7 +242,7 @@ def test_a_centre_of_mass_is_wrong_alone_where_the_mass_may_be_right(
 def test_a_payload_that_may_sit_at_its_links_centre_is_that_links_mass(
     blur: float, own: bool
 ) -> None:
-    """A link 10 % heavier was a payload 5 cm from the link's centre, known to 8 cm."""
+    """A link 10 % heavier had been called a payload 5 ± 8 cm from the link's centre."""
     payload = explained(1, "mass", "com_x", "com_z", cost=COST["payload"], behind=0.0)
     payload = replace(
         payload,
@@ -253,8 +257,10 @@ def test_a_payload_that_may_sit_at_its_links_centre_is_that_links_mass(
     assert found is (heavier if own else payload)
 
 
-def test_not_all_actuators_give_a_third_less_at_once() -> None:
-    """A payload in the plane, of three fifths of what its link turns, was a gain of both joints."""
+def test_a_third_less_gain_at_all_actuators_at_once_is_implausible() -> None:
+    """A payload of a planar arm, three fifths of its link's inertia, had become a gain of both
+    joints.
+    """
     solver: Any = SimpleNamespace(
         layout=SimpleNamespace(links=SimpleNamespace(bodies=())), limits=LIMITS
     )
@@ -265,7 +271,7 @@ def test_not_all_actuators_give_a_third_less_at_once() -> None:
 
 
 @pytest.mark.parametrize(("p2", "wrong"), [(0.17, 0), (0.26, 1)])
-def test_a_plane_arms_numbers_far_from_the_given_ones_are_no_calibration(
+def test_numbers_of_a_planar_arm_far_from_the_given_ones_are_a_finding_and_not_calibration(
     p2: float, wrong: int
 ) -> None:
     given = planar(0.15)
@@ -287,10 +293,10 @@ def planar(p2: float) -> Model:
 
 
 @pytest.mark.parametrize(("com_std", "stands"), [(0.004, False), (0.0004, True)])
-def test_a_constant_that_the_centre_of_a_body_may_be_wrong_by_is_the_bodys(
+def test_a_constant_torque_within_the_uncertainty_of_a_bodys_centre_belongs_to_the_body(
     com_std: float, stands: bool
 ) -> None:
-    """Of 8 kg, 4 mm are 0.3 N m, however much more the body weighs."""
+    """With 8 kg, 4 mm make 0.3 N m, whatever the uncertainty of the mass."""
     arm = SimpleNamespace(inertia=np.zeros(5), bias=np.zeros(5))
 
     def change(terms: list[Term], _joint: int) -> Any:
@@ -314,7 +320,7 @@ def test_a_constant_that_the_centre_of_a_body_may_be_wrong_by_is_the_bodys(
 
 
 @pytest.mark.parametrize("same", ["calibration", "torque_gain"])
-def test_an_inertia_beside_a_body_that_calibration_could_take_up_is_calibration(same: str) -> None:
+def test_an_inertia_beside_a_body_that_calibration_can_absorb_is_not_a_finding(same: str) -> None:
     term, law = SimpleNamespace(parameters={}), SimpleNamespace(effect="inertia")
     found = SimpleNamespace(term=term, indistinguishable=(same,))
     body: Any = SimpleNamespace(sizes={1: 0.3}, found=found)
@@ -331,8 +337,8 @@ def test_an_inertia_beside_a_body_that_calibration_could_take_up_is_calibration(
 def test_a_body_that_explains_as_much_as_a_joints_own_fault_is_remembered(
     behind: float, remembered: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Link 2 of an arm, 3.6 kg heavier, moves joint 2 alone: a gain of it explains as much, the
-    joint was set aside, and by itself had a torque of the position without a law.
+    """Link 2 of an arm, 3.6 kg heavier, loads joint 2 alone, so a gain explains as much. The joint
+    had been set aside, and ended with a torque over the position without a law.
     """
     gain = replace(
         explained(2, "ratio", cost=1.0, behind=0.0),
@@ -359,7 +365,7 @@ def test_a_body_that_explains_as_much_as_a_joints_own_fault_is_remembered(
         ("dry_friction", "coulomb", False),
     ],
 )
-def test_what_a_joint_claims_may_be_a_bodys_weight(
+def test_a_joints_claim_may_be_the_weight_of_a_body(
     mechanism: str, effect: str, weighs: bool
 ) -> None:
     nothing: Any = None
@@ -381,11 +387,11 @@ def test_what_a_joint_claims_may_be_a_bodys_weight(
         ("actuator", {2, 5}, 2.0),  # slow motion: 1.5 kg became -4.9
     ],
 )
-def test_a_spring_or_a_gain_fitted_beside_a_body_leaves_its_joints_weight_open(
+def test_a_body_is_refitted_with_the_gravity_of_its_joint_free_beside_a_spring_or_a_gain(
     monkeypatch: pytest.MonkeyPatch, mechanism: str, left_open: set[int], after: float
 ) -> None:
-    """The spring of a real arm's balancer, fitted beside 159 kg, made 175 ± 5 of them; of 150.
-    Numbers that predict worse are not taken.
+    """A real arm carried 150 kg, found as 159. Refitted beside the spring of its balancer it had
+    become 175 ± 5. Numbers that predict worse are not taken.
     """
     errors = iter((1.0, after))
     monkeypatch.setattr(decide_bodies, "model_error", lambda *_: next(errors))

@@ -1,4 +1,4 @@
-"""Clocks that jitter, rows that lack or repeat, angles that wrap: taken, and said."""
+"""Jittering clocks, missing or repeated rows and wrapped angles are accepted and reported."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_a_jittered_clock_is_resampled_and_the_report_says_so(
     assert any("resampled" in n for n in notes), notes
 
 
-def test_rows_that_are_missing_from_an_even_clock_are_no_jitter(
+def test_rows_missing_from_an_even_clock_are_not_called_jitter(
     good: Columns, model: Path, tmp_path: Path
 ) -> None:
     columns = {name: np.delete(x, [700, 900, 901]) for name, x in good.items()}
@@ -39,10 +39,10 @@ def test_rows_that_are_missing_from_an_even_clock_are_no_jitter(
     assert len(said) == 1 and "run.csv: 3 rows missing, all others evenly spaced" in said[0]
 
 
-def test_stamps_that_jitter_beside_rows_that_do_not_are_not_believed(
+def test_jittering_time_stamps_of_evenly_sampled_rows_are_not_used(
     good: Columns, model: Path, tmp_path: Path
 ) -> None:
-    """A tenth of a sample made 2.5 % of the torque missing, and told of seven rows that lacked."""
+    """Jitter of a tenth of a sample had looked like 2.5 % missing torque and seven missing rows."""
     r = np.random.default_rng(7)
     t = good["t"] + 0.1 * r.standard_normal(len(good["t"])) / FAST
     file = reality.save(tmp_path / "run.csv", {**good, "t": t})
@@ -52,7 +52,9 @@ def test_stamps_that_jitter_beside_rows_that_do_not_are_not_believed(
     assert np.allclose(read.position[:, 0], good["q"], rtol=0.0, atol=1e-9)
 
 
-def test_a_row_that_lacks_is_no_late_stamp(good: Columns, model: Path, tmp_path: Path) -> None:
+def test_a_missing_row_is_not_taken_for_a_late_time_stamp(
+    good: Columns, model: Path, tmp_path: Path
+) -> None:
     r = np.random.default_rng(8)
     t = good["t"] + 0.1 * r.standard_normal(len(good["t"])) / FAST
     lacks = np.delete(np.arange(len(t)), [400, 900, 901])
@@ -61,7 +63,7 @@ def test_a_row_that_lacks_is_no_late_stamp(good: Columns, model: Path, tmp_path:
     assert any("and 3 rows missing" in n for n in accepted(file, model))
 
 
-def test_lines_between_jittered_rows_hide_no_noise_of_the_sensor(
+def test_resampling_a_jittered_clock_does_not_lower_the_stated_sensor_noise(
     good: Columns, model: Path, tmp_path: Path
 ) -> None:
     r = np.random.default_rng(6)
@@ -76,10 +78,10 @@ def test_lines_between_jittered_rows_hide_no_noise_of_the_sensor(
 
 @pytest.mark.parametrize("hertz", [0.3, 1.0, 2.5])  # 0.8 to 7 counts a row
 @pytest.mark.parametrize("noise", [0.0, 0.3])  # counts
-def test_counts_between_jittered_rows_are_stated_as_noisy_as_they_are(
+def test_resampling_a_jittered_clock_does_not_lower_the_stated_quantisation_noise(
     hertz: float, noise: float, tmp_path: Path
 ) -> None:
-    """Lines between rounded positions are rounded once more, and hide that codes go to and fro."""
+    """Interpolation between rounded positions hides that the count flickers."""
     step = 2 * np.pi / 1024
     model = reality.model_file(tmp_path / "m.toml", RATE, *KNOWN, resolution=step)
     rng = np.random.default_rng(2)
@@ -111,7 +113,7 @@ def test_a_held_command_is_not_late_after_a_jittered_clock_was_resampled() -> No
     assert abs(late) < 0.02 / RATE
 
 
-def test_rows_that_repeat_the_row_before_are_left_out_and_said(
+def test_rows_that_repeat_the_row_before_are_left_out_and_reported(
     good: Columns, model: Path, tmp_path: Path
 ) -> None:
     rows = np.sort(np.r_[np.arange(len(good["t"])), [100, 101, 900]])
@@ -122,7 +124,7 @@ def test_rows_that_repeat_the_row_before_are_left_out_and_said(
     assert any("3 rows repeat the row before" in n for n in signals.notes)
 
 
-def test_an_angle_that_begins_anew_at_a_full_turn_turns_on_and_this_is_said(
+def test_an_angle_that_wraps_at_a_full_turn_is_unwrapped_and_reported(
     good: Columns, model: Path, tmp_path: Path
 ) -> None:
     given = kernel_model(load_model(model))

@@ -44,7 +44,7 @@ def test_what_only_the_recordings_of_the_fit_show_is_not_claimed(decided: Decide
 def test_what_the_recordings_of_the_fit_surely_show_leaves_the_verdict_open(
     tmp_path: Path,
 ) -> None:
-    """A loose mass showed in the recording of the fit alone; report.json said complete."""
+    """A loose mass showed only in the recording of the fit, and report.json had said complete."""
     runs = [
         reality.save(
             tmp_path / f"{seed}.csv",
@@ -60,10 +60,10 @@ def test_what_the_recordings_of_the_fit_surely_show_leaves_the_verdict_open(
 
 
 @pytest.mark.parametrize("held", [1, 0])
-def test_what_acts_in_the_shorter_of_two_recordings_alone_has_its_right_size(
+def test_an_effect_that_acts_only_in_the_shorter_recording_has_its_right_size(
     held: int, tmp_path: Path
 ) -> None:
-    """The longer one does not come near the torque at which the actuator saturates."""
+    """Only the shorter one reaches the torque at which the actuator saturates."""
     machine, files = reality.Machine(weak=0.5), []
     for seconds, seed, size in ((12.0, 1, 0.3), (8.0, 2, 1.0), (9.0, 3, 1.0)):
         motion = reality.multisine(seconds, RATE, seed, size=size)
@@ -77,7 +77,7 @@ def test_what_acts_in_the_shorter_of_two_recordings_alone_has_its_right_size(
 
 
 @pytest.mark.usefixtures("searched_once")
-def test_a_joint_that_only_turns_round_tells_no_function_of_its_state(
+def test_no_function_of_the_state_is_learned_from_a_joint_that_only_reverses(
     decided: Decided, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(measure_structure, "counted", lambda rec, *_: np.zeros(rec.n, bool))
@@ -88,13 +88,13 @@ def test_a_joint_that_only_turns_round_tells_no_function_of_its_state(
 def test_a_law_is_named_where_a_neighbour_of_it_does_not_predict_better(
     power: float, law: str, decided: Decided
 ) -> None:
-    """A resistance of the square of the speed, and of its cube."""
+    """Drag with the square of the speed, and with its cube."""
     d = decided(reality.Machine(drag=0.002, power=power))
     assert [(f.effect, f.mechanism) for f in d.findings] == [(law, "fluid_friction")]
 
 
 @pytest.mark.parametrize("foreign", [{"swirl": 0.008}, {"blend": 0.005}, {"sticky": 0.02}])
-def test_a_small_function_of_state_is_seen_and_gets_no_name_that_it_only_resembles(
+def test_a_small_unknown_function_of_the_state_gets_no_name_that_it_only_resembles(
     foreign: dict[str, float], decided: Decided
 ) -> None:
     d = decided(reality.Machine(**foreign))
@@ -135,8 +135,8 @@ def test_a_mechanism_without_a_law_has_the_curve_of_its_torque_and_a_figure(
         assert chart is not None and chart.panels[0].xlabel.startswith(variable)
 
 
-def test_viscous_friction_that_depends_on_the_position_is_called_no_dry_friction(
-    decided: Decided,
+def test_viscous_friction_that_depends_on_the_position_is_not_called_dry_friction(
+    decided: Decided
 ) -> None:
     """blend * q * q̇: its only law in the library is one of dry friction."""
     (found,) = decided(reality.Machine(blend=0.015)).findings
@@ -145,7 +145,7 @@ def test_viscous_friction_that_depends_on_the_position_is_called_no_dry_friction
     assert found.as_dict()["curve"]["against_motion"]  # type: ignore[typeddict-item]
 
 
-def test_several_mechanisms_without_any_law_are_one_torque(
+def test_several_mechanisms_without_a_law_are_claimed_as_one_torque(
     decided: Decided, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def doubled(*arguments: Any) -> Decision:
@@ -170,8 +170,8 @@ def test_the_tail_of_a_stribeck_curve_is_chosen(decided: Decided) -> None:
 def test_all_friction_that_a_model_lacks_is_a_stribeck_curve_and_viscous(
     decided: Decided, speed: float
 ) -> None:
-    """Coulomb friction and a drag are found first, and give way. What creeps at 1 mrad/s is a curve
-    of its own: read as this one, it falls at 97 mrad/s in place of 80.
+    """Coulomb friction and drag are found first and give way to it. Creep at 1 mrad/s is a curve of
+    its own: without it the Stribeck velocity would be 97 mrad/s instead of 80.
     """
     machine = reality.Machine(breakaway=0.06, stribeck=speed, tail=1.0, creep=1e-4)
     d = decided(machine, None, "")
@@ -233,14 +233,14 @@ def test_a_small_torque_that_throws_the_position_far_off_is_missing(
     decided: Decided, monkeypatch: pytest.MonkeyPatch, lacks: float, low: float, times: float,
     verdict: str,
 ) -> None:
-    """Commands that a controller dropped left 0.5 % of the torque, and were complete."""
+    """Commands dropped by a controller left 0.5 % of the torque, and had been called complete."""
     monkeypatch.setattr(decision, "discrepancy", lambda *_: Size(lacks, low, 2 * lacks))
     _sensor(monkeypatch, times)
     assert decided(reality.Machine()).verdict == verdict
 
 
-def test_what_a_faster_loop_does_between_rows_is_no_missing_physics(tmp_path: Path) -> None:
-    """Its command is the finer for it, and shows no more than it has to."""
+def test_commands_between_rows_by_a_faster_loop_are_not_missing_physics(tmp_path: Path) -> None:
+    """The command is held more finely than it is recorded."""
 
     def verdict(machine: reality.Machine, model: Path) -> Diagnosis:
         runs = []
@@ -267,10 +267,12 @@ def test_what_a_faster_loop_does_between_rows_is_no_missing_physics(tmp_path: Pa
 
 
 @pytest.mark.parametrize(("late", "claimed"), [(4, False), (13, True)])
-def test_a_log_that_is_late_among_rows_of_a_faster_loop_is_told_and_no_finding(
+def test_a_late_log_of_a_faster_loop_is_noted_and_is_no_finding(
     late: int, claimed: bool, tmp_path: Path
 ) -> None:
-    """Four logs 3 to 14 ms behind a filter became ten shifts of 8 to 20 ms, joint by joint."""
+    """Four logs, late by 3 to 14 ms behind a filter, had become ten shifts of 8 to 20 ms at single
+    joints.
+    """
     runs = []
     for seed in (1, 2):
         motion = reality.multisine(12.0, FAST, seed)
@@ -305,9 +307,7 @@ def test_one_mechanism_is_one_finding(decided: Decided) -> None:
 
 
 @pytest.mark.usefixtures("searched_once")
-def test_complete_says_what_would_have_been_seen_and_an_effect_of_twice_that_is_named(
-    decided: Decided,
-) -> None:
+def test_twice_the_size_that_complete_states_as_detectable_is_named(decided: Decided) -> None:
     d = decided(reality.Machine())
     assert d.verdict == "complete"
     ripple = next(x for x in d.detectable if x.effect == "ripple")
@@ -328,7 +328,7 @@ def test_no_delay_is_said_to_be_missed_below_a_time_that_no_fit_reaches(
 
 
 @pytest.mark.usefixtures("searched_once")
-def test_a_larger_implant_is_fitted_from_what_the_smaller_one_has_bent(
+def test_the_fit_of_a_larger_implant_begins_from_that_of_the_smaller_one(
     decided: Decided, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fits: list[Any] = []
@@ -370,7 +370,7 @@ def test_recordings_that_would_show_no_friction_nor_torque_over_position_cannot_
 def test_friction_that_differs_with_the_direction_is_friction_and_a_constant_by_algebra(
     held: float, decided: Decided
 ) -> None:
-    """Also beside a constant that the model holds, such as a weight that was said to be known."""
+    """Also beside a constant that the model holds fixed, such as a weight stated as known."""
     machine = reality.Machine(push=(0.012 + held, 0.0, 99.0))
     known = reality.effect("torque_offset", level=-held).replace(" }", ", free = false }")
     d = decided(machine, None, KNOWN[0], *[known] * bool(held))
@@ -379,7 +379,9 @@ def test_friction_that_differs_with_the_direction_is_friction_and_a_constant_by_
     assert all("coulomb_asymmetry" in same for same in found.values())
 
 
-def test_of_a_joint_that_moves_one_way_coulomb_friction_may_be_any_constant(tmp_path: Path) -> None:
+def test_coulomb_friction_of_a_joint_that_moves_one_way_cannot_be_told_from_a_constant(
+    tmp_path: Path
+) -> None:
     t = np.arange(6000) / RATE
     motion = 1.5 * t + 0.5 * np.sin(2.0 * t) + 0.04 * np.sin(9.0 * t)
     machine = reality.Machine(push=(0.012, 0.0, 99.0))
@@ -392,10 +394,10 @@ def test_of_a_joint_that_moves_one_way_coulomb_friction_may_be_any_constant(tmp_
     assert any("never reverses" in note for note in d.notes) and d.next_recording is not None
 
 
-def test_a_law_is_told_beside_what_the_machine_is_known_to_leave(
+def test_a_law_is_named_beside_the_discrepancy_that_the_model_file_states(
     decided: Decided, tmp_path: Path
 ) -> None:
-    """The model file of one diagnosis says it to the next."""
+    """The model file hands it from one diagnosis to the next."""
     before = decided(reality.Machine(unrest=0.0035))
     assert before.verdict == "complete" and before.improved.discrepancy.torque[0] > 0.0015
     sprung = reality.Machine(unrest=0.0035, spring=0.035)
@@ -415,7 +417,7 @@ def test_a_law_is_told_beside_what_the_machine_is_known_to_leave(
 def test_calibration_may_move_a_number_as_far_as_the_model_file_says_that_it_is_known(
     known: str, verdict: str, recorded: Callable[..., list[Path]], tmp_path: Path
 ) -> None:
-    """Given a quarter too large."""
+    """The given number is a quarter too large."""
     runs = recorded(reality.Machine())
     model = reality.model_file(tmp_path / "rough.toml", RATE, *KNOWN, inertia=0.0125)
     text = model.read_text().replace("value = 0.0125", f"value = 0.0125{known}")
@@ -428,10 +430,10 @@ def test_calibration_may_move_a_number_as_far_as_the_model_file_says_that_it_is_
 
 
 @pytest.mark.parametrize("seconds", [(9.0, 12.0)])
-def test_the_figure_of_a_ripple_of_many_periods_is_of_one_as_large_as_the_sentence_says(
-    decided: Decided,
+def test_the_figure_of_a_ripple_shows_one_period_with_the_amplitude_of_the_sentence(
+    decided: Decided
 ) -> None:
-    """Twelve periods over the travel, fast: in forty bins over it they were a wave of another kind.
+    """Twelve periods over the travel, passed fast: in forty bins they had looked like another wave.
     """
     d = decided(reality.Machine(ripple=0.02, order=40))
     (found,) = d.findings

@@ -211,7 +211,7 @@ def test_what_no_effect_describes_is_unexplained(run: Run) -> None:
     assert "as a multisine over the whole range does (10 s, " in d.next_recording.sentence
 
 
-def test_a_torque_that_nothing_predicts_is_not_passed_over(run: Run) -> None:
+def test_a_torque_that_nothing_predicts_is_reported(run: Run) -> None:
     d = run(Case(reality.Machine(unrest=0.016), [VISCOUS, COULOMB], {}))
     assert d.verdict == "unexplained" and d.findings == ()
     assert "nor any function of the joint's state" in d.unexplained
@@ -230,7 +230,7 @@ def test_wrong_term_of_the_given_model_is_replaced(run: Run) -> None:
     assert {t.effect for t in d.improved.terms} == {"quadratic_drag", "coulomb"}
 
 
-def test_what_calibration_moves_far_is_told(run: Run) -> None:
+def test_a_number_that_calibration_moves_far_is_reported(run: Run) -> None:
     gain = 1.2  # as an actuator that gives so much more
     machine = reality.Machine(inertia=0.01 / gain, viscous=0.004 / gain, coulomb=0.03 / gain)
     d = run(Case(machine, [VISCOUS, COULOMB], {}, seconds=LONGER, rate=FAST))

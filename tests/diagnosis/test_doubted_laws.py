@@ -1,4 +1,4 @@
-"""What speaks against a law, though it fits: what it stands upon, its twin, and the motion."""
+"""What speaks against a law that fits: a missing base law, a twin law, or too little motion."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ def fitted(terms: tuple[Term, ...], **std: float) -> Any:
 
 
 @pytest.mark.parametrize(("level", "count"), [(0.0, 1), (1e-4, 1), (0.03, 0)])
-def test_a_stribeck_curve_upon_no_coulomb_friction_is_any_curve_over_the_speed(
+def test_a_stribeck_curve_without_coulomb_friction_is_only_some_curve_over_the_speed(
     level: float, count: int
 ) -> None:
-    """As a torque of the cube of speed needs it beside quadratic drag."""
+    """With quadratic drag such a curve only imitates a torque with the cube of the speed."""
     curve = term("stribeck", breakaway=0.03, velocity=4.4)
     at = (term("coulomb", level=level), curve, term("quadratic_drag", coefficient=0.0025))
     final: Any = SimpleNamespace(model=SimpleNamespace(at=lambda _: at))
@@ -61,10 +61,12 @@ def claim(effect: str, **numbers: float) -> Claim:
     [(0.01, 0.032, 2e-4, True), (0.01, 0.013, 2e-4, False), (0.03, 0.01, 2e-4, False),
      (0.01, 0.032, 0.01, False), (0.0, 0.032, 2e-4, False)],
 )  # fmt: skip
-def test_drag_beside_which_the_known_viscous_friction_has_to_grow_is_a_piece_of_a_curve(
+def test_drag_that_needs_the_known_viscous_friction_to_grow_is_not_named(
     was: float, now: float, std: float, drawn: bool
 ) -> None:
-    """As |v|^1.5 is drawn by v and v². What took up the drag before shrinks beside it."""
+    """v and v² together imitate |v|^1.5. A viscous friction that had absorbed a true drag shrinks
+    beside it.
+    """
     drag = term("quadratic_drag", coefficient=0.0025)
     final = fitted((term("viscous", coefficient=now), drag), coefficient=std)
     given: Any = SimpleNamespace(at=lambda _: (term("viscous", coefficient=was),))
@@ -74,7 +76,7 @@ def test_drag_beside_which_the_known_viscous_friction_has_to_grow_is_a_piece_of_
 @pytest.mark.parametrize(
     ("neutral", "std", "one"), [(0.102, 1e-4, True), (0.11, 1e-4, False), (0.11, 6e-3, True)]
 )
-def test_two_springs_of_one_neutral_point_are_one_that_hardens(
+def test_two_springs_with_one_neutral_point_are_one_hardening_spring(
     neutral: float, std: float, one: bool
 ) -> None:
     plain = claim("stiffness", coefficient=7.3, neutral=0.1)
@@ -95,10 +97,10 @@ def wave(effect: str, order: float, amplitude: float) -> Claim:
     ("order", "amplitude", "alike"),
     [(20.0, 2.72e-3, True), (20, 2.0e-3, False), (40, 2.7e-3, False)],
 )
-def test_two_mechanisms_do_not_have_the_same_wave_at_once(
+def test_two_mechanisms_with_the_same_wave_are_not_both_claimed(
     order: float, amplitude: float, alike: bool
 ) -> None:
-    """As a ripple of the torque constant needs them."""
+    """Together they imitate a ripple of the torque constant."""
     first, other = (
         wave("transmission_error", 19.97, 2.74e-3),
         wave("sensor_harmonic", order, amplitude),
@@ -139,7 +141,7 @@ def test_what_the_motion_predicts_is_no_disturbance(
     ("inertia", "gravity", "both"),
     [(2.96, 4.8, True), (2.96, -4.8, False), (1.9, 9.0, False), (2.1, 2.1, False)],
 )
-def test_inertia_and_weight_together_tell_a_body(
+def test_changes_of_inertia_and_weight_together_are_called_a_body(
     inertia: float, gravity: float, both: bool
 ) -> None:
     assert absorbed._both_far(inertia, gravity) is both
@@ -153,27 +155,27 @@ def test_a_complete_model_that_errs_more_than_the_sensor_says_what_it_leaves() -
     assert said.startswith("Complete: no known effect") and "1.5 % of the torque of joint 1" in said
 
 
-def test_times_are_told_with_their_recordings() -> None:
+def test_disturbance_times_are_reported_with_their_recordings() -> None:
     times = [(1.0, 1.5), (2.0, 2.25), (7.0, 7.5)]
     assert spans(times, ["a", "b", "a"]) == "1.00–1.50 s, 7.00–7.50 s of a and 2.00–2.25 s of b"
     assert spans(times, ["", "", ""], 2) == "1.00–1.50 s, 2.00–2.25 s and 1 more"
 
 
-def test_one_bristle_or_hysteresis_law_a_joint() -> None:
-    """Both at once are two Coulomb frictions, whose levels nothing tells apart."""
+def test_a_joint_gets_either_bristles_or_hysteresis() -> None:
+    """Both at once are two Coulomb frictions whose levels cannot be separated."""
     one, other = get_effect("presliding"), get_effect("hysteresis")
     assert one.family == other.family and one.sole and other.sole
 
 
 @pytest.mark.filterwarnings("error")
-def test_a_recording_that_mostly_shows_nothing_counts_where_it_shows_something() -> None:
+def test_a_recording_that_is_mostly_uninformative_counts_where_it_is_informative() -> None:
     std = np.array([np.inf, np.inf, np.inf, 1e-6, 1.0])
     lacks = Missing(np.arange(5.0), np.full(5, 2.0), std, {})
     square, counts = energy(lacks)
     assert counts.tolist() == [0, 0, 0, 1, 1] and square.tolist() == [0, 0, 0, 4.0 - 1e-12, 3.0]
 
 
-def test_times_of_two_joints_that_overlap_are_told_once() -> None:
+def test_overlapping_times_of_two_joints_are_reported_once() -> None:
     time = np.arange(0.0, 10.0, 0.01)
     lacks = np.where((time > 3.0) & (time < 3.5), 1.0, 0.0)
 
@@ -189,7 +191,7 @@ def test_times_of_two_joints_that_overlap_are_told_once() -> None:
 
 @pytest.mark.parametrize(("ratio", "small"), [(-0.0033, True), (0.0033, True), (-0.06, False)])
 def test_no_torque_gain_within_half_a_percent_is_named(ratio: float, small: bool) -> None:
-    """As the rest of a payload left one at the wrist of a shipped arm."""
+    """The remainder of a payload had left one at the wrist of a shipped arm."""
     gain = term("torque_gain", ratio=ratio)
     record: Any = SimpleNamespace(n=1)
     rounds: Any = SimpleNamespace(joint=1, data=SimpleNamespace(records=((record,),)))
@@ -200,11 +202,11 @@ def test_no_torque_gain_within_half_a_percent_is_named(ratio: float, small: bool
 
 
 @pytest.mark.parametrize(("unseen", "found"), [(0.0, True), (1.0, False)])
-def test_an_inertia_that_the_command_between_the_rows_may_make_is_no_finding(
+def test_an_inertia_that_unrecorded_commands_between_rows_can_explain_is_no_finding(
     unseen: float, found: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of a complete joint whose loop ran at 1 kHz, recorded at 125 Hz with a coarse encoder, an
-    inertia 70 % larger was claimed: a larger one feels less of the commands that no row says.
+    """For a complete joint with a loop at 1 kHz, recorded at 125 Hz with a coarse encoder, an
+    inertia 70 % larger had been claimed: it responds less to the commands between rows.
     """
     given, improved = model_of(VISCOUS), model_of(VISCOUS, inertia=0.017)
     columns = reality.simulate(reality.Machine(), reality.multisine(4.0, 500.0, 1), 500.0)

@@ -1,4 +1,4 @@
-"""Waves of the torque that pass faster than the search follows."""
+"""Torque ripple that passes faster than the observer of the search can follow."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from zendsp.diagnosis.search.hypothesis import JointSearch
 
 
 @pytest.mark.parametrize("amplitude", [0.02, 0.0])
-def test_cogging_behind_a_gear_passes_more_often_than_any_turn_is_screened_for(
-    amplitude: float,
+def test_motor_cogging_behind_a_gear_is_found_beyond_the_grid_of_the_screen(
+    amplitude: float
 ) -> None:
-    """A motor behind a gear of 48.5 cogs twice a turn of its own."""
+    """A motor behind a gear of ratio 48.5 cogs twice per motor turn."""
     model = model_of(VISCOUS, COULOMB, rate=FAST)
     machine = reality.Machine(ripple=amplitude, order=97)
     fit, choose = (

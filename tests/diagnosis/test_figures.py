@@ -1,6 +1,4 @@
-"""A figure shows what its sentence says: on coarse encoders, before and after, over the variable of
-which the words speak.
-"""
+"""A figure shows what its sentence says, over the same variable, also with coarse encoders."""
 
 from __future__ import annotations
 
@@ -68,8 +66,8 @@ def _of(d: Diagnosis, section: str, finding: int = -1) -> Chart:
 def test_means_of_a_figure_are_the_true_torque_within_their_standard_errors(
     coarse: Diagnosis,
 ) -> None:
-    """An observer that remembers 30 ms sees a reversal smeared over 0.5 rad/s: outside of it the
-    torque is the level. Of 30 means one is 3 standard errors off in every tenth figure.
+    """An observer with a memory of 30 ms smears a reversal over 0.5 rad/s; outside that the torque
+    is the level. One of 30 means is 3 standard errors off in every tenth figure.
     """
     assert [f.effect for f in coarse.findings] == ["coulomb"]
     chart = _of(coarse, "law", 0)
@@ -82,14 +80,16 @@ def test_means_of_a_figure_are_the_true_torque_within_their_standard_errors(
 
 
 def test_no_spike_of_a_coarse_encoder_is_drawn_beside_the_law(coarse: Diagnosis) -> None:
-    """A change of the code corrects the observer at once for what had summed up since the last."""
+    """At each change of the count the observer corrects at once all that had summed up since the
+    last.
+    """
     law, where = _of(coarse, "law", 0), _of(coarse, "where")
     assert np.quantile(np.abs(_series(law, 0, "dots").y), 0.99) < 3.0 * LEVEL
     for line in where.panels[0].series:
         assert np.nanmax(np.abs(line.y)) < 3.0 * LEVEL, line.label
 
 
-def test_before_and_after_have_the_same_axes(coarse: Diagnosis) -> None:
+def test_panels_before_and_after_have_the_same_axes(coarse: Diagnosis) -> None:
     for section, finding in (("fit", -1), ("law", 0)):
         chart = _of(coarse, section, finding)
         one, other = draw(chart).axes
@@ -102,7 +102,7 @@ def test_before_and_after_have_the_same_axes(coarse: Diagnosis) -> None:
 
 
 def test_the_map_of_a_mismatch_shows_no_more_than_the_law(coarse: Diagnosis) -> None:
-    """Not where the code changes, which is where the joint is slow."""
+    """It shows no extra torque at slow motion, where the count seldom changes."""
     (chart,) = (c for c in charts(coarse) if c.name.startswith("map"))
     mesh = chart.panels[0].mesh
     assert mesh is not None and chart.panels[0].xlabel == "velocity [rad/s]"
@@ -110,7 +110,7 @@ def test_the_map_of_a_mismatch_shows_no_more_than_the_law(coarse: Diagnosis) -> 
 
 
 @pytest.mark.parametrize("variable", ["position", "velocity"])
-def test_the_map_is_drawn_over_the_variable_of_the_interval_that_is_told(
+def test_the_map_is_drawn_over_the_variable_of_the_reported_interval(
     coarse: Diagnosis, variable: str
 ) -> None:
     told = Region(1, variable, (-1.0, 1.0), share=0.66, time_share=0.32, unit="rad")
@@ -143,9 +143,9 @@ def test_shaded_spans_are_told_in_the_legend() -> None:
     assert [text.get_text() for text in legend.get_texts()] == [SPANS]
 
 
-def test_what_lacks_of_a_torque_is_not_inflated_by_a_coarse_encoder(coarse: Diagnosis) -> None:
-    """Three times the torque was said to be missing: the squares of corrections that make up for a
-    plateau at once. Of 0.03 N m a reversal hides some.
+def test_a_coarse_encoder_does_not_inflate_the_missing_torque(coarse: Diagnosis) -> None:
+    """Three times the torque had been reported: squares of corrections after a plateau of the
+    count. Of 0.03 N m a reversal hides a part.
     """
     w = coarse.workings
     assert isinstance(w, Workings)
@@ -159,9 +159,9 @@ def test_what_lacks_of_a_torque_is_not_inflated_by_a_coarse_encoder(coarse: Diag
     assert found == pytest.approx(truth, rel=0.35)
 
 
-def test_a_torque_that_the_model_holds_by_dry_friction_is_not_known(tmp_path: Path) -> None:
-    """Given three times its friction, a model stands where the joint moves: what would tear it off
-    is 55 N m to first order. What is told as known is 0.22 N m at most, as it is.
+def test_the_missing_torque_is_unknown_where_dry_friction_holds_the_model(tmp_path: Path) -> None:
+    """With three times the friction the model sticks where the joint moves, and to first order 55 N
+    m would be needed to free it. The reported torque is at most the true 0.22 N m.
     """
     machine = reality.Machine(coulomb=0.1, creep=1e-5, ripple=0.02)
     rows = reality.simulate(machine, reality.multisine(9.0, RATE, 1, high=1.0), RATE)
@@ -194,8 +194,8 @@ BARS = "Bars are standard errors: "
     (0.02, "Beside the law something is left: 0.02 N m at velocity 0.5 rad/s, 20 standard errors"
            " (the bars)."),
 ])  # fmt: skip
-def test_a_law_beside_which_something_is_left_says_so(left: float, said: str) -> None:
-    """Bars of 0.001 N m; what is less than a tenth of the law is no other law."""
+def test_the_figure_of_a_law_says_that_something_else_is_left(left: float, said: str) -> None:
+    """Error bars of 0.001 N m; less than a tenth of the law counts as nothing else."""
     x, zero = np.linspace(-1.0, 1.0, 9), np.zeros(9)
     none = Samples(zero, zero, zero, zero.astype(int))
     law = Curve("velocity", none, x, 0.05 * np.sign(x), zero + 0.001, against=False)
@@ -204,7 +204,7 @@ def test_a_law_beside_which_something_is_left_says_so(left: float, said: str) ->
 
 
 def test_the_first_of_several_recordings_is_drawn_by_its_own_clock() -> None:
-    """The times that a sentence tells of it are found in the figure."""
+    """The times in the sentences can be found in the figure."""
     stamp = 1_790_000_000.0  # s, of a calendar: too long for an axis
     assert figures.one_after_the_other([(0.4, 5.0), (7.0, 3.0), (0.1, 2.0)]) == [0.4, 5.4, 8.4]
     assert figures.one_after_the_other([(stamp + 0.5, 5.0), (7.0, 3.0)]) == [0.5, 5.5]
@@ -230,16 +230,17 @@ def test_a_stribeck_curve_is_drawn_with_the_level_on_which_it_stands(decided: De
 @pytest.mark.parametrize(("unit", "word"), [("N", "force"), ("N m", "torque"), ("A", "torque")])
 def test_the_title_of_a_law_calls_a_force_what_its_axis_does(unit: str, word: str) -> None:
     found: Any = SimpleNamespace(effect="ripple")
-    sides: Any = SimpleNamespace(by_law=True, was="calibrated")
+    sides: Any = SimpleNamespace(by_law=True, lacking="calibrated model")
     assert laws._title(found, 1, sides, unit).startswith(f"Joint 1: {word} of ripple: ")
     sides.by_law = False
-    assert laws._title(found, 1, sides, unit).startswith(f"Joint 1: {word} that the model ")
+    lacks = f"Joint 1: {word} that the calibrated model lacks, by ripple"
+    assert laws._title(found, 1, sides, unit) == lacks
     assert torque_label(unit) == f"{word} [{unit}]"
 
 
 @LAW
-def test_a_law_with_a_memory_is_drawn_over_time(decided: Decided) -> None:
-    """Over no variable is the torque that a delay brings at another time a curve."""
+def test_a_law_with_memory_is_drawn_over_time(decided: Decided) -> None:
+    """The torque of a delay is no curve over any variable."""
     d = decided(reality.Machine(delay=0.006))
     (found,) = d.findings
     assert found.effect in ("delay", "lag")
@@ -257,8 +258,10 @@ def test_a_law_with_a_memory_is_drawn_over_time(decided: Decided) -> None:
 
 
 @pytest.mark.parametrize("seconds", [(9.0, 12.0)])
-def test_nothing_claimed_is_one_model_in_every_figure(decided: Decided) -> None:
-    """What only improves the fit is in no figure: the words compare with no improved model."""
+def test_without_a_claim_every_figure_shows_one_model(decided: Decided) -> None:
+    """Terms that only improve the fit are in no figure, since the text compares with no improved
+    model.
+    """
     d = decided(reality.Machine(wave=0.02))
     assert d.verdict == "unexplained"
     for chart in charts(d):
@@ -266,10 +269,10 @@ def test_nothing_claimed_is_one_model_in_every_figure(decided: Decided) -> None:
             assert "improved" not in [s.label for s in panel.series]
 
 
-def test_a_joint_at_rest_does_not_stretch_the_axis_of_errors(
+def test_windows_at_rest_do_not_stretch_the_axis_of_errors(
     coarse: Diagnosis, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A window in which nothing moves is predicted to the last digit."""
+    """A window without motion is predicted to the last digit."""
     monkeypatch.setattr(figures, "window_error", lambda *_: np.zeros(3000))
     rms = _of(coarse, "fit").panels[1]
     assert rms.level is not None
@@ -278,7 +281,9 @@ def test_a_joint_at_rest_does_not_stretch_the_axis_of_errors(
 
 @pytest.mark.long("test_two_sensors.py finds the spring; lost: the figure of its torsion")
 def test_what_two_sensors_show_of_a_spring_is_drawn_as_its_torsion(tmp_path: Path) -> None:
-    """Over the torque that it transmits: the slope of the line is the compliance of the words."""
+    """The torsion is drawn over the transmitted torque: the slope is the compliance in the
+    sentence.
+    """
     machine = reality.Machine(both_sides=True, load=0.006, soft=60.0, resolution=FINE)
     files = []
     for seed in (1, 2):
@@ -299,8 +304,8 @@ def test_what_two_sensors_show_of_a_spring_is_drawn_as_its_torsion(tmp_path: Pat
     assert np.max(np.abs(left.y)) < 0.1 * np.max(np.abs(line.y))
 
 
-def test_a_torque_that_is_not_claimed_is_drawn_over_what_it_depends_on() -> None:
-    """Where it is a curve; over time alone where it is none."""
+def test_an_unclaimed_torque_is_drawn_over_the_variable_it_depends_on() -> None:
+    """It is drawn over time alone where it is no curve over any variable."""
     rng = np.random.default_rng(0)
     t = np.arange(4000) / 500.0
     q, v = np.sin(t), np.cos(t)
@@ -321,7 +326,9 @@ def test_a_torque_that_is_not_claimed_is_drawn_over_what_it_depends_on() -> None
 def test_bins_of_a_torque_without_a_law_are_finer_than_the_waves_that_describe_it(
     turns: float,
 ) -> None:
-    """Of 14 waves a turn 40 bins made noise; over many turns the waves lie on one another."""
+    """40 bins turned 14 waves per turn into noise. Over many turns the waves are laid over one
+    another.
+    """
     rng = np.random.default_rng(0)
     x = rng.uniform(0.0, turns * 2 * np.pi, 20000)
     torque = np.sin(14 * x) + 0.1 * rng.normal(size=20000)
@@ -334,7 +341,7 @@ def test_bins_of_a_torque_without_a_law_are_finer_than_the_waves_that_describe_i
     assert in_waves(plain, []) == (plain, 0.0)
 
 
-def test_the_line_of_a_law_crosses_nothing_that_was_not_seen() -> None:
+def test_the_line_of_a_law_is_not_drawn_where_there_is_no_data() -> None:
     at = np.array([0.0, 0.1, 0.2, 0.9, 1.0, 1.2])
     x, y = broken(at, np.sin(at))
     assert np.flatnonzero(np.isnan(y)).tolist() == [3]

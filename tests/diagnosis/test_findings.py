@@ -1,5 +1,4 @@
-"""Numbers of a finding belong to its own term, also where a joint has several terms of one effect.
-"""
+"""The numbers, uncertainties and words of a finding belong to its own term."""
 
 from __future__ import annotations
 
@@ -75,7 +74,7 @@ def test_each_of_several_couplings_has_its_own_numbers(fit: Fit) -> None:
     assert len({e.std for e in found}) == 3
 
 
-def test_what_a_longer_recording_does_not_make_better_stands_in_the_uncertainty() -> None:
+def test_uncertainties_include_errors_that_do_not_shrink_with_a_longer_recording() -> None:
     record: Any = SimpleNamespace(sample_time=1e-3, scale=SimpleNamespace(position=0.5))
 
     def std(effect: str, key: str, value: float, **known: Any) -> float:
@@ -94,7 +93,7 @@ def test_what_a_longer_recording_does_not_make_better_stands_in_the_uncertainty(
     assert std("ripple", "order", 7.0, record=record, left=0.5) == pytest.approx(0.3, rel=0.01)
 
 
-def test_only_the_coupling_that_cannot_be_told_from_none_vanishes(fit: Fit) -> None:
+def test_only_the_coupling_indistinguishable_from_zero_is_removed(fit: Fit) -> None:
     assert [vanishes(fit, term) for term in _couplings(0.9)] == [False, True, False]
 
 
@@ -127,14 +126,12 @@ def test_hysteresis_is_found_again_when_its_exponent_was_chosen_anew() -> None:
     assert counterpart([chosen], started) is chosen
 
 
-def test_a_term_that_is_not_there_is_no_other_one(fit: Fit) -> None:
+def test_looking_up_an_absent_term_finds_no_other(fit: Fit) -> None:
     with pytest.raises(LookupError, match="coupling at joint 2"):
         counterpart(fit.model.terms, Term("coupling", 2, {}))
 
 
-def test_what_is_held_out_is_the_last_third_of_the_motion_whenever_the_machine_comes_to_rest() -> (
-    None
-):
+def test_held_out_is_the_last_third_of_the_motion_without_the_rest_at_its_end() -> None:
     t = np.arange(20_000) * 1e-3
     # a machine that stands at the end shows nothing more, and is left out from there on
     for q, share, moves in (
@@ -154,7 +151,7 @@ def test_what_is_held_out_is_the_last_third_of_the_motion_whenever_the_machine_c
 def test_where_recordings_move_one_joint_each_every_joint_is_chosen_by_and_tested_on(
     alike: bool,
 ) -> None:
-    """1.5 kg on an arm came out as a gain of -66 % of a joint that was tested on alone."""
+    """1.5 kg on an arm had become a gain of -66 % at a joint of which nothing else was tested."""
     t = np.arange(4000) * 2e-3
     moves, rests = np.sin(3 * t), 0.05 * np.sin(2 * t)
     held = [
@@ -169,8 +166,7 @@ def test_where_recordings_move_one_joint_each_every_joint_is_chosen_by_and_teste
 
 
 def test_a_recording_too_short_to_be_divided_counts_once(tmp_path: Path) -> None:
-    """As two parts of the same rows each would predict the other, and every row would count twice.
-    """
+    """Used as two parts the same rows would predict each other and count twice."""
     rate = 200.0
     run = reality.simulate(reality.Machine(), reality.multisine(6.0, rate, 1), rate)
     whole = reality.save(tmp_path / "whole.csv", run)
@@ -192,7 +188,9 @@ def test_a_refinement_takes_no_part_of_a_laws_number() -> None:
 
 
 @pytest.mark.parametrize(("std", "nothing"), [(0.16, True), (0.009, False)])
-def test_a_number_within_two_deviations_of_nothing_is_no_claim(std: float, nothing: bool) -> None:
+def test_a_law_with_a_number_within_two_standard_deviations_of_zero_is_not_claimed(
+    std: float, nothing: bool
+) -> None:
     values = {"stiffness": Estimate(0.02, std, "N m/rad"), "load_inertia": Estimate(1.0, 0.1, "")}
     assert may_be_nothing("elasticity", values) is nothing
 
@@ -208,26 +206,26 @@ def test_a_number_within_two_deviations_of_nothing_is_no_claim(std: float, nothi
         ("gain_drift", -0.16, 0.01, False),
     ],
 )
-def test_what_goes_until_nothing_is_left_of_it_does_not_drift(
+def test_friction_that_vanishes_is_not_called_a_drift(
     effect: str, ratio: float, std: float, gone: bool
 ) -> None:
-    """A real arm's friction fell by 95 % within half a second of its recording's begin."""
+    """A real arm's friction fell by 95 % within half a second after the recording began."""
     values = {"ratio": Estimate(ratio, std, ""), "time_constant": Estimate(0.56, 0.02, "s")}
     assert runs_out(effect, values) is gone
 
 
 @pytest.mark.parametrize(("down", "nothing"), [(0.329, True), (0.2, False)])
-def test_friction_that_is_alike_both_ways_is_no_asymmetry(down: float, nothing: bool) -> None:
+def test_equal_friction_in_both_directions_is_not_an_asymmetry(down: float, nothing: bool) -> None:
     values = {"level_pos": Estimate(0.333, 0.030, "N m"), "level_neg": Estimate(down, 0.030, "N m")}
     assert may_be_nothing("coulomb_asymmetry", values) is nothing
 
 
 @pytest.mark.parametrize(("std", "least", "most"), [(0.1, 0.99, 1.0), (0.24, 0.4, 0.6)])
-def test_a_law_whose_number_is_known_to_a_third_is_not_surely_the_law(
+def test_a_number_known_to_a_third_only_limits_the_confidence_of_its_law(
     std: float, least: float, most: float
 ) -> None:
-    """Of nine such laws of two examiners one was right: a spring with a play, a wall, a rocking
-    base.
+    """Of nine such laws in two examinations one was right; others were a spring with play, a wall,
+    a rocking base.
     """
     values = {"coefficient": Estimate(0.7, std, "N m/rad³"), "neutral": Estimate(0.1, 0.3, "rad")}
     assert least < one_number("cubic_stiffness", values) <= most
@@ -240,10 +238,12 @@ def test_a_law_whose_number_is_known_to_a_third_is_not_surely_the_law(
     ("urdf", 2.0, ()),  # by speed: a friction that two joints share
     ("rotary", 0.0, ()),
 ])  # fmt: skip
-def test_a_coupling_of_an_arm_that_a_body_may_be_is_not_told_from_one(
+def test_a_coupling_that_a_body_can_explain_is_called_indistinguishable_from_it(
     kind: str, law: float, others: tuple[str, ...]
 ) -> None:
-    """Where recordings move one joint each, 1.5 kg at a tip were two couplings and two inertias."""
+    """Where each recording moved one joint, 1.5 kg at the tip had become two couplings and two
+    inertias.
+    """
     given: Any = SimpleNamespace(kind=kind)
     term = Term("coupling", 2, {"law": Quantity(law, free=False)})
     claim: Any = SimpleNamespace(effect="coupling", term=term, same=())
@@ -253,10 +253,10 @@ def test_a_coupling_of_an_arm_that_a_body_may_be_is_not_told_from_one(
 @pytest.mark.parametrize(("kind", "effect", "told"), [
     ("urdf", "torque_gain", 1), ("urdf", "viscous", 0), ("rotary", "torque_gain", 0),
 ])  # fmt: skip
-def test_a_torque_gain_of_an_arm_says_by_which_masses_it_is_measured(
+def test_a_torque_gain_of_an_arm_says_which_masses_it_relies_on(
     kind: str, effect: str, told: int
 ) -> None:
-    """An arm whose links beyond were 2 % too light gave 7.4 for 4.9 %."""
+    """With links beyond the joint 2 % too light, a gain error of 4.9 % came out as 7.4 %."""
     given: Any = SimpleNamespace(kind=kind, file="arm.urdf")
     decision: Any = SimpleNamespace(joint=3, claims=(SimpleNamespace(effect=effect),))
     notes = _against_masses([decision], given)
@@ -266,19 +266,21 @@ def test_a_torque_gain_of_an_arm_says_by_which_masses_it_is_measured(
 @pytest.mark.parametrize(("effect", "rotors", "told"), [
     ("transmission_error", 0, 1), ("transmission_error", 1, 0), ("ripple", 0, 0),
 ])  # fmt: skip
-def test_an_error_of_a_transmission_says_of_how_much_inertia_it_is_measured(
+def test_a_transmission_error_says_which_inertia_it_relies_on(
     effect: str, rotors: int, told: int
 ) -> None:
-    """With three tenths of the inertia the motor's, 0.0174 were found of 0.0250 rad."""
+    """With three tenths of the inertia in the motor, 0.0174 rad were found of 0.0250."""
     decision: Any = SimpleNamespace(joint=1, claims=(SimpleNamespace(effect=effect),))
     given: Any = SimpleNamespace(at=lambda _: rotors * [SimpleNamespace(effect="inertia")])
     assert len(_all_for_the_load([decision], given)) == told
 
 
 @pytest.mark.parametrize(("kept", "claimed"), [(True, False), (False, False), (True, True)])
-def test_a_log_is_called_late_only_where_the_model_keeps_it(kept: bool, claimed: bool) -> None:
-    """What was missing had bent the clock of the calibrated model. Of a shift that is claimed no
-    note says that it is no missing physics.
+def test_a_log_is_called_late_only_where_the_final_model_keeps_the_shift(
+    kept: bool, claimed: bool
+) -> None:
+    """Missing physics had bent the time shift of the calibrated model. No note calls a claimed
+    shift no missing physics.
     """
     late = Term("column_shift", 1, {"time": Quantity(4e-4)})
     none, has = (SimpleNamespace(at=lambda _, terms=t: terms) for t in ((), (late,)))
@@ -295,10 +297,10 @@ def test_a_log_is_called_late_only_where_the_model_keeps_it(kept: bool, claimed:
         assert all(note.endswith(end) for note in said), "four of four were physics that lacked"
 
 
-def test_a_joint_at_which_nothing_is_left_to_choose_by_costs_nothing(
-    monkeypatch: pytest.MonkeyPatch,
+def test_a_joint_without_data_to_choose_by_adds_nothing_to_the_cost(
+    monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """After pushes were cut out it was the logarithm of 0, after minutes."""
+    """After pushes were cut out this had been the logarithm of 0, found only after minutes."""
     left = {1: 0.0, 2: math.e}
     monkeypatch.setattr(joints, "window_error", lambda _data, _model, joint: left[joint])
     monkeypatch.setattr(joints, "rms", lambda error: error)

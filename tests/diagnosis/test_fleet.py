@@ -107,7 +107,8 @@ def test_a_scheduler_that_is_not_there_is_named() -> None:
 
 
 def test_a_process_that_searches_a_joint_ends_with_the_one_that_started_it() -> None:
-    """Of a diagnosis that was killed two searched on, one of them waiting for ever."""
+    """After a diagnosis was killed, two of its processes had gone on, one of them waiting for ever.
+    """
     code = (
         "import os, time; from zendsp.diagnosis import joints; parent = os.getpid()\n"
         "if os.fork() == 0:\n"

@@ -235,10 +235,12 @@ command = "torque"
     return path
 
 
-def test_an_fmu_that_starts_nowhere_else_is_not_called_complete_where_it_errs(
+def test_an_fmu_that_starts_from_one_state_only_is_not_called_complete_where_it_errs(
     shop: Path, tmp_path: Path
 ) -> None:
-    """Over whole recordings few independent errors are left, and dry friction is not told."""
+    """Compared over whole recordings there are few independent errors, too few to name dry
+    friction.
+    """
     model = write_model(tmp_path, shop / "p2.fmu")
     text = model.read_text().replace('start_position = "angle"\nstart_velocity = "speed"\n', "")
     model.write_text(text)
@@ -255,7 +257,7 @@ def diagnosed(shop: Path, folder: Path, fmu: str, run: str, jobs: int = 1) -> Di
 
 @pytest.mark.long("one that errs is below, a Python simulator's is named alike; lost: an FMU's")
 def test_coulomb_friction_that_an_fmu_lacks_is_named(shop: Path, tmp_path: Path) -> None:
-    """Of FMI 3; that of FMI 2 gives the same numbers, see below."""
+    """With FMI 3; a test below shows that FMI 2 gives the same numbers."""
     left = set(os.listdir(tempfile.gettempdir()))
     d = diagnosed(shop, tmp_path, "p3.fmu", "run")
     assert [(f.effect, f.joint) for f in d.findings] == [("coulomb", 1)], d

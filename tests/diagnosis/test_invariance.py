@@ -117,7 +117,7 @@ def test_nothing_that_is_found_changes_with(
 
 
 def _arm(folder: Path, friction: str) -> Path:
-    """A model of two light joints, heavily damped, with the friction as ``friction`` writes it."""
+    """A model of two light joints, heavily damped, with its friction in one of two forms."""
     joint = (
         '<joint name="{0}" type="revolute"><parent link="{1}"/><child link="{2}"/><origin'
         ' xyz="{3}"/><axis xyz="0 1 0"/><limit lower="-9" upper="9"'
@@ -137,9 +137,9 @@ def _arm(folder: Path, friction: str) -> Path:
     return model
 
 
-def test_a_body_does_not_change_with_how_the_same_friction_is_written(tmp_path: Path) -> None:
-    """Viscous friction with a number for each direction was left out of how a torque answers: the
-    WAM's payload was a gain here and a coupling there.
+def test_a_body_does_not_depend_on_how_the_same_friction_is_written(tmp_path: Path) -> None:
+    """Viscous friction with a number for each direction had been ignored in a joint's response to
+    torque: a Barrett WAM's payload became a gain or a coupling.
     """
     each = '[[effect]]\nkind = "viscous{0}"\njoint = {1}\n{2}\n'
     both = "".join(each.format("", j, "coefficient = { value = 2.0 }") for j in (1, 2))

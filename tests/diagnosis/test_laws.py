@@ -69,7 +69,7 @@ def test_a_law_is_named_where_what_it_leaves_allows_no_other(
 
 
 @pytest.mark.parametrize("effect", ["stiffness", "ripple", "torque_gain"])
-def test_what_is_said_to_be_seen_is_as_large_as_what_is_named(effect: str) -> None:
+def test_the_stated_detectable_size_meets_the_thresholds_of_a_claim(effect: str) -> None:
     claim = claim_of(make_term(get_effect(effect), 1, {}), 0.0)
     least = least_stated(effect, of_one_claim(claim, 0.02, 0.02))
     assert least >= 0.02
@@ -82,7 +82,7 @@ DOUBTFUL = Evidence(50.0, 4.0, np.zeros(1))
 
 
 @pytest.mark.parametrize(("size", "stands"), [(0.02, True), (0.005, False)])
-def test_a_law_that_is_not_believed_leaves_its_mechanism_where_it_explains_more_than_it_leaves(
+def test_a_doubted_law_leaves_its_mechanism_claimed_where_it_explains_more_than_it_leaves(
     size: float, stands: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(laws, "told_apart", lambda *_: True)
@@ -154,7 +154,7 @@ def test_a_law_is_no_surer_than_that_it_predicts_better_than_its_neighbours(
 
 
 @pytest.mark.parametrize(("moving", "stands"), [(0.0, False), (0.008, True)])
-def test_how_a_known_friction_turns_round_is_no_missing_mechanism(
+def test_how_a_known_friction_behaves_at_reversals_is_no_missing_mechanism(
     monkeypatch: pytest.MonkeyPatch, moving: float, stands: bool
 ) -> None:
     for room in (laws, nameless):
@@ -174,7 +174,7 @@ def test_how_a_known_friction_turns_round_is_no_missing_mechanism(
     [(0.1, 9.0, True), (0.1, 2.0, False), (0.05, 9.0, False), (0.052, 9.0, False)],
 )
 def test_a_law_leaves_too_much_only_where_that_is_sure(size: float, z: float, much: bool) -> None:
-    """Of 5 % that are allowed; the evidence is that for what is beyond them."""
+    """5 % are allowed; the evidence is that for what exceeds them."""
     assert laws._surely_more(Structure(size, 0.5, z), 0.05) is much
 
 
@@ -187,14 +187,14 @@ def test_a_law_leaves_too_much_only_where_that_is_sure(size: float, z: float, mu
         (1.5, 1, 2.6, False),  # balanced where an axis has its zero
     ],
 )
-def test_a_wave_beside_a_constant_or_a_spring_over_less_than_a_turn_is_any_curve(
+def test_gravity_beside_a_constant_or_spring_over_less_than_a_turn_is_not_named(
     angle: float, level: int, travel: float, curve: bool
 ) -> None:
     wave = Term("gravity", 1, {"angle": Quantity(angle, std=0.09)})
     assert patchwork.part_of_a_wave(wave, level, travel) is curve
 
 
-def test_how_one_joints_motion_acts_on_another_is_one_finding_and_two_frictions_are_two() -> None:
+def test_couplings_from_one_joint_are_one_finding_and_two_frictions_are_two() -> None:
     def piece(effect: str) -> Any:
         return SimpleNamespace(terms=(Term(effect, 5, {}),), effects=(effect,))
 
@@ -206,10 +206,10 @@ def test_how_one_joints_motion_acts_on_another_is_one_finding_and_two_frictions_
 @pytest.mark.parametrize(
     ("loss", "kept"), [(25.0, {"stiffness"}), (200.0, {"cubic_stiffness", "torque_offset"})]
 )
-def test_one_spring_stands_for_two_laws_where_it_gains_nearly_what_they_gain(
+def test_one_spring_replaces_two_laws_where_it_gains_nearly_as_much(
     monkeypatch: pytest.MonkeyPatch, loss: float, kept: set[str]
 ) -> None:
-    """Of a gain of 1000 in deviance."""
+    """The two laws gain 1000 in deviance."""
     motion = SimpleNamespace(states=(np.linspace(-1.0, 1.0, 11),))
     data = SimpleNamespace(records=[[SimpleNamespace(n=11, motion=motion)]])
     costs = {"stiffness": loss, "cubic_stiffness": 0.0}
@@ -230,8 +230,8 @@ def test_one_spring_stands_for_two_laws_where_it_gains_nearly_what_they_gain(
     assert {t.effect for t in best.model.terms} == kept
 
 
-def test_what_only_refined_the_fit_is_held_in_the_model_file() -> None:
-    """Of two terms of one effect the second; not what stands for a term of the given model."""
+def test_refinements_are_held_fixed_in_the_model_file() -> None:
+    """The second of two terms of one effect is held, but not one that replaces a given term."""
     terms = [
         make_term(get_effect(name), 1, {key: 1.0})
         for name, key in (("coulomb", "level"), ("ripple", "amplitude"), ("ripple", "amplitude"))
@@ -245,7 +245,7 @@ def test_what_only_refined_the_fit_is_held_in_the_model_file() -> None:
     assert model.discrepancy.torque == (0.1,)
 
 
-def test_calibration_that_makes_untouched_recordings_worse_is_told() -> None:
+def test_calibration_that_makes_untouched_recordings_worse_is_reported() -> None:
     def told(*errors: float) -> list[str]:
         table = FitTable(*errors)
         return bent(Errors("m", (1,), table, table, table, 1e-5))
@@ -255,8 +255,8 @@ def test_calibration_that_makes_untouched_recordings_worse_is_told() -> None:
     assert not told(1e-6, 1e-5, 1e-5), "both within the sensor's noise"
 
 
-def test_a_fit_that_explains_its_own_recordings_and_no_others_says_so() -> None:
-    """An arm without a load was fitted, and the same arm with one held out."""
+def test_a_fit_that_explains_only_its_own_recordings_is_reported() -> None:
+    """Fitted was an arm without a load, held out the same arm with one."""
 
     def told(fitted: float, untouched: float) -> list[str]:
         own, others = (FitTable(1e-3, e, e) for e in (fitted, untouched))
@@ -304,10 +304,12 @@ def test_beside_a_doubted_law_another_of_its_mechanism_is_not_stated(
     assert laws.believed(decision, parts, parts, 1).claims == (other,)
 
 
-def test_claims_alone_are_beside_what_a_refinement_had_replaced(
-    monkeypatch: pytest.MonkeyPatch,
+def test_claims_are_judged_with_the_terms_that_a_refinement_had_replaced(
+    monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without it the model lacked viscous friction: a gap with right numbers was 13 % sure."""
+    """Without it the model lacked viscous friction, and a gap with right numbers had a confidence
+    of 13 %.
+    """
     terms = [Term(e, 1, {}) for e in ("viscous", "coulomb", "viscous_asymmetry", "backlash")]
     given = Model("m", 1e-3, "rotary", {}, tuple(terms[:2]))
     final: Any = SimpleNamespace(model=given.with_terms(tuple(terms[1:])), data=None)
@@ -319,10 +321,10 @@ def test_claims_alone_are_beside_what_a_refinement_had_replaced(
 
 
 @pytest.mark.parametrize(("effect", "turns"), [("stribeck", False), ("presliding", True)])
-def test_a_small_second_law_of_a_known_friction_that_softens_it_is_its_error(
+def test_a_small_second_law_that_softens_a_known_friction_is_the_error_of_that_friction(
     effect: str, turns: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What makes it more at a reversal is no softness: a Stribeck curve beside a larger effect."""
+    """A law that raises friction at a reversal is no softness, such as a Stribeck curve."""
     monkeypatch.setattr(laws, "kept_laws", lambda *_: [Term("coulomb", 1, {})])
     monkeypatch.setattr(pieces, "at_reversals", lambda *_: 0.9)
     any_: Any = SimpleNamespace(test=None, model=None)
@@ -335,7 +337,7 @@ def test_a_small_second_law_of_a_known_friction_that_softens_it_is_its_error(
 
 
 @pytest.mark.parametrize(("left", "stand"), [(0.01, False), (0.0005, True)])
-def test_friction_beside_a_curve_of_the_position_stands_where_nothing_is_left(
+def test_friction_beside_a_curve_over_position_is_claimed_where_nothing_is_left(
     left: float, stand: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     curve = replace(claim_of(Term("gravity", 1, {}), 0.88), effect="unknown")
@@ -355,10 +357,10 @@ def test_friction_beside_a_curve_of_the_position_stands_where_nothing_is_left(
 
 
 @pytest.mark.parametrize(("named", "stands"), [(0.97, True), (0.2, False)])
-def test_a_torque_without_a_law_is_known_beside_the_laws_that_are_named(
+def test_the_mechanism_of_an_unknown_torque_is_judged_beside_the_named_laws(
     named: float, stands: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of all that lacks, most goes with the direction of motion: beside detents, dry friction."""
+    """Beside detents, most of the missing torque changes with the direction: it is dry friction."""
     curve = replace(claim_of(Term("ripple", 1, {}), 0.1), effect="unknown")
     rubs = claim_of(Term("stribeck", 1, {}), 0.3)
     base, beside = SimpleNamespace(model="base"), "what is named taken away"
@@ -380,7 +382,7 @@ def test_a_torque_without_a_law_is_known_beside_the_laws_that_are_named(
     assert [c.effect for c in decided.claims] == (["stribeck", "unknown"] if stands else [])
 
 
-def test_claims_that_are_dropped_leave_no_law_that_the_model_lacks() -> None:
+def test_when_claims_are_dropped_the_terms_they_replaced_return() -> None:
     base: Any = SimpleNamespace(deviance=10.0)
     law: Any = SimpleNamespace(effect="backlash")
     size: Any = SimpleNamespace(value=0.1)
@@ -454,10 +456,10 @@ def test_a_friction_that_creeps_stands_once_where_a_joint_is_decided_again(
     ("level", "coefficient", "name"),
     [(0.0, 0.013, "fluid_friction"), (0.0, 0.005, "dry_friction"), (0.01, 0.013, "dry_friction")],
 )
-def test_what_drives_dry_friction_to_nothing_and_viscous_up_is_fluid(
+def test_friction_that_drives_dry_to_zero_and_viscous_up_is_fluid(
     level: float, coefficient: float, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A line through |v|^1.6 crosses below nothing at rest; then what lacks has the given step."""
+    """A line through |v|^1.6 is below zero at rest, so the missing torque has the given step."""
     sizes = {"dry_friction": 0.09, "fluid_friction": 0.07}
     monkeypatch.setattr(nameless, "structure", lambda *a: Structure(sizes[a[3][0]], 0.6, 5.0))
     given: Any = SimpleNamespace(at=lambda _: model_of(VISCOUS, COULOMB).terms)
@@ -470,7 +472,7 @@ def test_what_drives_dry_friction_to_nothing_and_viscous_up_is_fluid(
 
 
 @pytest.mark.parametrize(("share", "claimed"), [(0.92, True), (0.74, False)])
-def test_an_actuator_is_not_blamed_for_what_its_command_has_to_bear(
+def test_the_actuator_is_not_blamed_for_torque_that_its_command_must_balance(
     share: float, claimed: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     lacks = 0.3
@@ -489,7 +491,9 @@ def test_an_actuator_is_not_blamed_for_what_its_command_has_to_bear(
     assert (claim is not None and claim.mechanism == "actuator") is claimed
 
 
-def test_no_inertia_is_known_better_than_simulators_agree(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_uncertainty_of_an_inertia_is_at_least_the_difference_between_simulators(
+    monkeypatch: pytest.MonkeyPatch
+) -> None:
     known = _known_to(Quantity(0.025), "inertia", 1e-7)
     assert known.std == pytest.approx(0.002 * 0.025, rel=0.01)
     assert _known_to(Quantity(-1.0), "phase", 0.0).std == pytest.approx(0.002)
@@ -505,15 +509,15 @@ def test_no_inertia_is_known_better_than_simulators_agree(monkeypatch: pytest.Mo
     assert amount.value == pytest.approx(0.005) and amount.std == known.std
 
 
-def test_what_calibration_makes_of_a_number_is_told_with_its_uncertainty() -> None:
+def test_a_calibrated_number_is_reported_with_its_uncertainty() -> None:
     assert _by(0.5, 0.25, 0.01, "kg") == "+25 % (from 2 to 2.500 ± 0.010 kg)"
 
 
 @pytest.mark.parametrize(("drag", "swirl", "refuted"), [(0.0005, 0.02, False), (0.001, 0.01, True)])
-def test_a_neighbour_says_nothing_against_a_law_beside_which_more_stays_than_it_is(
+def test_a_neighbouring_law_is_no_evidence_where_more_stays_unexplained_than_the_law_explains(
     drag: float, swirl: float, refuted: bool
 ) -> None:
-    """swirl * sin(2 q̇), which no law of the library is, beside a drag that acts as well."""
+    """swirl * sin(2 q̇), which is no law of the library, beside a true drag."""
     machine = reality.Machine(drag=drag, swirl=swirl)
     base = model_of(
         VISCOUS, COULOMB, {"kind": "quadratic_drag", "joint": 1, "coefficient": drag}
@@ -529,10 +533,12 @@ def test_a_neighbour_says_nothing_against_a_law_beside_which_more_stays_than_it_
     ("sizes", "first"),
     [((0.01, 0.02, 0.03), "coulomb"), ((0.01, 0.3, 0.03), "hysteresis")],
 )
-def test_of_laws_that_stand_in_for_one_another_the_one_found_first_is_named(
+def test_of_interchangeable_laws_the_one_found_first_is_named(
     sizes: tuple[float, ...], first: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Coulomb friction and bristles shared what lacked; its drift was named in their place."""
+    """Coulomb friction and bristles shared the missing torque, and its drift had been named
+    instead.
+    """
     terms = tuple(Term(e, 1, {}) for e in ("coulomb", "hysteresis", "friction_drift"))
     size = {t.effect: x for t, x in zip(terms, sizes, strict=True)}
     nothing: Any = None

@@ -1,4 +1,4 @@
-"""What the other joints feel of a link whose recorded position does not show it."""
+"""What other joints feel of a link that moves behind a spring, where no sensor sees it."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def test_the_other_joint_feels_the_link_and_not_what_a_sensor_shows(
     assert np.allclose(residual(links, model, [1]), residual(data, model, [1]))
 
 
-def test_only_what_is_claimed_of_a_link_that_nobody_sees_counts() -> None:
+def test_only_claimed_transmissions_change_an_unseen_links_motion() -> None:
     def explained(*claims: tuple[int, str]) -> Any:
         decisions = [
             SimpleNamespace(joint=j, claims=[SimpleNamespace(mechanism=m)]) for j, m in claims

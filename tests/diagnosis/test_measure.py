@@ -1,5 +1,5 @@
-"""What a model lacks, measured: where it is, whether it repeats itself, and what recordings that
-nothing has touched say of it.
+"""The missing torque of a model, measured: where it acts, whether it repeats, and the evidence of
+untouched recordings.
 """
 
 from __future__ import annotations
@@ -40,7 +40,9 @@ from zendsp.physics.model import Model, Quantity, Term
 
 
 def test_a_figure_shows_the_torque_that_lacks_in_full_beside_a_models_damping() -> None:
-    """A ninth of it was lost to the damping, so that a figure said less than its sentence."""
+    """The model's damping had taken a ninth of it, so that the figure showed less than its
+    sentence.
+    """
     reference = reality.multisine(6.0, RATE, 3, size=1.2)
     columns = reality.simulate(reality.Machine(viscous=0.05), reference, RATE)
     model = model_of({**VISCOUS, "coefficient": 0.05})
@@ -80,7 +82,7 @@ def test_neighbouring_blocks_that_resemble_each_other_count_for_less() -> None:
 def test_what_acts_in_few_blocks_is_evidence_though_nothing_moves_in_most(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A recording that mostly rests; and one block that lost the track does not decide."""
+    """The recording mostly rests. One block in which the observer lost track does not decide."""
     starts = np.r_[np.full(12, 40.0), np.full(88, 1e-7)]
     lost = np.r_[4000.0, np.full(99, 1e-7)]
     for blocks, least, most in ((starts, 100.0, 1000.0), (lost, 0.0, 20.0)):
@@ -90,7 +92,7 @@ def test_what_acts_in_few_blocks_is_evidence_though_nothing_moves_in_most(
         assert least < compare(None, None, None, 1).gain < most  # type: ignore[arg-type]
 
 
-def test_what_repeats_itself_and_what_remembers_are_told_from_unrest() -> None:
+def test_periodic_torques_and_torques_with_memory_are_told_from_random_ones() -> None:
     reference = reality.multisine(10.0, RATE, 3)
     model = model_of(VISCOUS, COULOMB)
     quiet = reality.simulate(reality.Machine(), reference, RATE)
@@ -117,7 +119,7 @@ def test_what_repeats_itself_and_what_remembers_are_told_from_unrest() -> None:
 
 
 def test_a_torque_that_acts_seldom_is_told_from_chance() -> None:
-    """At four places of a minute; what it gains, it gains in four of many blocks of time."""
+    """It acts at four times within a minute, so that only four of many blocks gain."""
     reference = reality.multisine(40.0, RATE, 3)
     model = model_of(VISCOUS, COULOMB)
     quiet = reality.simulate(reality.Machine(), reference, RATE)
@@ -141,8 +143,8 @@ def test_a_torque_that_acts_seldom_is_told_from_chance() -> None:
     assert never.size < OF_STATE or never.apart < BY_CHANCE
 
 
-def test_a_constant_torque_does_not_act_where_a_joint_turns_round() -> None:
-    """However long it turns: a slow motion spends most of its time there."""
+def test_a_constant_torque_is_not_said_to_act_at_reversals() -> None:
+    """Not even in a slow motion, which spends most of its time near reversals."""
     t = 2 * np.pi * np.arange(6000) / RATE
     columns = reality.simulate(reality.Machine(), 0.2 * np.sin(0.3 * t), RATE)
     plain = model_of(VISCOUS, COULOMB)
@@ -153,7 +155,7 @@ def test_a_constant_torque_does_not_act_where_a_joint_turns_round() -> None:
     assert at_reversals(data, plain, bristles, 1) > 0.9
 
 
-def test_what_acted_before_the_recording_began_bends_no_number() -> None:
+def test_torque_before_the_begin_of_a_recording_bends_no_number() -> None:
     lag, steps = 0.045, 10
     h = 1.0 / RATE / steps
     command = 0.1 * np.cos(np.cumsum(2 * np.pi * np.linspace(0.1, 0.7, 4000)) / RATE)
@@ -197,10 +199,10 @@ def test_a_recording_whose_rows_are_shifted_is_told_from_the_others(
     assert apart_in_time(besides, model) != []
 
 
-def test_what_lacks_at_most_is_more_than_what_lacks_where_the_sensor_is_said_to_be_noisier(
-    monkeypatch: pytest.MonkeyPatch,
+def test_the_largest_missing_torque_is_no_less_where_the_stated_sensor_noise_is_larger(
+    monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With a noise that is stated too large the fastest observer sees nothing at all."""
+    """If the stated noise is too large, the fastest observer sees nothing at all."""
     made = reality.simulate(reality.Machine(ripple=0.004), reality.multisine(6.0, RATE, 3), RATE)
     data = data_of(made, model := model_of(VISCOUS, COULOMB))
     honest = discrepancy(data, model, 1)
@@ -215,7 +217,7 @@ def test_what_lacks_at_most_is_more_than_what_lacks_where_the_sensor_is_said_to_
 
 
 @pytest.mark.parametrize("rows", [30, 60])
-def test_of_a_recording_shorter_than_an_observer_remembers_little_is_said(rows: int) -> None:
+def test_a_recording_shorter_than_an_observers_memory_proves_nothing(rows: int) -> None:
     columns = reality.simulate(reality.Machine(), reality.multisine(1.0, RATE, 3), RATE)
     model = model_of(VISCOUS, COULOMB)
     data = data_of({key: x[:rows] for key, x in columns.items()}, model)
@@ -223,7 +225,7 @@ def test_of_a_recording_shorter_than_an_observer_remembers_little_is_said(rows: 
     assert structure([data, data], model, 1, ["position_torque"]).z < 3.0
 
 
-def test_what_comes_at_most_reversals_is_how_friction_turns_round_and_no_disturbance() -> None:
+def test_a_torque_at_most_reversals_is_friction_and_no_disturbance() -> None:
     t = 2 * np.pi * np.arange(12000) / FAST
     reference = 0.8 * np.sin(0.4 * t) + 0.4 * np.sin(0.271 * t)
     model = model_of(VISCOUS, COULOMB, rate=FAST)
@@ -251,7 +253,7 @@ def test_what_comes_at_most_reversals_is_how_friction_turns_round_and_no_disturb
 
 
 @pytest.mark.parametrize(("breakaway", "pushed"), [(0.04, True), (0.2, False)])
-def test_no_push_is_smaller_than_what_lacks_where_a_falling_friction_sticks(
+def test_no_push_is_claimed_below_the_torque_of_a_sticking_stribeck_friction(
     breakaway: float, pushed: bool
 ) -> None:
     columns = reality.simulate(
@@ -263,7 +265,7 @@ def test_no_push_is_smaller_than_what_lacks_where_a_falling_friction_sticks(
     assert (bursts(data, model, 1, data) is not None) is pushed
 
 
-def test_numbers_on_which_other_recordings_disagree_are_less_certain() -> None:
+def test_numbers_on_which_recordings_disagree_are_less_certain() -> None:
     reference = reality.multisine(8.0, RATE, 3)
     model = model_of(VISCOUS, COULOMB)
     one, same, other = (
@@ -280,9 +282,9 @@ def test_numbers_on_which_other_recordings_disagree_are_less_certain() -> None:
 
 
 @pytest.mark.parametrize("soft", [False, True])
-def test_numbers_that_a_slower_observer_has_otherwise_are_less_certain(soft: bool) -> None:
-    """A load behind a spring rings where the model has none: which inertia that makes depends on
-    the observer, and its blocks do not show it.
+def test_numbers_that_differ_with_a_slower_observer_are_less_certain(soft: bool) -> None:
+    """Without its spring in the model, a ringing load shifts the inertia, differently for each
+    observer; blocks of one observer do not show that.
     """
     machine = reality.Machine(soft=20.0, load=0.005) if soft else reality.Machine()
     model = model_of(VISCOUS, COULOMB)
@@ -313,7 +315,7 @@ def test_a_recording_in_which_the_joint_hardly_moves_has_the_noise_of_the_sensor
 
 
 @pytest.mark.parametrize(("steps", "pushed", "numeric"), [(1, 0.0, True), (20, 0.001, False)])
-def test_a_simulator_of_first_order_is_half_a_row_off_and_lacks_nothing(
+def test_the_half_row_of_a_first_order_simulator_is_not_missing_physics(
     steps: int, pushed: float, numeric: bool
 ) -> None:
     t = np.arange(5000) / RATE
@@ -334,8 +336,8 @@ def test_a_simulator_of_first_order_is_half_a_row_off_and_lacks_nothing(
     assert decision._half_a_row(out, parts, 1) is numeric
 
 
-def test_where_it_lacks_is_said_of_all_recordings_together() -> None:
-    """A torque at 0.5 rad that the second recording alone comes to, and a smaller one at -0.5."""
+def test_where_torque_is_missing_is_reported_over_all_recordings_together() -> None:
+    """A torque at 0.5 rad, which only the second recording reaches, and a smaller one at -0.5."""
     t = np.arange(5000) * 0.002
 
     def one(low: float, high: float) -> Missing:
@@ -351,7 +353,7 @@ def test_where_it_lacks_is_said_of_all_recordings_together() -> None:
     assert regions([], 1) == []
 
 
-def test_an_interval_that_holds_hardly_more_than_its_part_of_the_time_is_no_place() -> None:
+def test_an_interval_with_hardly_more_than_its_share_of_time_is_not_reported_as_the_place() -> None:
     t = 0.002 * np.arange(5000)
     q = np.sin(3.0 * t)
     level = np.where(np.abs(q) < 0.97, 1.0, 0.6)  # 91 % of it in 84 % of the time
@@ -360,9 +362,9 @@ def test_an_interval_that_holds_hardly_more_than_its_part_of_the_time_is_no_plac
     assert not [r for r in regions(lacks, 1) if r.variable == "position"]
 
 
-def test_a_gravity_beside_the_models_own_is_told_beside_the_given_number() -> None:
-    """0.4878 and 0.0705 at 1.738 rad are 0.4108 and another gravity: no recording tells them
-    apart, so that the second is no better known than the first.
+def test_a_gravity_beside_the_models_own_is_reported_beside_the_given_number() -> None:
+    """0.4878 and 0.0705 at 1.738 rad equal 0.4108 and another gravity. No recording separates them,
+    so the second is known no better than the first.
     """
     given = model_of()
     given = replace(given, mechanism={**given.mechanism, "gravity": (Quantity(0.4108),)})
@@ -394,7 +396,7 @@ def test_a_gravity_beside_the_models_own_is_told_beside_the_given_number() -> No
 
 
 def test_a_number_is_not_bent_into_the_limits_of_shorter_recordings() -> None:
-    """Within its own limits such a recording had 33 waves a turn, and 6 were 6 ± 19."""
+    """By the limits of such a recording alone 6 waves a turn had become 6 ± 19."""
     ripple = {"kind": "ripple", "joint": 1, "order": 7.0, "amplitude": 0.02, "phase": 0.4}
     model, machine = model_of(VISCOUS, COULOMB, ripple), reality.Machine(ripple=0.02)
     far, near = (

@@ -1,6 +1,4 @@
-"""A MuJoCo model as the given model: MuJoCo simulates another one, and the diagnosis names what was
-changed.
-"""
+"""A MuJoCo model is given, MuJoCo simulates a changed one, and the diagnosis names the change."""
 
 from __future__ import annotations
 
@@ -142,8 +140,8 @@ def test_wrong_damping_is_calibrated_or_named_and_nothing_else_is(diagnosed) -> 
 def test_a_spring_is_found_where_joints_only_sway(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """At one frequency a spring is like an inertia, and behind coarse counts nothing says how large
-    a rotor is. The given one grew to 1e8 kg m² while the spring was missing, and hid everything.
+    """At one frequency a spring looks like an inertia, and a coarse encoder does not show a rotor's
+    size. While the spring was missing the rotor had grown to 1e8 kg m² and hidden everything.
     """
     monkeypatch.setitem(globals(), "RESOLUTION", 3e-4)
     given = xml(dry=0.2).replace('armature="0.05"', 'armature="0.01"')
@@ -193,7 +191,7 @@ def test_a_slide_joint_is_in_newton_and_metres(diagnosed) -> None:  # type: igno
         assert "[rad]" in told and "[m]" in told and "joints 1, 2" in told and "joint 3" in told
 
 
-def test_the_set_value_of_a_servo_is_no_torque(diagnosed) -> None:  # type: ignore[no-untyped-def]
+def test_the_set_value_of_a_servo_is_not_taken_for_a_torque(diagnosed) -> None:  # type: ignore[no-untyped-def]
     servos = '<position joint="shoulder" kp="150" kv="14"/><position joint="elbow" kp="60" kv="5"/>'
 
     def servoed(text: str) -> str:
@@ -221,8 +219,8 @@ def test_a_recording_with_other_joints_is_refused(tmp_path: Path) -> None:
 
 
 def test_the_proof_judges_bodies_in_a_report_by_the_file_that_holds_them(tmp_path: Path) -> None:
-    """The improved model was simulated with the calibrated one's bodies: a right payload counted
-    as worse.
+    """The improved model had been simulated with the calibrated one's bodies, so that a right
+    payload counted as worse.
     """
     run = record(xml(tool=TOOL), tmp_path / "run.npz", 3)
     for name, tool in (("given", ""), ("improved", TOOL)):

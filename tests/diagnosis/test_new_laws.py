@@ -1,5 +1,5 @@
-"""Laws beyond rigid friction: the screen finds each in a recording of independent code, and the fit
-finds its numbers.
+"""Laws beyond friction of a rigid joint: each is found with its numbers in a recording of
+independent code.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ CASES: dict[str, Case] = {
 
 @cache
 def data_of(name: str) -> tuple[Data, Model]:
-    """A recording of the machine, and the model that lacks the law."""
+    """A recording of the machine, read for the model that lacks the law."""
     case = CASES[name]
     columns = reality.simulate(
         case.machine, reality.multisine(SECONDS, RATE, 1, **case.reference), RATE
@@ -142,7 +142,7 @@ def test_an_early_column_is_a_delay_and_a_part_of_a_row_is_no_shifted_column() -
     assert "column_shift" not in first(reality.Machine())
 
 
-def test_of_an_optional_column_is_told_only_where_the_model_names_it() -> None:
+def test_an_optional_column_is_mentioned_only_where_the_model_names_it() -> None:
     data, model = data_of("gain_drift")
     assert not data.records[0][0].columns
     signals = Signals(
@@ -154,7 +154,7 @@ def test_of_an_optional_column_is_told_only_where_the_model_names_it() -> None:
     assert note == "friction_temperature was not considered: run: no column of temperature"
 
 
-def test_a_column_that_one_recording_lacks_is_used_by_none(tmp_path: Path) -> None:
+def test_an_optional_column_missing_in_one_recording_is_not_used(tmp_path: Path) -> None:
     machine = reality.Machine(thin=0.03)
     files = []
     for name, seed in (("train", 1), ("held", 2)):

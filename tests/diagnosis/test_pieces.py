@@ -1,4 +1,4 @@
-"""What each mechanism of a proposed model is worth on recordings that nothing has touched."""
+"""The worth of each mechanism of a proposed model on untouched recordings."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def piece(size: float, z: float, log_e: float, effect: str = "ripple") -> Piece:
 
 @pytest.fixture
 def held_apart(monkeypatch: pytest.MonkeyPatch) -> Held:
-    """Which pieces are claimed and which are not, where all of them leave ``left``."""
+    """The claimed and the refused pieces where all of them together leave ``left``."""
 
     def ask(
         *found: Piece,
@@ -79,7 +79,8 @@ def test_what_is_not_twice_what_a_machine_is_known_to_leave_may_be_a_part_of_it(
 
 
 def test_a_torque_without_a_law_is_shown_free_of_what_else_was_found() -> None:
-    """Its own pieces and refinements are taken away, the given friction that one replaced is back.
+    """Its own pieces and refinements are removed, and the given friction that one replaced is
+    restored.
     """
 
     def model(*effects: str) -> Model:
@@ -99,10 +100,10 @@ def test_a_torque_without_a_law_is_shown_free_of_what_else_was_found() -> None:
 
 
 @pytest.mark.parametrize(("apart", "curve"), [(0.2, True), (5.0, False)])
-def test_two_ripples_that_the_travel_does_not_tell_apart_are_one_that_fades(
+def test_two_ripples_that_the_travel_cannot_separate_are_not_both_claimed(
     apart: float, curve: bool
 ) -> None:
-    """Over 3 rad: a fifth of a wave apart, and more than two."""
+    """Over 3 rad they differ by a fifth of a wave, or by more than two."""
     found = [
         replace(piece(0.1, 5.0, 20.0), terms=(Term("ripple", 1, {"order": Quantity(order)}),))
         for order in (12.0, 12.0 + apart)
@@ -119,7 +120,7 @@ def test_two_ripples_that_the_travel_does_not_tell_apart_are_one_that_fades(
         (0.1, 0.5, 0.01, "other", "is not what is missing, on the recordings held out"),
     ],
 )
-def test_what_was_tried_and_is_no_finding_says_why(
+def test_a_tried_law_that_is_no_finding_says_why(
     size: float, z: float, left: float, reason: str, why: str
 ) -> None:
     seen = replace(piece(size, z, 20.0), why="known laws may be wrong by as much")
@@ -141,11 +142,11 @@ def test_what_was_tried_and_is_no_finding_says_why(
 @pytest.mark.parametrize(
     ("turning", "softer", "claims"), [(0.8, 20.0, False), (0.8, 5.0, True), (0.2, 20.0, True)]
 )
-def test_what_acts_where_a_joint_turns_round_is_more_than_its_dry_friction_may_be_wrong_by(
+def test_what_acts_at_reversals_must_exceed_the_error_of_the_dry_friction(
     monkeypatch: pytest.MonkeyPatch, held_apart: Held, turning: float, softer: float, claims: bool
 ) -> None:
-    """A lag of 0.4 % beside dry friction of 20 %, whose law is good to 3 % of that, where bristles
-    gain a part of the hundred that the lag gains.
+    """A lag of 0.4 % beside dry friction of 20 %, whose law is good to 3 % of that. Bristles gain a
+    part of what the lag gains.
     """
     monkeypatch.setattr(pieces, "at_reversals", lambda *_: turning)
     monkeypatch.setattr(pieces, "difference", lambda *_: 0.2)
@@ -171,7 +172,7 @@ def test_what_acts_where_a_joint_turns_round_is_more_than_its_dry_friction_may_b
         ("stribeck", 0.004, 0.8, True),
     ],
 )
-def test_how_given_dry_friction_turns_round_is_no_finding_within_what_its_law_may_be_wrong_by(
+def test_how_given_dry_friction_behaves_at_reversals_is_no_finding_within_its_error(
     monkeypatch: pytest.MonkeyPatch,
     held_apart: Held,
     effect: str,
@@ -179,9 +180,8 @@ def test_how_given_dry_friction_turns_round_is_no_finding_within_what_its_law_ma
     turning: float,
     claims: bool,
 ) -> None:
-    """Hysteresis of 0.4 % beside a given dry friction of 20 %, whose law is good to 3 % of that. Of
-    a MuJoCo model that was written back the softness of its friction was called hysteresis. A
-    Stribeck curve is no softness.
+    """Hysteresis of 0.4 % beside a given dry friction of 20 %, whose law is good to 3 % of that.
+    The softness of MuJoCo's friction had been called hysteresis. A Stribeck curve is no softness.
     """
     monkeypatch.setattr(pieces, "at_reversals", lambda *_: turning)
     monkeypatch.setattr(pieces, "torque_of", lambda *_: 0.2)
@@ -190,7 +190,7 @@ def test_how_given_dry_friction_turns_round_is_no_finding_within_what_its_law_ma
     assert claimed == ([loop] if claims else [])
 
 
-def test_a_law_of_friction_that_leaves_nothing_over_the_speed_is_no_error_of_another(
+def test_a_friction_law_that_leaves_nothing_over_the_speed_is_not_the_error_of_another(
     monkeypatch: pytest.MonkeyPatch, held_apart: Held
 ) -> None:
     """A Stribeck curve of 0.4 % beside Coulomb friction of 20 %, whose law is good to 3 % of that,
@@ -209,8 +209,8 @@ def test_a_law_of_friction_that_leaves_nothing_over_the_speed_is_no_error_of_ano
         assert claimed == ([curve] if claims else [])
 
 
-def test_a_wave_that_passes_faster_than_an_observer_follows_has_its_whole_torque() -> None:
-    """Of 0.01 N m RMS, 200 times a turn and twice."""
+def test_a_wave_faster_than_the_observer_has_its_whole_torque() -> None:
+    """A ripple of 0.01 N m RMS, with 200 periods a turn and with two."""
     model = model_of(VISCOUS, rate=reality.FAST)
     motion = 1.5 * np.sin(2.0 * np.pi * np.arange(round(6.0 * reality.FAST)) / reality.FAST)
     run = reality.simulate(reality.Machine(coulomb=0.0), motion, reality.FAST)
@@ -258,7 +258,7 @@ def test_what_is_likelier_and_is_no_torque_that_lacked_is_not_claimed(
 def test_what_gains_almost_everywhere_is_claimed_though_it_gains_most_in_few_places(
     held_apart: Held, losing: int, claims: bool
 ) -> None:
-    """Of 24 blocks 20 that gain are 3.3 deviations, 19 are 2.9."""
+    """20 gaining blocks of 24 are 3.3 standard deviations, 19 are 2.9."""
     one = piece(0.1, 1.0, 20.0)
     gains = np.r_[np.ones(24 - losing), -np.ones(losing)]
     one = replace(one, evidence=replace(one.evidence, blocks=gains))
@@ -282,7 +282,7 @@ def test_only_what_untouched_recordings_bear_out_by_chance_too_rarely_is_claimed
 def test_what_a_wrong_model_lacks_does_not_make_its_evidence_less(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Innovations of the model without a spring are alike over 80 samples because of the spring."""
+    """Without the spring the innovations are correlated over 80 samples, because of the spring."""
     alike = {"without": 80.0, "final": 2.0}
     monkeypatch.setattr(pieces, "dependence", lambda scored, *_: alike[scored])
     models: list[Any] = ["without", "final", None]
@@ -297,7 +297,7 @@ def test_what_a_wrong_model_lacks_does_not_make_its_evidence_less(
     ("effect", "size", "claims"),
     [("elasticity", 0.002, False), ("elasticity", 0.003, True), ("ripple", 0.002, True)],
 )
-def test_what_another_integration_step_makes_is_no_spring(
+def test_the_effect_of_another_integration_step_is_not_called_a_spring(
     held_apart: Held, effect: str, size: float, claims: bool
 ) -> None:
     one = piece(size, 5.0, 20.0, effect)
@@ -307,7 +307,7 @@ def test_what_another_integration_step_makes_is_no_spring(
 
 @pytest.fixture
 def one_term(monkeypatch: pytest.MonkeyPatch) -> Callable[[str, Any], None]:
-    """A search that proposes one effect, scored as ``final``, and names nothing by itself."""
+    """A search that proposes one effect with the score ``final``."""
 
     def propose(effect: str, final: Any) -> None:
         term = Term(effect, 1, {})
@@ -340,13 +340,13 @@ def test_what_a_mechanism_is_worth_is_asked_of_the_recordings_to_test_on(
 
 
 @pytest.mark.parametrize(("after", "stands"), [(0.2, True), (0.6, False), (2.5e8, False)])
-def test_what_leaves_more_unexplained_than_there_was_or_is_at_all_is_no_finding(
+def test_a_law_that_leaves_more_unexplained_than_before_is_no_finding(
     monkeypatch: pytest.MonkeyPatch,
     one_term: Callable[[str, Any], None],
     after: float,
     stands: bool,
 ) -> None:
-    """A spring that holds a joint where it was seen follows every recording."""
+    """A spring that holds the joint at its recorded position follows every recording."""
     before = Size(0.5, 0.4, 0.6) if after < 1.0 else Size(3.6e9, 2e9, 5e9)
     left = Size(after, after, after)
     term, evidence = Term("stiffness", 1, {}), Evidence(50.0, 9.0, np.zeros(1))
@@ -381,7 +381,7 @@ def test_what_leaves_more_unexplained_than_there_was_or_is_at_all_is_no_finding(
 
 
 @pytest.mark.parametrize("state", [Structure(0.1, 0.9, 5.0), NOTHING])
-def test_what_short_or_one_way_recordings_leave_says_so(state: Structure) -> None:
+def test_what_short_or_one_way_recordings_leave_open_is_reported(state: Structure) -> None:
     drive = SimpleNamespace(hold=None)
     model: Any = SimpleNamespace(torque_unit=lambda _: "N m", actuator=drive)
     one: Any = SimpleNamespace(model=model)
@@ -395,8 +395,12 @@ def test_what_short_or_one_way_recordings_leave_says_so(state: Structure) -> Non
 
 
 @pytest.mark.parametrize("state", [Structure(0.1, 0.9, 5.0), NOTHING])
-def test_a_law_that_is_near_is_no_unknown_physics(state: Structure) -> None:
-    """It was said that no known effect describes what hysteresis took six sevenths of."""
+def test_a_remainder_that_a_library_law_nearly_describes_is_not_called_unknown(
+    state: Structure
+) -> None:
+    """The report had said that no known effect describes a torque of which hysteresis explains six
+    sevenths.
+    """
     model: Any = SimpleNamespace(torque_unit=lambda _: "N m", actuator=SimpleNamespace(hold=0.001))
     one: Any = SimpleNamespace(model=model)
     lacks = Size(0.3, 0.2, 0.4)
@@ -430,10 +434,10 @@ def test_a_mechanism_without_a_law_names_the_one_that_it_is_most_like() -> None:
 
 
 @pytest.mark.parametrize(("kind", "said"), [("planar2r", True), ("rotary", False)])
-def test_what_a_joint_lacks_beside_a_gap_of_another_one_is_told_from_missing_physics(
+def test_torque_beside_another_joints_backlash_is_put_down_to_the_link_behind_it(
     kind: str, said: bool
 ) -> None:
-    """The link behind the gap moved otherwise than its motor, and joint 2 bore its torque."""
+    """The link behind the gap moved unlike its motor, and joint 2 felt the difference."""
     drive = SimpleNamespace(hold=0.001)
     model: Any = SimpleNamespace(kind=kind, torque_unit=lambda _: "N m", actuator=drive)
     one: Any = SimpleNamespace(model=model)
@@ -458,7 +462,7 @@ def test_what_a_joint_lacks_beside_a_gap_of_another_one_is_told_from_missing_phy
 @pytest.mark.parametrize(
     ("reason", "said"), [(Reason.OTHER, True), (Reason.NEAR, True), (Reason.TOO_SMALL, False)]
 )
-def test_untouched_recordings_that_show_what_is_too_small_are_not_blamed(
+def test_untouched_recordings_are_not_doubted_for_an_effect_that_is_too_small(
     reason: Reason, said: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = _concluded((Rejected("stiffness", 1, "", 5000.0, reason),), monkeypatch)
@@ -466,7 +470,7 @@ def test_untouched_recordings_that_show_what_is_too_small_are_not_blamed(
 
 
 def _concluded(lost: tuple[Rejected, ...], monkeypatch: pytest.MonkeyPatch) -> Decision:
-    """The decision where nothing is missing on untouched recordings, and some laws lost."""
+    """The decision where untouched recordings lack nothing, and the given laws were rejected."""
     one: Any = SimpleNamespace(model=None)
     left = Size(0.0, 0.0, 0.0)
     d = Decision(1, "complete", (), (), one, one, left, left, NOTHING, left, one, 7.0, lost=lost)
@@ -478,7 +482,7 @@ def _concluded(lost: tuple[Rejected, ...], monkeypatch: pytest.MonkeyPatch) -> D
 
 
 @pytest.mark.parametrize(("names", "loads"), [("aaa", ()), ("aab", ("b",))])
-def test_of_another_load_is_spoken_where_there_are_several_recordings(
+def test_another_load_is_mentioned_only_where_there_are_several_recordings(
     names: str, loads: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     one: Any = SimpleNamespace(model=None)
@@ -497,10 +501,10 @@ def test_of_another_load_is_spoken_where_there_are_several_recordings(
 
 
 @pytest.mark.parametrize(("score", "open_"), [(10368.0, True), (626.0, False)])
-def test_what_only_the_recordings_of_the_fit_say_leaves_a_joint_open(
+def test_what_only_the_recordings_of_the_fit_show_leaves_a_joint_open(
     score: float, open_: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A joint that was late by 5 ms, beside a held-out motion too slow to show it."""
+    """A joint was late by 5 ms, and the held-out motion was too slow to show it."""
     lost = (Rejected("delay", 1, "", score), Rejected("lag", 1, "", 12.0))
     found = _concluded(lost, monkeypatch)
     assert found.doubted == ((("delay", 1),) if open_ else ())
@@ -514,10 +518,10 @@ def test_what_only_the_recordings_of_the_fit_say_leaves_a_joint_open(
     ("hopeless", "gain", "refitted"),
     [(True, 500.0, 0), (True, 5.0, 2), (False, 500.0, 2)],
 )
-def test_a_term_without_which_all_recordings_are_far_less_likely_is_not_fitted_away(
+def test_no_term_is_dropped_without_which_all_recordings_are_far_less_likely(
     hopeless: bool, gain: float, refitted: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A long fit is for those terms only that a short one leaves in doubt."""
+    """Only terms that a short fit leaves in doubt get a long one."""
     terms = tuple(Term(name, 1, {}) for name in ("coulomb", "ripple"))
     final: Any = SimpleNamespace(model=SimpleNamespace(at=lambda _: terms))
     other: Any = SimpleNamespace()

@@ -1,4 +1,4 @@
-"""What a diagnosis says of its progress."""
+"""The progress of a diagnosis, and what remains of one that is interrupted."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from zendsp.diagnosis import diagnose, joints
 from zendsp.diagnosis.progress import Progress, Step
 
 
-def test_a_progress_only_goes_forward() -> None:
+def test_progress_only_goes_forward() -> None:
     said: list[str] = []
     tell = in_steps(said.append)
     for step in (1, 2, 3, 2, 4, 3, 6, 0, 2):
@@ -31,7 +31,7 @@ def test_a_progress_only_goes_forward() -> None:
 
 
 def test_an_interrupt_waits_for_no_joint(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As ``kill -INT`` of the process alone, which its children do not get."""
+    """As after ``kill -INT`` of the process alone, which its children do not receive."""
 
     def endless(*given: Any) -> None:
         given[-1]("searching")
@@ -121,10 +121,10 @@ def test_ctrl_c_after_the_search_keeps_all_that_was_found(tmp_path: Path) -> Non
         (Step.REPORTING, "it was at 6/6 reporting"),
     ],
 )
-def test_what_is_interrupted_says_how_far_it_was(
+def test_an_interrupted_diagnosis_says_how_far_it_was(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, step: Step, says: str
 ) -> None:
-    """By its step: no word of a sentence decides whether there is a report."""
+    """It says so by its step, so that no wording decides whether there is a report."""
 
     def interrupted(*_: Any, progress: Progress, **__: Any) -> None:
         progress(Step.READING.says("reading run.csv"))

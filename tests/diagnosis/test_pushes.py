@@ -1,4 +1,4 @@
-"""A torque that comes from outside and does not return is a disturbance, with its times."""
+"""A push from outside that does not recur is a disturbance, reported with its times."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def seconds() -> tuple[float, float]:
     return 7.5, 9.0
 
 
-def test_what_acts_in_the_recordings_to_choose_by_alone_is_not_complete(
+def test_a_torque_only_in_the_recordings_to_choose_by_leaves_the_verdict_open(
     decided: Decided, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(decide, "pushed", lambda *_: None)  # nothing of it comes again
@@ -60,11 +60,11 @@ def test_joints_that_are_pushed_at_the_same_times_are_one_finding() -> None:
     assert found.as_dict()["details"] == {"also_on": [{"joint": 1, "rms": 2.0, "peak": 5.0}]}
 
 
-def test_where_pushes_leave_too_little_the_largest_alone_is_cut_out(
-    monkeypatch: pytest.MonkeyPatch,
+def test_where_cutting_out_all_pushes_leaves_too_little_only_the_largest_is_cut_out(
+    monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Calibrated upon somebody who holds the tool for two seconds, an arm lacked something at forty
-    times, and was not looked at without him.
+    """Somebody held the tool for two seconds. Calibrated to that, the arm had lacked something at
+    forty times, and had not been diagnosed without the push.
     """
     spans = ((0.5, 0.7), (2.0, 4.0), (6.0, 6.2))
     held = Bursts(spans, ("a",) * 3, 0.9, 5.0, 2.0, 0.1, 1.0, 1.1, (0.01, 1.0, 0.02), 0.95)
@@ -93,10 +93,11 @@ def test_where_pushes_leave_too_little_the_largest_alone_is_cut_out(
     assert passes == ["all", machine.Parts(["fit"], ["choose"], ["test"])]  # type: ignore[arg-type]
 
 
-def test_what_a_model_lacks_that_runs_away_is_no_push(
+def test_what_a_diverging_model_lacks_is_no_push(
     decided: Decided, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Behind a spring whose load was heavier than the joint, 484 kN m were a disturbance."""
+    """With a spring whose load was heavier than the joint, 484 kN m had been called a disturbance.
+    """
     machine = reality.Machine(push=(0.06, 2.0, 4.0))
     assert [f.effect for f in decided(machine, machine).findings] == ["disturbance"]
     for lacks in (7000.0, float("nan")):
@@ -115,7 +116,7 @@ def test_a_push_is_a_disturbance_with_its_times(decided: Decided) -> None:
     assert rms.value <= peak.value and 0.0 < rms.std < 0.02
 
 
-def test_a_push_too_small_for_a_finding_is_told_with_its_times(decided: Decided) -> None:
+def test_a_push_too_small_for_a_finding_is_noted_with_its_times(decided: Decided) -> None:
     d = decided(reality.Machine(push=(0.007, 2.0, 4.0)), reality.Machine(push=(0.007, 6.5, 8.5)))
     assert not d.findings
     (told,) = (note for note in d.notes if "no state explains" in note)
@@ -128,7 +129,7 @@ def test_a_push_too_small_for_a_finding_is_told_with_its_times(decided: Decided)
 def test_pushes_in_every_recording_and_a_friction_that_is_missing_are_both_found(
     decided: Decided,
 ) -> None:
-    """Each hides the other: numbers fitted to both are those of neither."""
+    """Each hides the other, since numbers fitted to both suit neither."""
     pushed = reality.Machine(push=(0.04, 3.0, 3.6, 8.0, 8.6))
     d = decided(pushed, pushed, KNOWN[0])
     push, dry = d.findings
@@ -142,9 +143,7 @@ LARGE = pytest.param(0.15, marks=pytest.mark.long("the smaller push bends the ca
 
 
 @pytest.mark.parametrize("push", [0.01, LARGE])
-def test_a_push_in_the_recording_of_the_fit_alone_is_told_though_it_bends_the_calibration(
-    push: float, decided: Decided
-) -> None:
+def test_a_push_only_in_the_recording_of_the_fit_is_reported(push: float, decided: Decided) -> None:
     d = decided(reality.Machine(push=(push, 4.0, 6.0)), reality.Machine())
     assert [f.effect for f in d.findings] == ["disturbance"]
     spans = np.array(d.findings[0].numbers["intervals"])
@@ -157,7 +156,7 @@ def test_a_push_in_the_recording_of_the_fit_alone_is_told_though_it_bends_the_ca
     assert there == pytest.approx(5.0, abs=1.2)
 
 
-def test_several_pushes_in_the_recording_of_the_fit_alone_are_told(decided: Decided) -> None:
+def test_several_pushes_only_in_the_recording_of_the_fit_are_reported(decided: Decided) -> None:
     pushed = reality.Machine(push=(0.03, 1.5, 2.2, 3.6, 4.2, 6.0, 6.8))
     (found,) = decided(pushed, reality.Machine()).findings
     assert found.effect == "disturbance"
@@ -168,7 +167,7 @@ def test_several_pushes_in_the_recording_of_the_fit_alone_are_told(decided: Deci
 @pytest.mark.parametrize(
     "size", [0.06, pytest.param(0.15, marks=pytest.mark.long("the smaller push is harder"))]
 )
-def test_a_push_through_most_of_what_is_judged_on_leaves_nothing_beside_it(
+def test_a_push_through_most_of_the_test_data_allows_no_other_finding(
     size: float, decided: Decided
 ) -> None:
     again = reality.Machine(push=(size, 4.5, 7.1 if size > 0.1 else 8.1))
@@ -179,10 +178,10 @@ def test_a_push_through_most_of_what_is_judged_on_leaves_nothing_beside_it(
 
 @pytest.mark.parametrize("seconds", [(9.0, 12.0)])
 @pytest.mark.parametrize("held", [False, True])
-def test_a_push_while_the_joint_turns_round_is_told_with_its_recording(
+def test_a_push_at_a_reversal_is_reported_with_its_recording(
     decided: Decided, tmp_path: Path, held: bool
 ) -> None:
-    """It holds the joint for all of its time, with more than friction does."""
+    """It holds the joint for its whole time, with more torque than friction has."""
     pushed, quiet = reality.Machine(push=(0.3, 4.0, 5.0), kp=1.0), reality.Machine(kp=1.0)
     d = decided(*((quiet, pushed) if held else (pushed, quiet)))
     (found,) = d.findings
@@ -191,8 +190,8 @@ def test_a_push_while_the_joint_turns_round_is_told_with_its_recording(
     assert f"of {tmp_path}/run{1 + held}.csv" in found.sentence
 
 
-def test_what_lacks_beside_a_push_is_found_where_nothing_pushes(decided: Decided) -> None:
-    """The push is cut out, and the rest diagnosed again: it had bent all numbers."""
+def test_physics_missing_beside_a_push_is_found_in_the_other_times(decided: Decided) -> None:
+    """The push had bent all numbers, so it is cut out and the rest is diagnosed again."""
     law = {"breakaway": 0.04, "stribeck": 0.8}
     d = decided(reality.Machine(push=(0.2, 4.0, 5.0), **law), reality.Machine(**law))
     assert [f.effect for f in d.findings] == ["disturbance", "stribeck"]
@@ -201,8 +200,8 @@ def test_what_lacks_beside_a_push_is_found_where_nothing_pushes(decided: Decided
     assert (begin, end) == (pytest.approx(4.0, abs=0.15), pytest.approx(5.0, abs=0.15))
 
 
-def test_a_push_beside_what_is_found_is_told(decided: Decided, bench: Decided) -> None:
-    """Dry friction is missing too: it is found where nothing pushes."""
+def test_a_push_beside_a_finding_is_reported(decided: Decided, bench: Decided) -> None:
+    """The missing dry friction is found at the times without a push."""
     pushed = reality.Machine(push=(0.08, 4.0, 6.0))
     d = decided(pushed, reality.Machine(), KNOWN[0])
     assert [f.effect for f in d.findings] == ["disturbance", "coulomb"]
@@ -222,7 +221,7 @@ def test_a_push_beside_what_is_found_is_told(decided: Decided, bench: Decided) -
         (6.0, 0.9, 0.95, ("a.csv",), False),
     ],
 )
-def test_what_comes_often_or_explains_little_or_is_another_load_is_no_push(
+def test_frequent_or_small_or_load_torques_are_no_push(
     spread: float,
     share: float,
     steady: float,
@@ -252,10 +251,11 @@ def test_what_comes_often_or_explains_little_or_is_another_load_is_no_push(
 
 
 @pytest.mark.parametrize("beside", [0.5, 2.0])
-def test_numbers_of_other_recordings_stand_where_a_push_spoils_those_of_the_fit_for_all_times(
+def test_a_calibration_spoilt_by_a_push_gives_way_to_that_of_the_other_recordings(
     beside: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What was calibrated on slow motion and lacks something in a fast one was called a push."""
+    """A model calibrated to slow motion that lacked something in a fast one had been called pushed.
+    """
     push: Any = SimpleNamespace(
         intervals=(), recordings=(), spread=1.0, share=0.9, beside=beside, steady=0.95
     )
@@ -279,7 +279,7 @@ def test_numbers_of_other_recordings_stand_where_a_push_spoils_those_of_the_fit_
 
 
 def test_a_recording_with_another_load_is_said_to_be_one(decided: Decided) -> None:
-    """What differs is no load that inertia and weight show: nothing is claimed."""
+    """The difference is not one of inertia and weight alone, so nothing is claimed."""
     d = decided(reality.Machine(), reality.Machine(coulomb=0.042))
     assert d.verdict == "unexplained" and not d.findings
     assert any("numbers of its own explain" in note for note in d.notes)
@@ -289,7 +289,7 @@ def test_a_recording_with_another_load_is_said_to_be_one(decided: Decided) -> No
 def test_a_load_that_only_the_held_out_recording_has_is_named(
     inertia: float, decided: Decided
 ) -> None:
-    """Of 0.0107 little enough that numbers between the two leave 2 % of the torque in each."""
+    """The difference is so small that numbers between the two leave 2 % of the torque in each."""
     d = decided(reality.Machine(), reality.Machine(inertia=inertia))
     (found,) = d.findings
     amount = found.parameters["amount"]
@@ -302,7 +302,7 @@ def test_a_load_that_only_the_held_out_recording_has_is_named(
 def test_a_load_that_gravity_shows_too_is_a_payload(
     recorded: Callable[..., list[Path]], tmp_path: Path
 ) -> None:
-    """0.1 kg at 0.2 m, beside inertia and weight that the model has."""
+    """0.1 kg at 0.2 m, beside the model's own inertia and weight."""
     runs = recorded(reality.Machine(gravity=0.15), reality.Machine(gravity=0.3462, inertia=0.014))
     model = reality.model_file(tmp_path / "heavy.toml", reality.RATE, *KNOWN, gravity=0.15)
     d = diagnose(runs[0], model, runs[1], jobs=1)
@@ -323,13 +323,15 @@ def test_a_load_that_gravity_shows_too_is_a_payload(
         ((0.004, 0.004), (0.05, 0.02), ()),
     ],
 )
-def test_numbers_of_its_own_explain_a_recording_as_well_as_the_machine_is_ever_explained(
+def test_a_recording_that_its_own_numbers_explain_fully_has_another_load(
     fit: tuple[float, float],
     held: tuple[float, float],
     said: tuple[str, ...],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A load of 0.15 kg on the shipped pendulum was "depends on the state": its bristles stay."""
+    """A load of 0.15 kg on the shipped pendulum had been reported as a torque that depends on the
+    state.
+    """
 
     @dataclass(frozen=True)
     class Data:
@@ -358,7 +360,7 @@ def test_numbers_of_its_own_explain_a_recording_as_well_as_the_machine_is_ever_e
         ((4.8, 0.7), False),
     ],
 )
-def test_what_a_law_takes_up_without_spoiling_other_times_is_no_push(
+def test_what_a_law_explains_without_spoiling_other_times_is_no_push(
     law: tuple[float, float], is_one: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     lacks = {"none": (5.0, 0.8), "law": law}

@@ -1,5 +1,5 @@
-"""The report folder is what other programs read (docs/diagnosis.md), and what it promises works:
-the model again, the compensation in C, the page offline.
+"""The report folder, which other programs read (docs/diagnosis.md): its JSON, its model, its
+compensation in C, and its page, which works offline.
 """
 
 from __future__ import annotations
@@ -44,7 +44,8 @@ from zendsp.physics.model import Model, Quantity, Term
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """One diagnosis through the command line: Coulomb and a ripple are missing."""
+    """The report of one diagnosis from the command line: Coulomb friction and a ripple are missing.
+    """
     folder = tmp_path_factory.mktemp("report")
     machine = reality.Machine(ripple=0.02)
     for name, seed in (("train", 1), ("heldout", 2)):
@@ -83,7 +84,7 @@ def report(folder: Path) -> dict[str, Any]:
     return value
 
 
-def test_it_is_said_where_the_next_motion_is_or_why_there_is_none(folder: Path) -> None:
+def test_the_report_says_where_the_next_motion_is_or_why_there_is_none(folder: Path) -> None:
     line = (folder / "said.txt").read_text().splitlines()[-1]
     reference = folder / "out" / "next_reference.mat"
     there = reference if reference.is_file() else "none, nothing is left open"
@@ -102,13 +103,13 @@ def _proposing(proposal: object, *rejected: Rejected) -> Diagnosis:
     )
 
 
-def test_where_something_is_left_without_a_name_nothing_says_that_nothing_is_open() -> None:
+def test_the_report_does_not_say_nothing_is_open_where_a_torque_has_no_name() -> None:
     left = SimpleNamespace(**(vars(_proposing(None)) | {"nameless": ((1, 0.003),)}))
     why = files.no_reference(left)  # type: ignore[arg-type]
     assert why == "what is left has no name, and no rival to be told from"
 
 
-def test_where_the_headline_cannot_tell_nothing_says_that_all_is_settled() -> None:
+def test_the_report_does_not_say_settled_where_the_headline_cannot_tell() -> None:
     doubtful = _proposing(None, Rejected("backlash", 1, "the untouched do not show it", 1e4))
     assert files.no_reference(doubtful) == "no motion can be proposed for what is open"
     assert "Nothing is missing" not in html._where(doubtful)
@@ -202,11 +203,11 @@ def test_the_unit_of_a_pure_number_is_not_read_out() -> None:
 @pytest.mark.parametrize(
     ("share", "text"), [(0.0351, "3.5 %"), (0.996, "100 %"), (1.0, "100 %"), (4.217, "422 %")]
 )
-def test_a_share_of_a_torque_is_never_a_power_of_ten(share: float, text: str) -> None:
+def test_a_share_of_a_torque_is_never_printed_as_a_power_of_ten(share: float, text: str) -> None:
     assert percent(share) == text
 
 
-def test_a_remainder_of_which_nothing_is_known_is_never_called_small() -> None:
+def test_an_unknown_remainder_is_never_called_small() -> None:
     assert unnamed(0.0, 1.0) == "at most 100 % of its torque, and perhaps nothing"
     assert unnamed(0.0, 0.2) == "at most 20 % of its torque, and perhaps nothing"
     assert unnamed(1.0, 1.0) == "100 % of its torque"
@@ -223,7 +224,7 @@ def test_time_stamps_of_a_calendar_are_drawn_from_a_whole_second_that_the_axis_n
     assert from_a_whole_second(own) is own
 
 
-def test_a_given_number_that_is_wrong_is_drawn_as_given_and_calibrated(tmp_path: Path) -> None:
+def test_a_wrong_given_number_is_drawn_as_given_and_calibrated(tmp_path: Path) -> None:
     heavy = reality.Machine(inertia=0.016)
     for name, seed in (("train", 1), ("heldout", 2)):
         rows = reality.simulate(heavy, reality.multisine(9.0, RATE, seed), RATE)
@@ -294,7 +295,7 @@ def test_compensation_compiles_for_the_isr(folder: Path, tmp_path: Path) -> None
         ("position_friction", "dry_friction", False),
     ],
 )
-def test_a_torque_without_a_law_is_compensated_by_ripples_alone(
+def test_of_an_unknown_torque_only_ripples_are_compensated(
     refines: str, mechanism: str, stands: bool, tmp_path: Path
 ) -> None:
     found = {"effect": "unknown", "joint": 1, "mechanism": mechanism}
@@ -313,9 +314,7 @@ def test_a_torque_without_a_law_is_compensated_by_ripples_alone(
 
 
 @pytest.mark.parametrize("refines", ["hysteresis", "ripple"])
-def test_what_is_sent_to_the_machine_is_what_the_sentence_says(
-    refines: str, tmp_path: Path
-) -> None:
+def test_the_compensation_has_the_numbers_of_the_sentence(refines: str, tmp_path: Path) -> None:
     # hysteresis, left out of the code, had taken 0.09 of the 0.40 N m that the sentence states
     coulomb = Term("coulomb", 1, {"level": Quantity(0.31)})
     numbers = {p.name: Quantity(0.09) for p in get_effect(refines).parameters}
@@ -356,7 +355,7 @@ def test_json_on_the_terminal_is_the_report(
     assert ("next_reference.mat" in made) == (next_recording is not None)
 
 
-def test_a_report_that_the_disk_takes_no_more_of_is_written_elsewhere(
+def test_a_report_that_a_full_disk_refuses_is_written_elsewhere(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, typed: Callable[..., tuple[object, str, str]]
 ) -> None:
     def write(result: object, out: Path, *, pictures: bool, progress: object = None) -> Path:
@@ -430,8 +429,8 @@ def test_a_coupling_is_drawn_over_the_motion_of_the_other_joint() -> None:
     assert np.array_equal(samples_of(lacks, Axis("time")), lacks.time)
 
 
-def test_recordings_that_show_nothing_are_to_be_made_again_for_longer(tmp_path: Path) -> None:
-    """Two seconds of 0.08 rad, by a coarse encoder."""
+def test_longer_recordings_are_proposed_where_these_show_nothing(tmp_path: Path) -> None:
+    """Two seconds of 0.08 rad, seen by a coarse encoder."""
     t = np.arange(2000) / 1000.0
     command = 0.02 * np.sin(2 * np.pi * t)
     position, speed, rows = 0.0, 0.0, []
@@ -479,8 +478,8 @@ def test_no_rejected_rival_with_a_positive_likelihood_is_called_no_more_likely()
     assert "log-likelihood +7, and +20" in decide._lost("stiffness", 1, 14.0, (), left, left).why
 
 
-def test_waves_that_describe_a_torque_without_a_law_are_told_with_their_numbers() -> None:
-    """A cogging of 14 a turn stood in model.toml, and nowhere in the report."""
+def test_ripples_that_describe_an_unknown_torque_are_reported_with_their_numbers() -> None:
+    """A cogging of 14 periods a turn had stood in model.toml, but not in the report."""
     each = [
         {"order": Estimate(order, 0.008, "1"), "amplitude": Estimate(size, 0.002, "N m")}
         for order, size in ((13.9986, 0.147), (28.03, 0.045), (41.96, 0.029))

@@ -1,4 +1,4 @@
-"""Which hypotheses a round of the search fits, to which recordings, and in which order."""
+"""Which hypotheses a round of the search fits, from which numbers and to which samples."""
 
 from __future__ import annotations
 
@@ -27,8 +27,26 @@ from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model
 
 
+def candidate(effect: str, **numbers: float) -> Candidate:
+    """One law of the library at the joint, with its start values."""
+    return Candidate(effect, 1, (make_term(get_effect(effect), 1, numbers),), (), 1.0)
+
+
+OFFSET = candidate("torque_offset", level=-0.003)
+SPRING = candidate("stiffness", coefficient=1.0, neutral=0.0)
+WAVE = candidate("ripple", order=5.0, amplitude=0.1, phase=0.0)
+
+
+def complete(seconds: float = 6.0) -> Scored:
+    """A model that lacks nothing, on recordings of its machine; its deviance is called 0."""
+    model = model_of(VISCOUS, COULOMB)
+    reference = reality.multisine(seconds, RATE, 3)
+    data = data_of(reality.simulate(reality.Machine(), reference, RATE), model)
+    return Scored(fit(data, model, (), joints=(1,), iterations=0), data, 0.0, (1,))
+
+
 @pytest.mark.parametrize(("amount", "possible"), [(-0.004, True), (-0.02, False)])
-def test_no_joint_has_less_inertia_than_none(amount: float, possible: bool) -> None:
+def test_a_law_that_makes_the_inertia_negative_is_refused(amount: float, possible: bool) -> None:
     model = model_of(VISCOUS, COULOMB, {"kind": "inertia", "joint": 1, "amount": amount})
     data = data_of(
         reality.simulate(reality.Machine(), reality.multisine(4.0, RATE, 3), RATE), model
@@ -38,7 +56,7 @@ def test_no_joint_has_less_inertia_than_none(amount: float, possible: bool) -> N
     assert Rounds(data, 1, 1, lambda _: None)._possible(rival) is possible
 
 
-def test_what_was_begun_as_a_bent_spring_and_does_not_bend_is_a_spring() -> None:
+def test_a_stiffening_spring_without_stiffening_is_called_a_spring() -> None:
     load, stiffness = 0.004, 20.0
     machine = reality.Machine(load=load, soft=stiffness)
     base = model_of(VISCOUS, COULOMB)
@@ -49,8 +67,8 @@ def test_what_was_begun_as_a_bent_spring_and_does_not_bend_is_a_spring() -> None
     assert found[0].scored.model.terms[-1].value("stiffness") == pytest.approx(stiffness, rel=0.02)
 
 
-def test_the_load_on_a_spring_may_weigh_more_than_the_whole_that_the_model_states() -> None:
-    """A model that forgot the motor's inertia: what is at a bound counts as not seen."""
+def test_the_load_behind_a_spring_may_have_more_inertia_than_the_model_states() -> None:
+    """The model forgot the motor's inertia. A number at its bound would count as not seen."""
     load, motor = 0.0085, 0.0015
     stiffness = (2 * np.pi * 12.0) ** 2 * load * motor / (load + motor)
     machine = reality.Machine(load=load, soft=stiffness)
@@ -63,8 +81,8 @@ def test_the_load_on_a_spring_may_weigh_more_than_the_whole_that_the_model_state
     assert found[0].scored.model.terms[-1].value("load_inertia") == pytest.approx(load, rel=0.05)
 
 
-def test_a_round_has_one_entry_an_effect_also_where_a_second_look_is_taken(
-    monkeypatch: pytest.MonkeyPatch,
+def test_a_round_lists_each_effect_once_also_after_a_second_look(
+    monkeypatch: pytest.MonkeyPatch
 ) -> None:
     model = model_of(VISCOUS, COULOMB)
     reference = reality.multisine(6.0, RATE, 3)
@@ -87,7 +105,7 @@ def test_a_round_has_one_entry_an_effect_also_where_a_second_look_is_taken(
 
 @pytest.fixture
 def fitted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Effects that rounds fit, as they do."""
+    """The effects that rounds fit, in order."""
     fitted: list[str] = []
     quick = ShortFits.quick
 
@@ -99,9 +117,7 @@ def fitted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return fitted
 
 
-def test_a_transmission_that_promises_next_to_nothing_beside_another_law_is_not_fitted(
-    fitted: list[str],
-) -> None:
+def test_an_unpromising_transmission_is_not_fitted_beside_another_law(fitted: list[str]) -> None:
     transmissions = {"elasticity", "backlash", "stiffening"}
     sprung = reality.Machine(load=0.004, soft=20.0)
     for machine, missing in ((reality.Machine(viscous=0.05), set()), (sprung, {"elasticity"})):
@@ -116,7 +132,7 @@ def test_a_transmission_that_promises_next_to_nothing_beside_another_law_is_not_
 
 
 @pytest.mark.parametrize("drag", [0.0, 0.002])
-def test_what_promises_nothing_on_all_samples_is_not_fitted(
+def test_an_effect_that_promises_nothing_on_all_samples_is_not_fitted(
     drag: float, fitted: list[str]
 ) -> None:
     columns = reality.simulate(reality.Machine(drag=drag), reality.multisine(6.0, RATE, 3), RATE)
@@ -126,12 +142,13 @@ def test_what_promises_nothing_on_all_samples_is_not_fitted(
 
 
 @pytest.mark.parametrize("promised", [True, False])
-def test_a_hypothesis_that_a_first_look_bends_is_fitted_upon_the_numbers_of_the_model(
+def test_a_hypothesis_that_a_first_look_misfits_is_fitted_from_the_models_numbers(
     promised: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of a small motor each turn round lasted less than a thinned sample: the friction that such a
-    look put beside a true torque cost more than the torque gained, and nothing was found. So it was
-    of a spring of which the look itself promised nothing: no model is worse than one it contains.
+    """Each reversal of a small motor was shorter than a thinned sample. On thinned samples the
+    friction was misfitted beside a true torque, which cost more than the torque gained, and nothing
+    was found. Likewise a spring of which the thinned samples promised nothing. A fit that starts
+    from the model's numbers cannot be worse than the model.
     """
     if not promised:
         monkeypatch.setattr(ShortFits, "gain_of_look", lambda *_: 0.0)
@@ -143,9 +160,7 @@ def test_a_hypothesis_that_a_first_look_bends_is_fitted_upon_the_numbers_of_the_
         reality.Machine(push=(0.004, 0.0, 99.0), coulomb=0.12), reference, RATE
     )
     monkeypatch.setattr(short_fits, "first_look", lambda *_: data_of(other, model))
-    begin = make_term(get_effect("torque_offset"), 1, {"level": -0.003})
-    asked = [Candidate("torque_offset", 1, (begin,), (), 1.0)]
-    found = Rounds(current.data, 1, 1, lambda _: None, model).short.quick(current, asked)
+    found = Rounds(current.data, 1, 1, lambda _: None, model).short.quick(current, [OFFSET])
     assert found is not None and found.value < current.deviance - WAIT
     found_level = found.scored.model.at(1)[-1].value("level")
     assert found_level == pytest.approx(-0.004, rel=0.1)
@@ -155,9 +170,9 @@ def test_a_hypothesis_that_a_first_look_bends_is_fitted_upon_the_numbers_of_the_
 def test_where_thinned_recordings_mislead_a_hypothesis_is_fitted_to_every_sample(
     bandwidth: float, thinned: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Friction that a look finds six times as large costs the model itself more than any hypothesis
-    gains: of 18 looks of a complete machine none told anything. A model that needs a fast observer
-    lacks much, and is looked at on thinned ones.
+    """If friction fitted to thinned samples is six times too large, this costs more than any
+    hypothesis gains: of a complete machine 18 such fits said nothing. A model that needs a fast
+    observer lacks much, so thinned samples do for it.
     """
     reference = reality.multisine(6.0, RATE, 3)
     pushed = reality.simulate(reality.Machine(push=(0.004, 0.0, 99.0)), reference, RATE)
@@ -175,86 +190,65 @@ def test_where_thinned_recordings_mislead_a_hypothesis_is_fitted_to_every_sample
         return short(self, data, model, *rest)
 
     monkeypatch.setattr(ShortFits, "_short", noted)
-    begin = make_term(get_effect("torque_offset"), 1, {"level": -0.003})
-    each = Rounds(current.data, 1, 1, lambda _: None, model)
-    found = each.short.quick(current, [Candidate("torque_offset", 1, (begin,), (), 1.0)])
+    found = Rounds(current.data, 1, 1, lambda _: None, model).short.quick(current, [OFFSET])
     assert found is not None and found.value < current.deviance - WAIT
     assert (hypotheses[0] is other) is thinned
 
 
 @pytest.mark.parametrize(("whole", "asked"), [(-500.0, [True]), (500.0, [True, False])])
-def test_a_hypothesis_that_ends_worse_on_every_sample_is_looked_at_on_thinned_ones_after_all(
+def test_a_hypothesis_that_fits_worse_on_every_sample_is_tried_on_thinned_ones(
     whole: float, asked: list[bool], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    model = model_of(VISCOUS, COULOMB)
-    reference = reality.multisine(6.0, RATE, 3)
-    data = data_of(reality.simulate(reality.Machine(), reference, RATE), model)
-    done = fit(data, model, (), joints=(1,), iterations=0)
-    begin = make_term(get_effect("torque_offset"), 1, {"level": -0.003})
-    option = Candidate("torque_offset", 1, (begin,), (), 1.0)
+    current = complete()
     begun: list[bool] = []
 
     def starts(*given: Any) -> Any:
         begun.append(given[-1])
-        return option, done, whole if given[-1] else 1000.0
+        return OFFSET, current.fit, whole if given[-1] else 1000.0
 
     monkeypatch.setattr(ShortFits, "misleads", lambda *_: True)
     monkeypatch.setattr(ShortFits, "_from_starts", starts)
-    monkeypatch.setattr(ShortFits, "_upon_its_numbers", lambda *_: (done, -70.0))
-    current = Scored(done, data, 0.0, (1,))
-    found = Rounds(data, 1, 1, lambda _: None).short._short_fits(current, [option], data)
+    monkeypatch.setattr(ShortFits, "_upon_its_numbers", lambda *_: (current.fit, -70.0))
+    data = current.data
+    found = Rounds(data, 1, 1, lambda _: None).short._short_fits(current, [OFFSET], data)
     assert begun == asked
     assert found is not None
 
 
 @pytest.mark.parametrize(("gain", "asked"), [(10.0, [64.0, 16.0]), (100.0, [64.0])])
-def test_what_gains_nothing_under_a_fast_observer_is_begun_again_under_a_slow_one(
+def test_a_hypothesis_without_gain_under_a_fast_observer_is_tried_under_a_slow_one(
     gain: float, asked: list[float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A spring among rests: a fast observer followed it, its fit stayed where it began, and a
-    machine was complete that lacked it.
+    """A spring in a motion with rests: a fast observer followed it, so the fit did not move from
+    its start, and a machine that lacked it had been called complete.
     """
-    model = model_of(VISCOUS, COULOMB)
-    reference = reality.multisine(6.0, RATE, 3)
-    data = data_of(reality.simulate(reality.Machine(), reference, RATE), model)
-    current = Scored(fit(data, model, (), joints=(1,), iterations=0), data, 0.0, (1,))
+    current = complete()
+    data = current.data
     current = replace(current, data=data.at_bandwidth(1, 64.0))
-    spring = make_term(get_effect("stiffness"), 1, {"coefficient": 1.0, "neutral": 0.0})
     begun: list[float] = []
 
     def short(_: ShortFits, base: Scored, __: list[Candidate], given: Data) -> Rival:
         begun.append(given.bandwidth[0])
         scored = replace(base, deviance=-gain * len(begun))
-        return Rival("stiffness", 1, scored, 0.0, (spring,), ())
+        return Rival("stiffness", 1, scored, 0.0, SPRING.terms, ())
 
     monkeypatch.setattr(ShortFits, "_short_fits", short)
-    found = Rounds(data, 1, 1, lambda _: None).short.quick(
-        current, [Candidate("stiffness", 1, (spring,), (), 1.0)]
-    )
+    found = Rounds(data, 1, 1, lambda _: None).short.quick(current, [SPRING])
     assert begun == asked
     assert found is not None and found.value == -gain * len(asked)
 
 
 @pytest.mark.parametrize(("kept", "fitted"), [(50.0, ["stiffness"]), (5000.0, [])])
-def test_what_promises_more_than_anything_listed_keeps_is_not_overlooked(
+def test_an_effect_that_promises_more_than_the_listed_ones_gained_is_fitted_too(
     kept: float, fitted: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    model = model_of(VISCOUS, COULOMB)
-    reference = reality.multisine(12.0, RATE, 3)
-    data = data_of(reality.simulate(reality.Machine(), reference, RATE), model)
-    current = Scored(fit(data, model, (), joints=(1,), iterations=0), data, 0.0, (1,))
-    spring = make_term(get_effect("stiffness"), 1, {"coefficient": 1.0, "neutral": 0.0})
-    wave = make_term(get_effect("ripple"), 1, {"order": 5.0, "amplitude": 0.1, "phase": 0.0})
-    listed = Rival("ripple", 1, replace(current, deviance=-kept), 0.0, (wave,), ())
-    options = [
-        (share, Candidate(term.effect, 1, (term,), (), 1.0))
-        for share, term in ((0.2, wave), (0.05, spring))
-    ]
+    current = complete(12.0)
+    listed = Rival("ripple", 1, replace(current, deviance=-kept), 0.0, WAVE.terms, ())
     monkeypatch.setattr(
         ShortFits, "quick", lambda _, base, group: replace(listed, effect=group[0].effect)
     )
     monkeypatch.setattr(Rounds, "_is_idle", lambda *_: False)  # nothing is missing here
-    each = Rounds(data, 1, 1, lambda _: None)
+    each = Rounds(current.data, 1, 1, lambda _: None)
     assert 100 < 0.05 * each.n < 1000
-    more = each._overlooked(current, options, [[options[0][1]]], [listed], map)
+    more = each._overlooked(current, [(0.2, WAVE), (0.05, SPRING)], [[WAVE]], [listed], map)
     assert [r.effect for r in more] == fitted

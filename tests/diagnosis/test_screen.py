@@ -1,4 +1,4 @@
-"""What a screen promises of an effect, and of which one it promises least."""
+"""The gain that a screen predicts for an effect, over the grid of its numbers."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from zendsp.physics.model import Model, Term
 Array = npt.NDArray[np.float64]
 
 
-def test_a_screen_asks_for_no_torque_where_friction_holds_the_joint() -> None:
-    """Among rests the weight of a small motor promised nothing, and was not among those fitted."""
+def test_the_screen_ignores_samples_where_friction_holds_the_joint() -> None:
+    """In a motion with rests, gravity of a small motor had promised no gain, and was not fitted."""
     reference = np.repeat([0.0, 0.7, 0.1, 0.9, 0.2, 0.6], round(1.5 * RATE))
     machine = reality.Machine(coulomb=0.06, kp=1.0, kd=0.06)
     columns = reality.simulate(machine, reference, RATE)
@@ -87,8 +87,10 @@ def _between(values: Sequence[float], share: float) -> float:
 
 
 @pytest.mark.parametrize("model", [model_of(VISCOUS, COULOMB), _axis(VISCOUS, COULOMB)])
-def test_no_effect_falls_between_two_points_of_its_grid(model: Model) -> None:
-    """Friction that repeated every 20 mm on an axis of 0.27 m was looked for at 18 and 27 mm."""
+def test_the_screen_finds_numbers_between_the_points_of_its_grid(model: Model) -> None:
+    """Friction that repeated every 20 mm on an axis of 0.27 m had been looked for only at 18 and 27
+    mm.
+    """
     reference = 0.4 + reality.multisine(12.0, RATE, 3)
     data = data_of(reality.simulate(reality.Machine(), reference, RATE), model)
     fitted = fit(data, model, joint_handles(data, model, 1), joints=(1,), iterations=1)

@@ -1,4 +1,4 @@
-"""Simulators of kind = "python": a small pendulum simulator lacks what the machine has."""
+"""Models of kind = "python": a small pendulum simulator lacks physics that the machine has."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ def test_a_simulator_gets_the_command_as_late_as_the_model_says(tmp_path: Path) 
 
 @pytest.mark.long("each joint alone is tested; lost: in how few rounds, a matter of time")
 def test_effects_of_several_joints_are_taken_in_one_round(tmp_path: Path) -> None:
-    """One at a time, six joints with friction took a quarter of an hour."""
+    """Taken one at a time, friction in six joints took a quarter of an hour."""
     own = re.sub(r"value = (\S+)", r"value = [\1, \1]", OWN)
     _, _, file = files(tmp_path, reality.Machine(gravity=0.2), "pair", own)
     text = file.read_text()
@@ -180,7 +180,9 @@ def simulations(d: Diagnosis) -> int:
     return next(int(m[1]) for n in d.notes if (m := re.search(r"(\d+) simulations", n)))
 
 
-def test_what_a_small_torque_does_is_guessed_from_one_push(tmp_path: Path) -> None:
+def test_the_response_to_a_small_torque_is_predicted_from_one_simulated_push(
+    tmp_path: Path
+) -> None:
     train, _, file = files(tmp_path, reality.Machine(gravity=0.2))
     model = load_model(file)
     b = bench(read_signals(train, model), model, Entry(model))
@@ -203,9 +205,9 @@ def test_what_a_small_torque_does_is_guessed_from_one_push(tmp_path: Path) -> No
     assert np.linalg.norm(guessed - simulated) < 0.05 * np.linalg.norm(simulated)
 
 
-def test_intervals_of_a_simulators_numbers_hold_the_truth(tmp_path: Path) -> None:
-    """An inertia was two of 1000 too large, by four of its standard deviations: friction acted half
-    a sample early.
+def test_intervals_of_a_simulators_numbers_contain_the_truth(tmp_path: Path) -> None:
+    """An inertia had been 0.2 % too large, four standard deviations, because friction acted half a
+    sample early.
     """
     machine = reality.Machine(gravity=0.2)
     _, _, file = files(tmp_path, machine)
@@ -232,7 +234,7 @@ def test_complete_simulator_raises_no_alarm(tmp_path: Path) -> None:
     assert not [note for note in d.notes if "calibration moves" in note]
 
 
-def test_of_a_simulator_too_what_only_the_recordings_of_the_fit_show_stays_open(
+def test_what_only_the_fit_shows_of_a_simulator_leaves_the_verdict_open(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     lost = (Rejected("backlash", 1, "on the recordings held out", 5e3),)
@@ -244,7 +246,7 @@ def test_of_a_simulator_too_what_only_the_recordings_of_the_fit_show_stays_open(
 
 
 def test_what_calibration_made_of_a_simulators_numbers_is_noted(tmp_path: Path) -> None:
-    """The headline says so, and sends the reader to the notes."""
+    """The headline mentions it and refers to the notes."""
     machine = reality.Machine(gravity=0.2, coulomb=0.0)
     off = OWN.replace("gravity = { value = 0.206 }", "gravity = { value = 0.15 }")
     train, test, model = files(tmp_path, machine, parameters=off)
@@ -292,11 +294,11 @@ def test_a_recording_that_a_simulator_is_fitted_to_is_not_held_out_as_well(tmp_p
 
 
 @pytest.mark.parametrize(("explained", "why"), [(5.0, "no larger than what the laws"), (50.0, "")])
-def test_what_the_laws_of_all_joints_may_be_wrong_by_is_no_finding_at_another(
+def test_an_error_within_that_of_the_other_joints_laws_is_no_finding(
     monkeypatch: pytest.MonkeyPatch, explained: float, why: str
 ) -> None:
-    """Of an FMU of six joints that lacked a spring at joint 3 the command of joint 5 was 0.1 ms
-    late, too. Here an error of 10 000 at joint 1 is explained.
+    """An FMU of six joints lacked a spring at joint 3, and a delay of 0.1 ms had been claimed at
+    joint 5 too. Here an error of 10 000 at joint 1 is explained.
     """
     for name in ("indistinct", "_ended", "_runs_away"):
         monkeypatch.setattr(hunt, name, lambda *_: False)
@@ -318,10 +320,8 @@ def test_what_the_laws_of_all_joints_may_be_wrong_by_is_no_finding_at_another(
 
 
 @pytest.mark.parametrize(("rows", "own"), [(0.18, True), (-0.3, True), (0.6, False), (2.0, False)])
-def test_what_comes_late_by_less_than_half_a_row_may_be_a_simulators_own_steps(
-    rows: float, own: bool
-) -> None:
-    """Steps of a millisecond by Euler were a delay of 0.7 ms, and hid a Stribeck curve."""
+def test_a_delay_below_half_a_row_is_not_claimed_of_a_simulator(rows: float, own: bool) -> None:
+    """Euler steps of 1 ms had been called a delay of 0.7 ms, and hid a Stribeck curve."""
     bench: Any = SimpleNamespace(signals=SimpleNamespace(sample_time=0.004))
     ask = hunt.Hunt([bench], [], lambda _: None)
     for effect, key in (("delay", "time"), ("lag", "time_constant")):
@@ -330,8 +330,9 @@ def test_what_comes_late_by_less_than_half_a_row_may_be_a_simulators_own_steps(
     assert not ask._may_be_a_step(Term("coulomb", 1, {"level": Quantity(rows * 0.004)}))
 
 
-def test_where_another_joint_stays_unexplained_no_joint_has_a_claim() -> None:
-    """1.5 kg inside an FMU were a gain of -61 % of joint 2, with 42 % left at joint 1."""
+def test_no_joint_of_a_simulator_has_a_claim_while_another_stays_unexplained() -> None:
+    """1.5 kg inside an FMU had become a gain of -61 % at joint 2, with 42 % unexplained at joint 1.
+    """
     assert _a_part({1: 0.42, 2: 0.04}, {2})
     assert not _a_part({1: 0.04, 2: 0.42}, {2}), "beside its own claim it is told"
     assert not _a_part({1: 0.42, 2: 0.42}, ()), "nothing is claimed"

@@ -1,4 +1,4 @@
-"""What fast observers do not hear, beside something that passes fast, slower ones do."""
+"""Slow observers find what fast disturbances hide from fast ones."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from zendsp.diagnosis.search.body_hypotheses import LIMITS
 
 
 @pytest.mark.parametrize("tilt", [0.035, 0.0])
-def test_a_tilt_that_fast_observers_do_not_hear_is_found_by_slower_ones(
+def test_a_tilt_hidden_from_fast_observers_is_found_by_slower_ones(
     tmp_path: Path, tilt: float
 ) -> None:
-    """A controller answers to counts of 6 mrad, and shakes the arm."""
+    """A controller reacts to encoder counts of 6 mrad and shakes the arm."""
     arm = Arm(tilt=tilt, counts=0.006)
     model, _ = made = recorded(tmp_path, "tilt", arm, friction=True)
     fit, choose = prepared(made)
@@ -45,10 +45,8 @@ def test_a_tilt_that_fast_observers_do_not_hear_is_found_by_slower_ones(
 
 
 @pytest.mark.parametrize("more", [6e-5, 0.0])
-def test_an_inertia_that_fast_observers_are_not_sure_of_is_heard_by_slower_ones(
-    more: float,
-) -> None:
-    """An encoder that shakes 10 to 20 times a second; 0.6 % more inertia than the model says."""
+def test_an_inertia_unsure_under_fast_observers_is_found_by_slower_ones(more: float) -> None:
+    """An encoder error of 10 to 20 Hz, and 0.6 % more inertia than in the model."""
     columns = reality.simulate(
         reality.Machine(inertia=0.010 + more), reality.multisine(8.0, RATE, 6), RATE, 6
     )

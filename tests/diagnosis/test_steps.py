@@ -1,6 +1,4 @@
-"""What a search does with a step: equal directions are one, gaps are begun from the given numbers
-too.
-"""
+"""How the search takes, simplifies, keeps and rejects its steps."""
 
 from __future__ import annotations
 
@@ -64,7 +62,7 @@ def test_an_asymmetry_of_equal_directions_is_the_symmetric_effect_and_another_on
     assert {t.effect for t in best.model.terms} <= {"viscous", kept}
 
 
-def test_what_a_step_came_to_stays_where_the_next_one_is_not_accepted() -> None:
+def test_an_accepted_step_is_kept_where_the_next_one_is_rejected() -> None:
     machine = reality.Machine(push=(0.012, 0.0, 99.0), swirl=0.01)
     columns = reality.simulate(machine, reality.multisine(6.0, RATE, 3), RATE)
     data = data_of(columns, model := model_of(VISCOUS))
@@ -74,7 +72,7 @@ def test_what_a_step_came_to_stays_where_the_next_one_is_not_accepted() -> None:
     assert {t.effect for t in found.final.model.terms} == {"viscous", "coulomb", "torque_offset"}
 
 
-def test_a_hysteresis_of_a_force_that_no_motion_reaches_is_a_spring() -> None:
+def test_a_hysteresis_that_never_saturates_is_a_spring() -> None:
     reference = reality.multisine(6.0, RATE, 3, size=1.2)
     columns = reality.simulate(reality.Machine(spring=0.5, coulomb=0.0), reference, RATE)
     wide = {"kind": "hysteresis", "joint": 1, "force": 400.0, "stiffness": 0.45}
@@ -90,7 +88,7 @@ def test_a_hysteresis_of_a_force_that_no_motion_reaches_is_a_spring() -> None:
 
 @pytest.mark.parametrize("lag", [0.006, 0.0])
 def test_a_lag_is_found_beside_the_delay_that_hides_it(lag: float) -> None:
-    """To first order a delay by the sum of both is the same."""
+    """To first order one delay by the sum of both has the same effect."""
     columns = reality.simulate(reality.Machine(), reality.multisine(8.0, RATE, 3, size=1.2), RATE)
     keep, true = np.exp(-1.0 / RATE / max(lag, 1e-9)), columns["u"]
     told = (true - keep * np.r_[true[:1], true[:-1]]) / (1.0 - keep)
@@ -106,10 +104,11 @@ def test_a_lag_is_found_beside_the_delay_that_hides_it(lag: float) -> None:
     assert not lag or terms["lag"].value("time_constant") == pytest.approx(lag, abs=0.5 / RATE)
 
 
-def test_a_number_that_nothing_feels_asks_for_no_finer_steps(
-    monkeypatch: pytest.MonkeyPatch,
+def test_a_number_without_influence_does_not_refine_the_integration_step(
+    monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As the phase of a ripple of no size: rounding alone once gave it a step error of 1e136."""
+    """For example the phase of a ripple of amplitude zero, whose step error by rounding was 1e136.
+    """
     rng = np.random.default_rng(0)
     jacobian = rng.standard_normal((3000, 16))
     jacobian[:, 7] = 0.0
@@ -121,7 +120,7 @@ def test_a_number_that_nothing_feels_asks_for_no_finer_steps(
     assert error[7] == 0.0 and 0.0 < np.max(np.abs(error)) < 1.0
 
 
-def test_a_gap_is_begun_from_the_given_inertia_where_calibration_moved_it() -> None:
+def test_the_search_for_backlash_starts_from_the_given_inertia_too() -> None:
     given = model_of(VISCOUS, COULOMB)
     columns = reality.simulate(
         reality.Machine(gap=0.05, load=0.005), reality.multisine(6.0, RATE, 3), RATE
@@ -142,7 +141,7 @@ def test_a_gap_is_begun_from_the_given_inertia_where_calibration_moved_it() -> N
     assert best(group) < best(plain) - 100.0
 
 
-def test_a_gap_stands_in_the_place_of_a_given_spring_not_of_one_that_was_found() -> None:
+def test_backlash_replaces_a_given_spring_but_not_a_found_one() -> None:
     spring = {
         "kind": "elasticity",
         "joint": 1,
@@ -173,9 +172,7 @@ def test_a_spring_is_found_wherever_its_resonance_lies(hertz: float) -> None:
     assert found.model.terms[-1].value("stiffness") == pytest.approx(stiffness, rel=0.03)
 
 
-def test_a_search_that_runs_away_goes_on_with_its_next_first_step(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_diverging_search_tries_its_next_first_step(monkeypatch: pytest.MonkeyPatch) -> None:
     def simplified(other: Any, n: int, jobs: int) -> Any:
         return other.best, ()
 
@@ -219,8 +216,8 @@ def test_a_proposed_motion_covers_the_whole_range_of_all_recordings() -> None:
     assert -0.5 <= narrow.min() < -0.35 and 0.35 < narrow.max() <= 0.5
 
 
-def test_numbers_at_which_an_effect_is_none_gain_nothing() -> None:
-    """An infinite torque ended in "SVD did not converge"."""
+def test_numbers_that_make_an_effect_vanish_gain_nothing() -> None:
+    """An infinite torque had ended in "SVD did not converge"."""
     rows = np.vstack([np.full(50, np.nan), np.linspace(0.0, 1.0, 50)])
     screen: Any = SimpleNamespace(q=np.zeros((50, 1)), left=np.linspace(0.0, 2.0, 50))
     (none, _), (gain, theta) = Screen.groups(screen, rows, 1)
@@ -231,7 +228,7 @@ def test_numbers_at_which_an_effect_is_none_gain_nothing() -> None:
     ("alone", "goes_on", "warm"),
     [(100.0, False, True), (500.0, False, False), (100.0, True, False)],
 )
-def test_what_was_found_is_put_upon_a_creep_that_gains_little_and_leads_to_nothing_more(
+def test_findings_are_refitted_upon_a_creep_that_gains_little(
     monkeypatch: pytest.MonkeyPatch, alone: float, goes_on: bool, warm: bool
 ) -> None:
     def scored(deviance: float) -> Any:
@@ -252,7 +249,7 @@ def test_what_was_found_is_put_upon_a_creep_that_gains_little_and_leads_to_nothi
 
 
 @pytest.mark.parametrize("likelier", [True, False])
-def test_a_creep_is_fitted_from_slow_and_fast_ones_where_the_known_one_makes_the_rest_worse(
+def test_creep_is_fitted_from_slow_and_fast_starts_where_the_known_one_is_worse(
     likelier: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     columns = reality.simulate(reality.Machine(), reality.multisine(2.0, RATE, 3), RATE)
@@ -275,7 +272,7 @@ def test_a_creep_is_fitted_from_slow_and_fast_ones_where_the_known_one_makes_the
     ("gain", "accepted", "goes_on"),
     [(100.0, True, True), (100.0, False, False), (9000.0, False, True), (20.0, True, False)],
 )
-def test_a_search_goes_on_with_what_is_accepted_or_may_wait(
+def test_a_search_continues_with_accepted_steps_and_with_those_that_may_wait(
     gain: float, accepted: bool, goes_on: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     current: Any = SimpleNamespace(deviance=0.0)
@@ -289,7 +286,7 @@ def test_a_search_goes_on_with_what_is_accepted_or_may_wait(
     assert searcher.goes_on(current) is goes_on
 
 
-def test_no_move_begins_from_a_gap_that_has_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_step_starts_from_a_backlash_of_no_width(monkeypatch: pytest.MonkeyPatch) -> None:
     moves: list[float] = []
     monkeypatch.setattr(backlash, "lossy", lambda scored, *_: moves.append(1.0) or scored)
     monkeypatch.setattr(backlash, "descend", lambda scored, *_: scored)
@@ -321,10 +318,9 @@ def test_a_filter_that_a_delay_explains_as_well_is_called_a_delay() -> None:
 
 
 @pytest.mark.parametrize("held", [True, False])
-def test_a_rotor_that_the_model_holds_is_not_merged_with_the_inertia_beside_it(
-    held: bool,
-) -> None:
-    """Merged, a transmission's error was measured by an inertia too large: by 0.7 of what it is."""
+def test_a_fixed_rotor_is_not_merged_with_the_inertia_beside_it(held: bool) -> None:
+    """When merged, the inertia is too large and a transmission error is found at 0.7 of its size.
+    """
     rotor = {"kind": "inertia", "joint": 1, "amount": {"value": 0.003, "free": not held}}
     data_model = model_of(VISCOUS, COULOMB, rotor, inertia=0.007)
     motion = reality.multisine(5.0, RATE, 3)

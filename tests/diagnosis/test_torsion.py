@@ -1,4 +1,4 @@
-"""What the torsion of a transmission shows, of signals that are made here."""
+"""What the torsion of a transmission shows, on synthetic signals."""
 
 from __future__ import annotations
 
@@ -38,7 +38,8 @@ GIVEN = parse_model(
 
 
 def twist(torsion: Callable[[Array, Array], Array], seed: int, travel: float) -> Twist:
-    """A joint that moves ``travel`` rad; ``torsion`` of its position and torque."""
+    """A joint that moves over ``travel`` rad; ``torsion`` is a function of its position and torque.
+    """
     rng = np.random.default_rng(seed)
     t = np.arange(int(SECONDS * RATE)) / RATE
     f, phase = rng.uniform(0.2, 2.5, 7), rng.uniform(0, 2 * np.pi, 7)
@@ -65,7 +66,7 @@ def claimed(torsion: Callable[[Array, Array], Array], travel: float = 3.0) -> di
     return {c.name: c for c in claims_of(here, chosen, torque_scale(here.fit), GIVEN)}
 
 
-def test_a_piece_of_a_recording_that_is_left_out_whole_says_nothing_of_a_disc() -> None:
+def test_a_recording_without_kept_rows_is_ignored_for_an_encoder_disc() -> None:
     moving = sets(lambda q, torque: -torque / 40.0, 3.0)
     first = moving.fit[0]
     still = replace(first, kept=np.zeros(len(first.q), bool))  # as between two pushes
@@ -78,7 +79,7 @@ def gap(q: Array, torque: Array) -> Array:
     return np.asarray(-6e-3 * side - torque / 1e4)
 
 
-def test_a_gap_is_as_wide_as_the_rows_that_press_on_its_sides_say() -> None:
+def test_the_width_of_a_gap_is_measured_from_rows_in_contact() -> None:
     found = claimed(gap)
     # of all rows at which it may not be open the contact came out a sixth too soft
     assert -2 * found["gap"].value == pytest.approx(0.012, rel=0.005)
@@ -94,7 +95,7 @@ def late(q: Array, torque: Array) -> Array:
     return -out / 1000.0
 
 
-def test_a_transmission_that_yields_late_has_hysteresis() -> None:
+def test_a_transmission_with_internal_friction_has_hysteresis() -> None:
     found = claimed(late)
     assert set(found) == {"spring", "loop"}
     assert -found["loop"].value == pytest.approx(0.8e-3, rel=0.1)
@@ -106,10 +107,8 @@ def test_a_spring_alone_has_no_hysteresis() -> None:
     assert set(found) == {"spring"}
 
 
-def test_an_error_over_the_angle_is_found_that_repeats_itself_once_within_the_travel() -> None:
-    """Looked for from two periods on, 5.1 was said of 6; and in each recording the phase was that
-    of what is left of it beside a disc off centre.
-    """
+def test_an_angle_error_with_one_period_in_the_travel_is_found() -> None:
+    """When only two periods and more were looked for, 6 waves had come out as 5.1."""
     raw = sets(lambda q, torque: 1.5e-3 * np.sin(6 * q + 0.7), 1.3)
     (wave,), straight = waves_of(raw, GIVEN)
     assert wave.order == pytest.approx(6.0, abs=0.02)
@@ -147,10 +146,10 @@ def test_the_drives_torque_is_as_late_and_as_limited_as_the_model_says() -> None
         (0.0040, 0.0040, 0.0, False),  # so much swings in complete machines
     ],
 )
-def test_a_spring_stiffer_than_its_bending_shows_is_named_where_all_that_lacks_swings_with_it(
+def test_a_stiff_spring_is_named_where_the_whole_missing_torque_oscillates_with_it(
     monkeypatch: pytest.MonkeyPatch, size: float, before: float, after: float, named: bool
 ) -> None:
-    """4000 N m/rad at one of three joints was a refinement of a machine called complete."""
+    """4000 N m/rad at one of three joints had only refined a machine called complete."""
     softest = Detectable(2, "transmission", "elasticity", 6.1e-4, "rad/(N m)", 0.0)
     monkeypatch.setattr(one_sensor, "by_one_sensor", lambda *_args: (softest,))
     spring = Term("elasticity", 2, {"stiffness": Quantity(4000.0), "load_inertia": Quantity(0.15)})

@@ -1,4 +1,4 @@
-"""Two sensors on the two sides of a transmission: what they show, and what they must not."""
+"""What two sensors on both sides of a transmission show, and what they do not."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def only(found: list[Measured]) -> Measured:
     return found[0]
 
 
-def test_a_spring_is_measured_not_guessed() -> None:
+def test_two_sensors_measure_the_stiffness_of_a_spring() -> None:
     spring = only(measured(soft=40.0, load=0.006, resolution=FINE))
     assert [f.effect for f in spring.findings] == ["elasticity"]
     numbers = spring.findings[0].parameters
@@ -85,10 +85,10 @@ def test_a_spring_is_measured_not_guessed() -> None:
     assert spring.terms[0].effect == "elasticity"
 
 
-def test_how_a_measured_spring_rings_is_left_to_the_motors_position() -> None:
-    """Two sensors say nothing of it. Held at a guess the spring predicted no better than none, was
-    left out of the model, and what its load does then became a disturbance. Nor is what they say
-    loosely held: with 300 ± 30 N m/rad held a position was predicted half as well as with it free.
+def test_the_oscillation_of_a_measured_spring_is_fitted_to_the_motors_position() -> None:
+    """Two sensors do not show it. A spring held at a guess predicted no better than none, was left
+    out, and the motion of its load became a disturbance. A stiffness of 300 ± 30 N m/rad, held,
+    predicted the position half as well as a free one.
     """
     (term,) = only(measured(soft=40.0, load=0.006, resolution=FINE)).terms
     free = {key for key, number in term.parameters.items() if number.free}
@@ -113,9 +113,9 @@ def test_a_spring_is_measured_by_a_torque_sensor_where_there_is_one() -> None:
     assert spring.findings[0].parameters["load_inertia"].value == pytest.approx(0.006, rel=0.1)
 
 
-def test_of_a_load_that_is_all_inertia_no_more_is_said_than_its_ratio_to_the_stiffness() -> None:
-    """The motor's torque goes as the load's does: which part of the inertia is the load's, noise
-    decides. 184 ± 17 N m/rad was said of 300.
+def test_of_a_pure_inertia_load_only_its_ratio_to_the_stiffness_is_reported() -> None:
+    """The motor's torque is proportional to the load's, so that noise would decide how the inertia
+    is shared. 184 ± 17 N m/rad had been reported for 300.
     """
     numbers = only(measured(soft=300.0, load=0.006)).findings[0].parameters
     stiffness, load = numbers["stiffness"], numbers["load_inertia"]
@@ -124,14 +124,14 @@ def test_of_a_load_that_is_all_inertia_no_more_is_said_than_its_ratio_to_the_sti
     assert stiffness.value / load.value == pytest.approx(300.0 / 0.006, rel=0.02)
 
 
-def test_a_claim_beside_which_nothing_is_left_is_as_sure_as_any() -> None:
+def test_a_claim_that_leaves_nothing_has_the_highest_confidence() -> None:
     size, left = 1e-4, 0.0  # rad: all of the torsion within the sensors' own noise
     claim = Claim("step", -2e-5, 1e-7, Evidence(9.0, 9.0, np.ones(9)), 9.0, size, left)
     found, _ = findings_of(None, model(), 1, 1.0, [claim], [], (0.0, 0.0))  # type: ignore[arg-type]
     assert found[0].confidence == SUREST
 
 
-def test_a_stiff_transmission_is_none_and_the_report_says_what_would_have_been_seen() -> None:
+def test_a_stiff_transmission_is_no_finding_and_the_detectable_compliance_is_reported() -> None:
     nothing = only(measured(resolution=FINE))
     assert nothing.findings == ()
     (least,) = nothing.detectable
@@ -139,16 +139,16 @@ def test_a_stiff_transmission_is_none_and_the_report_says_what_would_have_been_s
     assert any("would have been seen" in note for note in nothing.notes)
 
 
-def test_a_gap_is_measured() -> None:
+def test_two_sensors_measure_backlash() -> None:
     gap = only(measured(gap=0.02, load=0.006, resolution=FINE))
     assert [f.effect for f in gap.findings] == ["backlash"]
     assert gap.findings[0].parameters["gap"].value == pytest.approx(0.02, rel=0.1)
 
 
 @pytest.mark.long("a gap is measured, and guessed ones only refine: two quicker tests")
-def test_a_soft_contact_is_in_the_width_of_its_gap_and_the_motors_position_may_say_both() -> None:
-    """The contacts yield by a fifth of the gap. With their stiffness held, a sixth off, everything
-    was a sixth too small, and a torque gain of -17 % stood beside the gap.
+def test_a_soft_contact_and_its_gap_are_both_fitted_to_the_motors_position() -> None:
+    """The contacts yield by a fifth of the gap. When their stiffness was held a sixth off, all
+    numbers came out a sixth too small, beside a torque gain of -17 %.
     """
     machine = {"gap": 0.02, "load": 0.006, "resolution": FINE}
     recordings = [recording(columns(tuple(sorted(machine.items())), seed)) for seed in (1, 2, 3)]
@@ -163,7 +163,7 @@ def test_a_soft_contact_is_in_the_width_of_its_gap_and_the_motors_position_may_s
     assert "backlash" not in [t.effect for t in found.calibrated.terms]
 
 
-def test_where_a_transmission_is_measured_a_guessed_one_only_refines() -> None:
+def test_beside_a_measured_transmission_a_guessed_one_only_refines_the_fit() -> None:
     def finding(effect: str, mechanism: str, joint: int) -> Finding:
         return Finding(effect, joint, {}, 0.9, 1.0, (), (), "", {}, mechanism)
 
@@ -174,7 +174,7 @@ def test_where_a_transmission_is_measured_a_guessed_one_only_refines() -> None:
     assert (kept, guessed) == ((friction, elsewhere), (gap,))
 
 
-def test_a_transmission_that_stiffens_is_measured() -> None:
+def test_two_sensors_measure_a_stiffening_transmission() -> None:
     bent = only(measured(soft=15.0, hard=8e3, load=0.006, resolution=FINE))
     assert [f.effect for f in bent.findings] == ["stiffening"]
     numbers = bent.findings[0].parameters
@@ -182,14 +182,14 @@ def test_a_transmission_that_stiffens_is_measured() -> None:
     assert numbers["stiffness3"].value == pytest.approx(8e3, rel=0.6)  # series in the torque
 
 
-def test_a_late_second_sensor_is_taken_out_and_said() -> None:
+def test_a_late_second_sensor_is_corrected_and_reported() -> None:
     spring = only(measured(late=2, soft=40.0, load=0.006, resolution=FINE))
     assert [f.effect for f in spring.findings] == ["elasticity"]
     assert spring.findings[0].parameters["stiffness"].value == pytest.approx(40.0, rel=0.1)
     assert any("4 ms late" in note or "4.0" in note or "3.9" in note for note in spring.notes)
 
 
-def test_friction_of_the_motor_that_looks_like_an_early_second_sensor_is_said() -> None:
+def test_motor_friction_that_looks_like_an_early_second_sensor_is_reported() -> None:
     spring = only(measured(viscous=0.04, soft=40.0, load=0.006, resolution=FINE))
     (note,) = (n for n in spring.notes if "early" in n)
     assert "or viscous friction of 0.0" in note and "N m s/rad acts before the transmission" in note
@@ -303,7 +303,7 @@ def test_friction_over_temperature_between_recordings_that_are_each_at_one_tempe
 @pytest.mark.parametrize(
     ("rows", "travel", "told"), [(700, 1.0, 0), (3000, 1.0, 1), (3000, 1e-9, 0)]
 )
-def test_no_compliance_is_said_of_a_recording_without_a_middle_or_beyond_the_travel(
+def test_no_compliance_is_reported_from_too_short_a_recording_or_beyond_the_travel(
     rows: int, travel: float, told: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # the first and the last half second feel the filter, so of 0.7 s nothing is left

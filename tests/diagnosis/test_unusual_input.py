@@ -1,4 +1,4 @@
-"""Recordings that are unusual and right are accepted, and what was done to them is said."""
+"""Unusual but right recordings are accepted, and what is done to them is reported."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ UNUSUAL = {
 
 
 @pytest.mark.parametrize("name", UNUSUAL)
-def test_unusual_but_right_recordings_areaccepted(name: str, tmp_path: Path) -> None:
+def test_unusual_but_right_recordings_are_accepted(name: str, tmp_path: Path) -> None:
     machine, reference = UNUSUAL[name]
     columns = reality.simulate(machine, reality.multisine(10.0, RATE, 3, **reference), RATE)
     model = reality.model_file(tmp_path / "model.toml", RATE, *KNOWN, resolution=machine.resolution)
@@ -79,7 +79,7 @@ def test_a_free_swing_is_accepted_and_one_about_the_upright_is_not(
     assert "degrees" in refuse(degrees, "--model", model)
 
 
-def test_what_is_said_of_several_recordings_alike_is_said_once(
+def test_a_note_that_holds_for_several_recordings_is_printed_once(
     good: Columns, model: Path, tmp_path: Path
 ) -> None:
     milli = {"t_ms": 1e3 * good["t"], **{k: v for k, v in good.items() if k != "t"}}
@@ -91,7 +91,7 @@ def test_what_is_said_of_several_recordings_alike_is_said_once(
     assert check_signals(both, given).count("t_ms: ms converted to s") == 1
 
 
-def test_a_joint_that_is_hardly_driven_is_not_read_in_degrees(tmp_path: Path) -> None:
+def test_a_hardly_driven_joint_is_not_taken_to_be_in_degrees(tmp_path: Path) -> None:
     free = reality.simulate(
         reality.Machine(kp=0.0, kd=0.0, gravity=0.4, coulomb=0.001, viscous=0.002),
         np.r_[1.2, np.zeros(4999)],
@@ -146,8 +146,8 @@ def swinging(
 
 @pytest.mark.parametrize("tool", [1.0, 3.0])
 def test_a_tool_that_pulls_against_the_links_own_inertia_is_no_bad_recording(tool: float) -> None:
-    """An arm of two links whose second moves against the first; most of its inertia is its motor's.
-    The same with the second command's sign flipped, or of another run, is bad.
+    """The second of two links swings against the first; most of its inertia is its motor's. With
+    the second command's sign flipped, or from another run, the recording is refused.
     """
     p1, p2, p3, l1, l2, rotor = 1.0, 0.02, 0.005, 0.5, 0.3, 0.2
     model = parse_model(
@@ -177,8 +177,10 @@ def test_a_tool_that_pulls_against_the_links_own_inertia_is_no_bad_recording(too
         looked_at(angles, np.stack([command[:, 0], run(0.0, seed=6)[1][:, 1]], axis=1))
 
 
-def test_a_joint_with_next_to_no_torque_beside_one_that_agrees_is_not_in_degrees() -> None:
-    """As the shoulder of an acrobot, which its elbow moves. Where neither agrees, both are."""
+def test_a_joint_with_hardly_any_torque_is_not_taken_to_be_in_degrees() -> None:
+    """Such as the shoulder of an acrobot, which its elbow moves. Where neither joint agrees, both
+    are in degrees.
+    """
     p1, p2, p3, l1, l2 = 0.6, 0.2, 0.05, 0.5, 0.3
     mechanism = {"p1": p1, "p2": p2, "p3": p3, "l1": l1, "l2": l2}
     model = parse_model(
@@ -197,8 +199,8 @@ def test_a_joint_with_next_to_no_torque_beside_one_that_agrees_is_not_in_degrees
 
 
 def test_a_joint_that_its_controller_holds_while_another_swings_is_no_bad_recording() -> None:
-    """As in a frequency response of joint 1: the command of joint 2 is only that of its controller,
-    which looks like friction that drives.
+    """As in a frequency response of joint 1: the command of joint 2 is that of its controller and
+    looks like negative friction.
     """
     model = load_model("imi_planar.toml")
     tones = np.linspace(0.5, 30.0, 22)[:, None]
@@ -211,9 +213,7 @@ def test_a_joint_that_its_controller_holds_while_another_swings_is_no_bad_record
 
 
 def test_a_joint_that_is_held_against_its_weight_is_no_bad_recording(tmp_path: Path) -> None:
-    """As most arms' controllers do: the command is that of a PD controller, and the weight of the
-    links as the model knows it.
-    """
+    """The command is that of a PD controller plus the weight of the links, as in most arms."""
     link = (
         '<link name="{0}"><inertial><origin xyz="0 0 {1}"/><mass value="{2}"/><inertia ixx="0.01"'
         ' iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="to_{0}"'
@@ -259,7 +259,7 @@ def test_a_joint_that_is_held_against_its_weight_is_no_bad_recording(tmp_path: P
 
 
 def test_a_tool_as_heavy_as_a_light_arm_is_no_gear_ratio(tmp_path: Path) -> None:
-    """Both inertias are about ten times the model's. A gear of ten that is forgotten is refused."""
+    """Both inertias are about ten times the model's. A forgotten gear ratio of ten is refused."""
     link = (
         '<link name="{0}"><inertial><mass value="0.2"/><inertia ixx="1e-3" iyy="1e-3" izz="{1}"'
         ' ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="to_{0}" type="revolute"><parent'
@@ -283,8 +283,8 @@ def test_a_tool_as_heavy_as_a_light_arm_is_no_gear_ratio(tmp_path: Path) -> None
         looked_at(0.0, gear=10.0)
 
 
-def test_the_sign_of_a_recording_is_that_of_its_liveliest_part(
-    monkeypatch: pytest.MonkeyPatch,
+def test_the_sign_of_a_command_is_judged_where_the_motion_is_liveliest(
+    monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen: list[bool] = []
     monkeypatch.setattr(checks, "check_driven", lambda *_, signs: seen.append(signs))
@@ -302,8 +302,8 @@ def test_the_sign_of_a_recording_is_that_of_its_liveliest_part(
     assert seen == [True, False, True]
 
 
-def test_a_joint_without_a_drive_is_no_mistake_where_another_has_one(
-    monkeypatch: pytest.MonkeyPatch,
+def test_a_joint_without_a_drive_is_accepted_beside_a_driven_one(
+    monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen: list[str] = []
     monkeypatch.setattr(checks, "check_driven", lambda where, *_, signs: seen.extend(where))
@@ -323,7 +323,7 @@ def test_a_joint_without_a_drive_is_no_mistake_where_another_has_one(
         check_motion(pole, model, ["run"])
 
 
-def test_joints_that_slide_beside_joints_that_turn_have_units_that_are_known() -> None:
+def test_units_of_sliding_joints_beside_turning_ones_are_known() -> None:
     made = Recording.from_columns(
         {"q": np.ones((5, 2))}, sample_time=0.001, units={"q": "mm, rad"}
     )
@@ -370,7 +370,7 @@ def test_a_unit_that_contradicts_the_model_is_refused(
 
 
 @pytest.mark.parametrize("unit", ["counts", "furlong"])
-def test_a_position_in_a_unit_of_its_own_needs_what_one_is_in_the_model(
+def test_a_position_in_an_unknown_unit_needs_its_factor_in_the_model(
     tmp_path: Path, unit: str
 ) -> None:
     file = tmp_path / "run.csv"
@@ -382,7 +382,7 @@ def test_a_position_in_a_unit_of_its_own_needs_what_one_is_in_the_model(
     check_units("run", read_table(file), columns, told)
 
 
-def test_an_arm_for_a_model_of_one_joint_is_told_which_kinds_have_more() -> None:
+def test_recordings_of_an_arm_with_a_one_joint_model_are_refused_with_the_kinds_that_fit() -> None:
     t = 0.001 * np.arange(4000)
     q = np.stack([np.sin(3.0 * t), np.sin(5.0 * t)], axis=1)
     arm = Recording.from_columns({"q": q, "tau": -q}, sample_time=0.001)
@@ -395,8 +395,8 @@ def test_an_arm_for_a_model_of_one_joint_is_told_which_kinds_have_more() -> None
 
 
 @pytest.mark.parametrize(("second", "told"), [(0.0, False), (0.3, True)])
-def test_in_a_single_sine_no_inertia_is_told_from_a_spring(second: float, told: bool) -> None:
-    """A motion as `joint_pd.c` makes it was refused: an inertia of 0.085 of the model's."""
+def test_a_single_sine_accuses_no_inertia_that_a_spring_explains(second: float, told: bool) -> None:
+    """A motion of `joint_pd.c` had been refused for an inertia of 0.085 of the model's."""
     t, random = np.arange(10000) / 500.0, np.random.default_rng(3)
     parts = ((0.1, 3.0), (0.1 * second, 11.0))
     q = sum(size * np.sin(w * t) for size, w in parts)
@@ -414,8 +414,8 @@ def test_in_a_single_sine_no_inertia_is_told_from_a_spring(second: float, told: 
     assert (abs(found.slope - 1.0) < 0.1) == told
 
 
-def test_the_noise_of_a_joint_that_rests_overflows_nothing() -> None:
-    """A user read "overflow encountered in scalar power"."""
+def test_the_noise_of_a_resting_joint_causes_no_overflow() -> None:
+    """A user had seen "overflow encountered in scalar power"."""
     columns = np.random.default_rng(0).normal(size=(50, 3))
     with np.errstate(all="raise"):
         assert _blurred(columns, 1e200) and not _blurred(columns, 1e-200)
@@ -425,7 +425,7 @@ def test_the_noise_of_a_joint_that_rests_overflows_nothing() -> None:
 def test_a_constant_command_is_refused_only_where_no_recording_drives_the_joint(
     driven_elsewhere: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A joint that stands in one recording may be held by the same torque all the time."""
+    """A joint that rests in one recording may have a constant command there."""
 
     def record(joint: int, run: str, *command: float) -> Any:
         states = (np.zeros(2), np.array([0.0, 1.0]), np.zeros(2))

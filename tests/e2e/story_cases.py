@@ -23,7 +23,7 @@ SECONDS = 5.0
 
 @dataclass(frozen=True)
 class Answer:
-    """What one live case came to."""
+    """The outcome of one live case."""
 
     seed: int
     diagnosis: Diagnosis

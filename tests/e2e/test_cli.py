@@ -1,7 +1,7 @@
 """The command line as a user has it: real targets, exit codes, JSON that parses.
 
-Commands that are followed or ended are processes; those that give an answer are called in this one,
-which saves each the half second to start. tests/journeys types them as users do.
+Commands that run on are processes of their own; the others are called in this process, which saves
+half a second each. tests/journeys types all of them as users do.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def zendsp_(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedPro
 
 
 def process_of(*arguments: str) -> subprocess.CompletedProcess[str]:
-    """For a command that its process turns into another."""
+    """The process of a command that replaces itself by another program."""
     command = [sys.executable, "-m", "zendsp", *arguments]
     return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
 
@@ -229,7 +229,7 @@ def test_how_the_machine_comes_to_rest_after_a_trip_is_recorded(
 
 
 @pytest.mark.long("each command writes elsewhere; lost: into a new folder")
-def test_what_is_written_into_a_new_folder_makes_it(target: Target, tmp_path: Path) -> None:
+def test_an_output_path_in_a_new_folder_creates_the_folder(target: Target, tmp_path: Path) -> None:
     target.download("pd.c")
     target.start()
     sweep = ("sweep", "Kp1=500,600", "-c", "e1", "-s", "0.1", "--settle", "0.1", "--out")
@@ -250,7 +250,7 @@ def test_what_is_written_into_a_new_folder_makes_it(target: Target, tmp_path: Pa
     assert "rms e1" in done.stdout, "what was measured is seen"
 
 
-def test_a_joint_outside_its_limit_is_told_until_it_is_back(target: Target) -> None:
+def test_a_joint_outside_its_limit_is_reported_until_it_is_back_inside(target: Target) -> None:
     target.download("pd.c")
     target.update(radius=1.0, center2=1.4)  # joint 2 is led to 2.4 rad, and trips at 2.15
     with contextlib.suppress(Tripped):  # of a host that looks late
@@ -276,13 +276,13 @@ def test_a_planned_motion_is_shown_beside_the_limits() -> None:
     assert shown.count("limit  ") == 2  # of each joint
 
 
-def test_what_is_no_c_program_is_named(target: Target, tmp_path: Path) -> None:
+def test_a_file_that_is_no_c_program_is_refused_by_name(target: Target, tmp_path: Path) -> None:
     (tmp_path / "bad.mat").write_text("no C")
     done = zendsp_("compile", "bad.mat", cwd=tmp_path)
     assert done.returncode != 0 and "bad.mat" in done.stderr and "ends in .c" in done.stderr
 
 
-def test_a_program_that_does_not_compile_says_that_the_other_one_goes_on(
+def test_a_failed_compile_says_that_the_running_program_goes_on(
     target: Target, tmp_path: Path
 ) -> None:
     bad = tmp_path / "bad.c"
@@ -295,7 +295,7 @@ def test_a_program_that_does_not_compile_says_that_the_other_one_goes_on(
     assert target.status().state == "running"
 
 
-def test_a_program_that_cannot_be_loaded_says_that_the_other_one_was_ended(
+def test_a_failed_load_says_that_the_program_before_was_ended(
     target: Target, tmp_path: Path
 ) -> None:
     bad = tmp_path / "bad.c"
@@ -338,7 +338,7 @@ def test_ctrl_c_ends_watch_cleanly(target: Target) -> None:
     assert target.status().state == "running"
 
 
-def test_watch_ends_where_nothing_more_can_come(target: Target) -> None:
+def test_watch_ends_with_an_error_when_its_target_is_killed(target: Target) -> None:
     target.download("pd.c")
     target.start()
     command = [sys.executable, "-c", "from zendsp.cli import main; main()"]
@@ -368,7 +368,8 @@ def test_watch_in_a_pipe_repeats_no_row_of_a_program_that_is_paused(target: Targ
 
 
 def test_watch_says_at_once_what_stopped_the_program(target: Target) -> None:
-    """It went on with zeros, or waited for ever, and said why when it was ended."""
+    """It had gone on with zeros, or waited for ever, and given the reason only when it was ended.
+    """
     target.download("pd.c")
     command = [sys.executable, "-u", "-c", "from zendsp.cli import main; main()"]
     words = [*command, "watch", "q", "-t", target.name]
@@ -428,7 +429,7 @@ def test_target_runs_in_the_foreground_until_ctrl_c() -> None:
     process.stdout.close()
 
 
-def test_run_says_of_a_program_that_is_always_late(tmp_path: Path) -> None:
+def test_run_warns_of_a_program_that_misses_every_deadline(tmp_path: Path) -> None:
     slow = tmp_path / "slow.c"
     slow.write_text(
         '#include "isr.h"\n#include <time.h>\nvoid UserInit(void) {}\n'
@@ -440,7 +441,7 @@ def test_run_says_of_a_program_that_is_always_late(tmp_path: Path) -> None:
         assert "samples took longer than the period of 1 ms: shorten UserISR_INT2" in done.stderr
 
 
-def test_ls_tells_that_what_is_elsewhere_may_refuse_a_password() -> None:
+def test_ls_warns_that_a_target_elsewhere_may_refuse_a_password() -> None:
     done = zendsp_("ls", "nobody-*", "--connect", "tcp/127.0.0.1:9")
     assert done.returncode == 1
     for said in ("'nobody-*'", "tcp/127.0.0.1:9", "refuses the certificate or password"):
@@ -456,7 +457,7 @@ def test_ls_tells_that_what_is_elsewhere_may_refuse_a_password() -> None:
         "target --rate 0,15", "target --speed 0,15", "target --machine-option q1=0,15",
     ],
 )  # fmt: skip
-def test_a_decimal_comma_is_refused_with_the_number_that_is_meant(words: str) -> None:
+def test_a_decimal_comma_is_refused_with_the_number_that_was_meant(words: str) -> None:
     said = process_of(*words.split()) if words.startswith("target") else zendsp_(*words.split())
     assert said.returncode == 2 and "with a decimal point it is 0.15" in said.stderr, said.stderr
 
@@ -470,8 +471,9 @@ def test_target_refuses_a_wrong_option_in_one_line() -> None:
     ]
 
 
-def test_more_than_memory_holds_is_told_in_words() -> None:
-    """An acquisition of 12 days said "too little memory (((1000000000, 4), dtype('float64')))"."""
+def test_an_acquisition_larger_than_memory_is_refused_in_words() -> None:
+    """For 12 days the refusal had read "too little memory (((1000000000, 4), dtype('float64')))".
+    """
     code = "import numpy, zendsp.cli.entry as c; c.cli = lambda **_: numpy.empty(10**17); c.main()"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=False,

@@ -1,4 +1,4 @@
-"""The time of day is set while a machine moves: nothing but the words that name it notices."""
+"""The time of day is changed while a machine moves: only displayed times change."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ with zendsp.connect(sys.argv[1]) as target:
 
 @pytest.fixture
 def clocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Clocks]:
-    """Clocks of everything that the test starts; the time of day jumps from now on, by years."""
+    """Clocks of all processes of the test, of which the time of day jumps by years."""
     clocks, over = Clocks(tmp_path), threading.Event()
     for name, value in clocks.env.items():
         monkeypatch.setenv(name, value)

@@ -1,6 +1,4 @@
-"""Somebody who was let in floods the target: STOP of another host comes through, and so do its
-other requests.
-"""
+"""An authorised client floods the target: STOP and requests of another host still get through."""
 
 from __future__ import annotations
 
@@ -81,7 +79,7 @@ def test_strangers_who_say_nothing_keep_no_host_out(endpoint: str) -> None:
 
 
 def test_a_huge_request_is_not_even_taken_in(endpoint: str, tmp_path: Path) -> None:
-    """Whoever was let in, for whatever, could otherwise fill the memory of the target."""
+    """Otherwise any authorised client could fill the memory of the target."""
     huge = 300_000_000
     mallory = Credentials(user="mallory", password="m")
     with zendsp.connect("imi", endpoint, mallory) as target:
@@ -149,7 +147,7 @@ def memory_mb(pid: int, what: str) -> float:
 
 
 def test_a_request_of_many_pieces_is_not_decoded(endpoint: str) -> None:
-    """It took a gigabyte, and STOP waited for four seconds."""
+    """Decoding it had taken a gigabyte, while STOP waited for four seconds."""
     mallory = Credentials(user="mallory", password="m")
     with zendsp.connect("imi", endpoint, mallory) as target:
         before = memory_mb(target.info.pid, "VmHWM")
@@ -216,7 +214,7 @@ with zendsp.connect("imi", sys.argv[1], Credentials(user="mallory", password="m"
 def test_hosts_that_freeze_hold_up_nobody(
     endpoint: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As laptops do whose lids are shut. For 10 s nobody else was answered, STOP neither."""
+    """As laptops do with a closed lid. For 10 s nobody else had been answered, not even STOP."""
     monkeypatch.setattr(Target, "stop_page", lambda self: None)
     with zendsp.connect("imi", endpoint, Credentials(user="anna", password="a")) as target:
         target.download("pd.c")

@@ -1,4 +1,4 @@
-"""Processes that stand still for a while and go on: a frozen container, a swapping computer."""
+"""Processes that freeze for a while and go on, as in a paused container or a swapping computer."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ WORD = 3  # of the stop page: trips
 
 
 def _trips(target: Target) -> Callable[[], int]:
-    """Read past the monitor how often the loop has tripped."""
+    """How often the loop has tripped, read from shared memory past the monitor."""
     page = find(target.name)
     assert page is not None
     words = page._words.cast("B").cast("I")
@@ -97,7 +97,8 @@ def test_a_machine_that_may_move_on_without_its_host_does(
 
 
 def _loop(target: Target) -> int:
-    """The runner of a target; its other child makes the machine safe if it must."""
+    """The runner of a target, which has one other child: the process that makes the machine safe.
+    """
     (runner,) = (
         pid
         for pid in children(target.info.pid)
@@ -108,8 +109,8 @@ def _loop(target: Target) -> int:
 
 @pytest.fixture
 def frozen(stands: Target) -> Iterator[Callable[[float], None]]:
-    """Freeze the target and its loop for so many seconds, as a container is: the loop's watchdog
-    stands still as well.
+    """Freeze the target, its loop and the loop's watchdog for some seconds, as a container is
+    frozen.
     """
     pids = [stands.info.pid, _loop(stands)]
 
@@ -126,7 +127,7 @@ def frozen(stands: Target) -> Iterator[Callable[[float], None]]:
             os.kill(pid, signal.SIGCONT)
 
 
-def test_a_recording_tells_what_a_frozen_loop_left_out(
+def test_a_recording_reports_the_samples_that_a_frozen_loop_skipped(
     stands: Target, frozen: Callable[[float], None]
 ) -> None:
     stands.start()

@@ -236,7 +236,7 @@ def test_a_transfer_resumes_after_the_cable_was_cut(fast: Target) -> None:
 def test_a_recording_is_whole_wherever_the_cable_was_cut_while_it_came_home(
     fast: Target, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Before each of the requests that bring it home, and once more for what it carries."""
+    """It is cut before each request of the transfer, and once within its data."""
     fast.download("pd.c")
     fast.acquire_configure(["q", "tau"], seconds=20.0)
     fast.acquire_start()
@@ -321,7 +321,7 @@ def test_connecting_again_and_again_leaves_nothing_open(fast: Target) -> None:
 
 
 def test_a_target_may_open_as_many_files_as_the_system_allows(start: Callable[..., Target]) -> None:
-    """Whoever knocks takes one, also one who is not let in."""
+    """Each connection takes one, also of a client that is refused."""
     most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (256, most[1]))
     try:
@@ -480,7 +480,7 @@ int clock_gettime(clockid_t clock, struct timespec *t) {
 def test_a_jump_of_the_system_clock_disturbs_neither_the_loop_nor_who_commands(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Somebody sets it, or the network does: here only the target's processes see it."""
+    """A person or the network sets the clock; here only the target's processes see it."""
     library, ahead = tmp_path / "jumps.so", tmp_path / "ahead"
     (tmp_path / "jumps.c").write_text(JUMPS)
     compiler = find_compiler().command

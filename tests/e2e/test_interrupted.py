@@ -1,4 +1,4 @@
-"""Ctrl-C: what was done is kept, and how the machine is left is said, or that this is not known."""
+"""Ctrl-C keeps what was done, and says how the machine is left or that this is not known."""
 
 from __future__ import annotations
 
@@ -100,7 +100,9 @@ def test_ctrl_c_of_a_stop_that_waits_says_that_nothing_is_known(real: Target) ->
 
 
 @pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_cut_that_is_ended_leaves_whole_files_and_names_them(tmp_path: Path, by: int) -> None:
+def test_an_interrupted_zendsp_cut_leaves_whole_files_and_names_them(
+    tmp_path: Path, by: int
+) -> None:
     t = np.arange(400_000) / 1000.0
     t[1000:] += 100.0  # a gap: the first part is short, the second one takes its time
     Recording.from_columns({"q": np.sin(t), "u": np.cos(t)}, t=t).save(tmp_path / "run.npz")

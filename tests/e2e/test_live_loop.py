@@ -45,7 +45,7 @@ def test_ten_lines_of_python_run_the_whole_loop(real: Target, tmp_path: Path) ->
     assert back.units == {"q": "rad", "tau": "N m"} and back.timing["ticks"] > 500
 
 
-def test_what_waits_while_the_host_stands_still_takes_little_memory(real: Target) -> None:
+def test_messages_waiting_for_a_frozen_host_take_little_memory(real: Target) -> None:
     """Each message that waits holds a packet of 64 kB: 4096 of them took 268 MB."""
 
     def megabytes() -> float:
@@ -284,7 +284,7 @@ def test_what_is_asked_wrong_of_a_recording_names_what_to_write(fast: Target) ->
             ask(["q"], seconds="2 s")  # type: ignore[arg-type]
 
 
-def test_at_a_prompt_everything_is_a_line(fast: Target) -> None:
+def test_at_a_python_prompt_every_object_is_one_line(fast: Target) -> None:
     fast.download("pd.c")
     lines = [
         repr(x)
@@ -313,7 +313,7 @@ void UserBackground(void) {}
 
 
 @pytest.mark.parametrize("decimation", [1, 7])
-def test_samples_that_were_left_out_are_a_gap_in_the_time_of_a_recording(
+def test_skipped_samples_are_a_gap_in_the_time_column_of_a_recording(
     start: Callable[..., Target], decimation: int, tmp_path: Path
 ) -> None:
     target = start()

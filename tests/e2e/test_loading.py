@@ -1,5 +1,5 @@
-"""How rows come home: out of shared memory on the same computer, over the link from anywhere else;
-the same rows.
+"""A transfer gives the same rows from shared memory on this computer and over the link from
+another.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def refuse(*_: Any) -> None:
 
 @pytest.fixture
 def far(fast: Target) -> Iterator[Target]:
-    """A host that was given the address, and so does not know that the target is its own user's."""
+    """A host that connects by address, and so transfers over the link."""
     with zendsp.connect(fast.name, connect=fast.link.endpoints) as far:
         yield far
 

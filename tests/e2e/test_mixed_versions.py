@@ -1,4 +1,4 @@
-"""A host and a target of different versions: said in one line with what to do, and STOP works."""
+"""A host and a target of different versions: one line says what to do, and STOP works."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def test_with_another_stop_page_stop_goes_over_the_link(begin: Begin, command: C
     assert _said(target) == "stop"
 
 
-def test_where_neither_is_known_it_says_loudly_that_it_did_not_stop(
+def test_with_another_protocol_and_stop_page_it_says_loudly_that_it_did_not_stop(
     begin: Begin, command: Command
 ) -> None:
     target = begin(NEWER, PAGE + 1)

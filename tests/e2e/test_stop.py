@@ -1,4 +1,4 @@
-"""STOP by shared memory: what the loop answers counts, whatever else hangs."""
+"""STOP by shared memory: the loop's own answer counts, whatever else hangs."""
 
 from __future__ import annotations
 
@@ -186,7 +186,7 @@ def test_a_stop_asked_while_a_program_loads_holds_that_program(
         target.start()
 
 
-def test_only_the_page_of_this_run_and_version_is_used(
+def test_only_a_stop_page_of_this_run_and_version_is_used(
     target: Target, runtime: Runtime, tmp_path: Path
 ) -> None:
     assert find("another") is None
@@ -284,7 +284,7 @@ def find_tcp(name: str) -> str:
     return next(e for entry in local_entries() if entry.name == name for e in entry.endpoints[1:])
 
 
-def test_the_word_of_the_loops_waits_for_no_target_that_is_frozen(
+def test_stop_is_confirmed_by_the_loops_without_waiting_for_frozen_targets(
     start: Callable[..., Target],
     typed: Callable[..., tuple[object, str, str]],
     capsys: pytest.CaptureFixture[str],
@@ -322,7 +322,7 @@ def test_the_word_of_the_loops_waits_for_no_target_that_is_frozen(
         until(lambda target=target: target.status().trip is not None, "it is latched")
 
 
-def test_that_one_is_not_stopped_is_told_while_another_is_silent(
+def test_a_target_that_did_not_stop_is_reported_while_another_is_silent(
     typed: Callable[..., tuple[object, str, str]],
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
@@ -378,7 +378,7 @@ def test_ctrl_c_while_homing_ends_the_homing(
 def test_a_target_whose_folder_was_removed_is_stopped_and_found_by_name(
     start: Callable[..., Target], typed: Callable[..., tuple[object, str, str]]
 ) -> None:
-    """The system empties it at the end of a login, or for its age."""
+    """The system empties the folder of a login when it ends, or when files grow old."""
     target = start(clock="real", options=["--no-realtime"], name="alone")
     target.download("pd.c")
     target.start()

@@ -244,7 +244,7 @@ def test_a_machine_without_a_story_is_named() -> None:
         get_stage("ur5")
 
 
-def test_a_narrator_that_is_quiet_keeps_what_was_said(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_quiet_narrator_keeps_its_lines(capsys: pytest.CaptureFixture[str]) -> None:
     narrator = Narrator(quiet=True)
     with narrator.step("something"):
         narrator.say("[rad] stays", good=True)
@@ -295,7 +295,7 @@ def test_a_reference_is_refused_with_the_reason_where_it_cannot_be_played(fast: 
 
 
 def test_the_picture_is_scaled_by_what_it_draws() -> None:
-    """Torques that the recording hardly shows are not drawn, and set no scale."""
+    """Torques where the recording hardly determines them are not drawn and do not set the scale."""
     t = np.arange(4000) / 500.0
     q, v = np.sin(t), np.cos(t)
     torque, std = np.sign(v) * np.sin(5 * q), np.full(4000, 0.02)
@@ -333,7 +333,8 @@ def test_run_needs_a_folder_for_the_new_recording() -> None:
 def test_a_proposed_motion_is_played_as_large_as_the_machine_may(
     limit: float, size: float | None
 ) -> None:
-    """A chirp of 151 rad/s² was proposed to an arm that may have 140, and nothing was played."""
+    """A chirp of 151 rad/s² had been proposed to an arm limited to 140, so that nothing was played.
+    """
 
     def violations(motion: Reference) -> list[str]:
         return ["too far"] if np.abs(motion.q - 0.2).max() > limit else []

@@ -1,4 +1,4 @@
-"""A host whose loss nobody would notice does not command: its machine would move on for good."""
+"""A host whose loss would not be noticed cannot command: its machine would move on for good."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_who_shows_no_token_commands_nothing(target: Target, how: str) -> None:
         hidden.stop()
 
 
-def test_a_token_that_comes_a_moment_later_is_waited_for(target: Target) -> None:
+def test_a_liveliness_token_that_comes_a_moment_later_is_waited_for(target: Target) -> None:
     with zendsp.connect(target.name, shown=False) as late:
         token: list[object] = []
         liveliness = late.link.session.liveliness()
@@ -64,7 +64,7 @@ def test_a_token_that_comes_a_moment_later_is_waited_for(target: Target) -> None
 
 
 def test_of_more_hosts_than_are_seen_none_commands_unseen(target: Target) -> None:
-    """Connections that a notebook left open, cell after cell."""
+    """For example connections that a notebook left open, cell after cell."""
     crowd = python(
         "import sys, zendsp\n"
         f"open = [zendsp.connect(sys.argv[1]) for _ in range({MOST_HOSTS})]\n"
@@ -86,7 +86,7 @@ def test_of_more_hosts_than_are_seen_none_commands_unseen(target: Target) -> Non
 
 
 def test_who_is_lost_while_the_right_is_passed_to_it_does_not_keep_it() -> None:
-    """The news comes after it was looked for and before it has the right."""
+    """The loss is reported after the check and before the host gets the right."""
     runtime = cast(RuntimeApi, SimpleNamespace(cancel=lambda whose: None))
     drives, seen = Drives(runtime), [True, False]
     guard = Guard(drives)

@@ -1,4 +1,4 @@
-"""What the experiments compute, against data whose answer is known."""
+"""What the experiments compute from data with a known answer."""
 
 from __future__ import annotations
 
@@ -140,11 +140,11 @@ ALONE = pytest.mark.long("the last has both at once; lost: each alone")
         (0.023, 0.05),
     ],
 )
-def test_friction_of_an_unknown_joint_is_the_line_that_it_ends_in(
+def test_friction_of_an_unknown_joint_is_the_line_that_it_reaches_at_high_speed(
     stribeck: float, uneven: float
 ) -> None:
-    """A joint whose friction falls with speed gave levels 16 % too large (four of its standard
-    deviations) and viscous friction that drives.
+    """For friction that falls with speed, levels had been 16 % too large (four standard deviations)
+    and viscous friction negative.
     """
     rng = np.random.default_rng(12)
     off, falls = [], 0
@@ -159,7 +159,7 @@ def test_friction_of_an_unknown_joint_is_the_line_that_it_ends_in(
     assert np.std(off) > 0.15  # of the half width, 0.5 where the law is known: not far too wide
 
 
-def test_each_piece_of_a_move_has_its_own_speed_at_the_time_its_command_acts() -> None:
+def test_each_part_of_a_move_has_the_speed_at_which_its_command_acts() -> None:
     """A joint still settles in its fast parts, and a command acts a sample and a half later."""
     period, rows = 0.001, 4000
     t = np.arange(rows) * period
@@ -178,8 +178,8 @@ def test_each_piece_of_a_move_has_its_own_speed_at_the_time_its_command_acts() -
 
 
 def test_no_speed_of_a_steady_part_is_read_from_the_ramp_after_it() -> None:
-    """A parabola over the ramp too gave 0.06 rad/s too little at the end of a part: with a weight
-    to be found, Coulomb levels of joints 5 and 6 of the WAM were 4 to 14 % off.
+    """A parabola that included the ramp had given 0.06 rad/s too little at the end of a part.
+    Beside an unknown weight, Coulomb levels of joints 5 and 6 of the WAM were then 4 to 14 % off.
     """
     period = 0.004
     t = np.arange(500) * period
@@ -212,7 +212,7 @@ def test_short_fast_parts_that_scatter_more_weigh_less() -> None:
     assert 0.8 < np.mean(stated) / np.std(errors) < 1.25
 
 
-def test_what_a_lagging_current_loop_withholds_is_no_torque() -> None:
+def test_torque_withheld_by_a_slow_current_loop_is_subtracted() -> None:
     T, k_a, ohm = 1e-3, 0.17, 5.0
     t = np.arange(4000) * T
     tau = 0.3 * np.sin(9.0 * t) + 0.1 * np.sin(23.0 * t)
@@ -360,7 +360,9 @@ def test_a_model_file_takes_the_result_in_and_keeps_what_was_not_measured(tmp_pa
 
 @pytest.mark.parametrize("kind", ["coulomb_tanh", "friction_block", "stribeck", "quadratic_drag"])
 def test_friction_over_the_speed_gives_way_to_what_was_measured(tmp_path: Path, kind: str) -> None:
-    """Whatever its law, or the joint had it twice; a law of the position was not measured."""
+    """Otherwise the joint would have that friction twice. Friction over the position was not
+    measured and stays.
+    """
     model = tmp_path / "imi.toml"
     old = library()[kind]
     numbers = "".join(f"{p.name} = 0.5\n" for p in old.parameters)
@@ -405,7 +407,7 @@ def test_what_cannot_go_into_a_model_is_refused(tmp_path: Path) -> None:
     assert model.read_text() == before and not list(tmp_path.glob("*.new"))
 
 
-def test_what_goes_into_a_model_is_known_before_a_machine_moves() -> None:
+def test_what_can_go_into_a_model_is_checked_before_the_machine_moves() -> None:
     assert fit_model(list(EXPERIMENTS), MODELS / "imi_planar.toml") == ["friction", "imi-fit"]
     assert fit_model(list(EXPERIMENTS), MODELS / "wam7.toml") == ["friction", "wam-friction"]
     with pytest.raises(

@@ -29,7 +29,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def keep(lab: Lab, result: Result) -> Result:
-    """As run_experiment does: the next experiment finds it."""
+    """Store a result as run_experiment does, where the next experiment finds it."""
     result.save(lab.folder / result.name / "result.toml")
     for name in result.recordings:
         assert len(Recording.load(lab.folder / result.name / name)) > 100, "every recording is kept"

@@ -134,7 +134,7 @@ def test_where_no_torque_limit_is_known_the_peak_is_asked_for() -> None:
         usual_amplitude(machine, limits, 2)
 
 
-def test_values_as_typed() -> None:
+def test_values_are_read_as_they_are_typed() -> None:
     assert values_of("1,2.5") == [1.0, 2.5] and values_of("0:1:3") == [0.0, 0.5, 1.0]
     for text in ("", "1:2", "a", "1:2:0", "1:2:x"):
         with pytest.raises(VariableError, match="FIRST:LAST:COUNT"):
@@ -216,7 +216,9 @@ def test_where_friction_bends_the_response_the_interval_holds_how_neighbours_sca
 
 
 @pytest.mark.parametrize("amplitude", [0.0, -0.01, float("nan"), float("inf")])
-def test_what_does_not_swing_is_refused(amplitude: float, fast: Target) -> None:
+def test_a_frequency_response_of_a_joint_that_does_not_move_is_refused(
+    amplitude: float, fast: Target
+) -> None:
     fast.download("pd.c")
     with pytest.raises(AcquisitionError, match="expected more than 0 rad"):
         zendsp.frequency_response(fast, amplitude=amplitude)
@@ -259,7 +261,7 @@ def test_while_the_loop_keeps_real_time_the_program_goes_on() -> None:
         assert abs(found.magnitude_db[0]) < 6.0, "friction takes its part of so small a motion"
 
 
-def test_interrupted_while_it_swings_the_machine_is_held_where_it_then_is() -> None:
+def test_an_interrupted_frequency_response_holds_the_machine_where_it_is() -> None:
     def interrupt(share: float) -> None:
         if share > 0.3:
             raise KeyboardInterrupt
@@ -288,7 +290,7 @@ def test_interrupted_while_it_swings_the_machine_is_held_where_it_then_is() -> N
             assert np.ptp(target.acquire(["r1"], 0.5)["r1"]) > 0.0, "the circle, as before"
 
 
-def test_a_swing_that_trips_says_so(fast: Target) -> None:
+def test_a_trip_during_a_frequency_response_is_reported(fast: Target) -> None:
     fast.download("pd.c")
     try:
         with pytest.raises(Refused, match=r"exceeds the limit.*take less amplitude"):
@@ -297,7 +299,7 @@ def test_a_swing_that_trips_says_so(fast: Target) -> None:
         fast.acknowledge()
 
 
-def test_a_stop_while_it_swings_is_called_a_stop(fast: Target) -> None:
+def test_a_stop_during_a_frequency_response_is_called_a_stop(fast: Target) -> None:
     fast.download("pd.c")
     swings = threading.Event()
 
@@ -317,7 +319,7 @@ def test_a_stop_while_it_swings_is_called_a_stop(fast: Target) -> None:
         fast.acknowledge()
 
 
-def test_a_response_travels_in_its_recording(fast: Target, tmp_path: Path) -> None:
+def test_a_frequency_response_is_stored_in_its_recording(fast: Target, tmp_path: Path) -> None:
     fast.download("pd.c")
     found = zendsp.frequency_response(
         fast, f_min=2.0, f_max=20.0, lines=5, periods=2, channels=["q", "tau"]
@@ -397,9 +399,8 @@ def test_equal_gains_are_not_ranked_and_different_ones_are(fast: Target) -> None
     assert found.spread() < 0.05 * found.best().results["rms e1"] and found.best_rows() == [2]
 
 
-def test_the_best_of_a_sweep_is_told_where_the_worst_varies_more(fast: Target) -> None:
-    """What repeats badly at gains that err much was taken for the chance of those that err little.
-    """
+def test_the_best_of_a_sweep_is_named_although_the_worst_varies_more(fast: Target) -> None:
+    """The poor repeatability at bad gains had been taken for that of good ones."""
     fast.download("pd.c")
     fast.update(turn_time=2.0)
     fast.start()
@@ -411,7 +412,9 @@ def test_the_best_of_a_sweep_is_told_where_the_worst_varies_more(fast: Target) -
 
 
 @pytest.mark.parametrize(("second", "rows"), [(0.0041, [0, 1]), (0.0049, [0])])
-def test_what_equal_values_may_differ_by_is_no_difference(second: float, rows: list[int]) -> None:
+def test_a_difference_within_the_repeatability_is_no_difference(
+    second: float, rows: list[int]
+) -> None:
     """The first value, measured three times, varies by 0.0002."""
     measured = [
         SweepRun({"Kp1": gain}, {"rms e1": rms})
@@ -452,7 +455,7 @@ def test_a_run_that_trips_ends_the_sweep_and_says_why(fast: Target) -> None:
         fast.acknowledge()
 
 
-def test_a_trip_at_putting_back_is_told(fast: Target) -> None:
+def test_a_trip_while_parameters_are_put_back_is_reported(fast: Target) -> None:
     fast.download("pd.c")
     fast.start()
     until(lambda: fast.status().t > 2.0, "the arm is on its circle")
@@ -467,13 +470,13 @@ def test_a_trip_at_putting_back_is_told(fast: Target) -> None:
         fast.acknowledge()
 
 
-def test_a_sweep_without_a_whole_run_says_why() -> None:
+def test_a_sweep_without_a_complete_run_says_why() -> None:
     rows = (SweepRun({"Kp1": 1.0}, ended="joint 1: too fast"),)
     found = Sweep(("Kp1",), ("rms e1",), rows, ended="run 1: joint 1: too fast")
     assert "no run came to its end" in repr(found) and "joint 1: too fast" in repr(found)
 
 
-def test_values_may_go_together(fast: Target) -> None:
+def test_a_sweep_may_change_several_parameters_together(fast: Target) -> None:
     fast.download("pd.c")
     fast.start()
     found = zendsp.sweep(

@@ -36,7 +36,7 @@ def target() -> Iterator[Target]:
 
 
 class Viewer:
-    """As much of a viewer as is needed."""
+    """The part of a Foxglove viewer that the tests need."""
 
     def __init__(self, bridge: Bridge, protocol: Any = "foxglove.sdk.v1") -> None:
         self._connection = connect(bridge.url, subprotocols=[protocol])
@@ -50,7 +50,7 @@ class Viewer:
         self._connection.__exit__(*error)
 
     def until(self, wanted: Callable[[Any], bool]) -> Any:
-        """The first message that is wanted: JSON, or the body of a row."""
+        """The first message that fulfils a condition: JSON, or the body of a row."""
         while True:
             data = self.socket.recv(timeout=PATIENCE_S)
             message = json.loads(data) if isinstance(data, str) else self._row(data)
@@ -179,7 +179,7 @@ def test_a_viewer_that_may_writes_and_a_refusal_says_why(target: Target) -> None
         ({"name": "ref", "value": [0.1, 0.2]}, "ref: no parameter"),
     ],
 )
-def test_what_is_no_value_of_a_parameter_is_refused_in_words(
+def test_a_wrong_parameter_value_from_a_viewer_is_refused_in_words(
     target: Target, given: dict[str, Any], said: str
 ) -> None:
     with foxglove(target, ["q1"], port=0, writable=True) as bridge, Viewer(bridge) as viewer:
@@ -188,10 +188,10 @@ def test_what_is_no_value_of_a_parameter_is_refused_in_words(
         assert target["Kp1"] == 2000.0
 
 
-def test_why_the_target_refuses_is_said_once(
+def test_a_repeated_refusal_by_the_target_is_reported_once(
     target: Target, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As where a role was taken away: it was said five times a second."""
+    """For example after a role was withdrawn, where it had been printed five times a second."""
     asked: list[str] = []
 
     def refused() -> dict[str, Any]:
@@ -219,7 +219,7 @@ def test_a_trip_is_an_event(target: Target) -> None:
 
 
 def _said(port: int, head: str = "") -> bytes:
-    """What the port answers to a page or a program that asks for the protocol."""
+    """The port's HTTP answer to a page or a program that asks for the protocol."""
     with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as link:
         link.sendall(
             f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\n{head}"

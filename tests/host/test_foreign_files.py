@@ -1,4 +1,4 @@
-"""Files of other people's tools: each kind is made here by its own library, read, and damaged."""
+"""Files of other tools: each kind is written here by its own library, read, and damaged."""
 
 from __future__ import annotations
 
@@ -379,7 +379,9 @@ def test_a_bag_with_bad_metadata_is_refused_in_a_few_words(tmp_path: Path) -> No
     assert len(said) < 300 and "\n" not in said
 
 
-def test_what_is_not_read_names_the_command_that_converts_it(tmp_path: Path) -> None:
+def test_an_unreadable_kind_of_file_is_refused_with_the_command_that_converts_it(
+    tmp_path: Path
+) -> None:
     for name, command in (
         ("run.xlsx", "libreoffice --headless --convert-to csv"),
         ("run.ulg", "ulog2csv"),

@@ -35,7 +35,7 @@ def test_a_log_with_dates_and_words_is_read_without_the_words(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("decimal", [",", "."])
-def test_days_that_come_first_are_dates_and_those_that_may_not_are_told(
+def test_day_first_dates_are_read_and_ambiguous_ones_are_reported(
     tmp_path: Path, decimal: str
 ) -> None:
     path, cell = tmp_path / "log.csv", ";" if decimal == "," else ","
@@ -122,7 +122,7 @@ def test_what_is_no_unit_that_is_known_stays_in_the_name(tmp_path: Path, head: s
     assert not any(table.units.values())
 
 
-def test_so_many_columns_as_a_logger_may_have_are_told_apart(tmp_path: Path) -> None:
+def test_a_hundred_thousand_columns_are_read_and_a_name_twice_is_refused(tmp_path: Path) -> None:
     names = ["t", *(f"c{k}" for k in range(100_000))]
     file = tmp_path / "wide.csv"
     assert csv._header(file, ",".join(names), ",", 1)[0] == names
@@ -131,10 +131,8 @@ def test_so_many_columns_as_a_logger_may_have_are_told_apart(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("delimiter", [";", "\t"])
-def test_points_between_thousands_and_tabs_beside_decimal_commas_are_read(
-    delimiter: str, tmp_path: Path
-) -> None:
-    """As Excel writes them in Germany: the first point comes after a thousand rows."""
+def test_thousands_points_beside_decimal_commas_are_read(delimiter: str, tmp_path: Path) -> None:
+    """As German Excel writes them; the first such point comes only after a thousand rows."""
     rows = [("Zeit [ms]", "q"), *((f"{k},000", "-0,25") for k in range(900))]
     rows += [("1.000,000", "-1.234,5"), ("222.866,25", "0,5")]
     path = tmp_path / "run.csv"
@@ -144,14 +142,14 @@ def test_points_between_thousands_and_tabs_beside_decimal_commas_are_read(
     assert table["q"][[0, -2, -1]].tolist() == [-0.25, -1234.5, 0.5]
 
 
-def test_a_point_that_parts_no_thousands_is_no_thousands_point(tmp_path: Path) -> None:
+def test_a_point_that_does_not_separate_thousands_is_not_a_thousands_point(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     path.write_text("t;q\n" + "".join(f"{k},0;1\n" for k in range(2000)) + "2000,0;1.5\n")
     assert read_table(path)["q"][-1] == 1.5
 
 
-def test_points_beside_a_comma_in_a_text_stay_decimal_points(tmp_path: Path) -> None:
-    """0.500 would be 500, and 1.500 would be 1500."""
+def test_points_beside_a_comma_within_a_text_stay_decimal_points(tmp_path: Path) -> None:
+    """Otherwise 0.500 would become 500, and 1.500 would become 1500."""
     path = tmp_path / "run.csv"
     path.write_text("t;q;note\n0.500;1.500;a,b\n1.500;2.500;a,b\n")
     table = read_table(path)

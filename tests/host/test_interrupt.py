@@ -1,4 +1,4 @@
-"""Ctrl-C while the target is asked."""
+"""Ctrl-C while a request waits for its answer."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from zendsp_target.runtime import Runtime
 def test_ctrl_c_that_comes_with_the_answer_is_heard(
     target: Target, runtime: Runtime, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It comes while the caller's thread waits, and the answer ends the wait."""
+    """It comes while the caller's thread waits, just before the answer ends the wait."""
     plain = runtime.compile
 
     def compile_(*words: object) -> object:

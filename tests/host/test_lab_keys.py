@@ -1,4 +1,4 @@
-"""A lab's keys: who holds one is let in for what the list says, and everything else is refused."""
+"""A lab's keys: each holder may do what the list of roles says, and nothing else."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_a_person_may_do_what_the_list_says_now(lab: Lab, start: Open) -> None:
         until(lambda: host.status().state == "stopped", "it stopped")
 
 
-def test_who_is_revoked_takes_nobody_else_s_role(lab: Lab, start: Open) -> None:
+def test_revoking_a_person_changes_nothing_for_others(lab: Lab, start: Open) -> None:
     target, bo = lab.add_target("imi"), lab.add_user("bo", "tune")
     lab.add_user("anna", "observe")
     monitor = start(lab, target)
@@ -111,8 +111,8 @@ def test_a_damaged_list_gives_nobody_a_role(
 
 
 def test_a_person_s_name_in_a_request_is_that_of_the_certificate(lab: Lab, start: Open) -> None:
-    """Asked under another's name, nothing answers: not with her key expression, and not with her
-    name in the message.
+    """A request under another's name is not answered, neither in the key expression nor in the
+    message.
     """
     target = lab.add_target("imi")
     anna = lab.add_user("anna", "observe")
@@ -209,8 +209,8 @@ def _end(lab: Lab, holder: Holder) -> None:
     )
 
 
-def test_a_person_s_key_makes_no_target(lab: Lab, start: Open) -> None:
-    """Who has a key of the lab cannot wait for hosts under a target's name."""
+def test_a_persons_key_cannot_serve_as_a_target(lab: Lab, start: Open) -> None:
+    """The holder of a person's key cannot pose as a target."""
     anna, bo = lab.add_user("anna", "download"), lab.add_user("bo", "download")
     rogue = start(lab, anna)
     with pytest.raises(LinkError):
@@ -263,7 +263,7 @@ def test_a_router_is_never_taken_for_a_host(lab: Lab) -> None:
     settle("imi", ["here"], ["tls/127.0.0.1:7447"], files)
 
 
-def test_what_is_private_is_so_and_names_are_given_once(lab: Lab) -> None:
+def test_private_keys_are_readable_by_their_owner_only_and_names_are_unique(lab: Lab) -> None:
     imi, anna = lab.add_target("imi", ["robot.lab", "192.168.1.5"]), lab.add_user("anna", "tune")
     for key in (lab.folder / "ca.key", imi.key, anna.key):
         assert os.stat(key).st_mode & 0o777 == 0o600
@@ -322,7 +322,7 @@ def test_nothing_is_signed_for_longer_than_the_authority_lives(lab: Lab) -> None
     assert lab.holders() == []
 
 
-def test_a_certificate_that_ended_is_not_handed_out_without_a_word(
+def test_handing_out_an_expired_certificate_is_reported(
     lab: Lab, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     until_then = lab.add_user("anna", "tune", days=2).until

@@ -36,7 +36,9 @@ def test_write_and_read_asynchronously(running: Target) -> None:
     assert reading["q"][1] == reading["q[1]"] == -reading["q"][0]
 
 
-def test_what_was_written_is_read_after_a_trip_and_what_has_ended_is_said(running: Target) -> None:
+def test_written_values_are_read_after_a_trip_and_an_ended_program_is_reported(
+    running: Target
+) -> None:
     running.stop()
     running.acknowledge()
     running.start()
@@ -90,7 +92,7 @@ def test_parameter_sets_save_diff_restore_and_reset(running: Target, tmp_path: o
 
 
 class Overdue:
-    """A querier whose time is up."""
+    """A querier whose answer does not come in time."""
 
     ok = None
 
@@ -104,17 +106,17 @@ class Overdue:
 def test_an_update_that_got_no_answer_in_time_is_asked_for_again(
     loaded: Target, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It ended as "not answered: Timeout", without a word whether it was applied."""
+    """It had ended as "not answered: Timeout", without saying whether it was applied."""
     with monkeypatch.context() as patch:
         patch.setitem(loaded.link._queriers, "sync", Overdue())
         loaded.update(Kp1=250.0)
     assert loaded["Kp1"] == 250.0
 
 
-def test_a_compile_that_a_flooded_target_lets_go_of_is_asked_for_again(
+def test_a_compile_dropped_by_a_flooded_target_is_requested_again(
     running: Target, runtime: Runtime, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It was "did not answer within 120 s", at once."""
+    """The error had been "did not answer within 120 s", and came at once."""
     let_go: list[str] = []
     usual = Turns.next
 
@@ -326,7 +328,7 @@ def test_a_closed_live_view_is_freed_while_the_link_lasts(running: Target) -> No
 
 
 @pytest.mark.parametrize("verb", [MatDSPcompile, MatDSPdownload])
-def test_a_target_in_the_place_of_the_file_is_refused_with_what_to_write(verb: object) -> None:
+def test_swapped_target_and_file_arguments_are_refused_with_the_right_call(verb: object) -> None:
     target = object.__new__(Target)  # no link: what is refused asks for none
     with pytest.raises(CompileFailed, match=r"MatDSPconnect\(target\)"):
         verb(target, "pd.c")  # type: ignore[operator]

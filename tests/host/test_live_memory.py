@@ -1,4 +1,4 @@
-"""What a live view keeps is bounded by its rows, however they arrive."""
+"""The memory of a live view is bounded by its rows, however they arrive."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A recording that is longer than what the target holds."""
+"""A recording longer than the memory of the target."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from zendsp.errors import AcquisitionError
 from zendsp.link.acquire import Recorder
 
 
-def test_memory_is_taken_as_rows_come() -> None:
+def test_a_long_recording_takes_memory_only_as_rows_arrive() -> None:
     status = SimpleNamespace(channels=("q",), begun=1, first=0, count=0, state="stopped")
     recorder: Any = SimpleNamespace(insist=lambda verb, patience: status)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

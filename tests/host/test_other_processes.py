@@ -17,7 +17,7 @@ HANGS_S = 20  # after which a child that waits for threads that it does not have
 
 
 def in_fork(work: Callable[[], object]) -> str:
-    """What becomes of `work` in a forked child."""
+    """The outcome of `work` in a forked child."""
     out, into = os.pipe()
     pid = os.fork()
     if pid == 0:

@@ -58,8 +58,8 @@ def test_a_target_is_found_by_name_alone(target: Target) -> None:
         connect("other", connect=target.link.endpoints[0])
 
 
-def test_a_target_that_connect_waits_for_is_found_too(target: Target) -> None:
-    """A busy machine or a slow line: what it is answers after 1.5 s; connect() waits 3 s."""
+def test_a_target_that_answers_slowly_is_found_by_name(target: Target) -> None:
+    """On a busy machine or a slow line it answers after 1.5 s; connect() waits 3 s."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         place = f"tcp/127.0.0.1:{free.getsockname()[1]}"
     slow = zenoh.Config()
@@ -77,9 +77,8 @@ def test_a_target_that_connect_waits_for_is_found_too(target: Target) -> None:
         assert "slow" in [found.name for found in discover("*", place)]
 
 
-def test_silent_places_are_waited_for_together(monitor: Monitor) -> None:
-    """Each place that takes a connection and says nothing costs its timeout, once for all of them.
-    """
+def test_several_silent_endpoints_cost_one_timeout(monitor: Monitor) -> None:
+    """Endpoints that accept a connection and stay silent are waited for at the same time."""
     silent = [socket.create_server(("127.0.0.1", 0)) for _ in range(6)]
     places = [f"tcp/127.0.0.1:{s.getsockname()[1]}" for s in silent]
     try:
@@ -163,7 +162,7 @@ def test_a_target_that_ends_is_reported_at_once_and_its_name_is_free(
     Monitor(Runtime("imi_planar"), Options("fake", "imi_planar")).close()
 
 
-def test_an_endpoint_in_the_environment_is_meant_though_a_target_of_that_name_runs_here(
+def test_an_endpoint_in_the_environment_beats_a_local_target_of_the_same_name(
     target: Target, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert locate(target.info.name)[1] != ["tcp/elsewhere:7447"]
@@ -229,10 +228,10 @@ def test_a_link_that_is_closed_while_others_ask_tells_them_so(running: Target) -
 
 
 @pytest.mark.timeout(60)
-def test_rubbish_among_the_entries_of_targets_keeps_nobody_from_finding_them(
+def test_rubbish_in_the_registry_of_targets_does_not_hide_targets(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """STOP looks there too: what does not end when it is read must not be read."""
+    """STOP looks there too, so an endless file must not be read to its end."""
     tmp_path.chmod(0o700)
     monkeypatch.setenv("ZENDSP_RUNTIME_DIR", str(tmp_path))
     os.mkfifo(tmp_path / "a.json")

@@ -95,7 +95,7 @@ def test_as_a_table_every_format_knows_its_units(tmp_path: Path, suffix: str) ->
 
 
 @pytest.mark.parametrize("suffix", [".mat", ".npz", ".parquet", ".csv", ".mcap", ".mf4"])
-def test_one_row_survives(tmp_path: Path, suffix: str) -> None:
+def test_a_recording_of_one_row_survives_saving(tmp_path: Path, suffix: str) -> None:
     one = Recording.from_columns({"q": [[1.0, 2.0]], "u": [3.0]}, sample_time=0.1)
     back = Recording.load(one.save(tmp_path / f"one{suffix}"))
     assert np.array_equal(back.data, [[1.0, 2.0, 3.0]]) and back.t.shape == (1,)
@@ -133,7 +133,7 @@ def test_a_csv_begins_with_a_line_for_people(recording: Recording, tmp_path: Pat
     assert last.startswith("# zendsp {")
 
 
-def test_a_csv_of_before_is_still_read(recording: Recording, tmp_path: Path) -> None:
+def test_a_csv_of_an_older_version_is_read(recording: Recording, tmp_path: Path) -> None:
     path = recording.save(tmp_path / "run.csv")
     _, *rows, last = path.read_text().splitlines()
     path.write_text("\n".join([last, *rows, ""]))
@@ -304,7 +304,7 @@ def test_a_foreign_file_is_cut_at_its_gaps_and_keeps_its_columns(tmp_path: Path)
         read_parts(tmp_path / "run.csv", time="when")
 
 
-def test_what_is_left_out_of_a_recording_parts_it(
+def test_times_left_out_of_a_recording_split_it(
     recording: Recording, tmp_path: Path, typed: Callable[..., tuple[object, str, str]]
 ) -> None:
     run = recording.save(tmp_path / "run.mat")
@@ -334,7 +334,7 @@ def test_cut_writes_over_no_file_unless_told(
 def test_a_tilde_is_the_home_folder_and_missing_folders_are_made(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A folder that is called ``~`` in the folder of the work is nowhere that anybody looks."""
+    """Nobody would look for a folder named ``~`` in the working directory."""
     home, here = tmp_path / "home", tmp_path / "here"
     here.mkdir()
     monkeypatch.setenv("HOME", str(home))

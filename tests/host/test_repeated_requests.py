@@ -1,4 +1,5 @@
-"""Requests that come again: the same bytes, and replies read alike, as by the whole way."""
+"""Repeated requests give the same bytes, and their replies the same values, as the full encoding.
+"""
 
 from __future__ import annotations
 

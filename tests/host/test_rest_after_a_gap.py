@@ -1,5 +1,5 @@
-"""A recording goes on until the machine has come to rest, also where the target stood still before
-it tripped.
+"""A recording goes on until the machine is at rest, also when the target was frozen before the
+trip.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ TRIP = 5000  # sample, the first after the gap
 
 
 class Frozen(Recorder):
-    """A target of 1 kHz that stands still while it is asked, and then loses its host."""
+    """A target of 1 kHz that is frozen during a request, and then loses its host."""
 
     def __init__(self) -> None:
         self.now, self.ended_at = 0.0, 0
@@ -43,7 +43,9 @@ class Frozen(Recorder):
         self.ended_at = self.tick()
 
 
-def test_that_it_was_last_seen_to_run_long_ago_is_no_end(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_old_status_of_a_running_target_does_not_end_a_recording(
+    monkeypatch: pytest.MonkeyPatch
+) -> None:
     target = Frozen()
     time = SimpleNamespace(monotonic=lambda: target.now, sleep=lambda s: None)
     monkeypatch.setattr(acquire, "time", time)

@@ -1,6 +1,4 @@
-"""Rows that arrive damaged are never taken for rows, and a request that arrives twice is carried
-out once.
-"""
+"""Damaged rows are never used, and a request that arrives twice is carried out once."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which recording of a killed target is the newest, on a computer whose time of day was set."""
+"""Which recording of killed targets is the newest, when the time of day was changed meanwhile."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def _leave(base: Path, name: str, begun: float, since_start: float) -> Path:
 def test_the_newest_is_the_one_that_was_begun_last_whatever_the_clock_said(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It is the one that is saved, and the last that a start removes."""
+    """The newest is the one that is saved, and the last one to be removed."""
     monkeypatch.setattr(kept, "base", lambda: tmp_path)
     day = 86400.0
     begun = {"first": 400 * day, "second": 300 * day, "third": 200 * day, "fourth": 100 * day}

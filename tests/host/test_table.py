@@ -1,4 +1,4 @@
-"""Foreign files: read where they can be, refused with file, line and column where they cannot."""
+"""Foreign tables are read, or refused with file, line and column."""
 
 from __future__ import annotations
 
@@ -197,7 +197,7 @@ def test_published_data_sets_read(tmp_path: Path) -> None:
     assert read_table(folder / "tx40/pos_read_data.csv.gz")["Joint_6"].shape == (45_000,)
 
 
-def test_what_only_says_which_signal_it_is_belongs_to_the_name_and_is_told(tmp_path: Path) -> None:
+def test_an_unrecognised_suffix_stays_in_the_column_name_and_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     path.write_text("t,q (raw),q (filtered) [deg],u (N m)\n0,1,2,3\n1,2,4,5\n")
     table = read_table(path)

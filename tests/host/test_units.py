@@ -60,7 +60,7 @@ def test_a_unit_that_is_not_known_is_not_guessed(unknown: str) -> None:
         ("torque_N_m", "N m"),
     ],
 )
-def test_ms_is_milliseconds_where_a_word_of_the_name_says_time(name: str, unit: str) -> None:
+def test_ms_means_milliseconds_where_the_name_says_time(name: str, unit: str) -> None:
     assert unit_in_name(name) == unit
 
 

@@ -154,6 +154,6 @@ def test_what_a_target_lists_is_a_table_at_a_prompt_and_in_a_notebook() -> None:
         assert "<td>Kp1</td><td>400</td>" in reading._repr_html_()
 
 
-def test_what_a_filter_that_dies_away_leaves_is_nothing() -> None:
+def test_the_denormal_tail_of_a_filter_is_displayed_as_zero() -> None:
     assert short(5e-324) == ticks.short(-3e-310) == ticks.number(5e-324) == "0"
     assert short([1e-20, -1e-56]) == "[1e-20, 0]"

@@ -1,4 +1,4 @@
-"""What is still to be done until the program runs, from wherever a target is."""
+"""The steps that remain until the program runs, from any state of a target."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ LOST = Trip("host lost", tick=7, text="the host that commanded the motion is gon
 
 
 def conditions(**unmet: str) -> tuple[Condition, ...]:
-    """All are met but these."""
+    """The conditions, of which all but these are met."""
     names = ("power", "program", "homed", "limits", "sensors", "stop input", "no trip")
     return tuple(
         Condition(name=n, met=(key := n.replace(" ", "_")) not in unmet, advice=unmet.get(key, ""))
@@ -50,7 +50,7 @@ def test_the_steps_come_in_the_order_in_which_they_are_granted(
     assert way_back(status, now) == steps
 
 
-def test_the_right_of_another_comes_first_and_a_program_that_holds_is_let_go() -> None:
+def test_taking_the_right_to_command_comes_first_and_a_held_program_is_told_to_go_on() -> None:
     drive = DriveStatus(state="homed", explicit=True, commander="anna@a:1")  # type: ignore[arg-type]
     paused, running = Status("paused"), Status("running")  # type: ignore[arg-type]
     assert way_back(paused, drive)[0] == "command"
@@ -63,7 +63,9 @@ def test_the_right_of_another_comes_first_and_a_program_that_holds_is_let_go() -
 
 
 @pytest.mark.parametrize("text", ["too fast (sample 7); outputs are safe", "in other words"])
-def test_a_latched_trip_is_told_by_its_cause_and_sample_whatever_its_sentence(text: str) -> None:
+def test_a_latched_trip_is_recognised_by_cause_and_sample_and_not_by_its_sentence(
+    text: str
+) -> None:
     trip = Trip("speed", tick=7, text=text, cause="too fast")
     tripped = Status(state="stopped", drive="tripped", trip=trip)
     assert trouble(tripped).startswith("tripped: too fast (sample 7); outputs are safe;")

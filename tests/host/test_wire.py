@@ -116,7 +116,7 @@ def test_unknown_verbs_and_arguments_are_refused_by_name(target: Target) -> None
 
 
 @pytest.mark.parametrize("lane", keys.LANES)
-def test_a_request_that_cannot_even_be_refused_keeps_no_later_one_from_its_answer(
+def test_a_request_whose_refusal_fails_does_not_block_later_requests(
     running: Target, lane: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def no_memory(error: BaseException) -> bytes:

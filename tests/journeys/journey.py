@@ -54,7 +54,7 @@ def record_bench(path: Path, coulomb: float = 0.05, inner: int = 20) -> None:
 
 @dataclass
 class Installed:
-    """The wheel in an environment of its own, and an empty folder to work in.
+    """A user: the wheel in an environment of its own, and an empty folder to work in.
 
     Attributes
     ----------

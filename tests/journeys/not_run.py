@@ -1,4 +1,4 @@
-"""What stands on the pages and is not run, with the reason."""
+"""Commands and blocks of the pages that no test runs, with the reason."""
 
 from __future__ import annotations
 

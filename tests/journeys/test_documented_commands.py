@@ -2,8 +2,8 @@
 folder.
 
 What a page takes for granted (a recording, a model, a target) is prepared by its `Plan`. What
-cannot run here stands in `not_run.py` with its reason. A block that is neither run, nor a file that
-the page's commands use, nor listed, fails.
+cannot run here stands in `not_run.py` with its reason. Every other block has to be a file that the
+page's commands use.
 """
 
 from __future__ import annotations
@@ -368,7 +368,7 @@ def test_what_a_page_says_to_type_works(installed: Installed, page: Path) -> Non
     assert not wrong, "\n".join(wrong)
 
 
-def test_what_is_not_run_is_still_on_the_pages() -> None:
+def test_every_listed_exception_is_still_on_its_page() -> None:
     there = {(b.page, b.first) for page in PAGES for b in blocks(page)}
     assert [key for key in NOT_RUN if key not in there] == []
     assert {str(page.relative_to(ROOT)) for page in PAGES_TO_RUN} >= LATER
@@ -380,8 +380,8 @@ def test_what_is_not_run_is_still_on_the_pages() -> None:
 
 
 def test_the_pages_are_read_as_they_stand(tmp_path: Path) -> None:
-    """The extraction itself: a command in a block, in running text, in a chain, with a comment,
-    with variables.
+    """The extraction: a command in a block, in running text, in a chain, with a comment, with
+    variables.
     """
     page = ROOT / "docs" / "tour.md"
     assert any(b.text == "zendsp ls" or b.text.startswith("zendsp run pd.c") for b in blocks(page))

@@ -167,7 +167,9 @@ def test_no_order_of_the_sequence_trips_a_shipped_program(
 
 
 @pytest.mark.long("every order on the fast clock above; tests/target keeps time on the real one")
-def test_nor_on_the_real_clock(installed: Installed) -> None:
+def test_no_order_of_the_sequence_trips_a_shipped_program_on_the_real_clock(
+    installed: Installed
+) -> None:
     """All at once: they wait for the time to pass."""
     script = installed.write("orders.py", SCRIPT)
     running = {

@@ -1,4 +1,4 @@
-"""However a host ends, its process is gone within 2 s and the policy of the target acts."""
+"""However a host ends, its process is gone within 2 s and the target's host-lost policy acts."""
 
 from __future__ import annotations
 
@@ -62,7 +62,9 @@ with zendsp.connect('imi') as t:
 
 
 def registered(user: Installed) -> list[Path]:
-    """Of the targets that scripts started for themselves; each look of the command costs more."""
+    """The registry entries of targets that scripts started, read directly since the command is
+    slow.
+    """
     return list(Path(user.env["ZENDSP_RUNTIME_DIR"]).glob("imi_planar-*.json"))
 
 
@@ -81,8 +83,7 @@ class Looker:
 
 
 def _finish(process: subprocess.Popen[str], ending: str) -> None:
-    """Wait for the end of a script that has said its last word; one that does not let go never
-    ends.
+    """Wait for the end of a script after its last line; one that holds a resource would never end.
     """
     if ending in SIGNALS:
         os.kill(process.pid, SIGNALS[ending])

@@ -32,7 +32,7 @@ sys.exit(endurance.main(["--rounds", "2", "--json", "found.json"], {{"untrue": U
 
 @pytest.mark.long("tests/e2e and tests/target have each hardship; lost: one after the other")
 @pytest.mark.parametrize("part", ROUNDS)
-def test_it_holds(installed: Installed, part: str) -> None:
+def test_each_hardship_of_the_endurance_run_holds(installed: Installed, part: str) -> None:
     process = installed.start(
         "python", ENDURANCE, "--only", part, "--rounds", str(ROUNDS[part]), "--json", "found.json"
     )
@@ -42,7 +42,7 @@ def test_it_holds(installed: Installed, part: str) -> None:
     assert found["rounds"] == ROUNDS[part] and found["violations"] == 0 and found["found"], said
 
 
-def test_each_part_is_here(installed: Installed) -> None:
+def test_every_part_of_the_endurance_run_is_listed(installed: Installed) -> None:
     said, _ = installed.start("python", ENDURANCE, "--list").communicate(timeout=PATIENCE_S)
     assert [line.split()[0] for line in said.splitlines()] == list(ROUNDS)
 

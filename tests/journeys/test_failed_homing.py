@@ -1,4 +1,4 @@
-"""A homing that ends without being done takes with it what was typed meanwhile."""
+"""A homing that fails drops the commands that were typed meanwhile."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from screen import Screen
 
 
 @pytest.mark.long("tests/tui/test_session.py has what waits; lost: by keys, in a terminal")
-def test_what_waits_behind_a_homing_that_fails_is_not_carried_out(installed: Installed) -> None:
+def test_commands_typed_during_a_homing_that_fails_are_not_carried_out(
+    installed: Installed
+) -> None:
     """Enable and start were typed while the arm went home; then somebody paused it."""
     installed.target("imi", "imi_planar", "--machine-option", "q2=2.0")  # seconds from home
     assert installed.run("load", "pd.c", "-t", "imi").returncode == 0

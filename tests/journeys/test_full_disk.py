@@ -123,7 +123,7 @@ print(list_runs(Path("runs")), [p.name for p in Path("runs").iterdir()])
         assert done.stdout.splitlines()[-1] == "[] []", "no part of a run is left"
 
 
-def test_what_was_salvaged_stays_until_it_is_written(installed: Installed, full: Full) -> None:
+def test_salvaged_rows_stay_until_they_are_written(installed: Installed, full: Full) -> None:
     process = installed.target("imi", "imi_planar", "--clock", "fast", "--speed", "20")
     assert installed.script(PREPARE).returncode == 0
     done = installed.run("acquire", "q", "-t", "imi", "-s", "1", "-o", "first.npz")
@@ -155,7 +155,7 @@ SAME = pytest.mark.long("they print as watch does; lost: one that goes round zen
     ],
     ids=lambda command: command[0],
 )
-def test_output_that_nobody_takes(installed: Installed, command: list[str]) -> None:
+def test_a_closed_output_pipe_is_no_traceback(installed: Installed, command: list[str]) -> None:
     installed.target("imi", "imi_planar", "--clock", "fast", "--speed", "20")
     assert installed.script(PREPARE).returncode == 0
     with open("/dev/full", "w") as disk:

@@ -70,7 +70,7 @@ for cell, text in zip(book.cells, shown):
 
 
 @pytest.mark.long("tests/diagnosis/test_progress.py has the line; lost: as a notebook shows it")
-def test_what_takes_a_second_shows_in_a_notebook_how_far_it_is(kernels: Installed) -> None:
+def test_slow_calls_show_progress_in_a_notebook(kernels: Installed) -> None:
     record_bench(kernels.folder / "bench.csv")
     kernels.write("bench.toml", BENCH)
     done = kernels.script(DRAWN, timeout=300.0)

@@ -32,7 +32,7 @@ def test_cases_are_made_once_and_judged_where_they_lie(installed: Installed) -> 
     assert results["cases"][0]["cpu"] > 0
 
 
-def test_what_is_not_there_is_said_with_what_to_do(installed: Installed) -> None:
+def test_missing_cases_are_reported_with_what_to_do(installed: Installed) -> None:
     absent = installed.run("prove", "--judge", "nowhere")
     assert absent.returncode != 0 and "make them with zendsp prove --make nowhere" in absent.stderr
     other = installed.run("prove", "--reality", "gazebo")
@@ -44,7 +44,9 @@ def test_what_is_not_there_is_said_with_what_to_do(installed: Installed) -> None
 
 @pytest.mark.long("tests/proof/test_children.py ends and kills makers; lost: by the command")
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
-def test_making_ends_with_its_command(installed: Installed, how: signal.Signals) -> None:
+def test_making_cases_ends_when_its_command_is_killed(
+    installed: Installed, how: signal.Signals
+) -> None:
     making = installed.start(
         "zendsp", "prove", "--make", "many", "--reality", "mujoco", "--sample", "40", "--jobs", "2"
     )

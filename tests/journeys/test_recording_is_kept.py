@@ -1,4 +1,4 @@
-"""What was recorded is not lost: neither by Ctrl-C nor by a disk that takes nothing."""
+"""A recording is not lost by Ctrl-C or by a full disk."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_a_recording_that_cannot_be_written_there_is_written_elsewhere(
 
 
 def test_a_picture_that_cannot_be_drawn_hides_no_recording(installed: Installed) -> None:
-    """An ordinary file in the place of the folder: root may write everywhere else."""
+    """A file stands where the folder should be, since root may write everywhere else."""
     installed.target("imi")
     assert installed.run("run", "pd.c", "-t", "imi").returncode == 0
     installed.write("file", "not a folder")

@@ -1,5 +1,5 @@
-"""A role that is taken away ends reading too; what certificates without roles mean is asked for
-before the start.
+"""A role that is taken away ends reading too, and certificates without roles are refused at the
+start.
 """
 
 from __future__ import annotations
@@ -162,7 +162,7 @@ def test_whose_run_moves_the_machine_and_is_revoked_lets_go_too(
     installed.env = owner
 
 
-def test_certificates_without_roles_are_refused_and_who_is_let_in_is_said(
+def test_certificates_without_roles_are_refused_and_the_start_says_who_is_let_in(
     installed: Installed, tmp_path: Path
 ) -> None:
     make_certificates(tmp_path)

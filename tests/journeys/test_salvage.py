@@ -81,8 +81,8 @@ with zendsp.connect('killed') as t:
 """
 
 
-def test_who_records_is_told_at_once_that_the_target_was_killed_and_what_was_kept(
-    installed: Installed,
+def test_a_recording_host_is_told_at_once_that_its_target_was_killed_and_what_was_kept(
+    installed: Installed
 ) -> None:
     target = installed.target("killed")
     assert installed.run("run", "pd.c", "-t", "killed").returncode == 0
@@ -98,7 +98,7 @@ def test_who_records_is_told_at_once_that_the_target_was_killed_and_what_was_kep
     assert installed.run("salvage", "-t", "killed", "-o", "q.mat").returncode == 0
 
 
-def test_what_was_dropped_is_gone(installed: Installed) -> None:
+def test_dropped_salvage_is_gone(installed: Installed) -> None:
     _killed(installed, 60.0, False)
     assert installed.run("salvage", "-t", "killed", "--drop").returncode == 0
     until(lambda: installed.run("salvage", "-t", "killed").returncode == 1, "gone")

@@ -94,7 +94,8 @@ def test_stop_ends_in_the_right_banner(installed: Installed, screens: list[Scree
 def test_a_machine_that_was_started_here_is_stopped_wherever_the_environment_leads(
     installed: Installed, screens: list[Screen]
 ) -> None:
-    """The process of the keys looked for it at $ZENDSP_CONNECT, and the machine ran on."""
+    """The process that reads the keys had looked for it at $ZENDSP_CONNECT, and the machine ran on.
+    """
     away = replace(installed, env={**installed.env, "ZENDSP_CONNECT": "tcp/127.0.0.1:1"})
     screens.append(Screen(away, (80, 24), "--local", "imi_planar", "--source", "pd.c"))
     screens[-1].until("○ empty")
@@ -224,7 +225,7 @@ def stopper_of(terminal: int) -> int:
     pytest.fail("the terminal has no process of the keys")
 
 
-def test_the_command_stops_or_says_loudly_that_it_could_not(installed: Installed) -> None:
+def test_zendsp_stop_stops_or_says_loudly_that_it_could_not(installed: Installed) -> None:
     process = installed.target("imi")
     assert installed.script(PREPARE).returncode == 0
     done = installed.run("stop")

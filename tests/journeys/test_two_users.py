@@ -20,7 +20,7 @@ for line in sys.stdin:
 
 
 class Anna:
-    """A user who types into Python, and goes on having it open."""
+    """A user in an interactive Python that stays open."""
 
     def __init__(self, installed: Installed) -> None:
         self._process = subprocess.Popen(
@@ -48,7 +48,9 @@ def anna(installed: Installed) -> Anna:
     return user
 
 
-def test_who_commands_moves_and_the_other_looks(installed: Installed, anna: Anna) -> None:
+def test_the_commander_moves_the_machine_and_the_other_user_watches(
+    installed: Installed, anna: Anna
+) -> None:
     anna.types("t.take_command()")
     name = anna.types("t.drive_status().commander").strip("'")
     assert name

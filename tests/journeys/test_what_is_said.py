@@ -118,7 +118,7 @@ def test_load_loads_without_starting(user: Installed) -> None:
     assert "program    pd.c (" in user.run("info").stdout
 
 
-def test_true_is_no_number_on_any_way(user: Installed) -> None:
+def test_true_is_not_accepted_as_a_number_by_any_command(user: Installed) -> None:
     user.run("run", "runs.c")
     for words in (("a=true",), ("list=[1.0,true,2.0]",), ("list=[true,true,true]", "--no-wait")):
         said = user.run("set", *words)
@@ -193,7 +193,7 @@ def test_a_mistyped_name_does_not_block_matdsp(user: Installed) -> None:
 
 
 @WORDS
-def test_one_way_to_name_a_program(user: Installed) -> None:
+def test_programs_are_named_alike_by_every_command(user: Installed) -> None:
     for command in (
         ("compile", "nonsense.c"),
         ("load", "nonsense.c"),
@@ -233,7 +233,7 @@ def test_what_tripped_is_never_called_merely_stopped(user: Installed) -> None:
 
 
 @WORDS
-def test_several_values_after_one_set(user: Installed) -> None:
+def test_set_takes_several_values(user: Installed) -> None:
     done = user.run("run", "--set", "Kp1=900", "Kd1=33", "pd.c", "--seconds", "0.1", "--json")
     assert done.returncode == 0, done.stderr
     assert "900" in user.run("get", "Kp1").stdout and "33" in user.run("get", "Kd1").stdout
@@ -244,7 +244,7 @@ def test_several_values_after_one_set(user: Installed) -> None:
 
 
 @WORDS
-def test_refusals_say_what_there_is(user: Installed) -> None:
+def test_refusals_list_what_is_available(user: Installed) -> None:
     user.write("unlinked.c", RUNS.replace("INT2(void) {}", "INT2(void) { absent(); }"))
     said = user.run("compile", "unlinked.c")
     assert "undefined reference to" in said.stderr and ":0:" not in said.stderr, said
@@ -264,7 +264,7 @@ def test_refusals_say_what_there_is(user: Installed) -> None:
         assert "ZENDSP_CONNECT=" in said.stderr and "--connect" not in said.stderr, said
 
 
-def test_it_is_said_who_moves_a_machine_that_nobody_commands(user: Installed) -> None:
+def test_info_says_whose_run_moves_a_machine_that_nobody_commands(user: Installed) -> None:
     user.run("run", "pd.c")
     script = user.script(
         "import subprocess, sys, zendsp\n"
@@ -284,7 +284,7 @@ def test_it_is_said_who_moves_a_machine_that_nobody_commands(user: Installed) ->
     assert last == "" and status[-1].startswith(f"commanded by nobody, moved by {author};")
 
 
-def test_the_end_of_a_host_is_no_trouble_of_the_target(installed: Installed) -> None:
+def test_the_end_of_a_host_is_not_logged_as_trouble_of_the_target(installed: Installed) -> None:
     target = installed.target("imi")
     script = installed.script(
         "import zendsp\n"

@@ -115,7 +115,7 @@ def test_the_seal_binds_the_truth_and_does_not_tell_it() -> None:
         assert changed.seal() != one.seal()
 
 
-def test_several_effects_and_none_can_be_drawn() -> None:
+def test_no_effect_or_several_effects_can_be_drawn() -> None:
     pair = load_concealed("seed:4,count=2,friction=plain", "imi_planar")
     assert len({e.effect for e in pair.effects}) == 2 and pair.friction == "plain"
     assert load_concealed("seed:4,count=0", "imi_planar").effects == ()
@@ -161,7 +161,7 @@ def test_effects_are_read_from_toml_and_json_in_the_form_of_a_model_file(tmp_pat
         ("nothing.toml", "imi_planar", "no file nothing.toml"),
     ],
 )
-def test_what_cannot_be_concealed_is_refused_with_what_can(
+def test_an_effect_that_cannot_be_concealed_is_refused_with_those_that_can(
     spec: str, machine: str, words: str
 ) -> None:
     with pytest.raises(Refused, match=words.replace("(", r"\(")):

@@ -100,7 +100,7 @@ def run_reference(
 
 
 def gyroscopic(mass: Callable[[Array], Array], q: Array, qd: Array) -> Array:
-    """What a mass matrix that changes with position adds to C qd (Lagrange, by differences)."""
+    """The torque C qd of a mass matrix that changes with position (Lagrange, by differences)."""
     step = 1e-6 * np.eye(2)
     # [k, i, j] = dM_ij / dq_k
     slope = np.array([(mass(q + h) - mass(q - h)) / 2e-6 for h in step])

@@ -28,7 +28,7 @@ def torques(name: str, config: str, joint: int, tau: float, samples: int = 400) 
         return np.array(rows)
 
 
-def test_ideal_machines_give_exactly_the_torque_that_they_are_told() -> None:
+def test_ideal_machines_give_exactly_the_commanded_torque() -> None:
     for name, joint, tau in (("imi_planar", 0, 3.21), ("wam7", 1, 1.234)):
         assert torques(name, "ideal = 1\n", joint, tau) == pytest.approx(tau, abs=1e-9)
 
@@ -54,7 +54,7 @@ def test_torque_reaches_its_value_through_a_current_loop_of_one_kilohertz() -> N
 
 
 @pytest.mark.parametrize(("name", "joint", "mv"), [("imi_planar", 0, 1.0), ("wam7", 1, 2.44)])
-def test_torque_is_as_noisy_as_the_machine_says_and_the_seed_repeats_it(
+def test_torque_noise_has_the_stated_size_and_repeats_with_the_seed(
     name: str, joint: int, mv: float
 ) -> None:
     limit = load_machine(name).limits.torque[joint]
@@ -94,7 +94,7 @@ def test_friction_of_the_planar_arm_varies_with_place_by_five_per_cent() -> None
     assert levels[1][1] < 0.005 * level
 
 
-def test_the_phase_of_uneven_friction_belongs_to_the_copy_of_the_arm() -> None:
+def test_the_phase_of_uneven_friction_depends_on_the_seed_of_the_arm() -> None:
     def run(seed: int) -> Array:
         quiet = "dac_noise = 0\nencoder_noise = 0\n"
         with Plant("imi_planar", f"{quiet}seed = {seed}\n") as plant:
@@ -106,7 +106,7 @@ def test_the_phase_of_uneven_friction_belongs_to_the_copy_of_the_arm() -> None:
 
 
 def lacking(config: str) -> Array:
-    """Torque that the WAM's sheet lacks to hold its own weight in the pose UP, N m."""
+    """Torque to hold the WAM in the pose UP, beyond that of its data sheet, N m."""
     text = config + "".join(f"q{j + 1} = {x}\n" for j, x in enumerate(UP))
     sheet = load_machine("wam7").dynamics
     kp = [900.0, 1200.0, 300.0, 200.0, 25.0, 25.0, 6.0]
@@ -128,7 +128,7 @@ def lacking(config: str) -> Array:
     return np.asarray(0.5 * (means[0] + means[1]))
 
 
-def test_gravity_of_the_wam_is_off_its_sheet_by_some_per_cent() -> None:
+def test_gravity_of_the_wam_differs_from_its_data_sheet_by_some_percent() -> None:
     # half the difference of its friction in the two directions, at 0.1 rad/s
     uneven = np.array([0.08, -0.43, -0.35, 0.41, 0.02, 0.05, -0.03])
     sheet = load_machine("wam7").dynamics.inverse(UP[None], 0 * UP[None], 0 * UP[None])[0]

@@ -115,7 +115,9 @@ CENTRE = {"imi_planar": np.zeros(2), "pendulum": np.zeros(1), "wam7": UP}
 
 
 def swing(name: str, substep: float, seconds: float = 10.0, more: str = "") -> tuple[Array, Array]:
-    """PD along sines of several frequencies, with reversals; rows of follow(), counts per rad."""
+    """A motion under PD along sines of several frequencies, with reversals: rows of follow(), and
+    the counts per rad.
+    """
     kp, kd, amplitude = GAINS[name]
     centre, n = CENTRE[name], len(CENTRE[name])
     config = f"substep = {substep}\n{more}" + "".join(f"q{j + 1} = {centre[j]}\n" for j in range(n))

@@ -58,7 +58,7 @@ def test_a_driven_arm_without_friction_moves_as_mujocos_own_integrator_moves_it(
         assert np.abs(plant.q).min() > 0.05, "every joint has moved"
 
 
-def test_what_no_drive_moves_goes_its_way_beside_the_joints() -> None:
+def test_bodies_without_a_drive_move_freely_beside_the_joints() -> None:
     """The passive joint of an acrobot and a ball that falls: neither is a joint of the machine."""
     with robot(ACROBOT) as plant:
         assert plant.joints == 1
@@ -99,7 +99,7 @@ def test_a_light_finger_with_much_damping_beside_the_drives_does_not_blow_up(
 
 
 def test_the_reaction_of_concealed_inertia_reaches_what_is_not_driven(tmp_path: Path) -> None:
-    """More inertia at the elbow is a rotor there: the same as an armature in the model."""
+    """More inertia at the elbow acts as a rotor there, like an armature in the model."""
     heavier = edited(tmp_path, ACROBOT, ('name="elbow" axis', 'name="elbow" armature="0.05" axis'))
     with robot(ACROBOT, "effect1 = inertia joint=1 amount=0.05") as plant:
         for _ in range(250):
@@ -149,7 +149,8 @@ def test_names_units_and_limits_come_from_the_model() -> None:
 
 
 def test_a_joint_that_would_start_at_the_end_of_its_range_starts_inside_it(tmp_path: Path) -> None:
-    """Most published arms have no keyframe, and a zero position beyond a range: they would trip."""
+    """Most published arms have no keyframe, and zero lies outside a range: they would trip at once.
+    """
     model = edited(
         tmp_path, ARM, ('"-2.5 2.5"', '"0 2.5"'), ('"-1.8 1.8"', '"-1.8 -0.3"'),
     )  # fmt: skip
@@ -160,7 +161,8 @@ def test_a_joint_that_would_start_at_the_end_of_its_range_starts_inside_it(tmp_p
 
 
 def test_a_linkage_follows_a_joint_that_starts_inside_its_range(tmp_path: Path) -> None:
-    """As a gripper's, whose driven joint begins shut: its rod was flung to where it belongs."""
+    """For example a gripper whose driven joint begins closed; its rod had been flung to its place.
+    """
     model = tmp_path / "linkage.xml"
     model.write_text(
         """<mujoco><option gravity="0 0 0"/><default><joint axis="0 1 0"/><geom contype="0"
@@ -186,7 +188,7 @@ def test_a_linkage_follows_a_joint_that_starts_inside_its_range(tmp_path: Path) 
 def test_gains_from_the_inertia_that_the_machine_says_are_stable_where_an_arm_stands_straight(
     tmp_path: Path,
 ) -> None:
-    """Axes of a straight arm in one line: alone, each of them turns next to nothing."""
+    """When the axes of a straight arm are in line, each of them alone has hardly any inertia."""
     axes, length = ("0 0 1", "0 1 0") * 3 + ("0 0 1",), (0.3, 0.2, 0.2, 0.2, 0.2, 0.1, 0.05)
     links = "".join(
         f'<body pos="0 0 {before}"><joint name="j{k}" axis="{axis}" range="-2 2"/>'

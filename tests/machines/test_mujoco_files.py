@@ -62,7 +62,7 @@ URDF = """<robot name="pole"><link name="base"><visual><geometry>
         ),
     ],
 )
-def test_what_cannot_be_a_machine_is_refused_in_a_sentence(
+def test_a_model_that_cannot_be_a_machine_is_refused_in_a_sentence(
     tmp_path: Path, change: tuple[str, str], lines: tuple[str, ...], says: str
 ) -> None:
     model = edited(tmp_path, ARM, change)
@@ -70,9 +70,7 @@ def test_what_cannot_be_a_machine_is_refused_in_a_sentence(
         robot(model, *lines)
 
 
-def test_more_joints_than_a_machine_has_are_counted_and_a_choice_is_asked_for(
-    tmp_path: Path,
-) -> None:
+def test_too_many_joints_are_counted_and_a_choice_is_asked_for(tmp_path: Path) -> None:
     chain, close = "", ""
     for k in range(9):
         chain += (
@@ -151,7 +149,7 @@ def test_the_first_link_of_a_urdf_passes_through_its_base_as_each_link_does_thro
         assert plant.q[0] - 0.1 == pytest.approx(moved, rel=0.02)
 
 
-def test_bodies_that_begin_in_one_another_are_named(tmp_path: Path) -> None:
+def test_bodies_that_overlap_at_the_start_are_named(tmp_path: Path) -> None:
     second = """<link name="tip"><inertial><mass value="1"/><inertia ixx="0.02" iyy="0.02"
     izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial><collision><origin xyz="0 0 -0.35"/>""" + SHAPE
     joint = """<joint name="bend" type="revolute"><parent link="pole"/><child link="tip"/>
@@ -165,7 +163,7 @@ def test_bodies_that_begin_in_one_another_are_named(tmp_path: Path) -> None:
 
 
 def test_an_impossible_inertia_of_a_base_that_stands_plays_no_part(tmp_path: Path) -> None:
-    """As of many a base_link: 1e-6 in all six places."""
+    """For example a base_link with 1e-6 in all six places, as many files have it."""
     dummy = """<link name="base"><inertial><mass value="1e-6"/><inertia ixx="1e-6" iyy="1e-6"
     izz="1e-6" ixy="1e-6" ixz="1e-6" iyz="1e-6"/></inertial>"""
     with robot(with_shapes(tmp_path, ('<link name="base">', dummy))) as plant:
@@ -222,10 +220,10 @@ ixy="0" ixz="0" iyz="0"/><origin xyz="0.2 0 0"/></inertial></link><joint name="{
 <limit lower="-1" upper="1" effort="9" velocity="2"/></joint></robot>"""
 
 
-def test_joints_of_a_urdf_that_are_not_chosen_stand_as_the_diagnosis_takes_them_to(
-    tmp_path: Path,
+def test_joints_of_a_urdf_that_are_not_chosen_are_held_as_the_diagnosis_assumes(
+    tmp_path: Path
 ) -> None:
-    """Each has a motor: without it the rest of a robot would hang limp from the arm."""
+    """Each of them is held by a motor; otherwise the rest of the robot would hang from the arm."""
     file = tmp_path / "pole.urdf"
     file.write_text(URDF.replace("</robot>", HAND.format("bend", "")))
     with robot(file, "joints = swing") as plant:
@@ -272,7 +270,7 @@ def test_a_description_with_xacro_left_in_it_is_to_be_expanded_first(
         build_machine(str(file))
 
 
-def test_xacro_in_a_comment_alone_is_none(tmp_path: Path) -> None:
+def test_xacro_in_a_comment_is_ignored(tmp_path: Path) -> None:
     file = tmp_path / "pole.urdf"
     file.write_text(URDF + '<!-- made by xacro of <xacro:pole mass="${mass}"/> -->')
     assert build_machine(str(file)).suffix == ".so"

@@ -159,7 +159,7 @@ def test_the_table_is_interpolated_between_its_rows() -> None:
     assert out["rd"][k, 0] == pytest.approx(0.5, abs=1e-9)
 
 
-def test_hold_brings_the_reference_to_rest_on_its_path_and_lets_it_go_on() -> None:
+def test_hold_brings_the_reference_to_rest_on_its_path_and_continues_it() -> None:
     reference = make_circle(load_machine("imi_planar"), radius=0.15, duration=4.5)
     with running("imi_planar", "inverse_dynamics.c") as runtime:
         free = play(runtime, reference, "r", before=0.5)["r"]
@@ -195,7 +195,7 @@ def test_hold_brings_the_reference_to_rest_on_its_path_and_lets_it_go_on() -> No
     assert after["play_time"][-1] > held["play_time"][-1] + 1.0, "and goes on"
 
 
-def test_pd_holds_where_its_circle_is_and_goes_on_from_there() -> None:
+def test_pd_holds_at_its_place_on_the_circle_and_continues_from_there() -> None:
     with running("imi_planar", "pd.c") as runtime:
         moving = record(runtime, 3.0, "r1", "qd1")
         held = record(runtime, 1.5, "r1", "qd1", "tau1", hold=True)
@@ -376,7 +376,7 @@ def test_gravity_of_the_program_is_pinocchios(wam_of_pinocchio: Any) -> None:
     assert math.isfinite(out["g"].sum())
 
 
-def test_joint_pd_fits_a_joint_that_turns_next_to_nothing(tmp_path: Path) -> None:
+def test_joint_pd_suits_a_joint_of_hardly_any_inertia(tmp_path: Path) -> None:
     """As the fins of a model of a fish: 2.5e-7 kg m^2."""
     pytest.importorskip("mujoco")
     model = tmp_path / "fin.xml"

@@ -1,4 +1,4 @@
-"""What a body does to the joints, against the inverse dynamics of the changed machine and against
+"""The torque of an added body, compared with the inverse dynamics of the changed machine and with
 Pinocchio.
 """
 
@@ -68,7 +68,9 @@ def test_terms_add_what_the_inverse_dynamics_of_the_changed_arm_does(
         assert np.abs(got - truth[j]).max() < 1e-9 * max(1.0, np.abs(truth).max())
 
 
-def test_inertia_is_how_torque_answers_to_the_joints_own_acceleration(motion: np.ndarray) -> None:
+def test_inertia_is_the_derivative_of_torque_by_the_joints_own_acceleration(
+    motion: np.ndarray
+) -> None:
     bodies, gravity = read_urdf(str(ARM))
     terms = TERMS["payload at the tool"]
     more = changed(bodies, terms)
@@ -94,7 +96,7 @@ def test_a_joints_own_inertia_is_the_mass_matrixs(
 
 
 @pytest.mark.parametrize("slides", [(), (0, 3, 5)])
-def test_a_torques_slope_is_how_it_answers_to_the_joints_own_position(
+def test_the_slope_of_a_torque_is_its_derivative_by_the_joints_own_position(
     slides: tuple[int, ...], motion: np.ndarray
 ) -> None:
     bodies, gravity = read_urdf(str(ARM))
@@ -147,7 +149,7 @@ def test_all_links_together_are_the_torque_of_the_arm(motion: np.ndarray) -> Non
         assert np.abs(parts - whole[j]).max() < 1e-9
 
 
-def test_a_payload_at_the_tip_of_the_planar_arm_is_three_parameters_that_belong_together() -> None:
+def test_a_payload_at_the_tip_of_the_planar_arm_changes_its_three_parameters_together() -> None:
     from zendsp.physics.robots.bodies import machine_tree
 
     arm = {"p1": 0.5, "p2": 0.08, "p3": 0.1, "l1": 0.36, "l2": 0.34}
@@ -171,7 +173,7 @@ def test_a_payload_at_the_tip_of_the_planar_arm_is_three_parameters_that_belong_
         )
 
 
-def test_a_wrong_body_is_a_difference_and_none_is_nothing() -> None:
+def test_a_wrong_body_is_a_difference_of_torque_and_no_body_is_none() -> None:
     body = read_urdf(str(ARM))[0][1]
     assert np.all(change_of(term("body", 2), body) == 0.0)
     heavier = change_of(term("body", 2, mass=0.4), body)
@@ -229,7 +231,7 @@ def test_the_file_keeps_a_payload(tmp_path: Path) -> None:
         (None, "two of its 3 links have the same name"),
     ],
 )
-def test_a_urdf_whose_links_weigh_nothing_that_is_a_number_is_refused(
+def test_a_urdf_with_a_mass_that_is_not_a_number_is_refused(
     tmp_path: Path, inertial: str | None, words: str
 ) -> None:
     second = '<link name="b"/>' if inertial is None else ""

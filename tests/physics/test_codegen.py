@@ -92,7 +92,7 @@ def test_the_wam_in_c_is_pinocchio_plus_friction_to_1e_9_in_a_simulation_and_on_
     assert np.abs(tau - wam_by_hand(q, qd, qdd)).max() < 1e-9
 
 
-def test_the_c_of_a_tree_stands_beside_the_motion_of_seven_joints() -> None:
+def test_c_of_a_tree_compiles_beside_a_motion_of_seven_joints() -> None:
     model = load_model(MODELS / "wam7.toml")
     head = "#define N 7\n#include \"motion.h\"\n#include \"model.h\"\n"
     user = "void UserInit(void) { MotionInit(); ModelInit(); }\n"
@@ -205,7 +205,7 @@ LAWS = {  # p: parameters; s: the smooth sign of the speed; joint 1 of two, over
 
 
 def test_every_effect_that_has_c_is_its_law_in_a_program_and_in_python() -> None:
-    """Each alone; those of actuator and load need a command and are checked below."""
+    """Each effect alone; those of actuator and load need a command and are checked below."""
     checked = []
     for term in every_effect():
         if not compensable(term) or term.effect in ("torque_gain", "dead_zone", "load_friction"):

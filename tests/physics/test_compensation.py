@@ -193,7 +193,7 @@ def test_the_programs_of_both_arms_take_a_compensation_too(
     assert error[1.0] < 0.4 * error[0.0], error
 
 
-def test_where_a_command_is_no_torque_the_file_says_by_what_to_divide() -> None:
+def test_where_a_command_is_no_torque_the_compensation_says_by_what_to_divide() -> None:
     terms = [Term("coulomb", 1, {"level": Quantity(0.05)})]
     assert "0.8 N m (N) per A: divide" in compensation(
         terms, actuator=Actuator(gain=(0.8,), unit="A")

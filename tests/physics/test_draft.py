@@ -73,7 +73,7 @@ def test_an_effort_that_is_always_zero_is_no_command_where_another_column_moves(
     assert model_of(draft.text).columns["command"] == "effort_cmd.data"
 
 
-def test_what_the_recording_cannot_say_is_asked() -> None:
+def test_the_draft_asks_what_the_recording_cannot_say() -> None:
     columns = recording()
     del columns["r"]
     draft = draft_model(
@@ -89,14 +89,14 @@ def test_what_the_recording_cannot_say_is_asked() -> None:
     assert model_of(draft.text).columns["command"] == "iq"
 
 
-def test_a_command_that_was_cut_off_shows_the_limit() -> None:
+def test_a_saturated_command_shows_the_limit() -> None:
     columns = recording()
     columns["tau"] = np.clip(columns["tau"], -1.25, 1.25)
     model = model_of(draft_model(Table(columns, {"tau": "N m"}, {}, Path("run.csv"))).text)
     assert model.actuator.limit == (1.25,)
 
 
-def test_joints_are_grouped_and_sides_are_told_apart() -> None:
+def test_columns_are_grouped_into_joints_and_motor_and_load_sides_are_told_apart() -> None:
     one = recording()
     names = {
         f"axis{k}.{what}": one[short] * k
@@ -149,14 +149,14 @@ def test_joint_states_name_their_joints_in_any_order() -> None:
     assert [q.value for q in model.mechanism["inertia"]] == pytest.approx([INERTIA] * 2, rel=0.1)
 
 
-def test_a_first_idea_is_of_what_was_recorded_without_a_gap() -> None:
+def test_first_numbers_come_from_the_longest_part_without_a_gap() -> None:
     columns = {name: np.delete(values, slice(5000, 5060)) for name, values in recording().items()}
     draft = draft_model(Table(columns, {"q": "rad", "tau": "N m"}, path=Path("run.csv")))
     assert "60 rows missing" in draft.text
     assert model_of(draft.text).mechanism["inertia"][0].value == pytest.approx(INERTIA, rel=0.05)
 
 
-def test_degrees_and_milliseconds_end_as_si(tmp_path: Path) -> None:
+def test_degrees_and_milliseconds_are_converted_to_si(tmp_path: Path) -> None:
     one = recording()
     rows = np.column_stack([T * 1e3, np.degrees(one["q"]), one["tau"] * 1e3])
     np.savetxt(
@@ -234,7 +234,7 @@ def test_a_position_in_counts_is_asked_for_what_one_is_and_refused_until_it_is_s
     assert said.sensor.matrix[0][0] == pytest.approx(2 * np.pi / COUNTS, rel=1e-5)
 
 
-def test_values_that_are_no_numbers_are_said_and_do_not_hide_the_encoder() -> None:
+def test_nan_values_are_reported_and_do_not_hide_the_encoder_resolution() -> None:
     columns = recording()
     columns["q"][5000:5003] = np.nan
     draft = draft_model(Table(columns, {}, {}, Path("run.csv")))
@@ -243,7 +243,7 @@ def test_values_that_are_no_numbers_are_said_and_do_not_hide_the_encoder() -> No
     assert model_of(draft.text).mechanism["inertia"][0].value == pytest.approx(INERTIA, rel=0.05)
 
 
-def test_rows_that_are_missing_are_no_jitter() -> None:
+def test_missing_rows_are_not_called_jitter() -> None:
     columns = {key: np.delete(x, [700, 3000, 3001]) for key, x in recording().items()}
     text = draft_model(Table(columns, {"t": "s"}, {}, Path("run.csv"))).text
     assert "3 rows missing" in text and "jitter" not in text
@@ -290,12 +290,12 @@ def test_a_column_without_a_number_is_named() -> None:
         ("e", "", ""),
     ],
 )
-def test_roles(name: str, unit: str, role: str) -> None:
+def test_a_column_gets_the_role_that_its_name_and_unit_say(name: str, unit: str, role: str) -> None:
     assert role_of(name, unit).value == role
 
 
 @pytest.mark.parametrize("rows", ["", "0,0,0\n"])
-def test_a_table_of_no_row_or_one_is_told_as_that(tmp_path: Path, rows: str) -> None:
+def test_a_table_of_no_row_or_one_is_refused_as_such(tmp_path: Path, rows: str) -> None:
     path = tmp_path / "one.csv"
     path.write_text(f"t,q,u\n{rows}")
     with pytest.raises(RecordingError, match=r"one\.csv: has [01] row|no rows"):
@@ -316,7 +316,7 @@ def own_recording(
     return replace(made, decimation=decimation).save(folder / "run.mat")
 
 
-def test_of_its_own_machine_nothing_is_asked_that_the_recording_says(tmp_path: Path) -> None:
+def test_a_draft_for_a_shipped_machine_asks_nothing_that_the_recording_says(tmp_path: Path) -> None:
     pytest.importorskip("mujoco")
     arm = tmp_path / "models" / "arm.xml"
     arm.parent.mkdir()
@@ -339,7 +339,7 @@ def test_of_its_own_machine_nothing_is_asked_that_the_recording_says(tmp_path: P
     assert model.sensor.resolution[0] == pytest.approx(2 * np.pi / COUNTS, rel=1e-6)
 
 
-def test_of_its_own_machine_without_a_model_the_rest_is_asked(tmp_path: Path) -> None:
+def test_a_draft_for_a_machine_without_a_model_asks_the_rest(tmp_path: Path) -> None:
     info = MachineInfo("bench", joints=(JointInfo("axis", counts_per_unit=1000.0),))
     path = own_recording(tmp_path, info)
     draft = draft_model(read_table(path), machine=machine_of(path, tmp_path))
@@ -395,13 +395,13 @@ def test_the_drives_limit_is_known_where_the_program_left_out_the_unit(tmp_path:
     assert not any("cut off" in question for question in draft.questions)
 
 
-def test_a_file_of_others_has_no_machine(tmp_path: Path) -> None:
+def test_a_foreign_file_names_no_machine(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     path.write_text("t [s],q [rad]\n0,1\n0.1,2\n")
     assert machine_of(path, tmp_path) is None
 
 
-def test_a_first_idea_of_each_joint_is_as_uncertain_as_itself() -> None:
+def test_the_uncertainty_of_first_numbers_scales_with_each_joints_own_number() -> None:
     columns = recording()
     both = {
         "t": T,

@@ -184,7 +184,9 @@ def test_c_of_an_effect_that_cannot_be_run_for_many_parameter_sets_is_refused_by
 def test_the_scale_of_a_sensor_varies_no_more_than_with_its_disc_off_centre(
     order: float, amplitude: float, may: bool
 ) -> None:
-    """Damping on one half of the travel alone was a sensor's harmonic of 2.6 degrees at 95 %."""
+    """Damping on one half of the travel had been called a sensor harmonic of 2.6 degrees, with 95 %
+    confidence.
+    """
     possible = get_effect("sensor_harmonic").possible
     assert possible is not None and possible({"order": order, "amplitude": amplitude}) is may
 
@@ -192,7 +194,9 @@ def test_the_scale_of_a_sensor_varies_no_more_than_with_its_disc_off_centre(
 def test_processes_that_need_the_same_c_at_once_compile_it_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The kernel takes half a minute: a fleet after an update would compile it in each process."""
+    """Compiling the kernel takes half a minute; after an update each process of a fleet would do
+    it.
+    """
     calls, slow = tmp_path / "calls", tmp_path / "cc"
     slow.write_text(f"#!/bin/sh\necho called >>{calls}\nsleep 0.3\nexec cc \"$@\"\n")
     slow.chmod(0o755)

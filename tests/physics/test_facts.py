@@ -1,4 +1,6 @@
-"""What recordings say to effects: values to screen, starts and bounds follow from it."""
+"""Facts of a recording (speed, torque, range), from which grids, starts and bounds of effects
+follow.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,7 @@ def recording(seconds: float, size: float, middle: float = 0.0, moving: float = 
     return Signals(f"{size}", t, T, q[:, None], size * swing[:, None], None, np.array([COUNT]))
 
 
-def test_all_recordings_of_a_joint_say_the_same_and_none_says_less_than_one() -> None:
+def test_facts_of_several_recordings_are_those_of_their_union() -> None:
     hard = facts(prepare([recording(4.0, 0.9, 1.0)], MODEL).records[0][0])
     data = prepare([recording(20.0, 0.1), recording(4.0, 0.9, 1.0)], MODEL)
     one, other = (facts(record[0]) for record in data.records)

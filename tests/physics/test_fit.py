@@ -111,13 +111,13 @@ def test_parameters_do_not_depend_on_the_integration_step(data: Data) -> None:
         assert abs(value - four[name][0]) < max(2 * std, 1e-3 * abs(value)), name
 
 
-def test_a_step_is_hardly_felt_even_where_friction_turns_round_within_it(data: Data) -> None:
+def test_the_integration_step_hardly_matters_even_with_a_reversal_within_it(data: Data) -> None:
     one, eight = _fit(data, 1), _fit(data, 8)
     for name, (value, std) in one.items():
         assert abs(value - eight[name][0]) < 0.5 * std, name
 
 
-def test_what_the_step_does_is_known_without_fitting_again(data: Data) -> None:
+def test_the_effect_of_the_integration_step_is_known_without_another_fit(data: Data) -> None:
     bristles = {"kind": "presliding", "joint": 1, "stiffness": {"value": 2000.0, "free": False}}
     model = parse_model({**MODEL, "effect": [*MODEL["effect"], bristles]})
     handles = free_handles(model, offsets=False)
@@ -182,7 +182,7 @@ def test_handles_read_and_write_the_same_numbers() -> None:
     np.testing.assert_allclose(get_values(model, handles), (x - 0.001) / 1.5)
 
 
-def test_numbers_that_are_not_free_stay() -> None:
+def test_numbers_that_are_not_free_keep_their_values() -> None:
     fixed = parse_model(
         {
             **MODEL,
@@ -198,7 +198,7 @@ def test_numbers_that_are_not_free_stay() -> None:
     assert keys == ["coefficient", "level"]
 
 
-def test_a_thinned_recording_says_nearly_the_same_of_the_parameters(data: Data) -> None:
+def test_a_thinned_recording_gives_nearly_the_same_parameters(data: Data) -> None:
     thin = data.thinned()
     whole, short = _fit(data, 2), _fit(thin, 2)
     assert [rec[0].n for rec in thin.records] == [N // 2, N // 2]  # 4 ms of 2 ms
@@ -227,7 +227,7 @@ def test_the_liveliest_part_is_that_stretch_of_the_recording_and_predicted_alike
     assert data.liveliest(1, 2 * N * T).records[0][0] is record  # as long as all of it
 
 
-def test_thinning_keeps_what_the_sensor_says(data: Data) -> None:
+def test_thinning_keeps_the_measurements_and_the_impulse_of_the_command(data: Data) -> None:
     record = data.records[0][0]
     for every in (2, 3, 7):
         thin = record.thinned(every)
@@ -285,8 +285,10 @@ def test_a_fit_that_is_asked_for_again_is_remembered_and_its_terms_are_the_calle
 
 
 @pytest.mark.parametrize("misfit", [1.0, 100.0])
-def test_a_number_that_hides_behind_a_known_one_is_as_sure_as_that_allows(misfit: float) -> None:
-    """However large the residuals are: what a model lacks does not make a zero less known."""
+def test_a_number_correlated_with_a_known_one_has_the_uncertainty_that_follows(
+    misfit: float
+) -> None:
+    """This holds however large the residuals are."""
     draw = np.random.default_rng(1)
     pattern = draw.standard_normal(4000)
     jacobian = np.stack([pattern, pattern], axis=1)

@@ -75,7 +75,7 @@ def test_smooth_torque_is_integrated_to_second_order(name: str) -> None:
 
 
 def reaches(u: float, v: float) -> float:
-    """Torque x of a drive's u that a friction of 0.04 + 0.3 |x| against the speed v lets through.
+    """Torque x that remains of a drive's u behind a friction of 0.04 + 0.3 |x| against the speed v.
     """
     rest = u - math.copysign(0.04, v)
     return abs(rest) / (1.0 + math.copysign(0.3, v * rest))
@@ -143,8 +143,8 @@ def test_a_light_joint_that_rubs_and_is_damped_needs_no_small_steps() -> None:
 
 @pytest.mark.parametrize("exponent", [0.5, 1.0, 1.5, 2.0, 3.7])
 def test_sines_and_powers_of_the_kernel_are_those_of_the_library(exponent: float) -> None:
-    """It has its own, without a call: many turns away, and from standstill to ten times a law's
-    speed.
+    """The kernel has its own, inlined: they hold many turns away, and from standstill to ten times
+    a law's speed.
     """
     falls = {"kind": "stribeck", "breakaway": 0.2, "velocity": 0.3, "exponent": exponent}
     wave = {"kind": "ripple", "order": 1000.0, "amplitude": 1.0, "phase": 0.7}
@@ -166,8 +166,8 @@ def test_dry_friction_sticks_and_slides_like_a_steep_smooth_law(name: str) -> No
 
 
 def rubbing_by_pieces(level: float, late: float = 0.0) -> np.ndarray:
-    """Position of the joint against a set-valued friction, exactly: from change to change of the
-    command, which comes ``late`` s, and from stand to stand.
+    """Exact position of a joint with set-valued friction, piece by piece between changes of the
+    command, which comes ``late`` s, and stops.
     """
     q, v, true, u = 0.0, 0.0, [], command()
     for k in range(N):
@@ -340,7 +340,7 @@ def test_a_shifted_command_column_acts_at_another_time_either_way(late: float) -
     acts_as({"kind": "column_shift", "joint": 1, "time": late}, reference)
 
 
-def test_what_another_joint_pushes_adds_up_to_what_its_velocity_says() -> None:
+def test_coupling_torque_integrates_to_the_velocity_of_the_other_joint() -> None:
     terms = [{"kind": "viscous", "joint": j, "coefficient": 0.1} for j in (1, 2)]
     arm = {"kind": "planar2r", "parameters": {"p1": 0.3, "p2": 0.05, "p3": 0.04}}
     model = parse_model(
@@ -411,7 +411,7 @@ def test_many_parameter_sets_at_once_predict_what_each_of_them_predicts_alone(na
 
 
 def test_a_small_inertia_behind_much_viscous_friction_is_followed() -> None:
-    """As the last joint of an arm: it comes to rest in a fifteenth of a sample."""
+    """For example the last joint of an arm, which comes to rest within a fifteenth of a sample."""
     damping = 15.0 * J / T
     position = rigid(lambda q, v, t, u: damping * v, sub=200)
     model, record = recorded(position, [{"kind": "viscous", "coefficient": damping}])
@@ -421,7 +421,7 @@ def test_a_small_inertia_behind_much_viscous_friction_is_followed() -> None:
     assert np.std(followed - finely) < 0.2 * np.std(wrong - finely)
 
 
-def test_a_prediction_that_runs_away_leaves_those_beside_it_alone() -> None:
+def test_a_diverging_prediction_does_not_affect_those_computed_beside_it() -> None:
     model, record = recorded(
         rubbing(),
         [{"kind": "viscous", "coefficient": 0.01}],

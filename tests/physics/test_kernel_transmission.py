@@ -141,7 +141,7 @@ def test_weights_and_springs_to_the_frame_pull_at_the_load_beyond_a_spring() -> 
     assert np.max(np.abs(kernel(true, terms, 8) - true)) < 0.05 * np.max(np.abs(true - before))
 
 
-def test_gap_lets_the_motor_move_alone() -> None:
+def test_backlash_lets_the_motor_move_alone() -> None:
     k, load, gap = 40.0, 0.004, 0.05
     c = 0.1 * math.sqrt(k * load)
 

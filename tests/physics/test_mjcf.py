@@ -72,7 +72,7 @@ def test_the_tree_has_mujocos_torques(tmp_path: Path) -> None:
         assert np.abs(ours - data.qfrc_inverse).max() < 1e-9  # rounding
 
 
-def test_what_joints_and_actuators_state_is_what_the_model_has(tmp_path: Path) -> None:
+def test_the_model_has_what_joints_and_actuators_state(tmp_path: Path) -> None:
     model = model_of(tmp_path, ARM)
     terms = {
         (t.effect, t.joint): {k: q.value for k, q in t.parameters.items()} for t in model.terms
@@ -92,7 +92,7 @@ def test_what_joints_and_actuators_state_is_what_the_model_has(tmp_path: Path) -
     assert [one.torque_unit(j) for j in (1, 2, 3)] == ["N m", "N m", "N"]
 
 
-def test_the_file_of_the_user_goes_before_the_actuators(tmp_path: Path) -> None:
+def test_the_users_model_file_overrides_the_actuators(tmp_path: Path) -> None:
     (tmp_path / "arm.xml").write_text(ARM)
     model = parse_model(
         {"mechanism": {"kind": "mjcf", "file": "arm.xml"}, "actuator": {"gain": 2.5}},
@@ -185,7 +185,9 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_a_tree_does_not_have_is_refused_in_one_sentence(tmp_path: Path, name: str) -> None:
+def test_mjcf_features_that_a_tree_lacks_are_refused_in_one_sentence(
+    tmp_path: Path, name: str
+) -> None:
     xml, words = REFUSED[name]
     with pytest.raises(ModelError, match=words) as said:
         model_of(tmp_path, xml)
@@ -247,7 +249,7 @@ FOUND = [
 ]  # fmt: skip
 
 
-def test_what_was_found_is_written_back_and_counted_once(tmp_path: Path) -> None:
+def test_findings_are_written_into_the_mjcf_and_counted_once(tmp_path: Path) -> None:
     from zendsp.physics.robots.bodies import body_terms, changed, turned_gravity
     from zendsp.physics.robots.mjcf_write import inexpressible, write_mjcf
 
@@ -288,9 +290,7 @@ def test_what_was_found_is_written_back_and_counted_once(tmp_path: Path) -> None
     assert spring.value("neutral") == pytest.approx((3 * 0.2 - 1 * 0.4) / 4)
 
 
-def test_what_the_user_fixed_and_what_mujoco_forbids_stays_in_the_model_file(
-    tmp_path: Path,
-) -> None:
+def test_numbers_that_mjcf_cannot_hold_stay_in_the_model_file(tmp_path: Path) -> None:
     from zendsp.physics.robots.mjcf_write import write_mjcf
 
     (tmp_path / "arm.xml").write_text(ARM.replace('name="fore"', 'name="fore" gravcomp="1"'))

@@ -203,7 +203,7 @@ def test_columns_are_names() -> None:
         )
 
 
-def test_a_file_that_is_nested_without_end_is_not_toml(tmp_path: Path) -> None:
+def test_an_endlessly_nested_file_is_refused_as_toml(tmp_path: Path) -> None:
     (tmp_path / "deep.toml").write_text(f'name = "a"\nb = {"[" * 20_000}{"]" * 20_000}\n')
     with pytest.raises(ModelError, match=r"deep.toml: is not TOML: .*nested"):
         load_model(tmp_path / "deep.toml")
@@ -245,7 +245,7 @@ def test_position_limits_that_are_no_pairs_are_refused(position: object) -> None
         _limited(position)
 
 
-def test_a_robot_file_is_read_anew_where_it_is_another_one(
+def test_a_changed_robot_file_is_read_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Folders of two arms with files of the same names, then one of the files written again."""

@@ -1,5 +1,5 @@
-"""What the sensor says: the smoother against a Kalman filter and RTS pass in NumPy, and the
-quantiser's measurement model against the truth.
+"""The smoother against a Kalman filter with RTS pass in NumPy, and the measurement model of a
+quantised sensor against the truth.
 """
 
 from __future__ import annotations
@@ -171,8 +171,8 @@ def test_noise_of_a_fraction_of_a_count_shows_where_a_motion_is_slow(noise: floa
 
 @pytest.mark.parametrize("pace", [0.45, 0.8, 1.04, 3.3])
 def test_noise_is_told_in_motion_at_a_constant_number_of_counts_a_sample(pace: float) -> None:
-    """Rounding is then the same from sample to sample, and was taken off as white: of 0.3 counts
-    nothing was left, and what the noise did to a perfect model was a torque that it lacked.
+    """Rounding errors are then equal from sample to sample. Subtracted as if they were white, they
+    had left nothing of 0.3 counts of noise, and a perfect model seemed to lack a torque.
     """
     r, time = np.random.default_rng(1), np.arange(14000)
     speed = pace * np.where((time // 1700) % 2, 1, -1) * (1 + 0.02 * np.sin(time / 300))

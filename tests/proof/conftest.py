@@ -1,4 +1,4 @@
-"""Most tests need no rivals: the search for them is most of a case's cost."""
+"""The search for rivals is most of a case's cost, and most tests need none."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cases are what their seed says, sealed, and not given away by the model."""
+"""Cases follow from their seed, are sealed, and are not given away by the model."""
 
 from __future__ import annotations
 
@@ -46,9 +46,7 @@ def test_concealed_effect_is_not_in_the_given_model_and_is_visible_in_the_truth(
 
 
 def test_complete_machine_leaves_the_oracle_nothing() -> None:
-    """Refit of the given structure to the true motion explains all torque: the truth is in the
-    model's reach.
-    """
+    """The given structure, refitted to the true motion, explains all torque."""
     from zendsp.proof import build_case
     from zendsp.proof.effect_kit import inertia_of
     from zendsp.proof.machines import MACHINES

@@ -1,4 +1,4 @@
-"""The MuJoCo reality: a machine that is what its model says, but for what is concealed."""
+"""The MuJoCo reality: a machine that equals its model except for what is concealed."""
 
 from __future__ import annotations
 

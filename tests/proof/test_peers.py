@@ -93,7 +93,7 @@ def test_frols_orders_terms_by_what_they_explain() -> None:
     assert choose(p, frols(p))[1] == ["d", "b"]
 
 
-def test_nothing_is_a_choice() -> None:
+def test_a_peer_may_answer_that_nothing_is_missing() -> None:
     rng = np.random.default_rng(2)
     x, xt = rng.normal(size=(2, 400, 5))
     y, yt = rng.normal(size=(2, 400))

@@ -1,4 +1,4 @@
-"""`zendsp prove`: sealed before, opened after, resumable, and a page that tells all."""
+"""`zendsp prove`: truth is sealed before and opened after, runs resume, and a page reports all."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The scorer counts known reports right."""
+"""The scorer counts known reports correctly."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The machines that ship as C, as a reality: what their model says, but for what is concealed."""
+"""The shipped machines in C as a reality: they equal their model except for what is concealed."""
 
 from __future__ import annotations
 

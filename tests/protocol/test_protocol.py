@@ -1,5 +1,5 @@
-"""The wire contract: what is malformed is refused in words, what is documented is what the code
-does.
+"""The wire contract: malformed messages are refused in words, and the documentation matches the
+code.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def test_values_survive_the_wire(value: object) -> None:
 @pytest.mark.parametrize(
     "value", ["text", None, 1 + 2j, np.zeros((2, 2, 2)), {"a": 1}, 2**63, -(10**400), 10**4000]
 )
-def test_what_is_not_a_number_is_no_value(value: object) -> None:
+def test_what_is_not_a_number_is_refused_as_a_value(value: object) -> None:
     with pytest.raises(TypeError):
         values.to_wire(value)
 
@@ -324,7 +324,7 @@ def test_the_pieces_of_a_message_are_counted(
 
 
 def test_a_request_that_would_take_long_to_decode_is_refused() -> None:
-    """20 MB of empty maps held up every thread of a target for four seconds."""
+    """20 MB of empty maps had blocked every thread of a target for four seconds."""
     args = {"x": [{}] * 100_001}
     many = msgpack.packb({"v": version.PROTOCOL, "verb": "status", "by": "x", "args": args})
     with pytest.raises(LinkError, match="more than 100000"):
@@ -365,13 +365,13 @@ for thread in threads:
 
 
 def test_several_threads_may_meet_a_type_for_the_first_time_together() -> None:
-    """As `zendsp ls` of many targets does on a busy computer, where it ended with SIGSEGV."""
+    """`zendsp ls` of many targets on a busy computer had ended with SIGSEGV."""
     for _ in range(3):
         done = subprocess.run([sys.executable, "-c", NEW], capture_output=True, text=True)
         assert done.returncode == 0, (done.returncode, done.stderr)
 
 
 def test_a_request_that_no_target_takes_in_is_not_sent() -> None:
-    """It was sent, and nobody answered: that looked like a target that is gone."""
+    """When it was sent and not answered, that looked like a target that is gone."""
     with pytest.raises(Refused, match=r"update of 80 MB was not sent: .* upload"):
         codec.encode_request("update", {"values": {"tab": np.zeros(10_000_000)}}, "me")

@@ -1,4 +1,4 @@
-"""Samples that a test runs, and the rows that come of them."""
+"""Run samples, and read the rows that they recorded."""
 
 from __future__ import annotations
 

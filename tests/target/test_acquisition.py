@@ -1,4 +1,4 @@
-"""A stream is handed to the runner: how long that may take."""
+"""How long handing a stream to the runner may take."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from zendsp_target.runtime.memory.layout import layout
 
 
 @pytest.mark.parametrize(("size", "taken"), [(2_000_000_000, True), (100_000, False)])
-def test_the_runner_is_waited_for_as_long_as_so_many_bytes_may_take(
+def test_the_runner_gets_time_in_proportion_to_the_bytes_of_a_stream(
     size: int, taken: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ffi, lib = layout()
@@ -44,7 +44,7 @@ def test_the_runner_is_waited_for_as_long_as_so_many_bytes_may_take(
             acquisition.attach(stream, control, 0, lambda: True)
 
 
-def test_a_recording_begins_where_no_room_is_left_to_note_what_it_is(
+def test_a_recording_begins_although_its_note_for_salvage_cannot_be_written(
     make_runtime: Callable[..., Runtime], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     runtime = make_runtime(program_text("pd"), clock="real", realtime=False)

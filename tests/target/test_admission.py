@@ -1,4 +1,4 @@
-"""Who may come in: what decides it is refused where it would let in everybody."""
+"""Access: files and options that would let in everybody are refused."""
 
 from __future__ import annotations
 
@@ -76,9 +76,7 @@ def test_a_list_that_would_never_end_is_refused_at_once(tmp_path: Path, option: 
         ('revoked = ["anna"]\n[roles]\nbo = "tune"\n', "a table .revoked."),
     ],
 )
-def test_a_roles_file_that_says_nothing_clear_is_refused(
-    tmp_path: Path, text: str, words: str
-) -> None:
+def test_an_ambiguous_roles_file_is_refused(tmp_path: Path, text: str, words: str) -> None:
     with pytest.raises(Refused, match=words):
         read_roles(write(tmp_path / "roles.toml", text))
 
@@ -158,7 +156,7 @@ def test_a_user_without_a_role_is_refused_at_the_start(tmp_path: Path) -> None:
     assert doors.sentence == "lets in: anna (tune), bo (observe)"
 
 
-def test_who_is_in_no_list_has_no_role() -> None:
+def test_a_person_in_no_list_has_no_role() -> None:
     doors = Doors((), roles={"anna": "tune"})
     assert (doors.role_of("anna"), doors.role_of("bo"), doors.role_of("")) == (
         "tune", "", "download",
@@ -253,7 +251,7 @@ def test_a_link_that_another_user_can_turn_leads_nowhere(
 def test_a_link_in_shared_memory_is_no_folder_of_a_killed_target(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whoever plants one could turn it to files of this user, between two looks."""
+    """Whoever planted it could redirect it to files of this user between two checks."""
     folder = tmp_path / "zendsp-1"
     folder.mkdir(mode=0o700)
     (folder / kept.LOCK).touch()

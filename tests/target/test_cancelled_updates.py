@@ -1,5 +1,5 @@
-"""What was set for a later sample does not act in another's hands: not after a trip that somebody
-acknowledged, nor once its host is lost or the right to command is another's.
+"""Updates for a later sample are cancelled when a trip is acknowledged, when their host is lost,
+and when the right to command passes to another.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def _never(runtime: Runtime, *numbers: int) -> None:
 
 
 def test_an_acknowledgement_cancels_what_waits(make_runtime: Make) -> None:
-    """The slots of these are free again; the log has none of them."""
+    """Their slots are free again, and the log does not have them."""
     runtime = make_runtime(PROGRAM)
     run(runtime, 10)
     numbers = [runtime.write({"a": float(k)}, "anna", at_tick=500 + k) for k in range(64)]

@@ -104,7 +104,7 @@ def test_the_log_keeps_its_newest_lines_and_their_numbers(
 def test_long_arrays_do_not_fill_the_memory_by_way_of_the_log(
     monkeypatch: pytest.MonkeyPatch, make_runtime: Make
 ) -> None:
-    """Whether somebody looks between or not."""
+    """This holds whether or not the log is read in between."""
     monkeypatch.setattr("zendsp_target.runtime.variables.change_log._MOST_BYTES", 480)
     runtime = make_runtime(PROGRAM)
     session = runtime.programs.session

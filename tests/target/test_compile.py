@@ -1,5 +1,4 @@
-"""Compiling what the host sends: messages in the user's lines, limits, the cache, and what may not
-be asked.
+"""Compiling what the host sends: messages with the user's lines, limits, the cache, and refusals.
 """
 
 from __future__ import annotations
@@ -118,7 +117,7 @@ def test_several_files_and_headers_make_one_program() -> None:
         ),
     ],
 )
-def test_what_cannot_run_is_an_error_of_the_compilation(source: str, says: str) -> None:
+def test_a_program_that_cannot_run_is_a_compile_error(source: str, says: str) -> None:
     result = compile_program({"user.c": source})
     assert not result.ok
     assert says in " ".join(d.message for d in result.diagnostics)
@@ -213,7 +212,7 @@ def test_the_key_depends_on_everything_that_goes_in() -> None:
     assert len(keys) == 6
 
 
-def test_the_cache_keeps_what_is_used_and_drops_the_oldest(
+def test_the_compile_cache_keeps_used_programs_and_drops_the_oldest(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("ZENDSP_CACHE", str(tmp_path))
@@ -228,7 +227,7 @@ def test_the_cache_keeps_what_is_used_and_drops_the_oldest(
     assert len(list((tmp_path / "program").glob("*.so"))) <= 3
 
 
-def test_names_that_the_c_library_has_too_are_the_programs_own() -> None:
+def test_a_name_that_the_c_library_has_too_is_the_programs_own() -> None:
     # one object for all programs of the process would be the library's function, written upon
     source = """#include "isr.h"
 double error, wait;
@@ -307,7 +306,7 @@ def test_messages_of_clang_are_read_from_text() -> None:
     ]
 
 
-def test_what_gcc_cannot_do_is_an_error() -> None:
+def test_a_gcc_message_of_unimplemented_code_is_an_error() -> None:
     (said,) = parse_messages('[{"kind": "sorry, unimplemented", "message": "no", "children": []}]')
     assert said.severity is Severity.ERROR
 
@@ -320,8 +319,8 @@ def test_what_gcc_cannot_do_is_an_error() -> None:
         ("1: jmp 2f", ("", 0, "in an asm statement: local label")),
     ],
 )
-def test_what_the_assembler_says_is_told(asm: str, said: tuple[str, int, str]) -> None:
-    """With the user's line, or without any: never of a file that the compiler makes in between."""
+def test_assembler_errors_are_reported(asm: str, said: tuple[str, int, str]) -> None:
+    """They carry the user's line or none, never that of an intermediate file."""
     body = f'void UserISR_INT2(void) {{\n    asm("{asm}");\n}}\n'
     result = compile_program({"user.c": HEAD + body})
     first = result.diagnostics[0]
@@ -331,7 +330,7 @@ def test_what_the_assembler_says_is_told(asm: str, said: tuple[str, int, str]) -
 
 
 def test_what_the_assembler_says_of_a_file_outside_is_not_passed_on() -> None:
-    """A directive may name any file; one that was read would be quoted line by line."""
+    """An assembler directive may include any file, whose lines would then be quoted."""
     forged = '\\n# 3 \\"/etc/passwd\\"\\nfoo\\n'
     body = f'asm("{forged}");\nvoid UserISR_INT2(void) {{}}\n'
     result = compile_program({"user.c": HEAD + body})
@@ -340,10 +339,10 @@ def test_what_the_assembler_says_of_a_file_outside_is_not_passed_on() -> None:
     ]
 
 
-def test_a_clock_that_jumps_takes_no_folder_in_which_a_compiler_works(
+def test_a_clock_jump_does_not_remove_the_folder_of_a_running_compilation(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A computer without a battery learns the time by the network, years later in one step."""
+    """A computer without a battery gets the time from the network, years later in one step."""
     monkeypatch.setenv("ZENDSP_CACHE", str(tmp_path))
     other = '#include "isr.h"\nvoid UserInit(void) {}\nvoid UserISR_INT2(void) {}\n/* %d */\n'
     left = tmp_path / "program" / "build-left"
@@ -365,7 +364,7 @@ def test_a_clock_that_jumps_takes_no_folder_in_which_a_compiler_works(
 def test_compiled_code_is_kept_in_no_folder_that_others_may_write(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, way: str
 ) -> None:
-    """What is found there by its name is run: another user could have put it there."""
+    """Programs found there are run, and another user could have put them there."""
     monkeypatch.setenv("ZENDSP_CACHE", "/dev/null/no-folder")
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     root = tmp_path / f"zendsp-{os.getuid()}"

@@ -270,7 +270,7 @@ URGENT = {
 def test_user_code_makes_itself_no_more_urgent(
     make_runtime: Make, way: str, where: str, mark: str
 ) -> None:
-    """One that hung at the highest priority kept the links of all targets from being heard."""
+    """A hanging program of the highest priority had blocked the links of all targets."""
     runtime = make_runtime(_program(URGENT[way], mark, where))
     run(runtime, 3)
     assert runtime.read(["answer", "refused"])[1] == {"answer": -1.0, "refused": 1.0}
@@ -401,7 +401,7 @@ def test_it_is_said_what_holds_user_code(make_runtime: Make, mark: str) -> None:
     assert "user code starts nothing" in runtime.status().scheduling
 
 
-def test_without_a_file_left_what_a_runner_started_is_looked_for_in_vain_and_no_more() -> None:
+def test_running_out_of_files_while_searching_a_runners_children_does_no_harm() -> None:
     # what comes after it makes the machine safe
     most = resource.getrlimit(resource.RLIMIT_NOFILE)
     strays = Strays(os.getpid(), "a mark that nobody has")

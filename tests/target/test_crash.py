@@ -240,7 +240,7 @@ def test_a_crash_in_the_background_is_told_as_such(
         ),
     ],
 )
-def test_what_goes_wrong_in_userinit_is_told_at_load(
+def test_an_error_in_UserInit_is_reported_at_load(
     init: str, error: type[Exception], says: str
 ) -> None:
     code = (
@@ -299,7 +299,7 @@ def test_hardware_is_made_safe_by_a_fresh_process_after_a_crash(
     assert said.read_text() == "safe\n"
 
 
-def test_hardware_is_made_safe_though_its_target_had_no_memory_for_a_round_of_the_watch(
+def test_hardware_is_made_safe_although_its_monitor_ran_out_of_memory(
     make_runtime: Make, wait_for: Wait, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     runtime, said = crashing_on(HARDWARE, make_runtime, tmp_path)
@@ -367,7 +367,7 @@ def test_a_program_that_hangs_is_ended_before_anything_is_asked_about_its_end(
     assert True not in asked_of_the_living
 
 
-def test_a_loop_that_gets_no_processor_is_no_program_that_hangs(
+def test_a_loop_without_processor_time_is_not_taken_for_a_hanging_program(
     make_runtime: Make, wait_for: Wait, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rounds = []
@@ -385,7 +385,7 @@ def test_a_loop_that_gets_no_processor_is_no_program_that_hangs(
     wait_for(lambda: "ended by the watchdog" in runtime.status().crash, runtime.status)
 
 
-def test_a_runner_that_no_signal_ends_is_told_all_the_same(
+def test_a_runner_that_survives_SIGKILL_is_reported(
     make_runtime: Make, wait_for: Wait, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     runtime = make_runtime(CRASHING.format(how="for (;;) { zero = 0; }"), hang_s=0.2)
@@ -400,7 +400,7 @@ def test_a_runner_that_no_signal_ends_is_told_all_the_same(
     os.kill(pid, signal.SIGKILL)
 
 
-def test_a_runner_that_was_stopped_by_a_signal_is_told_as_that(
+def test_a_runner_stopped_by_SIGSTOP_is_reported_as_such(
     make_runtime: Make, wait_for: Wait
 ) -> None:
     runtime = make_runtime(GOOD, clock="real", realtime=False, hang_s=0.3)

@@ -195,7 +195,7 @@ def test_enabling_wants_finite_limits(target: Target) -> None:
 
 
 def test_enabling_beside_a_sensor_that_reports_a_fault_is_refused(tmp_path: Path) -> None:
-    """All was green, and the first sample tripped."""
+    """All conditions had been shown as met, and the first sample tripped."""
     source, broken = tmp_path / "driver.c", tmp_path / "broken"
     read = f's->enc[0] = 5; s->fault = access("{broken}", F_OK) == 0;'
     source.write_text(driver("", read=read))
@@ -216,8 +216,8 @@ def _met(target: Target, name: str) -> bool:
     return found.met
 
 
-def test_of_an_emergency_stop_that_nobody_reads_yet_nothing_is_said() -> None:
-    """Its input is read by the loop: without a program it looked released, pressed or not."""
+def test_an_emergency_stop_input_that_is_not_yet_read_is_not_reported_as_released() -> None:
+    """The loop reads its input, so that without a program a pressed button had looked released."""
     none = Limits((), (), (), (), (), torque_clamp=False)
     runtime = SimpleNamespace(limits=lambda: none, status=lambda: _STATUS)
     conditions = Drives(cast(RuntimeApi, runtime)).conditions(_STATUS)
@@ -340,8 +340,8 @@ def test_who_watches_what_it_started_lets_go_when_it_is_lost(target: Target) -> 
     assert trip is not None and trip.reason == "host lost"
 
 
-def test_who_homes_lets_go_when_it_is_lost() -> None:
-    """Automatically too, where homing takes no right to command."""
+def test_a_homing_ends_when_the_host_that_began_it_is_lost() -> None:
+    """Also in automatic mode, where homing does not take the right to command."""
     with local("wam7", clock="fast", options=["--speed", "2"]) as target:
         target.download("joint_pd.c")
         target.start(ticks=400)
@@ -367,7 +367,7 @@ def test_the_host_lost_policy_of_a_commander_ends_with_its_command(target: Targe
     assert target.drive_status().host_lost == "stop"
 
 
-def test_the_host_lost_policy_of_one_who_does_not_command_stays_and_is_told(target: Target) -> None:
+def test_the_host_lost_policy_set_by_a_non_commander_stays_and_is_reported(target: Target) -> None:
     assert _cli(target, "host-lost", "hold").returncode == 0
     said = target.take_command()
     assert said.startswith("you command; if this host is lost: hold, as ") and "chose" in said
@@ -413,7 +413,7 @@ def test_the_command_line_goes_through_the_sequence(target: Target) -> None:
 def test_the_commands_that_are_told_after_a_lost_host_bring_the_program_back(
     target: Target,
 ) -> None:
-    """And what is enabled is not called off."""
+    """Drives that are enabled are not called off."""
     target.enable()
     target.release_command()
     with connect(target.name) as other:

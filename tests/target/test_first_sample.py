@@ -1,5 +1,5 @@
-"""FIRST_SAMPLE: when a program is told that nothing it remembers holds, and that what it says then
-is not taken.
+"""FIRST_SAMPLE: when a program has to begin afresh, and that its outputs of that sample are not
+used.
 """
 
 from __future__ import annotations
@@ -138,7 +138,7 @@ def test_after_a_stall_hardware_goes_on_in_true_time_and_begins_afresh(
 def test_after_a_pause_of_the_whole_computer_a_simulated_arm_begins_afresh_where_it_stood(
     make_runtime: Make, wait_for: Wait
 ) -> None:
-    """As a virtual machine that is frozen for a while; its path would else be far ahead of it."""
+    """As in a virtual machine that was frozen. Otherwise the path would be far ahead of the arm."""
     runtime = make_runtime(CIRCLE, clock="real", realtime=False, hang_s=60.0)
     runtime.set_drive("torque")
     runtime.start()

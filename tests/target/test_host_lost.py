@@ -32,7 +32,7 @@ void UserISR_INT2(void) {}
 def test_a_machine_that_cannot_be_told_to_hold_stops(
     make_runtime: Callable[..., Runtime], wait_for: Callable[..., None], full: bool
 ) -> None:
-    """Where a host had written faster than a slow loop takes, the last word had no room."""
+    """A host writes faster than a slow loop reads, so that there is no room for another message."""
     runtime = make_runtime(PROGRAM, clock="real", realtime=False, rate_hz=1.0)
     drives = Drives(runtime)
     drives.take("anna@a:1", False)
@@ -57,8 +57,8 @@ def test_a_recording_ends_where_the_loop_had_stopped_the_machine_by_itself(
     make_runtime: Callable[..., Runtime], wait_for: Callable[..., None],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The monitor stood still, so nobody had seen that the host was lost; a continuous recording
-    then went on for ever, and every screen said so.
+    """The monitor was frozen and did not see that the host was lost; a continuous recording had
+    then gone on for ever.
     """
     monkeypatch.setattr("zendsp_target.serving.drives.AFTER_TRIP_S", 0.05)
     runtime = make_runtime(PROGRAM, clock="real", realtime=False)

@@ -1,4 +1,4 @@
-"""A STOP stands until it is acknowledged, whatever is asked in between, by whom, in which order."""
+"""A STOP stays latched until it is acknowledged, whatever is requested in between and by whom."""
 
 from __future__ import annotations
 
@@ -152,7 +152,7 @@ def test_a_stop_stands_until_it_is_acknowledged(runtime: Runtime, seed: int) -> 
     wander(runtime, seed)
 
 
-def test_what_a_pause_held_is_held_no_more_after_a_stop(runtime: Runtime) -> None:
+def test_a_stop_ends_the_hold_of_a_pause(runtime: Runtime) -> None:
     lab = Lab(runtime, 0)
     lab.ask("load", key=lab.good)
     lab.ask("start", ticks=20)

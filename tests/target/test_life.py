@@ -1,4 +1,4 @@
-"""A target that lives long: many loads, many crashes, and nothing left behind."""
+"""A long-lived target: many loads and crashes leave nothing behind."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_many_loads_and_crashes_leak_neither_files_nor_threads_nor_memory(
     assert after[1:] == before[1:]
 
 
-def test_close_removes_everything(make_runtime: Make) -> None:
+def test_close_removes_every_file_thread_and_process(make_runtime: Make) -> None:
     runtime = make_runtime(COUNT)
     session = runtime.programs.session
     assert session is not None
@@ -81,7 +81,7 @@ def test_close_removes_everything(make_runtime: Make) -> None:
 def test_a_target_that_is_ended_while_it_begins_leaves_no_socket(
     tmp_path: Path, wait_for: Callable[..., None]
 ) -> None:
-    """As Ctrl-C does while a target is started for a command."""
+    """For example by Ctrl-C while a command starts its target."""
     tmp_path.chmod(0o700)
     words = [sys.executable, "-m", "zendsp_target", "--machine", "imi_planar", "--name", "begins"]
     process = subprocess.Popen(

@@ -73,7 +73,7 @@ def test_a_matrix_is_written_and_read_whole_or_by_element(loaded: Runtime) -> No
     ({"K[0,4]": 1.0}, r"K has 2 rows of 4"),
     ({"v[0,1]": 1.0}, r"v has 3 elements"),
 ])  # fmt: skip
-def test_what_does_not_fit_a_matrix_is_said(
+def test_a_value_that_does_not_fit_a_matrix_is_refused_in_words(
     loaded: Runtime, value: dict[str, object], said: str
 ) -> None:
     with pytest.raises(VariableError, match=said):

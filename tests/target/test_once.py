@@ -37,14 +37,14 @@ def test_what_was_carried_out_is_answered_from_memory() -> None:
         assert once.begin(sent(once, 1, attempt), None) == (None, YES)
 
 
-def test_who_asks_again_meanwhile_gets_the_same_reply() -> None:
+def test_a_retry_during_the_work_gets_the_same_reply() -> None:
     once = Once()
     new, _ = once.begin(sent(once, 1), "first")
     assert once.begin(sent(once, 1, AGAIN), "second") == (None, None)
     assert new is not None and once.finish(new, YES) == ["second"]
 
 
-def test_what_did_not_arrive_is_carried_out_when_it_comes_again() -> None:
+def test_a_request_that_did_not_arrive_is_carried_out_at_its_retry() -> None:
     once = Once()
     new, _ = once.begin(sent(once, 7, AGAIN), None)
     assert new is not None and new == ("", LINK, 7)
@@ -71,7 +71,7 @@ def test_a_target_that_was_started_again_says_so_and_does_nothing() -> None:
     assert new is not None
 
 
-def test_the_memory_is_bounded_and_what_it_dropped_is_not_done_again() -> None:
+def test_kept_replies_are_bounded_and_a_dropped_request_is_not_repeated() -> None:
     once = Once()
     for number in range(1, RESULTS + 11):
         new, _ = once.begin(sent(once, number), None)

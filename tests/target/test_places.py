@@ -1,4 +1,4 @@
-"""Several loops on one computer."""
+"""Several loops on one computer share its CPUs."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ sys.stdin.read()
 """
 
 
-def test_numbers_are_given_back_also_by_a_process_that_is_killed(tmp_path: Path) -> None:
+def test_the_loop_number_of_a_killed_process_is_free_again(tmp_path: Path) -> None:
     folder = str(tmp_path / "loops")
     first, second = Place(folder), Place(folder)
     with subprocess.Popen(

@@ -48,7 +48,7 @@ def slow(make_runtime: Make) -> Runtime:
 
 @pytest.fixture(params=["runs", "is paused", "has just been loaded"])
 def desk(request: pytest.FixtureRequest, slow: Runtime) -> Desk:
-    """One that asks, with the loop in each of the states in which it may be asked."""
+    """A desk, with the loop in each state in which requests are possible."""
     if request.param != "has just been loaded":
         slow.start()
         until(lambda: slow.status().tick > 2, "it runs")
@@ -64,14 +64,14 @@ def test_limits(desk: Desk) -> None:
         assert desk.service.runtime.status().tick >= applied.tick
 
 
-def test_digital_inputs(desk: Desk) -> None:
+def test_changed_digital_inputs_are_read_at_once(desk: Desk) -> None:
     for bits in (2, 0, 3, 2):
         desk.ask("set_inputs", bits=bits)
         assert desk.ask("read", names=["din"]).values == {"din": float(bits)}
         assert desk.ask("status").io["din"] == [float(bits)]
 
 
-def test_the_drives(desk: Desk) -> None:
+def test_a_changed_drive_state_is_read_at_once(desk: Desk) -> None:
     for mode in ("off", "velocity", "off", "torque", "off"):
         desk.ask("set_drive", mode=mode)
         running = desk.ask("status").state == "running"
@@ -81,7 +81,7 @@ def test_the_drives(desk: Desk) -> None:
         assert desk.ask("read", names=["drive"]).values == {"drive": number}
 
 
-def test_power_off_and_disable(desk: Desk) -> None:
+def test_power_off_and_disable_are_read_at_once(desk: Desk) -> None:
     runtime = desk.service.runtime
     if runtime.status().state == "loaded":
         return
@@ -169,7 +169,7 @@ def test_the_log_holds_every_update_that_was_acknowledged(desk: Desk) -> None:
 
 
 def test_a_table_that_is_due_at_a_sample_is_acknowledged_at_that_sample(slow: Runtime) -> None:
-    """One that has passed is the next one; for one to come nobody waits."""
+    """A sample that has passed means the next one. For a future one nobody waits."""
     desk = desk_of(slow)
     slow.start()
     until(lambda: slow.status().tick > 20, "it runs")

@@ -1,6 +1,4 @@
-"""Requests that come again: answered by a shorter way, with the same replies, the same refusals and
-the same log.
-"""
+"""Repeated requests take a shorter way, with the same replies, refusals and log."""
 
 from __future__ import annotations
 
@@ -164,7 +162,7 @@ def test_a_repeated_write_is_refused_while_another_host_commands(make_runtime: M
     assert [c.new for c in runtime.log()] == [0.0, 1.0, 0.0, 1.0, 4.0, 5.0]
 
 
-def test_only_what_is_plainly_the_same_is_repeated(make_runtime: Make) -> None:
+def test_only_requests_that_differ_in_numbers_alone_take_the_short_way(make_runtime: Make) -> None:
     runtime = make_runtime(PROGRAM)
     desk = desk_of(runtime)
     samples(runtime)
@@ -198,9 +196,7 @@ def test_requests_that_begin_alike_and_are_as_long_are_told_apart(make_runtime: 
     assert repeats.answer(request) is not None and repeats.answer(other) is None
 
 
-def test_a_reading_that_is_to_see_a_write_sees_it_also_when_it_is_repeated(
-    make_runtime: Make,
-) -> None:
+def test_a_repeated_reading_sees_the_write_before_it(make_runtime: Make) -> None:
     runtime = make_runtime(PROGRAM, clock="real", realtime=False)
     desk = desk_of(runtime)
     runtime.start()

@@ -1,4 +1,4 @@
-"""What a run has set is put back by its own host, or when that is lost."""
+"""Parameters that a run has set are restored by its own host, or when that host is lost."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ void UserISR_INT2(void) { }
 def test_nobody_ends_the_run_of_another_or_keeps_others_from_theirs(
     make_runtime: Callable[..., Runtime]
 ) -> None:
-    """Who may tune put back what somebody else's sweep had set, and used up all runs."""
+    """A host with the role `tune` had restored another's sweep, and used up all runs."""
     runtime = make_runtime(PROGRAM)
     runs = Runs(runtime, Drives(runtime))
     begin = verbs.RunBegin(names=("k",), moves=False, fade=0.0)
@@ -56,7 +56,7 @@ void UserISR_INT2(void) { if (k == 1.0) adapts = 20.0; }
 """
 
 
-def test_what_cannot_be_put_back_keeps_nothing_else_from_it(
+def test_a_parameter_that_cannot_be_restored_does_not_keep_others_from_it(
     make_runtime: Callable[..., Runtime]
 ) -> None:
     """A parameter that the program itself had set beyond its limits; a signal."""

@@ -254,7 +254,7 @@ def test_a_number_of_samples_that_cannot_be_is_refused(runtime: Runtime, ticks: 
     assert runtime.status().state == "loaded"
 
 
-def test_a_line_of_the_log_that_is_not_there_yet_is_none(runtime: Runtime) -> None:
+def test_a_log_line_that_is_not_yet_written_is_not_returned(runtime: Runtime) -> None:
     sequence = runtime.write({"Kp1": 300.0}, "me")
     runtime.start(ticks=5)
     runtime.wait_applied(sequence, 10.0)

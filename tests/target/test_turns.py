@@ -1,4 +1,4 @@
-"""Whoever sends many requests waits behind himself."""
+"""An author who sends many requests delays only his own."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_requests_of_one_stay_in_order(turns: Turns, waiting: Waiting) -> None:
 
 
 def test_nobody_takes_what_one_who_sleeps_would_be_woken_for(waiting: Waiting) -> None:
-    """It would wait until the one who took it has done his own, which may be long."""
+    """Otherwise it would wait for the busy thread, which may take long."""
     answered: list[Request] = []
 
     def recv() -> Request:
@@ -94,7 +94,9 @@ def test_a_flood_that_never_ends_is_answered_meanwhile(turns: Turns, waiting: Wa
     assert turns.next() is came[0]
 
 
-def test_of_too_many_of_one_the_oldest_are_let_go(turns: Turns, waiting: Waiting) -> None:
+def test_of_too_many_requests_of_one_author_the_oldest_are_dropped(
+    turns: Turns, waiting: Waiting
+) -> None:
     anna = Request("anna", 0)
     flood = [Request("mallory", k) for k in range(2 * SHARE)]
     waiting += [anna, *flood]
@@ -106,7 +108,7 @@ def test_of_too_many_of_one_the_oldest_are_let_go(turns: Turns, waiting: Waiting
     assert not anna.dropped
 
 
-def test_names_without_end_take_no_memory_without_end(turns: Turns, waiting: Waiting) -> None:
+def test_endless_author_names_take_bounded_memory(turns: Turns, waiting: Waiting) -> None:
     flood = [Request(f"mallory {k}", k) for k in range(2 * WAITING)]
     waiting += flood
     answered = 0
@@ -119,10 +121,10 @@ def test_names_without_end_take_no_memory_without_end(turns: Turns, waiting: Wai
     assert turns.next() is last and not set(left) & {last}, "and what was answered makes room"
 
 
-def test_where_all_together_have_too_many_who_has_most_gives_way(
+def test_when_the_queue_is_full_the_author_with_most_requests_loses_one(
     turns: Turns, waiting: Waiting
 ) -> None:
-    """A newcomer was let go of, again and again, while others had a hundred each."""
+    """A newcomer's requests had been dropped again and again, while others had a hundred each."""
     floods = [Request(f"mallory {k % 5}", k) for k in range(5 * SHARE - 1)]
     waiting += [*floods, anna := Request("anna", 0)]
     while waiting:

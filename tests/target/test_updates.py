@@ -223,7 +223,7 @@ def test_updates_for_later_samples_do_not_hold_up_earlier_ones(make_runtime: Mak
 
 
 def test_updates_for_later_samples_leave_room_for_those_of_the_next(make_runtime: Make) -> None:
-    """Otherwise whoever writes for the year after next keeps all others from writing."""
+    """Otherwise an update for a far future would keep all others from writing."""
     runtime = make_runtime(WITNESS)
     sequences = []
     with pytest.raises(Refused, match="64 updates wait for a later sample, or fade, already"):

@@ -1,4 +1,4 @@
-"""What the verbs of variables make of what the runtime says."""
+"""How the verbs of variables turn the runtime's outcome into answers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Numbers that no clock holds: each is refused or bounded, and nobody else notices."""
+"""Vast numbers are refused or bounded, and other users do not notice."""
 
 from __future__ import annotations
 
@@ -38,9 +38,7 @@ def test_a_vast_recording_is_refused_with_its_time(make_runtime: Make, seconds: 
 
 
 @pytest.mark.parametrize("interval", [*NOT_FINITE, 60.0])
-def test_a_viewer_that_looks_hardly_ever_holds_up_no_other(
-    make_runtime: Make, interval: float
-) -> None:
+def test_a_slow_live_view_does_not_delay_others(make_runtime: Make, interval: float) -> None:
     runtime = make_runtime(PROGRAM, clock="real", realtime=False)
     messages: list[float] = []
     live = LiveStreams(runtime, lambda *_: messages.append(time.monotonic()), lambda *_: True)
@@ -58,7 +56,7 @@ def test_a_viewer_that_looks_hardly_ever_holds_up_no_other(
         live.close()
 
 
-def test_a_stream_that_cannot_be_made_for_a_while_ends_no_other(
+def test_a_live_stream_that_fails_for_a_while_ends_no_other(
     make_runtime: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     runtime = make_runtime(PROGRAM, clock="real", realtime=False)
@@ -112,7 +110,7 @@ def test_a_decimation_that_no_stream_holds_is_refused(
 
 
 def test_a_recording_that_is_refused_leaves_the_one_before_alone(make_runtime: Make) -> None:
-    """Who brings rows home takes another `begun` for other rows, and gives up."""
+    """A transfer that sees another `begun` takes the rows for others and gives up."""
     runtime = make_runtime(PROGRAM)
     desk = desk_of(runtime)
     desk.ask("acquire_configure", "anna", channels=["x"], seconds=0.01)
@@ -142,8 +140,8 @@ void UserISR_INT2(void) {{}}
 """
 
 
-def test_many_names_that_are_wrong_hold_up_nobody(make_runtime: Make) -> None:
-    """To tell what each may have meant took a minute, in which nobody was answered."""
+def test_many_wrong_names_block_nobody(make_runtime: Make) -> None:
+    """Suggestions for each name had taken a minute, during which nobody was answered."""
     runtime = make_runtime(MANY)
     names = [f"nunber_{n}" for n in range(3000)]
     began = time.monotonic()
@@ -158,7 +156,7 @@ def test_many_names_that_are_wrong_hold_up_nobody(make_runtime: Make) -> None:
     assert time.monotonic() - began < 10.0  # 0.7 s here; without care 150 s
 
 
-def test_a_name_a_thousand_times_takes_no_memory(make_runtime: Make) -> None:
+def test_an_array_requested_thousands_of_times_is_refused_at_once(make_runtime: Make) -> None:
     runtime = make_runtime(MANY)
     began = time.monotonic()
     with pytest.raises(AcquisitionError, match="more than 1024 channels"):

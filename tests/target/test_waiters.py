@@ -1,4 +1,4 @@
-"""Who lets many requests wait keeps no other user waiting."""
+"""A user with many waiting requests does not delay others."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_the_rest_of_one_user_waits_for_none_of_anothers(waiters: Waiters) -> No
         sample.set()
 
 
-def test_all_of_one_user_are_done(waiters: Waiters) -> None:
+def test_all_waiting_requests_of_one_user_are_done(waiters: Waiters) -> None:
     left = threading.Barrier(SHARE + 1)
 
     def wait() -> None:

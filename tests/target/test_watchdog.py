@@ -77,7 +77,7 @@ def _pid(runtime: Runtime) -> int:
     return runtime.programs.session.process.pid
 
 
-def test_every_sample_keeps_it_alive_after_its_outputs(
+def test_every_sample_keeps_the_watchdog_alive_after_its_outputs(
     make_runtime: Make, wait_for: Wait, card: Card
 ) -> None:
     runtime = _running(make_runtime, wait_for, card)
@@ -87,7 +87,7 @@ def test_every_sample_keeps_it_alive_after_its_outputs(
         wait_for(lambda before=before: card[ALIVE] > before + 20)  # type: ignore[misc]
 
 
-def test_it_fires_when_a_sample_does_not_return(
+def test_the_watchdog_fires_when_a_sample_does_not_return(
     make_runtime: Make, wait_for: Wait, card: Card
 ) -> None:
     runtime = _running(make_runtime, wait_for, card, hang_s=20.0)
@@ -108,7 +108,7 @@ def test_it_fires_when_samples_are_too_late_again_and_again(
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-def test_it_fires_when_the_runner_is_gone_or_stopped(
+def test_the_watchdog_fires_when_the_runner_is_gone_or_stopped(
     make_runtime: Make, wait_for: Wait, card: Card, number: signal.Signals
 ) -> None:
     runtime = _running(make_runtime, wait_for, card, hang_s=20.0)
@@ -116,7 +116,7 @@ def test_it_fires_when_the_runner_is_gone_or_stopped(
     wait_for(lambda: fires(card))
 
 
-def test_nothing_keeps_it_alive_while_a_program_is_loaded(
+def test_the_watchdog_is_not_kept_alive_while_a_program_is_loaded(
     make_runtime: Make, wait_for: Wait, card: Card
 ) -> None:
     """As the page says, so that whoever writes a machine arms it by the first call."""

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import time
 
+from steps import Step, Until
 from textual.pilot import Pilot
 from textual.widgets import Input
 
+from zendsp.link import Target
 from zendsp.tui.app import ZendspApp
 from zendsp.tui.screens.console import ConsoleScreen
 
@@ -29,6 +31,18 @@ async def mark_variable(app: ZendspApp, pilot: Pilot[None], name: str) -> None:
     table.mark(name)
     await pilot.pause()
     assert console_of(app).variables.marked == name
+
+
+async def recording_of(
+    lab: ZendspApp, target: Target, pilot: Pilot[None], built: Step, until: Until, seconds: str
+) -> None:
+    """Run pd.c, and begin to record it for some seconds."""
+    await built(lab, pilot)
+    target.start()
+    await until(pilot, lambda: lab.session.snapshot.state == "running", "running")
+    await pilot.press("r")
+    await pilot.pause()
+    await type_first(pilot, seconds)
 
 
 async def type_first(pilot: Pilot[None], text: str) -> None:

@@ -87,7 +87,7 @@ async def test_footer_help_and_palette_come_from_the_table(app: ZendspApp, scree
         assert len(commands) == len(ACTIONS) - 1  # those of the other screens stand below
 
 
-async def test_the_palette_does_what_belongs_to_another_screen_there(app: ZendspApp) -> None:
+async def test_the_palette_runs_an_action_of_another_screen_on_that_screen(app: ZendspApp) -> None:
     async with app.run_test(size=(160, 48)) as pilot:
         await app.action_show("console")
         await pilot.pause()
@@ -272,7 +272,7 @@ async def test_every_theme_that_can_be_chosen_has_colours_that_can_be_painted(
             assert Style(color=app.theme_variables["error"]).color is not None, name
 
 
-async def test_what_is_not_seen_cannot_take_the_focus(app: ZendspApp, until: Until) -> None:
+async def test_hidden_widgets_cannot_take_the_focus(app: ZendspApp, until: Until) -> None:
     async with app.run_test(size=(80, 24)) as pilot:
         await until(
             pilot, lambda: app.focused is app.screen.query_one("#variables"), "the screen is ready"
@@ -321,7 +321,7 @@ def test_whole_numbers_and_reals_are_refused_in_words() -> None:
         real("1 V")
 
 
-def test_a_way_back_is_said_in_keys() -> None:
+def test_the_way_back_to_running_is_given_in_keys() -> None:
     steps = ("acknowledge", "enable", "start")
     assert keys_of(steps) == "^k, e, s"
     assert keys_of(steps, True) == "^k acknowledge, e enable, s start"
@@ -392,7 +392,7 @@ async def test_how_a_run_ended_is_seen_before_the_errors_of_seven_joints(app: Ze
 
 
 @pytest.mark.long("a number that is cut says so: a quicker test; lost: in this list")
-async def test_no_number_of_the_list_of_runs_is_cut_to_another(
+async def test_numbers_in_the_list_of_runs_are_never_truncated_to_another_number(
     app: ZendspApp, until: Until
 ) -> None:
     e = {f"e[{k}]": np.full(1000, v) for k, v in enumerate((0.00427, 0.00407))}

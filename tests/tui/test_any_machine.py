@@ -1,4 +1,6 @@
-"""A machine that nobody has described here plays references by the limits that its target tells."""
+"""A machine without a description on the host plays references within the limits that its target
+reports.
+"""
 
 from __future__ import annotations
 

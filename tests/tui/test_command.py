@@ -1,4 +1,4 @@
-"""What the command line makes of `zendsp tui`."""
+"""The target that `zendsp tui` connects to."""
 
 from __future__ import annotations
 

@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 import pytest
-from console_steps import console_of, events_of, mark_variable, type_first
+from console_steps import console_of, events_of, mark_variable, recording_of, type_first
 from steps import Step, Until
 from textual.widgets import OptionList, TextArea
 from textual.widgets._toast import Toast
@@ -363,12 +363,7 @@ async def test_record_then_open_simulation_and_diagnosis(
     lab: ZendspApp, target: Target, built: Step, until: Until, folder: Path
 ) -> None:
     async with lab.run_test(size=(100, 30)) as pilot:
-        await built(lab, pilot)
-        target.start()
-        await until(pilot, lambda: lab.session.snapshot.state == "running", "running")
-        await pilot.press("r")
-        await pilot.pause()
-        await type_first(pilot, "1.5")
+        await recording_of(lab, target, pilot, built, until, "1.5")
         await until(pilot, lambda: list_runs(folder / "runs"), "the run is kept")
         run = list_runs(folder / "runs")[0]
         recording = run.recording()
@@ -391,12 +386,7 @@ async def test_while_it_records_gains_change_and_r_ends_it_with_what_there_is(
     lab: ZendspApp, target: Target, built: Step, until: Until, folder: Path
 ) -> None:
     async with lab.run_test(size=(100, 30)) as pilot:
-        await built(lab, pilot)
-        target.start()
-        await until(pilot, lambda: lab.session.snapshot.state == "running", "running")
-        await pilot.press("r")
-        await pilot.pause()
-        await type_first(pilot, "200")
+        await recording_of(lab, target, pilot, built, until, "200")
         await until(pilot, lambda: lab.session.snapshot.recording, "it records")
         await mark_variable(lab, pilot, "Kp1")
         await pilot.press("enter")
@@ -415,12 +405,7 @@ async def test_a_recording_that_a_pause_cut_short_is_kept(
     lab: ZendspApp, target: Target, built: Step, until: Until, folder: Path
 ) -> None:
     async with lab.run_test(size=(100, 30)) as pilot:
-        await built(lab, pilot)
-        target.start()
-        await until(pilot, lambda: lab.session.snapshot.state == "running", "running")
-        await pilot.press("r")
-        await pilot.pause()
-        await type_first(pilot, "200")
+        await recording_of(lab, target, pilot, built, until, "200")
         await until(pilot, lambda: lab.session.snapshot.recording, "it records")
         await pilot.press("p")
         await until(pilot, lambda: list_runs(folder / "runs"), "what there is is kept")

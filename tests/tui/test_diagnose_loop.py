@@ -1,4 +1,4 @@
-"""Diagnose: what comes of a diagnosis, which is its compensation and the next recording."""
+"""Diagnose: the compensation and the next recording that follow from a diagnosis."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Diagnose: from a recording to findings, and what is seen of them."""
+"""Diagnose: from a recording to findings on the screen."""
 
 from __future__ import annotations
 
@@ -52,6 +52,13 @@ def _drawn(screen: DiagnoseScreen) -> None:
         assert all(line.cell_length == plot.size.width for line in lines)
         dots = [c for line in lines for c in line.text if 0x2800 < ord(c) <= 0x28FF]
         assert len(dots) > 20
+
+
+def _changed(monkeypatch: pytest.MonkeyPatch, change: str) -> None:
+    """Let the process that diagnoses run these lines of Python first."""
+    begin = "from zendsp.parent import die_with; die_with({})\nimport time, zendsp.cli\n"
+    rest = change + "zendsp.cli.main()\n"
+    monkeypatch.setattr(command, "call", lambda parent: begin.format(parent) + rest)
 
 
 def _model_line(screen: DiagnoseScreen) -> str:
@@ -112,20 +119,18 @@ async def test_findings_are_shown_while_the_report_is_still_drawn(
 ) -> None:
     run, model = cases.bench(tmp_path)
     drawn = tmp_path / "drawn"
-    monkeypatch.setattr(
-        command,
-        "call",
-        lambda parent: (
-            f"from zendsp.parent import die_with; die_with({parent})\n"
-            "import pathlib, time, zendsp.cli\n"
-            "import zendsp.diagnosis.report.drawing as drawing\n"
-            "real = drawing.draw_all\n"
-            "def slow(charts, folder):\n"
-            f"    while not pathlib.Path({str(drawn)!r}).exists(): time.sleep(0.05)\n"
-            "    return real(charts, folder)\n"
-            "drawing.draw_all = slow\n"
-            "zendsp.cli.main()"
-        ),
+    _changed(
+        monkeypatch,
+        f"""\
+import pathlib
+import zendsp.diagnosis.report.drawing as drawing
+real = drawing.draw_all
+def slow(charts, folder):
+    while not pathlib.Path({str(drawn)!r}).exists():
+        time.sleep(0.05)
+    return real(charts, folder)
+drawing.draw_all = slow
+""",
     )
     async with _alone(tmp_path, until) as (pilot, screen):
         screen.added, screen.roles, screen.model = [str(run)], {str(run): "fit"}, str(model)
@@ -219,16 +224,15 @@ async def test_what_was_found_before_a_diagnosis_was_cancelled_is_shown(
     tmp_path: Path, until: Until, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run, model = cases.bench(tmp_path)
-    monkeypatch.setattr(
-        command,
-        "call",
-        lambda parent: (
-            f"from zendsp.parent import die_with; die_with({parent})\n"
-            "import time, zendsp.cli, zendsp.diagnosis.engine as engine\n"
-            "def slow(*_):\n    print('slow', flush=True); time.sleep(600)\n"
-            "engine.detectable = slow\n"
-            "zendsp.cli.main()"
-        ),
+    _changed(
+        monkeypatch,
+        """\
+import zendsp.diagnosis.engine as engine
+def slow(*_):
+    print("slow", flush=True)
+    time.sleep(600)
+engine.detectable = slow
+""",
     )
     async with _alone(tmp_path, until) as (pilot, screen):
         screen.added, screen.roles, screen.model = [str(run)], {str(run): "fit"}, str(model)
@@ -273,7 +277,7 @@ async def test_a_click_on_what_has_to_wait_says_why_as_its_key_does(
         await until(pilot, lambda: not screen.busy, "it ends")
 
 
-async def test_what_fails_is_said(tmp_path: Path, until: Until) -> None:
+async def test_a_failed_diagnosis_says_why(tmp_path: Path, until: Until) -> None:
     run, _ = cases.bench(tmp_path, seconds=1.0)
     (tmp_path / "bad.toml").write_text('name = "bad"\n')
     async with _alone(tmp_path, until) as (pilot, screen):
@@ -368,7 +372,7 @@ async def test_the_last_motion_is_marked_and_others_can_be_held_out(
         assert not screen.chosen("fit"), "what is not in focus is not changed"
 
 
-async def test_names_in_a_list_are_whole_however_soon_it_is_drawn(
+async def test_names_in_a_list_are_whole_also_when_drawn_at_once(
     tmp_path: Path, until: Until
 ) -> None:
     """The picture between the rows and Textual's next idle moment stayed: "benc" of bench.csv."""

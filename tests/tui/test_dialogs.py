@@ -1,4 +1,4 @@
-"""Forms, lists and messages over a screen: what they answer, and that STOP goes on working."""
+"""Forms, lists and messages over a screen: their answers, and that STOP works beneath them."""
 
 from __future__ import annotations
 
@@ -238,7 +238,7 @@ async def test_enter_chooses_from_the_filter_line_too(app: ZendspApp) -> None:
 
 
 async def test_the_name_that_was_typed_whole_comes_first(app: ZendspApp) -> None:
-    """Who types pd.c means pd.c, not joint_pd.c, which stands before it."""
+    """Typing pd.c chooses pd.c, not joint_pd.c, which is listed before it."""
     chosen: list[object] = []
     names = ("a.c", "joint_pd.c", "pd.c", "pd.cpp")
     async with app.run_test(size=(100, 30)) as pilot:
@@ -252,10 +252,8 @@ async def test_the_name_that_was_typed_whole_comes_first(app: ZendspApp) -> None
         assert chosen == [["pd.c"]]
 
 
-async def test_a_name_that_comes_in_one_go_with_its_enter_is_the_one_that_is_chosen(
-    app: ZendspApp, until: Until
-) -> None:
-    """Typed ahead of a busy computer: the first of the whole list was chosen, and built."""
+async def test_a_name_typed_together_with_enter_is_chosen(app: ZendspApp, until: Until) -> None:
+    """On a busy computer the first entry of the whole list had been chosen and built."""
     chosen: list[object] = []
     names = ("constant_torque.c", "joint_pd.c", "pd.c")
     async with app.run_test(size=(100, 30)) as pilot:
@@ -274,10 +272,10 @@ def _type(app: ZendspApp, *keys: str) -> None:
         app.post_message(Key(key, key if len(key) == 1 else None))
 
 
-async def test_what_is_typed_behind_enter_is_for_the_dialog_that_it_opens(
+async def test_keys_after_enter_go_to_the_dialog_that_it_opens(
     app: ZendspApp, until: Until
 ) -> None:
-    """A name that followed a choice was lost, or its letters were commands."""
+    """Typed letters of a name had been lost, or taken as commands."""
     asked: list[object] = []
 
     def ask_again(answer: object) -> None:
@@ -295,9 +293,7 @@ async def test_what_is_typed_behind_enter_is_for_the_dialog_that_it_opens(
         assert not commands
 
 
-async def test_what_is_typed_behind_an_enter_that_is_refused_goes_on_in_the_form(
-    app: ZendspApp, until: Until
-) -> None:
+async def test_keys_after_a_refused_enter_go_on_in_the_form(app: ZendspApp, until: Until) -> None:
     entered: list[object] = []
     async with app.run_test(size=(100, 30)) as pilot:
         app.push_screen(Form("f", [Field("x", "Level", "", check=float)]), entered.append)
@@ -306,7 +302,7 @@ async def test_what_is_typed_behind_an_enter_that_is_refused_goes_on_in_the_form
         assert entered == [{"x": 42.0}]
 
 
-async def test_what_is_typed_behind_the_last_answer_is_for_the_screen_below_once_it_has_it(
+async def test_keys_after_the_last_answer_go_to_the_screen_below(
     app: ZendspApp, until: Until
 ) -> None:
     heard: list[str] = []
@@ -323,10 +319,8 @@ async def test_what_is_typed_behind_the_last_answer_is_for_the_screen_below_once
         assert heard == ["answer", "key"]
 
 
-async def test_a_key_that_comes_just_before_those_that_wait_are_handed_over_waits_with_them(
-    app: ZendspApp, until: Until
-) -> None:
-    """"arm.toml" and Enter was ar, Enter, and m.toml for the screen below."""
+async def test_a_key_keeps_its_order_behind_keys_that_wait(app: ZendspApp, until: Until) -> None:
+    """"arm.toml" and Enter had become ar, Enter, and m.toml for the screen below."""
     chosen: list[object] = []
     async with app.run_test(size=(100, 30)) as pilot:
         await app.push_screen(Choose("Model", [Option(n, n) for n in ("a", "arm")]), chosen.append)
@@ -372,7 +366,7 @@ MANY = [Option(f"q{k}", f"q{k}") for k in range(40)]
         (lambda: Message("m", "line\n" * 60), "#close"),
     ],
 )
-async def test_what_a_dialog_says_below_its_list_is_seen_in_24_rows(
+async def test_text_below_a_list_is_visible_in_24_rows(
     app: ZendspApp, until: Until, make: Callable[[], Choose | Message], last: str
 ) -> None:
     async with app.run_test(size=(80, 24)) as pilot:
@@ -385,7 +379,7 @@ async def test_what_a_dialog_says_below_its_list_is_seen_in_24_rows(
         await until(pilot, lambda: dialog.query_one(".long").size.height >= 16, "room is used")
 
 
-async def test_a_switch_says_in_words_what_it_is_at(app: ZendspApp, until: Until) -> None:
+async def test_a_switch_shows_its_state_in_words(app: ZendspApp, until: Until) -> None:
     async with app.run_test(size=(80, 24)) as pilot:
         app.push_screen(Form("f", [Field("home", "Go home after", True)]))
         await pilot.pause()

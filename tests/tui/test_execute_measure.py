@@ -224,7 +224,7 @@ async def test_a_measurement_can_be_aborted(
 def test_what_was_measured_until_the_link_was_lost_is_kept_and_the_loss_is_named(
     reached: str | None,
 ) -> None:
-    """Not that the connection is closed, which the terminal itself did."""
+    """The reason is not that the terminal itself closed the connection."""
     session = Session(nobody)
     session.snapshot = Snapshot(link="lost")
     session.require = lambda: None  # type: ignore[method-assign, return-value, assignment]
@@ -248,7 +248,7 @@ class _Words(App[None]):
 
 
 @pytest.mark.parametrize(("height", "cut"), [(14, True), (36, False)])
-async def test_what_is_said_of_a_response_is_cut_only_where_there_is_no_room(
+async def test_text_about_a_response_is_cut_only_where_there_is_no_room(
     height: int, cut: bool
 ) -> None:
     app = _Words()

@@ -1,4 +1,4 @@
-"""Who leaves while the machine moves is asked what is to become of it."""
+"""Leaving the terminal while the machine moves asks what is to become of it."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ async def test_the_question_follows_what_becomes_of_the_machine_beneath(
         await until(pilot, lambda: "The machine is stopped" in said(), "and once more")
 
 
-async def test_leaving_one_that_stands_is_not(
+async def test_leaving_a_machine_that_stands_is_not_questioned(
     lab: ZendspApp, target: Target, until: Until
 ) -> None:
     target.download("pd.c")

@@ -264,7 +264,7 @@ async def test_a_motion_is_planned_for_the_machine_that_is_connected(
 
 
 @pytest.mark.long("the tests above save what is planned; lost: a key that comes too soon")
-async def test_what_is_saved_at_once_is_the_motion_of_the_form(
+async def test_saving_at_once_saves_the_motion_of_the_form(
     app: ZendspApp, until: Until, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = tmp_path / "references"

@@ -65,7 +65,7 @@ def test_a_curve_of_few_samples_is_drawn_without_holes() -> None:
     assert dots.any(axis=0).all()
 
 
-def test_nan_opens_a_gap_and_nothing_else() -> None:
+def test_nan_draws_a_gap_and_nothing_else() -> None:
     t = np.arange(1000) * 1e-3
     y = np.sin(t)[:, None].copy()
     y[400:600] = np.nan

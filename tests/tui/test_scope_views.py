@@ -106,12 +106,12 @@ def test_state_does_not_outlive_missing_rows() -> None:
     assert len(history.newest()[0]) == 23
 
 
-def test_what_is_undefined_is_a_gap() -> None:
+def test_an_undefined_value_is_a_gap() -> None:
     found = _run("sqrt(q) / (q - 3)", q=np.array([-1.0, 0.0, 3.0, 4.0]))
     assert np.isnan(found[0]) and np.isinf(found[2]) and found[3] == 2.0
 
 
-def test_each_source_is_sent_once() -> None:
+def test_a_channel_used_by_several_curves_is_streamed_once() -> None:
     channels = [Channel("q1"), Channel("e", "", "r1 - q1"), Channel("w", "", "d(q1) + 0*t")]
     assert sources(channels) == ["q1", "r1"]
 

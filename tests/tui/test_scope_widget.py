@@ -189,7 +189,7 @@ def test_the_name_of_an_axis_covers_no_number_of_it(full: int) -> None:
     assert beside("-1.23e-10", 8) == "-1.23e-…" and beside("-1.5", 8) == "    -1.5"
 
 
-def test_what_the_cursors_say_is_never_cut_within_a_number() -> None:
+def test_cursor_readings_are_never_cut_within_a_number() -> None:
     line = " Δt 1.5 s  tau1 Δy 0.006 N m  A 64.64 s 3.139  B 66.14 s 3.145"
     assert whole_words(line, 80) == line
     assert whole_words(line, len(line) - 1) == " Δt 1.5 s  tau1 Δy 0.006 N m  A 64.64 s 3.139 …"

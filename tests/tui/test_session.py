@@ -1,5 +1,5 @@
-"""What waits for something long is not done after it failed, nor after a pause: a minute later
-nobody expects a machine to start.
+"""Actions that wait for a long one are dropped when it fails or is paused: a minute later nobody
+expects a machine to start.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ def homing(session: Session) -> Any:
     return home
 
 
-def test_what_waited_for_a_homing_is_not_done_when_that_has_failed(
-    desk: tuple[Session, Machine],
+def test_actions_that_wait_for_a_homing_are_dropped_when_it_fails(
+    desk: tuple[Session, Machine]
 ) -> None:
     session, machine = desk
     homing(session)
@@ -71,8 +71,8 @@ def test_what_waited_for_a_homing_is_not_done_when_that_has_failed(
     assert machine.started == 1
 
 
-def test_a_pause_ends_a_homing_at_once_and_what_waits_for_it(
-    desk: tuple[Session, Machine],
+def test_a_pause_ends_a_homing_and_the_actions_that_wait_for_it(
+    desk: tuple[Session, Machine]
 ) -> None:
     session, machine = desk
     home = homing(session)

@@ -1,4 +1,4 @@
-"""The bar at the top of every screen, by what it says."""
+"""The status bar at the top of every screen, at every width."""
 
 from __future__ import annotations
 
@@ -172,7 +172,7 @@ async def test_the_positions_of_seven_joints_have_room_beside_the_scope() -> Non
     assert max(map(len, told)) <= 52  # of the panel on 120 columns
 
 
-async def test_what_comes_next_after_a_trip_is_said_where_the_state_is() -> None:
+async def test_the_next_step_after_a_trip_is_shown_beside_the_state() -> None:
     seen = Snapshot(
         link="up", target="imi", machine="imi", state="stopped", drive="stopped", explicit=True,
         trip=TripView("host lost", 7, "the host that commanded the motion is gone"),

@@ -52,18 +52,18 @@ def _presses(*parts: bytes, web: bool = False) -> list[object]:
         (b"s" + F9 + b"s",),
     ],
 )
-def test_the_sequences_of_all_terminals_stop(parts: tuple[bytes, ...]) -> None:
+def test_the_f9_sequences_of_all_terminals_stop(parts: tuple[bytes, ...]) -> None:
     assert _stops(*parts)
 
 
 @pytest.mark.parametrize(
     "part", [b"\x1b[200~" + F9 + b"\x1b[201~", b"\x1b[19~", b"\x1b[21~", b"20~", b"9"]
 )
-def test_other_keys_and_pasted_text_do_not(part: bytes) -> None:
+def test_other_keys_and_pasted_text_do_not_stop(part: bytes) -> None:
     assert not _stops(part)
 
 
-def test_the_packets_of_a_page_are_read_too() -> None:
+def test_f9_in_the_packets_of_a_web_page_stops() -> None:
     assert _stops(b"D" + len(F9).to_bytes(4, "big") + F9, web=True)
 
 
@@ -139,7 +139,9 @@ class NoPage:
 def test_a_stop_page_that_cannot_be_read_leaves_stop_to_the_link(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The key came as its page went: whoever reads the keys has to live, and to tell the truth."""
+    """F9 is pressed as the target's page disappears: the process of the keys must survive and
+    report it.
+    """
     monkeypatch.setattr(stop_process, "INSIST_S", 0.0)
     told: list[tuple[object, ...]] = []
     stop_process.Stops(NoPage(), lambda *said: told.append(said)).press()  # type: ignore[arg-type]
@@ -296,7 +298,7 @@ def _asked(lab: ZendspApp) -> list[str]:
     return asked
 
 
-async def test_what_is_typed_before_a_dialog_opens_is_no_command(
+async def test_keys_typed_before_a_dialog_opens_are_no_commands(
     lab: ZendspApp, until: Until
 ) -> None:
     asked = _asked(lab)
@@ -358,7 +360,7 @@ async def test_a_key_that_comes_back_when_an_input_has_the_focus_is_no_command(
 async def test_a_key_that_works_everywhere_does_not_overtake_those_of_a_slow_screen(
     lab: ZendspApp, until: Until
 ) -> None:
-    """Enable, then Execute: the e became a letter of the dialog that followed there."""
+    """On Enable, then Execute, the e had become a letter in the dialog that followed."""
     async with lab.run_test(size=(100, 30)) as pilot:
         await until(pilot, lambda: lab.session.snapshot.link == "up", "the link is up")
         asked, seen = _asked(lab), asyncio.Event()
@@ -391,7 +393,7 @@ async def test_keys_that_come_back_from_a_slow_screen_do_not_fall_behind_later_o
         )
 
 
-async def test_what_is_typed_after_enter_is_no_part_of_what_was_entered(
+async def test_keys_typed_after_enter_are_not_part_of_the_entry(
     lab: ZendspApp, until: Until
 ) -> None:
     entered: list[object] = []

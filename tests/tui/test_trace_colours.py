@@ -1,4 +1,4 @@
-"""The colours of traces: seen on every background, by every eye."""
+"""The colours of traces are distinct on every background, also for colour-blind eyes."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ def modules() -> list[str]:
 MODULES = modules()
 
 
-def test_the_walk_sees_the_packages() -> None:
+def test_the_walk_over_the_modules_finds_every_package() -> None:
     assert len(MODULES) > 200
     assert {name.partition(".")[0] for name in MODULES} == set(PACKAGES)
 

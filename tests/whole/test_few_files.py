@@ -28,7 +28,7 @@ TARGET = "-m zendsp_target --machine pendulum --name few --no-realtime"
     ],
     ids=["files of a host", "files of a target", "128 MB", "512 MB"],
 )
-def test_what_there_is_too_little_of_is_told_in_a_sentence(
+def test_too_few_files_or_too_little_memory_is_reported_in_a_sentence(
     limit: str, words: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("ZENDSP_RUNTIME_DIR", str(tmp_path))

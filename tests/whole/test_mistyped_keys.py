@@ -1,5 +1,5 @@
-"""What a user writes or is given: a key that nobody reads is refused in every table of every file,
-and so is a text that no reader bears.
+"""An unknown key is refused in every table of every file that a user writes, and so is a hostile
+text.
 """
 
 from __future__ import annotations

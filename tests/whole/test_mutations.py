@@ -65,7 +65,7 @@ def test_every_mutation_applies_and_names_tests_that_exist() -> None:
 
 
 @pytest.mark.long("whoever mutates looks at what it says; lost: that it tells them apart")
-def test_what_is_noticed_is_told_from_what_survives(
+def test_noticed_mutations_are_told_from_surviving_ones(
     tree: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     entries = [
@@ -117,14 +117,14 @@ def test_a_test_that_fails_without_any_change_proves_nothing(
         (ENTRY.format("fields", "x < LIMIT", "True", LARGE) + "extra = 1\n", "needs the fields"),
     ],
 )
-def test_an_entry_that_the_code_has_left_behind_fails_loudly(
+def test_an_entry_that_no_longer_fits_the_code_fails_loudly(
     tree: Path, capsys: pytest.CaptureFixture[str], entry: str, why: str
 ) -> None:
     assert _run(tree, entry) == 2
     assert why in capsys.readouterr().err
 
 
-def test_a_name_stands_once(tree: Path) -> None:
+def test_a_mutation_name_is_unique(tree: Path) -> None:
     folder = tree.parent / "catalogue"
     (folder / "a.toml").write_text(ENTRY.format("same", "x < LIMIT", "True", LARGE) * 2)
     with pytest.raises(Stale, match="stands twice"):

@@ -101,7 +101,7 @@ PUBLIC = public()
 CALLABLES = callables()
 
 
-def test_the_walk_sees_the_api() -> None:
+def test_the_walk_over_the_public_api_finds_it() -> None:
     assert len(PUBLIC) > 60
     assert len(CALLABLES) > 120
     assert "zendsp.link.connect.connect" in CALLABLES
@@ -175,7 +175,7 @@ def test_one_role_has_one_name() -> None:
     } == {}
 
 
-def test_a_name_that_is_imported_on_first_use_is_no_module_beside_it() -> None:
+def test_a_name_imported_on_first_use_is_not_hidden_by_a_module() -> None:
     # whoever imports such a module first would find it in the place of the function
     for package in ("zendsp", "zendsp.physics", "zendsp.diagnosis"):
         room = importlib.import_module(package)
@@ -183,7 +183,7 @@ def test_a_name_that_is_imported_on_first_use_is_no_module_beside_it() -> None:
         assert modules & set(room._LAZY) == set(), package
 
 
-def test_the_rooms_need_no_import_of_their_own() -> None:
+def test_packages_of_zendsp_need_no_import_of_their_own() -> None:
     code = "import zendsp, sys; assert 'numpy' not in sys.modules; print(*zendsp._ROOMS)\n"
     code += "zendsp.physics.load_effects, zendsp.bridge.foxglove, zendsp.matdsp.MatDSPstart"
     words = [sys.executable, "-c", code]

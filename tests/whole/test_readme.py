@@ -1,4 +1,4 @@
-"""What README.md tells a stranger to type works as it stands, and so do the pages' model files."""
+"""The commands of README.md and the model files of the pages work as they stand."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A function fits on a screen and is told few things; where not, its reason stands here."""
+"""A function fits on a screen and has few parameters; exceptions are listed here with a reason."""
 
 from __future__ import annotations
 

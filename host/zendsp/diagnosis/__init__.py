@@ -1,4 +1,5 @@
-"""Diagnosis: where simulation and recording part, what physics was left out, and the fit with it.
+"""Diagnosis: where a simulation departs from a recording, which physics was left out, and the fit
+with it.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""The diagnosis: read, check, calibrate, search each joint, judge on held-out recordings, name, and
-say what remains.
+"""The diagnosis: read, check, calibrate, search each joint, decide on held-out recordings, name
+findings, and report what remains.
 """
 
 from __future__ import annotations
@@ -91,15 +91,15 @@ def diagnose(
         To judge on; where none is given, the last third of each is held out (of its motion, where
         it comes to rest).
     seed : int
-        Of what is drawn at random (the proposed reference).
+        Seed of everything random (the proposed reference).
     jobs : int
         Threads; processes where there are several joints.
     progress : callable, optional
         Receives a sentence at each stage.
     so_far : bool
-        After Ctrl-C return what was found of the joints that were finished, where one was, also
-        where only what follows the search was left to do; a second one ends that too. Of a
-        simulator that can only be called nothing is kept.
+        After Ctrl-C return what was found at the finished joints, if any; also when only steps
+        after the search were left. A second Ctrl-C ends that too. For a black-box simulator nothing
+        is kept.
 
     Returns
     -------
@@ -162,7 +162,7 @@ def _diagnose(
     verdict = _verdict(findings, decisions, bool(stopped))
     better = whole.improved if findings else whole.calibrated
     improved = remembered(better, given, decisions, findings)
-    shown_on = parts.test if found.load else parts.fit  # where what lacks is to be seen
+    shown_on = parts.test if found.load else parts.fit  # where the missing torque can be seen
     joints = range(1, given.joints + 1)
     seen_at = {j: clearest(shown_on, sides(findings, given, whole, j), j) for j in joints}
     lacking = {j: before for j, (_, before, _) in seen_at.items()}
@@ -214,7 +214,7 @@ def _found(
     tell: Progress,
     so_far: bool,
 ) -> tuple[Found, list[str]]:
-    """What is found, and a note where Ctrl-C ended the search (``so_far``: it is to be kept)."""
+    """What is found, and a note where Ctrl-C ended the search (``so_far``: keep it)."""
     try:
         return find(signals, parts, given, jobs, tell), []
     except Stopped as stop:
@@ -225,7 +225,7 @@ def _found(
 
 @dataclass(frozen=True)
 class _Looked:
-    """After the search: decisions of what could have been seen, and the next recording."""
+    """What follows the search: the detectable sizes, and the next recording."""
 
     decisions: list[Decision]
     seen: tuple[Detectable, ...] = ()
@@ -250,8 +250,8 @@ def _look_on(
 
 
 def _by_one_clock(found: Found) -> tuple[Found, list[str]]:
-    """What was found, and what is said of recordings whose columns stand apart in time: where one
-    does, what lacks in it alone is no push.
+    """What was found, and notes on recordings whose columns are shifted in time against the others.
+    A torque missing in such a recording alone is no push.
     """
     loads = {(d.joint, name) for d in found.decisions for name in d.loads}
     said = apart_in_time(found.parts, found.whole.improved, loads)
@@ -274,7 +274,7 @@ def _verdict(
 def _doubted(
     findings: Sequence[Finding], decisions: Sequence[Decision]
 ) -> tuple[tuple[str, int], ...]:
-    """What only the recordings of the fit say, where that is all that is left open."""
+    """Effects that only the recordings of the fit show, where nothing else is left open."""
     if findings or any(d.kind != "complete" and not d.doubted for d in decisions):
         return ()
     return tuple(law for d in decisions for law in d.doubted)
@@ -292,8 +292,8 @@ def _ready(
     given: Model,
     tell: Progress,
 ) -> tuple[tuple[list[Signals], ...], Parts, list[str]]:
-    """The signals to fit to, to choose by and to test on; all of them ready for the kernel, and
-    what is wrong with them.
+    """The signals to fit to, to choose by and to test on; all of them prepared for the kernel; and
+    notes on them.
     """
     tell(Step.READING.says("reading the recordings"))
     fit_signals, choose_signals, test_signals, notes = _read(recordings, heldout, given)
@@ -314,14 +314,14 @@ def _ready(
 def _name(
     found: Found, given: Model
 ) -> tuple[tuple[Finding, ...], tuple[Finding, ...], tuple[Rejected, ...]]:
-    """Findings, refinements and what was rejected, of joints, bodies and transmissions."""
+    """Findings, refinements and rejected hypotheses, of joints, bodies and transmissions."""
     findings, refinements, rejected = name_findings(
         found.parts.test, given, found.decisions, found.whole, found.claims
     )
     rejected = (*rejected_bodies(found.bodies, found.claims), *rejected)
     findings, guessed = without_guesses(findings, found.measured)
     refinements = (*refinements, *guessed)
-    if found.load is not None:  # all that differs from the given numbers, there
+    if found.load is not None:  # which holds all that differs there from the given numbers
         findings = (found.load,)
     findings += tuple(ripple.finding for ripple in found.fine)
     findings += tuple(finding for m in found.measured for finding in m.findings)
@@ -343,7 +343,7 @@ def _sources(given: Source | Sequence[Source] | None) -> list[Source]:
 def _read(
     recordings: Sequence[Source], heldout: Sequence[Source], model: Model
 ) -> tuple[list[Signals], list[Signals], list[Signals], list[str]]:
-    """Recordings to fit to, to choose by and to test on, and what was done to them."""
+    """Recordings to fit to, to choose by and to test on, and notes on what was done to them."""
     signals, held, notes = read_divided(recordings, heldout, model)
     choose, test, how = halves(held)
     return signals, choose, test, [*notes, *how]
@@ -355,7 +355,7 @@ def _located(
     findings: Sequence[Finding],
     verdict: Verdict,
 ) -> tuple[tuple[Region, ...], Times, tuple[str, ...]]:
-    """Where what is missing lies, and when; of a complete model, when something pushes it."""
+    """Where and when the missing torque acts; for a complete model, when something pushes it."""
     if verdict != "complete":
         return located({j: lacking[j] for j in _lacking(found, findings, verdict)})
     pushes = [d.beside for d in found.decisions if d.beside is not None]
@@ -364,7 +364,9 @@ def _located(
 
 
 def _lacking(found: Found, findings: Sequence[Finding], verdict: Verdict) -> set[int]:
-    """Joints at which something is missing; all of them where a body is, which all may bear."""
+    """The joints at which something is missing; all joints where a body is missing, which all may
+    feel.
+    """
     if verdict == "complete":
         return set()
     if found.claims:

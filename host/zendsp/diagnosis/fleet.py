@@ -26,8 +26,8 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Item:
-    """Outcome of one recording: its report (report.json of the contract), or the sentence that says
-    why there is none.
+    """Outcome of one recording: its report (report.json of the contract), or the reason that there
+    is none.
     """
 
     recording: str

@@ -1,8 +1,8 @@
-"""Searches and decides every joint, in a process of its own where there are several, and puts the
-machine together.
+"""Searches and decides every joint, in a process of its own where there are several, and assembles
+the machine.
 
-Two models go through this file: ``given`` is the user's, ``beneath`` is that with what is known of
-the machine by now, on which a joint's search begins.
+Two models go through this file: ``given`` is the user's; ``beneath`` adds what is known of the
+machine so far, and is the start of a joint's search.
 """
 
 from __future__ import annotations
@@ -43,16 +43,16 @@ from zendsp.physics.calibration.fit import Data
 from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model
 
-# share of what was found that a friction that creeps gains by itself: with less, that was not
-# mistaken for it
+# gain of creep alone, as a share of the gain of what was found: with less, that was not mistaken
+# for creep
 CREEPS = 0.15
-LOOK_S = 0.5  # between looks at what the processes of the joints are doing
+LOOK_S = 0.5  # interval of checks on the processes of the joints
 Explained = tuple[list[JointSearch], list[Decision], Assembled]
 Done = Mapping[int, tuple[JointSearch, Decision]]  # by joint
 
 
 class SearchStopped(KeyboardInterrupt):
-    """Ctrl-C while joints were searched; ``done`` are those that were finished, one at least."""
+    """Ctrl-C while joints were searched. ``done``: the finished joints, at least one."""
 
     def __init__(self, done: Done) -> None:
         super().__init__()
@@ -60,8 +60,8 @@ class SearchStopped(KeyboardInterrupt):
 
 
 class Acceptance:
-    """What the search goes on with: a step that pays for its parameters, on the recordings to
-    choose by too. No claim is made here.
+    """Decides whether the search goes on with a step: it must pay for its parameters, also on the
+    recordings to choose by. It claims nothing.
     """
 
     def __init__(self, choose: Data) -> None:
@@ -75,8 +75,8 @@ class Acceptance:
 
 
 def plainer(test: Data, given: Model, one: Explained, other: Explained, bodies: int) -> bool:
-    """Whether one explanation claims less than another, and predicts as well; ``bodies`` are those
-    of the other less those of the one.
+    """Whether one explanation claims less than another and predicts as well. ``bodies``: the count
+    of the other's bodies minus that of the one's.
     """
     errors = [model_error(test, whole.improved) for _, _, whole in (one, other)]
     if errors[0] > errors[1]:
@@ -86,7 +86,7 @@ def plainer(test: Data, given: Model, one: Explained, other: Explained, bodies: 
 
 
 def findings_at(test: Data, given: Model, explained: Explained) -> int:
-    """How many findings an explanation has at the joints, with stated figures that are wrong."""
+    """The count of findings of an explanation at the joints, with given numbers that are wrong."""
     _, decisions, whole = explained
     at_joints = sum(
         len(d.claims) + len(shifted(given, d, whole, {c.term.effect for c in d.claims}, test))
@@ -104,12 +104,11 @@ def with_their_links(
     jobs: int,
     tell: Progress,
 ) -> tuple[Parts, Explained]:
-    """Explained again where a joint turned out to have a transmission, or a sensor that does
-    something of its own: the others feel its link, and else have to explain what it really does as
-    something of their own.
+    """The explanation, repeated where a joint was found to have a transmission or a sensor error.
 
-    One joint after the other, at each step the one with which the machine is explained best; and
-    only as long as that claims no more and predicts no worse.
+    Other joints feel the true motion of its link, and otherwise have to explain it by something of
+    their own. The joints are taken one after the other, each time the one that explains the machine
+    best, as long as that claims no more and predicts no worse.
     """
     felt, now, explained = divided(given), parts, first
     while found := _claimed(explained, "transmission", "measurement") - felt:
@@ -126,7 +125,7 @@ def with_their_links(
             break
         felt, now, explained = felt | {best[1]}, best[2], best[3]
     swinging = _claimed(explained, "transmission")
-    # where a measured gap opens next depends on the last digits of its numbers
+    # the motion within a measured gap depends on the last digits of its numbers
     gaps = {t.joint for t in beneath.terms[len(given.terms) :] if get_effect(t.effect).rough}
     calm = [
         unpushed(d) if d.kind == "disturbance" and (swinging - {d.joint} or d.joint in gaps) else d
@@ -136,20 +135,20 @@ def with_their_links(
 
 
 def _claimed(explained: Explained, *mechanisms: str) -> frozenset[int]:
-    """Joints whose links nobody sees, for which one of some mechanisms is claimed."""
+    """The joints whose link has no sensor and for which one of some mechanisms is claimed."""
     claimed = {d.joint for d in explained[1] if any(c.mechanism in mechanisms for c in d.claims)}
     return divided(explained[2].improved) & claimed
 
 
 def _cost(choose: Data, explained: Explained) -> tuple[int, float]:
-    """How much an explanation claims, and how far it leaves the recordings to choose by from where
-    the sensor reads them: a likelihood forgives what its observer follows.
+    """The count of an explanation's claims, and its position error on the recordings to choose by.
+    (A likelihood would not count what its observer follows.)
     """
     away = 0.0
     for decision in explained[1]:
         error = rms(window_error(choose, decision.final.model, decision.joint))
         read = max(error, noise_floor(choose, decision.joint))
-        away += math.log(read) if read > 0.0 else 0.0  # nothing moves there any more
+        away += math.log(read) if read > 0.0 else 0.0  # no data is left there
     return sum(len(d.claims) for d in explained[1]), away
 
 
@@ -161,16 +160,15 @@ def explain(
     tell: Progress,
     done: Done = MappingProxyType({}),
 ) -> Explained:
-    """Search and decide every joint, and put the machine together; ``beneath`` is the given model,
-    with what is known of it by now, ``done`` the joints that are
-    searched already.
+    """The searches and decisions of all joints, and the assembled machine. ``beneath``: the given
+    model with what is known so far. ``done``: joints that are searched already.
     """
     searches, decisions = _search(parts, given, beneath, jobs, tell, done)
     decisions = all_late(parts, beneath, searches, decisions, jobs)
     decisions = pushed_alone(same_timing(parts, decisions, jobs))
     tell(Step.ASSEMBLING.says("fitting the improved model"))
     decisions, whole = _no_worse(parts, beneath, decisions, jobs)
-    added = beneath.terms[len(given.terms) :]  # held, so they come out as they went in
+    added = beneath.terms[len(given.terms) :]  # held fixed, so they come out unchanged
     known = tuple(t for t in whole.calibrated.terms if t not in added)
     return searches, decisions, replace(whole, calibrated=whole.calibrated.with_terms(known))
 
@@ -178,8 +176,8 @@ def explain(
 def _no_worse(
     parts: Parts, beneath: Model, decisions: list[Decision], jobs: int
 ) -> tuple[list[Decision], Assembled]:
-    """The machine put together, without the claims of joints whose untouched data it would predict
-    worse with them: than calibrated, or than as given, where something in the recordings of the fit
+    """The assembled machine, without the claims of joints whose untouched data it predicts worse
+    than the calibrated model; or than the given one, where something in the recordings of the fit
     bends the numbers.
     """
     while True:
@@ -192,8 +190,8 @@ def _no_worse(
                 *errors, after = (
                     rms(window_error(parts.test, m, d.joint)) for m in (*before, whole.improved)
                 )
-                # where nothing of what was found is in the model, calibration alone made it worse:
-                # up to where a note says that (``bent``), the missing torque may have done so
+                # where the model has nothing of what was found, calibration alone made it worse:
+                # below the limit of the note ``bent`` the missing torque may be the reason
                 most = 1.0 if named or d.refinements else MADE_WORSE
                 worse[d.joint] = after / (most * min(errors))
         joint = max(worse, key=lambda j: worse[j], default=0)
@@ -203,9 +201,7 @@ def _no_worse(
 
 
 def with_bodies(parts: Parts, model: Model) -> Parts:
-    """The same recordings, with what inverse dynamics says of the joints' inertias once bodies are
-    known.
-    """
+    """The same recordings, with the joints' inertias by inverse dynamics once bodies are known."""
     return replace(parts, fit=replace(parts.fit, ranges=inertia_ranges(parts.fit.records, model)))
 
 
@@ -226,8 +222,8 @@ def _search(
         except KeyboardInterrupt as stop:
             raise (SearchStopped(done) if done else stop) from None
         return _in_order(done)
-    # joints are independent: a process each, which inherits the recordings and the effects that a
-    # user has added
+    # joints are independent: each has a process, which inherits the recordings and the user's own
+    # effects
     context = multiprocessing.get_context("fork")
     stages = context.SimpleQueue()
     inherited = (os.getpid(), parts, beneath, stages.put)
@@ -240,7 +236,7 @@ def _search(
                 while not stages.empty():
                     tell(stages.get())
             done |= {joint: search.result() for joint, search in searches.items()}
-        except BaseException as stop:  # an interrupt: nobody waits for what was asked
+        except BaseException as stop:  # an interrupt: what is pending is cancelled
             for process in list(pool._processes.values()):
                 process.terminate()
             ready = {j: s for j, s in searches.items() if s.done() and not s.exception()}
@@ -254,7 +250,7 @@ def _search(
 def not_searched(
     parts: Parts, beneath: Model, joint: int, jobs: int
 ) -> tuple[JointSearch, Decision]:
-    """What is known of a joint that nobody searched: its calibrated model."""
+    """The search and decision of a joint that was not searched: its calibrated model."""
     base = calibrate_joint(parts.fit, beneath, joint, jobs)
     left, none = discrepancy(parts.test, base.model, joint), Structure(0.0, 0.0, 0.0)
     scale = rms_torque(parts.test, joint)
@@ -284,7 +280,7 @@ def _search_joint(
         base, beneath = late, beneath.with_terms((*beneath.terms, late.model.terms[-1]))
         searcher = Searcher(parts.fit, joint, accept, jobs, tell, beneath)
     search = searcher.search(base)
-    # how a friction that the model has turns round is no missing physics, and hides what is
+    # how a known friction acts at reversals is no missing physics, and hides what is
     soft = None if is_white(search.final, joint) else searcher.softened(base)
     if soft is not None:
         tell(Step.SEARCHING.says(f"joint {joint}: again, with a dry friction that creeps"))
@@ -294,7 +290,7 @@ def _search_joint(
         other = warm or again.search(soft)
         if other.final.deviance < search.final.deviance - WAIT:
             if warm and all(t.effect != "creep" for t in warm.final.model.at(joint)):
-                search = replace(warm, base=base)  # it is not needed any more
+                search = replace(warm, base=base)  # the creep is no longer needed
             else:
                 search, beneath = other, creeping
     decision = decide(parts, beneath, search, jobs, tell)
@@ -304,7 +300,7 @@ def _search_joint(
 
 
 def _seems(decision: Decision) -> str:
-    """What one joint came to, before all are looked at together."""
+    """A sentence on the decision of one joint, before all are considered together."""
     laws = ", ".join(c.effect for c in decision.claims)
     plain = {
         "complete": "nothing seems to be missing",
@@ -317,8 +313,8 @@ def _seems(decision: Decision) -> str:
 def _upon_creep(
     first: JointSearch, soft: Scored, again: Searcher, jobs: int
 ) -> JointSearch | None:
-    """What was found before a friction creeps, fitted with it, where it gains little beside that
-    and leads to nothing more; None where it may have been mistaken for what was found.
+    """The earlier search, fitted again upon a creeping friction, where creep gains little beside it
+    and leads to nothing more. None where creep may have been mistaken for what was found.
     """
     found = first.base.deviance - first.final.deviance
     if not first.base.deviance - soft.deviance < CREEPS * found:
@@ -331,7 +327,7 @@ def _upon_creep(
 def decided_again(
     parts: Parts, beneath: Model, first: JointSearch, jobs: int, tell: Progress
 ) -> tuple[JointSearch, Decision]:
-    """What a search found, fitted upon a model that knows more by now, and decided again."""
+    """A search fitted upon a model that knows more by now, and decided again."""
     tell(Step.ASSEMBLING.says(f"joint {first.joint}: what was found, upon what passes fast"))
     known = first.base.model.terms
     had = {t.joint for t in beneath.terms if t.effect == "creep"}
@@ -350,8 +346,8 @@ _inherited: list[tuple[Parts, Model, Progress]] = []
 
 
 def _inherit(parent: int, parts: Parts, beneath: Model, tell: Progress) -> None:
-    die_with(parent)  # killed, it could not end them
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # a Ctrl-C is the parent's to tell
+    die_with(parent)  # which could not end its children if killed
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # the parent handles Ctrl-C
     _inherited[:] = [(parts, beneath, tell)]
 
 

@@ -1,5 +1,5 @@
-"""What is found of a whole machine: bodies, transmissions, then every joint; and once more in the
-rest of the recordings where something pushes or another load hangs.
+"""The findings of a whole machine: bodies, transmissions, then every joint; and once more in the
+rest of the recordings, where something pushes or another load is carried.
 """
 
 from __future__ import annotations
@@ -56,18 +56,18 @@ from zendsp.diagnosis.transmission.one_sensor import shown
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.model import Model, Term
 
-# where joints claim what a body may be, a small one is asked for too
+# where joints claim what a body could explain, a small one is considered too
 BESIDE = replace(LIMITS, little=0.0, least=0.0)
-# of an error: a body that calibration can take up errs as it does, but for a fit's last step
+# of an error: a body that calibration can absorb has the same error but for a fit's last step
 ROUNDING = 1e-4
 
 
 @dataclass(frozen=True)
 class Found:
-    """What is known of a machine before it is put into words: bodies, transmissions, joints.
+    """The findings of a machine before they are put into words: bodies, transmissions, joints.
 
-    ``bare`` are the recordings without what inverse dynamics says of inertias, ``beneath`` is the
-    given model with the bodies and transmissions that the joints were searched with.
+    ``bare``: the recordings without inertias from inverse dynamics. ``beneath``: the given model
+    with the bodies and transmissions with which the joints were searched.
     """
 
     parts: Parts
@@ -80,20 +80,20 @@ class Found:
     whole: Assembled
     claims: tuple[BodyClaim, ...]
     fine: tuple[FineRipple, ...] = ()
-    load: Finding | None = None  # that only the held-out recordings have
+    load: Finding | None = None  # of the held-out recordings only
 
     @property
     def explained(self) -> Explained:
-        """What its joints came to."""
+        """The explanation of its joints."""
         return self.searches, self.decisions, self.whole
 
     def explained_by(self, other: Explained) -> Found:
-        """The same with other joints."""
+        """The same findings with another explanation of the joints."""
         return replace(self, searches=other[0], decisions=other[1], whole=other[2])
 
 
 class Stopped(KeyboardInterrupt):
-    """Ctrl-C, with what was ``found`` until then."""
+    """Raised by Ctrl-C, with what was ``found`` until then."""
 
     def __init__(self, found: Found) -> None:
         super().__init__()
@@ -102,7 +102,7 @@ class Stopped(KeyboardInterrupt):
 
 @contextmanager
 def _kept(found: Callable[[], Found]) -> Iterator[None]:
-    """After Ctrl-C say what was found before what is tried here."""
+    """After Ctrl-C, fall back to what was found before the current attempt."""
     try:
         yield
     except KeyboardInterrupt:
@@ -112,8 +112,8 @@ def _kept(found: Callable[[], Found]) -> Iterator[None]:
 def find(
     signals: Sequence[Sequence[Signals]], parts: Parts, given: Model, jobs: int, tell: Progress
 ) -> Found:
-    """What is found; where something pushes, in the rest of the recordings (``signals``: to fit to,
-    to choose by, to test on).
+    """The findings; where something pushes, those in the rest of the recordings (``signals``: to
+    fit to, to choose by, to test on).
 
     Raises
     ------
@@ -128,15 +128,15 @@ def find(
 def _without_pushes(
     found: Found, signals: Sequence[Sequence[Signals]], given: Model, jobs: int, tell: Progress
 ) -> Found:
-    """What was found; where something pushes, in the rest of the recordings."""
+    """The findings; where something pushes, those in the rest of the recordings."""
     pushes = _pushes(found.decisions)
     if not pushes:
         return _loaded(found, given, jobs)
     fit, choose, test = (cut_out(part, pushes) for part in signals)
-    if not fit or not (choose or test):  # upon a push, calibration lacks something everywhere
+    if not fit or not (choose or test):  # a calibration bent by a push lacks something everywhere
         largest = _pushes(found.decisions, largest=True)
         fit, choose, test = (cut_out(part, largest) for part in signals)
-    # beside a friction that lacks too, pushes are certain once it is known without them
+    # pushes beside a missing friction are certain once the friction is known without them
     alone = [d if d.kind == "disturbance" else unpushed(d) for d in found.decisions]
     if not (choose or test):
         return _loaded(replace(found, decisions=alone), given, jobs)
@@ -154,15 +154,16 @@ def _without_pushes(
     found = replace(found, decisions=alone)
     if not _misled(found, calibrated, untouched):
         return _loaded(found, given, jobs)
-    # what acts all the time was taken for a push
+    # something permanent was taken for a push
     decisions = [unpushed(d) for d in found.decisions]
     whole = assemble(found.parts, found.beneath, decisions, jobs)
     return replace(found, decisions=decisions, whole=replace(whole, calibrated=calibrated))
 
 
 def _once(measured_motion: Parts, given: Model, jobs: int, tell: Progress) -> Found:
-    """Bodies first, then measured transmissions, then every joint; again where one changes what
-    the others have to explain, and without bodies that make untouched recordings worse.
+    """The findings: bodies first, then measured transmissions, then every joint; repeated where one
+    changes what the others have to explain, and without bodies that make untouched recordings
+    worse.
     """
     tell(Step.CALIBRATING.says("calibrating the given model"))
     parts = with_links(measured_motion, given, divided(given))
@@ -175,9 +176,9 @@ def _once(measured_motion: Parts, given: Model, jobs: int, tell: Progress) -> Fo
 def _settled_once(
     found: Found, measured_motion: Parts, parts: Parts, given: Model, jobs: int, tell: Progress
 ) -> Found:
-    """What was found, with bodies that it hides or that stand for it, and settled together."""
+    """The findings, with bodies that they hide or that replace them, all estimated together."""
     bodies = found.bodies
-    # torque that comes at another time hides a body, and so does much friction
+    # a delay or much friction hides a body
     beside = timing(found.decisions) or friction_beside_weight(found.decisions)
     if beside and not found.claims:
         bodies = find_bodies(parts.fit, parts.choose, given, jobs, tell, BESIDE, beside)
@@ -200,8 +201,8 @@ def _settled_once(
 
 
 def _for_the_joints(bodies: BodySearch, found: Found) -> FoundBody | None:
-    """A body in the place of what joints claim by themselves: of one, where it explains as much, or
-    of two and more. A constant at each of them is free in the search for bodies, and hides one.
+    """The findings with a body in place of the claims of joints: of one joint, where it explains as
+    much, or of several. Constants are free in the search for bodies, and can hide one.
     """
     if found.claims:
         return None
@@ -212,7 +213,7 @@ def _for_the_joints(bodies: BodySearch, found: Found) -> FoundBody | None:
 
 
 def _weighs(decision: Decision) -> bool:
-    """Whether all that a joint claims by itself may be what it feels of a body."""
+    """Whether all claims of a joint may be the torque of a body."""
     return bool(decision.claims) and all(
         c.mechanism in ("position_torque", "inertia") or c.is_constant for c in decision.claims
     )
@@ -226,7 +227,7 @@ def _beneath(
     jobs: int,
     tell: Progress,
 ) -> Found:
-    """What is found with some bodies, or with those of them that can be claimed beside it."""
+    """The findings with some bodies, or with those of them that can be claimed."""
     measured = measured_transmissions(parts, bodies.model, jobs)
     known = tuple(t for m in measured for t in m.terms)
     beneath, bare = bodies.model.with_terms((*bodies.model.terms, *known)), parts
@@ -258,11 +259,10 @@ def _beneath(
 def _claimed_of(
     found: Found, known: tuple[Term, ...], given: Model, jobs: int, tell: Progress
 ) -> Found:
-    """What is found with those of the bodies that are claimed; ``known``: terms of transmissions
-    that were measured.
+    """The findings with the claimed ones of the bodies. ``known``: terms of measured transmissions.
     """
     bare, bodies, claims, beneath = found.bare, found.bodies, found.claims, found.beneath
-    if len(claims) < len(bodies.found):  # what is no body has to be explained at the joints
+    if len(claims) < len(bodies.found):  # the joints have to explain what is no body
         with_all = found.explained
         beneath = given.with_terms((*given.terms, *(c.found.term for c in claims), *known))
         parts = with_bodies(bare, beneath)
@@ -270,7 +270,7 @@ def _claimed_of(
         found = replace(found, parts=parts, beneath=beneath).explained_by(explained)
         return found if claims else _one_body(found, with_all, given, jobs, tell)
     if claims and any(c.mechanism == "inertia" for d in found.decisions for c in d.claims):
-        # a body that the joints have to correct may be none: the plainer explanation stands
+        # a body that the joints have to correct may be none: the simpler explanation wins
         plain = given.with_terms((*given.terms, *known))
         parts = with_bodies(bare, plain)
         other = explain(parts, given, plain, jobs, tell)
@@ -282,13 +282,14 @@ def _claimed_of(
 def _one_body(
     apart: Found, explained: Explained, given: Model, jobs: int, tell: Progress
 ) -> Found:
-    """What is found with the body that explains most, where the joints ``apart`` have more findings
-    without it and predict no better: each can take its part of a body for a wrong figure or a
-    function of the position, so that none misses it. ``explained`` has all bodies proposed.
+    """The findings with the one body that explains most, where the joints ``apart`` have more
+    findings without it and predict no better. Each joint can mistake its part of a body for a wrong
+    number or a function of the position, so that none misses the body. ``explained``: the findings
+    with all proposed bodies.
     """
     test, proposed = apart.bare.test, apart.bodies.found
     without = apart.explained
-    if findings_at(test, given, without) < 2:  # a body is one, too
+    if findings_at(test, given, without) < 2:  # a body is one finding too
         return apart
     beneath = apart.beneath.with_terms((*apart.beneath.terms, proposed[0].term))
     parts = with_bodies(apart.bare, beneath)
@@ -303,7 +304,7 @@ def _one_body(
 
 
 def _finished(found: Found, given: Model, jobs: int, tell: Progress) -> Found:
-    """With what passes fast, and bodies and joints settled together."""
+    """The findings with fast ripples, and bodies and joints estimated together."""
     parts, bare, beneath, claims = found.parts, found.bare, found.beneath, found.claims
     searches, decisions, whole = found.searches, found.decisions, found.whole
     tell(Step.ASSEMBLING.says("looking for what passes fast"))
@@ -315,7 +316,7 @@ def _finished(found: Found, given: Model, jobs: int, tell: Progress) -> Found:
             parts.fit, parts.choose, search, given.joint_kind(search.joint), jobs
         )
     ]
-    # a ripple that the model lacks may be taken for other effects: decide again beside it
+    # a missing ripple may be mistaken for other effects: decide again beside it
     if fine:  # slower observers know less of it than the fast one that found it
         beneath = beneath.with_terms((*beneath.terms, *(ripple.term.held() for ripple in fine)))
         rippled = {ripple.term.joint for ripple in fine}
@@ -330,7 +331,7 @@ def _finished(found: Found, given: Model, jobs: int, tell: Progress) -> Found:
             improved = _calibrated_beside(parts.fit, given, improved, jobs)
         whole = replace(whole, improved=improved)
         decisions = beside_bodies(claims, decisions, parts.test)
-    if claims or any(m.terms for m in found.measured):  # these are no calibration
+    if claims or any(m.terms for m in found.measured):  # these are findings, not calibration
         bases = [
             calibrate_joint(bare.fit, given, joint, jobs) for joint in range(1, given.joints + 1)
         ]
@@ -347,8 +348,8 @@ def _finished(found: Found, given: Model, jobs: int, tell: Progress) -> Found:
 
 
 def _calibrated_beside(fit: Data, given: Model, improved: Model, jobs: int) -> Model:
-    """The improved model calibrated beside its bodies: its own numbers were held while a body was
-    looked for that they could have taken up.
+    """The findings with the improved model calibrated beside its bodies. Its own numbers, which
+    could have absorbed a body, were held during the search for bodies.
     """
     mechanism = {
         key: tuple(
@@ -362,7 +363,7 @@ def _calibrated_beside(fit: Data, given: Model, improved: Model, jobs: int) -> M
 
 
 def _loaded(found: Found, given: Model, jobs: int) -> Found:
-    """With the load that only the held-out recordings have."""
+    """The findings with the load that only the held-out recordings have."""
     (first, *_), whole = found.decisions, found.whole
     other = other_load(found.parts, given, first, jobs) if first.loads else None
     if other is None:
@@ -373,8 +374,8 @@ def _loaded(found: Found, given: Model, jobs: int) -> Found:
 
 
 def _misled(found: Found, calibrated: Model, rest: Data) -> bool:
-    """Whether a joint that is pushed is predicted worse, by more than its sensor errs, where
-    nothing pushes it (``rest``: of the untouched recordings).
+    """Whether a pushed joint is predicted worse outside the pushes, by more than the sensor's error
+    (``rest``: of the untouched recordings).
     """
     for d in found.decisions:
         if d.bursts is not None:
@@ -399,7 +400,7 @@ def _pushes(
 
 
 def _beside_pushes(pushed: Found, found: Found) -> Found:
-    """What was found without the pushes, and the pushes in all recordings, beside it."""
+    """The findings without the pushes, and beside them the pushes in all recordings."""
     every = (pushed.parts.fit, pushed.parts.held)
     decisions = []
     for first, again in zip(pushed.decisions, found.decisions, strict=True):

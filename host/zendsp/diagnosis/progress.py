@@ -1,4 +1,4 @@
-"""What a diagnosis says while it works: sentences, each with the step that it belongs to."""
+"""The progress of a diagnosis: sentences, each with its step."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from enum import IntEnum
 class Step(IntEnum):
     """The steps of a diagnosis, in their order."""
 
-    ANEW = 0  # all of them follow once more
+    ANEW = 0  # all steps begin again
     READING = 1
     CALIBRATING = 2
     SEARCHING = 3
@@ -18,7 +18,7 @@ class Step(IntEnum):
     REPORTING = 6
 
     def says(self, words: str) -> Said:
-        """The sentence of this step."""
+        """A sentence of this step."""
         said = Said(words)
         said.step = self
         return said

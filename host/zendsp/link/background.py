@@ -15,7 +15,7 @@ import zenoh
 
 
 class Connected(Protocol):
-    """What has to be let go of before the process ends."""
+    """A connection that must be closed before the process ends."""
 
     def close(self) -> None:
         """Say goodbye."""
@@ -30,8 +30,7 @@ END_S = 1.0  # for saying goodbye when the process ends
 
 
 def background(name: str, work: Callable[..., object], *arguments: object) -> threading.Thread:
-    """Do ``work`` in a thread that does not keep the process, and that the process's end waits for
-    a little; return it.
+    """A daemon thread that does ``work``; the end of the process waits for it a little.
 
     Python ends a thread that comes back from Zenoh while the interpreter goes down by unwinding it,
     and Rust takes the whole process down for that ("FATAL: exception not rethrown"): so the links
@@ -75,7 +74,9 @@ def _pull(samples: Any, take: Callable[[zenoh.Sample], None]) -> None:
 
 @atexit.register
 def _close_all() -> None:
-    """Let go of every target; one that cannot be told (a frozen peer) notices within the lease."""
+    """Close every connection; a target that cannot be told (a frozen peer) notices within the
+    lease.
+    """
     for link in list(open_links):
         background("closing", link.close)
     deadline = time.monotonic() + END_S

@@ -87,7 +87,9 @@ def connect(
 
 
 def _not_asked(name: str) -> str:
-    """Where ``$ZENDSP_CONNECT`` leads elsewhere: what of this computer was meant, perhaps."""
+    """A hint for an error: the target of this computer that may have been meant, where
+    ``$ZENDSP_CONNECT`` leads elsewhere.
+    """
     here = [entry.name for entry in own_entries(name)] if remote_endpoints(None) else []
     if not here:
         return ""
@@ -101,8 +103,8 @@ def _not_asked(name: str) -> str:
 def locate(
     name: str, connect: str | Sequence[str] | None = None
 ) -> tuple[str, list[str], Credentials | None]:
-    """Find name and endpoints of the target meant, and what lets its own user in where it runs
-    here.
+    """Name and endpoints of the target that is meant, and the credentials of its own user where it
+    runs here.
     """
     entries = {entry.name: entry for entry in local_entries()}
     endpoints = remote_endpoints(connect)
@@ -228,7 +230,7 @@ def _wait_ready(process: subprocess.Popen[bytes], said: IO[bytes], timeout: floa
         said.seek(0)
         words = said.read().decode(errors="replace").strip()
         why = words or "it said nothing"
-        if not ready:  # what it said until then is not why
+        if not ready:  # what it said until then is not the reason
             why = f"it was not ready within {timeout:g} s; it said: {words or 'nothing'}"
         raise LinkError(f"the target did not start: {why}") from None
 

@@ -121,8 +121,8 @@ def unreachable(entry: registry.Entry) -> str:
 
 
 def reach(entry: registry.Entry) -> tuple[list[str], Credentials | None]:
-    """Where a target of this user listens for its own user, and what lets it in; None where it asks
-    for what anyone needs.
+    """The endpoint and credentials of a target for its own user; None where it asks everyone for
+    the same.
     """
     sockets = [endpoint for endpoint in entry.endpoints if endpoint.startswith(SOCKET)]
     if sockets or entry.user:
@@ -135,9 +135,7 @@ def reach(entry: registry.Entry) -> tuple[list[str], Credentials | None]:
 def _ask_all(
     places: Sequence[tuple[Sequence[str], Credentials | None]], timeout: float
 ) -> list[list[Found]]:
-    """What answers at each place; all are asked at once, so that one that is silent delays nobody
-    else.
-    """
+    """The answers at all endpoints, asked at once, so that a silent one delays no other."""
     answers: list[list[Found]] = [[] for _ in places]
 
     def ask(k: int) -> None:

@@ -122,18 +122,18 @@ class Link:
         )
 
     def on_return(self, callback: Callable[[], None]) -> None:
-        """Have ``callback`` called, in a thread of its own, whenever the target comes back after an
+        """Call ``callback``, in a thread of its own, whenever the target comes back after an
         outage.
         """
         self._returned.append(callback)
 
     def forget(self, callback: Callable[[], None]) -> None:
-        """End what `on_return` asked for; what it was asked by can be freed then."""
+        """Undo `on_return`, so that the owner of the callback can be freed."""
         with contextlib.suppress(ValueError):  # asked of another link, or forgotten already
             self._returned.remove(callback)
 
     def take_over(self, old: Link) -> None:
-        """Do for those who waited for the return of ``old`` what they asked for."""
+        """Take over the callbacks of ``old``, and call them."""
         for callback in list(old._returned):
             self.on_return(callback)
             callback()
@@ -160,8 +160,8 @@ class Link:
         begin = time.monotonic()
         try:
             if querier is not None:
-                # what `_ask` does, in place: each function on the way is met cold, and costs
-                # several times what it does in a loop
+                # `_ask`, inlined: each function on the way is cold in the caches and costs several
+                # times what it does in a loop
                 sample = querier.get(payload=payload, attachment=first).recv().ok
             else:
                 sample = self._patient(row, payload, limit, first)
@@ -187,8 +187,8 @@ class Link:
         limit: float,
         begin: float,
     ) -> zenoh.Sample:
-        """Ask again until an answer comes: a target that others flood with requests drops some of
-        them, unanswered.
+        """The answer to a request, which is repeated until it comes: a flooded target drops some
+        requests unanswered.
         """
         while not self.closed and self._alive.is_set() and time.monotonic() <= begin + limit:
             time.sleep(AGAIN_S)
@@ -201,15 +201,14 @@ class Link:
     def _again(
         self, row: Verb, payload: bytes, timeout: float, begin: float, number: int, instance: bytes
     ) -> zenoh.Sample:
-        """Have a change carried out once: where the link breaks, the request is sent again, and the
-        target knows it by its stamp.
+        """The answer to a change that must be carried out once: after an outage it is sent again,
+        and the target recognises it by its stamp.
         """
         deadline, again = begin + timeout, stamp(self._name, number, instance, AGAIN)
         while (
             not self.closed and (left := deadline - time.monotonic()) > 0 and self.wait_alive(left)
         ):
-            # it may be that the news of a death, or of the lanes of one that is back, is a moment
-            # behind
+            # news of a death, or of the lanes of a returned target, may come a moment later
             with contextlib.suppress(LinkError):
                 return self._patient(row, payload, max(left, STEP_S), again)
         if not self.closed and self._alive.is_set():
@@ -224,7 +223,7 @@ class Link:
         )
 
     def stream(self, verb: str, arguments: Any, on_part: Callable[[bytes, bytes], None]) -> None:
-        """Send a request that is answered in many parts, each with an attachment, and a last one
+        """Send a request that is answered by many parts, each with an attachment, and a last one
         without.
 
         Parameters
@@ -251,7 +250,7 @@ class Link:
         raise self.silence(verb, row.timeout)
 
     def silence(self, verb: str, timeout: float) -> LinkError:
-        """Say what an absent answer means: gone, or not answering."""
+        """The error for an absent answer: the target is gone, or does not answer."""
         where = ", ".join(self.endpoints)
         if self.closed:
             return LinkError(CLOSED.format(name=self.target))
@@ -268,7 +267,7 @@ class Link:
         )
 
     def _kept(self) -> str:
-        """Where the rows are that a killed target of this computer had recorded."""
+        """A sentence on where the recorded rows of a killed target of this computer are."""
         with kept.abandoned() as folders:
             notes = [kept.read(folder) for folder in folders] if self.own else []
         if not any(note is not None and note.about.target == self.target for note in notes):
@@ -312,7 +311,7 @@ class Link:
         return row
 
     def _make_ready(self, verb: str) -> _Ready:
-        """Look up once what each request of a verb needs: its row and its lane."""
+        """Prepare the requests of a verb: its row of the table, and its lane."""
         row = self._row(verb)
         ready = row, self._queriers.get(row.lane)
         self._ready[verb] = ready
@@ -331,7 +330,9 @@ class Link:
     def _patient(
         self, row: Verb, payload: bytes, timeout: float, attachment: bytes | None = None
     ) -> zenoh.Sample:
-        """Ask and wait so that Ctrl-C is heard and a target that goes away is noticed."""
+        """The reply to a request, waited for such that Ctrl-C works and the loss of the target is
+        noticed.
+        """
         with self._replies(row, payload, timeout, zenoh.Priority.DATA, attachment) as replies:
             for reply in replies:
                 if reply.ok is not None:  # else its time is up
@@ -347,7 +348,7 @@ class Link:
         priority: zenoh.Priority,
         attachment: bytes | None = None,
     ) -> Iterator[Iterable[zenoh.Reply]]:
-        """Give replies as they come, until the last, or until the target is gone.
+        """Hand over replies as they come, until the last, or until the target is gone.
 
         No generator: one that is left early ends where Python loses a Ctrl-C that came meanwhile.
         """
@@ -372,8 +373,8 @@ class Link:
             self._waiting.discard(giving_up)
 
     def _still_there(self) -> bool:
-        """Ask the link once more: the news of a death may be a moment behind the end of its last
-        request.
+        """Whether the target is still there; the news of its death may come a moment after its last
+        answer.
         """
         self._lost.wait(STEP_S)
         return self._alive.is_set()

@@ -1,4 +1,4 @@
-"""What a recording carries beside its samples, asked of the target when they have come home."""
+"""The metadata of a recording, requested from the target once its rows are here."""
 
 from __future__ import annotations
 

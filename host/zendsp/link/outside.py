@@ -1,4 +1,4 @@
-"""Where the joints stand, and which of them stand outside their limits."""
+"""The positions of the joints, and those outside their limits."""
 
 from __future__ import annotations
 

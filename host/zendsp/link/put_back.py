@@ -1,4 +1,4 @@
-"""What a run sets in the program is put back when the run ends, however it ends."""
+"""Restores what a run has set in the program when the run ends, however it ends."""
 
 from __future__ import annotations
 

@@ -1,11 +1,10 @@
-"""Requests that come again and again: a host that tunes or watches sends the same names thousands
-of times, with other numbers.
+"""Packs repeated requests fast: a host that tunes or watches sends the same names thousands of
+times with other numbers.
 
-A host that wakes up for a reply finds little of its Python in the caches, and pays several times
-for every function on the way. So a write or an update of doubles, and a reading, is packed once;
-the next one of these names is the same bytes with its own numbers in them, and a reply that differs
-in its numbers only is read without unpacking. What is not plainly so goes through `codec`, with the
-same result.
+A host that wakes up for a reply has little of its Python in the caches, so that every function
+costs several times as much. So a write or update of doubles, or a reading, is packed once. The next
+one of the same names reuses the bytes with its own numbers, and a reply that differs in its numbers
+only is read without unpacking. Everything else goes through `codec`, with the same result.
 """
 
 from __future__ import annotations
@@ -103,7 +102,7 @@ class RepeatedRequests:
             example = codec.encode_result({"tick": _LARGEST, "values": values})
             begin, rest = example.split(_COUNT.pack(_LARGEST))
             texts = begin, *rest.split(_FLOAT.pack(_PROBE))[:-1]
-            # such names are made fit to be shown: no reply is as short as this
+            # the target shortens or escapes such names, so that no reply is as short
             places = "" if suspicious(b"".join(texts)) else f"{len(begin)}sQ"
             places += "".join(f"{len(text)}sd" for text in texts[1:] if places)
             form = struct.Struct(f">{places}"), texts, (*values,)

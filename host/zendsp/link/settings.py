@@ -17,7 +17,7 @@ LEASE_MS = 1000  # a dead target is noticed within this time; the default of 10 
 
 @dataclass(frozen=True)
 class Credentials:
-    """What proves who this host is.
+    """The credentials of this host.
 
     Attributes
     ----------
@@ -136,8 +136,8 @@ def _check(credentials: Credentials) -> None:
 
 
 def doubts(credentials: Credentials) -> str:
-    """Say what is wrong with credentials, as far as it can be seen from here, for a target that
-    does not answer. Nobody is kept from trying: the clock of this computer may be wrong.
+    """The visible faults of credentials in words, for a target that does not answer. They refuse
+    nothing: the clock of this computer may be wrong.
     """
     for what, file, renewed in (
         ("certificate", credentials.certificate, "'zendsp keys user NAME --role ROLE --renew'"),

@@ -1,5 +1,5 @@
-"""What is still to be done, in order, until the program of a target runs: after a STOP, a trip, a
-lost host, or at the beginning.
+"""The remaining steps, in order, until the program of a target runs: after a STOP, a trip, a lost
+host, or at the beginning.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def way_back(
             "acknowledge": status.trip is not None, "pause": running, "build": not there,
             "power": "power" in unmet, "home": home, "enable": enable, "start": True,
         }  # fmt: skip
-        # what no command mends comes first: nothing else is granted before
+        # what no command can solve comes first: nothing else is granted before
         first = [unmet[name] for name in ("stop input", "sensors", "limits") if name in unmet]
         steps = first * there + [name for name, yes in needed.items() if yes]
     other = drive.commander not in ("", me)

@@ -132,8 +132,8 @@ class Sensor:
 
 @dataclass(frozen=True)
 class Discrepancy:
-    """What a diagnosis of the machine left unexplained, N m or N RMS, a number a joint: all of the
-    ``torque``, and what of it any function of the joint's ``state`` predicts.
+    """Torque that a diagnosis of the machine left unexplained, N m or N RMS, one number per joint:
+    the whole ``torque``, and the part that any function of the joint's ``state`` predicts.
     """
 
     torque: tuple[float, ...] = ()

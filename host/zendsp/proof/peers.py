@@ -30,6 +30,7 @@ CUTOFF_HZ = 20.0
 ROWS_HZ = 100.0
 # a term must lower the held-out residual by this share, else it is taken for noise
 WORTH = 0.02
+TERMS = 6  # at most, of one answer
 ORDERS = (1, 2, 3, 4, 6, 7, 8, 11, 12, 14, 18, 24)
 
 
@@ -242,7 +243,7 @@ def stlsq(p: Problem) -> Path_:
     return out
 
 
-def frols(p: Problem, terms: int = 6) -> Path_:
+def frols(p: Problem) -> Path_:
     """Forward regression by orthogonal least squares and error reduction ratio (Chen, Billings, Luo
     1989).
     """
@@ -250,7 +251,7 @@ def frols(p: Problem, terms: int = 6) -> Path_:
     chosen: list[int] = []
     rest = p.x.copy()
     out: Path_ = []
-    for _ in range(min(terms, p.x.shape[1])):
+    for _ in range(min(TERMS, p.x.shape[1])):
         energy = np.sum(rest**2, 0)
         ratio = np.where(energy > 1e-6 * len(p.y), (rest.T @ p.y) ** 2 / (energy + 1e-300), 0.0)
         ratio[chosen] = 0.0

@@ -13,6 +13,7 @@ from zendsp.errors import RecordingError
 from zendsp.recording.units import FloatArray as FloatArray
 from zendsp.recording.units import to_si
 
+LISTED = 12  # names in a sentence
 _ELEMENT = re.compile(r"^(.+)\[(\d+)\]$")
 # A unit that stands apart from the name by a blank may be one that is not known; "q[0]" has none.
 _UNIT = re.compile(r"^(.*\S)\s+[\[(]([^\[\]()]*)[\])]$")
@@ -170,7 +171,7 @@ def pick(columns: Mapping[str, FloatArray], name: str) -> FloatArray | None:
     return None
 
 
-def listing(names: Sequence[str], limit: int = 12) -> str:
+def listing(names: Sequence[str]) -> str:
     """Write names into a sentence, cut short where there are very many."""
-    shown = ", ".join(names[:limit])
-    return shown + (f", … ({len(names)} in all)" if len(names) > limit else "") if names else "none"
+    more = f", … ({len(names)} in all)" if len(names) > LISTED else ""
+    return ", ".join(names[:LISTED]) + more or "none"

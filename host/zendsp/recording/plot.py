@@ -52,7 +52,7 @@ def plot(recording: Samples, names: Sequence[str] | None, path: str | Path | Non
     return figure
 
 
-def save_figure(figure: Figure, path: str | Path | None, dpi: int = 120) -> None:
+def save_figure(figure: Figure, path: str | Path | None) -> None:
     """Write a figure as a picture, in a folder that is made where it lacks; None: nowhere.
 
     Raises
@@ -65,7 +65,7 @@ def save_figure(figure: Figure, path: str | Path | None, dpi: int = 120) -> None
     path = Path(path).expanduser()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=dpi)
+        figure.savefig(path, dpi=120)
     except (OSError, ValueError) as error:
         why = error.strerror if isinstance(error, OSError) and error.strerror else error
         raise RecordingError(f"{path}: cannot be written ({why})") from error

@@ -1,4 +1,4 @@
-"""A command of zendsp in a process of its own, whose words arrive line by line."""
+"""Runs a command of zendsp in a process of its own, whose output arrives line by line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""What a diagnosis found, as numbers for the running program, and how a program comes to take them.
+"""The compensation of a diagnosis as numbers for the running program, and how a program is built to
+take them.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ class Compensation:
 
 
 def compensation_of(d: Diagnosed) -> Compensation:
-    """Return what can be compensated of what was found.
+    """Return the compensation of the findings that a torque can cancel.
 
     Raises
     ------

@@ -49,7 +49,7 @@ class Job(Generic[T]):
         return not self.result.done()
 
     def saved(self) -> str:
-        """What is left of a job whose link was lost, as the end of a sentence."""
+        """What a job whose link was lost has kept, as the end of a sentence."""
         return ""
 
     # -- on the thread

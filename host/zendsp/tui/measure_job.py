@@ -34,7 +34,7 @@ class MeasureJob(Job[Any]):
         self.left: Any = None
 
     def saved(self) -> str:
-        """What is said of what was measured before it failed; empty: nothing was."""
+        """A sentence on what was measured before a failure; empty: nothing."""
         return "" if self.left is None else "; what was measured until then is kept"
 
     def _tell(self, share: float) -> None:

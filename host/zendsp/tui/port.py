@@ -28,7 +28,7 @@ Sink = Callable[[npt.NDArray[np.int64], npt.NDArray[np.float64], float], None]
 
 @dataclass(frozen=True)
 class Build:
-    """What became of a source."""
+    """The result of building a source."""
 
     ok: bool
     seconds: float
@@ -51,7 +51,7 @@ class Shot:
 
 @dataclass(frozen=True)
 class Swing:
-    """What of `zendsp.frequency_response` a form asks."""
+    """The arguments of `zendsp.frequency_response` that a form asks for."""
 
     joint: int = 1
     quantity: Quantity = "position"
@@ -66,7 +66,7 @@ class Swing:
 
 @dataclass(frozen=True)
 class Tries:
-    """What of `zendsp.sweep` a form asks; names with blanks between them."""
+    """The arguments of `zendsp.sweep` that a form asks for; names with blanks between them."""
 
     words: str = ""  # as `zendsp.experiment.sweep.tried_of` reads them
     channels: str = ""

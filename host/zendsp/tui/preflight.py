@@ -1,4 +1,4 @@
-"""What must be true before a run may start; each line says what to do about it."""
+"""The conditions of starting a run; each line says what to do about it."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Where a target listens, who may come in, and what for."""
+"""Access to a target: where it listens, who may connect, and what for."""

@@ -1,4 +1,4 @@
-"""Who is connected, as the link itself knows it: a host that is killed is gone within the lease."""
+"""The connected hosts by the link's own liveliness: a killed host is gone within the lease."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""A host that freezes with rows on their way to it (a laptop whose lid is shut) holds up nobody.
+"""Keeps a host that freezes with rows on their way (a laptop with a closed lid) from delaying
+others.
 
 Zenoh closes its link when the lease is over, and asks the system to wait up to ten seconds for what
 was not sent (SO_LINGER): a thread that serves all hosts then stands still, and STOP of the others

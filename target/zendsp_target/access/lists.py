@@ -1,4 +1,4 @@
-"""The files that say who may come in: users with their passwords, and roles."""
+"""Reads the files of users with their passwords, and of roles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Words for what the loop decided: trips, limits, drive modes, timing."""
+"""Translates the loop's decisions: trips, limits, drive modes, timing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The state of a target at a glance."""
+"""The status of a target."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What enabling the drives needs, each condition with what to do where it is not met."""
+"""The conditions of enabling the drives, each with what to do where it is not met."""
 
 from __future__ import annotations
 

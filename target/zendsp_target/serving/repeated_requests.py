@@ -1,5 +1,5 @@
-"""Requests that come again and again, known by their bytes: a host that tunes or watches sends the
-same ones thousands of times.
+"""Repeated requests, recognised by their bytes: a host that tunes or watches sends the same ones
+thousands of times.
 
 A monitor that wakes up for a request finds little of its Python in the caches, and pays for every
 function on the way several times over. So a request that has gone the whole way once is answered by

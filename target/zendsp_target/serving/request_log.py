@@ -29,7 +29,7 @@ Ticket = tuple[str, bytes, int]  # user, connection and number of a request
 
 @dataclass(slots=True)
 class _Memory:
-    """Of one connection: replies by number; a list of who waits where the work goes on."""
+    """The memory of one connection: replies by number, or a list of those who wait for one."""
 
     results: dict[int, bytes | list[Any]] = field(default_factory=dict)
     forgotten: int = -1  # largest number whose reply was dropped
@@ -39,7 +39,7 @@ class _Memory:
 
 @dataclass(slots=True)
 class _Links:
-    """Of one user: connections, the one that was quiet longest first."""
+    """The connections of one user, the one that was quiet longest first."""
 
     memories: OrderedDict[bytes, _Memory] = field(default_factory=OrderedDict)
     # until then, one that is not known may be one that was dropped too early, s

@@ -1,4 +1,4 @@
-"""What a run sets in the program is put back when it ends, and when its host is lost."""
+"""Restores what a run has set in the program when it ends, and when its host is lost."""
 
 from __future__ import annotations
 

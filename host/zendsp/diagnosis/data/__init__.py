@@ -1,1 +1,1 @@
-"""From files to joint records that the estimators can use."""
+"""Reads files and prepares joint records for the estimators."""

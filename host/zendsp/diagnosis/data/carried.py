@@ -1,4 +1,4 @@
-"""Whether a body that the model lacks explains what a regression blames on a column."""
+"""Whether a missing body explains a mismatch that a regression would blame on a column."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ EXPLAINED = 0.8  # R^2 of a torque that a body explains
 
 
 def is_carried(slow: Slow, model: Model, joint: int, body: tuple[Array, Array]) -> bool:
-    """Whether a body that the model lacks, on a joint's own link, explains its torque (1-based).
-    Where all joints swing, its pull may be larger than the link's own inertia, and against it.
+    """Whether a missing body on a joint's own link explains its torque (1-based). Where all joints
+    swing, its pull may be larger than the link's own inertia, and against it.
     """
     links = _links(slow, model)
     if links is None:
@@ -27,13 +27,13 @@ def is_carried(slow: Slow, model: Model, joint: int, body: tuple[Array, Array]) 
     if len(a) < PER_COLUMN * a.shape[1]:
         return False
     theta, right = _solved(a, lacking, _variance(slow, model, joint - 1))
-    inertia = float(np.mean(theta[: len(felt)] @ felt))  # less than none: a flipped sign
+    inertia = float(np.mean(theta[: len(felt)] @ felt))  # negative: a flipped sign
     return inertia > 0 and right
 
 
 def is_tool(slow: Slow, model: Model, body: tuple[Array, Array]) -> bool:
-    """Whether one body on the last link, no heavier than the robot, explains what all joints
-    lack.
+    """Whether one body on the last link, no heavier than the robot, explains the missing torque of
+    all joints.
     """
     links = _links(slow, model)
     if links is None:
@@ -69,8 +69,8 @@ def _links(slow: Slow, model: Model) -> Links | None:
 def _borne(
     slow: Slow, model: Model, body: tuple[Array, Array], links: Links, i: int, link: int
 ) -> tuple[Array, Array, Array]:
-    """Of joint ``i``: the inertia that each number of a link gives it; columns of the numbers,
-    friction and a constant; and the torque that the model's body lacks (both from 0).
+    """For joint ``i`` (from 0): the inertia by each number of a link; columns of the numbers,
+    friction and a constant; and the missing torque.
     """
     if links.moves(i, link):
         felt, borne = links.columns(i, link)
@@ -84,7 +84,7 @@ def _borne(
 
 
 def _variance(slow: Slow, model: Model, i: int) -> float:
-    """Of the torque of joint ``i`` (from 0); 0 where it is at its limit all the time."""
+    """The variance of the torque of joint ``i`` (from 0); 0 where it is always at its limit."""
     use = ~slow.at_edge[i]
     if not use.any():
         return 0.0
@@ -92,7 +92,7 @@ def _variance(slow: Slow, model: Model, i: int) -> float:
 
 
 def _solved(a: Array, lacking: Array, variance: float) -> tuple[Array, bool]:
-    """Least squares, and whether it leaves little of a torque of that variance."""
+    """The least-squares solution, and whether it leaves little of a torque of that variance."""
     scale = np.maximum(np.linalg.norm(a, axis=0), 1e-300)
     theta = np.linalg.lstsq(a / scale, lacking, rcond=1e-9)[0] / scale
     left = lacking - a @ theta

@@ -1,4 +1,4 @@
-"""What can be wrong with the data, told in one clear sentence before physics is blamed."""
+"""Checks of the data that come before physics is blamed; each refusal is one clear sentence."""
 
 from __future__ import annotations
 
@@ -19,32 +19,32 @@ from zendsp.physics.model import Model, per_joint
 Array = npt.NDArray[np.float64]
 
 DEGREE = 180.0 / np.pi
-TINY = 1e-15  # keeps a step of nothing from being divided by
+TINY = 1e-15  # avoids a division by a step of zero
 MIN_SECONDS = 2.0  # eight blocks of the held-out statistics; of several recordings, half each
 MIN_COUNTS = 8
 
 # What refuses a recording: tests/diagnosis/test_bad_input.py has recordings on either side.
-CONSTANT = 1e-9  # of the largest position: a span below is a constant
-# counts that a step has at least where a position is asked for rows between which it stands still,
-# and how many such steps tell: chosen, not measured; rows that are all new have steps one apart
+CONSTANT = 1e-9  # of the largest position: a smaller span is a constant
+# least counts of a step between rows that repeat a position, and the number of such steps that
+# shows it: chosen, not measured; rows that are all new have such steps one apart
 REFRESHED, REFRESHES = 3.0, 50
 NOISE_SPANS = 15  # standard deviations: 20 000 samples of white noise span 8
 FOLLOWED = 0.8  # R^2 of position on reference from which the slope says unit and sign
 MOSTLY = 0.5  # of the samples
 OPPOSITE = -0.5  # slope
-UNIT_FACTOR = (0.7, 1.4)  # of a factor between units
+UNIT_FACTOR = (0.7, 1.4)  # times a factor between units: its tolerance
 OTHER_UNITS = 10  # times the actuator's limit, and most of the time beyond it
-MILLI = 1000.0  # of a unit; a command within its limits is so many times as large in milli-units
-TOO_LARGE = 1.001  # of the actuator's limit: more than a rounding
-AT_TOP = 0.999  # of the largest command: there
+MILLI = 1000.0  # times a unit: a command in milli-units is this many times larger
+TOO_LARGE = 1.001  # of the actuator's limit: more than rounding
+AT_TOP = 0.999  # of the largest command: at it
 STUCK = 0.03  # of the time at the largest command
-VALUES = 20  # that a command has at least which is no relay's, of six digits
+VALUES = 20  # least number of values, to six digits, of a command that is not a relay's
 DIGITS = 6
-JUMP_QUANTILE = 0.999  # of the steps: what a fast step of the motion is
-JUMP_USUAL, JUMP_NEAR = 8, 20  # times that, and the median of the steps before and after
+JUMP_QUANTILE = 0.999  # of the steps: a fast step of the motion
+JUMP_USUAL, JUMP_NEAR = 8, 20  # times that, and times the median step around it: a jump
 JUMP_COUNTS = 6  # of the sensor
 JUMP_SPAN = 0.004  # of the position's span
-BACK = 0.1  # of a jump, at most, that the next row does not take back: chosen, not measured
+BACK = 0.1  # of a jump: most that the next row leaves of a spike: chosen, not measured
 ARRIVAL = 0.004  # s, over which the speed before a stop is taken
 LAG = 0.02  # s, over which the usual acceleration is; a stop lasts longer
 STOP_COUNTS = 4  # of the sensor, within ARRIVAL
@@ -55,21 +55,21 @@ STOP_MOST = 0.6  # and of all long ones
 
 
 def check_signals(signals: Sequence[Signals], model: Model) -> list[str]:
-    """Look at each recording before it is smoothed; returns notes.
+    """The notes on recordings that pass the checks before smoothing.
 
     Raises
     ------
     RecordingError
-        Where a recording cannot be diagnosed: too short, constant, unexcited, clipped, glued; where
-        sensors hung, of all recordings at once.
+        A recording cannot be diagnosed: too short, constant, unexcited, clipped, glued. Hanging
+        sensors are named for all recordings at once.
     """
     notes = unused_effects(signals, model)
     stood: list[Hung] = []
     least = MIN_SECONDS if len(signals) == 1 else MIN_SECONDS / 2
     for s in signals:
-        notes += [note for note in s.notes if note not in notes]  # of several alike: once
+        notes += [note for note in s.notes if note not in notes]  # equal notes once
         raw = s.raw or s
-        seconds = float(raw.time[-1] - raw.time[0]) + raw.sample_time  # the last row's, too
+        seconds = float(raw.time[-1] - raw.time[0]) + raw.sample_time  # including the last row's
         if seconds < least - 0.5 * raw.sample_time:
             beside = " each, where there are several recordings" if len(signals) > 1 else ""
             raise RecordingError(
@@ -104,7 +104,7 @@ def check_signals(signals: Sequence[Signals], model: Model) -> list[str]:
 
 
 def _rests(s: Signals, j: int) -> bool:
-    """Whether a joint (from 0), as it was recorded, moves by less than a few counts."""
+    """Whether a joint (from 0) moves by less than a few counts in the raw recording."""
     raw = s.raw or s
     y, least = raw.position[:, j], MIN_COUNTS * float(raw.resolution[j])
     return _constant(y) or float(np.ptp(y)) < least
@@ -148,8 +148,8 @@ def _moves(where: str, y: Array, resolution: float, model: Model) -> None:
 def _refreshed(
     where: str, y: Array, resolution: float, sample_time: float, hold: float | None
 ) -> None:
-    """A position that steps every few rows, and stands still between, was read more seldom than it
-    was logged: half of that time it is late, which no sensor of the rows' rate is.
+    """Refuse a position that steps only every few rows: it was read less often than logged, and so
+    is late by half of that interval.
     """
     steps = np.flatnonzero(np.abs(np.diff(y)) > REFRESHED * resolution)
     if len(steps) < REFRESHES:
@@ -167,9 +167,7 @@ def _refreshed(
 
 
 def _follows(where: str, y: Array, r: Array, kind: str) -> None:
-    """The reference has the unit and sign of the position: a factor of 180/pi or -1 between them is
-    a mistake.
-    """
+    """Refuse a reference that differs from the position by a factor of 180/pi or -1."""
     a, b = y - y.mean(), r - r.mean()
     power = float(b @ b)
     if power <= 0:
@@ -222,8 +220,8 @@ def _limits(where: str, u: Array, limit: float) -> list[str]:
 
 
 def _glued(where: str, y: Array, resolution: float, s: Signals) -> list[Hung]:
-    """A jump that no neighbour announces: a speed for one sample that the motion before and after
-    does not have. Returns where the sensor hung, if that is what it was.
+    """Refuse a jump: a speed of one sample that the motion around it does not have. Returns the
+    times at which a sensor hung, if that was the cause.
     """
     step = np.diff(y)
     usual = float(np.quantile(np.abs(step), JUMP_QUANTILE))
@@ -239,7 +237,7 @@ def _glued(where: str, y: Array, resolution: float, s: Signals) -> list[Hung]:
         and jump > JUMP_SPAN * float(np.ptp(y))
     ):
         between = float(s.time[k] + s.time[k + 1]) / 2.0 - float(s.time[0])
-        for other, row in ((k + 1, k + 2), (k - 1, k + 1)):  # and back again
+        for other, row in ((k + 1, k + 2), (k - 1, k + 1)):  # a spike that goes back
             if 0 <= other < len(step) and abs(step[other] + step[k]) < BACK * jump:
                 raise RecordingError(
                     f"{where}: the position of row {row} alone is {jump:.4g} off its neighbours:"
@@ -258,8 +256,8 @@ def _glued(where: str, y: Array, resolution: float, s: Signals) -> list[Hung]:
 
 
 def _clipped(where: str, y: Array, resolution: float, sample_time: float) -> None:
-    """A joint that stands at its extreme from one sample to the next: the stop would need an
-    acceleration that it shows nowhere else.
+    """Refuse a joint that stops at its extreme within one sample, with an acceleration that it
+    shows nowhere else.
     """
     width = max(2, round(ARRIVAL / sample_time))
     lag = max(1, round(LAG / sample_time))
@@ -294,7 +292,7 @@ def _clipped(where: str, y: Array, resolution: float, sample_time: float) -> Non
 
 
 def check_motion(data: Data, model: Model, names: Sequence[str]) -> list[str]:
-    """Look at the motion against the command: units, signs, swapped columns
+    """The notes on motion compared with the command: units, signs, swapped columns
     (``plausibility``).
 
     Parameters
@@ -312,10 +310,10 @@ def check_motion(data: Data, model: Model, names: Sequence[str]) -> list[str]:
     Raises
     ------
     RecordingError
-        Where position and command contradict the model so plainly that the data must be wrong, with
-        the likeliest mistake.
+        Position and command contradict the model so clearly that the data must be wrong; names the
+        likeliest mistake.
     """
-    # the signs of a recording in parts are those of its liveliest part
+    # signs are judged on the liveliest part of a recording
     speeds = np.array([[float(np.std(r.motion.states[1])) for r in rec] for rec in data.records])
     lively = (speeds / np.maximum(speeds.max(axis=0), TINY)).sum(axis=1)
     most: dict[str, float] = {}
@@ -355,7 +353,7 @@ def never_reverses(data: Data, joint: int) -> bool:
 
 
 def check_excitation(data: Data) -> list[str]:
-    """Notes on joints that hardly move: what cannot be told from them."""
+    """The notes on joints that hardly move."""
     notes = []
     for j in range(1, data.joints + 1):
         if never_reverses(data, j):

@@ -1,4 +1,4 @@
-"""The columns of a recording by the names that a model gives them."""
+"""The columns of a recording, found by the names in a model."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ Getter = Callable[[str], Array]  # from a column's name to its numbers in SI
 Columns = Mapping[str, str | list[str]]  # a model's [columns]: a name, or a list of them, by role
 
 
-IN_MEMORY = "recording"  # the name of one that is no file
-LARGEST = 1e100  # of a value: its square is a number yet
+IN_MEMORY = "recording"  # name of a recording that is no file
+LARGEST = 1e100  # of a value: its square is still finite
 
 
 def no_number(values: Array) -> npt.NDArray[np.bool_]:
-    """Which values are NaN, infinite, or so large that nothing can be computed with them."""
+    """The mask of values that are NaN, infinite, or too large to compute with."""
     return ~(np.abs(values) < LARGEST)
 
 
 def optional(name: str, role: str, get: Getter, spec: Any, n: int, joints: int) -> Array:
-    """An optional column, one number for all joints or one each, (n, joints)."""
+    """An optional column, (n, joints), from one column for all joints or one for each."""
     parts = [
         np.asarray(get(str(item)), float) for item in (spec if isinstance(spec, list) else [spec])
     ]
@@ -52,7 +52,7 @@ def cutting(name: str, *options: str) -> str:
 
 
 def refuse_no_number(name: str, what: str, column: str, values: Array) -> None:
-    """Refuse what holds values that are no numbers, and say where and what to do."""
+    """Refuse columns with values that are no numbers, with the place and what to do."""
     bad = no_number(values)
     if not bad.any():
         return
@@ -66,7 +66,7 @@ def refuse_no_number(name: str, what: str, column: str, values: Array) -> None:
     )
 
 
-# what each role of a column is measured in, of a joint that turns and of one that slides
+# the unit of each role of a column, for a joint that turns and one that slides
 ANGLE, SPEED, FORCE = ("rad", "m"), ("rad/s", "m/s"), ("N m", "N")
 MEASURED_IN = {
     "time": ("s", "s"), "position": ANGLE, "reference": ANGLE, "position_load": ANGLE,
@@ -75,10 +75,10 @@ MEASURED_IN = {
 
 
 def check_units(name: str, source: Recording | Table, columns: Columns, model: Model) -> None:
-    """Refuse a column of the model whose unit is not known, or is of another kind than the model's.
+    """Refuse a column of the model whose unit is unknown, or of another kind than the model's.
 
-    A command may be in any unit, unless the model names its own. Positions that the model's matrix
-    makes of what is measured may be too.
+    A command may be in any unit, unless the model names one. So may positions that the model's
+    matrix converts.
     """
     told = bool(model.joint_kinds) or model.kind not in (*CALLED, *TREES)
     for role, spec in columns.items():
@@ -113,15 +113,15 @@ def check_units(name: str, source: Recording | Table, columns: Columns, model: M
 
 
 def _by_matrix(role: str, unit: str) -> str:
-    """What to write in the model file where a position stays in its own unit."""
+    """The advice for a model file where a position stays in its own unit."""
     if role != "position":
         return ""
     return f"; or leave it, and write into the model: [sensor] matrix = [[rad (m) per {unit}]]"
 
 
 def getter(source: Recording | Table) -> tuple[str, Getter, tuple[str, ...]]:
-    """Its name, a function from a column's name to its numbers in SI, and what was done to get
-    these.
+    """The recording's name, a function from a column's name to its numbers in SI, and notes on the
+    conversion.
     """
     if isinstance(source, Recording):
         names = set(source.names)
@@ -144,9 +144,7 @@ def getter(source: Recording | Table) -> tuple[str, Getter, tuple[str, ...]]:
 
 
 def without_repeats(get: Getter, columns: Columns) -> tuple[Getter, int]:
-    """A getter without the rows whose time and positions are those of the row before, and how many
-    there are.
-    """
+    """A getter without rows that repeat time and positions of the row before, and their number."""
     if "time" not in columns or not has(get, columns["time"]):
         return get, 0
     time = np.asarray(get(str(columns["time"])))
@@ -184,13 +182,13 @@ def column_name(spec: Any, index: int) -> str:
 
 
 def matrix(name: str, label: str, get: Getter, spec: Any, joints: int) -> Array:
-    """The values of a column specification, (rows, joints), as they stand in the file; ``label``
-    names their role in errors.
+    """The raw values of a column specification, (rows, joints); ``label`` names their role in
+    errors.
 
     Raises
     ------
     RecordingError
-        Where a column is missing or no number a row, or the columns are not as many as the joints.
+        A column is missing or has not one number per row, or the columns do not match the joints.
     """
     if isinstance(spec, list):
         parts = [np.asarray(get(str(item)), float) for item in spec]

@@ -15,13 +15,13 @@ from zendsp_protocol.texts import counted
 
 Array = npt.NDArray[np.float64]
 
-# Chosen, not measured: a refusal is worded by them, and what refuses is a jump (checks.py).
-HUNG_ROWS = 5  # rows of one reading at least
-SPEED_ROWS = 3  # before them, over which the speed is taken
-STOPS_COUNTS = 2.0  # counts a row: a joint as fast does not stand in the next
-STOPS_USUAL = 3.0  # times by which speed usually changes from row to row: nor does one as fast
-USUAL = 0.98  # quantile that stands for it
-JUMPED = 3.0  # times that speed, and so many counts of a jump show that the joint moved on
+# Chosen, not measured: they only word a refusal, which is caused by a jump (checks.py).
+HUNG_ROWS = 5  # least rows of one reading
+SPEED_ROWS = 3  # before them, to measure the speed
+STOPS_COUNTS = 2.0  # counts a row: a joint this fast does not stop in the next row
+STOPS_USUAL = 3.0  # times the usual change of speed from row to row: nor does a joint this fast
+USUAL = 0.98  # quantile used as usual
+JUMPED = 3.0  # times that speed, and as many counts: a larger jump shows that the joint moved on
 JUMPED_COUNTS = 6.0
 
 
@@ -35,9 +35,9 @@ class Hang:
 
 
 def hangs(y: Array, resolution: float) -> list[Hang]:
-    """Where a position stands dead from one row to the next, and makes up for it in a jump.
+    """The hangs of a position: it stops from one row to the next and catches up in a jump.
 
-    Of two runs that were glued together, the first one comes to rest before it ends.
+    Of two glued runs, the first one slows down before it ends.
     """
     new = np.flatnonzero(np.diff(y) != 0) + 1
     first, end = np.r_[0, new], np.r_[new, len(y)]
@@ -58,7 +58,7 @@ def hangs(y: Array, resolution: float) -> list[Hang]:
 
 @dataclass(frozen=True)
 class Hung:
-    """Where a position of a recording hung."""
+    """The hangs of one position of a recording."""
 
     where: str  # recording and joint, as a refusal names them
     signals: Signals
@@ -66,8 +66,8 @@ class Hung:
 
 
 def hung(found: Sequence[Hung], least: float) -> str:
-    """A sentence on sensors that hung: where, for how long, and the commands that take all of it
-    out, one a recording. Parts shorter than ``least`` seconds are not taken.
+    """A sentence on sensors that hung: where, for how long, and the commands that cut all of it
+    out, one for each recording. Parts shorter than ``least`` seconds are dropped too.
     """
     said = "; ".join(f"{h.where}: {_stood(h)}" for h in found)
     ranges: dict[str, list[str]] = {}
@@ -95,7 +95,9 @@ def _stood(h: Hung) -> str:
 
 
 def _ranges(h: Hung) -> list[str]:
-    """What is left out, from half a row after the first row, whose reading was true, on."""
+    """The time ranges to leave out; they begin half a row after the first row, whose reading was
+    true.
+    """
     t = h.signals.time - h.signals.time[0]
     half = 0.5 * (t[1:] + t[:-1])
     return [
@@ -105,5 +107,5 @@ def _ranges(h: Hung) -> list[str]:
 
 
 def _seconds(time: float) -> str:
-    """Tenths of a microsecond are finer than any row."""
+    """Seconds in words, to a tenth of a microsecond, which is finer than any row."""
     return f"{time:.7f}".rstrip("0").rstrip(".")

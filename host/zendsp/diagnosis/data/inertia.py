@@ -1,12 +1,12 @@
 """A first estimate of each joint's inertia by inverse dynamics: bounds for the calibration of an
 incomplete model.
 
-While much physics is missing, the most likely model under a fast observer is a heavy one: a huge
-inertia ignores the wrong torques. Low-pass filtered inverse dynamics with rich friction, gravity
-and coupling columns as nuisance gives the inertia within a few percent whatever is missing (Gautier
-1997), and the calibration may move only around it. Where a joint hardly accelerates, the noise of
-its acceleration makes the estimate too small; a stronger low-pass tells. Where joints accelerate
-together, the coupling columns take from it; it is also asked without them. The range holds all.
+While much physics is missing, a fast observer favours a huge inertia, which ignores wrong torques.
+Low-pass filtered inverse dynamics with rich friction, gravity and coupling columns as nuisance
+gives the inertia within a few percent whatever is missing (Gautier 1997), and the calibration may
+move only around it. Where a joint hardly accelerates, noise of its acceleration makes the estimate
+too small, so a stronger low-pass is tried too. Where joints accelerate together, the coupling
+columns absorb a part, so it is also estimated without them. The range holds all estimates.
 """
 
 from __future__ import annotations
@@ -45,10 +45,10 @@ def own_key(model: Model, joint: int) -> str:
 def inertia_ranges(
     records: Sequence[Sequence[JointRecord]], model: Model
 ) -> dict[tuple[str, int], tuple[float, float]]:
-    """Range of each joint's own inertia, kg m² or kg, by ``own_key`` and the 0-based place of its
-    number: where the recordings determine it, out to ``INERTIA_RANGE`` what is given; and of a
-    given rotor about what is given. A number that joints share has the range that holds those of
-    all.
+    """The range of each joint's own inertia, kg m² or kg, by ``own_key`` and the 0-based place of
+    its number. It covers the recordings' estimates and the given number, widened by
+    ``INERTIA_RANGE``; for a given rotor it lies about the given number. A shared number has a range
+    that holds those of all joints.
     """
     ranges: dict[tuple[str, int], tuple[float, float]] = {}
     for joint in range(1, model.joints + 1):
@@ -60,22 +60,22 @@ def inertia_ranges(
             mechanism_value(model, key, joint) if own_mechanism else added_inertia(model, joint)
         )
         around = [_around(*found) for window in WINDOWS for found in _estimates(own, model, window)]
-        # of bodies without a rotor any of them is better than none
+        # for bodies without a rotor any estimate is better than none
         if around[0] or (not own_mechanism and not given and any(around)):
             lows, highs = zip(*filter(None, around), strict=True)
-            # what is missing may bend it away from what is given, which errs too
+            # missing physics may bend it away from the given number, which may be wrong too
             low = min(*lows, given / INERTIA_RANGE or lows[0])
             high = max(*highs, given * INERTIA_RANGE)
             others = ranges.get(place, (low, high))
             ranges[place] = min(low, others[0]), max(high, others[1])
         elif not own_mechanism and given > 0:
-            # a rotor, free without bounds, grows until it ignores whatever is missing
+            # an unbounded rotor would grow until it ignores whatever is missing
             ranges[place] = given / TOO_FAR, given * TOO_FAR
     return ranges
 
 
 def _around(value: float, t: float) -> tuple[float, float] | None:
-    """What the calibration may move in; None where the recordings do not determine it."""
+    """The range for the calibration; None where the recordings do not determine it."""
     if t <= T_VALUE or value <= 0:
         return None
     spread = INERTIA_RANGE * (1.0 + 1.0 / t)
@@ -85,8 +85,8 @@ def _around(value: float, t: float) -> tuple[float, float] | None:
 def _estimates(
     records: list[JointRecord], model: Model, window: float
 ) -> list[tuple[float, float]]:
-    """The inertia, and its ratio to its standard deviation; with the columns of the other joints,
-    and without them.
+    """Estimates of the inertia with their ratios to the standard deviation, with and without the
+    columns of other joints.
     """
     systems = [_system(record, model, window) for record in records]
     a, y = (np.concatenate(parts) for parts in zip(*systems, strict=True))
@@ -149,8 +149,7 @@ def _system(rec: JointRecord, model: Model, window: float) -> tuple[Array, Array
         if other + 1 != rec.joint and model.kind in TREES:
             _, vd, vdd = rec.others[other]
             columns += [vd, vdd, np.tanh((qd + vd) / slow)]
-    # a joint that sticks bears any torque up to its friction: only what slides says anything of its
-    # inertia
+    # a sticking joint balances any torque up to its friction: only sliding shows the inertia
     still = max(3.0 * float(np.sqrt(np.median(rec.motion.variances[1]))), SLIDING * rec.scale.speed)
     sliding = low((np.abs(qd) > still).astype(np.float64)) > 1.0 - 1e-9
     return np.stack([low(c) for c in columns], axis=1)[sliding], low(torque - known)[sliding]

@@ -1,9 +1,9 @@
 """Recordings that contradict mechanics: wrong units, flipped signs, swapped columns, commands that
 do not belong to the motion.
 
-Where the coefficient of the rigid body (``regression``) is far from 1, and no body that the model
-lacks explains it (``carried``), the likely mistakes are undone one by one; the one that brings it
-back is named.
+Where the coefficient of the rigid body (``regression``) is far from 1, and no missing body explains
+it (``carried``), the likely mistakes are undone one by one. The one that brings it back to 1 is
+named.
 """
 
 from __future__ import annotations
@@ -26,35 +26,35 @@ Array = npt.NDArray[np.float64]
 DEGREE = 180.0 / np.pi
 
 # What accuses a recording: tests/diagnosis/test_bad_input.py has recordings on either side.
-SHOWS = 0.25  # of the command: a rigid body's torque below is no ground to accuse a column
-# of the torque: friction that drives by more is two columns of the regression against each other
+SHOWS = 0.25  # of the command: a smaller rigid-body torque is no ground to accuse a column
+# of the torque: a larger negative friction means that two columns of the regression cancel
 FULL = 1.5
-ERRORS = 4  # standard errors by which a factor has to lie beyond a limit
-MANY_ERRORS = 10  # the same, for a sign: with the samples that are one fact counted once
-SURE_ERRORS = 8  # the same, for the factor once a mistake is undone
-LITTLE, MUCH = 0.3, 5.0  # of the model's inertia: outside, columns may have wrong units
+ERRORS = 4  # standard errors: least distance of a factor beyond a limit
+MANY_ERRORS = 10  # the same for a sign, with correlated samples counted once
+SURE_ERRORS = 8  # the same for the factor once a mistake is undone
+LITTLE, MUCH = 0.3, 5.0  # of the model's inertia: outside, units of columns may be wrong
 GEARED = 7.0  # of all joints' inertias: a model of a real KR 300 is off by 4, a gear by 10 and more
-NONE = 0.2  # of the model's inertia: below, it does not show
-# of the command: a rigid body that should take so much of it, and does not show
+NONE = 0.2  # of the model's inertia: less counts as not seen
+# of the command: a rigid body that should need this much must be seen
 INERTIAL_SHARE = 0.3
-# of the command: beside joints that agree with the model, a joint whose body takes so much is moved
-# by them and not by its own torque. The first joint of a real acrobot has 3 to 10
+# of the command: beside joints that agree with the model, a joint whose body needs this much is
+# moved by them, not by its own torque. The first joint of a real acrobot has 3 to 10
 PASSIVE = 3.0
-VISIBLE = 0.05  # of the command: a rigid body below cannot show its sign
+VISIBLE = 0.05  # of the command: a smaller rigid-body torque cannot show its sign
 SOUND = 0.6  # R^2 of a regression that may accuse a column
 HALF = 0.5  # R^2 of one that explains the motion by half
 GOOD = 0.8  # R^2 of one that may call a column clipped
-R2_NO_WORSE = 0.05  # R^2 by which it may fall when a mistake is undone
+R2_NO_WORSE = 0.05  # most loss of R^2 when a mistake is undone
 BEYOND, BEYOND_ERRORS = 0.15, 4.5  # of the command at its edge, and in standard errors: clipped
 SATURATED = 0.98  # of the stated limit: from there on the actuator clips as well
-CLIPPED_INERTIA = (0.4, 2.5)  # of the model's inertia: so near it a column may be called clipped
-RIGHT = (0.5, 2.0)  # of the model's inertia: so near it a mistake is undone
-DRIVES = 0.3  # of the torque: friction that gives so much drives
+CLIPPED_INERTIA = (0.4, 2.5)  # of the model's inertia: within, a column may be called clipped
+RIGHT = (0.5, 2.0)  # of the model's inertia: within, a mistake counts as undone
+DRIVES = 0.3  # of the torque: friction that adds this much is negative
 
 
 @dataclass(frozen=True)
 class _Looked:
-    """One recording, or part of one: motion, commands and noise of all joints, (joints, n) and
+    """A recording or a part of one: motion, commands and noise of all joints, (joints, n) and
     (joints,); the rigid body's torques; and each joint's regression, None where it shows nothing.
     """
 
@@ -81,7 +81,7 @@ def _looked(records: Sequence[JointRecord], model: Model) -> _Looked:
 
 
 def _agreeing(found: Sequence[Regression | None]) -> set[int]:
-    """Joints whose columns are in the units of the model, from 0."""
+    """The joints (from 0) whose columns are in the units of the model."""
     return {
         i
         for i, x in enumerate(found)
@@ -100,7 +100,7 @@ def check_driven(
     *,
     signs: bool = True,
 ) -> None:
-    """Compare commands with motion, joint by joint.
+    """Refuse commands that contradict the motion, joint by joint.
 
     Parameters
     ----------
@@ -141,14 +141,14 @@ def check_driven(
             likely = _mistakes(here, kind == "rotary", command_unit(model, i) if units else "")
             _undo(name, found, likely, period, model, i)
         _clipped(name, found, float(np.max(np.abs(here.u[i]))), model, i + 1)
-    # a part in which the joints hardly move says nothing of a gain that another part shows right
+    # a part in which joints hardly move says nothing about a gain that another part confirms
     shown = any(_agreeing(_looked(part, model).found) for part in beside)
     if not shown and not is_tool(here.slow, model, here.body):
         scaled(where[0].removesuffix(": joint 1"), slopes, command_unit(model, 0))
 
 
 def _clipped(name: str, found: Regression, top: float, model: Model, joint: int) -> None:
-    """Refuse a command whose largest value ``top`` hides larger ones."""
+    """Refuse a command that is clipped at its largest value ``top``."""
     stated = per_joint(model.actuator.limit, joint, 0.0)
     allowed = stated > 0 and top > SATURATED * stated
     if (
@@ -171,8 +171,7 @@ def command_unit(model: Model, i: int) -> str:
 
 
 def thousandfold(factor: float, unit: str) -> str:
-    """Why a command may be a thousand times, or a thousandth of, what the model expects; empty for
-    another factor.
+    """The likely reason for a command 1000 times too large or too small; empty for another factor.
 
     Examples
     --------
@@ -192,11 +191,11 @@ def thousandfold(factor: float, unit: str) -> str:
 
 
 def scaled(name: str, slopes: Sequence[float], unit: str) -> None:
-    """Refuse where the inertias of all joints that show theirs are off by one factor (``slopes``,
-    of the model's); ``unit``: of the command, as the model expects it.
+    """Refuse recordings in which the inertias of all joints that show them are off by one factor.
+    ``slopes``: inertias over the model's. ``unit``: of the command, as the model expects it.
     """
     low, high = min(slopes, default=1.0), max(slopes, default=1.0)
-    # once the factor is undone, each is as near its model's as RIGHT allows
+    # without the factor, each is within RIGHT of the model's
     alike = len(slopes) > 1 and 0.0 < high < RIGHT[1] / RIGHT[0] * low
     if alike and (low > GEARED or high < 1.0 / GEARED):
         factor = math.exp(math.fsum(map(math.log, slopes)) / len(slopes))
@@ -220,7 +219,7 @@ def _sign(name: str, found: Regression) -> None:
             f" {found.slope:.2g} of the model's): the sign of the command or of the position is"
             " flipped"
         )
-    # the other way round its inertia would be below nothing, where it shows at all
+    # with the sign flipped its inertia would be negative, if it shows at all
     drives = -FULL < found.friction < -DRIVES and found.slope < ERRORS * error
     if sure and drives and not found.held and found.slope + ERRORS * error < LITTLE:
         raise RecordingError(
@@ -232,8 +231,8 @@ def _sign(name: str, found: Regression) -> None:
 def _mistakes(
     here: _Looked, rotary: bool, of: str
 ) -> list[tuple[str, tuple[Array, Array, Array]]]:
-    """The likely mistakes, and position, command and noise with each of them undone; ``of``: the
-    unit of the command, empty where no unit is mistaken, as all joints of a kind have it in common.
+    """The likely mistakes, with position, command and noise after undoing each. ``of``: the unit of
+    the command; empty where a wrong unit is excluded, since all joints of a kind share it.
     """
     y, u, noise = here.y, here.u, here.noise
     small = DEGREE if rotary else 1e3
@@ -258,13 +257,14 @@ def _undo(
     model: Model,
     i: int,
 ) -> None:
-    """Name the mistake that, undone, makes recording and model agree."""
+    """Refuse a recording with the name of the mistake that, undone, makes it agree with the model.
+    """
     for words, (q, command, spread) in mistakes:
         slow = look(q, command, period, spread)
         again = regress(slow, model, i + 1, rigid_body(slow, model))
         if again is None or again.share < SHOWS:
-            # so read the inertia would hardly show, as it does where a joint is hardly driven at
-            # all: no explanation
+            # with this mistake undone the inertia would hardly show, as at a hardly driven joint:
+            # no explanation
             continue
         if (
             again.r2 > max(SOUND, found.r2 - R2_NO_WORSE)
@@ -275,8 +275,7 @@ def _undo(
                 f"{name}: the model's inertia comes out as {found.slope:.2g} of what it should be:"
                 f" {words}"
             )
-    # inertia dominates a motion that the model's inertia cannot come from: not physics that could
-    # be added
+    # an inertia far from the model's dominates the motion: no added physics could explain it
     hidden = found.slope + ERRORS * found.error < NONE
     if hidden and found.share > INERTIAL_SHARE and found.r2 < HALF:
         raise RecordingError(
@@ -287,12 +286,12 @@ def _undo(
 
 
 def check_free(where: Sequence[str], records: Sequence[JointRecord], model: Model) -> None:
-    """A machine without a command must swing as gravity says.
+    """Refuse a free swing that contradicts gravity.
 
     Raises
     ------
     RecordingError
-        Where it swings as in degrees, or as if 0 were upright.
+        The angle looks like degrees, or 0 like the upright position.
     """
     for name, record in zip(where, records, strict=True):
         weight = mechanism_value(model, "gravity", record.joint)

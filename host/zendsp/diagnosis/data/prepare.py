@@ -1,5 +1,5 @@
-"""From signals to joint records: measurement model, smoothed motion, coefficients of the mechanism,
-scales.
+"""Makes joint records from signals: measurement model, smoothed motion, coefficients of the
+mechanism, scales.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ POSES = 0.02  # s: an arm's inertia changes little over it
 
 
 def prepare(signals: Sequence[Signals], model: Model, bandwidth: float = 32.0) -> Data:
-    """Make recordings ready for the kernel.
+    """Recordings prepared for the kernel.
 
     Parameters
     ----------
@@ -50,13 +50,13 @@ def prepare(signals: Sequence[Signals], model: Model, bandwidth: float = 32.0) -
 
 
 def one_sensor(signals: Sequence[Signals]) -> list[Signals]:
-    """The same recordings, each with at least the noise that half of them have: it is one sensor,
-    and a recording in which a joint hardly moves says next to nothing of its noise.
+    """The recordings, each with at least the median noise of all. They share a sensor, and a
+    recording in which a joint hardly moves says little about its noise.
     """
     noises = {
         (len(s.time), *map(noise_beside_quantisation, s.position.T, map(float, s.resolution)))
         for s in signals
-    }  # a recording that is given twice counts once
+    }  # a recording given twice counts once
     usual = np.median(np.array(list(noises))[:, 1:], axis=0)
     return [
         replace(s, least_noise=usual if s.least_noise is None else np.maximum(s.least_noise, usual))
@@ -105,8 +105,8 @@ def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
 
 
 def _motion(s: Signals, j: int, known: Array) -> tuple[Measurement, Motion]:
-    """What the sensor of a joint (from 0) says, and the motion behind it; ``known`` is what the
-    acceleration of each is thought to be made of, (n, joints, parts).
+    """The measurements of a joint's sensor (from 0), and the motion behind them. ``known``: the
+    assumed parts of each joint's acceleration, (n, joints, parts).
     """
     y = np.ascontiguousarray(s.position[:, j])
     resolution = float(s.resolution[j])
@@ -119,11 +119,11 @@ def _motion(s: Signals, j: int, known: Array) -> tuple[Measurement, Motion]:
 
 
 def _accelerations(s: Signals, model: Model) -> Array:
-    """Acceleration of the joints that the commands bring as the given model has it, without what
-    weight and motion do, (n, joints, parts): in an arm by its own command, and by the others'.
+    """Acceleration of the joints by the commands in the given model, without gravity and velocity
+    terms, (n, joints, parts): by a joint's own command, and by the others'.
 
-    In an arm each torque accelerates all joints. What a command does from row to row, a feedback's
-    noise most of all, is not found in positions, and the other joints feel it.
+    In an arm each torque accelerates all joints. Changes of a command from row to row, such as
+    feedback noise, are not visible in positions, but the other joints feel them.
     """
     joints = range(1, s.position.shape[1] + 1)
     torque = s.command * [per_joint(model.actuator.gain, j, 1.0) for j in joints]
@@ -143,7 +143,7 @@ def _accelerations(s: Signals, model: Model) -> Array:
 
 
 def _between(s: Signals, model: Model, j: int) -> float:
-    """RMS torque (N m or N) of a joint (from 0) that no row says."""
+    """RMS torque (N m or N) of a joint (from 0) from commands between rows."""
     if s.between is None:
         return 0.0
     mean_of = s.sample_time / s.raw.sample_time if s.raw else 1.0
@@ -153,7 +153,7 @@ def _between(s: Signals, model: Model, j: int) -> float:
 def _scale(
     s: Signals, model: Model, j: int, motion: Motion, basis: Mapping[str, Basis], weight: Array
 ) -> Scale:
-    """How large things are at a joint (from 0) of a recording."""
+    """The typical sizes at a joint (from 0) of a recording."""
     q, qd, qdd = motion.states
     torque = per_joint(model.actuator.gain, j + 1, 1.0) * s.command[:, j]
     inertia_series = sum(
@@ -161,8 +161,7 @@ def _scale(
         for key, b in basis.items()
     )
     inertia = float(np.mean(inertia_series)) + added_inertia(model, j + 1)
-    # a joint that is hardly driven itself moves all the same: its weight is the torque that
-    # moves it then
+    # a hardly driven joint is moved by its weight, which is the torque then
     if model.kind == "rotary":
         weight = mechanism_value(model, "gravity", j + 1) * np.sin(q)
     effort = float(np.sqrt(max(np.mean(torque**2), np.mean(weight**2))))
@@ -180,7 +179,7 @@ def _scale(
 
 
 def _weights(model: Model, states: Sequence[Array]) -> list[Array]:
-    """Torque of the weight along a motion as the mechanism knows it, one array (n,) a joint."""
+    """Torque of gravity along a motion by the mechanism, one array (n,) for each joint."""
     if model.kind not in TREES:
         return [np.zeros(s.shape[1]) for s in states]
     at_rest = [np.stack([s[0], 0 * s[0], 0 * s[0]]) for s in states]
@@ -191,11 +190,11 @@ def _weights(model: Model, states: Sequence[Array]) -> list[Array]:
 
 
 def within_samples(states: Array, sample_time: float) -> Array:
-    """Mean q, qd, qdd between each sample and the next, (3, n): over that time the kernel holds
-    what other joints do to a joint.
+    """Mean q, qd, qdd between each sample and the next, (3, n). The kernel holds the torques of
+    other joints over that time.
 
-    The acceleration is the difference of the velocities, so that over any number of samples a push
-    is what the velocities say.
+    The acceleration is the difference of the velocities, so that its sum over any samples agrees
+    with them.
     """
     q, qd, qdd = states
     mean = np.stack([0.5 * (q[1:] + q[:-1]), 0.5 * (qd[1:] + qd[:-1]), np.diff(qd) / sample_time])
@@ -203,7 +202,7 @@ def within_samples(states: Array, sample_time: float) -> Array:
 
 
 def _inertia(model: Model, joint: int) -> float:
-    """A joint's inertia (kg m²) or mass as the mechanism's parameters have it."""
+    """A joint's inertia (kg m²) or mass by the mechanism's parameters."""
     if model.kind in ("rotary", "linear"):
         return mechanism_value(model, "inertia" if model.kind == "rotary" else "mass", joint)
     return mechanism_value(model, "p1" if joint == 1 else "p2", joint)

@@ -1,4 +1,4 @@
-"""Recordings as signals in joint coordinates, checked before any physics is blamed."""
+"""Reads recordings as signals in joint coordinates."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ Source = str | Path | Recording | Table
 
 
 def read_signals(source: Source, model: Model) -> Signals:
-    """Read a recording by the column names of a model.
+    """The signals of a recording, read by the column names of a model.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def read_signals(source: Source, model: Model) -> Signals:
     source = read_table(source) if isinstance(source, str | Path) else source
     name, get, done = getter(source)
     if model.kind in TREES:
-        robot_path(model)  # without its file, any number of joints is wrong
+        robot_path(model)  # without that file the number of joints is unknown
     joints = model.joints
     check_units(name, source, columns, model)
     get, repeated = without_repeats(get, columns)
@@ -109,7 +109,7 @@ def read_signals(source: Source, model: Model) -> Signals:
     signals, said = _of_joints(read, model)
     signals = replace(signals, notes=(*done, *notes, *said))
     signals = decimated(between_rows(signals, model.actuator.hold or sample_time))
-    if grid is None or signals.raw is not None:  # of means, neighbours share no row
+    if grid is None or signals.raw is not None:  # neighbouring means share no row
         return signals
     if model.sensor.matrix:
         rows = rows @ np.array(model.sensor.matrix).T
@@ -117,10 +117,10 @@ def read_signals(source: Source, model: Model) -> Signals:
 
 
 def _as_noisy_as_read(s: Signals, rows: Array, left: float) -> Signals:
-    """A recording with at least the sensor's noise that was there before straight lines between
-    its ``rows`` (n, joints) left so much of its variance: at the frequencies of a motion all of it
-    is there still. Where the rows themselves show less (of a fast motion they show their jitter
-    too), it is theirs, and what the lines are rounded by where the joint moves by half a count.
+    """A recording with at least the sensor noise of its ``rows`` (n, joints) before interpolation,
+    which reduced the variance seen at high frequencies but not at those of the motion. Where the
+    rows themselves show less noise, theirs is used (in fast motion the interpolated ones show
+    jitter too), plus the rounding of interpolated values where the joint moves by half a count.
     """
     steps = s.resolution
 
@@ -136,7 +136,7 @@ def _as_noisy_as_read(s: Signals, rows: Array, left: float) -> Signals:
 
 
 def _each_alone(model: Model, joints: int) -> list[str]:
-    """Notes on a model of several joints that has no links between them."""
+    """The notes on a model of several joints without links between them."""
     if joints < 2 or model.kind not in ("rotary", "linear"):
         return []
     return [
@@ -177,8 +177,8 @@ def _main_columns(
 def _further_columns(
     name: str, get: Getter, columns: Columns, shape: tuple[int, ...]
 ) -> tuple[dict[str, Array], list[str]]:
-    """What effects and further sensors read, by role, (n, joints) each; and notes on what is not
-    there.
+    """The columns of effects and further sensors by role, (n, joints) each; and notes on missing
+    ones.
     """
     n, joints = shape
     wanted = {
@@ -199,7 +199,7 @@ def _further_columns(
 
 
 def _of_joints(read: Signals, model: Model) -> tuple[Signals, list[str]]:
-    """What sensors and actuators say, as positions and torques of joints; and notes."""
+    """Sensor and actuator columns as positions and torques of joints; and notes."""
     name, sample_time, joints = read.name, read.sample_time, model.joints
     position, command, reference = read.position, read.command, read.reference
     resolution, extra = read.resolution, dict(read.extra)
@@ -220,7 +220,7 @@ def _of_joints(read: Signals, model: Model) -> tuple[Signals, list[str]]:
     for role in [role for role in SENSED if role in extra]:
         extra[role], said = judged(role, extra[role], position, command, sample_time)
         notes += [f"{name}: {words}" for words in said]
-    # what rounding did at low frequencies stays where a filter took the lattice away
+    # low-frequency rounding errors stay although a filter removed the lattice
     stated = [per_joint(model.sensor.resolution, j + 1, 0.0) for j in range(joints)]
     of_joints = replace(
         read,
@@ -237,7 +237,7 @@ def _of_joints(read: Signals, model: Model) -> tuple[Signals, list[str]]:
 def _through_servos(
     name: str, command: Array, position: Array, resolution: Array, sample_time: float, model: Model
 ) -> tuple[Array, list[str]]:
-    """Torques that servos gave along the measured motion, from what they were told, and a note."""
+    """The torques of servos along the measured motion, from their commands, and a note."""
     out, joints = command.copy(), []
     for j, drive in enumerate(model.robot.servos):
         if drive is None:

@@ -1,8 +1,8 @@
-"""A joint's torque regressed on what the model's rigid body needs along the measured motion.
+"""A joint's torque regressed on the torque of the model's rigid body along the measured motion.
 
-Both sides pass the same filter, below about 20 Hz (Gautier and Khalil 1990). The coefficient of the
-rigid body is 1 where recording and model agree, whatever friction, spring or offset is missing:
-those have columns of their own.
+Both sides pass the same low-pass, below about 20 Hz (Gautier and Khalil 1990). The coefficient of
+the rigid body is 1 where recording and model agree; missing friction, springs and offsets have
+columns of their own.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from zendsp.physics.term_numbers import added_inertia
 Array = npt.NDArray[np.float64]
 
 CUTOFFS_HZ = (20.0, 10.0, 5.0, 2.5)  # Hz
-EDGE = 0.999  # of the largest command: at it
-QUIET = 0.1  # of the acceleration: so much noise does not matter
-ANGLE_SPAN = 0.2  # rad: over less, sine and cosine of the angle are lines
+EDGE = 0.999  # of the largest command: counts as at it
+QUIET = 0.1  # of the acceleration: noise below does not matter
+ANGLE_SPAN = 0.2  # rad: over less, sine and cosine of the angle are almost linear
 PER_COLUMN = 4  # samples at least for each column of a regression
-IN_NOISE = 0.2  # of the energy that only inertia has: so much noise in it makes a slope as much low
-AT_EDGE = 12  # samples at the largest command: fewer tell nothing
-PULLS_BACK = 0.95  # R^2 of a command by position and speed alone: it holds the joint where it is
-TURNS = 0.1  # of the RMS speed: below, a joint turns round
-BOTH_WAYS = 0.1  # of the time that a joint must move either way for its friction to show
+IN_NOISE = 0.2  # of the energy that only inertia has: this much noise lowers a slope by as much
+AT_EDGE = 12  # least samples at the largest command
+PULLS_BACK = 0.95  # R^2 of a command by position and speed alone: it holds the joint
+TURNS = 0.1  # of the RMS speed: slower is a reversal
+BOTH_WAYS = 0.1  # of the time: least motion either way for friction to show
 
 
 @dataclass(frozen=True)
@@ -55,10 +55,10 @@ class Regression:
     """Torque = slope · rigid body + friction + spring + offset: slope with its standard error, R²,
     torque of the friction columns over the RMS torque.
 
-    ``share``: RMS of the model's rigid-body torque over that of the command; ``excess``: torque
-    missing at the largest commands over that command. ``alike``: so many samples of what is left
-    over are one fact. ``held``: the command is that of a controller which holds the joint where it
-    is while others move it, and friction's columns show that controller.
+    ``share``: RMS of the model's rigid-body torque over that of the command. ``excess``: missing
+    torque at the largest commands over that command. ``alike``: residual samples that count as one
+    independent sample. ``held``: the command is that of a controller that holds the joint in place
+    while others move it, and the friction columns show that controller.
     """
 
     slope: float
@@ -73,7 +73,7 @@ class Regression:
 
 
 def look(positions: Array, commands: Array, sample_time: float, noise: Array) -> Slow:
-    """Filter both sides alike and thin them.
+    """Motion and commands below a cutoff, thinned.
 
     Parameters
     ----------
@@ -124,8 +124,8 @@ def _torques(model: Model, states: Sequence[Array]) -> Array:
 
 
 def rigid_body(slow: Slow, model: Model) -> tuple[Array, Array]:
-    """Torques of the model's rigid body along a motion: of the motion, and of the weight where the
-    mechanism knows it, (joints, n) each.
+    """Torques of the model's rigid body along a motion: without gravity, and of gravity where the
+    mechanism has it, (joints, n) each.
     """
     rest = np.zeros_like(slow.q)
     states = list(np.stack([slow.q, slow.qd, slow.qdd], axis=1))
@@ -141,8 +141,8 @@ def rigid_body(slow: Slow, model: Model) -> tuple[Array, Array]:
 
 
 def regress(slow: Slow, model: Model, joint: int, body: tuple[Array, Array]) -> Regression | None:
-    """Regress one joint's torque (1-based) on its rigid ``body``; None where there are too few
-    samples or nothing varies.
+    """The regression of one joint's torque (1-based) on its rigid ``body``; None where there are
+    too few samples or nothing varies.
     """
     i = joint - 1
     rigid, weight = body[0][i], body[1][i]
@@ -169,7 +169,7 @@ def regress(slow: Slow, model: Model, joint: int, body: tuple[Array, Array]) -> 
     covariance = np.linalg.pinv((a[use] / scale).T @ (a[use] / scale), rcond=1e-12) * variance
     theta = theta / scale
     rub = a[:, 1] * theta[1] + a[:, 2] * theta[2]
-    # of a joint that moves one way, nothing tells friction from an offset
+    # for a joint that moves one way, friction and an offset cannot be separated
     ways = min(float(np.mean(way * qd > TURNS * speed)) for way in (1, -1))
     size = float(np.sqrt(np.mean(torque**2)))
     noise = slow.noise[i] * float(np.std(rigid) / max(np.std(slow.qdd[i]), 1e-300))
@@ -195,19 +195,17 @@ def regress(slow: Slow, model: Model, joint: int, body: tuple[Array, Array]) -> 
 
 
 def _blurred(columns: Array, noise: float) -> bool:
-    """Whether what only the first of some columns has is ``noise`` (RMS) of its own: in a single
-    sine acceleration is as good as position, and its slope is that of noise.
+    """Whether the part of the first column that the others do not explain is ``noise`` (RMS). In a
+    single sine acceleration is proportional to position, so its slope would be determined by noise.
     """
     others, *_ = np.linalg.lstsq(columns[:, 1:], columns[:, 0])
     own = columns[:, 0] - columns[:, 1:] @ others
-    # not their squares: the noise of a joint that rests may be any number
+    # not their squares, which could overflow for a resting joint
     return bool(math.sqrt(len(own)) * noise > math.sqrt(IN_NOISE) * float(np.linalg.norm(own)))
 
 
 def _held(q: Array, qd: Array, weight: Array, torque: Array, spread: float) -> bool:
-    """Whether the torque pulls back in proportion to position and speed, bears weight that the
-    model knows, and does nothing else.
-    """
+    """Whether the torque is only a feedback of position and speed plus the model's gravity."""
     columns = [q, qd, np.ones_like(q), *([weight] if np.any(weight) else [])]
     theta, left, *_ = np.linalg.lstsq(np.stack(columns, axis=1), torque)
     back = theta[0] < 0 and theta[1] < 0 and all(borne > 0 for borne in theta[3:])

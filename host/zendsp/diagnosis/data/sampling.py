@@ -1,4 +1,4 @@
-"""A recording's clock and its sensors' counts: checked, resampled, averaged down."""
+"""Checks and resamples a recording's clock and its sensors' counts."""
 
 from __future__ import annotations
 
@@ -17,46 +17,48 @@ from zendsp_protocol.texts import counted
 
 Array = npt.NDArray[np.float64]
 TARGET_RATE = 1000.0  # Hz: faster recordings are averaged down to about this
-# samples times joints of a recording above which it is averaged down further, to SLOWEST_RATE at
-# least: the fastest observer has 10 Hz
+# samples times joints above which a recording is averaged down further, to no less than
+# SLOWEST_RATE, since the fastest observer has 10 Hz
 BUDGET = 150_000
 SLOWEST_RATE = 250.0  # Hz
 
 TURN = 2 * np.pi  # rad
-STEPS_AROUND = 3  # steps before and after one, whose median is what the joint moves in a row there
-REPEATED_COUNTS = 4.0  # of the sensor: a step that a logger's repeated row may have left out
+STEPS_AROUND = 3  # steps before and after one, whose median is the usual step there
+REPEATED_COUNTS = 4.0  # of the sensor: least step that a repeated row may hide
 SLOWEST_CLOCK = 0.1  # s between samples
-UNIT = 50  # a factor between sample times above: seconds, milliseconds, minutes
-OTHER_UNIT = 0.2  # of the stated sample time: further off, the unit is another
-EXACT, ROUNDED = 1e-3, 0.05  # of it: mean and median so near are it, printed with few digits
-JITTER = 0.02  # of the sample time: below, stamps are as good as even
-EVEN = 5e-4  # of the sample time, RMS: what is less is written as 0.0 %
+UNIT = 50  # least factor between units of time: seconds, milliseconds, minutes
+OTHER_UNIT = 0.2  # of the stated sample time: a larger difference means another unit
+EXACT, ROUNDED = 1e-3, 0.05  # of it: mean and median within these equal it, printed with few digits
+JITTER = 0.02  # of the sample time: below, stamps count as even
+EVEN = 5e-4  # of the sample time, RMS: less would be written as 0.0 %
 MOST_OF_TWO = 2  # samples that a late stamp and its neighbour span; a missing row makes three
-# of the roughness over stamps: rows that are smoother than this were read evenly. Stamps that are
-# true make it 1 and more, however slow the motion
+# of the roughness over stamps: smoother rows were read evenly. True stamps give 1 and more, however
+# slow the motion
 SMOOTHER = 0.8
-# % of the command that lines between rows miss: a chattering loop. Chosen, on one arm that had 43
+# % of the command that lines between rows miss: more is a chattering loop. Chosen on one arm with
+# 43
 LINES_MISS = 20.0
-UNSEEN = 0.05  # of the time between rows: less is the rounding of stamps
-UNITS = 0.02  # of a factor between units
-# steps in counts that tell a lattice: below it is rounding, far above the digits printed do not do
+UNSEEN = 0.05  # of the time between rows: less is rounding of stamps
+UNITS = 0.02  # tolerance of a factor between units
+# steps in counts that show a lattice: smaller ones are rounding, larger ones exceed the printed
+# digits
 LATTICE = (0.02, 300)
-OFF, ON = 0.05, 0.95  # of a count off a whole one at most, in so many of the steps
-STEPS = 10  # that must be there to tell
-STAMPS = 1e6  # s: a time beyond is a calendar's stamp
-MANY = 1.5  # times TARGET_RATE: above, means of counts are better than one of them
+OFF, ON = 0.05, 0.95  # of a count: most that a step is off a whole one, in this part of the steps
+STEPS = 10  # least number to decide
+STAMPS = 1e6  # s: a larger time is a calendar's stamp
+MANY = 1.5  # times TARGET_RATE: above, means of counts are better than single ones
 
 
 def whole_second(time: float) -> float:
-    """Of a calendar's time stamp the whole second, which a label is read better without; else 0."""
+    """The whole seconds of a calendar's time stamp, to be left out of labels; else 0."""
     return float(np.floor(time)) if time > STAMPS else 0.0
 
 
 def turned_on(
     position: Array, reference: Array | None, turns: npt.NDArray[np.bool_]
 ) -> tuple[Array, Array | None, list[int]]:
-    """Positions and references (n, joints) with the turns of a sensor that begins anew at each of
-    them put together; and the joints (from 0), of those that may turn on, where it did.
+    """Positions and references (n, joints) of wrapping sensors, unwrapped; and the joints (from 0),
+    among those that may turn on, at which that was done.
     """
     span, step = np.ptp(position, axis=0), np.abs(np.diff(position, axis=0)).max(axis=0)
     found = turns & (span < TURN * (1 + UNITS)) & (step > 0.5 * TURN)
@@ -69,10 +71,11 @@ def turned_on(
 
 
 def read_anew(position: Array, resolution: Array) -> tuple[Array, int]:
-    """Positions (n, joints) without those that a logger only repeated, and how many there were.
+    """Positions (n, joints) without those that a logger only repeated, and their number.
 
-    A joint does not stand still for one sample and make up for it in the next: the value before
-    stands there again, where the steps around are several counts, and the step after it is two.
+    A moving joint does not stop for one sample and catch up in the next. So a value is a repetition
+    if it equals the one before, the steps around it are several counts, and the next step is twice
+    as large.
     """
     out, count = position.copy(), 0
     step = np.diff(position, axis=0)
@@ -81,7 +84,7 @@ def read_anew(position: Array, resolution: Array) -> tuple[Array, int]:
         around = np.lib.stride_tricks.sliding_window_view(padded, 2 * STEPS_AROUND + 1)
         usual = np.median(around, axis=1)
         usual, none, after = usual[1:-1], step[1:-1, j], step[2:, j]
-        # of a smooth motion two steps differ by the sensor's noise
+        # in a smooth motion two steps differ only by the sensor's noise
         noisy = 2.0 * float(np.median(np.abs(np.diff(step[:, j])))) / MEDIAN
         several = np.abs(usual) > max(REPEATED_COUNTS * resolution[j], noisy)
         double = np.abs(after - 2.0 * usual) < 0.5 * np.abs(usual)
@@ -106,7 +109,7 @@ def _apart(name: str) -> str:
 
 
 def _forwards(name: str, column: str, time: Array, step: Array) -> None:
-    """Refuse a time that runs backwards, or stands still."""
+    """Refuse a time that runs backwards or stands still."""
     if (step <= 0).any():
         row = int(np.argmax(step <= 0)) + 2
         if not (step < 0).any():
@@ -123,14 +126,13 @@ def _forwards(name: str, column: str, time: Array, step: Array) -> None:
 def clock(
     name: str, get: Getter, columns: Columns, model: Model, n: int
 ) -> tuple[Array, float, list[str], Array | None]:
-    """The clock of a recording's ``n`` rows: time of each row and sample time, s, notes on what its
-    stamps lack, and, where they are not even, the even times onto which to resample.
+    """The clock of a recording's ``n`` rows: time of each row and sample time, s; notes on its
+    stamps; and, where these are not even, even times to resample to.
 
     Raises
     ------
     RecordingError
-        Where there is no time, it stands still, runs back or has a gap, or its rate is not the
-        model's.
+        There is no time; or it stands still, runs back, has a gap, or has not the model's rate.
     """
     notes: list[str] = []
     if "time" not in columns or not has(get, columns["time"]):
@@ -171,7 +173,7 @@ def clock(
             f" the beginning: are two runs glued together?{_apart(name)}"
         )
     whole = np.round(step / period)  # samples from one row to the next
-    # a late stamp is no missing row: the step before it or after it is the shorter
+    # a late stamp is no missing row: a step beside it is shorter
     padded = np.concatenate([[np.inf], step, [np.inf]])
     beside = step + np.minimum(padded[:-2], padded[2:])
     lacks = (whole > 1) & (np.round(beside / period) > MOST_OF_TWO)
@@ -188,8 +190,8 @@ def clock(
 
 
 def evenly_read(grid: Array, time: Array, position: Array) -> bool:
-    """Whether rows whose stamps jitter were read evenly: the motion is smoother over their number
-    than over their stamps, and none is missing.
+    """Whether rows with jittering stamps were read evenly: the motion is smoother over their number
+    than over the stamps, and none is missing.
     """
     if abs(len(grid) - len(time)) > 1:
         return False
@@ -211,8 +213,7 @@ def resolution_of(
     model: Model,
     notes: list[str],
 ) -> float:
-    """Step of a position column: as the model says, checked against the lattice that its numbers
-    lie on.
+    """The step of a position column: that of the model, checked against the lattice of its numbers.
     """
     stated = per_joint(model.sensor.resolution, joint + 1, 0.0)
     y = position[:, joint]
@@ -230,7 +231,7 @@ def resolution_of(
                     f" model's position_resolution of {stated:.6g}: the column is in {words}"
                 )
     if any(_on_lattice(y, stated / part) for part in (2, 4, 8, 5, 10)):
-        return stated  # whole fractions of a count: interpolated or averaged by the drive
+        return stated  # fractions of a count: interpolated or averaged by the drive
     if "command" in columns and _on_lattice(command[:, joint], stated, least=100):
         raise RecordingError(
             f"{where}: the command column has the sensor's resolution of {stated:.6g} and the"
@@ -244,8 +245,8 @@ def resolution_of(
 
 
 def _on_lattice(y: Array, step: float, least: int = 0) -> bool:
-    """Whether differences are whole steps, as far as the numbers' own digits allow; ``least``: so
-    many must show it.
+    """Whether differences are whole steps, as far as the printed digits allow; ``least``: least
+    number that must show it.
     """
     ratio = np.abs(np.diff(y)) / step
     ratio = ratio[(ratio > LATTICE[0]) & (ratio < LATTICE[1])]
@@ -255,8 +256,8 @@ def _on_lattice(y: Array, step: float, least: int = 0) -> bool:
 
 
 def on_counts(values: Array, origin: Array, resolution: Array) -> Array:
-    """Interpolated positions put back on the sensor's counts: the quantiser's model holds for
-    counts, not for means of them.
+    """Interpolated positions rounded to the sensor's counts, since the model of the quantiser holds
+    for counts, not for their means.
     """
     step = np.where(resolution > 0, resolution, 1.0)
     counts: Array = np.where(
@@ -266,7 +267,7 @@ def on_counts(values: Array, origin: Array, resolution: Array) -> Array:
 
 
 def resample(grid: Array, time: Array, values: Array) -> Array:
-    """Straight lines between the rows, at the instants of a uniform grid, (n, columns)."""
+    """Linear interpolation between the rows at the times of a uniform grid, (n, columns)."""
     return np.stack([np.interp(grid, time, column) for column in values.T], axis=1)
 
 
@@ -279,10 +280,9 @@ def left_by_lines(grid: Array, time: Array) -> float:
 
 
 def resample_held(grid: Array, time: Array, values: Array) -> Array:
-    """The mean over each step of a uniform grid of what is held from row to row, (n, columns).
+    """The mean over each step of a uniform grid of values held from row to row, (n, columns).
 
-    The command before an instant would come half a sample late, where stamps lie on both sides of
-    the grid.
+    The last value before a grid time would be half a sample late.
     """
     period = float(grid[1] - grid[0])
     edges = np.append(grid, grid[-1] + period)
@@ -295,9 +295,9 @@ def resample_held(grid: Array, time: Array, values: Array) -> Array:
 
 
 def between_rows(s: Signals, hold: float) -> Signals:
-    """A recording whose command is held for a part of the time between rows only: they hold samples
-    of a faster loop. Its mean until the next row lies on the line to it, and what is white in the
-    column is beside that line another at each step of the loop.
+    """A recording with the commands of a faster loop, each held for only a part of the time between
+    rows. The mean command until the next row lies on the line to that row. White noise in the
+    column is another at each step of the loop, beside that line.
     """
     unseen = 1.0 - hold / s.sample_time
     if unseen < UNSEEN:
@@ -322,8 +322,8 @@ def between_rows(s: Signals, hold: float) -> Signals:
 
 
 def decimated(signals: Signals) -> Signals:
-    """The signals averaged down to the rate that a fit can afford, with the original ones as
-    ``raw``; as they are where that is no lower rate. Positions of a coarse sensor are not averaged.
+    """The signals averaged down to a rate that a fit can afford, with the original ones as ``raw``;
+    unchanged where that is no lower rate. Positions of a coarse sensor are not averaged.
     """
     seconds = len(signals.time) * signals.sample_time
     affordable = BUDGET / (seconds * signals.position.shape[1])
@@ -332,7 +332,7 @@ def decimated(signals: Signals) -> Signals:
     if factor < 2:
         return signals
     n = (len(signals.time) // factor) * factor
-    half = (factor - 1) // 2  # windows that overlap would make the noise of neighbours alike
+    half = (factor - 1) // 2  # overlapping windows would correlate the noise of neighbours
 
     def centred(values: Array) -> Array:  # mean over the samples around each kept sample
         padded = np.concatenate(
@@ -345,8 +345,8 @@ def decimated(signals: Signals) -> Signals:
         return mean
 
     held = signals.command[:n].reshape(-1, factor, signals.command.shape[1]).mean(axis=1)
-    # means of many counts within a sample are better than one of them; of a few, which at low speed
-    # are all the same, they hide the counts
+    # means of many counts within a sample are better than single ones; means of a few equal counts
+    # at low speed only hide the counts
     few = half == 0 or 1 / signals.sample_time < MANY * TARGET_RATE
     counts = (signals.resolution > 0) & few
     white = signals.resolution / np.sqrt(12 * (2 * half + 1))

@@ -1,7 +1,7 @@
-"""The sensors beside the position: what each column is worth, and why one is not used.
+"""The sensors beside the position: which columns are used, and why others are not.
 
-A column that says nothing of its own (a constant, a difference of the position, a multiple of the
-command) becomes NaN at that joint, and a note says so.
+A column without information of its own (a constant, a difference of the position, a multiple of the
+command) becomes NaN at that joint, with a note.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from zendsp_protocol.texts import counted
 Array = npt.NDArray[np.float64]
 
 SENSED = ("velocity", "current", "position_load", "torque_measured")
-SAME = 1e-3  # of its RMS: a velocity that is nearer to a difference of positions is one
-# correlation from which on sign and unit of two sensors are compared, and how many times as far as
-# the other side is another unit: no spring stretches a whole motion so much. Both chosen: degrees
+SAME = 1e-3  # of its RMS: a velocity this near to a difference of positions is one
+# correlation above which sign and unit of two sensors are compared, and the ratio of their motions
+# that means another unit, since no spring stretches a whole motion so much. Both chosen: degrees
 # are 57 times, a wrong sign correlates by -1
 ALIKE_SIDES, SIDES_APART = 0.7, 3.0
-SCALED = 0.05  # of its slope: a velocity that is further from the position's has another unit
-FOLLOWS = 0.01  # of its RMS below 25 Hz: a current that is nearer to the command follows it
-EXACT = 1e-6  # of its size: a current that is nearer to a multiple of the command is computed
-TIMED = 0.5  # of a difference in RMS: less is left of one in time alone; it decides a word only
-AVERAGED = 0.02  # s, the mean that takes noise and sampling out of a comparison
+SCALED = 0.05  # of its slope: a velocity further from the position's has another unit
+FOLLOWS = 0.01  # of its RMS below 25 Hz: a current this near to the command follows it
+EXACT = 1e-6  # of its size: a current this near to a multiple of the command is computed
+TIMED = 0.5  # of a difference in RMS: less remains of one in time alone; decides only a wording
+AVERAGED = 0.02  # s, of the mean that removes noise and sampling from a comparison
 
 
 def read_sensed(name: str, role: str, get: Callable[[str], Any], spec: Any, shape: Any) -> Array:
@@ -39,7 +39,7 @@ def read_sensed(name: str, role: str, get: Callable[[str], Any], spec: Any, shap
     Raises
     ------
     RecordingError
-        Another number of rows or columns, or some values that are not finite.
+        Wrong number of rows or columns, or some values that are not finite.
     """
     n, joints = shape
     parts = []
@@ -111,7 +111,9 @@ def _mean(x: Array, sample_time: float) -> Array:
 
 
 def _velocity(x: Array, q: Array, sample_time: float) -> str:
-    """Why a velocity is not used; the fit predicts positions, so there is always a reason."""
+    """The reason that a velocity is not used; there always is one, since the fit predicts
+    positions.
+    """
     size = float(np.sqrt(np.mean(x**2)))
     steps = np.diff(q) / sample_time
     ways = (np.gradient(q, sample_time), np.r_[steps, steps[-1]], np.r_[steps[0], steps])
@@ -144,11 +146,13 @@ def _velocity(x: Array, q: Array, sample_time: float) -> str:
 
 
 def _beyond(x: Array, q: Array) -> str:
-    """Why a position beyond the transmission is not used; empty where it follows the motor's."""
+    """The reason that a position beyond the transmission is not used; empty where it follows the
+    motor's.
+    """
     a, b = x - np.mean(x), q - np.mean(q)
     alike = float(a @ b) / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-300)
     slope = float(np.linalg.norm(a)) / max(float(np.linalg.norm(b)), 1e-300)
-    if abs(alike) < ALIKE_SIDES:  # in a gap, the load may stand
+    if abs(alike) < ALIKE_SIDES:  # within a gap the load may stand still
         return ""
     if alike < 0.0:
         return "it runs against the position column: the sign of one of them is wrong"
@@ -161,7 +165,9 @@ def _beyond(x: Array, q: Array) -> str:
 
 
 def _current(x: Array, u: Array, sample_time: float) -> str:
-    """Why a current is not used; empty where it shows that the drive does what it is told."""
+    """The reason that a current is not used; empty where it shows that the drive follows its
+    command.
+    """
     if not np.any(u):
         return "there is no command beside it"
     basis = np.stack([u, np.ones_like(u)], axis=1)
@@ -171,7 +177,7 @@ def _current(x: Array, u: Array, sample_time: float) -> str:
         return "it is the command times a constant, no measurement of its own"
     y = _mean(x, sample_time)
     apart = math.inf
-    for told in (u, np.r_[u[:1], u[:-1]]):  # sampled with its row, it is still that of the last one
+    for told in (u, np.r_[u[:1], u[:-1]]):  # it may still follow the row before
         slow = np.stack([_mean(told, sample_time), np.ones_like(u)], axis=1)
         left = y - slow @ np.linalg.lstsq(slow, y, rcond=None)[0]
         apart = min(apart, float(np.std(left)) / max(float(np.std(y)), 1e-300))

@@ -1,16 +1,16 @@
-"""How many independent samples a correlated series is worth."""
+"""The number of independent samples in a correlated series."""
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
 
-WITHIN = 0.25  # s, over which samples are asked for what they repeat
+WITHIN = 0.25  # s: longest lag of the correlation
 
 
 def repeats(r: npt.NDArray[np.float64], sample_time: float) -> float:
-    """By how much fewer independent samples a series has than samples, from its correlation within
-    0.25 s; 1 or more.
+    """The number of samples that count as one independent sample, 1 or more, from the correlation
+    within 0.25 s.
     """
     most = min(len(r) // 4, round(WITHIN / sample_time))
     energy = float(r @ r)

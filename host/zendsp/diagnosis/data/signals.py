@@ -1,4 +1,4 @@
-"""One recording in joint coordinates, and the three parts that a diagnosis cuts its data into."""
+"""One recording in joint coordinates, and the three parts of a diagnosis' data."""
 
 from __future__ import annotations
 
@@ -33,16 +33,15 @@ class Signals:
     notes: tuple[str, ...] = ()
     extra: dict[str, Array] = field(default_factory=dict)
     raw: Signals | None = None  # before averaging down, where that was done
-    # (joints,): what a filter or averaging leaves of the quantiser's noise, however still a joint
-    # stands
+    # (joints,): quantisation noise that remains after a filter or averaging, even at rest
     least_noise: Array | None = None
-    # (joints,): RMS of what the command does beside the lines from row to row; None: it is held
+    # (joints,): RMS of the command about the lines from row to row; None: it is held
     between: Array | None = None
-    whole: str = ""  # name of the recording that this is a part of; empty: it is no part
-    origin: float = 0.0  # s: where the time of what changes with time begins, for all recordings
+    whole: str = ""  # name of the recording of which this is a part; empty if of none
+    origin: float = 0.0  # s: zero of time for effects over time, for all recordings
 
     def part(self, start: int, stop: int, name: str) -> Signals:
-        """Rows start … stop - 1 as a recording of their own."""
+        """Rows start … stop - 1 as a separate recording."""
         cut = slice(start, stop)
         return replace(
             self,
@@ -59,8 +58,8 @@ class Signals:
 
 @dataclass(frozen=True)
 class Parts:
-    """The three parts of the data: what models are fitted to, what choices are made by, and what
-    neither has touched.
+    """The three parts of the data: to fit models to, to choose by, and to test on, untouched by
+    both.
     """
 
     fit: Data
@@ -69,17 +68,17 @@ class Parts:
 
     @property
     def each(self) -> tuple[Data, ...]:
-        """The different parts."""
+        """The distinct parts."""
         return tuple({id(part): part for part in (self.fit, self.choose, self.test)}.values())
 
     @property
     def all(self) -> Data:
-        """Everything."""
+        """The recordings of all parts."""
         return replace(self.fit, records=tuple(rec for part in self.each for rec in part.records))
 
     @property
     def held(self) -> Data:
-        """Everything that no model is fitted to."""
+        """The recordings to which no model is fitted."""
         if self.choose is self.test:
             return self.test
         return replace(self.test, records=(*self.choose.records, *self.test.records))
@@ -88,7 +87,7 @@ class Parts:
 def with_same_columns(
     signals: Sequence[Signals], others: Sequence[Signals]
 ) -> tuple[list[Signals], list[Signals]]:
-    """The recordings with those optional columns that all of them have."""
+    """The recordings with only those optional columns that all of them have."""
     all_of_them = (*signals, *others)
     roles = {
         role for s in all_of_them for role in s.extra if all(role in x.extra for x in all_of_them)
@@ -110,7 +109,7 @@ def joint_columns(signals: Signals, joint: int) -> dict[str, Array]:
 
 
 def unused_effects(signals: Sequence[Signals], model: Model) -> list[str]:
-    """A note for each effect that a recording lacks a column for which the model names."""
+    """A note for each effect without its column, which the model names and a recording lacks."""
     notes = []
     for effect in library().values():
         for role in effect.reads:

@@ -1,4 +1,4 @@
-"""Recordings, and where they are cut: to fit to, to choose by, to test on."""
+"""Cuts recordings into those to fit to, to choose by, and to test on."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
 
-# s before and after what is cut out: an observer comes late, and a joint swings on
+# s, also cut out before and after: an observer is late, and a joint swings on
 PUSH_MARGIN_S = 0.25
-# of its travel: a joint that moves by no more rests; held by a loop while another one moves, one of
-# an arm moved by 0.05
+# of its travel: a joint that moves less rests; a joint held by its loop while another moved had
+# 0.05
 RESTS = 0.1
-LEFT = 0.5  # of the rows that cutting leaves at least
-# of the travel: a joint that stays so near to where it ends stands; and s: a rest at the end that
-# is as long is left out. Chosen on one arm, which crept by 0.002 of its travel in eight seconds
+LEFT = 0.5  # of the rows: least that must be left
+# of the travel: a joint this near to its end position rests; and s: a rest at the end this long is
+# left out. Chosen on one arm that crept by 0.002 of its travel in eight seconds
 AT_REST, REST_S = 0.002, 2.0
 
 
 def read_divided(
     recordings: Sequence[Source], heldout: Sequence[Source], model: Model
 ) -> tuple[list[Signals], list[Signals], list[str]]:
-    """Read and check recordings; returns those to fit to, those held out, and notes.
+    """Recordings to fit to and held-out ones, read and checked; and notes.
 
     Raises
     ------
     RecordingError
-        None is given, one cannot be diagnosed, or one is to be fitted to and held out.
+        None is given, one cannot be diagnosed, or one is both to fit to and held out.
     """
     signals = [read_signals(source, model) for source in recordings]
     if not signals:
@@ -55,7 +55,7 @@ def read_divided(
 
 
 def _refuse_twice(fitted: Sequence[Signals], held: Sequence[Signals]) -> None:
-    """What models are fitted to is untouched no more."""
+    """Refuse a recording that is both to fit to and held out."""
     for h in held:
         for s in fitted:
             if len(s.time) == len(h.time) and all(
@@ -69,7 +69,7 @@ def _refuse_twice(fitted: Sequence[Signals], held: Sequence[Signals]) -> None:
 
 
 def split(signals: Sequence[Signals]) -> tuple[list[Signals], list[Signals], list[str]]:
-    """Hold out the last third of each recording's motion.
+    """The recordings, with the last third of each one's motion held out.
 
     Returns
     -------
@@ -97,8 +97,8 @@ def split(signals: Sequence[Signals]) -> tuple[list[Signals], list[Signals], lis
 
 
 def _until_rest(s: Signals) -> tuple[Signals, list[str]]:
-    """A recording until it comes to rest for good, and what is to be said of it: a machine that
-    stands says nothing of its motion, and what lacks would be a smaller part of more time.
+    """A recording without the rest at its end, and a note on that. A machine at rest shows nothing,
+    and the missing torque would be a smaller part of a longer time.
     """
     span = np.ptp(s.position, axis=0)
     away = np.any(np.abs(s.position - s.position[-1]) > AT_REST * span, axis=1)
@@ -112,13 +112,13 @@ def _until_rest(s: Signals) -> tuple[Signals, list[str]]:
 
 
 def halves(held: Sequence[Signals]) -> tuple[list[Signals], list[Signals], list[str]]:
-    """Recordings to choose by and recordings to test on: whole ones where there are several, and
-    the same joints move in both or one is too short to be divided; else the halves of each.
+    """Recordings to choose by and to test on: whole ones where there are several, if the same
+    joints move in both or one is too short to divide; otherwise the halves of each.
 
     Returns
     -------
     choose, test, notes
-        One list, where all are too short to be divided.
+        The same list twice, where all are too short to divide.
     """
     middle = len(held) // 2
     if middle and _moved(held[:middle], held) == _moved(held[middle:], held):
@@ -145,7 +145,7 @@ def halves(held: Sequence[Signals]) -> tuple[list[Signals], list[Signals], list[
 
 
 def _moved(some: Sequence[Signals], every: Sequence[Signals]) -> frozenset[int]:
-    """Joints (from 0) that move in some recordings, as far as a joint that rests does not."""
+    """The joints (from 0) that move in some recordings by more than a resting joint."""
     here, there = (
         np.max([np.ptp(s.position, axis=0) for s in signals], axis=0) for signals in (some, every)
     )
@@ -153,8 +153,7 @@ def _moved(some: Sequence[Signals], every: Sequence[Signals]) -> frozenset[int]:
 
 
 def cut_out(signals: Sequence[Signals], spans: Sequence[tuple[str, float, float]]) -> list[Signals]:
-    """The recordings without some times of them (name, begin and end in s); empty where too little
-    is left.
+    """The recordings without some times (name, begin and end in s); empty where too little is left.
     """
     out: list[Signals] = []
     for s in signals:
@@ -173,8 +172,8 @@ def cut_out(signals: Sequence[Signals], spans: Sequence[tuple[str, float, float]
 
 
 def _way(s: Signals) -> Array:
-    """Share of the way that is behind at each row, (n,), the mean over the joints; what a sensor
-    trembles is averaged out.
+    """The share of the path covered at each row, (n,), as the mean over the joints, with sensor
+    noise averaged out.
     """
     block = max(1, round(0.02 / s.sample_time))
     columns = [moving_mean(q, block, "edge")[::block] for q in s.position.T]

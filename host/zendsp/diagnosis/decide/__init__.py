@@ -1,1 +1,3 @@
-"""What is claimed: mechanisms, laws, bodies, how sure; the result, and what to record next."""
+"""What is claimed (mechanisms, laws, bodies) and how sure it is; the result, and the next
+recording.
+"""

@@ -29,8 +29,9 @@ from zendsp.physics.term_numbers import file_model
 from zendsp_protocol.views import with_std
 
 FAR = 3.0  # standard deviations
-# the same of two numbers together: the root of the χ² of two that is as unlikely (0.27 %); and of
-# each of them, at least. Chosen, not measured: the one case met had 3.0 and 4.8
+# the same of two numbers together: the root of the χ² with two degrees of freedom that is as
+# unlikely (0.27 %); and the least of each of them. Chosen, not measured: the one case met had 3.0
+# and 4.8
 FAR_TOGETHER, NEAR = 3.44, 2.0
 WEIGHT_ALONE = 2.0  # times FAR, of a weight that moves without its inertia
 ONE_GAIN = 0.5  # of the inertia's change: numbers that move within it may be one torque gain
@@ -44,13 +45,14 @@ G = 9.81  # m/s²
 def shifted(
     given: Model, decision: Decision, whole: Assembled, found: Collection[str], test: Data
 ) -> list[tuple[float, float, Finding]]:
-    """Findings about mechanism parameters that moved far from their given values, with their z and
-    the torque that the given value would leave, as a part of the RMS torque.
+    """Findings about mechanism parameters that calibration moved far from their given values. Each
+    comes with its z and with the torque that the given value would leave unexplained, as a part of
+    the RMS torque.
 
     Parameters
     ----------
     test : Data
-        Held-out recordings: the shift has to pay there too.
+        Held-out recordings, which the shift has to make likelier too.
     found : collection of str
         Effects already found at the joint; an effect that carries inertia itself explains the
         shift.
@@ -119,8 +121,8 @@ def shifted(
 
 
 def _both_far(inertia: float, gravity: float) -> bool:
-    """Whether inertia and weight, each so many tolerances off, are together further off than the
-    tolerance allows, in the same direction: a body that was added, or is not there.
+    """Whether inertia and weight together moved further than the tolerance allows, in the same
+    direction, as when a body was added or removed. Both numbers are in tolerances.
     """
     same = inertia * gravity > 0.0 and min(abs(inertia), abs(gravity)) > NEAR
     return same and math.hypot(inertia, gravity) > FAR_TOGETHER
@@ -137,7 +139,7 @@ def _weight(
 
 
 def point_of(inertia: Estimate, weight: Estimate) -> dict[str, Estimate]:
-    """The point on the axis of a pendulum that adds so much inertia (kg m²) and weight (N m)."""
+    """The point mass on the axis of a pendulum that adds this inertia (kg m²) and weight (N m)."""
     of_weight, of_inertia = weight.std / weight.value, inertia.std / inertia.value
     mass, reach = weight.value**2 / (G**2 * inertia.value), G * inertia.value / weight.value
     return {
@@ -147,8 +149,8 @@ def point_of(inertia: Estimate, weight: Estimate) -> dict[str, Estimate]:
 
 
 def _as_point(moves: Mapping[str, tuple[float, float, float, float]]) -> str:
-    """The payload that would do both, where inertia and weight have grown: as uncertain as the
-    given figures, beyond which they grew.
+    """The payload that explains both, where inertia and weight have grown. It is as uncertain as
+    the given numbers that it is measured from.
     """
     if not all(key in moves and moves[key][1] > NEAR for key in BOTH):
         return ""
@@ -163,7 +165,8 @@ def _as_point(moves: Mapping[str, tuple[float, float, float, float]]) -> str:
 
 
 def _gain(joint: int, factor: float, std: float) -> Finding:
-    """One error of the torque, by which calibration scaled all numbers of a joint."""
+    """The finding of one torque gain error, where calibration scaled all numbers of a joint alike.
+    """
     text = (
         f"Calibration multiplies all numbers of joint {joint} by {factor:.3g}: its torque is"
         f" {1.0 / factor:.3g} times what the given model says, as by a wrong gain, gear ratio or"
@@ -174,8 +177,8 @@ def _gain(joint: int, factor: float, std: float) -> Finding:
 
 
 def moved(given: Model, calibrated: Model) -> list[str]:
-    """What calibration made of the given numbers, joint by joint, where that is beyond the
-    tolerance of a number: it is no finding, and may be what a user looks for.
+    """The given numbers that calibration moved beyond their tolerance, in words, joint by joint.
+    They are no findings, but may be what a user looks for.
     """
     out = []
     given, calibrated = file_model(given), file_model(calibrated)
@@ -200,7 +203,7 @@ def moved(given: Model, calibrated: Model) -> list[str]:
 
 
 def bodies_wrong(given: Model, improved: Model) -> int:
-    """How many numbers of a plane arm's bodies are farther off than calibration would have them."""
+    """The count of body numbers of a planar arm that moved beyond their tolerance."""
     if given.kind != "planar2r":
         return 0
     moves = [
@@ -218,14 +221,14 @@ def bodies_wrong(given: Model, improved: Model) -> int:
 class _Number:
     """A free number of the given model, and what calibration made of it."""
 
-    effect: str  # the term that it is of; empty: of the mechanism
+    effect: str  # of its term; empty where it belongs to the mechanism
     key: str
     given: Quantity
     new: Quantity
 
     @property
     def is_far(self) -> bool:
-        """Whether it was moved beyond its tolerance."""
+        """Whether calibration moved it beyond its tolerance."""
         given, new = self.given.value, self.new
         change = abs(new.value - given)
         return bool(given) and change > math.hypot(TOLERANCE * given, FAR * new.std)
@@ -237,8 +240,8 @@ class _Number:
 
 
 def _one_factor(given: Model, calibrated: Model, joint: int) -> float | None:
-    """The factor by which calibration multiplied the free numbers of a joint, three and more, all
-    alike and far; None where there is none.
+    """The one factor by which calibration multiplied all free numbers of a joint, three or more,
+    far beyond their tolerance; None where there is no such factor.
     """
     numbers = [n for n in _numbers(given, calibrated, joint) if n.given.value]
     ratios = [n.new.value / n.given.value for n in numbers]
@@ -267,7 +270,7 @@ def _numbers(given: Model, calibrated: Model, joint: int) -> Iterator[_Number]:
 def _rotor(
     given: Model, decision: Decision, whole: Assembled, test: Data
 ) -> list[tuple[float, float, Finding]]:
-    """The same of the rotor inertia that a model states beside the bodies of its file."""
+    """The rotor inertia that a model states beside the bodies of its file, as such a number."""
     joint = decision.joint
     both = [
         [t for t in m.at(joint) if t.effect == "inertia"]
@@ -299,9 +302,9 @@ def _rotor(
 
 
 def _by_unseen(improved: Model, joint: int, test: Data) -> float:
-    """The part by which an inertia may come out too large: what the command does between the rows
-    is an error of what is known to accelerate the joint, and a larger inertia feels it less (errors
-    in variables). Its mean square, over that of the torque that accelerates.
+    """The part by which an inertia may come out too large because commands between the rows are
+    unknown. They are an error of the regressor (errors in variables); a larger inertia responds
+    less to it. The value is the error's mean square over that of the accelerating torque.
     """
     unseen = needed = 0.0
     for rec in test.records:
@@ -313,23 +316,23 @@ def _by_unseen(improved: Model, joint: int, test: Data) -> float:
 
 
 def _held(given: Model, decision: Decision, key: str) -> Model:
-    """The model of a joint with a parameter of the mechanism as it was given."""
+    """The model of a joint with one mechanism parameter put back to its given value."""
     items = tuple(replace(q, free=False) for q in given.mechanism[key])
     model = decision.alone.model
     return replace(model, mechanism={**model.mechanism, key: items})
 
 
 def _size(held: Model, decision: Decision, test: Data) -> float | None:
-    """Torque that a model without a shift leaves, as a part of the RMS torque; None where the
-    recordings, held-out ones included, do not insist on the shift. Asked beside the claims alone:
-    what only refines the fit is bent to make up for a wrong mass.
+    """The torque that the model leaves unexplained without a shift, as a part of the RMS torque.
+    None where some recordings, held-out ones included, do not clearly prefer the shift. Only the
+    claims stand beside it: refinements would be bent to make up for a wrong mass.
     """
     final, joint = decision.alone, decision.joint
     handles = joint_handles(final.data, held, joint)
     fixed = fit_scored(final.data, held, handles, (joint,), rounds=3)
     if fixed.deviance - final.deviance < INSISTS:
         return None
-    # as any finding: more than what stays unexplained
+    # as for any finding: it must be more than what stays unexplained
     size = difference(test, fixed.model, final.model, joint)
     if size <= max(decision.after.value, decision.state.size):
         return None
@@ -362,7 +365,7 @@ def _gravity_only(
 
 
 def _by(amount: float, ratio: float, std: float, unit: str) -> str:
-    """A change of a given number, with what it becomes."""
+    """The change of a given number in words, with its new value."""
     given = amount / ratio
     return f"{100 * ratio:+.0f} % (from {given:.3g} to {with_std(given + amount, std, unit)})"
 

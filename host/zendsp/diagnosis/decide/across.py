@@ -1,4 +1,6 @@
-"""What several joints lack at once: one common cause is likelier than a law at each."""
+"""Torques and delays missing at several joints at once, for which one common cause is likelier than
+a law at each joint.
+"""
 
 from __future__ import annotations
 
@@ -31,19 +33,21 @@ from zendsp.physics.effects.column_shift import least_shift
 from zendsp.physics.model import Model, Term
 
 PLACE = "position_torque"
-# ratio of the times of two joints, at most, that may be one: one filter of six joints was found as
-# times within 1.3; not measured further
+# largest ratio of the delays of two joints that may be the same delay: one filter over six joints
+# was found as delays within 1.3; not measured further
 ALIKE = 1.5
-# joints at least that have to be late together, where none says so alone. Chosen: seen on one arm
+# least number of joints that must be late together where no single one is sure. Chosen: seen on one
+# arm
 LATE_TOGETHER = 3
 
 
 def across_joints(decisions: Sequence[Decision]) -> list[Decision]:
-    """The decisions, without laws where several joints lack a torque over position.
+    """The decisions, with laws removed where several joints lack a torque over position.
 
-    What pulls at several joints (a hose, a strap, a spring between links) has a potential over all
-    of them, of which a law at each joint is a section. A ripple is its own motor's, and a body has
-    been asked for before. At one of the joints it may depend on the state and be none of the laws.
+    A hose, a strap or a spring between links pulls at several joints. Its potential depends on all
+    their positions, so a law at each joint is only a section through it. Ripples stay, since each
+    belongs to its own motor. Bodies were considered before. At one of the joints the torque may
+    also depend on the state without any law.
 
     Parameters
     ----------
@@ -53,8 +57,8 @@ def across_joints(decisions: Sequence[Decision]) -> list[Decision]:
     Returns
     -------
     list of Decision
-        With the mechanism alone where two joints or more are pulled at; a constant torque at
-        another joint is a part of it.
+        Where two or more joints are pulled, they keep the mechanism without a law. A constant
+        torque at another joint counts as a part of it.
     """
     claimed = sum(any(_pulls(c) for c in d.claims) for d in decisions)
     several = claimed > 0 and claimed + sum(_is_pulled(d) for d in decisions) > 1
@@ -70,13 +74,14 @@ def across_joints(decisions: Sequence[Decision]) -> list[Decision]:
 
 
 def overshadowed(square: float, decisions: Sequence[Decision]) -> bool:
-    """Whether two joints or more lack a torque of their state that no law explains, and more of it
-    than bodies explain at all joints: what pulls at them resembles a little of a body.
+    """Whether two or more joints lack a torque over their state that no law explains, and more of
+    it than the bodies explain at all joints. What pulls at the joints may then have been taken for
+    a small body.
 
     Parameters
     ----------
     square : float
-        Of what the bodies explain, as parts of the joints' RMS torques.
+        Sum of the squares of what the bodies explain, as parts of the joints' RMS torques.
     decisions : sequence of Decision
         Beside the bodies, one a joint.
     """
@@ -85,7 +90,7 @@ def overshadowed(square: float, decisions: Sequence[Decision]) -> bool:
 
 
 def _of_state(decisions: Sequence[Decision]) -> float:
-    """The largest torque, RMS, that depends on the state of its joint and that nothing explains."""
+    """The largest unexplained RMS torque that depends on the state of its joint."""
     return max((d.state.size * d.scale for d in decisions if _lacks_of_state(d)), default=0.0)
 
 
@@ -94,7 +99,7 @@ def _lacks_of_state(d: Decision) -> bool:
 
 
 def _is_pulled(d: Decision) -> bool:
-    """Whether what a joint lacks without a law is most like a torque over position."""
+    """Whether a joint's missing torque without a law is most like a torque over position."""
     return _lacks_of_state(d) and d.near is not None and _is_place(d.near.effect)
 
 
@@ -118,9 +123,9 @@ def _section(claim: Claim, decision: Decision) -> Claim:
 
 
 def pushed_alone(decisions: Sequence[Decision]) -> list[Decision]:
-    """The decisions, without pushes at joints beside one at which as much depends on the state and
-    nothing explains it: of what pulls at both the one joint may show the states, the other only
-    that they come and go.
+    """The decisions, with pushes removed beside a joint that lacks as much over its state without a
+    law. Something that pulls at both joints may look like a function of the state at the one, and
+    like a push that comes and goes at the other.
 
     Parameters
     ----------
@@ -135,13 +140,12 @@ def pushed_alone(decisions: Sequence[Decision]) -> list[Decision]:
 
 
 def same_timing(parts: Parts, decisions: Sequence[Decision], jobs: int) -> list[Decision]:
-    """The decisions, with one law where several joints come late by as much.
+    """The decisions, with one common law where several joints are late by the same time.
 
-    A filter of all position columns, a current loop, a bus act on every joint alike; which of them
-    it is, each joint can hardly tell. All together decide, also for a joint that by itself would
-    claim no law; but where each names the same law, the other side of the loop is as likely: behind
-    a filter of all position columns every joint feels where the others were some time ago, which a
-    command that comes as late explains.
+    A filter of all position columns, a current loop or a bus delays every joint alike, and a single
+    joint can hardly tell which. So all joints decide together, also for a joint that would claim no
+    law by itself. Where every joint names the same law, the other side of the loop is equally
+    likely: a filter of all position columns looks like a command that is as late.
 
     Parameters
     ----------
@@ -184,14 +188,14 @@ def all_late(
     decisions: Sequence[Decision],
     jobs: int,
 ) -> list[Decision]:
-    """The decisions, with one law of timing where most joints come late by as much, and by more
-    than simulators differ in: what it is may be less at each joint than what stays unexplained
-    there, and all together say what none says alone.
+    """The decisions, with one law of timing where most joints are late by the same time, and by
+    more than simulators differ. The torque of a delay may be below what stays unexplained at each
+    single joint; the joints together can still be sure.
 
     Parameters
     ----------
     given : Model
-        What the joints were searched upon.
+        The model from which the search of the joints began.
     searches, decisions : sequence
         One a joint, in their order.
     jobs : int
@@ -229,7 +233,7 @@ def all_late(
 
 
 def _comes_late(term: Term) -> bool:
-    """Whether a term is a time by which the joint comes late; it may be no law at all."""
+    """Whether a term is a delay of the joint; the term may also be no law."""
     effect = library().get(term.effect)
     if effect is None:
         return False
@@ -237,7 +241,7 @@ def _comes_late(term: Term) -> bool:
 
 
 def _may_be_one_time(found: Sequence[Rival], least: float, joints: int) -> bool:
-    """Whether enough joints come late, by more than ``least`` s and all by about as much."""
+    """Whether enough joints are late by more than ``least`` s and by about the same time."""
     if len(found) < max(LATE_TOGETHER, joints / 2):
         return False
     terms = [counterpart(r.scored.model.at(r.joint), r.terms[0]) for r in found]
@@ -246,7 +250,7 @@ def _may_be_one_time(found: Sequence[Rival], least: float, joints: int) -> bool:
 
 
 def _of_many(parts: Parts, given: Model, search: JointSearch, rival: Rival, jobs: int) -> Claim:
-    """What a law of timing is worth at one joint, on untouched recordings."""
+    """The evidence for a law of timing at one joint, on untouched recordings."""
     mechanism = mechanism_of(rival.effect)
     term = counterpart(rival.scored.model.at(rival.joint), rival.terms[0])
     piece = piece_of(parts.test, given, rival.scored, mechanism, (term,), search.base, jobs)
@@ -255,7 +259,7 @@ def _of_many(parts: Parts, given: Model, search: JointSearch, rival: Rival, jobs
 
 
 def _late_as_all(decision: Decision, claim: Claim, scored: Scored, parts: Parts) -> Decision:
-    """The decision with the time by which all joints are late, and nothing else."""
+    """The decision with the common delay of all joints as its only claim."""
     after = discrepancy(parts.test, scored.model, decision.joint)
     return replace(
         decision, kind="missing", claims=(claim,), refinements=(), bursts=None,
@@ -264,8 +268,8 @@ def _late_as_all(decision: Decision, claim: Claim, scored: Scored, parts: Parts)
 
 
 def timing(decisions: Sequence[Decision]) -> tuple[Term, ...]:
-    """The terms by which command and position are apart in time, where they are at two joints or
-    more; at a joint where that does not show, as at another one.
+    """The terms of timing for all joints, where command and position are apart in time at two or
+    more joints. A joint that does not show it gets the term of another one.
     """
     terms = {
         d.joint: c.term
@@ -280,8 +284,8 @@ def timing(decisions: Sequence[Decision]) -> tuple[Term, ...]:
 
 
 def friction_beside_weight(decisions: Sequence[Decision]) -> tuple[Term, ...]:
-    """The friction that joints lack, where one claims what a body may be: a torque over position,
-    an inertia, a constant. Before it was known, such a body was small beside it.
+    """The missing friction of the joints, where one claims what a body could explain: a torque over
+    position, an inertia, a constant. Beside unknown friction such a body was too small to be found.
     """
     claims = [c for d in decisions for c in d.claims if c.effect != "unknown"]
     if not any(c.mechanism in (PLACE, "inertia") or c.is_constant for c in claims):
@@ -290,15 +294,15 @@ def friction_beside_weight(decisions: Sequence[Decision]) -> tuple[Term, ...]:
 
 
 def _is_late(claim: Claim) -> bool:
-    """Whether a claim is of a time by which the joint comes late, and nothing else."""
+    """Whether a claim is a delay of the joint and nothing else."""
     return claim.effect != "unknown" and _comes_late(claim.term)
 
 
 def _with_law(
     decision: Decision, names: Collection[str], times: tuple[float, float]
 ) -> Decision:
-    """The decision with the law that it was likeliest of, where that is one of ``names`` and its
-    time lies between ``times``.
+    """The decision with its likeliest law claimed, where that is one of ``names`` and its delay
+    lies between ``times``.
     """
     claims = tuple(
         replace(c, effect=c.term.effect)
@@ -313,14 +317,16 @@ def _with_law(
 
 
 def _alike(names: Collection[str]) -> set[str]:
-    """Laws of timing, with those that have the same numbers."""
+    """The names of a law of timing and of those with the same numbers."""
     family = {get_effect(name).family for name in names}
     shapes = {get_effect(name).names for name in names}
     return {e.name for e in library().values() if e.family in family and e.names in shapes}
 
 
 def _either(decision: Decision, claim: Claim, others: Collection[str]) -> Decision:
-    """The decision, with what cannot be told from a claim where several joints come late alike."""
+    """The decision, with the laws indistinguishable from its claim where several joints are equally
+    late.
+    """
     one = replace(claim, same=tuple(dict.fromkeys((*claim.same, *sorted(others)))))
     return replace(decision, claims=tuple(one if c is claim else c for c in decision.claims))
 
@@ -351,9 +357,9 @@ def _renamed(
     scored: Scored,
     parts: Parts,
 ) -> Decision:
-    """The decision with one claim by the law of all joints, which cannot be told from the
-    ``others`` that some of them had; its own law, where untouched recordings are worse for the
-    change than without any.
+    """The decision with one claim named by the common law of all joints, indistinguishable from the
+    ``others`` that some joints had. It keeps its own law where the common one predicts untouched
+    recordings worse than none.
     """
     joint = decision.joint
     errors = [rms(window_error(parts.test, m, joint)) for m in (decision.base.model, scored.model)]

@@ -23,9 +23,9 @@ from zendsp.physics.robots.bodies import body_terms
 
 @dataclass(frozen=True)
 class Assembled:
-    """Models in kernel form; ``fits[j]`` holds the numbers of joint j with their covariance, and
-    ``agreed[j]`` the same with what other recordings say otherwise in it; ``data`` has the
-    observers of the end.
+    """Models in kernel form. ``fits[j]`` holds the numbers of joint j with their covariance; in
+    ``agreed[j]`` the covariance includes the disagreement of other recordings. ``data`` has the
+    final observers.
     """
 
     calibrated: Model
@@ -47,8 +47,8 @@ def shared_mechanism(model: Model) -> bool:
 
 
 def merge(given: Model, parts: Sequence[Scored]) -> Model:
-    """One model of the whole machine from fits of its joints; what acts on all joints stands once,
-    as in the given model.
+    """One model of the whole machine from the fits of its joints. A term that acts on all joints
+    appears once, as in the given model.
     """
     shared = body_terms(given)
     terms: list[Term] = list(shared)
@@ -96,8 +96,8 @@ def merge(given: Model, parts: Sequence[Scored]) -> Model:
 
 
 def calibrated_machine(train: Data, given: Model, bases: Sequence[Scored], jobs: int) -> Model:
-    """The calibrated model of the whole machine from those of its joints, in their order; what
-    joints share is fitted to all of them.
+    """The calibrated model of the whole machine from those of its joints, in their order. Shared
+    parameters are fitted to all joints.
     """
     start = merge(given, bases)
     if not shared_mechanism(given):
@@ -110,10 +110,10 @@ def calibrated_machine(train: Data, given: Model, bases: Sequence[Scored], jobs:
 def with_disagreement(
     data: Data, held: Data, fitted: Fit, joints: Sequence[int], jobs: int
 ) -> Fit:
-    """The fit with what the recordings held out say otherwise in its covariance: half of the square
-    by which their own numbers differ beyond what both are uncertain by (surely: held-out recordings
-    may say next to nothing of a number), the variance between two groups of a random-effects model
-    (DerSimonian and Laird 1986).
+    """The fit with the disagreement of held-out recordings added to its covariance: half of the
+    squared difference of the numbers beyond the uncertainty of both. This is the variance between
+    two groups of a random-effects model (DerSimonian and Laird 1986). Only a sure difference
+    counts, since held-out recordings may hardly determine a number.
     """
     if not fitted.handles:
         return fitted
@@ -129,10 +129,10 @@ def with_disagreement(
 
 
 def with_slower_observer(data: Data, fitted: Fit, joint: int, jobs: int) -> Fit:
-    """The fit with what an observer half as fast says otherwise in its covariance: the square by
-    which its numbers differ beyond what both are uncertain by (Hausman 1978). Any observer finds
-    the numbers of a right model; how fast one swings that nobody sees, behind the counts of a
-    coarse sensor, each tells in another way.
+    """The fit with the disagreement of an observer half as fast added to its covariance: the
+    squared difference of the numbers beyond the uncertainty of both (Hausman 1978). For a right
+    model any observer finds the same numbers. An unseen oscillation behind a coarse sensor shifts
+    them differently for each observer.
     """
     slow = data.at_bandwidth(joint, 0.5 * data.bandwidth[joint - 1])
     other = fit(
@@ -143,8 +143,8 @@ def with_slower_observer(data: Data, fitted: Fit, joint: int, jobs: int) -> Fit:
 
 
 def beside_given_gravity(given: Model, joint: int, fitted: Fit) -> Fit:
-    """A gravity found beside the model's own as one that acts beside the given number, which is
-    known to TOLERANCE: G sin q + A sin(q - φ) is the same torque for any G, with another A and φ.
+    """A gravity found beside the model's own, converted to act beside the given number, which is
+    known to TOLERANCE. G sin q + A sin(q - φ) is the same torque for any G with suitable A and φ.
     """
     items = given.mechanism["gravity"]
     k = joint - 1 if len(items) > 1 else 0
@@ -174,7 +174,9 @@ def beside_given_gravity(given: Model, joint: int, fitted: Fit) -> Fit:
 
 
 def assemble(parts: Parts, given: Model, searches: Sequence[Decision], jobs: int) -> Assembled:
-    """Put the joints together; parameters that joints share are refitted on all of them at once."""
+    """Both models of the whole machine; parameters that joints share are refitted on all of them at
+    once.
+    """
     train, held = parts.fit, parts.held
     bandwidth = tuple(s.final.data.bandwidth[s.joint - 1] for s in searches)
     data = replace(train, bandwidth=bandwidth)
@@ -219,8 +221,8 @@ def assemble(parts: Parts, given: Model, searches: Sequence[Decision], jobs: int
 
 
 def _with_shared(model: Model, parts: Sequence[Scored]) -> Model:
-    """What the joints share where their own fits put it, each by how certain it is: a fit of all
-    of them that began elsewhere would begin beside a resonance.
+    """The model with shared parameters at the weighted mean of the joints' own fits, by their
+    certainty. A common fit from elsewhere could start beside a resonance.
     """
     sums: dict[str, tuple[float, float]] = {}
     for part in parts:
@@ -235,8 +237,8 @@ def _with_shared(model: Model, parts: Sequence[Scored]) -> Model:
 
 
 def _noted(model: Model, fits: dict[int, Fit]) -> Model:
-    """Write the standard deviations of the fits into the model, with what any two simulators'
-    equations do differently.
+    """The model with the standard deviations of the fits, including the differences between any two
+    simulators.
     """
     mechanism = {key: list(items) for key, items in model.mechanism.items()}
     terms = {id(t): dict(t.parameters) for t in model.terms}

@@ -1,4 +1,4 @@
-"""What the decision deals in: pieces of the proposed model, claims, and what a joint came to."""
+"""The data of the decision: pieces of the proposed model, claims, and the decision of a joint."""
 
 from __future__ import annotations
 
@@ -21,27 +21,27 @@ LAWS_OF: dict[str, tuple[str, ...]] = {mechanism: laws_of(mechanism) for mechani
 
 
 def needed(joints: int) -> float:
-    """Logarithm of the e-value from which on something is claimed at one of so many joints: all
-    mechanisms were asked at each.
+    """The least logarithm of an e-value for a claim at one of ``joints`` joints. All mechanisms
+    were tested at each joint, which the threshold accounts for.
     """
     return math.log(joints * len(LAWS_OF) / FALSE_DISCOVERIES)
 
 
 @dataclass(frozen=True)
 class Piece:
-    """A mechanism at one joint as it stands in the model, and what taking it away costs on
-    untouched recordings.
+    """A mechanism at one joint of the proposed model, and the cost of removing it on untouched
+    recordings.
     """
 
     mechanism: str
     terms: tuple[Term, ...]
     without: Scored
-    size: float  # RMS torque that nothing else gives, as a part of the RMS torque
+    size: float  # RMS torque that no other term can replace, as a part of the RMS torque
     evidence: Evidence
     log_e: float  # logarithm of the e-value
     lacks: bool = True  # its torque lacks without it
     slowly: float = 0.0  # z of the evidence by slower observers, where the fit's are unsure
-    why: str = field(default="", compare=False)  # that it is not claimed
+    why: str = field(default="", compare=False)  # reason that it is not claimed
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -65,31 +65,30 @@ class Claim:
     same: tuple[str, ...]
     replaces: tuple[str, ...]
     lost: tuple[Rejected, ...]  # rivals
-    left: Structure | None = None  # what the law leaves in its own variables
+    left: Structure | None = None  # torque left by the law over its own variables
     instead: Scored | None = None  # with a law of the same mechanism that is likelier
-    # of its neighbours, in standard deviations; infinite where it has none, or was not asked
+    # by which it predicts better than its neighbours, in standard deviations; infinite where it has
+    # none, or was not compared
     ahead: float = math.inf
-    # of its confidence: laws beside it that are doubted may take up what it leaves
+    # of its confidence, where doubted laws beside it may absorb what it leaves
     most: float = 1.0
     why: str = ""  # why its law is not named, where it is not
 
     @property
     def is_transmission(self) -> bool:
-        """Whether it is a law of what lies between motor and link."""
+        """Whether it is a law of the transmission between motor and link."""
         return self.effect != "unknown" and get_effect(self.effect).family == "transmission"
 
     @property
     def is_constant(self) -> bool:
-        """Whether its torque is the same everywhere, and so a function of any variable, whatever it
-        is called.
-        """
+        """Whether its torque is constant, and so trivially a function of any variable."""
         return self.term.effect != "unknown" and get_effect(self.term.effect).constant
 
 
 @dataclass(frozen=True)
 class Known:
-    """What a diagnosis of this machine left unexplained before, as a part of the RMS torque: all of
-    it, and what of it depends on the state.
+    """Torque that an earlier diagnosis of this machine left unexplained, as a part of the RMS
+    torque: the whole, and the part that depends on the state.
     """
 
     all: float = 0.0
@@ -98,8 +97,8 @@ class Known:
 
 @dataclass(frozen=True)
 class Near:
-    """The law that is likeliest where none is claimed: what lacks without it and with it, as parts
-    of the RMS torque, why it is not claimed, and what stands ``beside`` it then.
+    """The likeliest law where none is claimed: the missing torque without it and with it, as parts
+    of the RMS torque, the reason that it is not claimed, and the laws ``beside`` it.
     """
 
     effect: str
@@ -111,7 +110,7 @@ class Near:
 
 @dataclass(frozen=True)
 class Decision:
-    """What one joint came to."""
+    """The decision about one joint."""
 
     joint: int
     kind: Verdict | Literal["disturbance"]
@@ -121,29 +120,29 @@ class Decision:
     final: Scored
     before: Size
     after: Size
-    state: Structure  # what any function of state predicts of what is left
-    # what the claims by themselves leave, without the refinements of the final model
+    state: Structure  # the part of the remaining torque that any function of the state predicts
+    # torque that the claims alone leave, without the refinements of the final model
     bare: Size
     alone: Scored  # the claims by themselves
     scale: float  # RMS torque of the recordings to test on, N m or N
     bursts: Bursts | None = None
-    # times of the recordings of the fit at which what the claims leave acts; where nothing is
-    # claimed, of all recordings, at which what is too small for a finding does
+    # times in the recordings of the fit at which the torque acts that the claims leave; where
+    # nothing is claimed, times in all recordings of a push too small for a finding
     beside: Bursts | None = None
-    known: Known = Known()  # what the given model says that this machine leaves unexplained
-    # recordings that numbers of their own explain, where those of the others do not
+    known: Known = Known()  # discrepancy that the given model states for this machine
+    # recordings explained by their own numbers but not by those of the others
     loads: tuple[str, ...] = ()
     # hypotheses that were tried where nothing is claimed
     lost: tuple[Rejected, ...] = ()
     near: Near | None = None
-    # untouched recordings do not show what those of the fit surely do: effects and joint
+    # effects and joint that recordings of the fit surely show and untouched ones do not
     doubted: tuple[tuple[str, int], ...] = ()
     searched: bool = True  # not where the search was ended before this joint
 
 
 def unclaimed(decision: Decision) -> Decision:
-    """The decision without its claims, which make the whole machine predict untouched recordings
-    worse: what they stand for stays unexplained.
+    """The decision without its claims, as they make the whole machine predict untouched recordings
+    worse. The torque that they explained stays unexplained.
     """
     gained = 0.5 * (decision.base.deviance - decision.final.deviance)
     why = "with it the whole machine predicts untouched recordings worse"

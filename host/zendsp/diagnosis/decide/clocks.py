@@ -26,7 +26,7 @@ Shift = tuple[float, float]
 
 # Measured with 48 recordings of foreign simulators without a shift: none is told.
 SHIFT_SURE = 6.0  # standard deviations
-ALL_BUT = 0.98  # of the samples count as they are: where a joint lets go, a shift does the most
+ALL_BUT = 0.98  # quantile at which slopes are capped: they peak where a joint breaks loose
 CLOCK_BLOCK = 0.5  # s: longer than a slow observer remembers
 
 
@@ -41,7 +41,7 @@ def apart_in_time(
     model : Model
         The best there is, in kernel form.
     explained : collection of (joint, name of a recording)
-        What numbers of its own explain: another friction resembles a shift.
+        Recordings that their own numbers explain, since another friction resembles a shift.
     """
     said = []
     for joint in range(1, model.joints + 1):
@@ -70,8 +70,8 @@ def apart_in_time(
 
 
 def _explains(parts: Parts, model: Model, joint: int, name: str, at: float) -> bool:
-    """Whether most of what the model lacks in a recording is gone with the command shifted: what
-    else lacks there may resemble a little of a shift.
+    """Whether a shift of the command removes most of the missing torque of a recording. Otherwise
+    something else is missing that only resembles a small shift.
     """
     records = tuple(r for part in parts.each for r in part.records if r[0].recording == name)
     own = replace(parts.test, records=records)
@@ -83,7 +83,7 @@ def _explains(parts: Parts, model: Model, joint: int, name: str, at: float) -> b
 
 
 def _shift(record: JointRecord, model: Model) -> Shift | None:
-    """To first order; None: unknown."""
+    """The time shift of the command to first order, s, and its variance; None where unknown."""
     step = 0.1 * record.sample_time
     late = Term("column_shift", record.joint, {"time": Quantity(step)})
     left, moved = (
@@ -111,8 +111,8 @@ def _mean(shifts: list[Shift]) -> Shift:
 
 
 def _late(found: dict[str, Shift], least: float) -> tuple[dict[str, float], str]:
-    """Those that surely stand apart, by ``least`` s at least, from the one nearest to all, and by
-    how much; the names of the others.
+    """The recordings that are surely shifted, by ``least`` s or more, against the one nearest to
+    all, with their shifts; and the names of the others.
     """
     if len(found) < 2:
         return {}, ""

@@ -1,10 +1,10 @@
-"""How often a finding like this one is right.
+"""The probability that a finding is right.
 
-A logistic regression on findings whose truth was known, of makers of cases that share no code:
-what a law leaves unexplained beside its own size, how freely it can be bent, and how small a part
-it is of the lacking torque that larger ones do not explain. Its reliability was judged on makers
-left out of the regression (docs/measurements/diagnosis_choices.md). To repeat it: `python
-benchmarks/confidence.py`.
+A logistic regression, learned on findings of known truth from makers of cases that share no code.
+Its features: what a law leaves unexplained relative to its size, how many free numbers it has, and
+how small a part it is of the missing torque that larger ones do not explain. Its reliability was
+judged on makers left out of the regression (docs/measurements/diagnosis_choices.md). To repeat it:
+`python benchmarks/confidence.py`.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from zendsp.physics.effects import get_effect, mechanism_of
 
 NAMES = ("constant", "unknown", "left", "free", "small")
 WEIGHTS = (-0.52, 2.27, 2.40, -0.69, -2.02)
-SUREST = 0.97  # of 114 stated at 0.9 and more, on makers left out, 97 of 100 were right
-FINEST_KNOWN = 1e-4  # of the RMS torque: nothing is known better
+SUREST = 0.97  # of 114 findings with 0.9 and more, on makers left out, 97 % were right
+FINEST_KNOWN = 1e-4  # of the RMS torque: no discrepancy is known to be smaller
 
 
 def stated(claim: Claim, decision: Decision) -> bool:
-    """Whether a law is likely enough to be named. What every machine has needs no more than the
-    evidence for its mechanism: a real pendulum's dry friction and drag, 0.7 and 0.3 % of its
-    torque, stand beside 0.8 % that nobody explains.
+    """Whether a law is likely enough to be named. Laws that every machine has need only the
+    evidence for their mechanism: a real pendulum had dry friction and drag of 0.7 and 0.3 % of its
+    torque beside 0.8 % unexplained.
     """
     common = get_effect(claim.effect).common
     return common or confidence(claim, decision) > _needed(claim.effect, decision)
@@ -42,8 +42,8 @@ def _needed(name: str, decision: Decision) -> float:
 
 
 def least_stated(name: str, decision: Decision) -> float:
-    """Size, as a part of the RMS torque, from which on an effect beside what this decision leaves
-    would be named, if nothing else lacked.
+    """The least size, as a part of the RMS torque, with which an effect would be named beside what
+    this decision leaves, if nothing else were missing.
     """
     effect = get_effect(name)
     if effect.common:
@@ -56,20 +56,20 @@ def least_stated(name: str, decision: Decision) -> float:
 
 
 def _left(decision: Decision) -> float:
-    """What the claims leave, and what of it depends on the state, beyond what the machine is known
-    to leave.
+    """The torque that the claims leave, and the part that depends on the state, beyond the known
+    discrepancy of the machine.
     """
     known = math.hypot(decision.known.all, decision.known.of_state)
     return beyond(math.hypot(decision.bare.low, decision.state.size), known)
 
 
 def features(claim: Claim, decision: Decision) -> tuple[float, ...]:
-    """What the regression looks at, in the order of ``NAMES``.
+    """The features of the regression, in the order of ``NAMES``.
 
     Parameters
     ----------
     decision : Decision
-        What its joint came to.
+        The decision about its joint.
     """
     if claim.effect == "unknown":
         return (1.0, 1.0, 0.0, 0.0, 0.0)
@@ -93,7 +93,7 @@ def confidence(claim: Claim, decision: Decision) -> float:
     Parameters
     ----------
     decision : Decision
-        What its joint came to.
+        The decision about its joint.
 
     Returns
     -------
@@ -101,6 +101,6 @@ def confidence(claim: Claim, decision: Decision) -> float:
         Between 0.05 and ``SUREST``.
     """
     value = float(np.dot(WEIGHTS, features(claim, decision)))
-    # it can be no surer than that it predicts better than the next law of its kind
+    # no surer than that it predicts better than its neighbours
     most = min(SUREST, claim.most, NormalDist().cdf(claim.ahead))
     return float(max(0.05, min(most, 1.0 / (1.0 + math.exp(-value)))))

@@ -12,18 +12,19 @@ from typing import Literal, TypedDict
 
 from zendsp.physics.effects import get_effect
 
-# times the sensor's error, from which on a complete model says what it leaves: 22 of 99 of a
-# campaign were off by as much (seed 229); and of a joint's torque: less is not worth a sentence
+# times the sensor's error: a complete model that errs more says what it leaves, as 22 of 99 in a
+# campaign did (seed 229); and a part of a joint's torque: less is not worth a sentence
 BEYOND, LEAST_NAMELESS = 2.0, 1e-3
 
-# log-likelihood; of 154 complete models of four makers none had more than 626, but for one that
+# log-likelihood. Of 154 complete models of four makers none had more than 626, but for one that
 # seemed late; a loose mass had 1196
 FAR_LIKELIER = 1000.0
-# the same, of what comes late or swings, as does a simulator that takes other steps: a complete
-# model had 1871; a joint that was 5 ms late where no held-out recording moves so, 10368
+# the same for delays, lags and oscillating loads, which the step size of a simulator imitates. A
+# complete model had 1871; a joint 5 ms late in a motion that its held-out recording does not have
+# had 10368
 FAR_LATER = 2000.0
 
-# mechanisms as a person calls them
+# mechanisms in plain words
 WORDS = {
     "dry_friction": "dry friction",
     "fluid_friction": "fluid friction",
@@ -35,22 +36,22 @@ WORDS = {
     "disturbance": "a disturbance",
 }
 
-NOT_SURELY = "not surely this law"  # the first words of what is near
+NOT_SURELY = "not surely this law"  # first words of the reason of a near law
 
 Verdict = Literal["complete", "missing", "unexplained"]
 
 
 class Reason(StrEnum):
-    """Why a hypothesis lost; its ``why`` says it in words."""
+    """The reason that a hypothesis lost; its ``why`` has it in words."""
 
-    NEAR = "near"  # the likeliest, and takes most of what lacks
-    TOO_SMALL = "too_small"  # surely there, and less than a finding has
+    NEAR = "near"  # the likeliest law, and it explains most of the missing torque
+    TOO_SMALL = "too_small"  # surely there, but smaller than a finding has to be
     OTHER = "other"
 
 
 @dataclass(frozen=True)
 class Rejected:
-    """A hypothesis that was fitted and lost: ``score`` is its log-likelihood against the winner's
+    """A hypothesis that was fitted and lost. ``score``: its log-likelihood minus the winner's
     (negative: worse).
     """
 
@@ -70,7 +71,7 @@ class EstimateReport(TypedDict):
 
 
 class CurveReport(TypedDict):
-    """A torque that no law describes, over what it depends on."""
+    """A torque without a law, as a curve over the variable on which it depends."""
 
     variable: str
     unit: str
@@ -89,14 +90,14 @@ class PushedReport(TypedDict):
 
 
 class DetailsReport(TypedDict, total=False):
-    """What further sensors say of a finding, and what goes with it."""
+    """Further numbers of a finding, from further sensors or of a body."""
 
     sensors: str
     compliance: float
     compliance_std: float
-    weight: float  # that an inertia has
+    weight: float  # of an added inertia
     also_on: list[PushedReport]
-    torque: float  # that holds a transmission where it yields
+    torque: float  # friction within a transmission
     side: str  # of a torque sensor
     dry_before: float
     dry_after: float
@@ -110,7 +111,7 @@ class Further(TypedDict, total=False):
     from_joint: int  # of a coupling
     law: str  # of a coupling
     intervals: list[list[float]]  # of a disturbance, s
-    recordings: list[str]  # those that they are times of; those of another load
+    recordings: list[str]  # of a disturbance, one for each interval; of another load
     body: str
     curve: CurveReport  # of an unknown
     details: DetailsReport
@@ -150,7 +151,7 @@ class DetectableReport(TypedDict):
 
 
 class RegionReport(TypedDict):
-    """Where in a joint's state the mismatch is."""
+    """An interval of a joint's state in which the mismatch lies."""
 
     joint: int
     variable: str
@@ -203,7 +204,7 @@ class NextReport(TypedDict):
 
 
 class Report(TypedDict):
-    """The whole of it."""
+    """The whole report.json."""
 
     verdict: Verdict
     headline: str
@@ -224,16 +225,16 @@ class Report(TypedDict):
 def nameless(
     left: Iterable[tuple[int, float | None]], error: float | None, floor: float | None
 ) -> tuple[tuple[int, float], ...]:
-    """What a model that is called complete leaves, though the position is off by more than the
-    sensor errs: some machines have a random torque, others what nobody has a name for.
+    """The torque that a complete model leaves although the position errs by more than the sensor: a
+    random torque of the machine, or something without a name.
 
     Parameters
     ----------
     left : iterable of (joint, share)
-        What nothing named explains, as a part of the RMS torque: of ``discrepancy``.
-    error, floor : float
-        RMS position error on untouched recordings, and that of the sensor alone, rad or m. None of
-        any: not known.
+        Joint, and its unexplained torque as a part of the RMS torque, from ``discrepancy``.
+error, floor : float
+        RMS position error on untouched recordings, and that of the sensor alone, rad or m; None
+        where not known.
     """
     if error is None or floor is None or not error > BEYOND * floor:
         return ()
@@ -249,8 +250,8 @@ def _likeliest(rejected: Iterable[Rejected]) -> list[Rejected]:
 
 
 def contradicted(rejected: Iterable[Rejected]) -> tuple[tuple[str, int], ...]:
-    """Effects and joints by which the recordings of the fit say that something is missing where the
-    untouched ones do not: their motion may not show it.
+    """Effects and joints that the recordings of the fit show to be missing and the untouched ones
+    do not. The untouched motion may not show them.
     """
     far = (
         r
@@ -269,7 +270,7 @@ def is_stepped(effect: str) -> bool:
 
 
 def nearest(verdict: Verdict, rejected: Iterable[Rejected]) -> tuple[tuple[str, int], ...]:
-    """Effects and joints that an unexplained verdict is most like, one a joint."""
+    """The effect nearest to the unexplained torque of each joint, with the joint."""
     if verdict != "unexplained":
         return ()
     return tuple(
@@ -278,18 +279,19 @@ def nearest(verdict: Verdict, rejected: Iterable[Rejected]) -> tuple[tuple[str, 
 
 
 def dark(left: Iterable[tuple[int, Sequence[float]]]) -> tuple[int, ...]:
-    """Joints of which recordings show nothing: all of their torque could be unexplained.
+    """The joints about which the recordings show nothing: all of their torque could be unexplained.
 
     Parameters
     ----------
     left : iterable of (joint, interval)
-        What nothing named explains, as a part of the RMS torque: of ``discrepancy``.
+        Joint, and the interval of its unexplained torque as a part of the RMS torque, from
+        ``discrepancy``.
     """
     return tuple(joint for joint, (_, high) in left if high >= 1.0)
 
 
 def spans(times: Sequence[tuple[float, float]], recordings: Sequence[str], most: int = 4) -> str:
-    """The first times, s, of which recordings they are, and how many more there are.
+    """The first times, s, in words, with their recordings and the count of further ones.
 
     Examples
     --------
@@ -310,7 +312,7 @@ def spans(times: Sequence[tuple[float, float]], recordings: Sequence[str], most:
 
 
 def listed(joints: Iterable[int]) -> str:
-    """Joints in words.
+    """A list of joints in words.
 
     Examples
     --------
@@ -322,5 +324,5 @@ def listed(joints: Iterable[int]) -> str:
 
 
 def two_digits(value: float) -> str:
-    """Two digits, and all before the point: 1e+02 is nobody's hundred."""
+    """A number with two digits, and all those before the point: 100, not 1e+02."""
     return f"{value:.2g}" if value < 99.5 else f"{value:.0f}"

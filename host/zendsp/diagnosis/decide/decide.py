@@ -1,10 +1,9 @@
 """The decision: which mechanisms are claimed, by which law, and what is said of the rest.
 
-One principle (docs/diagnosis.md, "How it decides"): a recording is the named physics, a discrepancy
-that nobody has named, and the sensor. A finding is a mechanism without which the discrepancy must
-grow, on recordings that neither the fit nor any choice has touched. The search proposes; here every
-mechanism that it wrote down is taken away, everything else is fitted again, and what that costs
-decides.
+The principle (docs/diagnosis.md, "How it decides"): a recording is the sum of named physics, an
+unnamed discrepancy, and the sensor's error. A finding is a mechanism without which the discrepancy
+grows, on recordings that neither the fit nor any choice has touched. The search proposes
+mechanisms. Here each is taken away, everything else is fitted again, and the cost decides.
 """
 
 from __future__ import annotations
@@ -73,18 +72,18 @@ from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model, Quantity, Term
 
 Array = npt.NDArray[np.float64]
-LIKELIEST = 6  # of the first round's hypotheses, the likeliest
+LIKELIEST = 6  # so many of the likeliest hypotheses of the first round
 
 
 def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Progress) -> Decision:
-    """Decide what is claimed at one joint.
+    """The decision about one joint: its claims, and what they leave.
 
     Parameters
     ----------
     parts : Parts
         Recordings to fit to, to choose by, and to test on.
     search : JointSearch
-        What the search proposes.
+        The search, with its proposed model.
     jobs : int
         Threads.
     tell : callable
@@ -98,7 +97,7 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
         return out
     if out.kind == "missing" and not any(c.effect == "unknown" for c in out.claims):
         models = [out.final]
-    # a friction that is missing hides pushes, and they hide it
+    # missing friction and pushes hide each other
     elif out.kind == "unexplained" and not out.loads:
         models = [r.scored for r in search.tried if get_effect(r.effect).common]
         models += [search.best] if search.best is not None else []
@@ -147,7 +146,7 @@ def _decided(
             if decision.claims and better:
                 if any(c.effect != "unknown" for c in decision.claims):
                     return replace(decision, beside=beside(decision, parts))
-                # which mechanism, if any, is for the lacking torque itself to say
+                # the missing torque itself has to show which mechanism, if any
                 plain = _nothing_named(parts, given, search, before, asked, jobs)
                 most = decision.after.value**2 < (1.0 - PREDICTED) * before.value**2
                 kind = kind_of(decision.claims[0].mechanism)
@@ -155,7 +154,7 @@ def _decided(
                 stands = plain.kind == "complete" or (most and not plain.claims) or same
                 if len(decision.claims) == 1:
                     return decision if stands else plain
-                # several mechanisms, and no law of any: it is one torque that nobody knows
+                # several mechanisms without any law are one unknown torque
                 return replace(plain, kind="unexplained") if plain.kind == "complete" else plain
     nothing = _nothing_named(parts, given, search, before, asked, jobs)
     several = len({rec[0].recording for part in parts.each for rec in part.records}) > 1
@@ -165,9 +164,9 @@ def _decided(
 
 
 def _makes_better(decision: Decision, test: Data) -> bool:
-    """Whether untouched recordings are no worse for a decision. What makes them worse is no
-    finding, ever; nor what leaves more torque unexplained than there was, or than there is (a
-    spring that holds a joint).
+    """Whether a decision makes untouched recordings no worse. What makes them worse is never a
+    finding. Nor is what leaves more torque unexplained than before, or more than the whole torque
+    (a spring that holds a joint at its place).
     """
     models = (decision.base.model, decision.final.model)
     errors = [rms(window_error(test, m, decision.joint)) for m in models]
@@ -175,8 +174,8 @@ def _makes_better(decision: Decision, test: Data) -> bool:
 
 
 def _unrefined_by(decision: Decision) -> Decision:
-    """The decision without what only refines its fit: likelier, and yet far off where a joint that
-    slows down may stick or not (a falling friction).
+    """The decision without its refinements. They may be likelier and yet far off, as a falling
+    friction is where a slowing joint may or may not stick.
     """
     return replace(decision, final=decision.alone, after=decision.bare, refinements=())
 
@@ -184,8 +183,8 @@ def _unrefined_by(decision: Decision) -> Decision:
 def _exchanged(
     parts: Parts, search: JointSearch, final: Scored, first: Decision, jobs: int
 ) -> JointSearch | None:
-    """The search with a likelier law in the place of a claimed one; None where there is none, or
-    where in its simplest words it is no likelier: each exchange is a gain, so that they end.
+    """The search with a likelier law in place of a claimed one; None where there is none, or where
+    its simplified form is no likelier. Each exchange is a gain, so the exchanges end.
     """
     for claim in first.claims:
         if claim.instead is not None:
@@ -199,12 +198,12 @@ def _exchanged(
 def find_sounder(
     parts: Parts, search: JointSearch, final: Scored, pieces: Sequence[Piece], jobs: int
 ) -> JointSearch | None:
-    """The search to decide upon where nothing that it proposed can be claimed; None where nothing
-    is left to try.
+    """The next search to decide upon where nothing proposed can be claimed; None where nothing is
+    left to try.
 
-    Where it ended in what runs away on recordings that it was not fitted to, its next first step
-    alone. Else its first step, where others followed: what they take up of the discrepancy between
-    machine and model bends them, and costs the first its evidence.
+    If the proposed model diverges on recordings that it was not fitted to: the next hypothesis of
+    the first step, alone. Otherwise the first step without those that followed: they may have
+    absorbed some discrepancy between machine and model, which costs the first its evidence.
     """
     if any(p.size > RUN_AWAY for p in pieces):
         there = {t.effect for t in final.model.at(search.joint)}
@@ -220,7 +219,7 @@ def find_sounder(
 
 
 def _with_best(search: JointSearch, rival: Rival, parts: Parts, jobs: int) -> JointSearch:
-    """The search with one hypothesis alone as its best model, in its simplest words."""
+    """The search with one hypothesis alone as its best model, simplified."""
     other = replace(search, best=rival.scored)
     other.best, _ = simplify(other, informative(parts.fit, search.joint), jobs)
     return other
@@ -234,12 +233,12 @@ def _nothing_named(
     pieces: Sequence[Piece],
     jobs: int,
 ) -> Decision:
-    """Complete, a disturbance, a mechanism without a law, or unexplained: decided by the calibrated
-    model's discrepancy alone. ``pieces`` are the mechanisms that were asked, for what is said of
-    them.
+    """The decision without a named law: complete, a disturbance, a mechanism without a law, or
+    unexplained. It depends on the calibrated model's discrepancy alone. ``pieces`` are the tested
+    mechanisms, for the report.
     """
     joint, base = search.joint, search.base
-    # how a known dry friction turns round is no missing physics: bristles, a simulator's softness
+    # how a known dry friction acts at reversals is no missing physics: bristles, a soft simulator
     turning = not rubs(base.model, joint)
     state = structure(parts.each, base.model, joint, STRUCTURED, turning)
     beside = discrepancy(parts.test, search.final.model, joint) if pieces else before
@@ -269,13 +268,13 @@ def _nothing_named(
     if not (push is None or of_the_motion(push, parts, turning) or of_a_law(push, laws, parts)):
         return push
     asked = _asked(out, parts, given, turning)
-    # something acts there surely, though what it is drowns in what stays unexplained
+    # something surely acts there, but is smaller than what stays unexplained
     drowned = any(sure(parts.test, p) and beyond(p.size, out.known.all) > OF_STATE for p in pieces)
     if drowned and asked.kind == "complete" and not _half_a_row(out, parts, jobs):
         return replace(out, kind="unexplained")
     if drowned or asked.kind == "complete":
         return asked
-    # numbers that were fitted to slow motion may be off by so much in a fast one
+    # numbers fitted to slow motion may be off by this much in fast motion
     whole = fitted_to(parts.all, base, joint, jobs)
     size = discrepancy(parts.test, whole.model, joint)
     state = structure(parts.each, whole.model, joint, STRUCTURED, turning)
@@ -287,8 +286,8 @@ def _nothing_named(
 
 
 def _half_a_row(out: Decision, parts: Parts, jobs: int) -> bool:
-    """Whether most of what lacks is gone where position and command are half a row apart: so they
-    are in a simulator of first order.
+    """Whether a shift of half a row between position and command removes most of the missing
+    torque, as a simulator of first order has it.
     """
     joint, model = out.joint, out.base.model
     for way in (0.5, -0.5):
@@ -305,16 +304,16 @@ def _half_a_row(out: Decision, parts: Parts, jobs: int) -> bool:
 
 
 def _contradicted(fit: Data, base: Scored, whole: Scored, joint: int) -> bool:
-    """Whether the recordings of the fit surely lack more with the numbers fitted to all: then they
-    do determine them, and what has other numbers in other recordings is no physics.
+    """Whether numbers fitted to all recordings surely make those of the fit lack more torque. Then
+    these do determine the numbers, and the recordings need different ones: something is missing.
     """
     own, others = (discrepancy(fit, s.model, joint) for s in (base, whole))
     return others.low > own.high and beyond(others.value, own.value) > LAWFUL
 
 
 def _asked(out: Decision, parts: Parts, given: Model, turning: bool) -> Decision:
-    """The decision by what the calibrated model lacks as a function of the state, of the motion
-    before, of time, or of nothing.
+    """The decision from the missing torque of the calibrated model: as a function of the state, of
+    the motion before, of time, or of nothing.
     """
     lacks = beyond(out.before.value, out.known.all)
     of_state = beyond(out.state.size, out.known.of_state)
@@ -328,13 +327,13 @@ def _asked(out: Decision, parts: Parts, given: Model, turning: bool) -> Decision
     sensor = noise_floor(parts.test, out.joint)
     off = error > BEYOND_SENSOR * sensor
     surely = off and beyond(out.before.low, out.known.all) > LAWFUL
-    # what throws the position off by n times the sensor's error is as much at an nth of the torque
+    # an error n times the sensor's counts as much with an nth of the torque
     thrown = off and lacks > OF_STATE and lacks * error > THROWN * sensor
     if lawful or surely or thrown or (lacks > MACHINE and out.before.low > 0.0):
         return replace(out, kind="unexplained")
     if off and out.before.high > AMISS:  # a recording too short to say how much torque that is
         return replace(out, kind="unexplained")
-    if parts.choose is not parts.test:  # held out too: what acts there only is no less missing
+    if parts.choose is not parts.test:  # these are held out too, and count as well
         chosen = discrepancy(parts.choose, out.base.model, out.joint)
         if beyond(chosen.value, out.known.all) > AMISS:
             return replace(out, kind="unexplained", after=chosen)
@@ -342,8 +341,8 @@ def _asked(out: Decision, parts: Parts, given: Model, turning: bool) -> Decision
 
 
 def _lawful(parts: Parts, base: Scored, joint: int, turning: bool) -> bool:
-    """Whether what lacks is no noise of a machine: it follows from how the joint moved before, or
-    repeats itself with time.
+    """Whether the missing torque is more than noise: it follows from earlier motion, or repeats in
+    time.
     """
     memory = structure(parts.each, base.model, joint, [MEMORY], turning)
     if memory.size > LAWFUL and memory.z > SURE:
@@ -354,7 +353,7 @@ def _lawful(parts: Parts, base: Scored, joint: int, turning: bool) -> bool:
 def _lost(
     effect: str, joint: int, gain: float, pieces: Sequence[Piece], before: Size, beside: Size
 ) -> Rejected:
-    """An effect that gains so much deviance, and why it is not claimed."""
+    """The entry of an effect that is not claimed: its gain in deviance and the reason."""
     seen = next((p for p in pieces if effect in p.effects), None)
     reason = Reason.OTHER
     if seen is not None and seen.log_e > 0 and seen.evidence.z > CLAIMED:

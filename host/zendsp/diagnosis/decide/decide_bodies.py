@@ -1,10 +1,10 @@
-"""The decision about bodies: as for the mechanisms of one joint, by what taking a body away costs
-on untouched recordings.
+"""The decision about bodies, by the cost of taking a body away on untouched recordings, as for the
+mechanisms of one joint.
 
-The search of the joints has gone on with the bodies in the model. Here each body is taken away,
-everything else at the joints that it moves is fitted again, and the joints decide together: their
-evidence for this one body adds up, and it is claimed where most of its torque acts at joints that
-miss it more than anything that stays unexplained there.
+The search of the joints went on with the bodies in the model. Here each body is taken away and
+everything else at the joints that bear it is fitted again. The joints' evidence for the one body
+adds up. It is claimed where most of its torque acts at joints at which its loss is larger than what
+stays unexplained.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ from zendsp.physics.calibration.fit import Data, joint_handles
 from zendsp.physics.model import Model, Term
 from zendsp.physics.robots.bodies import Links
 
-# of a body's squared torque, over the joints: at so much it has to be larger than what is left
+# of a body's squared torque over all joints: so much must act where it exceeds what is left
 LARGER_THAN_LEFT = 0.5
-REJECTED = 4  # of its rivals are reported
-# rivals that are no effects, as a sentence says them
+REJECTED = 4  # so many of its rivals are reported
+# rivals that are no effects, in words
 IN_WORDS = {
     "gravity_scale": "another strength of gravity",
     "calibration": "other values of the model's own free numbers",
@@ -46,7 +46,7 @@ IN_WORDS = {
 
 @dataclass(frozen=True)
 class BodyClaim:
-    """A body that is claimed: ``sizes`` are its RMS torques as a part of each joint's, ``gain`` is
+    """A claimed body. ``sizes``: its RMS torque at each joint, as a part of the joint's. ``gain``:
     its deviance on the test recordings.
     """
 
@@ -57,7 +57,8 @@ class BodyClaim:
 
     @property
     def square(self) -> float:
-        """Its part in the explainable mismatch, in the unit of all joints' squared discrepancies.
+        """Its part in the explainable mismatch: the sum of its squared sizes, as for the joints'
+        discrepancies.
         """
         return sum(s**2 for s in self.sizes.values())
 
@@ -65,16 +66,16 @@ class BodyClaim:
 def decide_bodies(
     parts: Parts, search: BodySearch, decisions: Sequence[Decision], jobs: int
 ) -> tuple[BodyClaim, ...]:
-    """Which of the proposed bodies are claimed.
+    """The proposed bodies that are claimed.
 
     Parameters
     ----------
     parts : Parts
         Recordings to fit to, to choose by, and to test on.
     search : BodySearch
-        Proposals; they stand in the models of the decisions.
+        The proposals, which the models of the decisions contain.
     decisions : sequence of Decision
-        What the joints came to with the bodies in place.
+        The decisions about the joints, with the bodies in the model.
     jobs : int
         Threads.
 
@@ -92,8 +93,8 @@ def decide_bodies(
 
 @dataclass(frozen=True)
 class Heard:
-    """What one joint says of a body: its size, and what stays unexplained there, as parts of the
-    RMS torque; log e-value of the evidence, and its standard deviations.
+    """The evidence of one joint for a body: its size and the unexplained torque there, as parts of
+    the RMS torque; the log e-value, and the evidence in standard deviations.
     """
 
     size: float
@@ -103,10 +104,10 @@ class Heard:
 
 
 def borne(heard: Sequence[Heard], least: float) -> float | None:
-    """How much larger a body is than what stays unexplained at the joints that bear it.
+    """The ratio of a body's size to what stays unexplained at the joints that bear it.
 
-    A joint alone need not be sure: it is one body, and what the joints say of it adds up. None
-    where that is less than ``least``, or most of its torque acts at joints that do not miss it.
+    A single joint need not be sure, since the evidence for the one body adds up. None where the sum
+    is below ``least``, or most of the body's torque acts at joints that do not miss it.
     """
     bear = [h for h in heard if h.log_e > 0.0 and h.z > PLAIN and h.size > h.left]
     total, here = (sum(h.size**2 for h in part) for part in (heard, bear))
@@ -130,8 +131,8 @@ def plainest(
 ) -> BodyClaim:
     """The claim of a body that stands in the place of several findings at the joints.
 
-    What its removal costs is asked with the rotor inertias that the model states as they are beside
-    it: a body is not to be calibrated away.
+    The cost of its removal is measured with the rotor inertias held as the model states them, so
+    that calibration cannot absorb the body.
     """
     links = parts.fit.records[0][0].links
     heard, gain = _heard(parts, found, decisions, links, jobs, hold=("inertia",))
@@ -148,8 +149,8 @@ def _heard(
     jobs: int,
     hold: Collection[str] = (),
 ) -> tuple[dict[int, Heard], float]:
-    """What the joints that feel a body say of it, and the deviance that its removal costs; terms of
-    the effects to ``hold`` stay as they are.
+    """The evidence for a body at the joints that feel it, and the deviance that its removal costs.
+    Terms of the effects in ``hold`` keep their numbers.
     """
     heard: dict[int, Heard] = {}
     gain = 0.0
@@ -174,7 +175,7 @@ def _heard(
 
 
 def _claim(found: FoundBody, heard: dict[int, Heard], gain: float, ratio: float) -> BodyClaim:
-    """The claim of a body that is so much larger than what stays unexplained."""
+    """The claim of a body; ``ratio`` says how much larger it is than what stays unexplained."""
     sure = ratio**1.5 / (0.5 + ratio**1.5)
     if found.indistinguishable:
         sure *= 0.5 + 0.5 / (1 + len(found.indistinguishable))
@@ -185,9 +186,9 @@ def _claim(found: FoundBody, heard: dict[int, Heard], gain: float, ratio: float)
 def beside_bodies(
     claims: Sequence[BodyClaim], decisions: Sequence[Decision], test: Data
 ) -> list[Decision]:
-    """Decisions in which a constant, by a law or without one, or a function of the position that is
-    no larger than what a body's weight may be wrong by refines the fit, and so does little inertia:
-    the body's own; any, where calibration could have taken the body up and was kept from it.
+    """The decisions, with claims turned into refinements where they may be the error of a body: a
+    constant or a function of the position no larger than the uncertainty of its weight, and a small
+    inertia. Where calibration could have absorbed the body but was held, any inertia counts.
     """
     out = []
     calibrates = any("calibration" in c.found.indistinguishable for c in claims)
@@ -213,8 +214,8 @@ def beside_bodies(
 
 
 def _wrong_by(term: Term, joint: int, test: Data) -> float:
-    """RMS torque at a joint by which a body may be wrong, as a part of the RMS torque: each of its
-    numbers one standard deviation off.
+    """The uncertainty of a body's torque at a joint (each number one standard deviation off), as a
+    part of the RMS torque.
     """
     total = 0.0
     for key, q in term.parameters.items():
@@ -231,7 +232,7 @@ def _wrong_by(term: Term, joint: int, test: Data) -> float:
 
 
 def feels(found: FoundBody, joint: int, links: Links | None) -> bool:
-    """Whether a joint (1-based) bears any of it."""
+    """Whether a joint (1-based) feels the body."""
     if found.term.effect == "base_tilt" or links is None:
         return True
     return links.moves(joint - 1, found.term.joint - 1)
@@ -244,10 +245,10 @@ def settled(
     decisions: Sequence[Decision],
     jobs: int,
 ) -> tuple[tuple[BodyClaim, ...], Model]:
-    """The claims with their numbers estimated again beside all that was found at the joints, and
-    the model with these. A spring or a gain there was fitted beside the body as it was proposed,
-    and takes up what that is off: such a joint's own functions of the position stay free. Numbers
-    that predict worse are not taken: in slow motion these functions are all that a body does.
+    """The claims with their numbers estimated again beside all findings of the joints, and the
+    model with these. A spring or a gain was fitted beside the proposed body and absorbed its error,
+    so at such a joint functions of the position stay free. Numbers that predict worse are not
+    taken: in slow motion these functions are all that a body does.
     """
     loose = {
         d.joint
@@ -263,7 +264,7 @@ def settled(
         term = claim.found.term
         rest = improved.with_terms(tuple(t for t in improved.terms if t != term))
         layout = Layout(rest, links)
-        # the recordings to test on are to stay untouched
+        # the test recordings must stay untouched
         again = (refined if parts.choose is parts.test else agreed)(
             parts.fit,
             parts.choose,
@@ -284,7 +285,9 @@ def settled(
 
 
 def body_finding(claim: BodyClaim, everything: float) -> Finding:
-    """A claim in words; ``everything`` is the explainable mismatch that it is a part of."""
+    """The finding of a claimed body; ``everything`` is the explainable mismatch of which it is a
+    part.
+    """
     found = claim.found
     h, term = found.explained.hypothesis, found.term
     values = {}
@@ -355,8 +358,8 @@ def _sentence(found: FoundBody, values: dict[str, Estimate]) -> str:
 
 
 def rejected_bodies(search: BodySearch, claims: Sequence[BodyClaim]) -> list[Rejected]:
-    """Bodies that were proposed and not claimed, and rivals of those that are; where none was
-    proposed, the best of what was tried.
+    """The proposed bodies that are not claimed, and the rivals of those that are. Where none was
+    proposed: the best hypotheses that were tried.
     """
     claimed = {(c.found.term.effect, c.found.term.joint) for c in claims}
     refused = [f.explained for f in search.found if (f.term.effect, f.term.joint) not in claimed]
@@ -382,8 +385,8 @@ def rejected_bodies(search: BodySearch, claims: Sequence[BodyClaim]) -> list[Rej
 
 
 def _effects(words: Sequence[str], own: str) -> tuple[str, ...]:
-    """Effects of hypotheses in words ("payload of link3") but ``own``, each once: reports name
-    effects; of which body they are, and rivals that are no effects, is in the sentence.
+    """The effect names of hypotheses in words ("payload of link3"), each once, without ``own``. The
+    report lists effects only; the sentence has the body, and the rivals that are no effects.
     """
     effects = (w.split(" of ")[0] for w in words if w not in IN_WORDS)
     strength = ("gravity",) if "gravity_scale" in words else ()

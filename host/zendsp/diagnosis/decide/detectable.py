@@ -1,16 +1,14 @@
-"""What these recordings would have shown: for each joint and mechanism the smallest effect that the
-decision would have claimed.
+"""The smallest effect that these recordings would have shown, for each joint and mechanism.
 
-An effect leaves a trace in the innovations of the model that was found; what calibration takes up
-of it is taken off. The trace's energy in the recordings to test on gives the evidence for the
-effect there. Its torque tells whether it stands out of the discrepancy, and would be named. The
-smallest size that passes all of these is stated.
+An effect leaves a trace in the innovations of the final model, less what calibration absorbs of it.
+The trace's energy in the test recordings gives the evidence. Its torque decides whether it exceeds
+the discrepancy and would be named. The smallest size that passes all of these is stated.
 
-It is first looked for to first order. Then it is implanted, and asked as the decision asks: without
-it calibrated numbers and observer are fitted to the recordings of the fit, and those to test on
-have to say that it lacks. Of the phases of a wave, and of the neutral positions of a spring, the
-one that is seen worst counts. The search is not run again for every size: ``zendsp prove
---implant`` measures how well the figures hold.
+A first size comes from a linear estimate. An effect of that size is then implanted and judged as
+the decision judges: calibrated numbers and observer are fitted without it to the recordings of the
+fit, and the test recordings have to miss it. Of the phases of a wave, or the neutral positions of a
+spring, the worst one counts. The search is not repeated for every size; ``zendsp prove --implant``
+measures how well the figures hold.
 """
 
 from __future__ import annotations
@@ -63,15 +61,16 @@ from zendsp.physics.model import Model, Term
 
 Array = npt.NDArray[np.float64]
 
-NOT_SMALL = 0.3  # of the RMS torque: an effect that is larger is not small
-ITERATIONS = 6  # iterations of the fit beside it
-ABSORBED = 2  # sizes of which calibration leaves nothing at all: a larger one is not asked
+NOT_SMALL = 0.3  # of the RMS torque: a larger effect is not looked for
+ITERATIONS = 6  # of the fit without the implant
+ABSORBED = 2  # sizes that calibration absorbs whole, after which no larger one is tried
 IMPLANTS = 6  # of growing size, until one is seen
-AMPLE = 1.05  # by which one is larger than the last seems to need
+AMPLE = 1.05  # margin over the size that the last implant seems to need
 LARGER, FARTHER = 1.5, 10.0  # times the last at least, and at most
-# of the best told mixture of calibrated numbers: what is told less takes nothing up. Chosen
+# of the best determined combination of calibrated numbers: one less determined absorbs nothing.
+# Chosen
 TOLD = 1e-6
-GRID = 12  # points of an effect's grid at most; of them the one that is seen worst is stated
+GRID = 12  # points of an effect's grid at most; the worst of them is stated
 
 
 def detectable(
@@ -91,8 +90,8 @@ def detectable(
 
 
 def blind(decisions: Sequence[Decision], seen: Sequence[Detectable]) -> list[Decision]:
-    """The decisions; where a joint is called complete and no friction nor torque over position
-    would have been seen, however large, all of its torque could be unexplained.
+    """The decisions, with all torque possibly unexplained at a complete joint where neither a
+    friction nor a torque over position would have been seen, however large.
     """
     shown = {x.joint for x in seen if x.mechanism in {*FRICTION, "position_torque"}}
     return [
@@ -112,7 +111,7 @@ def _joint(parts: Parts, given: Model, decision: Decision, jobs: int) -> list[De
     after = max(decision.after.value, decision.after.often)
     sized = [effect for effect in library().values() if effect.sized]
     kinds = {mechanism_of(effect.name) for effect in sized}
-    # what the model's own laws of the kind may be wrong by, where a law by itself leaves too much
+    # the error of the model's own laws of the kind, or what a law alone may leave
     laws = {m: kept_laws(given, final.model, joint, m) for m in kinds}
     error = {m: LAW_ERROR * torque_of(test, laws[m], final.model, joint) for m in kinds}
     scale = math.sqrt(mean_square(test, joint))
@@ -129,7 +128,7 @@ def _joint(parts: Parts, given: Model, decision: Decision, jobs: int) -> list[De
         term = _smallest(traces, name, implant.energy, beyond * scale)
         size = None if term is None else implant.seen(term, beyond)
         phase = phase_of(effect)
-        if term is not None and size is not None and phase:  # to first order the worst, and across
+        if term is not None and size is not None and phase:  # and a quarter period from it
             across = term.value(phase) + 0.5 * math.pi
             size = implant.seen(_set(term, {_key(effect): size[0], phase: across}), beyond)
         if size is None:
@@ -137,7 +136,7 @@ def _joint(parts: Parts, given: Model, decision: Decision, jobs: int) -> list[De
         parameter = effect.parameter(_key(effect))
         most = max(r.scale.of(parameter.size) for r in screen.records)
         if size[0] > (FIRST_ORDER if parameter.size == "time" else most):
-            continue  # as large as all torque or travel, or beyond any fit, and not shown: no size
+            continue  # not seen although as large as all torque or travel, or beyond any fit
         unit = unit_of(
             parameter.size,
             given.joint_kind(joint),
@@ -149,7 +148,7 @@ def _joint(parts: Parts, given: Model, decision: Decision, jobs: int) -> list[De
 
 
 def _screened(part: Data, decision: Decision, jobs: int) -> tuple[Fit, Screen]:
-    """The final model's fit along some recordings, and what an effect would leave there."""
+    """The final model's fit on some recordings, to compute the trace of an effect there."""
     joint, final = decision.joint, decision.final
     data = part.at_bandwidth(joint, final.data.bandwidth[joint - 1])
     result = fit(data, final.model, final.fit.handles, joints=(joint,), iterations=0, jobs=jobs)
@@ -167,8 +166,8 @@ def _key(effect: Effect) -> str:
 
 
 class _Traces:
-    """What effects leave in the innovations of recordings to test on, where the calibrated numbers
-    take up of them what the recordings of the fit want.
+    """Traces of effects in the innovations of the test recordings, after the calibrated numbers
+    have absorbed what the recordings of the fit suggest.
     """
 
     def __init__(self, sought: Screen, found: Fit, screen: Screen, result: Fit) -> None:
@@ -176,7 +175,7 @@ class _Traces:
         free = [h.place != "offset" for h in found.handles]
         there, here = (f.jacobian[: len(s.r), free] for f, s in ((found, sought), (result, screen)))
         unit = np.linalg.norm(there, axis=0)
-        # not what nothing depends on, nor what has run away
+        # without columns of no influence, or of a diverged prediction
         felt = (unit > 0.0) & np.isfinite(unit) & np.isfinite(here).all(axis=0)
         self.taken = np.linalg.pinv(there[:, felt] / unit[felt], rcond=TOLD)
         self.here = here[:, felt] / unit[felt]
@@ -189,9 +188,9 @@ class _Traces:
 
 
 def _smallest(traces: _Traces, name: str, energy: float, torque: float) -> Term | None:
-    """An effect, at the point of its grid where it is seen worst, of the size that leaves so much
-    in the innovations (root of its energy) and in the torque (RMS, N m or N); None where the
-    recording shows nothing of it at all.
+    """An effect at the worst point of its grid, of the size that leaves the required trace in the
+    innovations (root of its energy) and in the torque (RMS, N m or N). None where the recording
+    shows nothing of it.
     """
     screen, effect = traces.screen, get_effect(name)
     key = _key(effect)
@@ -211,9 +210,9 @@ def _smallest(traces: _Traces, name: str, energy: float, torque: float) -> Term 
 
 
 class _Implant:
-    """Effects of some size, implanted at a joint and judged as the decision judges: the calibrated
-    numbers and the observer are fitted to the recordings of the fit with the effect in them and
-    not in the model.
+    """Effects implanted at a joint and judged as the decision judges: the effect is in the
+    recordings and not in the model, whose calibrated numbers and observer are fitted to the
+    recordings of the fit.
     """
 
     def __init__(self, parts: Parts, decision: Decision, jobs: int) -> None:
@@ -228,13 +227,13 @@ class _Implant:
         innovations = residual(data, self.final.model, (self.joint,))
         mean = float(innovations @ innovations) / max(informative(data, self.joint), 1)
         self.n = informative(self.final.data, self.joint)
-        # root of the energy that an effect has to leave in the innovations
+        # root of the energy that an effect must leave in the innovations
         self.energy = self.root * math.sqrt(mean * dependence(self.final, self.test, self.joint))
 
     def seen(self, term: Term, least: float) -> tuple[float, float] | None:
-        """Size of an effect, as large as a term or larger, that would be found and claimed, and the
-        torque of it that calibration leaves, ``least`` or more, both as parts of the RMS torque;
-        None where an effect that is not small would not.
+        """The size of an effect that would be found and claimed, and its torque after calibration,
+        ``least`` or more; both as parts of the RMS torque. The search begins at a term's size. None
+        where even an effect that is not small would not be found.
         """
         key, absorbed = _key(get_effect(term.effect)), 0
         without, grown = None, 1.0
@@ -257,9 +256,9 @@ class _Implant:
         return None
 
     def _without(self, model: Model, smaller: Scored | None, grown: float) -> Scored:
-        """The calibrated numbers and the observer beside an implant. They begin where those beside
-        a ``smaller`` one ended, the numbers further by as much as it has ``grown``: to first order
-        they go with its size.
+        """The calibrated numbers and the observer fitted without the implant. They start from those
+        of a ``smaller`` implant, extrapolated by how much it has ``grown``, since to first order
+        they follow its size.
         """
         data, joints = (smaller or self.final).data, (self.joint,)
         handles = joint_handles(data, model, self.joint)
@@ -271,7 +270,7 @@ class _Implant:
         )
 
     def _short_by(self, term: Term, without: Scored, least: float) -> tuple[float, float]:
-        """By how many times an effect would have to be larger, 1 or less: it is seen; and its
+        """The factor by which an effect would have to be larger (1 or less: it is seen), and its
         torque.
         """
         test, joint, final = self.test, self.joint, self.final

@@ -2,8 +2,8 @@
 
 A screw turn of 2.5 mm passes at 40 Hz when the carriage moves at 0.1 m/s: far above the band in
 which hypotheses are fitted, and beneath friction a hundred times larger. A fast observer follows
-what is slow, whatever it is, and leaves the ripple; at that speed friction laws hardly differ, so
-nothing else is asked of it. The position's zero need not return from one recording to the next
+everything slow and leaves the ripple in its innovations. At that speed friction laws hardly differ,
+so only ripple is looked for. The position's zero need not return from one recording to the next
 (homing), so the held-out recordings may choose the phase anew, and only the phase.
 """
 
@@ -28,19 +28,19 @@ from zendsp.physics.effects import get_effect
 from zendsp.physics.effects.axes import HARMONICS
 from zendsp.physics.model import Model, Term
 
-# rad/s: 64 Hz; a tenth of the usual first resonance of a stiff drive train is below, its multiples
-# are not
+# rad/s: 64 Hz, above a tenth of the usual first resonance of a stiff drive train, and below its
+# multiples
 RIPPLE_BAND = 400.0
 RIPPLE_SHARE = 0.03  # of the fast innovations' energy that a ripple has to explain
-RIPPLE_GAIN = 60.0  # deviance beyond the price, on the training and on the held-out recordings
+RIPPLE_GAIN = 60.0  # least deviance beyond the price, in the fit and on held-out recordings
 MOST_RIPPLES = 2
-MOST_ORDERS = 4000  # that are looked at, and the PEAKS of them that are screened
+MOST_ORDERS = 4000  # so many orders are looked at, and the PEAKS highest of them are screened
 PEAKS = 8
 
 
 @dataclass(frozen=True)
 class FineRipple:
-    """A ripple above the band of the search: its term and what is reported of it."""
+    """A ripple above the band of the search: its term and its report."""
 
     term: Term
     finding: Finding
@@ -49,12 +49,12 @@ class FineRipple:
 def fine_ripples(
     train: Data, test: Data, search: JointSearch, kind: str, jobs: int
 ) -> list[FineRipple]:
-    """Ripples that only a fast observer sees.
+    """The ripples that only a fast observer sees.
 
     Parameters
     ----------
     search : JointSearch
-        Finished.
+        The finished search of the joint.
     kind : str
         "rotary" or "linear", for the units.
     jobs : int
@@ -73,7 +73,7 @@ def fine_ripples(
     data, held = train.at_bandwidth(joint, band), test.at_bandwidth(joint, band)
     bare = _undisplaced(search)
     current = _fitted(data, bare, joint, 4, jobs)
-    displaced = None  # what was found, where something displaces the position
+    displaced = None  # the fit without position errors, where a claim has any
     if len(bare.terms) < len(search.final.model.terms):
         displaced = _fitted(data, search.final.model, joint, 4, jobs)
     found: list[FineRipple] = []
@@ -95,7 +95,7 @@ def fine_ripples(
         evidence = compare(current, turned, test, joint)
         if evidence.gain < RIPPLE_GAIN or evidence.z < SURE:
             break
-        # a transmission that errs so often a turn makes such a torque
+        # a transmission error with as many periods a turn makes such a torque
         if displaced is not None and compare(displaced, turned, test, joint).gain <= 0.0:
             break
         found.append(_reported(search, current, after, kind))
@@ -104,9 +104,9 @@ def fine_ripples(
 
 
 def _peaks(data: Data, model: Model, joint: int, band: float) -> list[float]:
-    """Orders beyond those that every turn is screened for, where the lacking torque has most of its
-    energy: behind a gear a motor's poles pass as often as the gear says, at no whole number a turn.
-    Of waves that the position has four counts of, and a sample at the typical speed.
+    """The orders beyond the usual grid at which the missing torque has most energy. Behind a gear a
+    motor's poles pass at any order, not a whole number a turn. Each wave has to span four counts of
+    the position, and one sample at the typical speed.
     """
     records = [rec[joint - 1] for rec in data.records]
     first = records[0]
@@ -131,8 +131,8 @@ def _peaks(data: Data, model: Model, joint: int, band: float) -> list[float]:
 
 
 def _undisplaced(search: JointSearch) -> Model:
-    """What was found, without what displaces the position: a tenth of a millimetre that only helped
-    a slow observer turns a ripple of two by a radian or more.
+    """The fit without terms that displace the position: 0.1 mm that only helped a slow observer
+    shifts the phase of a ripple of period 2 mm by a third of a radian or more.
     """
     known, model = search.base.model, search.final.model
     return model.with_terms(
@@ -157,9 +157,7 @@ def _fitted(data: Data, model: Model, joint: int, iterations: int, jobs: int) ->
 
 
 def _rephased(after: Scored, held: Data, joint: int, index: int, jobs: int) -> Scored:
-    """The fitted ripple with the phase that suits the held-out recordings: the best of the circle,
-    then refined.
-    """
+    """The fitted ripple with the phase that suits the held-out recordings best."""
     term = after.model.terms[index]
     best: tuple[float, Fit] | None = None
     for phase in np.linspace(-math.pi, math.pi, 8, endpoint=False):

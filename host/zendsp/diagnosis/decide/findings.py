@@ -18,16 +18,16 @@ from zendsp.physics.effects import get_effect, unit_of
 from zendsp.physics.model import Model, Term
 from zendsp.physics.term_numbers import chosen
 
-# Beside the statistical uncertainty stands what recordings of any length leave open. Chosen, with
-# INTEGRATION_ERROR, on 183 parameters of realities by others, of whose 90 % intervals two thirds
-# had held the truth (docs/diagnosis.md, uncertainty):
-ALONG = 0.3  # of what stays unexplained: so much of it lies along a law that is fitted to it
-CLOCK = 0.1  # of the sample time: when within a sample a position was read, a command took effect
+# Uncertainty that does not shrink with longer recordings, added to the statistical one. Chosen,
+# with INTEGRATION_ERROR, on 183 parameters of realities by others, of whose 90 % intervals two
+# thirds had held the truth (docs/diagnosis.md, uncertainty):
+ALONG = 0.3  # of the unexplained torque: the part that may be correlated with a law
+CLOCK = 0.1  # of the sample time: how well the instants of reading and of the command are known
 
 
 def new_terms(given: Model, final: Model, joint: int) -> list[Term]:
-    """Terms of the final model at a joint that the given one does not have, or has with another
-    number that it holds fixed.
+    """The terms of the final model at a joint that the given model lacks, or holds fixed at another
+    number.
     """
     had = list(given.at(joint))
     out = []
@@ -41,7 +41,7 @@ def new_terms(given: Model, final: Model, joint: int) -> list[Term]:
 
 
 def _held(old: Term, new: Term) -> bool:
-    """Whether what one term holds fixed is the same in another."""
+    """Whether another term has the same values for the numbers that one holds fixed."""
     return all(q.free or q.value == new.value(key, q.value) for key, q in old.parameters.items())
 
 
@@ -55,9 +55,9 @@ def estimates(
     left: float = 0.0,
     record: JointRecord | None = None,
 ) -> dict[str, Estimate]:
-    """Parameters of a term with standard deviations and units; the Stribeck breakaway includes the
-    Coulomb level. ``left`` is what the model leaves unexplained, as a part of the term's torque;
-    ``record``: of the joint, where what is not statistical counts too.
+    """The parameters of a term with standard deviations and units; the Stribeck breakaway includes
+    the Coulomb level. ``left``: torque that the model leaves unexplained, as a part of the term's.
+    ``record``: a recording of the joint, to include uncertainty that is not statistical.
     """
     effect = get_effect(term.effect)
     clock = CLOCK * record.sample_time if record and effect.family == "timing" else 0.0
@@ -92,7 +92,7 @@ def estimates(
 def _with_level(
     fit: Fit, term: Term, above: str, excess: float, variance: float, at: list[int]
 ) -> tuple[float, float]:
-    """The excess over another effect's size, and that size: value and variance of their sum."""
+    """Value and variance of the sum of an excess and of the effect's size that it stands on."""
     size = get_effect(above).linear[0]
     for i, t in enumerate(fit.model.terms):
         if t.effect == above and t.joint == term.joint:
@@ -109,12 +109,12 @@ def _with_level(
 
 
 def percent(share: float) -> str:
-    """A share in per cent, two digits of it or all before the point."""
+    """A share in per cent with two digits, and all digits before the point."""
     return f"{100 * share:.2g}" if abs(share) < 1 else f"{100 * share:.0f}"
 
 
 def sentence(term: Term, values: dict[str, Estimate]) -> str:
-    """The effect's own sentence with its numbers; of a joint that slides, with a force."""
+    """The effect's sentence with its numbers; a torque is called a force where the joint slides."""
     words: dict[str, str] = {n: number(e) for n, e in values.items()}
     words["joint"] = str(term.joint)
     if "order" in values:
@@ -136,7 +136,7 @@ def sentence(term: Term, values: dict[str, Estimate]) -> str:
 
 
 def repeats(order: Estimate) -> str:
-    """How often a wave comes: per turn, or per travel.
+    """How often a wave repeats, in words: per turn, or over the travel.
 
     Examples
     --------
@@ -150,7 +150,7 @@ def repeats(order: Estimate) -> str:
 
 
 def waves(each: Sequence[dict[str, Estimate]]) -> str:
-    """Waves by how often they come, the first one with its amplitude."""
+    """Several waves in words, by how often they repeat; the first with its amplitude."""
     first, *others = each
     one = f"a wave of {number(first['amplitude'])}, {repeats(first['order'])}"
     more = " and ".join(repeats(values["order"]) for values in others)

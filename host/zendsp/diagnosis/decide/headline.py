@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 from zendsp.diagnosis.decide.contract import WORDS, Verdict, listed, two_digits
 
-SMALLEST_SHARE = 1e-4  # of a torque: less is not told from nothing
+SMALLEST_SHARE = 1e-4  # of a torque: less cannot be told from zero
 LARGEST_SHARE = 9.99
 
 TILTED = "how the base stands"
 
 
 def word_of(mechanism: str, effects: Sequence[str]) -> str:
-    """A mechanism in plain words; what couples joints may be a mass, friction or speed.
+    """A mechanism in plain words; a coupling of joints by its law.
 
     Examples
     --------
@@ -42,14 +42,14 @@ def verdict_sentence(
     Parameters
     ----------
     found : sequence of (mechanism, effects, joint)
-        The effect that is named, and those that cannot be told from it.
+        ``effects``: the named one, and those that cannot be told from it.
     unseen : sequence of int
-        Joints of which the recordings show nothing, see ``dark``.
+        Joints about which the recordings show nothing, see ``dark``.
     left : sequence of (joint, share)
-        What of a joint's torque a complete model leaves, see ``nameless``.
+        The part of a joint's torque that a complete model leaves, see ``nameless``.
     near, doubted : sequence of (effect, joint)
-        What an unexplained verdict is most like, see ``nearest``; what only the recordings of the
-        fit say, where nothing else is unexplained, see ``contradicted``.
+        The law nearest to an unexplained torque, see ``nearest``; and what only the recordings of
+        the fit show, where nothing else is unexplained, see ``contradicted``.
 
     Examples
     --------
@@ -116,7 +116,7 @@ def _at(laws: Sequence[tuple[str, int]]) -> str:
 
 
 def percent(share: float) -> str:
-    """Return a share of a torque as people read it.
+    """A share of a torque in per cent, rounded for people.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""By which law a claimed mechanism is named, or by none: what is claimed, and what only refines."""
+"""The law by which a claimed mechanism is named, or none; and what only refines the fit."""
 
 from __future__ import annotations
 
@@ -77,16 +77,17 @@ def named(
     jobs: int,
     tell: Progress,
 ) -> Decision:
-    """Name each claimed mechanism by its law, or by none where no law describes it.
+    """The claims and refinements of a joint: each mechanism by its law, or by none where no law
+    describes it.
 
     Parameters
     ----------
     final : Scored
-        The model of the search with its claims, which every law is held against.
+        The model of the search with its claims, against which every law is compared.
     claimed, rest : sequence of Piece
-        Mechanisms that the untouched recordings show, and what only improves the fit.
+        Mechanisms that the untouched recordings show, and those that only improve the fit.
     before : Size
-        What lacks without them.
+        The missing torque without them.
     """
     joint = search.joint
     rounds = Rounds(parts.fit, joint, jobs, tell, given)
@@ -122,7 +123,7 @@ def named(
     claims, more = _beside_unknown(claims, after.value)
     refinements += more
     best = claims[0].size if claims else 0.0
-    # more is left that depends on the state than anything claimed explains
+    # more torque over the state is left than any claim explains
     if state.size > best and state.z > SURE:
         claims = []
     alone = _alone(given, final, joint, claims, refinements, jobs)
@@ -145,10 +146,10 @@ def named(
 
 @dataclass(frozen=True)
 class _Judge:
-    """Says whether a mechanism's law describes it: what it is judged by at a joint.
+    """Judges whether a law describes its mechanism at a joint.
 
-    ``after`` is what is left with all that is ``claimed``; ``known`` of that, what depends on the
-    state and this machine is known to leave; ``bent`` are terms that stand on nothing.
+    ``after``: torque left with all that is ``claimed``. ``known``: the part over the state that
+    this machine is known to leave. ``bent``: terms whose base law has vanished.
     """
 
     parts: Parts
@@ -163,8 +164,8 @@ class _Judge:
     def findings_among(
         self, ranked: Sequence[Piece], piece: Piece
     ) -> tuple[list[Piece], list[Piece]]:
-        """The laws of a mechanism that are findings of their own, the first among them; and the
-        others, which refine it.
+        """The laws of a mechanism that are findings of their own, the first always among them; and
+        the others, which only refine.
         """
         own: list[Piece] = [ranked[0]]
         beside: list[Piece] = []
@@ -176,20 +177,22 @@ class _Judge:
         return own, beside
 
     def left_by(self, piece: Piece) -> Structure | None:
-        """What is left that the mechanism's variables predict; None where it has none."""
+        """The remaining torque that the mechanism's variables predict; None where it has no
+        variables.
+        """
         if piece.mechanism not in STRUCTURED:
             return None
-        # how dry friction turns round (bristles, a simulator's softness) refines its law
+        # how dry friction acts at reversals (bristles, a soft simulator) refines its law
         turning = piece.mechanism != DRY
         return structure(self.parts.each, self.final.model, self.joint, [piece.mechanism], turning)
 
     def why_no_law(
         self, piece: Piece, ranked: Sequence[Piece], own: Sequence[Piece], left: Structure | None
     ) -> str:
-        """Why no law describes a mechanism; empty where its first one does."""
+        """The reason that no law describes a mechanism; empty where its first one does."""
         first, of_position = ranked[0], piece.mechanism == "position_torque"
         travel = max(rec[self.joint - 1].scale.position for rec in self.parts.fit.records)
-        # a constant beside several laws of the position is a part of the curve that they draw
+        # a constant beside several laws over the position is a part of the curve that they form
         level = sum(all(get_effect(t.effect).constant for t in p.terms) for p in self.claimed)
         pieces = len(own) + (level if of_position and len(own) > 1 else 0)
         return why_curve(
@@ -210,11 +213,11 @@ class _Judge:
 
     def _leaves_more(self, piece: Piece, ranked: Sequence[Piece], left: Structure | None) -> bool:
         kind = [p for p in self.claimed if p.mechanism in kind_of(piece.mechanism)]
-        # a larger law's error is no lack of this one, nor what this machine is known to leave
+        # neither a larger law's error nor the known discrepancy speaks against this law
         allowed = math.hypot(max(may_leave(p) for p in kind), self.known)
-        # what the law by itself leaves to itself
+        # torque over its own variables that the law leaves when it is alone
         again = [p.size for p in ranked[1:] if repeats(p, ranked[0])]
-        least = max(allowed, SIMULATORS_DIFFER)  # untouched recordings have to show so much
+        least = max(allowed, SIMULATORS_DIFFER)  # untouched recordings have to show this much
         return math.hypot(*again) > allowed or (
             left is not None and self.after.high > least and _surely_more(left, least)
         )
@@ -228,9 +231,9 @@ class _Judge:
 def _turns_a_known_one(
     parts: Parts, given: Model, final: Scored, piece: Piece, before: Size
 ) -> bool:
-    """Whether a mechanism only says how a dry friction that the model has behaves at reversals, and
-    explains little of what lacks: it is then a second law of that friction. Softness, as of
-    bristles, makes friction smaller there; a mechanism that makes it larger is not meant.
+    """Whether a mechanism only changes a known dry friction at reversals and explains little of the
+    missing torque. It is then a second law of that friction. Softness, as of bristles, makes
+    friction smaller at reversals; a mechanism that makes it larger does not count.
     """
     joint = piece.terms[0].joint
     return (
@@ -248,13 +251,13 @@ def _alone(
     more: Sequence[Claim],
     jobs: int,
 ) -> Scored:
-    """The claims by themselves, fitted again, with what the rest had replaced: what only refines
-    the fit can be bent to what no law of the claims describes.
+    """The claims alone, fitted again, with the terms restored that the refinements had replaced.
+    Refinements could be bent to what no claimed law describes.
     """
     needed = any(get_effect(c.term.effect).needs for c in claims)
     rubs = any(c.mechanism == DRY and c.effect != "unknown" for c in claims)
 
-    def stays(c: Claim) -> bool:  # Coulomb friction beside another law of it: every machine has it
+    def stays(c: Claim) -> bool:  # as Coulomb friction, which every machine has, beside its law
         rubs_as_any = c.mechanism == DRY and (needed or (rubs and get_effect(c.term.effect).common))
         return rubs_as_any or any(both_needed(final, k, c) for k in claims)
 
@@ -268,9 +271,9 @@ def _alone(
 
 
 def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decision:
-    """The decision without the laws that are too likely wrong, and not surely better than any of
-    their neighbours; of what is first, the mechanism stays where its variables can be told from
-    those of others and it explains more than it leaves, the rest refines the fit.
+    """The decision without laws that are likely wrong and not surely better than their neighbours.
+    The first of them stays as a mechanism without a law, where its variables can be told from
+    others' and it explains more than it leaves. The others become refinements.
     """
     twin = twins(decision.claims)
     likely = [
@@ -282,7 +285,7 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
     alone = _without_others(likely, decision, given, jobs)
     most = _beside_doubted(likely, alone, decision, parts, given, jobs)
     keep, more = [], list(decision.refinements)
-    doubted: set[str] = set()  # mechanisms: what stood beside a doubted law may be a part of it
+    doubted: set[str] = set()  # mechanisms: a law beside a doubted one may be a part of it
     for claim in decision.claims:
         why = doubt(confidence(claim, decision), any(claim is k for k in likely))
         if claim.effect == "unknown":
@@ -297,7 +300,7 @@ def believed(decision: Decision, parts: Parts, given: Model, jobs: int) -> Decis
         elif (
             claim is decision.claims[0]
             and claim.mechanism in STRUCTURED
-            and not claim.is_constant  # a function of any variable
+            and not claim.is_constant  # which is a function of any variable
             and claim.size > decision.after.value
             and not _turns_otherwise(claim, decision, parts)
             and told_apart(claim, decision, parts, given, laws - {claim.effect})
@@ -320,8 +323,8 @@ def _beside_doubted(
     given: Model,
     jobs: int,
 ) -> dict[int, float]:
-    """How sure the laws are, by ``id``, that stand beside doubted ones: as sure as with those and
-    as without them, weighed by how likely those are.
+    """The confidence of laws, by ``id``, that stand beside doubted ones: the confidence with and
+    without the doubted law, weighed by how likely that law is.
     """
     sure = {id(c): confidence(c, decision) for c in decision.claims if c.effect != "unknown"}
     firm = [c for c in likely if sure.get(id(c), 1.0) > STATED_BESIDE]
@@ -360,8 +363,9 @@ def _without_others(claims: Sequence[Claim], decision: Decision, given: Model, j
 
 
 def _behind_a_transmission(claim: Claim, decision: Decision, parts: Parts) -> bool:
-    """Whether a load of its own explains most of what lacks, and that is no function of the state:
-    of no other law can that be said, however freely the transmission's numbers may be bent.
+    """Whether a load behind a transmission explains most of the missing torque, and that is no
+    function of the state. Only a load with motion of its own does this, however freely its numbers
+    can be bent.
     """
     if get_effect(claim.effect).family != "transmission":
         return False
@@ -372,8 +376,8 @@ def _behind_a_transmission(claim: Claim, decision: Decision, parts: Parts) -> bo
 
 
 def _goes_on(claim: Claim, alone: Scored, parts: Parts) -> float | None:
-    """By how much a law predicts better than its neighbours, in standard deviations; None where
-    one of them predicts better, or surely better where every machine has the law.
+    """The standard deviations by which a law predicts better than its neighbours. None where a
+    neighbour predicts better, or, for a law that every machine has, surely better.
     """
     effect = get_effect(claim.effect)
     if claim.mechanism not in STRUCTURED:
@@ -385,7 +389,7 @@ def _goes_on(claim: Claim, alone: Scored, parts: Parts) -> float | None:
 
 
 def _ahead(claim: Claim, alone: Scored, parts: Parts) -> float:
-    """By how many standard deviations a function of the state predicts better than its neighbours;
+    """The standard deviations by which a function of the state predicts better than its neighbours;
     -inf for a mechanism that is no function of the state.
     """
     if claim.mechanism not in STRUCTURED:
@@ -397,8 +401,8 @@ def _ahead(claim: Claim, alone: Scored, parts: Parts) -> float:
 
 
 def _turns_otherwise(claim: Claim, decision: Decision, parts: Parts) -> bool:
-    """Whether a dry friction that the model has already only turns round in another way: where the
-    joint moves, nothing lacks.
+    """Whether a known dry friction only acts differently at reversals: nothing is missing while the
+    joint moves.
     """
     if claim.mechanism != DRY or not rubs(decision.base.model, decision.joint):
         return False
@@ -408,10 +412,10 @@ def _turns_otherwise(claim: Claim, decision: Decision, parts: Parts) -> bool:
 
 
 def _beside_unknown(claims: Sequence[Claim], left: float) -> tuple[list[Claim], list[Claim]]:
-    """Claims, and those that become refinements: beside a mechanism without a law, what is not
-    larger than half of it may be a part of it; of any curve over position a constant is, and what
-    repeats itself along it. Where all together ``left`` nothing, what depends on other variables is
-    no part of it.
+    """The claims, and those that become refinements beside a mechanism without a law. A claim no
+    larger than half of it may be a part of it. A constant, or what repeats along the position, is
+    always a part of a curve over position. Where nothing is ``left``, only claims over the same
+    variables are a part of it.
     """
     without = [c for c in claims if c.effect == "unknown"]
     unknown = max((c.size for c in without), default=0.0)
@@ -434,15 +438,15 @@ def _beside_unknown(claims: Sequence[Claim], left: float) -> tuple[list[Claim], 
 
 
 def _surely_more(left: Structure, allowed: float) -> bool:
-    """Whether what is left has more than the energy that is allowed, by two standard deviations."""
+    """Whether the remaining torque has more energy than allowed, by two standard deviations."""
     return left.size > allowed and left.z * (1.0 - (allowed / left.size) ** 2) > PLAIN
 
 
 def _ranked(
     test: Data, given: Model, final: Scored, piece: Piece, base: Scored, jobs: int
 ) -> list[Piece]:
-    """Each law of a mechanism by itself, the one whose removal costs most first; where no removal
-    costs much, since they stand in for one another, the one that the search found first.
+    """The laws of a mechanism as single pieces, the one whose removal costs most first. Where they
+    replace one another, so that no removal costs much, the one found first.
     """
     laws = [t for t in piece.terms if mechanism_of(t.effect) == piece.mechanism]
     if len(laws) == 1:
@@ -455,8 +459,9 @@ def _ranked(
 
 
 def _upon(ranked: Sequence[Piece], after: float) -> list[Piece]:
-    """The laws, first the one that stands upon the largest, as a Stribeck curve does upon Coulomb
-    friction: the two are one law. Bristles and other laws with a state of their own do not count.
+    """The laws in order, first the one that stands upon the largest, as a Stribeck curve does upon
+    Coulomb friction: the two are one law. Bristles and other laws with a state of their own do not
+    count.
     """
     largest = ranked[0]
     for other in ranked[1:]:
@@ -472,20 +477,21 @@ def _upon(ranked: Sequence[Piece], after: float) -> list[Piece]:
 
 
 def _one_with(first: Piece, other: Piece) -> bool:
-    """Whether a second law is no finding of its own: the first stands upon it, or both are how one
-    joint's motion acts on another, which is one thing between the two.
+    """Whether a second law belongs to the first: the first stands upon it, or both are couplings
+    from the same other joint.
     """
     effect = get_effect(first.terms[0].effect)
     return effect.coupled or not set(other.effects).isdisjoint(effect.needs)
 
 
 def _counts(other: Piece, first: Piece, after: float) -> bool:
-    """Whether a second law of a mechanism is more than what is left, and than the first's error."""
+    """Whether a second law of a mechanism exceeds what is left and the error of the first."""
     more = other.size > math.hypot(after, LAW_ERROR * first.size)
     return more and other.log_e > 0 and other.evidence.z > PLAIN
 
 
 def _plain(piece: Piece) -> list[Claim]:
-    """What refines the fit, one entry a law; size and evidence are those of all of them."""
+    """The refinements of a piece, one for each law, with the size and evidence of the whole piece.
+    """
     at = (piece.size, piece.evidence, piece.log_e)
     return [Claim(t.effect, piece.mechanism, t, *at, {}, (), (), ()) for t in piece.terms]

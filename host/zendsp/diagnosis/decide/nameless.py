@@ -1,4 +1,4 @@
-"""A mechanism that acts and has no law: which one, by the variables on which what lacks depends."""
+"""Which mechanism acts without a law, from the variables that predict the missing torque."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ from zendsp.physics.model import Model, Term
 
 
 def only_mechanism(parts: Parts, given: Model, out: Decision, turning: bool) -> Claim | None:
-    """The one mechanism whose own variables predict most of what lacks, and of what any function of
-    state does; None where several do, or none.
+    """The one mechanism whose own variables predict most of the missing torque, and most of what
+    any function of the state predicts; None where several do, or none.
     """
     joint, base = out.joint, out.base
     alone = {m: structure(parts.each, base.model, joint, [m], turning) for m in STRUCTURED}
@@ -55,8 +55,8 @@ def only_mechanism(parts: Parts, given: Model, out: Decision, turning: bool) -> 
 
 
 def without_law(claim: Claim, decision: Decision) -> Claim:
-    """A claim of the mechanism alone, with its laws as likely as the one that is doubted; one that
-    leaves too much in its own variables is hardly.
+    """A claim of the mechanism without a law. Its laws keep their likelihood; a law that leaves too
+    much in its own variables is unlikely.
     """
     most = STATED_ALONE if claim.effect == "unknown" else 0.5
     sure = min(confidence(replace(claim, effect=claim.term.effect), decision), most)
@@ -65,8 +65,8 @@ def without_law(claim: Claim, decision: Decision) -> Claim:
 
 
 def by_its_variables(claim: Claim, decision: Decision, parts: Parts, given: Model) -> Claim:
-    """Friction without a law under the name whose variables predict it, beside what calibration
-    took up: fluid, where it needs no step at standstill (which shows where the joint turns round).
+    """A friction without a law as dry or fluid, by the variables that predict it beside what
+    calibration absorbed: fluid where no step at standstill is needed, which reversals show.
     """
     if claim.effect != "unknown" or claim.mechanism not in FRICTION:
         return claim
@@ -80,13 +80,13 @@ def by_its_variables(claim: Claim, decision: Decision, parts: Parts, given: Mode
 
 
 def _rises(given: Model, decision: Decision) -> bool:
-    """Whether calibration drove a dry friction to nothing and made a viscous one several times
-    larger: the line that fits best what rises faster than the speed crosses below nothing there.
+    """Whether calibration drove a dry friction to zero and made a viscous one several times larger.
+    A line fitted to a torque that rises faster than the speed is negative at standstill.
     """
     now = {t.effect: t for t in decision.base.model.at(decision.joint)}
 
     def moved(mechanism: str) -> list[tuple[float, float]]:
-        """What was given, and what it became."""
+        """The given and the calibrated value of a number."""
         known = [t for t in given.at(decision.joint) if t.effect in now]
         return [
             (t.value(key), now[t.effect].value(key))
@@ -102,10 +102,9 @@ def _rises(given: Model, decision: Decision) -> bool:
 def told_apart(
     claim: Claim, decision: Decision, parts: Parts, given: Model, laws: Collection[str]
 ) -> bool:
-    """Whether no other mechanism's variables predict more of what lacks beside the ``laws`` that
-    are named, or not much more where its laws together leave nothing that depends on the state: a
-    mechanism without a law is known by its variables alone, where anything is left. (A constant is
-    a function of any.)
+    """Whether no other mechanism's variables predict more of the missing torque beside the named
+    ``laws``; or not much more, where its own laws leave nothing over the state. A mechanism without
+    a law is known by its variables alone. (A constant is a function of any variable.)
     """
     if claim.mechanism not in STRUCTURED or get_effect(claim.term.effect).constant:
         return True

@@ -1,6 +1,4 @@
-"""From what was decided to what is reported: findings and refinements with their numbers, their
-sentence and how sure they are.
-"""
+"""The findings and refinements of the decisions, with their numbers, sentences and confidence."""
 
 from __future__ import annotations
 
@@ -53,7 +51,7 @@ def name_findings(
     whole: Assembled,
     bodies: Sequence[BodyClaim] = (),
 ) -> tuple[tuple[Finding, ...], tuple[Finding, ...], tuple[Rejected, ...]]:
-    """Put what was decided at each joint into words.
+    """The decisions of all joints in words.
 
     Returns
     -------
@@ -63,7 +61,7 @@ def name_findings(
     ranked: list[tuple[float, Finding]] = []
     refinements: list[Finding] = []
     rejected: list[Rejected] = []
-    lacks = (min(1.0, d.before.value) for d in decisions)  # more: the model does not follow at all
+    lacks = (min(1.0, d.before.value) for d in decisions)  # above 1 it does not follow at all
     everything = sum(x**2 for x in lacks) + sum(b.square for b in bodies) or 1.0
     ranked += [(b.gain, body_finding(b, everything)) for b in bodies]
     ranked += [(math.inf, _disturbance(pushed, given)) for pushed in at_once(decisions)]
@@ -81,8 +79,8 @@ def name_findings(
                 finding = replace(finding, sentence=finding.sentence + drawn)
             else:
                 finding = _finding(given, decision, whole, claim, share)
-            # by these recordings alone: on another day a machine's friction may be half of it, but
-            # not more of it one way than the other
+            # from these recordings alone: on another day a machine's friction may be half as large,
+            # but not more different between the directions
             if claim.effect != "unknown" and _is_no_law(
                 claim.effect,
                 _numbers(given, decision, whole, claim, not get_effect(claim.effect).symmetric),
@@ -111,8 +109,8 @@ def name_findings(
 def _unknown(
     given: Model, decision: Decision, claim: Claim, share: float, lacks: Sequence[Missing]
 ) -> Finding:
-    """A mechanism without a law: its size, and the curve over the variable on which it depends of
-    what ``lacks`` on untouched recordings beside all that is named.
+    """The finding of a mechanism without a law: its size, and a curve over its variable of the
+    torque that ``lacks`` on untouched recordings beside everything named.
     """
     joint = decision.joint
     found = curve_of(lacks, claim.mechanism)
@@ -132,7 +130,7 @@ def _unknown(
             "std": [float(f"{s:.2g}") for s in found.spread],
             "against_motion": found.against,
         }
-    # of an energy that stands out by z deviations, its root by 2 z
+    # an energy sure to z standard deviations: its root to 2 z
     std = claim.size / (2.0 * max(claim.evidence.z, 1.0))
     size = Estimate(claim.size * decision.scale, std * decision.scale, given.torque_unit(joint))
     return Finding(
@@ -194,23 +192,23 @@ def _finding(
 
 
 def _replaced(given: Model, claim: Claim, joint: int) -> tuple[str, ...]:
-    """Terms of the given model in whose place a claim stands: the search itself may have taken, and
-    replaced, others on its way.
+    """The terms of the given model that a claim replaces. The search may have replaced others in
+    between.
     """
     return tuple(e for e in claim.replaces if any(t.effect == e for t in given.at(joint)))
 
 
 def _grown(fit: Fit, gravity: Term, unit: str) -> Estimate:
-    """By how much gravity grows with a body, N m."""
+    """The growth of gravity by a body, N m."""
     torque = estimates(fit, gravity, "rotary", "", unit)["torque"]
     hangs = math.cos(gravity.value("angle"))
     return Estimate(torque.value * hangs, torque.std * abs(hangs), unit)
 
 
 def _same(given: Model, claim: Claim, data: Data) -> tuple[str, ...]:
-    """Effects that these recordings cannot tell from a law: what the choice among laws says, what a
-    gravity at one joint of an arm is, a link's centre of mass elsewhere, what another joint's
-    acceleration or speed does there, a body, and whatever is constant where a joint moves one way.
+    """The effects that these recordings cannot tell from a law: those tied in the choice among
+    laws; a displaced centre of mass, for gravity at one joint of an arm; a body, for a coupling by
+    acceleration or speed; and any constant, where a joint moves only one way.
     """
     law, more = claim.effect, []
     if law == "gravity" and given.kind in TREES:
@@ -223,8 +221,7 @@ def _same(given: Model, claim: Claim, data: Data) -> tuple[str, ...]:
 
 
 def _held_otherwise(given: Model, term: Term, values: Mapping[str, Estimate]) -> str:
-    """A clause on a law that the given model has, with numbers that it holds; empty where it
-    has none such.
+    """A clause on the same law in the given model, with its fixed numbers; empty where it has none.
     """
     held = [
         f"{key} {old.value(key):.4g} there, {number(values[key])} here"
@@ -241,7 +238,7 @@ def _held_otherwise(given: Model, term: Term, values: Mapping[str, Estimate]) ->
 
 
 def _nearest(claim: Claim, decision: Decision) -> str:
-    """What can be said of the laws of a mechanism that is claimed without one."""
+    """A sentence on the nearest laws of a mechanism that is claimed without one."""
     law, left, why = claim.term.effect, decision.after.value, claim.why
     if law == "unknown":
         if decision.near is None:
@@ -255,7 +252,9 @@ def _nearest(claim: Claim, decision: Decision) -> str:
 
 
 def _drawn(given: Model, decision: Decision, whole: Assembled, claim: Claim) -> str:
-    """By what the improved model describes a mechanism without a law: a wave with its numbers."""
+    """A sentence on the terms of the improved model that describe a mechanism without a law: waves
+    with their numbers.
+    """
     law = claim.term.effect
     if law not in library():
         return ""
@@ -271,9 +270,7 @@ def _drawn(given: Model, decision: Decision, whole: Assembled, claim: Claim) -> 
 def _numbers(
     given: Model, decision: Decision, whole: Assembled, claim: Claim, alone: bool = False
 ) -> dict[str, Estimate]:
-    """The numbers of a law; ``alone``: with what the recordings of the fit say of them, and no
-    more.
-    """
+    """The numbers of a law; ``alone``: from the recordings of the fit only."""
     joint = decision.joint
     left = 0.0 if alone else decision.after.value / max(claim.size, 1e-300)
     record = None if alone else whole.data.records[0][joint - 1]
@@ -299,7 +296,7 @@ def _numbers(
         values = between(values, of(bare))
     if alone:
         return values
-    # that a claimed law is not nothing is what its evidence says, on recordings held out
+    # that a claimed law is not zero is shown by its evidence on held-out recordings
     shown = essence_of(claim.effect)
     return {
         key: replace(v, std=min(v.std, abs(v.value) / CLAIMED)) if key in shown else v
@@ -308,8 +305,8 @@ def _numbers(
 
 
 def one_number(effect: str, values: Mapping[str, Estimate]) -> float:
-    """Probability that recordings agree on the number that makes a law what it is: where it is
-    known to a third only, they follow another curve.
+    """The probability that the recordings agree on the characteristic number of a law. Known to a
+    third only, it means that they follow another curve.
     """
     size = next((values[key] for key in essence_of(effect) if key in values), None)
     if size is None:
@@ -318,8 +315,8 @@ def one_number(effect: str, values: Mapping[str, Estimate]) -> float:
 
 
 def may_be_nothing(effect: str, values: Mapping[str, Estimate]) -> bool:
-    """Whether a number that makes a law what it is lies within two deviations of nothing; of a law
-    with a number for each direction, their difference.
+    """Whether a characteristic number of a law lies within two standard deviations of zero; for a
+    law with a number for each direction, their difference.
     """
     if get_effect(effect).symmetric and len(values) == 2:
         up, down = values.values()
@@ -332,8 +329,8 @@ def may_be_nothing(effect: str, values: Mapping[str, Estimate]) -> bool:
 
 
 def runs_out(effect: str, values: Mapping[str, Estimate]) -> bool:
-    """Whether a number that makes a law what it is lies within two deviations of where its meaning
-    ends: a friction that drifts is there before and after; one that goes by 95 % is gone.
+    """Whether a characteristic number of a law lies within two standard deviations of the end of
+    its meaning. A drifting friction exists before and after; one that falls by 95 % is gone.
     """
     parameters = {p.name: p for p in get_effect(effect).parameters if p.limits is None}
     return any(
@@ -349,10 +346,10 @@ def _is_no_law(effect: str, values: Mapping[str, Estimate]) -> bool:
 
 
 def _unrefined(decision: Decision, claim: Claim) -> Fit | None:
-    """The law as it is claimed: fitted without the refinements of its own mechanism, which may have
-    taken a part of its numbers; not without what every machine has. None where it has none, needs
-    them, or acts beside them as one joint's motion does upon another. One without which the law
-    would leave too much to be one is no part of it; nor is any where all together leave nothing.
+    """The law fitted without the refinements of its own mechanism, which may have absorbed a part
+    of its numbers; laws that every machine has stay. None where there are no refinements, where the
+    law needs them, or where they are couplings from the same joint. A refinement stays if the law
+    would leave too much without it, and all stay where together they leave nothing.
     """
     final, joint = decision.final, decision.joint
     effect = get_effect(claim.effect)
@@ -377,8 +374,8 @@ def _unrefined(decision: Decision, claim: Claim) -> Fit | None:
 
 
 def between(refined: dict[str, Estimate], alone: dict[str, Estimate]) -> dict[str, Estimate]:
-    """The numbers of the law alone where its refinements changed them by more than they are sure;
-    half of the change is in their uncertainty.
+    """The numbers of the law alone, where refinements changed them beyond their uncertainty. Half
+    of the change is added to the uncertainty.
     """
     out = dict(refined)
     for name, other in alone.items():
@@ -390,8 +387,8 @@ def between(refined: dict[str, Estimate], alone: dict[str, Estimate]) -> dict[st
 
 
 def at_once(decisions: Sequence[Decision]) -> list[list[Decision]]:
-    """Joints that are pushed, those together that are pushed at the same times for half of the
-    shorter push and more; first the one that feels most of its own torque.
+    """Groups of joints pushed at the same times: their pushes overlap for half of the shorter one
+    or more. In each group first the joint with the largest part of its own torque.
     """
     groups: list[list[Decision]] = []
     for d in sorted(decisions, key=lambda d: -d.before.value):
@@ -404,7 +401,7 @@ def at_once(decisions: Sequence[Decision]) -> list[list[Decision]]:
 
 
 def _overlap(one: Bursts | None, other: Bursts | None) -> float:
-    """Time that two pushes have in common, as a part of the shorter one's."""
+    """The overlap of two pushes as a part of the shorter one's time."""
     assert one is not None and other is not None
     both = sum(
         max(0.0, min(b, d) - max(a, c))
@@ -416,7 +413,7 @@ def _overlap(one: Bursts | None, other: Bursts | None) -> float:
 
 
 def _disturbance(pushed: Sequence[Decision], given: Model) -> Finding:
-    """A push at one joint, or at several at once: what moves the whole machine."""
+    """The finding of a push at one joint, or at several at once."""
     joint, found = pushed[0].joint, pushed[0].bursts
     assert found is not None
     unit = given.torque_unit(joint)
@@ -431,8 +428,8 @@ def _disturbance(pushed: Sequence[Decision], given: Model) -> Finding:
         )
     values = {
         "rms": Estimate(found.rms, found.beside, unit),
-        # the largest twentieth of an interval is left out, for an observer rings at its edges; of a
-        # push of half a second it showed a seventh too little
+        # the largest twentieth of an interval is left out, since an observer rings at its edges;
+        # for a push of half a second the size was then a seventh too small
         "peak": Estimate(found.peak, math.hypot(found.beside, 0.1 * found.peak), unit),
     }
     numbers: Further = {

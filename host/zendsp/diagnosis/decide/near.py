@@ -1,4 +1,4 @@
-"""Which law is likeliest where none is claimed, and why it is not, in words."""
+"""The likeliest law where none is claimed, and the reason that it is not, in words."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ NO_BETTER = "with it untouched recordings are predicted no better"
 
 
 def why_apart(size: float, left: float, error: float, larger: float) -> str:
-    """Why a mechanism of this size is not held apart: what stays, or what ``larger`` laws may be
-    wrong by, is as much. All are parts of the RMS torque.
+    """The reason that a mechanism of this size is not claimed: what stays unexplained, or the error
+    of ``larger`` laws, is as large. All are parts of the RMS torque.
 
     Examples
     --------
@@ -35,15 +35,14 @@ def why_apart(size: float, left: float, error: float, larger: float) -> str:
 
 
 def why_curve(ways: Mapping[str, bool]) -> str:
-    """Why what lacks is drawn by a law, and not described by it: the first of the ``ways`` that
-    holds.
+    """The reason that a law only imitates the missing torque: the first of the ``ways`` that holds.
     """
     return next((why for why, holds in ways.items() if holds), "")
 
 
 def doubt(sure: float, likely: bool) -> str:
-    """Why a law is not believed that was named first: how ``sure`` such a finding is, or what would
-    predict in its place though it is ``likely`` enough.
+    """The reason that a named law is doubted: the confidence ``sure`` of such a finding; or, where
+    that is ``likely`` enough, the neighbour that predicts as well.
 
     Examples
     --------
@@ -58,12 +57,12 @@ def doubt(sure: float, likely: bool) -> str:
 def with_reasons(
     claimed: Sequence[Piece], rest: Sequence[Piece], first: Decision | None, fell: Decision | None
 ) -> list[Piece]:
-    """The pieces that were asked, each with why it is not claimed.
+    """The tested pieces, each with the reason that it is not claimed.
 
     Parameters
     ----------
     first, fell : Decision or None
-        How the claimed ones were named, and what was believed of that.
+        The decision after naming, and the one after doubted laws were removed.
     """
     reasons: dict[str, str] = {}
     if first is not None and fell is not None:
@@ -81,7 +80,7 @@ def with_reasons(
 def nearest_law(
     lost: Sequence[Rejected], pieces: Sequence[Piece], before: Size, after: Size
 ) -> Near | None:
-    """The likeliest law of those that were tried, where one takes most of what lacks."""
+    """The likeliest of the tried laws, where one explains most of the missing torque."""
     named = nearest("unexplained", lost)
     piece = next((p for e, _ in named for p in pieces if e in p.effects), None)
     if piece is None:
@@ -91,7 +90,7 @@ def nearest_law(
 
 
 def only_in_the_fit(joint: int, effect: str) -> str:
-    """A sentence, without its full stop, on what untouched recordings do not show."""
+    """A sentence, without full stop, on effects that untouched recordings do not show."""
     return (
         f"Joint {joint}: the recordings of the fit are by far likelier with {effect}, and the"
         " untouched ones do not say so: hold out motion as fast as theirs, or look for what is"
@@ -100,7 +99,7 @@ def only_in_the_fit(joint: int, effect: str) -> str:
 
 
 def likeness(near: Near) -> str:
-    """A sentence, without its full stop, on a law that comes near.
+    """A sentence, without full stop, on a law that comes near.
 
     Examples
     --------

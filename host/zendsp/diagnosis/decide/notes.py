@@ -1,6 +1,4 @@
-"""What the report says beside its findings: notes on the recordings, and what nothing named
-explains.
-"""
+"""Notes of the report beside its findings, and the unexplained torque in words."""
 
 from __future__ import annotations
 
@@ -19,20 +17,20 @@ from zendsp.diagnosis.measure.where import units
 from zendsp.physics.calibration.fit import Data
 from zendsp.physics.model import TREES, Model
 
-# ratio of the errors, calibrated over given, from which on calibration made it worse: reached by 3
-# of 240 cases (seed 109), each with something missing, and by none of 99 complete models
+# ratio of errors, calibrated over given, above which calibration is said to make it worse: 3 of 240
+# cases (seed 109) reached it, each with something missing, and none of 99 complete models
 MADE_WORSE = 1.5
-# error of the untouched recordings over that of the sensor from which on it is said that those of
-# the fit are explained: 208 of a payload of 1.8 kg that a UR5 had in them alone
+# error on untouched recordings, in the sensor's errors, above which a note says that only those of
+# the fit are explained: a UR5 with a payload of 1.8 kg in those alone had 208
 APART = 10.0
-# of a travel: a joint that goes less of it back goes one way; and s of motion below which a
-# recording is short (what no law follows is told, so that a user knows what else to do)
+# of the travel: a joint that returns by less moves one way; and s of motion, below which a
+# recording is short. Where the model does not follow, the user is told so
 ONE_WAY, SHORT = 0.05, 5.0
 SLOW_ROWS = 0.004  # s: loops are seldom slower
 
 
 def notes_of(decisions: Sequence[Decision], given: Model) -> list[str]:
-    """What each joint's decision says beside a finding."""
+    """The notes of the joints' decisions, beside findings."""
     return [
         *_loosely_fitted(decisions),
         *_felt(decisions, given),
@@ -45,7 +43,7 @@ def notes_of(decisions: Sequence[Decision], given: Model) -> list[str]:
 
 
 def _felt(decisions: Sequence[Decision], given: Model) -> list[str]:
-    """Pushes that are too small for a finding."""
+    """The note of pushes too small for a finding."""
     return [
         f"joint {d.joint}: a torque of up to {two_digits(d.beside.peak)}"
         f" {given.torque_unit(d.joint)} acts at {spans(d.beside.intervals, d.beside.recordings)}"
@@ -57,7 +55,7 @@ def _felt(decisions: Sequence[Decision], given: Model) -> list[str]:
 
 
 def _other_loads(decisions: Sequence[Decision]) -> list[str]:
-    """Which recordings are of a machine with another load."""
+    """The note of recordings of a machine with another load."""
     return [
         f"joint {d.joint}: numbers of its own explain {' and '.join(d.loads)}: another load,"
         " another machine, or a law that these numbers stand for there; diagnose each recording by"
@@ -68,8 +66,8 @@ def _other_loads(decisions: Sequence[Decision]) -> list[str]:
 
 
 def _loosely_fitted(decisions: Sequence[Decision]) -> list[str]:
-    """Where nothing is missing, and yet numbers fitted to the first recordings do not predict the
-    untouched ones.
+    """The note where nothing is missing, yet numbers fitted to the first recordings do not predict
+    the untouched ones.
     """
     return [
         f"joint {d.joint}: with numbers fitted to the first recordings, {percent(d.before.value)} %"
@@ -82,14 +80,14 @@ def _loosely_fitted(decisions: Sequence[Decision]) -> list[str]:
 
 
 def _creeping(decisions: Sequence[Decision], given: Model) -> list[str]:
-    """Where a dry friction that the model has turns round softly."""
+    """The note where a known dry friction changes softly at reversals."""
     return [
         f"joint {d.joint}: the improved model lets dry friction change its sign within"
         f" {t.value('speed'):.2g} {unit}, not at once, as many simulators do: the recordings follow"
         " that better. Whether the machine itself creeps at standstill they do not tell; it is no"
         " missing physics"
         for d in decisions
-        if d.kind != "unexplained"  # then how it turns round may be what nobody explains
+        if d.kind != "unexplained"  # there the reversals may be what is unexplained
         for unit in [units(given, d.joint)["velocity"]]
         for t in d.final.model.at(d.joint)
         if t.effect == "creep" and not any(g.effect == "creep" for g in given.at(d.joint))
@@ -97,8 +95,8 @@ def _creeping(decisions: Sequence[Decision], given: Model) -> list[str]:
 
 
 def _late_log(decisions: Sequence[Decision], given: Model) -> list[str]:
-    """Where the command column is late by less than what is called a shift of it: of one that is
-    claimed its finding says what it is.
+    """The note where the command column is late by less than a claimed shift; a claimed one has its
+    own finding.
     """
     return [
         f"joint {d.joint}: the command column is {1e3 * t.value('time'):.2g} ms"
@@ -119,7 +117,7 @@ def _late_log(decisions: Sequence[Decision], given: Model) -> list[str]:
 
 
 def _against_masses(decisions: Sequence[Decision], given: Model) -> list[str]:
-    """What a gain is measured by, where the masses come from a file."""
+    """The note that a gain relies on the masses of a file."""
     return [
         f"joint {d.joint}: its torque_gain is measured by the masses of {given.file}: if what it"
         " moves is 2 % heavier than there, the true gain is 2 % larger"
@@ -129,7 +127,8 @@ def _against_masses(decisions: Sequence[Decision], given: Model) -> list[str]:
 
 
 def _all_for_the_load(decisions: Sequence[Decision], given: Model) -> list[str]:
-    """What a transmission's error is measured by, where no sensor is on the load."""
+    """The note that a transmission's error relies on the inertia, where no sensor is on the load.
+    """
     return [
         f"joint {d.joint}: its transmission_error is measured by what the load resists, and all"
         " inertia is taken for the load's: if half of it is the motor's, the true error is twice as"
@@ -142,7 +141,8 @@ def _all_for_the_load(decisions: Sequence[Decision], given: Model) -> list[str]:
 
 
 def bent(errors: Errors) -> list[str]:
-    """The note where calibration makes it worse: what the model lacks bends its numbers."""
+    """The note where calibration makes predictions worse, since missing physics bends the numbers.
+    """
     test, unit = errors.test, errors.unit
     least = MADE_WORSE * max(test.given, errors.noise_floor)
     if not test.calibrated or test.calibrated < least:  # of a joint that rests all are nothing
@@ -156,8 +156,8 @@ def bent(errors: Errors) -> list[str]:
 
 
 def apart(errors: Errors, verdict: Verdict) -> list[str]:
-    """The note where the recordings of the fit are explained, those held out are not at all, and
-    nothing is named.
+    """The note where recordings of the fit are explained, held-out ones are not at all, and nothing
+    is named.
     """
     known, floor = errors.estimation.improved, errors.noise_floor
     far = errors.test.improved >= APART * floor
@@ -172,8 +172,8 @@ def apart(errors: Errors, verdict: Verdict) -> list[str]:
 
 
 def _hardly_moves(fit: Data, joint: int) -> str:
-    """The note where recordings that the model does not follow hardly determine its numbers:
-    they are short, or go one way.
+    """The note where the model does not follow recordings that hardly determine its numbers: they
+    are short, or move one way.
     """
     records = [rec[joint - 1] for rec in fit.records]
     steps = np.concatenate([np.diff(r.others[joint - 1, 0]) for r in records])
@@ -190,8 +190,8 @@ def _hardly_moves(fit: Data, joint: int) -> str:
 
 
 def _behind_another(decisions: Sequence[Decision], given: Model, joint: int) -> str:
-    """The note where the link of another joint moves behind a transmission that was found: this
-    joint's model knows the motion of that motor only.
+    """The note where the link of another joint moves behind a found transmission: this joint's
+    model knows only the motion of that motor.
     """
     others = [
         str(d.joint)
@@ -199,7 +199,7 @@ def _behind_another(decisions: Sequence[Decision], given: Model, joint: int) -> 
         if d.joint != joint
         and any(c.is_transmission for c in d.claims)
     ]
-    if not others or given.kind in ("rotary", "linear"):  # whose joints bear no other's torque
+    if not others or given.kind in ("rotary", "linear"):  # whose joints do not act on each other
         return ""
     return (
         f". The link behind joint {' and '.join(others)} moves otherwise than its motor does, and"
@@ -208,8 +208,8 @@ def _behind_another(decisions: Sequence[Decision], given: Model, joint: int) -> 
 
 
 def _held(fit: Data, given: Model) -> str:
-    """The note where commands are taken as held from row to row: by a model that does not say
-    how long, or of rows so far apart that a loop may well be faster.
+    """The note that commands are taken as held from row to row: the model does not say how long, or
+    the rows are so far apart that the loop may be faster.
     """
     hold, records = given.actuator.hold, [r for rec in fit.records for r in rec]
     if any(r.between for r in records):
@@ -228,7 +228,8 @@ def _held(fit: Data, given: Model) -> str:
 
 
 def left_over(decisions: Sequence[Decision], given: Model, fit: Data) -> str:
-    """What nothing named explains, a line for each joint; empty where it is too little to matter.
+    """The unexplained torque in words, a line for each joint; empty where it is too small to
+    matter.
     """
     words = []
     for d in decisions:
@@ -239,7 +240,7 @@ def left_over(decisions: Sequence[Decision], given: Model, fit: Data) -> str:
 
 
 def _left_at(d: Decision, decisions: Sequence[Decision], given: Model, fit: Data) -> str:
-    """What nothing named explains at a joint."""
+    """The unexplained torque at a joint in words."""
     most = percent(min(1.0, d.after.high))
     if not d.searched:
         return _not_searched(d)
@@ -295,14 +296,14 @@ def _left_at(d: Decision, decisions: Sequence[Decision], given: Model, fit: Data
 
 
 def _torque(d: Decision, share: float, given: Model) -> str:
-    """A part of a joint's torque, in its unit and in per cent."""
+    """A part of a joint's torque in words, in its unit and in per cent."""
     size = two_digits(share * d.scale)
     return f"{size} {given.torque_unit(d.joint)} RMS ({percent(share)} % of the torque)"
 
 
 def _beside(d: Decision) -> float:
-    """What is left beside the findings: a torque without a law that no refinement draws is in no
-    model.
+    """The torque left beside the findings. A torque without a law that no refinement describes is
+    in no model, and counts.
     """
     drawn = 0.0 if d.refinements else sum(c.size**2 for c in d.claims if c.effect == "unknown")
     return float(np.sqrt(max(d.after.value**2 - drawn, 0.0)))
@@ -316,7 +317,7 @@ def _not_searched(decision: Decision) -> str:
 
 
 def _bending(joint: int, push: Bursts, unit: str) -> str:
-    """A push in the recordings of the fit, beside what is claimed."""
+    """The note of a push in the recordings of the fit, beside what is claimed."""
     return (
         f"Joint {joint}: in the recordings of the fit a torque of up to {two_digits(push.peak)}"
         f" {unit} acts at {spans(push.intervals, push.recordings)} that no state explains: a push"

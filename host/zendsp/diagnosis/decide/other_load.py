@@ -1,7 +1,7 @@
-"""Another load in the held-out recordings: there inertia and gravity differ, both at once.
+"""Another load in the held-out recordings, where inertia and gravity differ together.
 
-The numbers of a body that was put on between two recordings are found on those to choose by, and
-judged on those to test on. Of one joint only: an arm's bodies are looked for by all its joints.
+The numbers of a body added between recordings are found on those to choose by, and judged on those
+to test on. For machines of one joint; bodies of an arm are found by all its joints.
 """
 
 from __future__ import annotations
@@ -25,20 +25,21 @@ from zendsp.physics.calibration.handles import Handle
 from zendsp.physics.effects import unit_of
 from zendsp.physics.model import Model
 
-CONFIDENCE = 0.9  # stated of a load: as of a fast ripple; the eight so far were right
+CONFIDENCE = 0.9  # stated of a load, as of a fast ripple; the eight so far were right
 
 
 @dataclass(frozen=True)
 class OtherLoad:
-    """What is reported of it, and the joint's decision with the held-out recordings' numbers."""
+    """The report of another load, and the joint's decision with the held-out recordings' numbers.
+    """
 
     finding: Finding
     decision: Decision
 
 
 def other_load(parts: Parts, given: Model, decision: Decision, jobs: int) -> OtherLoad | None:
-    """The load that all held-out recordings have and those of the fit have not; None where they
-    have the same, or more than inertia and gravity differs.
+    """The load that all held-out recordings have and those of the fit lack; None where they have
+    the same, or where more than inertia and gravity differs.
     """
     joint, base = decision.joint, decision.base
     held = {rec[joint - 1].recording for rec in parts.held.records}
@@ -83,7 +84,7 @@ def other_load(parts: Parts, given: Model, decision: Decision, jobs: int) -> Oth
 
 
 def _is_other(before: Estimate, now: Estimate) -> bool:
-    """Whether a number is surely another one, and by more than any number is known to."""
+    """Whether a number is surely different, and by more than any number is known to."""
     change = abs(now.value - before.value)
     return change > max(SURE * math.hypot(before.std, now.std), TOLERANCE * abs(before.value))
 
@@ -119,8 +120,8 @@ def _numbers(keys: Sequence[str], fit: Fit, given: Model) -> dict[str, Estimate]
 def _body(
     given: Model, before: dict[str, Estimate], now: dict[str, Estimate]
 ) -> tuple[dict[str, Estimate], str]:
-    """The load as a body, where its weight shows and is of one sign with its inertia; else what it
-    adds to the inertia. In words, with the numbers that it changes.
+    """The load as a body, where its weight shows with the same sign as its inertia; otherwise as an
+    added inertia. In words, with the numbers that it changes.
     """
     more = {key: now[key].value - before[key].value for key in now}
     std = {key: math.hypot(now[key].std, before[key].std) for key in now}

@@ -1,4 +1,4 @@
-"""Laws that together draw a curve which none of them is."""
+"""Laws that together imitate a curve that none of them is."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from zendsp.physics.model import Model, Term
 
 
 def stand_on_nothing(final: Scored, joint: int, scale: float) -> tuple[Term, ...]:
-    """Laws that stand upon another one of which nothing is left, at one joint: a Stribeck curve
-    upon no Coulomb friction is any curve over the speed. ``scale``: RMS torque, N m or N.
+    """The laws of a joint that stand upon another one of which nothing is left. A Stribeck curve
+    without Coulomb friction is merely some curve over the speed. ``scale``: RMS torque, N m or N.
     """
     at = final.model.at(joint)
 
@@ -40,9 +40,9 @@ def stand_on_nothing(final: Scored, joint: int, scale: float) -> tuple[Term, ...
 
 
 def makes_another_grow(given: Model, final: Scored, law: Term) -> bool:
-    """Whether a friction of the given model must surely be several times larger beside a law of the
-    same mechanism: what is missing is then drawn by both, as |v|^1.5 is by v and v². A law that is
-    right leaves the others as they are, or takes back what they had taken up.
+    """Whether a friction of the given model surely has to be several times larger beside a law of
+    the same mechanism. Then both together imitate the missing torque, as v and v² do |v|^1.5. A
+    right law leaves the others as they are, or takes back what they had absorbed.
     """
     mechanism = mechanism_of(law.effect)
 
@@ -60,8 +60,8 @@ def makes_another_grow(given: Model, final: Scored, law: Term) -> bool:
 
 
 def twins(claims: Sequence[Claim]) -> tuple[Claim, ...]:
-    """Waves of the same order and the same amplitude that two mechanisms would have to have at
-    once: together they draw what neither does, as a torque constant that ripples.
+    """The waves of equal order and amplitude in two mechanisms at once. Together they imitate
+    something else, such as a ripple of the torque constant.
     """
 
     def alike(a: Claim, b: Claim) -> bool:
@@ -76,8 +76,8 @@ def twins(claims: Sequence[Claim]) -> tuple[Claim, ...]:
 
 
 def both_needed(final: Scored, law: Claim, other: Claim) -> bool:
-    """Whether two laws of a mechanism are no pieces of a curve: two springs of one neutral point,
-    each by its own numbers, are one that hardens, and a torque may come late and slowly.
+    """Whether two laws of a mechanism are both real and not pieces of a curve: two springs with one
+    neutral point are one hardening spring, and a torque may be both delayed and slow.
     """
     terms = [c.term for c in (law, other)]
     if law.mechanism != other.mechanism or law.term.effect == other.term.effect:
@@ -93,16 +93,16 @@ def both_needed(final: Scored, law: Claim, other: Claim) -> bool:
 
 
 def draws_a_curve(claim: Claim) -> bool:
-    """Whether a claim is of a torque over position without a law, of whatever shape."""
+    """Whether a claim is a torque over position without a law."""
     return claim.effect == "unknown" and claim.mechanism == "position_torque"
 
 
 def repeats(other: Piece, first: Piece) -> bool:
-    """Whether a law had to be taken once more: two of one shape draw a curve, where the law is not
-    a sum of such shapes by itself.
+    """Whether a law was taken twice. Two of one shape imitate a curve, unless the law is itself a
+    sum of such shapes.
     """
     effect = get_effect(first.terms[0].effect)
-    # a sum of harmonics is one law; settings choose one
+    # a sum of harmonics is one law, and so is one with settings
     several = "order" in effect.names or not all(p.fitted for p in effect.parameters)
     return (
         other.effects == first.effects
@@ -113,9 +113,9 @@ def repeats(other: Piece, first: Piece) -> bool:
 
 
 def is_curve(ranked: Sequence[Piece], travel: float) -> bool:
-    """Whether laws of the position, none of which can be left out, are the pieces of a curve: more
-    than one of them, and ripples that are no harmonics of one, or that the ``travel`` does not tell
-    apart: together they are one that fades along it.
+    """Whether laws over the position, all of them needed, are pieces of a curve: several laws, or
+    ripples that are no harmonics of one, or that the ``travel`` cannot separate (together they are
+    one wave that fades along it).
     """
     held = [p for p in ranked if p.log_e > 0 and p.evidence.z > PLAIN]
     repeats = sorted(p.terms[0].value("order") for p in held if "order" in p.terms[0].parameters)
@@ -131,10 +131,10 @@ def is_curve(ranked: Sequence[Piece], travel: float) -> bool:
 
 
 def part_of_a_wave(term: Term, beside: int, travel: float) -> bool:
-    """Whether a law that repeats along the position does not do so within the ``travel``: any curve
-    is as good. One wave a turn and a constant or another law of the position (there are so many
-    ``beside`` it) draw one too, over less than a turn, in rad; not where the wave is balanced at a
-    quarter of a turn, where an axis has its zero.
+    """Whether a law that repeats along the position does not complete a period within the
+    ``travel``, where any curve is as good. A wave of one period a turn is ambiguous too over less
+    than a turn (rad), where ``beside`` other laws over the position stand beside it; unless it is
+    balanced at a multiple of a quarter turn, where an axis has its zero.
     """
     names = get_effect(term.effect).names
     if "period" in names:

@@ -1,4 +1,4 @@
-"""Which mechanisms: each taken away, the rest fitted again, and what that costs."""
+"""Which mechanisms are claimed, by the cost of taking each away and fitting the rest again."""
 
 from __future__ import annotations
 
@@ -72,8 +72,8 @@ def grouped(
 
 
 def weight_of_payload(given: Model, final: Model, term: Term) -> bool:
-    """Whether a gravity term is the weight of an inertia that was found with it: a payload is one
-    finding, not two.
+    """Whether a gravity term is the weight of an inertia found with it, since a payload is one
+    finding.
     """
     found = {t.effect for t in new_terms(given, final, term.joint)}
     hangs = any(q.value for q in given.mechanism.get("gravity", ()))
@@ -86,7 +86,8 @@ def weight_of_payload(given: Model, final: Model, term: Term) -> bool:
 
 
 def taken_away(given: Model, final: Model, joint: int, terms: Sequence[Term]) -> Model:
-    """The final model without some terms, with those of the given model that they had replaced."""
+    """The final model without some terms, and with the given terms restored that they had replaced.
+    """
     gone = {id(t) for t in terms}
     kept = tuple(t for t in final.terms if id(t) not in gone)
     wanted = {m for t in terms for m in kind_of(mechanism_of(t.effect))}
@@ -103,8 +104,8 @@ def taken_away(given: Model, final: Model, joint: int, terms: Sequence[Term]) ->
 def beside_unknown(
     given: Model, improved: Model, joint: int, mechanism: str, named: Collection[str]
 ) -> Model:
-    """The improved model without what it has of a mechanism that has no law: what refines it there;
-    what is ``named`` stays. What it lacks is that mechanism's torque, free of the others'.
+    """The improved model without the refinements of a mechanism that has no law; laws that are
+    ``named`` stay. Its missing torque is that of the mechanism alone.
     """
     nameless = [
         t
@@ -115,9 +116,9 @@ def beside_unknown(
 
 
 def _without(given: Model, final: Scored, joint: int, terms: Sequence[Term], jobs: int) -> Scored:
-    """The same, fitted again. The same law of another joint's motion keeps its numbers: where both
-    move at once it would explain this one's friction. So does what would run to its bounds: an
-    actuator that does next to nothing explains no friction.
+    """The final model without some terms, fitted again. The same law as a coupling from another
+    joint keeps its numbers: where both joints move at once it would explain this one's friction. So
+    does a term that would run to its bounds, such as an actuator with hardly any output.
     """
     model = taken_away(given, final.model, joint, terms)
     handles = joint_handles(final.data, model, joint)
@@ -140,14 +141,14 @@ def _without(given: Model, final: Scored, joint: int, terms: Sequence[Term], job
 
 
 def _law_of_another(term: Term) -> str:
-    """The law by which another joint's motion acts, empty where none does."""
+    """The law of a coupling from another joint, empty for other terms."""
     effect = get_effect(term.effect)
     choices = effect.parameter("law").choices if effect.coupled else ()
     return choices[int(term.value("law"))] if choices else ""
 
 
 def worth_choosing(parts: Parts, given: Model, search: JointSearch, jobs: int) -> Scored:
-    """The proposed model without the terms that do not help on the recordings to choose by."""
+    """The proposed model without terms that do not help on the recordings to choose by."""
     joint, final = search.joint, search.final
     sure_gain = SIMPLER_COST * informative(parts.choose, joint)
     while True:
@@ -164,7 +165,7 @@ def worth_choosing(parts: Parts, given: Model, search: JointSearch, jobs: int) -
                 continue
             short = hopeless(final, taken_away(given, final.model, joint, (term,)), joint, jobs)
             if short is not None and compare(short, final, parts.choose, joint).gain > sure_gain:
-                continue  # a long fit would not turn this round
+                continue  # a long fit would not change this
             without = _without(given, final, joint, (term,), jobs)
             held = compare(without, final, parts.choose, joint)
             if held.gain < 0 and (worst is None or held.gain < worst[0]):
@@ -183,9 +184,9 @@ def piece_of(
     base: Scored,
     jobs: int,
 ) -> Piece:
-    """What taking some terms of a joint away costs on untouched recordings; ``base`` is the
-    calibrated model, which every one of them contains and so none can fit worse than. Nor is one
-    worth more than all of them: where two others cancel without it, they run away from each other.
+    """The piece of some terms of a joint: the cost of taking them away, on untouched recordings.
+    ``base``: the calibrated model. The others contain it, so none of them can fit worse. Nor is a
+    piece worth more than all of them: terms that cancel each other diverge when one is taken away.
     """
     joint = terms[0].joint
     without = _without(given, final, joint, terms, jobs)
@@ -204,8 +205,8 @@ def piece_of(
 
 
 def _unseen(test: Data, model: Model, terms: Sequence[Term], joint: int) -> float:
-    """How many times larger the torque of some terms is than an observer sees it: waves along the
-    travel may pass faster than it follows. 1 where one of the terms is no such wave.
+    """The ratio of the torque of some terms to that which the observer sees. Waves along the travel
+    may pass faster than it can follow. 1 where one of the terms is no such wave.
     """
     effects = [get_effect(t.effect) for t in terms]
     if not all("order" in e.names and e.site == "torque" for e in effects):
@@ -222,8 +223,8 @@ def _unseen(test: Data, model: Model, terms: Sequence[Term], joint: int) -> floa
 
 
 def _lacks(test: Data, without: Model, final: Model, terms: Sequence[Term], size: float) -> bool:
-    """Whether the torque of some terms lacks without them: what is likelier and no torque that
-    lacked is another colour of the sensor's noise.
+    """Whether the torque of some terms is missing without them. A term that raises the likelihood
+    but adds no missing torque only models coloured sensor noise.
     """
     joint = terms[0].joint
     if discrepancy(test, without, joint).high > LACKED * size:
@@ -235,18 +236,19 @@ def _lacks(test: Data, without: Model, final: Model, terms: Sequence[Term], size
 def log_e_value(
     held: Evidence, without: Scored, final: Scored, test: Data, joint: int
 ) -> float:
-    """Logarithm of the e-value of a gain: half of it, divided by how many samples make one.
+    """Logarithm of the e-value of a gain: half of it, divided by the samples that count as one
+    independent sample.
 
-    The noise repeats itself no more than the innovations of either model do: those of a wrong one
-    are alike because of what it lacks, and that is what is asked.
+    That is taken from the model with the less correlated innovations: a wrong model's innovations
+    are correlated by the missing physics itself.
     """
     alike = min(dependence(s, test, joint) for s in (without, final))
     return 0.5 * held.gain / alike
 
 
 def dependence(scored: Scored, test: Data, joint: int) -> float:
-    """By how much fewer independent samples a recording has than samples, from the innovations'
-    correlation in time; 1 or more.
+    """The number of samples that count as one independent sample, 1 or more, from the
+    autocorrelation of the innovations.
     """
     worst = 1.0
     for rec in test.records:
@@ -262,11 +264,11 @@ def dependence(scored: Scored, test: Data, joint: int) -> float:
 def held_apart(
     parts: Parts, given: Model, search: JointSearch, final: Scored, pieces: Sequence[Piece]
 ) -> tuple[list[Piece], list[Piece]]:
-    """Mechanisms that are claimed, and those that only refine the fit: pieces come in the order of
-    their size.
+    """The mechanisms that are claimed, and those that only refine the fit; pieces come in the order
+    of their size.
 
-    What a mechanism gives must be more than what stays unexplained in its own variables, and more
-    than the laws of the larger ones of its kind, found or given, may be wrong by.
+    A mechanism must be larger than what stays unexplained over its own variables, and larger than
+    the possible error of larger laws of its kind, found or given.
     """
     joint = search.joint
     after = discrepancy(parts.test, final.model, joint).value
@@ -276,19 +278,19 @@ def held_apart(
     rest: list[Piece] = []
     for piece in pieces:
         left = after
-        part = 0.0  # of what the machine is known to leave, as below of an unknown
+        part = 0.0  # of the machine's known discrepancy, as for an unknown below
         if piece.mechanism in STRUCTURED:
             left = min(after, structure(parts.each, final.model, joint, [piece.mechanism]).size)
             part = known.of_state / A_PART
         larger = max((p.size for p in claimed), default=0.0)
         beside = kept_laws(given, final.model, joint, piece.mechanism)
-        # how a dry friction that the model has turns round is an error of its own law
+        # what a known dry friction does at reversals is an error of its own law
         second = bool(beside) and turns_round(parts, final, piece)
         if piece.mechanism not in kind_of(DRY):
             beside += _rubbing(parts, search, final, piece)
         larger = max(larger, torque_of(parts.test, beside, final.model, joint))
-        # an error of a larger law is not taken up whole by the law of something else, nor with
-        # time; what stays then depends on the variables of both, where it is friction
+        # neither the law of something else nor a law over time absorbs the whole error of a larger
+        # law; where it is friction, what stays depends on the variables of both
         timed = all(get_effect(e).over == "time" for e in piece.effects)
         whole = left if piece.mechanism in FRICTION else unknown
         own = timed or (whole <= may_leave(piece) and not second)
@@ -302,39 +304,38 @@ def held_apart(
 
 
 def sure(test: Data, piece: Piece) -> bool:
-    """Whether untouched recordings are surely less likely without a mechanism, and its torque lacks
-    there. Chance among all mechanisms of all joints is counted: false alarms are rare.
+    """Whether untouched recordings are surely less likely without a mechanism, and miss its torque.
+    The test accounts for all mechanisms of all joints, so that false alarms are rare.
     """
     return _likely(test, piece) and (_even(piece) or piece.slowly > SURE)
 
 
 def _likely(test: Data, piece: Piece) -> bool:
-    """Whether untouched recordings are less likely without a mechanism, whose torque lacks there.
-    """
+    """Whether untouched recordings are less likely without a mechanism, and miss its torque."""
     return piece.log_e > needed(test.joints) and piece.lacks
 
 
 def _even(piece: Piece) -> bool:
-    """Whether that is so all along the recordings."""
+    """Whether a mechanism gains all along the recordings."""
     return piece.evidence.z > CLAIMED or _often(piece.evidence.blocks) > SURE
 
 
 def _often(gains: Array) -> float:
-    """By how many standard deviations more blocks gain than by chance: an effect that acts most in
-    a few of them gains everywhere, a few that were lucky do not.
+    """The standard deviations by which more blocks gain than by chance. A real effect that acts
+    mostly in a few blocks still gains in most; a few lucky blocks do not.
     """
     return float(np.sum(np.sign(gains)) / math.sqrt(len(gains)))
 
 
 def finest(effect: str) -> float:
-    """The least size of an effect that is a finding, as a part of the RMS torque."""
+    """The least size of an effect for a finding, as a part of the RMS torque."""
     return STEPPED if is_stepped(effect) else FINEST
 
 
 def _rubbing(parts: Parts, search: JointSearch, final: Scored, piece: Piece) -> list[Term]:
-    """Dry friction beside a mechanism that acts where the joint turns round: what its law may be
-    wrong by (a simulator's softness, bristles) shows there too. Not where the laws of dry friction
-    that were tried explain next to nothing of it.
+    """The dry friction beside a mechanism that acts at reversals, where the error of its law (a
+    soft simulator, bristles) shows too. Not where the laws of dry friction that were tried hardly
+    explain the mechanism.
     """
     joint = search.joint
     dry = [t for t in final.model.at(joint) if mechanism_of(t.effect) == DRY]
@@ -347,21 +348,21 @@ def _rubbing(parts: Parts, search: JointSearch, final: Scored, piece: Piece) -> 
 
 
 def turns_round(parts: Parts, final: Scored, piece: Piece) -> bool:
-    """Whether a mechanism only says how dry friction behaves at reversals: bristles, or softness;
-    not a curve over the speed.
+    """Whether a mechanism only changes dry friction at reversals: bristles or softness, not a curve
+    over the speed.
     """
     hidden = any(get_effect(e).hidden for e in piece.effects)
     return piece.mechanism == DRY and hidden and _turning(parts, final, piece)
 
 
 def _turning(parts: Parts, final: Scored, piece: Piece) -> bool:
-    """Whether a piece acts where the joint turns round."""
+    """Whether a piece acts mostly at reversals."""
     joint = piece.terms[0].joint
     return at_reversals(parts.test, piece.without.model, final.model, joint) >= PREDICTED
 
 
 def kept_laws(given: Model, final: Model, joint: int, mechanism: str) -> list[Term]:
-    """Terms of the given model at a joint that are of a mechanism's kind and still stand in the
+    """The terms of the given model at a joint that are of a mechanism's kind and remain in the
     final one.
     """
     new = new_terms(given, final, joint)
@@ -374,7 +375,7 @@ def kept_laws(given: Model, final: Model, joint: int, mechanism: str) -> list[Te
 
 def torque_of(test: Data, terms: Sequence[Term], model: Model, joint: int) -> float:
     """RMS torque of some terms of a model along recordings, as a part of the RMS torque; 1 where
-    the model does not follow them without.
+    the model without them does not follow the recordings.
     """
     if not terms:
         return 0.0
@@ -383,7 +384,7 @@ def torque_of(test: Data, terms: Sequence[Term], model: Model, joint: int) -> fl
 
 
 def dry_torque(data: Data, model: Model, joint: int) -> float:
-    """RMS of a model's dry friction at a joint along recordings, N m or N; 0: it has none."""
+    """RMS of a model's dry friction at a joint along recordings, N m or N; 0 where it has none."""
     dry = tuple(t for t in model.at(joint) if mechanism_of(t.effect) == DRY)
     records = [rec[joint - 1] for rec in data.records]
     along = np.concatenate([trace(r, model, dry, 0.0) for r in records])
@@ -396,15 +397,16 @@ def rubs(model: Model, joint: int) -> bool:
 
 
 def kind_of(mechanism: str) -> frozenset[str]:
-    """Mechanisms that are functions of the same variables."""
+    """The mechanisms that are functions of the same variables as this one."""
     return frozenset(FRICTION) if mechanism in FRICTION else frozenset({mechanism})
 
 
 def may_leave(piece: Piece) -> float:
-    """What a mechanism's laws may leave in its own variables, as a part of the RMS torque.
+    """The torque over its own variables that a mechanism's laws may leave, as a part of the RMS
+    torque.
 
-    A law of several free numbers can be bent to resemble what it is not, and leaves the less for
-    it. (Not counted: what is fitted at the end only, an exponent.)
+    A law of several free numbers can imitate another one, so it may leave less. (An exponent,
+    fitted only at the end, does not count.)
     """
     laws = [t for t in piece.terms if mechanism_of(t.effect) == piece.mechanism] or list(
         piece.terms
@@ -420,7 +422,7 @@ def may_leave(piece: Piece) -> float:
 
 
 def known_discrepancy(given: Model, test: Data, joint: int) -> Known:
-    """What a diagnosis of this machine left unexplained before."""
+    """The discrepancy that an earlier diagnosis of this machine left."""
     left = (given.discrepancy.torque, given.discrepancy.state)
     return Known(*(per_joint(values, joint, 0.0) / rms_torque(test, joint) for values in left))
 

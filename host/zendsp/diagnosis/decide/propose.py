@@ -1,4 +1,4 @@
-"""The next recording: the reference that best separates what is still open.
+"""The next recording: the reference that best separates the open hypotheses.
 
 Candidate motions within the reach of the recordings at hand are simulated in closed loop under the
 best hypothesis; the rival is refitted to what was simulated, and the motion that leaves it most in
@@ -31,11 +31,11 @@ Array = npt.NDArray[np.float64]
 SECONDS = 10.0
 ROUND_S = 0.1
 WEAK = 0.8  # confidence below which a finding is to be confirmed
-COUNTS = 8  # of the sensor that a proposed motion spans at least
+COUNTS = 8  # of the sensor: least range of a proposed motion
 OTHER = "a multisine over the whole range"  # where no rival is known
 LINES = (24, 16, 10, 6, 4, 2)  # of the multisine, 0.1 Hz apart
 BOTH_SIDES = 1.6  # times the reach to one
-SEPARATES = 20.0  # deviance by which it tells two hypotheses apart at least
+SEPARATES = 20.0  # least deviance by which a motion separates two hypotheses
 
 
 def motions(
@@ -56,8 +56,8 @@ def motions(
         shape = shape / max(float(np.max(np.abs(shape))), 1e-12)
         fastest = float(np.max(np.abs(np.gradient(shape, period))))
         moved = min(span, speed / max(fastest, 1e-12)) * shape
-        # Corners of triangles, fades and joints are steps of the speed, which no machine follows:
-        # rounded over ROUND_S.
+        # Corners of triangles, of fades and between parts are steps of the speed, which no machine
+        # follows: they are rounded over ROUND_S.
         window = np.hanning(max(3, round(ROUND_S / period) | 1))
         rounded = np.convolve(
             np.pad(moved, len(window) // 2, mode="edge"), window / window.sum(), "valid"
@@ -73,7 +73,7 @@ def motions(
         wave: Array = (np.cos(2 * np.pi * 0.1 * np.outer(t, k) + phase) / k).sum(axis=1)
         return wave
 
-    # as many lines as the speeds leave room for over the whole range
+    # as many lines as the speed limit allows over the whole range
     multisine = next(
         (
             wave
@@ -106,12 +106,12 @@ def propose(
     decisions: Sequence[Decision],
     seed: int,
 ) -> Next | None:
-    """What to record next, where something is still open; None where nothing is.
+    """The next recording, where something is still open; None otherwise.
 
     Parameters
     ----------
     seed : int
-        Of the random phases.
+        Seed of the random phases.
     """
     open_ones = [f for f in findings if f.indistinguishable]
     if not open_ones:
@@ -145,8 +145,8 @@ def propose(
 
 
 def _played(signals: Signals, given: Model, joint: int, motion: Array, text: str) -> Next:
-    """A motion of one joint while the others stand, as a table that a program plays; none where
-    nothing commanded the recording.
+    """The proposal of a motion of one joint while the others stand. It has a reference that a
+    program can play, unless the recording had no command.
     """
     q = np.tile(signals.position.mean(axis=0), (len(motion), 1))
     q[:, joint - 1] = motion
@@ -244,8 +244,8 @@ def _separation(
     position: Array,
     command: Array,
 ) -> float:
-    """How much less likely the refitted rival makes a recording that the truth has simulated
-    (deviance).
+    """The deviance by which a refitted rival makes a recording less likely that the best hypothesis
+    simulated.
     """
     n = len(position)
     still = np.tile(signals.position.mean(axis=0), (n, 1))
@@ -265,7 +265,7 @@ def _separation(
 
     def unlikely(
         model: Model,
-    ) -> float:  # both are refitted: what only a longer fit would tell is no separation
+    ) -> float:  # both refitted: a difference of fit length does not count
         handles = joint_handles(data, model, joint)
         return deviance(
             data,

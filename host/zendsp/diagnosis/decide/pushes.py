@@ -1,5 +1,5 @@
-"""Torque that comes and goes with time: pushes, alone or beside a friction that lacks too; and
-recordings of a machine with another load.
+"""Torque that comes and goes with time: pushes, alone or beside missing friction; and recordings of
+a machine with another load.
 """
 
 from __future__ import annotations
@@ -42,17 +42,18 @@ from zendsp.physics.model import Model
 
 
 def pushed(out: Decision, parts: Parts, jobs: int) -> Decision | None:
-    """The decision with a disturbance, where one explains what lacks. It may come in any part of
-    the data; one in the recordings of the fit alone bends the calibration, so that it may lack a
-    function of the state, and is then that of the recordings to choose by.
+    """The decision with a disturbance, where one explains the missing torque. It may lie in any
+    part of the data. One in the recordings of the fit alone bends the calibration, which then seems
+    to lack a function of the state; so the model calibrated on the recordings to choose by is tried
+    too.
     """
     joint, base, known = out.joint, out.base.model, out.known.all
     others = (discrepancy(part, base, joint).value for part in (parts.fit, parts.choose))
     somewhere = beyond(max(out.before.value, *others), known)
     if somewhere < LAWFUL or lost(parts, base, joint):
         return None
-    # a push may lie where the held-out recording was cut, or in the recordings of the fit alone:
-    # there what comes when the joint turns round may be its friction, however seldom
+    # a push may lie at the cut of the held-out recording, or in the recordings of the fit alone:
+    # there a torque at reversals may be friction, however seldom it comes
     often = OFTEN if beyond(out.before.value, known) > LAWFUL else 0.0
     held = here = None
     if out.state.share < PREDICTED:
@@ -72,7 +73,7 @@ def pushed(out: Decision, parts: Parts, jobs: int) -> Decision | None:
             here = in_held(parts, other.model, joint, often)
         if here is not None and after.value <= out.before.value:
             without = everywhere(here, each, other.model, joint)
-            # a push that bends numbers spoils them for all other times
+            # a push that bends numbers makes them wrong at all other times
             if without.beside < apart(without, each, base, joint)[1]:
                 out = replace(out, final=other, after=after)
             else:
@@ -88,8 +89,8 @@ def pushed(out: Decision, parts: Parts, jobs: int) -> Decision | None:
 def pushed_beside(
     out: Decision, models: Sequence[Scored], parts: Parts, turning: bool
 ) -> Bursts | None:
-    """Pushes beside a friction that lacks too, and hides them: those that explain most beside one
-    of the ``models``; None where there are none.
+    """The pushes beside a missing friction, which hides them: those that explain most beside one of
+    the ``models``; None where there are none.
     """
     joint, best = out.joint, None
     for scored in models:
@@ -110,13 +111,13 @@ def pushed_beside(
 
 
 def lost(parts: Parts, model: Model, joint: int) -> bool:
-    """Whether a model runs away somewhere: what it lacks there nobody pushes with."""
+    """Whether a model diverges somewhere, where its missing torque is no push."""
     return any(not discrepancy(part, model, joint).value < ASTRAY for part in parts.each)
 
 
 def comes_and_goes(found: Bursts, parts: Parts) -> bool:
-    """Whether pushes hold most of what lacks, and are few: what comes often comes with the motion;
-    and whether they do not ring, as a joint on its own spring does.
+    """Whether pushes hold most of the missing torque, are few (what comes often belongs to the
+    motion), and do not ring as a joint on a spring does.
     """
     each = {rec[0].recording for part in (parts.fit, parts.held) for rec in part.records}
     few = found.spread <= FEW * len(each)
@@ -124,8 +125,8 @@ def comes_and_goes(found: Bursts, parts: Parts) -> bool:
 
 
 def of_the_motion(pushed: Decision, parts: Parts, turning: bool) -> bool:
-    """Whether the state predicts a part of what lacks, or the motion before most of it: of a push
-    from outside neither knows anything.
+    """Whether the state predicts a part of the missing torque, or the earlier motion most of it.
+    Neither can predict a push from outside.
     """
     model, state = pushed.final.model, pushed.state
     if pushed.final is not pushed.base:
@@ -137,9 +138,9 @@ def of_the_motion(pushed: Decision, parts: Parts, turning: bool) -> bool:
 
 
 def of_a_law(pushed: Decision, laws: Sequence[Model], parts: Parts) -> bool:
-    """Whether one of some fitted laws takes up most of what acts in the times of a push, and lacks
-    no more at other times: that law acts, or what resembles it, however little of it the recordings
-    to judge on show. A law that is bent to a push spoils the other times.
+    """Whether a fitted law explains most of the torque at the times of a push without making other
+    times worse. Then that law acts, or one that resembles it, however little the test recordings
+    show of it. A law bent to a real push makes the other times worse.
     """
     if pushed.bursts is None:
         return False
@@ -152,7 +153,7 @@ def of_a_law(pushed: Decision, laws: Sequence[Model], parts: Parts) -> bool:
 
 
 def beside(decision: Decision, parts: Parts) -> Bursts | None:
-    """A push in the recordings of the fit, beside what is claimed."""
+    """The push in the recordings of the fit, beside what is claimed."""
     model, joint = decision.final.model, decision.joint
     if discrepancy(parts.fit, model, joint).value < LAWFUL:
         return None
@@ -160,7 +161,7 @@ def beside(decision: Decision, parts: Parts) -> Bursts | None:
 
 
 def felt(out: Decision, parts: Parts, turning: bool) -> Bursts | None:
-    """A push that is too small for a finding, where nothing is claimed: it is told all the same."""
+    """The push that is too small for a finding, where nothing is claimed; it is noted."""
     model, joint = out.base.model, out.joint
     lacks = max(out.before.value, discrepancy(parts.fit, model, joint).value)
     if out.kind == "disturbance" or beyond(lacks, out.known.all) < FELT:
@@ -175,7 +176,7 @@ def felt(out: Decision, parts: Parts, turning: bool) -> Bursts | None:
     if not alone:
         return None
     longest = max(b - a for a, b in both.intervals)
-    long = [(b - a) > A_PART * longest for a, b in both.intervals]  # the others are their edges
+    long = [(b - a) > A_PART * longest for a, b in both.intervals]  # shorter ones are their edges
     return replace(
         both,
         intervals=tuple(itertools.compress(both.intervals, long)),
@@ -184,13 +185,13 @@ def felt(out: Decision, parts: Parts, turning: bool) -> Bursts | None:
 
 
 def in_held(parts: Parts, model: Model, joint: int, often: float) -> Bursts | None:
-    """A push in the recordings that were held out."""
+    """The push in the held-out recordings."""
     dry = dry_torque(parts.held, model, joint)
     return bursts(parts.held, model, joint, parts.fit, dry=dry, often=often)
 
 
 def in_fit(parts: Parts, model: Model, joint: int, many: int = FEW) -> Bursts | None:
-    """A push in the recordings of the fit."""
+    """The push in the recordings of the fit."""
     dry = dry_torque(parts.fit, model, joint)
     return bursts(parts.fit, model, joint, parts.held, many=many, dry=dry, often=0.0)
 
@@ -199,8 +200,8 @@ def in_fit(parts: Parts, model: Model, joint: int, many: int = FEW) -> Bursts | 
 
 
 def unpushed(decision: Decision) -> Decision:
-    """The decision without a disturbance: of what comes and goes beside a load that swings unseen
-    at another joint nobody can say that no state explains it.
+    """The decision without its disturbance. Beside an unseen swinging load at another joint, a
+    torque that comes and goes may depend on that load's state.
     """
     if decision.kind != "disturbance":
         return replace(decision, bursts=None)
@@ -218,8 +219,8 @@ def unpushed(decision: Decision) -> Decision:
 def by_own_numbers(
     out: Decision, parts: Parts, jobs: int, among: Collection[str] = ()
 ) -> tuple[str, ...]:
-    """The recordings that lack something, where each is explained by numbers of its own: they are
-    of a machine with another load. ``among``: of these alone; else of all.
+    """The recordings that lack torque with the model's numbers, where each is explained by its own:
+    they are of a machine with another load. ``among``: only these are considered, otherwise all.
     """
     joint, rows, usual = out.joint, [], math.inf
     for part in (parts.fit, parts.held):
@@ -230,7 +231,7 @@ def by_own_numbers(
                 own = discrepancy(alone, fitted_to(alone, out.final, joint, jobs).model, joint)
                 left = own.value
                 rows.append((name, lacks, left))
-            if part is parts.fit:  # what the machine leaves with any numbers is no load
+            if part is parts.fit:  # what stays with any numbers is no load
                 usual = min(usual, own.high if left else LAWFUL)
     found = [row for row in rows if row[1] > max(LAWFUL, usual)]
     if any(
@@ -242,12 +243,14 @@ def by_own_numbers(
 
 
 def fitted_to(data: Data, base: Scored, joint: int, jobs: int) -> Scored:
-    """The model calibrated on other recordings."""
+    """The fit of the model calibrated on other recordings."""
     data = data.at_bandwidth(joint, base.data.bandwidth[joint - 1])
     handles = joint_handles(data, base.model, joint)
     return fit_scored(data, base.model, handles, (joint,), jobs=jobs, rounds=2)
 
 
 def predicts(found: Structure) -> bool:
-    """Whether what was learned on other recordings predicts what lacks, and not by chance."""
+    """Whether a function learned on other recordings predicts the missing torque, and not by
+    chance.
+    """
     return found.z > SURE or found.apart > BY_CHANCE

@@ -1,4 +1,4 @@
-"""What a model file keeps of a diagnosis for the next recording of the same machine."""
+"""The model file that a diagnosis leaves for the next recording of the same machine."""
 
 from __future__ import annotations
 
@@ -15,12 +15,10 @@ from zendsp.physics.model import Discrepancy, Model, Term
 def remembered(
     model: Model, given: Model, decisions: Sequence[Decision], findings: Sequence[Finding]
 ) -> Model:
-    """The improved model as the next diagnosis should get it: with the torque that stayed
-    unexplained at each joint, the uncertainties that the findings state, and the numbers of what
-    only refined the fit held.
+    """The improved model for the next diagnosis: with the torque that stayed unexplained at each
+    joint, the uncertainties of the findings, and the numbers of refinements held fixed.
 
-    A refinement is no physics that is claimed: free, it would be bent to what the next recording
-    lacks.
+    A refinement is no claimed physics; if free it would be bent to what the next recording lacks.
 
     Parameters
     ----------
@@ -50,7 +48,7 @@ def remembered(
 
 
 def _stated(term: Term, findings: Sequence[Finding]) -> Term:
-    """A term with the standard deviations of the finding that states its values."""
+    """A term with the standard deviations of the finding for it."""
     stds = {
         (name, e.value): e.std
         for f in findings
@@ -67,7 +65,7 @@ def _stated(term: Term, findings: Sequence[Finding]) -> Term:
 
 
 def _numbered(terms: Sequence[Term]) -> list[tuple[str, int, int]]:
-    """Of each term its effect, its joint, and how many of both stand before it: what finds it
+    """Keys of the terms: effect, joint, and the count of equal ones before it. They find a term
     again in another model of the machine.
     """
     seen: Counter[tuple[str, int]] = Counter()

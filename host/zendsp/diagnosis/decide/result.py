@@ -1,4 +1,4 @@
-"""What a diagnosis returns; ``Diagnosis.report()`` is report.json of the contract."""
+"""The result of a diagnosis; ``Diagnosis.report()`` is report.json of the contract."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from zendsp.physics.model import Model
 from zendsp_protocol.views import html_table, sentence, with_std
 
 Array = npt.NDArray[np.float64]
-OFF = 3.0  # times the calibrated model's error: what is given is not what the machine has
+OFF = 3.0  # times the calibrated model's error: above it the given model is wrong
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Estimate:
 
 
 def number(estimate: Estimate) -> str:
-    """Value ± standard deviation with its unit, to the digits that mean something."""
+    """Value ± standard deviation with unit, in significant digits."""
     return with_std(estimate.value, estimate.std, estimate.unit)
 
 
@@ -65,12 +65,12 @@ class Finding:
     confidence : float
         0 … 1: probability that this is the right effect.
     share : float
-        0 … 1: what comes back without the law, all else fitted anew, squared and averaged, as a
-        part of the torque that the calibrated model lacks.
+        0 … 1: the torque that is missing without the law after all else is fitted again, as a part
+        of the torque that the calibrated model lacks; both as mean squares.
     indistinguishable : tuple of str
         Effects that explain the recording as well.
     replaces : tuple of str
-        Terms of the given model that it makes unnecessary.
+        Terms of the given model that it replaces.
     sentence : str
     numbers : Further
         Further keys of the finding in report.json.
@@ -89,7 +89,7 @@ class Finding:
     sentence: str
     numbers: Further = field(default_factory=Further)
     mechanism: str = ""
-    # probabilities, given that the mechanism acts
+    # of the mechanism's laws: probabilities, given that it acts
     laws: Mapping[str, float] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -119,13 +119,13 @@ class Finding:
 
 
 def _rounded(value: float) -> float:
-    """Four digits are more than any of these figures is sure of."""
+    """The number with four digits, more than any of these figures is sure of."""
     return float(f"{value:.4g}")
 
 
 def not_likelier(gain: float, least: float) -> str:
-    """Why an effect is not claimed that makes a model by less than ``least`` more likely: both are
-    log-likelihoods, its price taken off.
+    """The reason that an effect is not claimed whose gain is below ``least``; both are
+    log-likelihoods less its price.
 
     Examples
     --------
@@ -158,8 +158,8 @@ class FitTable:
 
 @dataclass(frozen=True)
 class Left:
-    """Torque that nothing named explains at a joint, as a part of the RMS torque, with its 95 %
-    interval; 1 where the model does not follow the recording.
+    """The unexplained torque at a joint, as a part of the RMS torque, with its 95 % interval; 1
+    where the model does not follow the recording.
     """
 
     joint: int
@@ -183,7 +183,9 @@ class Detectable:
 
 @dataclass(frozen=True)
 class Next:
-    """What to record next and why, and the reference that separates what is open, rad or m."""
+    """The next recording and its reason, with a reference that separates the open hypotheses, rad
+    or m.
+    """
 
     sentence: str
     reference: tuple[Array, float] | None = None  # positions (n, joints), sample time in s
@@ -191,8 +193,8 @@ class Next:
 
 @dataclass(frozen=True)
 class Workings:
-    """What a diagnosis worked with, for its figures: searches and decisions of each joint, the
-    whole machine, recordings to fit to and to test on.
+    """The data behind a diagnosis, for its figures: searches and decisions of the joints, the
+    models of the whole machine, recordings to fit to and to test on.
     """
 
     searches: Sequence[JointSearch]
@@ -213,7 +215,7 @@ class SimulatorErrors:
 
 @dataclass(frozen=True)
 class Errors:
-    """Position errors of the joints whose positions have one unit: tables and noise floor as of
+    """Position errors of all joints with one unit of position; tables and noise floor as in
     `Diagnosis`.
     """
 
@@ -226,7 +228,8 @@ class Errors:
 
     @property
     def of(self) -> str:
-        """Of which joints, to be said after what they are errors of; empty: of all."""
+        """The joints in words, to follow what the errors are of, as ", joints 1, 2"; empty for all.
+        """
         which = ", ".join(map(str, self.joints))
         return f", joint{'s' * (len(self.joints) > 1)} {which}" if which else ""
 
@@ -250,30 +253,30 @@ class Diagnosis:
     ----------
     verdict : {"complete", "missing", "unexplained"}
     findings, refinements : tuple of Finding
-        What is claimed, the most important first; what only improves the fit.
+        The claims, the most important first; and terms that only improve the fit.
     regions, times, times_of
-        Where the model lacks something: intervals of a joint's state, and of time, s; recordings
-        that they are times of.
+        Where the model lacks something: intervals of a joint's state, intervals of time (s), and
+        the recordings of these times.
     unit : str
-        Of positions, rad or m; where joints slide and turn, of joint 1 and those alike.
+        Unit of positions, rad or m; where joints slide and turn, that of joint 1.
     estimation, heldout, test : FitTable
-        Errors on the recordings of the fit, on those held out, and on the part of these that
-        nothing has touched.
+        Errors on the recordings of the fit, on the held-out ones, and on the untouched part of
+        these.
     noise_floor : float
-        Error that the sensor alone leaves, in ``unit``.
+        Error of the sensor alone, in ``unit``.
     rejected : tuple of Rejected
     next_recording : Next or None
     seconds : float
-        That it took.
+        Duration of the diagnosis.
     notes : tuple of str
     given, calibrated, improved : Model
-        As it came, with its free parameters refitted, with what was found.
+        The model as given, with its free parameters refitted, and with what was found.
     unexplained : str
-        A line for each joint; empty where nothing is.
+        The unexplained torque, a line for each joint; empty where there is none.
     discrepancy : tuple of Left
     detectable : tuple of Detectable
     others : tuple of Errors
-        Where joints slide and turn: errors of those whose positions have the other unit.
+        Errors of the joints with the other unit of position, where joints slide and turn.
     """
 
     verdict: Verdict
@@ -305,8 +308,8 @@ class Diagnosis:
     # of a simulator that can only be called: its errors
     workings: Workings | SimulatorErrors | None = None
     out: Path | None = None
-    stopped: bool = False  # Ctrl-C ended the search: what was found until then
-    # effects and joints of which the headline says that it cannot tell
+    stopped: bool = False  # Ctrl-C ended the search; this is what was found until then
+    # effects and joints about which the headline cannot tell
     doubted: tuple[tuple[str, int], ...] = ()
 
     @property
@@ -325,13 +328,13 @@ class Diagnosis:
 
     @property
     def nameless(self) -> tuple[tuple[int, float], ...]:
-        """Joint and share of what has no name, and is more than the error of the sensor."""
+        """The joints with torque that has no name and exceeds the sensor's error, and its share."""
         shares = ((x.joint, x.share) for x in self.discrepancy)
         return nameless(shares, (self.test or self.heldout).improved, self.noise_floor)
 
     @property
     def headline(self) -> str:
-        """The verdict in a sentence, or two; the mechanism first."""
+        """The verdict in one or two sentences, the mechanism first."""
         if self.stopped and not self.findings:
             return "Ended by Ctrl-C before it was done: nothing is claimed."
         found = [(f.mechanism, (f.effect, *f.indistinguishable), f.joint) for f in self.findings]
@@ -416,7 +419,7 @@ class Diagnosis:
         return f"<Diagnosis {self.verdict}{f': {found}' if found else ''}; {self.seconds:.1f} s>"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: the findings as sentences, their numbers, and the fit."""
+        """HTML for a notebook: the findings as sentences, their numbers, and the fit."""
         said = "".join(
             sentence(f"{f.sentence} (confidence {100 * f.confidence:.0f} %)") for f in self.findings
         )

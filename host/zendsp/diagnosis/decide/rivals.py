@@ -1,6 +1,4 @@
-"""By which law a claimed mechanism is described: what could stand in its place, and how likely each
-of them is.
-"""
+"""The laws that could describe a claimed mechanism, and how likely each of them is."""
 
 from __future__ import annotations
 
@@ -51,8 +49,8 @@ def law_of(
     first: Piece,
     tell: Progress,
 ) -> Claim:
-    """The law of a mechanism with its probability: laws that could stand in its place are fitted,
-    and compete block by block.
+    """The law of a mechanism with its probability. Laws that could replace it are fitted, and
+    compete block by block.
     """
     joint, term = search.joint, first.terms[0]
     tell(Step.SEARCHING.says(f"joint {joint}: what could stand in for {term.effect}"))
@@ -116,8 +114,8 @@ def law_of(
 
 
 def _beside_a_number(given: Model, final: Scored, first: Piece, rival: Rival) -> bool:
-    """Whether the claimed law is the given model's own with another number, and what would stand
-    beside the number as given gains hardly more.
+    """Whether the claimed law is the given model's own with another number, and a rival beside the
+    given number gains hardly more.
     """
     term = first.terms[0]
     own = any(t.effect == term.effect for t in given.at(term.joint))
@@ -125,8 +123,8 @@ def _beside_a_number(given: Model, final: Scored, first: Piece, rival: Rival) ->
 
 
 def _scores(parts: Parts, joint: int, final: Scored, term: Term, every: Sequence[Rival]) -> Array:
-    """Deviance of each block with the price shared among them, first of the term in the final
-    model, then of what could stand in for it, (rivals + 1, blocks).
+    """Deviance of each block, with the price shared among blocks: of the term in the final model,
+    then of each rival, (rivals + 1, blocks).
     """
     learn = together(parts.fit, parts.choose)
     models = [final, *[r.scored for r in every]]
@@ -137,8 +135,8 @@ def _scores(parts: Parts, joint: int, final: Scored, term: Term, every: Sequence
 
 
 def _likelier(final: Scored, every: Sequence[Rival], scores: Array) -> Scored | None:
-    """A law of this mechanism or another, or the same one at other numbers, that is clearly more
-    likely than the one that stands in the final model, on the recordings to choose by too.
+    """A law of this mechanism or another, or the same law with other numbers, that is clearly
+    likelier than the one in the final model, also on the recordings to choose by.
     """
     behind = scores[1:].sum(axis=1) - scores[0].sum()
     better = [
@@ -150,13 +148,13 @@ def _likelier(final: Scored, every: Sequence[Rival], scores: Array) -> Scored | 
 
 
 def _sums(term: Term, model: Model) -> list[str]:
-    """Effects that a term and others beside it are together, by algebra."""
+    """The effects to which a term and others beside it are together equal by algebra."""
     there = {t.effect for t in model.at(term.joint)}
     return [n for n, e in library().items() if term.effect in e.sums and there.issuperset(e.sums)]
 
 
 def rival_gain(piece: Piece, final: Scored) -> float:
-    """Deviance that a law gains on the recordings of the fit."""
+    """The deviance that a law gains on the recordings of the fit."""
     return piece.without.deviance - final.deviance
 
 
@@ -196,8 +194,8 @@ def contains(rival: Rival, term: Term) -> bool:
 
 
 def replaced(given: Model, final: Model, term: Term) -> tuple[str, ...]:
-    """Effects of the given model that are gone, and that this term stands for: laws of its own kind
-    of friction, or of its mechanism.
+    """The effects of the given model that this term has replaced: laws of its own kind of friction,
+    or of its mechanism.
     """
     joint = term.joint
     have = [t.effect for t in final.at(joint)]
@@ -211,7 +209,7 @@ def replaced(given: Model, final: Model, term: Term) -> tuple[str, ...]:
     kind = kind_of(own)
     rubs = [t for t in new_terms(given, final, joint) if mechanism_of(t.effect) in kind]
     mine = [e for e in gone if mechanism_of(e) in kind]
-    if len(kind) > 1 and len(rubs) > 1:  # each stands for its own kind where both are new
+    if len(kind) > 1 and len(rubs) > 1:  # where both are new, each replaces its own kind
         exact = [e for e in mine if mechanism_of(e) == own]
         others = {mechanism_of(t.effect) for t in rubs if t is not term}
         mine = exact + [e for e in mine if mechanism_of(e) not in others and e not in exact]

@@ -1,1 +1,1 @@
-"""A user's own simulator that can only be called."""
+"""Diagnosis of a user's own black-box simulator, which can only be called."""

@@ -6,11 +6,11 @@ gain, is taken from the command. Every effect that can act there is screened by 
 the promising ones are fitted together with the parameters, and a claim needs held-out evidence, as
 for the other kinds.
 
-A simulator that starts from the first row's position and velocity is given the recording in
-windows, so that errors do not accumulate.
+A simulator that starts from the first row's position and velocity gets the recording in windows, so
+that errors do not accumulate.
 
-What a black box does not allow: states inside it (springs, gaps, bristles, hysteresis) and an
-observer.
+Not possible with a black box: effects with states inside it (springs, gaps, bristles, hysteresis),
+and an observer.
 """
 
 from __future__ import annotations
@@ -57,14 +57,13 @@ from zendsp.physics.term_numbers import file_model
 
 Array = npt.NDArray[np.float64]
 
-# s: each window is simulated from the smoothed motion, where the simulator starts from its first
-# row
+# s: where the simulator starts from the first row, each window starts from the smoothed motion
 WINDOW = 0.25
-# rounds, each of one effect a joint; a joint may have to wait until its neighbours' are in
+# rounds, each of one effect per joint; a joint may have to wait for those of its neighbours
 EFFECT_ROUNDS = 6
-LAST = 3  # simulated steps of the last fit, from where guessed slopes end
-OVER_NOISE = 3  # times the sensor's noise: what is left below is no mismatch
-RESTARTS = 0.02  # of the span, and START_NOISE times the noise: so near a simulation must begin
+LAST = 3  # simulated steps of the last fit, after those with guessed slopes
+OVER_NOISE = 3  # times the sensor's noise: a smaller error is no mismatch
+RESTARTS = 0.02  # of the span, and START_NOISE times the noise: error of a start
 START_NOISE = 4
 UNEXPLAINED = 0.03  # of the RMS torque, as a function of time
 REMAINS = (
@@ -79,8 +78,8 @@ WHOLE = (
 
 
 def missing_over_time(near: Near) -> dict[int, list[Missing]]:
-    """Torque over time that would remove the remaining error: bumps of half a second, and
-    regularised least squares.
+    """The torque over time that would remove the remaining error, by regularised least squares over
+    bumps of half a second.
     """
     out: dict[int, list[Missing]] = {}
     for k, b in enumerate(near.true):
@@ -93,8 +92,7 @@ def missing_over_time(near: Near) -> dict[int, list[Missing]]:
         for i, record in enumerate(b.records):
             a = near.bumps(k, i, shapes) / sensor_noise(b, i)
             ridge = 1e-6 * float(np.trace(a.T @ a)) / a.shape[1] * np.eye(a.shape[1])
-            # least squares: a simulator that does not look at its command leaves nothing to solve
-            # for
+            # least squares: a simulator that ignores its command gives nothing to solve for
             coefficients = np.linalg.lstsq(
                 a.T @ a + ridge, a.T @ e[:, i] / sensor_noise(b, i), rcond=1e-12
             )[0]
@@ -112,7 +110,7 @@ def missing_over_time(near: Near) -> dict[int, list[Missing]]:
 
 
 class _Stages:
-    """Tells the stage, and within it how many simulations were done."""
+    """Reports the stage, and the number of simulations within it."""
 
     def __init__(self, tell: Progress) -> None:
         self.tell, self.stage, self.count = tell, Step.READING.says("starting"), 0
@@ -144,7 +142,7 @@ def diagnose_simulator(
         Of ``kind = "python"`` or ``"fmu"``; its mechanism parameters go to the simulator, its
         effects act on the command.
     jobs : int
-        A Python function is called in one thread, an FMU runs in so many processes.
+        Processes of an FMU; a Python function is called in one thread.
     progress : callable, optional
         Receives a sentence at each stage.
 
@@ -174,7 +172,7 @@ def _diagnose(
     tell(Step.CALIBRATING.says("calibrating the simulator"))
     given_error = errors(train, model)
     base = fit_output(train, model, free_handles(model, offsets=False), given_error, 25)
-    # a fit must not be worse than what it began with
+    # a fit must not be worse than its start
     if float(np.sum((weights(train, given_error) * given_error) ** 2)) < base.fit.cost:
         base = fit_output(train, model, (), given_error, 1)
     hunt = Hunt(train, test, tell)
@@ -223,7 +221,7 @@ def _diagnose(
 
 
 def _rejected(hunt: Hunt, gain: float, names: set[tuple[str, int]]) -> tuple[Rejected, ...]:
-    """What was tried and is not claimed, against the gain of what is, the best first."""
+    """The rejected hypotheses, the best first, with gains relative to the claimed one."""
     rejected = (
         Rejected(e, j, why, score - gain)
         for (e, j), (score, _z, why) in hunt.tried.items()
@@ -233,7 +231,7 @@ def _rejected(hunt: Hunt, gain: float, names: set[tuple[str, int]]) -> tuple[Rej
 
 
 def _unexplained(left: float, rest: float, floor: float, b: Bench) -> str:
-    """What stays open beyond the sensor's noise; empty where it is too little."""
+    """The unexplained torque beyond the sensor's noise, in words; empty where it is too small."""
     if left > UNEXPLAINED:
         return REMAINS.format(100 * left)
     return "" if b.size else WHOLE.format(rest, b.unit, rest / floor)
@@ -242,8 +240,8 @@ def _unexplained(left: float, rest: float, floor: float, b: Bench) -> str:
 def _hunted(
     hunt: Hunt, base: Output, train: Sequence[Bench]
 ) -> tuple[Output, list[tuple[Any, Any, Output]]]:
-    """Effects taken one after another while they pay, refitted together at the end, less those of
-    which nothing is then left; each step with its rivals and what stood before it.
+    """The effects of forward selection, refitted together at the end, without those that then
+    vanish; each step with its rivals and the fit before it.
     """
     current, steps = base, []
     for _ in range(EFFECT_ROUNDS):
@@ -255,7 +253,7 @@ def _hunted(
     while steps:
         hunt.tell(Step.ASSEMBLING.says("fitting all together"))
         current = settled(train, current, SHORT_WAYS, base.error)
-        # slopes that are simulated, for the uncertainties
+        # simulated slopes, for the uncertainties
         current = fit_output(train, current.model, current.fit.handles, current.error, LAST)
         gone = [t for claim, _, _ in steps for t in indistinct(current, claim.term)]
         if not gone:
@@ -272,7 +270,7 @@ def _hunted(
 
 
 def _noted(fit: Fit) -> Model:
-    """A fitted model with the standard deviations of the fit."""
+    """The fitted model with the standard deviations of the fit."""
     mechanism = {key: list(items) for key, items in fit.model.mechanism.items()}
     terms = [dict(term.parameters) for term in fit.model.terms]
     for h, std in zip(fit.handles, fit.std, strict=True):
@@ -290,7 +288,7 @@ def _noted(fit: Fit) -> Model:
 
 
 def _untried(train: Sequence[Bench], test: Sequence[Bench]) -> str:
-    """A note on the effects that cannot be tried on a simulator that can only be called."""
+    """The note on effects that cannot be tried on a black-box simulator."""
     inside = ", ".join(e.name for e in library().values() if not on_input(e))
     return (
         f"black box: {sum(b.calls for b in (*train, *test))} simulations; what has states of its"
@@ -318,8 +316,8 @@ def _recordings(
 
 
 def _restarts(b: Bench, model: Model) -> bool:
-    """Whether windows begin where the recording is: the simulated first rows lie on the measured
-    ones, window after window.
+    """Whether windows start at the recorded state: the simulated first row of every window equals
+    the measured one.
     """
     size = max(16, round(WINDOW / b.signals.sample_time))
     windowed = Bench(b.signals, b.records, b.simulator, model, size)
@@ -345,7 +343,7 @@ def _floor(benches: Sequence[Bench]) -> float:
 
 
 def _left(missing: dict[int, list[Missing]], benches: Sequence[Bench]) -> dict[int, float]:
-    """The largest torque that a recording lacks, by joint, as a part of the RMS torque."""
+    """The largest missing torque of any recording, by joint, as a part of the RMS torque."""
     return {
         j: max(
             float(np.sqrt(np.mean(m.torque**2))) / b.records[j - 1].scale.torque
@@ -356,8 +354,8 @@ def _left(missing: dict[int, list[Missing]], benches: Sequence[Bench]) -> dict[i
 
 
 def _a_part(left: dict[int, float], named: Collection[int]) -> bool:
-    """Whether much stays unexplained at a joint without a claim: each joint feels its part of a
-    body, and one may take it for a gain.
+    """Whether much stays unexplained at a joint without a claim. Each joint feels its part of a
+    missing body, and one may mistake it for a gain.
     """
     return bool(named) and any(x > LEFT_BY_A_LAW for j, x in left.items() if j not in named)
 

@@ -1,4 +1,4 @@
-"""What a simulator that can only be called is given."""
+"""The input of a black-box simulator."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
-Parameters = Mapping[str, float | list[float]]  # of the mechanism: one number, or one a joint
+Parameters = Mapping[str, float | list[float]]  # of the mechanism: one number, or one per joint
 
 
 class Columns(TypedDict):
-    """A recording as a simulator gets it; arrays are (n,), or (n, joints) of several joints."""
+    """A recording as input of a simulator; arrays are (n,), or (n, joints) for several joints."""
 
     time: Array  # s, from 0
     sample_time: float  # s

@@ -1,7 +1,7 @@
-"""A co-simulation FMU (FMI 2.0 and 3.0) as a simulator that can only be called.
+"""A co-simulation FMU (FMI 2.0 and 3.0) as a black-box simulator.
 
 An FMU is foreign machine code. Each of its instances lives in a process of its own, with its own
-unpacked folder: a crash, a step that never ends or a print ends or fills that process, never the
+unpacked folder: a crash, an endless step or a flood of output affects that process only, never the
 diagnosis. Each simulation begins anew (reset and replay), since many FMUs cannot save their state.
 """
 
@@ -32,7 +32,7 @@ Array = npt.NDArray[np.float64]
 
 TIME_LIMIT = 60.0  # s, for one recording or window; [mechanism] time_limit
 REAL = ("Real", "Float64")
-LOG = "said.txt"  # what an FMU prints
+LOG = "said.txt"  # output of an FMU
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Fmu:
     model : Model
         Of ``kind = "fmu"``.
     jobs : int
-        How many processes.
+        Number of processes.
 
     Raises
     ------
@@ -214,10 +214,11 @@ class _Worker:
 
 
 def _serve(pipe: Any, other: Any, fmu: Fmu, folder: str) -> None:
-    """The worker process: answers with positions, or with the sentence of what failed."""
+    """The loop of a worker process, which answers with positions or with the sentence of an error.
+    """
     other.close()
-    faulthandler.disable()  # its crash is told in one sentence
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the diagnosis's, which ends this one
+    faulthandler.disable()  # its crash becomes one sentence
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the diagnosis handles Ctrl-C
     said = os.open(str(Path(folder) / LOG), os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     os.dup2(said, 1)
     os.dup2(said, 2)
@@ -226,7 +227,7 @@ def _serve(pipe: Any, other: Any, fmu: Fmu, folder: str) -> None:
         try:
             recordings, parameters = pipe.recv()
         except EOFError:
-            os._exit(0)  # without what an FMU registered for the end
+            os._exit(0)  # skips exit handlers of the FMU
         try:
             instance = instance or _Instance(fmu, folder)
             answer: Any = [instance.simulate(r, parameters) for r in recordings]
@@ -259,7 +260,7 @@ class _Instance:
         self.fresh = True
 
     def _again(self) -> None:
-        """Back to before the initialisation: by reset, or by another instance."""
+        """Return to the state before initialisation, by reset or by a new instance."""
         if self.fresh:
             return
         try:
@@ -298,7 +299,7 @@ class _Instance:
         return self._replayed(command, step)
 
     def _replayed(self, command: Array, step: float) -> Array:
-        """Outputs of all rows. A row costs three foreign calls and no objects of fmpy's: they would
+        """The outputs of all rows. A row costs three foreign calls and no fmpy objects, which would
         take ten times as long as a small FMU.
         """
         get, put, do = self._calls()
@@ -315,7 +316,9 @@ class _Instance:
         return np.array(out)
 
     def _calls(self) -> tuple[Any, Any, Any]:
-        """What each row calls: with a buffer of outputs, with one of inputs, with time and step."""
+        """The three functions for each row: with a buffer of outputs, with one of inputs, with time
+        and step.
+        """
         dll, c, p = self.slave.dll, self.slave.component, self.ports
         reads, writes = ((ctypes.c_uint * len(r))(*r) for r in (p.outputs, p.inputs))
         n, m = len(reads), len(writes)
@@ -344,7 +347,7 @@ class _Instance:
 
 
 def _check(what: str, status: int) -> None:
-    """Go on with ok and warnings only."""
+    """Raise an error for any status but ok and warning."""
     if status > 1:
         words = ("ok", "warning", "discard", "error", "fatal")
         said = words[status] if status < len(words) else "unknown"

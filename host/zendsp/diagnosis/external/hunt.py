@@ -1,4 +1,4 @@
-"""Forward selection of effects on a simulator's input, and what is said of those that passed."""
+"""Forward selection of effects on a simulator's input, and the findings from it."""
 
 from __future__ import annotations
 
@@ -36,18 +36,18 @@ Array = npt.NDArray[np.float64]
 # of log-likelihood ratio with the effective number of samples, beyond the price of the parameters
 MIN_GAIN = 20.0
 MIN_Z = 2.5
-SPECIAL_ENOUGH = 0.85  # share of the best gain with which a special case goes first
-SHORTLISTED = 5  # of a joint: fitted to first order
+SPECIAL_ENOUGH = 0.85  # share of the best gain from which a special case goes first
+SHORTLISTED = 5  # hypotheses of a joint that are fitted to first order
 SIMULATED = 3  # of these
-SHORT_WAYS = 4  # short ways of a joint's best, where its guess does not hold
-NEARLY = 0.5  # of the gain that is asked for: what is below to first order is not simulated
-# times what stays unexplained on its joint: an effect that explains less has no name
+SHORT_WAYS = 4  # short steps for a joint's best, where its guess does not hold
+NEARLY = 0.5  # of the required gain: less to first order is not simulated
+# times the unexplained error at its joint: an effect that explains less is not named
 EXPLAINS_OF_LEFT = 0.25
 LEAST_PROMISE = 0.01  # share of the cost that a screen must promise
-# of a row: a simulator's own steps, and rows that say little of the command between them, make its
-# motion late by so much (steps of Euler's by half a step, and none is longer than a row)
+# of a row: delay from a simulator's own steps and from commands between rows (Euler's by half a
+# step, and no step is longer than a row)
 STEPS_LATE = 0.5
-SAME, SAME_SHARE = 5.0, 0.1  # cost, and of the gain: rivals nearer cannot be told apart
+SAME, SAME_SHARE = 5.0, 0.1  # cost, and part of the gain: nearer rivals are indistinguishable
 
 
 @dataclass(frozen=True)
@@ -61,12 +61,12 @@ class Claim:
 
 
 def indistinct(output: Output, claimed: Term) -> list[Term]:
-    """The term of a claim in a fit, if it cannot be told from no effect: its size, or every number
-    of it, is zero within its uncertainty. A free parameter of the simulator may do the same.
+    """The term of a claim in a fit, if its size or every number of it is zero within the
+    uncertainty, for example because a free parameter of the simulator does the same.
     """
     done, at = output.fit, (claimed.effect, claimed.joint)
     if at not in {(t.effect, t.joint) for t in done.model.terms}:
-        return []  # a later one took its place
+        return []  # a later effect replaced it
     term = counterpart(done.model.terms, claimed)
     own = [
         abs(done.x[i]) < SIGNIFICANT * done.std[i]
@@ -84,8 +84,8 @@ def _ended(output: Output) -> bool:
 
 def _runs_away(claim: Claim, current: Output) -> bool:
     """Whether an effect drives a parameter of the simulator to the end of its range. Effects act
-    along the measured motion: an inertia taken away here and added there holds a simulator to it,
-    and explains whatever it is.
+    along the measured motion: an inertia removed in the simulator and added as an effect ties it to
+    that motion, and explains anything.
     """
     return _ended(claim.output) and not _ended(current)
 
@@ -101,7 +101,7 @@ def _with_terms(model: Model, terms: Sequence[Term]) -> Model:
 
 
 def _shortlist(options: Sequence[tuple[float, Term]]) -> list[Term]:
-    """The best of the options of a joint, and the special cases of these."""
+    """The best options of a joint, and their special cases."""
     best = [term for _, term in options[:SHORTLISTED]]
     return best + [
         term
@@ -111,7 +111,7 @@ def _shortlist(options: Sequence[tuple[float, Term]]) -> list[Term]:
 
 
 class Hunt:
-    """Forward selection, of one effect at each joint at a time."""
+    """Forward selection of one effect per joint at a time."""
 
     def __init__(self, train: Sequence[Bench], test: Sequence[Bench], tell: Progress) -> None:
         self.train, self.test, self.tell = train, test, tell
@@ -120,8 +120,8 @@ class Hunt:
         self.begun: Output | None = None  # before the first step
 
     def step(self, current: Output) -> tuple[Output, list[tuple[Claim, list[Claim]]]]:
-        """The fit with the best hypothesis of each joint that passes, as far as they hold beside
-        one another; and these, each with its fitted rivals.
+        """The fit with the best passing hypothesis of each joint, as far as they hold together; and
+        these, each with its fitted rivals.
         """
         self.tell(Step.CALIBRATING.says("pushing each joint a little"))
         self.begun = self.begun or current
@@ -138,7 +138,7 @@ class Hunt:
         return whole, taken
 
     def _fitted(self, near: Near, joint: int) -> list[Output]:
-        """What a joint's most promising effects come to. Those that fit well to first order are
+        """The fits of a joint's most promising effects. Those that fit well to first order are
         simulated.
         """
         current = near.current
@@ -167,13 +167,13 @@ class Hunt:
         return out
 
     def _best(self, claims: Sequence[Claim], current: Output) -> Claim | None:
-        """The likeliest that passes."""
+        """The likeliest passing hypothesis."""
         passed = [c for c in claims if not self._why(c, current)]
         passed = [c for c in passed if not _ended(c.output)] or passed
         if not passed:
             return None
         best = max(passed, key=lambda c: c.gain)
-        # a special case that does nearly as well goes first; the general one can follow it
+        # a special case with nearly the gain goes first; the general one can follow
         special = [
             c
             for c in passed
@@ -185,8 +185,8 @@ class Hunt:
     def _together(
         self, near: Near, taken: list[tuple[Claim, list[Claim]]]
     ) -> tuple[Output, list[tuple[Claim, list[Claim]]]]:
-        """The claims that each still pay beside the others, likeliest first, and the fit with them.
-        What one joint leaves out may look like something at its neighbours.
+        """The claims that still pay beside one another, likeliest first, and the fit with them. A
+        missing effect at one joint may look like something at its neighbours.
         """
         current = near.current
         while len(taken) > 1:
@@ -216,7 +216,7 @@ class Hunt:
         """The evidence of fitted hypotheses; ``before``: the held-out errors without them."""
         if not fitted:
             return []
-        best = min(fitted, key=lambda o: o.fit.cost).error  # all weighted alike
+        best = min(fitted, key=lambda o: o.fit.cost).error  # weights for all
         claims = []
         for output in fitted:
             term = output.model.terms[-1]
@@ -232,7 +232,7 @@ class Hunt:
         return claims
 
     def _why(self, c: Claim, current: Output) -> str:
-        """Why an effect is not claimed; empty where it is."""
+        """The reason that an effect is not claimed; empty where it is."""
         if indistinct(c.output, c.term):
             return "cannot be told from none"
         if get_effect(c.term.effect).same_as and c.term.value("amount") < 0 and _ended(c.output):
@@ -253,7 +253,7 @@ class Hunt:
         return ""
 
     def _may_be_a_step(self, term: Term) -> bool:
-        """Whether a term comes late, or early, by no more than the simulator's own steps may."""
+        """Whether the delay or lead of a term is within that of the simulator's own steps."""
         effect = get_effect(term.effect)
         if effect.family != "timing":
             return False
@@ -261,8 +261,8 @@ class Hunt:
         return late < STEPS_LATE * self.train[0].signals.sample_time
 
     def _parts(self, c: Claim, current: Output) -> tuple[float, float, float]:
-        """Of the squared error of a claim's joint: what it explains, and what stays beyond the
-        sensor's noise; and what was explained before, at all joints: each moves the others.
+        """Squared errors: explained by a claim at its joint; left there beyond the sensor's noise;
+        and explained before at all joints, since each moves the others.
         """
         part = by_joint(self.train)[c.term.joint - 1]
         before, after = (float(np.sum(o.error[part] ** 2)) for o in (current, c.output))
@@ -271,8 +271,8 @@ class Hunt:
 
 
 def judged_again(near: Near, train: Sequence[Bench], steps: list[Any]) -> list[Any]:
-    """Steps whose claims and rivals have the gains that they have beside all that was found, to
-    first order. When a rival was fitted, what was still missing may have looked like it.
+    """The steps, with gains of claims and rivals beside all that was found, to first order. A rival
+    may have gained from what was still missing when it was fitted.
     """
     out = []
     final, error = near.current.model, near.current.error
@@ -296,7 +296,7 @@ def judged_again(near: Near, train: Sequence[Bench], steps: list[Any]) -> list[A
 
 
 def _apart(claim: Any, rivals: Sequence[Any], term: Term) -> tuple[tuple[str, ...], float]:
-    """Effects that a finding cannot be told from, and its confidence."""
+    """The effects indistinguishable from a finding, and its confidence."""
     others = [
         c
         for c in rivals
@@ -310,7 +310,7 @@ def _apart(claim: Any, rivals: Sequence[Any], term: Term) -> tuple[tuple[str, ..
     )
     apart = [claim.gain - c.gain for c in others if c.term.effect not in same]
     margin = min(apart or [claim.gain])
-    # no cases have calibrated this figure for black boxes: kept below 0.9
+    # not calibrated for black boxes, so kept below 0.9
     sure = 0.5 + 0.25 * min(1.0, margin / max(claim.gain, 1e-9)) + 0.15 * min(1.0, claim.z / 8)
     return same, min(0.9, sure)
 
@@ -319,12 +319,12 @@ def findings_of(
     given: Model, base: Output, final: Output, steps: list[Any], train: Sequence[Bench]
 ) -> tuple[tuple[Finding, ...], set[tuple[str, int]]]:
     """The accepted claims as findings, with estimates of the final fit, and the effect and joint of
-    each. A share is that of the squared error that all of them take away.
+    each. Shares are parts of the squared error that all of them remove.
 
     Parameters
     ----------
     steps : list of (claim, rivals, output before it)
-        As they were accepted.
+        In the order of their acceptance.
     """
     out = []
 
@@ -361,7 +361,9 @@ def findings_of(
 
 
 def next_of(findings: Sequence[Finding]) -> Next | None:
-    """The recording that would separate the first finding from its rivals; None: none has any."""
+    """The recording that would separate the first finding with rivals from them; None where no
+    finding has any.
+    """
     open_ones = [f for f in findings if f.indistinguishable]
     if not open_ones:
         return None

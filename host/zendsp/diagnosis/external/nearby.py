@@ -1,10 +1,10 @@
-"""What a simulator would answer near a model: to first order, without calling it.
+"""Predicts, to first order, the output of a simulator near a model without calling it.
 
-A small push of each joint is simulated once. In a window of a quarter of a second what a simulator
-answers to it depends on little but the time since: its step response there, taken apart into rows,
-answers to any other small torque by convolution. The simulator's own parameters move the answer by
-the Jacobian of the last fit. A library of effects is then screened at the cost of a simulation a
-joint, and a fit begins near its end; what is claimed is simulated.
+A small push of each joint is simulated once. Within a window of a quarter of a second the response
+depends almost only on the time since the push. So its step response gives the response to any small
+torque by convolution. The simulator's own parameters act through the Jacobian of the last fit. The
+library of effects is then screened at the cost of one simulation per joint, and a fit starts near
+its end. Claims are simulated.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ Array = npt.NDArray[np.float64]
 
 PUSH = 0.01  # of the RMS torque
 PARAMETER_STEP = 1e-4  # of a parameter of the simulator
-KEPT = 0.5  # of what a guess promises: what a fit comes to at least, if the guess holds
-SMALL = 0.02  # of an effect: where a fit begins that goes a short way at a time
-# of the cost: what such a way gains at least. A fit that ends earlier leaves an evidence of some
-# tens to whatever comes next, if it only takes the fit further
+KEPT = 0.5  # of a guess's promise: least gain of a fit, if the guess holds
+SMALL = 0.02  # of an effect: start of a fit in short steps
+# of the cost: least gain of such a step. A fit that ends too early would leave some tens of
+# evidence to the next effect, merely for fitting further
 SHORT_WAY_GAIN = 1e-3
-FEW, MANY = 5, 12  # simulations of a fit that begins where a guess ends, and of another
+FEW, MANY = 5, 12  # simulations of a fit that starts from a guess, and of any other
 
 
 class Pushed(Bench):
-    """A bench near a model: its simulator is what small pushes did to the true one."""
+    """A bench near a model, whose simulator is the response of the true one to small pushes."""
 
     def __init__(self, b: Bench, base: Model) -> None:
         super().__init__(b.signals, b.records, b.simulator, b.given, b.size)
@@ -53,8 +53,8 @@ class Pushed(Bench):
         self.response = np.stack([self._pushed(b, i) for i in range(len(b.records))])
 
     def _pushed(self, b: Bench, i: int) -> npt.NDArray[np.complex128]:
-        """The spectra of what a push of joint i (0-based) does, from the second row of each window
-        on.
+        """The spectra of the response to a push of joint i (0-based), from the second row of each
+        window on.
         """
         gain = abs(per_joint(self.base.actuator.gain, i + 1, 1.0))
         push = PUSH * b.records[i].scale.torque / gain
@@ -62,7 +62,7 @@ class Pushed(Bench):
         told[np.arange(b.n) % b.size > 0, i] += push
         step = np.zeros((-(-b.n // b.size) * b.size, joints))
         step[: b.n] = (b.run(told, self.base) - self.answer) / push
-        # a row later: a simulator may hold a command from its row on, or up to it
+        # one row later: a simulator may hold a command from its row on, or until it
         rows = np.diff(step.reshape(-1, b.size, joints), axis=1)
         rows = np.concatenate([rows, 2 * rows[:, -1:] - rows[:, -2:-1]], axis=1)
         if short := b.n % b.size:  # the last window ends before the others
@@ -83,16 +83,16 @@ class Pushed(Bench):
         return self.answer + moved.reshape(-1, self.answer.shape[1])[: self.n]
 
     def command_of(self, i: int, model: Model) -> Array:
-        """As it was, where the terms are."""
+        """The joint's command with the terms of the model."""
         same = model.at(i + 1) == self.base.at(i + 1) and model.actuator == self.base.actuator
         return self.before[:, i] if same else super().command_of(i, model)
 
 
 def spread_over(final: Output, others: Sequence[Bench]) -> Output:
-    """A fit with standard deviations that grow to what its numbers differ by on other recordings.
+    """A fit with standard deviations increased by how much its numbers differ on other recordings.
 
-    What a fit leaves unexplained comes back with the motion, and pulls at the numbers by more than
-    the scatter of its windows shows. Other recordings have another motion.
+    Unexplained torque recurs with the motion and biases the numbers by more than the scatter of the
+    windows shows. Other recordings have another motion.
     """
     fit = final.fit
     if not fit.handles:
@@ -115,12 +115,12 @@ class Near:
     Parameters
     ----------
     current : Output
-        The fit to stand on.
+        The fitted model about which errors are predicted.
     """
 
     def __init__(self, benches: Sequence[Bench], current: Output) -> None:
         self.current, self.true = current, benches
-        # over whole recordings errors accumulate, and no response is the same everywhere
+        # over whole recordings errors accumulate, and responses differ from place to place
         self.linear = all(b.size for b in benches)
         if not self.linear:
             return
@@ -129,7 +129,9 @@ class Near:
         self.columns = {h: self._column(h) for h in handles}
 
     def _column(self, handle: Handle) -> Array:
-        """What a free number does: one of the simulator's own is simulated."""
+        """The derivative of the errors by a free number; for one of the simulator's own it is
+        simulated.
+        """
         model = self.current.model
         value = float(get_values(model, [handle])[0])
         step = PARAMETER_STEP * (abs(value) or 1.0)
@@ -145,8 +147,8 @@ class Near:
         return errors(self.benches if self.linear else self.true, model)
 
     def line(self, model: Model) -> Line | None:
-        """What is known of a model that has some terms of the current one, and others: its old
-        numbers move the errors by their columns, the new ones by the torque of their terms.
+        """The linear prediction for a model with other terms: its old numbers move the errors by
+        their columns, the new ones by the torque of their terms.
         """
         if not self.linear:
             return None
@@ -169,7 +171,7 @@ class Near:
         return Line(guess, slopes)
 
     def begin(self, model: Model) -> tuple[Model, Array]:
-        """A model with other terms as it fits to first order, and its errors so."""
+        """A model with other terms, fitted to first order, and its predicted errors."""
         line = self.line(model)
         if line is None:
             return model, errors(self.true, model)
@@ -179,8 +181,8 @@ class Near:
     def fit(
         self, model: Model, begin: tuple[Model, Array] | None = None, rounds: int = 0
     ) -> Output:
-        """A model with other terms, fitted from where it fits to first order; the slopes are those
-        from here. Where that comes to much less than was promised, it goes so many short ways.
+        """A model with other terms, fitted from its first-order fit with these slopes. Where it
+        gains much less than promised, it is fitted in some short steps.
         """
         handles, before = free_handles(model, offsets=False), self.current.error
         line = self.line(model)
@@ -197,7 +199,7 @@ class Near:
         return min(out, slow, key=lambda o: o.fit.cost)
 
     def _small(self, model: Model) -> Model:
-        """A model whose new terms are nearly nothing."""
+        """A model with its new terms almost zero."""
         old = {id(t) for t in self.current.model.terms}
         handles = [
             h
@@ -209,8 +211,8 @@ class Near:
         return set_values(model, handles, SMALL * get_values(model, handles))
 
     def bumps(self, k: int, joint: int, shapes: Array) -> Array:
-        """What torques over time at one joint (0-based) do to its error on recording k, (n,
-        shapes) rad or m per N m or N.
+        """The response of a joint's error (0-based) on recording k to torques over time, (n,
+        shapes), rad or m per N m or N.
         """
         b, model = (self.benches if self.linear else self.true)[k], self.current.model
         e, before = b.error(model)[:, joint], b.command(model)
@@ -226,8 +228,9 @@ class Near:
 
 
 def settled(benches: Sequence[Bench], output: Output, rounds: int, before: Array) -> Output:
-    """A fit taken to its end, with slopes from where it stands each time: what a push does depends
-    on the simulator's own numbers, which a new effect moves. ``before`` is as for ``fit_output``.
+    """A fit continued to convergence with new slopes each time, since the response to a push
+    depends on the simulator's own numbers, which a new effect moves. ``before`` is as for
+    ``fit_output``.
     """
     handles = free_handles(output.model, offsets=False)
     cost = float(np.sum((weights(benches, before) * output.error) ** 2))

@@ -1,5 +1,5 @@
-"""Output error of simulators that can only be called: fit, evidence, and the library of effects
-screened by finite differences.
+"""Output error of black-box simulators: fit, evidence, and a screen of the library by finite
+differences.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ Guess = Callable[[Model], Array]  # errors of a model near another
 
 BLOCK = 0.25  # s
 DIFFERENCE = 1e-4  # of a number's size: the step of a finite difference
-LONGEST = 10  # times two samples: as late as a screen begins a delay
-# of a number: windows begin at a smoothed position and velocity, not at the true ones. Inertia,
-# gravity and friction of a simulated pendulum came out up to 0.5 % off, whatever the noise
+LONGEST = 10  # times two samples: longest start value of a delay in a screen
+# of a number: error from windows that start at the smoothed instead of the true state. Inertia,
+# gravity and friction of a simulated pendulum were up to 0.5 % off, whatever the noise
 BEGINS = 0.005
-BLURRED = 2.0  # times the speed below which the direction is not known: another guess of it
+BLURRED = 2.0  # times the speed below which the direction is not known: an alternative for it
 GUESSED_FIRST = 25  # guesses before the first simulation of a fit
-FEWEST = 4  # blocks: of fewer no scatter is known
-SCREENED = 400  # trials that one screen may take
+FEWEST = 4  # least blocks for a scatter
+SCREENED = 400  # most trials of a screen
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ def _bounds(
 
 
 def _unmoved(benches: Sequence[Bench], model: Model) -> Output:
-    """A model of which nothing is fitted."""
+    """The output of a model without a fit."""
     error = errors(benches, model)
     none = np.zeros((len(error), 0))
     cost = float(error @ error)
@@ -105,8 +105,8 @@ def _unmoved(benches: Sequence[Bench], model: Model) -> Output:
 
 @dataclass(frozen=True)
 class Line:
-    """What is known of models near another without simulating: their errors, and the slopes of
-    those free numbers (by their place among the handles) that need not be asked for.
+    """A prediction near a model without simulation: the errors, and the slopes of those free
+    numbers (by their place among the handles) that need no simulation.
     """
 
     errors: Guess
@@ -114,8 +114,8 @@ class Line:
 
 
 class _Problem:
-    """Least squares over the free numbers of a model, each in units of its size and each joint by
-    the scatter that it has in ``before``.
+    """Least squares over the free numbers of a model, each in units of its size; joints are
+    weighted by their scatter in ``before``.
     """
 
     def __init__(
@@ -132,7 +132,7 @@ class _Problem:
         return set_values(self.model, self.handles, z * self.size)
 
     def solve(self, ask: Guess, most: int, line: Line | None) -> Any:
-        """The minimum of what is asked, with the slopes of a line where there is one."""
+        """The least-squares minimum, with the slopes of a line where there is one."""
         from scipy.optimize import least_squares
 
         def slopes(z: Array) -> Array:
@@ -164,8 +164,7 @@ class _Problem:
 def guess_output(
     benches: Sequence[Bench], model: Model, handles: Sequence[Handle], before: Array, line: Line
 ) -> tuple[Model, Array]:
-    """The model that a line takes for the best, and its errors by that line: nothing is simulated.
-    """
+    """The best model by a line, and its errors by that line, without simulation."""
     if not handles:
         return model, line.errors(model)
     problem = _Problem(benches, model, handles, before)
@@ -181,9 +180,9 @@ def fit_output(
     evaluations: int,
     line: Line | None = None,
 ) -> Output:
-    """Least squares on the simulated position, all free numbers together, from those of the model.
-    Each joint counts by the scatter that it has in ``before``. The slopes are those of a line
-    where there is one.
+    """The least-squares fit to the position, all free numbers together, starting from those of the
+    model. Joints are weighted by their scatter in ``before``. The slopes are those of a line where
+    there is one.
     """
     handles = tuple(handles)
     if not handles:
@@ -209,8 +208,8 @@ def fit_output(
 def _turning(
     benches: Sequence[Bench], model: Model, weight: Array, error: Array, jacobian: Array
 ) -> Array:
-    """How far fitted numbers move with another guess of what friction does where a joint turns
-    round: its speed is known only smoothed. ``error`` and ``jacobian`` are weighted.
+    """The change of fitted numbers with another assumption on friction at reversals, where the
+    speed is known only smoothed. ``error`` and ``jacobian`` are weighted.
     """
     if not model.terms:
         return np.zeros(jacobian.shape[1])
@@ -227,7 +226,7 @@ def weights(benches: Sequence[Bench], error: Array) -> Array:
 
 
 def effective(error: Array) -> float:
-    """Number of independent samples in a correlated series: n (1 - rho) / (1 + rho) with the
+    """The number of independent samples in a correlated series: n (1 - rho) / (1 + rho) with the
     lag-one correlation of an AR(1).
     """
     e = error - error.mean()
@@ -239,9 +238,9 @@ def effective(error: Array) -> float:
 def gain(
     benches: Sequence[Bench], before: Array, after: Array, parameters: int, best: Array
 ) -> float:
-    """Log-likelihood ratio of two output errors, less the price of the parameters.
+    """The log-likelihood ratio of two output errors, less the price of the parameters.
 
-    Each joint has its own scatter: one that is simulated badly hides nothing of another. The
+    Each joint has its own scatter, so that a badly simulated one does not hide another. The
     effective number of samples is that of the ``best`` rival's error, for all rivals.
     """
     total, samples = 0.0, 0.0
@@ -254,14 +253,14 @@ def gain(
 
 
 def by_joint(benches: Sequence[Bench]) -> list[npt.NDArray[np.int64]]:
-    """The places of each joint in what ``errors`` gives."""
+    """The indices of each joint in the result of ``errors``."""
     joint = np.concatenate([np.repeat(np.arange(len(b.records)), b.n) for b in benches])
     return [np.flatnonzero(joint == j) for j in range(len(benches[0].records))]
 
 
 def held_z(before: Array, after: Array, block: int) -> float:
-    """Paired z over blocks of the held-out recording: logarithm of the error's power before over
-    after.
+    """The paired z over blocks of the held-out recording, of the logarithm of the error's power
+    before over after.
     """
     count = len(before) // block
     if count < FEWEST:
@@ -278,8 +277,8 @@ def held_z(before: Array, after: Array, block: int) -> float:
 def screen(
     benches: Sequence[Bench], current: Output, joint: int, guess: Guess, tell: Progress
 ) -> list[tuple[float, Term]]:
-    """Each effect at its best grid point by finite differences of a guess: share of the squared
-    error that it promises to remove, best first.
+    """The effects at their best grid points, by finite differences of a guess, with the share of
+    the squared error that each promises to remove, best first.
     """
     weight, left, basis = _projected(benches, current)
     cost = float(left @ left)
@@ -335,7 +334,7 @@ def _projected(benches: Sequence[Bench], current: Output) -> tuple[Array, Array,
     basis of what these explain.
     """
     weight = weights(benches, current.error)
-    # a parameter at the end of its range does not give way
+    # a parameter at the end of its range cannot move
     jac = weight[:, None] * current.fit.jacobian[:, ~np.array(current.fit.at_bound, dtype=bool)]
     norms = np.linalg.norm(jac, axis=0)
     jac = jac[:, norms > 0] / norms[norms > 0]
@@ -345,7 +344,7 @@ def _projected(benches: Sequence[Bench], current: Output) -> tuple[Array, Array,
 
 
 def with_term(model: Model, term: Term) -> Model:
-    """The model with one term more, without those of the joint that it replaces."""
+    """The model with one more term, without the terms of the joint that it replaces."""
     gone = get_effect(term.effect).replaces
     kept = tuple(t for t in model.terms if not (t.joint == term.joint and t.effect in gone))
     return model.with_terms((*kept, term))
@@ -354,8 +353,7 @@ def with_term(model: Model, term: Term) -> Model:
 def _points(
     effect: Effect, record: Any, model: Model
 ) -> list[tuple[dict[str, float], list[dict[str, float]]]]:
-    """Grid points with, for each, the directions to try: one per linear parameter, two for a phase.
-    """
+    """Grid points, each with the directions to try: one per linear parameter, two for a phase."""
     out: list[tuple[dict[str, float], list[dict[str, float]]]] = []
     phase = next((p for p in effect.names if p in ("phase", "angle")), "")
     for point in grid_of(effect, record, model):
@@ -422,7 +420,7 @@ def _start(
 def late_candidates(
     benches: Sequence[Bench], current: Output, joint: int, guess: Guess
 ) -> list[tuple[float, Term]]:
-    """What acts on the command's timing."""
+    """The candidates that act on the command's timing."""
     weight, left, basis = _projected(benches, current)
     out = []
     for effect in on_timing():

@@ -1,5 +1,5 @@
-"""A simulator that can only be called (``kind = "python"`` or ``"fmu"``): finding it, calling it,
-and putting effects on its input.
+"""A black-box simulator (``kind = "python"`` or ``"fmu"``): finds it, calls it, and adds effects to
+its input.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Function = Callable[[Columns, Parameters], npt.ArrayLike]
 
 
 class Simulator(Protocol):
-    """What a diagnosis calls: recordings in, positions out."""
+    """The interface of a simulator: recordings in, positions out."""
 
     name: str  # in sentences
 
@@ -37,7 +37,7 @@ class Simulator(Protocol):
         """The position at every row of each recording."""
 
     def close(self) -> None:
-        """Let go of processes and folders."""
+        """Release processes and folders."""
 
 
 class Entry:
@@ -54,7 +54,7 @@ class Entry:
             raise ModelError(f"{self.name} failed: {type(error).__name__}: {error}") from error
 
     def close(self) -> None:
-        """A function holds nothing."""
+        """Nothing to release."""
 
 
 def simulator_of(model: Model, jobs: int) -> Simulator:
@@ -72,8 +72,8 @@ def on_timing() -> list[Effect]:
 
 
 def on_input(effect: Effect) -> bool:
-    """Whether an effect can act on a simulator's input or output: not one with states of its own,
-    inside the simulator.
+    """Whether an effect can act on a simulator's input or output, unlike one with states inside the
+    simulator.
     """
     return effect.site not in ("setup", "body") or effect.retime is not None or bool(effect.same_as)
 
@@ -85,7 +85,7 @@ def load_entry(model: Model) -> Function:
     Raises
     ------
     ModelError
-        Where there is no such module or function, or the module cannot be imported.
+        There is no such module or function, or the module cannot be imported.
     """
     module_name, _, name = model.entry.partition(":")
     if not module_name or not name:
@@ -131,7 +131,7 @@ class Bench:
     size: int = 0
     blur: float = 1.0  # times the speed below which the direction of motion is not known
     calls: int = 0
-    ran: Callable[[], None] = lambda: None  # is told of each simulation
+    ran: Callable[[], None] = lambda: None  # called for each simulation
 
     @property
     def n(self) -> int:
@@ -140,22 +140,21 @@ class Bench:
 
     @property
     def unit(self) -> str:
-        """Of the first joint's position."""
+        """The unit of the first joint's position."""
         return "m" if self.given.joint_kind(1) == "linear" else "rad"
 
     def simulate(self, model: Model) -> Array:
-        """Position that the simulator gives with a model's parameters and effects, (n, joints), rad
-        or m.
+        """The simulated position with a model's parameters and effects, (n, joints), rad or m.
 
         Raises
         ------
         ModelError
-            Where the user's function fails or returns something else.
+            The user's function fails or returns something else.
         """
         return self.sensed(self.run(self.command(model), model), model)
 
     def run(self, command: Array, model: Model) -> Array:
-        """What the simulator answers to a command, (n, joints): without effects on the sensor."""
+        """The simulator's response to a command, (n, joints), without effects on the sensor."""
         parameters = {
             k: items[0].value if len(items) == 1 else [q.value for q in items]
             for k, items in model.mechanism.items()
@@ -180,11 +179,11 @@ class Bench:
         return np.concatenate(parts)
 
     def _recording(self, command: Array, rows: slice) -> Columns:
-        """Rows of the recording as a simulator gets them."""
+        """Rows of the recording as input of a simulator."""
         s = self.signals
         velocity = np.stack([r.motion.states[1] for r in self.records], axis=1)[rows]
         position = s.position[rows].copy()
-        if self.size:  # a window starts from the smoothed position: a count off is a velocity off
+        if self.size:  # smoothed, since a count would be an error of velocity
             position[0] = [r.motion.states[0][rows.start] for r in self.records]
 
         def shaped(values: Array) -> Array:
@@ -200,13 +199,13 @@ class Bench:
         }
 
     def error(self, model: Model) -> Array:
-        """Measured minus simulated position, (n, joints); of windows without what an error of their
-        first position and velocity explains.
+        """Measured minus simulated position, (n, joints); for windows without the part that an
+        error of their initial position and velocity explains.
         """
         return self.told(self.signals.position - self.simulate(model))
 
     def told(self, e: Array) -> Array:
-        """Of errors (n, joints) what windows tell: each less its mean and slope."""
+        """Errors (n, joints) without the mean and slope of each window."""
         if not self.size:
             return e
         out = np.empty_like(e)
@@ -225,7 +224,7 @@ class Bench:
         return np.stack([self.command_of(i, model) for i in range(len(self.records))], axis=1)
 
     def command_of(self, i: int, model: Model) -> Array:
-        """That of one joint (0-based), (n,)."""
+        """The command of one joint (0-based) less its effects, (n,)."""
         record = self.records[i]
         gain = per_joint(model.actuator.gain, i + 1, 1.0)
         effects = [(t, get_effect(t.effect)) for t in model.at(i + 1)]
@@ -242,7 +241,7 @@ class Bench:
                 command = effect.retime(command, record.sample_time, numbers)
             elif effect.column is not None and on_input(effect):
                 torque = torque + effect.column(motion, numbers)
-        # held from its row to the next: what acts meanwhile is the mean of both
+        # held from its row to the next: the effects of both are averaged
         held = 0.5 * (torque + np.r_[torque[1:], torque[-1:]])
         return np.asarray(command - held / gain, dtype=np.float64)
 
@@ -256,7 +255,7 @@ class Bench:
         return np.asarray(arrived, dtype=np.float64)
 
     def sensed(self, out: Array, model: Model) -> Array:
-        """What the position sensors say of a simulated motion, (N, joints)."""
+        """The readings of the position sensors for a simulated motion, (N, joints)."""
         out = out.copy()
         for i, record in enumerate(self.records):
             if terms := tuple(t for t in model.at(i + 1) if get_effect(t.effect).site == "sensor"):
@@ -265,7 +264,7 @@ class Bench:
 
 
 def bench(signals: Signals, model: Model, simulator: Simulator) -> Bench:
-    """Smooth the motion of a recording (effects are evaluated along it) and tie it to the
+    """The bench of a recording: its smoothed motion, along which effects are evaluated, and the
     simulator.
     """
     count = signals.position.shape[1]

@@ -1,4 +1,4 @@
-"""Lacking torque that comes and goes with time, or repeats itself, whatever the joint does."""
+"""Missing torque that comes and goes with time, or is periodic in time, whatever the joint does."""
 
 from __future__ import annotations
 
@@ -27,33 +27,35 @@ from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
 
-LACKING_BAND = 32.0  # rad/s, of the observer that says what is lacking
-BRIEF = 0.4  # of the time at most: what acts for longer is no disturbance that comes and goes
-# of the energy outside of that time, against what a random torque that is normally distributed has
-# there
+SINE_BAND = 64.0  # rad/s, of the observer in which a sine is looked for
+LACKING_BAND = 32.0  # rad/s, of the observer that shows the missing torque
+BRIEF = 0.4  # of the time at most: a torque that acts longer is no disturbance
+# of the energy outside that time, against that of a normally distributed random torque there
 BURST_SHARE = 0.4
-BURST, OF_PEAK = 10.0, 0.05  # times the median of the energy, and of its largest: a burst
-REVISITED = 0.3  # of that time, in states that the joint is in at other times too, without it
-CHANCE = 1e-3  # that the largest of a noise's spectral lines stands out so far
-NEIGHBOUR_LINES = 20  # neighbours on either side, whose median says how large noise is there
-# Of the energy at reversals, and of the reversals: above both it is how the joint's friction turns
-# round. Soft friction came at 11 of 16 reversals and more, two pushes at 1 of 16 and 5 of 32.
+BURST, OF_PEAK = 10.0, 0.05  # times the median energy, and of the largest: a burst has more
+REVISITED = 0.3  # least part of that time in states that the joint visits without it too
+CHANCE = 1e-3  # probability that the largest spectral line of noise stands out as far
+NEIGHBOUR_LINES = 20  # neighbours on either side, whose median is the noise level
+# Part of the energy at reversals, and part of the reversals: above both, it is the joint's friction
+# at reversals. Soft friction came at 11 of 16 reversals and more, two pushes at 1 of 16 and 5 of
+# 32.
 MOSTLY, OFTEN = 0.5, 0.3
-# probability that a joint begins to move within so many pushes by chance: three starts of a
-# friction that grows with rest had 0.0003; chosen on this one case
+# probability that a joint starts to move within each of the pushes by chance: three starts against
+# a friction that grows with rest had 0.0003; chosen on this one case
 MOVED_OFF = 0.01
-# Of the dry friction that a model has: it holds a joint with no more before it slides, and a model
-# in which it acts the other way round lacks twice of it.
+# Times a model's dry friction: a joint is held by no more than that, and a model in which friction
+# has the wrong sign lacks twice of it.
 STICKS = 3.0
-# Of the mean energy where the joint turns round, and of the time: a torque that has so much in so
-# much of its time elsewhere does not come from turning round.
+# Part of the mean energy at reversals, and part of the time: a torque with this much energy in this
+# much of its time elsewhere does not come from reversals.
 LASTING, ELSEWHERE = 0.25, 0.1
-# Intervals among which its energy is spread: in recordings that no model was fitted to, or where
-# nothing lacks in those; and in the others, and in each on average. There five pushes had 1.4 at
-# most, a strap at the ends of the travel 2.6; over all of three recordings 2.3, and a strap, a gap
+# Most intervals over which its energy is spread: in recordings that no model was fitted to (or
+# where those lack nothing), and in all others and in each on average. There five pushes had at most
+# 1.4, a strap at the ends of the travel 2.6; over all of three recordings 2.3, and a strap, a gap
 # and two frictions 6.0 to 12.3.
 MANY, FEW = 12, 2
-# of a push's energy: what a joint's own spring rings with had 0.46 to 0.75, pushes 0.94 and more
+# least slow part of a push's energy: the ringing of a joint's own spring had 0.46 to 0.75, pushes
+# 0.94 and more
 STEADY = 0.85
 # of the energy of the largest interval: half of its torque for as long; chosen on two cases
 A_LARGE = 0.25
@@ -61,13 +63,13 @@ A_LARGE = 0.25
 
 @dataclass(frozen=True)
 class Bursts:
-    """Times (s) in which nearly all of a lacking torque acts, though the joint is in the same
-    states at other times, and the ``recordings`` that they are times of.
+    """Times (s) in which nearly all of a missing torque acts, though the joint visits the same
+    states at other times, and the ``recordings`` of these times.
 
-    ``share`` is their part of its energy, ``peak`` the largest torque (N m or N), ``rms`` its RMS
-    within them, ``beside`` what is lacking outside of them; ``least`` the squared torque above
-    which it acts; ``spread`` the number of intervals that would hold its energy evenly; ``steady``
-    the part of its energy that is slower than the observer's memory.
+    ``share``: their part of its energy. ``peak``: the largest torque (N m or N). ``rms``: its RMS
+    within them. ``beside``: the missing torque outside. ``least``: the squared torque above which
+    it acts. ``spread``: the number of intervals that would hold its energy evenly. ``steady``: the
+    part of its energy that is slower than the observer's memory.
     """
 
     intervals: tuple[tuple[float, float], ...]
@@ -82,7 +84,9 @@ class Bursts:
     steady: float
 
     def largest(self) -> Bursts:
-        """Those intervals alone that hold ``A_LARGE`` of the energy of the largest."""
+        """The bursts without intervals that hold less than ``A_LARGE`` of the energy of the
+        largest.
+        """
         use = [e >= A_LARGE * max(self.energies) for e in self.energies]
         return replace(
             self,
@@ -94,8 +98,8 @@ class Bursts:
 
 @dataclass(frozen=True)
 class _Lacking:
-    """What a model lacks at one joint: per recording its energy over the observer's memory (n,),
-    the torque, the same smoothed over that memory, and the samples that count.
+    """The missing torque of a joint: per recording its energy over the observer's memory (n,), the
+    torque, the torque smoothed over that memory, and the samples that count.
     """
 
     data: Data
@@ -107,7 +111,9 @@ class _Lacking:
 
 @dataclass(frozen=True)
 class _Acting:
-    """Where a lacking torque is large: per recording a mask (n,); ``least``: its energy there."""
+    """Where a missing torque is large: per recording a mask (n,). ``least``: the energy above which
+    it is.
+    """
 
     of: _Lacking
     masks: tuple[npt.NDArray[np.bool_], ...]
@@ -115,9 +121,8 @@ class _Acting:
 
 
 def _states(parts: Sequence[_Acting], joint: int) -> list[Array]:
-    """Cells of the states that a joint is in, recordings one after the other, (n,) each: place,
-    direction and speed; the way since it last turned round; the place of each neighbour, with the
-    direction.
+    """Cells of a joint's state, recordings one after the other, (n,) each: place with direction and
+    speed; travel since the last reversal; the place of each neighbour with the direction.
     """
 
     def places(x: Array, count: int) -> Array:
@@ -149,30 +154,29 @@ def bursts(
     dry: float = 0.0,
     often: float = OFTEN,
 ) -> Bursts | None:
-    """Find the times outside of which a model lacks next to nothing; None where there are none
-    such.
+    """The times outside of which a model lacks hardly any torque; None where there are none.
 
     Parameters
     ----------
     joint : int
         1-based.
     beside : Data
-        Other recordings: they show how little acts at other times; of a machine of one joint, in
-        which states as well (what comes from other joints depends on more than is looked at).
+        Other recordings, which show how little acts at other times; for a machine of one joint also
+        in which states (torque from other joints depends on more than the cells hold).
     many : int
-        Intervals; more come and go with something else than time.
+        Most intervals; a torque with more follows something else than time.
     dry : float
-        RMS of the model's dry friction, N m or N: what acts where the joint turns round, again and
-        again, and is no larger than ``STICKS`` times that, may be friction; 0: none.
+        RMS of the model's dry friction, N m or N; 0: none. A torque at many reversals that is no
+        larger than ``STICKS`` times that may be friction.
     often : float
-        At how many of these places it is "again and again".
+        Part of the reversals that counts as "many".
     """
     here, there = _lacking(data, model, joint), _lacking(beside, model, joint)
     quiet = _quiet((here, there))
     acting = _acting(here, joint, quiet)
     peak = _peak(acting)
     if peak < _fall(model, joint):
-        return None  # so much lacks where the model sticks and the joint slides
+        return None  # this much is missing where the model sticks and the joint slides
     as_friction = dry > 0.0 and peak < STICKS * dry
     if as_friction and (_turns(acting, joint, often) or _holds(acting, joint)):
         return None
@@ -190,7 +194,7 @@ def bursts(
     out = _summed([acting], joint)
     whole = _summed([acting, others], joint)
     all_covered = covered + sum(int(high.sum()) for high in others.masks)
-    # a push may fill most of these recordings; and bend what is lacking in the others
+    # a push may fill most of these recordings, and bend the missing torque of the others
     scattered = _scattered(out.share, covered / count) and _scattered(
         whole.share, all_covered / (count + rest)
     )
@@ -198,26 +202,24 @@ def bursts(
 
 
 def _fall(model: Model, joint: int) -> float:
-    """How much more a model's dry friction holds a joint at rest than when it slides, N m or N: 0
-    where it does not fall with the speed.
+    """The excess of a model's dry friction at rest over that when sliding, N m or N; 0 where it
+    does not fall with the speed.
     """
     terms = [t for t in model.at(joint) if mechanism_of(t.effect) == DRY]
     return sum(t.value(p.name) for t in terms for p in get_effect(t.effect).parameters if p.above)
 
 
 def _scattered(share: float, part: float) -> bool:
-    """Whether too much of the energy, all but ``share``, lies outside of a ``part`` of the time."""
+    """Whether too much of the energy, all but ``share``, lies outside a ``part`` of the time."""
     normal = NormalDist()
     z = -normal.inv_cdf(0.5 * part)
-    # of a random torque's energy, in its largest values for so long
+    # of a random torque's energy, in its largest values over that part of the time
     by_chance = 2.0 * (z * normal.pdf(z) + normal.cdf(-z))
     return 1.0 - share > BURST_SHARE * (1.0 - by_chance)
 
 
 def _turns(acting: _Acting, joint: int, often: float) -> bool:
-    """Whether what acts comes where the joint turns round alone, and not at a few of these
-    places.
-    """
+    """Whether a torque acts only at reversals, and not just at a few of them."""
     there = total = 0.0
     turning = moving = met = count = 0
     for high, lack, use, rec in zip(
@@ -241,8 +243,8 @@ def _turns(acting: _Acting, joint: int, often: float) -> bool:
 
 
 def _holds(acting: _Acting, joint: int) -> bool:
-    """Whether the joint begins to move in each interval in which something acts, and that resists
-    it: a friction that some rests raise. Not where it may be so by chance.
+    """Whether the joint starts to move in each interval in which a torque acts, and the torque
+    resists: a friction that rest raises. Not where this may be chance.
     """
     chance, against = 1.0, 0.0
     for high, lack, use, rec in zip(
@@ -250,19 +252,19 @@ def _holds(acting: _Acting, joint: int) -> bool:
     ):
         speed = np.abs(rec[joint - 1].motion.states[1][use])
         slow = speed < TURNS_ROUND * float(np.quantile(speed, FASTEST))
-        begins = np.cumsum(np.r_[0, slow[:-1] & ~slow[1:], 0])  # how often, up to a sample
+        begins = np.cumsum(np.r_[0, slow[:-1] & ~slow[1:], 0])  # starts of motion up to each sample
         change = np.flatnonzero(np.diff(np.r_[0, high.astype(int), 0]))
         for a, b in zip(change[::2], change[1::2], strict=True):
             if begins[b] == begins[a]:
                 return False
-            length = min(b - a, len(high) - 1)  # of any other interval as long, so many have one
+            length = min(b - a, len(high) - 1)  # part of intervals as long with a start
             chance *= float(np.mean(begins[length:] > begins[:-length]))
         against += float((lack * rec[joint - 1].motion.states[1][use]) @ high)
     return against > 0.0 and chance < MOVED_OFF
 
 
 def everywhere(found: Bursts, parts: Sequence[Data], model: Model, joint: int) -> Bursts:
-    """The times of a torque that was found in some recordings, in all of them."""
+    """The bursts in all recordings of a torque found in some of them."""
     each = [_lacking(data, model, joint) for data in parts]
     quiet = _quiet(each)
     return _summed([_acting(part, joint, quiet, found.least) for part in each], joint)
@@ -271,7 +273,7 @@ def everywhere(found: Bursts, parts: Sequence[Data], model: Model, joint: int) -
 def apart(
     found: Bursts, parts: Sequence[Data], model: Model, joint: int
 ) -> tuple[float, float]:
-    """RMS of what a model lacks within the times that were found, and outside of them, N m or N."""
+    """RMS of the missing torque within the found times and outside, N m or N."""
     energy, count = [0.0, 0.0], [0, 0]
     for part in parts:
         of = _lacking(part, model, joint)
@@ -289,7 +291,7 @@ def apart(
 
 
 def _lacking(data: Data, model: Model, joint: int) -> _Lacking:
-    """What a model lacks along recordings."""
+    """The missing torque of a model along recordings."""
     levels: list[Array] = []
     lacks: list[Array] = []
     smooth: list[Array] = []
@@ -307,14 +309,13 @@ def _lacking(data: Data, model: Model, joint: int) -> _Lacking:
 
 
 def _quiet(parts: Sequence[_Lacking]) -> float:
-    """Median of that energy in the part in which it is least: a push may fill most of the others.
-    """
+    """The median energy in the quietest part of the data; a push may fill most of the others."""
     return min(float(np.median(np.concatenate(part.levels))) for part in parts)
 
 
 def _acting(part: _Lacking, joint: int, quiet: float, least: float | None = None) -> _Acting:
-    """Where the energy of what a model lacks is far above a median, and above ``least``; without
-    it, above a part of its own peak.
+    """Where the energy of the missing torque is far above a median, and above ``least`` or, without
+    it, a part of its own peak.
     """
     high = max(float(level.max()) for level in part.levels)
     above = max(BURST * quiet, OF_PEAK * high if least is None else least)
@@ -328,18 +329,18 @@ def _acting(part: _Lacking, joint: int, quiet: float, least: float | None = None
 
 
 def _largest(within: Array) -> float:
-    """Not the largest of all: the observer rings at the edges."""
+    """A high quantile of the energy; the very largest is ringing of the observer at the edges."""
     return float(np.quantile(np.abs(within), 0.95)) if len(within) else 0.0
 
 
 def _peak(acting: _Acting) -> float:
-    """The largest torque that acts, N m or N."""
+    """The largest acting torque, N m or N."""
     parts = zip(acting.of.smooth, acting.masks, strict=True)
     return _largest(np.concatenate([smooth[high] for smooth, high in parts]))
 
 
 def _summed(parts: Sequence[_Acting], joint: int) -> Bursts:
-    """Intervals and sizes of what acts."""
+    """The intervals and sizes of an acting torque."""
     from scipy.ndimage import median_filter  # takes a third of a second
 
     spans: list[tuple[float, float]] = []
@@ -363,7 +364,8 @@ def _summed(parts: Sequence[_Acting], joint: int) -> Bursts:
             ]
             names += [rec[joint - 1].recording] * len(ends)
             each += [float(np.sum(lack[a:b] ** 2)) for a, b in ends]
-            # where friction turns the observer spikes: nothing lasts as short as its memory
+            # the observer spikes at reversals of friction: intervals as short as its memory are
+            # dropped
             calm = median_filter(lack, max(1, round(1.0 / LACKING_BAND / step)), mode="nearest")
             peaks += [_largest(calm[a:b]) for a, b in ends]
             inside.append(smooth[high])
@@ -388,17 +390,17 @@ def _summed(parts: Sequence[_Acting], joint: int) -> Bursts:
     )
 
 
-def periodic(data: Data, model: Model, joint: int, band: float = 64.0) -> float:
-    """RMS of the one sine that stands out of what a model lacks, as a part of the RMS torque; 0
-    where none does in each recording (Fisher 1929, with the noise of the neighbouring lines).
+def periodic(data: Data, model: Model, joint: int) -> float:
+    """RMS of the one sine that stands out of the missing torque, as a part of the RMS torque; 0
+    where none does in every recording (Fisher 1929, with the noise of the neighbouring lines).
     """
     from scipy.ndimage import median_filter  # takes a third of a second
 
     sizes, places = [], []
     scale = np.sqrt(mean_square(data, joint))
-    for lack, rec in zip(lacking(data, model, joint, band), data.records, strict=True):
+    for lack, rec in zip(lacking(data, model, joint, SINE_BAND), data.records, strict=True):
         record = rec[joint - 1]
-        here = lack[kept(record, band)]
+        here = lack[kept(record, SINE_BAND)]
         window, seconds = np.hanning(len(here)), len(here) * record.sample_time
         power = np.abs(np.fft.rfft((here - here.mean()) * window)) ** 2
         level = median_filter(power, 2 * NEIGHBOUR_LINES + 1, mode="nearest") / np.log(2)

@@ -1,8 +1,8 @@
-"""The curve of a torque over a variable: means over its range, of both directions of travel where
-friction would hide itself.
+"""The curve of a torque over a variable: means over its range, for friction with its sign reversed
+in backward motion.
 
-Each sample counts by its inverse variance. The samples of a pass resemble each other, so that a
-mean's standard error is taken from passes: blocks of time, of which a bin holds a few samples each.
+Each sample is weighted by its inverse variance. Samples of one pass are correlated, so the standard
+error of a mean comes from passes: blocks of time with a few samples in a bin.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from zendsp.diagnosis.measure.where import Missing
 
 Array = npt.NDArray[np.float64]
 SLOW = 0.02  # of a joint's speed: below, it has no direction
-IN_A_BIN = 5  # samples: a mean of fewer is not drawn
+IN_A_BIN = 5  # least samples of a mean that is drawn
 BINS = 40
-COMMON = 4.0  # passes: so much counts what all bins say of how far passes are apart
+COMMON = 4.0  # passes: weight of the scatter over all bins beside that of one bin
 DRY, FLUID = FRICTION = ("dry_friction", "fluid_friction")
-# of these a mechanism's torque is a function
+# the variables of each mechanism's torque
 OVER = {
     "position_torque": ("position",),
     DRY: ("velocity", "position"),
@@ -33,8 +33,8 @@ OVER = {
 
 @dataclass(frozen=True)
 class Axis:
-    """What a torque is drawn over: position, velocity, acceleration, command or time of its joint,
-    or a motion of the joints that are named (1-based; of several their sum).
+    """The variable of a curve: position, velocity, acceleration, command or time of its joint, or a
+    motion of the named joints (1-based; the sum of several).
     """
 
     variable: str
@@ -59,8 +59,8 @@ class Samples:
 
 @dataclass(frozen=True)
 class Curve:
-    """Samples of a torque over a variable, and the means in bins of it, (m,) each, with their
-    standard errors. ``against``: the torque is that against the motion.
+    """Samples of a torque over a variable, and its means in bins, (m,) each, with their standard
+    errors. ``against``: the torque is counted against the motion.
     """
 
     axis: Axis
@@ -72,7 +72,7 @@ class Curve:
 
     @property
     def explained(self) -> float:
-        """Part of the energy of the samples that the curve explains."""
+        """The part of the samples' energy that the curve explains."""
         s = self.samples
         level = np.interp(s.x, self.at, self.mean) if len(self.at) else np.zeros(len(s.x))
         total = float(np.sum(s.weight * s.torque**2))
@@ -80,7 +80,7 @@ class Curve:
 
 
 def samples_of(missing: Missing, axis: Axis) -> Array:
-    """Samples along a recording of what a torque is drawn over, (n,)."""
+    """The variable of an axis along a recording, (n,)."""
     if not axis.joints or missing.others is None:
         return missing.time if axis.variable == "time" else missing.variables[axis.variable]
     row = ("position", "velocity", "acceleration").index(axis.variable)
@@ -89,9 +89,9 @@ def samples_of(missing: Missing, axis: Axis) -> Array:
 
 
 def curve_over(lacks: Sequence[Missing], axis: Axis, mechanism: str) -> Curve:
-    """What is lacking over an axis.
+    """The curve of the missing torque over an axis.
 
-    Friction over anything but velocity is turned over where the joint moves backwards: the mean of
+    Friction over anything but velocity has its sign reversed in backward motion, since the mean of
     both directions would hide it.
     """
     samples = samples_over(lacks, axis)
@@ -105,7 +105,7 @@ def curve_over(lacks: Sequence[Missing], axis: Axis, mechanism: str) -> Curve:
 
 
 def samples_over(lacks: Sequence[Missing], axis: Axis) -> Samples:
-    """What is lacking over an axis, all recordings one after the other."""
+    """The missing torque over an axis, all recordings one after the other."""
     blocks, first = [], 0
     for m in lacks:
         blocks.append(first + ((m.time - m.time[0]) / ENERGY_BLOCK).astype(int))
@@ -119,17 +119,15 @@ def samples_over(lacks: Sequence[Missing], axis: Axis) -> Samples:
 
 
 def curve_of(lacks: Sequence[Missing], mechanism: str) -> Curve | None:
-    """What is lacking over the variable on which it depends, of those that are a mechanism's own;
-    None where it has none.
+    """The curve of the missing torque over the best of a mechanism's own variables; None where it
+    has none.
     """
     found = [curve_over(lacks, Axis(variable), mechanism) for variable in OVER.get(mechanism, ())]
     return max(found, key=lambda curve: curve.explained, default=None)
 
 
 def binned(samples: Samples, count: int = BINS) -> tuple[Array, Array, Array]:
-    """Centres of bins of the variable in which enough is seen, means of the torque there, and their
-    standard errors.
-    """
+    """Centres of the bins with enough samples, the mean torque there, and its standard errors."""
     x, weight = samples.x, samples.weight
     edges = np.linspace(float(np.quantile(x, 0.001)), float(np.quantile(x, 0.999)), count + 1)
     bins = np.searchsorted(edges, x, side="right") - 1
@@ -138,8 +136,8 @@ def binned(samples: Samples, count: int = BINS) -> tuple[Array, Array, Array]:
     total = np.bincount(bins, weight, count)
     per = 1.0 / np.where(total > 0, total, np.inf)
     mean = np.bincount(bins, weight * y, count) * per
-    # by how much passes part from the mean, in each bin and, as a multiple of what the weights
-    # say, in all of them: two passes may agree by chance
+    # the scatter of passes about the mean, in each bin, combined with that of all bins as a
+    # multiple of what the weights predict: two passes may agree by chance
     blocks = int(block.max(initial=0)) + 1
     apart = np.bincount(bins * blocks + block, weight * (y - mean[bins]), count * blocks)
     passes = np.bincount(np.unique(bins * blocks + block) // blocks, minlength=count)

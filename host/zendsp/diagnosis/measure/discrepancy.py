@@ -1,9 +1,9 @@
-"""The discrepancy: the torque that nothing named explains, how large it is, and what it depends on.
+"""The discrepancy: the size of the torque that nothing named explains.
 
-An observer that keeps a model on the measured motion corrects its velocity; that correction, as a
-torque, is what the model lacks, whatever hidden states the model has. Part of it is sensor noise
-that went through the observer: how much follows from the sensor's variance, by sending noise of
-that variance the same way. What is larger is the discrepancy (Kennedy and O'Hagan 2001).
+An observer that keeps a model on the measured motion corrects its velocity. That correction, as a
+torque, is the missing torque, whatever hidden states the model has. A part of it is sensor noise
+that passed through the observer; its size follows by sending noise of the sensor's variance through
+the same observer. The rest is the discrepancy (Kennedy and O'Hagan 2001).
 """
 
 from __future__ import annotations
@@ -24,23 +24,24 @@ from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
 
-# rad/s of the observers; slower ones see less of a torque, and far less noise
+# rad/s, of the observers; slower ones see less of a torque, and far less noise
 BANDS = (64.0, 32.0, 16.0, 8.0)
-# s, over which energies are summed before their variance is taken; less where there would be
+# s, of blocks over which energy is summed before its variance is taken; shorter where there would
+# be
 ENERGY_BLOCK = 0.5
 BLOCKS = 12  # fewer, but never less than an observer remembers
 SETTLE = 0.4  # s, of the observers, at most a tenth of a recording
 NOISE_DRAWS = 4  # of sensor noise
-MODELS = 8  # of which a recording keeps what was worked out
+MODELS = 8  # models whose results a recording keeps
 NINE_IN_TEN = 1.28  # standard deviations
-TURNING = 0.1  # of a joint's speed: below, it turns round
-FASTEST = 0.98  # quantile that stands for a joint's speed: a few samples may be spikes
+TURNING = 0.1  # of a joint's speed: slower is a reversal
+FASTEST = 0.98  # quantile used as a joint's speed, since a few samples may be spikes
 
 
 @dataclass(frozen=True)
 class Size:
-    """RMS torque as a part of the RMS torque of the recordings: the estimate, and where it lies
-    with 95 % probability; ``often``: below it are the estimates of nine such recordings in ten.
+    """An RMS torque as a part of that of the recordings: the estimate and its 95 % interval.
+    ``often``: the estimates of nine in ten such recordings are below it.
     """
 
     value: float
@@ -51,8 +52,8 @@ class Size:
 
 @dataclass(frozen=True)
 class Resisting:
-    """What resists a torque along a recording in a model: inertia and damping, (n,) each.
-    ``known``: what else was worked out of both.
+    """Inertia and damping of a model along a recording, (n,) each, which resist a torque.
+    ``known``: results computed from both.
     """
 
     model: Model
@@ -62,7 +63,7 @@ class Resisting:
 
 
 def resisting(record: JointRecord, model: Model) -> Resisting:
-    """What resists a torque along a recording, worked out once for each of the latest models."""
+    """Inertia and damping along a recording, computed once for each of the latest models."""
     found: Resisting | None = record.resists.get(id(model))
     if found is None:
         found = Resisting(
@@ -80,8 +81,8 @@ def band_of(record: JointRecord, band: float) -> float:
 
 
 def as_torque(record: JointRecord, model: Model, innovations: Array, band: float) -> Array:
-    """Torque by which an observer with such weighted innovations corrects a model, (..., n), N m or
-    N; its own delay taken out.
+    """The torque by which an observer corrects a model, from its weighted innovations, (..., n), N
+    m or N; without the observer's delay.
     """
     factor, lag = correction(record, model, band)
     n = innovations.shape[-1]
@@ -92,10 +93,10 @@ def as_torque(record: JointRecord, model: Model, innovations: Array, band: float
 
 
 def correction(record: JointRecord, model: Model, band: float) -> tuple[Array, int]:
-    """Torque by which an observer corrects a model for a unit of weighted innovation, (n,), and
-    the samples by which it is late.
+    """The torque by which an observer corrects a model per unit of weighted innovation, (n,), and
+    the observer's delay in samples.
 
-    An error of speed that lasts is corrected in the position too: the model's damping resists it.
+    A lasting error of speed is corrected in the position too, against the model's damping.
     """
     _, k2, w = record.gains(band)
     of = resisting(record, model)
@@ -105,7 +106,7 @@ def correction(record: JointRecord, model: Model, band: float) -> tuple[Array, i
 
 
 def correction_lag(record: JointRecord, band: float) -> int:
-    """Samples by which an observer's correction is late."""
+    """The delay of an observer's correction in samples."""
     return min(record.n, round(math.sqrt(2.0) / band / record.sample_time))
 
 
@@ -118,9 +119,9 @@ def as_seen(
     on_sensor: bool = False,
     rows: npt.NDArray[np.int32] | None = None,
 ) -> Array:
-    """Torques over time, (m, n), as an observer of a band sees them; ``on_sensor``: what it takes
-    for torques of what the sensor adds to the position. ``rows``: the samples that are wanted,
-    ascending, of those that are ``kept``.
+    """Torques over time, (m, n), as an observer of a band sees them. ``on_sensor``: they are
+    additions to the measured position, which the observer takes for torques. ``rows``: the wanted
+    samples, ascending, among the ``kept`` ones.
     """
     here, of = band_of(record, band), resisting(record, model)
     then = correction(record, model, here)
@@ -130,7 +131,7 @@ def as_seen(
 
 
 def lacking(data: Data, model: Model, joint: int, band: float) -> list[Array]:
-    """Torque that a model lacks, one array (n,) a recording, N m or N."""
+    """The missing torque of a model, one array (n,) for each recording, N m or N."""
     out = []
     for rec in data.records:
         record = rec[joint - 1]
@@ -141,15 +142,15 @@ def lacking(data: Data, model: Model, joint: int, band: float) -> list[Array]:
 
 
 def lasting(record: JointRecord, torque: Array, band: float) -> Array:
-    """What an observer takes for torques, (..., n), each correction as the torque that lasted since
-    the one before. On a plateau of the encoder there is none, and the change of the code makes up
-    for all of it at once: its square says nothing of the torque.
+    """An observer's torques, (..., n), with each correction spread over the time since the one
+    before. On a plateau of the encoder there is no correction; the next change of the count then
+    corrects all at once, and its square would overstate the torque.
     """
     said = record.counted
     if bool(said.all()):
         return torque
     lag = correction_lag(record, band)
-    since = np.r_[0, np.cumsum(said)[:-1]]  # samples up to a correction, and it, are of one kind
+    since = np.r_[0, np.cumsum(said)[:-1]]  # numbers of the spans between corrections
     since = np.r_[since[lag:], np.arange(lag) + since[-1] + 1]
     length = np.bincount(since)[since]
     rows = torque.reshape(-1, record.n)
@@ -158,15 +159,15 @@ def lasting(record: JointRecord, torque: Array, band: float) -> Array:
 
 
 def kept(record: JointRecord, band: float) -> slice:
-    """Samples of a recording after its observer has settled."""
+    """The samples of a recording after its observer has settled."""
     lag = round(np.sqrt(2) / band_of(record, band) / record.sample_time)
     skip = min(record.n // 10, round(max(SETTLE, 4.0 / band) / record.sample_time))
     return slice(skip, max(skip + 1, record.n - lag))
 
 
 def noise(record: JointRecord, model: Model, band: float, *, even: bool = False) -> float:
-    """Mean square of the torque that the sensor's noise alone makes, (N m)² or N²; and what the
-    command does between rows. ``even``: as ``lasting`` sees it.
+    """The mean square of the torque that sensor noise and unknown commands between rows alone
+    cause, (N m)² or N². ``even``: after ``lasting``.
     """
     known = resisting(record, model).known
     if ("noise", band, even) not in known:
@@ -176,7 +177,7 @@ def noise(record: JointRecord, model: Model, band: float, *, even: bool = False)
 
 
 def _noise(record: JointRecord, model: Model, band: float, even: bool) -> float:
-    """As ``noise``, worked out."""
+    """The result of ``noise``, computed."""
     rng, shape = np.random.default_rng(0), (NOISE_DRAWS, record.n)
     draws = rng.standard_normal(shape)
     draws *= np.sqrt(np.maximum(record.measurement.variance, 0.0))
@@ -192,8 +193,8 @@ def _noise(record: JointRecord, model: Model, band: float, even: bool) -> float:
 def energy_blocks(
     data: Data, squares: Sequence[Array], joint: int, band: float
 ) -> tuple[Array, Array]:
-    """Sums over blocks of time of some series, one a recording, and the number of samples in each
-    block.
+    """Sums over blocks of time of some series, one for each recording, and the number of samples in
+    each block.
     """
     sums, counts = [], []
     seconds = sum(rec[joint - 1].n * rec[joint - 1].sample_time for rec in data.records)
@@ -210,8 +211,7 @@ def energy_blocks(
 
 
 def deviation(values: Array) -> float:
-    """Standard deviation of the sum of a series whose neighbours resemble each other (Newey and
-    West 1987).
+    """Standard deviation of the sum of a series with correlated neighbours (Newey and West 1987).
     """
     n = len(values)
     if n < 3:
@@ -225,24 +225,24 @@ def deviation(values: Array) -> float:
 
 
 def discrepancy(data: Data, model: Model, joint: int) -> Size:
-    """How large the torque is that a model leaves unexplained at a joint.
+    """The size of the torque that a model leaves unexplained at a joint.
 
     Parameters
     ----------
     data : Data
-        Recordings; only those that neither the fit nor a choice has touched give an honest figure.
+        Recordings; only untouched ones give an honest figure.
     joint : int
         1-based.
 
     Returns
     -------
     Size
-        Of several observers the one that shows most beyond its own uncertainty decides; the fastest
-        sees most of a torque, and says how large it may be at most. Where that is less than another
-        shows, the noise is less than the model of the sensor says, and the other says it.
+        The estimate is that of the observer that shows most beyond its own uncertainty. The upper
+        limit is that of the fastest observer, which sees most of a torque. Where that is below what
+        another shows, the stated sensor noise is too large, and the other gives the limit.
     """
     scale = mean_square(data, joint)
-    best, own = Size(0.0, 0.0, 0.0), 0.0  # own: at most, by the observer that shows most
+    best, own = Size(0.0, 0.0, 0.0), 0.0  # own: upper limit by the observer that shows most
     for band in BANDS:
         found = _lasting(data, model, joint, band)
         of_sensor = [noise(rec[joint - 1], model, band, even=True) for rec in data.records]
@@ -250,7 +250,7 @@ def discrepancy(data: Data, model: Model, joint: int) -> Size:
         sums, counts = energy_blocks(data, excess, joint, band)
         total, error = float(sums.sum()), deviation(sums)
         mean, chance = total / counts.sum() / scale, error / counts.sum() / scale
-        # what the noise model itself may be wrong by
+        # the error of the noise model itself
         spread = float(np.hypot(chance, 0.1 * float(np.mean(of_sensor)) / scale))
         by_chance = NINE_IN_TEN * chance - spread if math.isfinite(chance) else -spread
         at = (mean - spread, mean - 2.0 * spread, mean + 2.0 * spread, mean + by_chance)
@@ -262,7 +262,7 @@ def discrepancy(data: Data, model: Model, joint: int) -> Size:
 
 
 def _lasting(data: Data, model: Model, joint: int, band: float) -> list[Array]:
-    """``lacking``, as ``lasting`` sees it."""
+    """The missing torque after ``lasting``."""
     return [
         lasting(rec[joint - 1], lack, band_of(rec[joint - 1], band))
         for lack, rec in zip(lacking(data, model, joint, band), data.records, strict=True)
@@ -270,14 +270,14 @@ def _lasting(data: Data, model: Model, joint: int, band: float) -> list[Array]:
 
 
 def beyond(size: float, known: float) -> float:
-    """What of an RMS torque is more than what is known to stay unexplained."""
+    """The part of an RMS torque beyond what is known to stay unexplained."""
     return float(np.sqrt(max(size**2 - known**2, 0.0)))
 
 
 def falls(data: Data, without: Model, having: Model, joint: int, least: float) -> bool:
-    """Whether having a term may make the energy of what lacks less by a part ``least`` of the
-    energy of the term's own torque, as slow observers see it and as fast ones: so it does where
-    that torque lacks. (The sensor's noise cancels, whatever its size.)
+    """Whether a term may reduce the energy of the missing torque by a part ``least`` of the term's
+    own energy, for slow and fast observers alike, as it does where its torque is missing. (The
+    sensor's noise cancels, whatever its size.)
     """
     for band in BANDS:
         pairs = zip(
@@ -291,8 +291,8 @@ def falls(data: Data, without: Model, having: Model, joint: int, least: float) -
 
 
 def difference(data: Data, one: Model, other: Model, joint: int, band: float = BANDS[0]) -> float:
-    """RMS torque between two models along the recordings, as a part of the RMS torque; the sensor's
-    noise cancels.
+    """The RMS torque between two models along the recordings, as a part of the RMS torque; the
+    sensor's noise cancels.
     """
     total = count = 0.0
     pairs = zip(
@@ -309,8 +309,8 @@ def difference(data: Data, one: Model, other: Model, joint: int, band: float = B
 
 
 def reversals(record: JointRecord, band: float) -> npt.NDArray[np.bool_]:
-    """Where a joint turns round, (n,): below a tenth of its speed, and as long before and after as
-    an observer remembers.
+    """The samples of reversals, (n,): below a tenth of the joint's speed, and an observer's memory
+    before and after.
     """
     speed = np.abs(record.motion.states[1])
     slow = speed < TURNING * float(np.quantile(speed[kept(record, band)], FASTEST))
@@ -319,9 +319,9 @@ def reversals(record: JointRecord, band: float) -> npt.NDArray[np.bool_]:
 
 
 def at_reversals(data: Data, one: Model, other: Model, joint: int) -> float:
-    """Part of the energy of the torque between two models that acts where the joint turns round,
-    beyond the part of the time that it does: 0 for what acts always, 1 for what acts only there,
-    and where the joint does nothing else.
+    """The part of the energy between two models that acts at reversals, beyond the reversals' part
+    of the time: 0 for a torque that acts always, 1 for one that acts only there, or where the joint
+    does nothing but reverse.
     """
     band = BANDS[0]
     pairs = zip(
@@ -346,6 +346,6 @@ def at_reversals(data: Data, one: Model, other: Model, joint: int) -> float:
 
 
 def mean_square(data: Data, joint: int) -> float:
-    """Mean square of the torque at a joint over recordings."""
+    """The mean square of the torque at a joint over recordings."""
     total = sum(rec[joint - 1].scale.torque ** 2 * rec[joint - 1].n for rec in data.records)
     return max(total / max(sum(rec[0].n for rec in data.records), 1), 1e-300)

@@ -20,22 +20,22 @@ from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
 
-OFF_TRACK = 1e4  # medians: an innovation beyond says only that the prediction has left the track
+OFF_TRACK = 1e4  # medians: a larger innovation only shows that the prediction has lost track
 BLOCK = 0.25  # s; shorter where the recordings would give fewer than 40 blocks, never below 0.05 s
-SETTLED_SHARE = 0.1  # of a recording: who settles within it loses a block at the start, no more
-# median deviations: a few blocks where either model loses the track must not decide
+SETTLED_SHARE = 0.1  # of a recording: settling within it costs only a block at the start
+# median deviations: a few blocks in which a model loses track must not decide
 DRAWN_IN = 10.0
-# of -2 log density: a block that gains less says next to nothing. In a recording that mostly rests
-# the median block gained 1e-7, and twelve starts from rest, 40 each, came to 1e-5
+# of -2 log density: a block that gains less says hardly anything. In a recording that mostly rests
+# the median block gained 1e-7, which reduced twelve starts from rest, 40 each, to 1e-5
 TELLS = 1.0
-# share of a recording in which a load behind a spring, whose own state nobody measured, settles
+# share of a recording in which the unmeasured state of a load behind a spring settles
 RING = 0.3
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Gain in deviance of one hypothesis over another on some recordings: total, and in standard
-    deviations over blocks of time.
+    """The gain in deviance of one hypothesis over another on some recordings: in total, and in
+    standard deviations over blocks of time.
     """
 
     gain: float
@@ -44,19 +44,19 @@ class Evidence:
 
 
 def compare(before: Scored, after: Scored, test: Data, joint: int) -> Evidence:
-    """Evidence for ``after`` over ``before`` on recordings that neither was fitted to.
+    """The evidence for ``after`` over ``before`` on recordings that neither was fitted to.
 
     Parameters
     ----------
     before, after : Scored
-        Each predicts with its own observer, as found in its own fit, or with a faster one.
+        Each predicts with the observer of its own fit, or a faster one.
     joint : int
         1-based.
 
     Returns
     -------
     Evidence
-        Its z allows for blocks that resemble their neighbours (Newey and West 1987).
+        Its z accounts for correlated neighbouring blocks (Newey and West 1987).
     """
     settle = max(settling(before, joint), settling(after, joint))
     return _evidence(
@@ -65,9 +65,9 @@ def compare(before: Scored, after: Scored, test: Data, joint: int) -> Evidence:
 
 
 def heard_slowly(before: Scored, after: Scored, test: Data, joint: int) -> float:
-    """As the z of ``compare``, the most that any observer slower than theirs says. What passes fast
-    (counts that a controller answers to, a friction that sticks and slips) may make blocks of the
-    fast ones so unlike that they show nothing slow.
+    """The largest z of ``compare`` over slower observers. Fast disturbances (a controller that
+    reacts to encoder counts, stick-slip friction) may make the blocks of fast observers so
+    different that they show nothing slow.
     """
     settle = max(settling(before, joint), settling(after, joint))
     most = 0.0
@@ -82,7 +82,7 @@ def heard_slowly(before: Scored, after: Scored, test: Data, joint: int) -> float
 
 
 def _evidence(values: Array) -> Evidence:
-    """Of what each block gains."""
+    """The evidence from the gain of each block."""
     if len(values) < 2:
         return Evidence(float(values.sum()), 0.0, values)
     width = DRAWN_IN * max(float(np.median(np.abs(values))), TELLS)
@@ -92,7 +92,7 @@ def _evidence(values: Array) -> Evidence:
 
 
 def settling(scored: Scored, joint: int) -> float:
-    """Share of a recording in which an observer of a model settles."""
+    """The share of a recording in which an observer of a model settles."""
     return (
         RING
         if any(get_effect(t.effect).family == "transmission" for t in scored.model.at(joint))
@@ -101,12 +101,12 @@ def settling(scored: Scored, joint: int) -> float:
 
 
 def block_scores(scored: Scored, data: Data, joint: int, settle: float = 0.1) -> Array:
-    """-2 log density of each block of time, all recordings one after the other; at most the share
+    """-2 log density of each block of time, all recordings one after the other. At most the share
     ``settle`` of each is left out.
 
-    The observer is that of the fit or a faster one, whichever suits these recordings best: how much
-    noise the world adds belongs to a recording, not to a hypothesis; a slow observer that misses
-    one contact or one start from rest never finds the track again.
+    The observer is that of the fit or a faster one, whichever suits these recordings best. Process
+    noise belongs to a recording, not to a hypothesis; and a slow observer that misses one contact
+    or one start from rest never recovers.
     """
     bandwidth = scored.data.bandwidth[joint - 1]
     best: list[Array] | None = None
@@ -158,7 +158,7 @@ def point_deviance(data: Data, model: Model, joint: int) -> list[Array]:
 
 
 def _sizes(data: Data, record: JointRecord, model: Model) -> Array:
-    """Absolute innovations, drawn in where the prediction has left the track, (n,)."""
+    """Absolute innovations, capped where the prediction has lost track, (n,)."""
     r = np.abs(run(record, model, data.bandwidth[record.joint - 1], inner=data.inner).innovations)
     usual = float(np.median(r[record.counted])) if record.counted.any() else 1.0
     return np.asarray(np.minimum(r, OFF_TRACK * max(1.0, usual)))

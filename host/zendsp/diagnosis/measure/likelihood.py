@@ -21,7 +21,7 @@ from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
 
-# rad/s: 10 Hz; a faster observer believes noise and structural vibration
+# rad/s: 10 Hz; a faster observer follows noise and structural vibration
 SLOWEST, FASTEST = 4.0, 64.0
 BETTER = 2.0  # deviance: another bandwidth that gains less is not taken
 
@@ -34,7 +34,7 @@ class Scored:
     ----------
     fit : Fit
     data : Data
-        With the bandwidths that maximise the likelihood.
+        Recordings with the bandwidths that maximise the likelihood.
     deviance : float
         -2 log-likelihood of the fitted joints.
     joints : tuple of int
@@ -63,8 +63,8 @@ def informative(data: Data, joint: int) -> int:
 
 
 def deviance(data: Data, model: Model, joints: Sequence[int]) -> float:
-    """-2 log-likelihood with the noise scale profiled per joint; infinite where the prediction ran
-    away.
+    """-2 log-likelihood with the noise scale profiled per joint; infinite where the prediction
+    diverged.
     """
     total = 0.0
     for j in joints:
@@ -74,14 +74,14 @@ def deviance(data: Data, model: Model, joints: Sequence[int]) -> float:
 
 
 def deviances(data: Data, models: Sequence[Model], joint: int, jobs: int = 1) -> list[float]:
-    """As ``deviance`` of one joint for models that differ in numbers only; ``jobs`` threads."""
+    """``deviance`` of one joint for models that differ in numbers only; ``jobs`` threads."""
     with threads(jobs) as each:
         columns = np.ascontiguousarray(residuals(data, models, (joint,), each).T)
     return [deviance_of(data, joint, r) for r in columns]
 
 
 def deviance_of(data: Data, joint: int, r: Array) -> float:
-    """As ``deviance`` from the innovations of one joint."""
+    """``deviance`` from the innovations of one joint."""
     n = informative(data, joint)
     if ran_away(r):
         return float("inf")
@@ -95,7 +95,7 @@ def fastest(data: Data) -> float:
 
 
 def fitted_deviance(data: Data, fitted: Fit, joints: Sequence[int]) -> float:
-    """As ``deviance`` of a fit to these data, from the innovations that it ended with."""
+    """``deviance`` of a fit to these data, from its final innovations."""
     parts: dict[int, list[Array]] = {j: [] for j in joints}
     at = 0
     for rec in data.records:
@@ -113,8 +113,9 @@ def tune_bandwidth(
     down_only: bool = False,
     known: float | None = None,
 ) -> tuple[Data, float]:
-    """Bandwidth of each joint's observer that maximises the likelihood of a model, by doubling and
-    halving; of one joint, the deviance may be ``known`` where it begins.
+    """The data with the bandwidth of each joint's observer that maximises the likelihood of a
+    model, found by doubling and halving. For one joint, ``known`` may give the deviance at the
+    start.
     """
     total = 0.0
     for j in joints:
@@ -143,12 +144,12 @@ def fit_scored(
     jobs: int = 2,
     rounds: int = 4,
 ) -> Scored:
-    """Fit, tune the observer, and fit again until the bandwidth stands.
+    """The fit of a model and its tuned observer, repeated until the bandwidth converges.
 
     Parameters
     ----------
     data : Data
-        Bandwidths to begin with.
+        Recordings with the initial bandwidths.
     model, handles, joints
         As for ``fit``.
     iterations : int
@@ -156,7 +157,7 @@ def fit_scored(
     jobs : int
         Threads.
     rounds : int
-        At most so many changes of bandwidth.
+        Most changes of bandwidth.
     """
     best: Scored | None = None
     for _ in range(rounds):
@@ -179,8 +180,9 @@ def calibrate_joint(data: Data, model: Model, joint: int, jobs: int = 1) -> Scor
 
 
 def slower(best: Scored, joint: int, jobs: int = 1) -> Scored:
-    """A fit of one joint, or the same under a slower observer, which is tried with numbers of its
-    own: those of a faster one, which a small discrepancy may bend, hide how well it does.
+    """A fit of one joint, or the same under a slower observer where that is likelier. The slower
+    one is tried with numbers fitted for it, since those of a faster one, bent by a small
+    discrepancy, hide how well it does.
     """
     while (half := 0.5 * best.data.bandwidth[joint - 1]) >= SLOWEST:
         data, handles = best.data.at_bandwidth(joint, half), best.fit.handles

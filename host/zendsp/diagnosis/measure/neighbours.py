@@ -1,9 +1,9 @@
 """Whether a law predicts better than its neighbours: the same torque, bent a little.
 
-A law that a machine does not follow can still explain most of what lacks. Its shape is then wrong:
-the torque grows with the cube of the speed where the law has the square, or is smaller at one end
-of the travel. A neighbour has as many numbers as the law, and no name. Where one predicts better,
-the law is not what acts (target and decoy, Elias and Gygi 2007).
+A law that a machine does not follow can still explain most of the missing torque. Its shape is then
+wrong: the torque grows with the cube of the speed where the law has the square, or is smaller at
+one end of the travel. A neighbour has as many numbers as the law, and no name. Where one predicts
+better, the law is wrong (target and decoy, Elias and Gygi 2007).
 """
 
 from __future__ import annotations
@@ -33,22 +33,22 @@ from zendsp.physics.model import Model, Term
 
 Array = npt.NDArray[np.float64]
 
-# by how much a neighbour differs at the ends of the travel, or of the speeds; other values were not
-# tried
+# difference of a neighbour from the law at the ends of the travel, or of the speeds; other values
+# were not tried
 BENT_BY = 0.7
 SLOPE_STEP = 1e-3  # of a number's natural size, for slopes
-TURNS_ROUND = 0.02  # of the speed: below, dry friction turns round
-LEAST_COUNTED = 0.1  # of a law's energy: if less counts, how it goes on is not seen
+TURNS_ROUND = 0.02  # of the speed: below, dry friction changes direction
+LEAST_COUNTED = 0.1  # of a law's energy: with less, its shape is not seen
 RIDGE = 1e-9  # of the mean square of a column
-# times a neighbour's torque, at most, to fit: others that had to be larger (11 to 75 times) were
-# drag that fades into the viscous friction of the model, right ones 1.2 at most
+# largest factor on a neighbour's torque: drag that merges with the model's viscous friction needed
+# 11 to 75, right ones at most 1.2
 LARGER = 3.0
 
 
 @dataclass(frozen=True)
 class _Law:
-    """A law and its neighbours along recordings, one array a recording: slopes (1 + numbers, n) of
-    the law, and the factors (n,) by which each neighbour differs from it.
+    """A law and its neighbours, one array for each recording: slopes (1 + numbers, n) of the law,
+    and factors (n,) by which each neighbour differs from it.
     """
 
     data: Data
@@ -61,30 +61,30 @@ class _Law:
 def against_neighbours(
     data: Data, fitted: Scored, term: Term, joint: int, error: float, turning: bool = True
 ) -> float:
-    """By how much a law predicts better than the best of its neighbours.
+    """The evidence for a law over the best of its neighbours.
 
     Parameters
     ----------
     data : Data
-        All recordings: law and neighbours have as many numbers, so neither gains by being fitted.
+        All recordings. Law and neighbours have equally many numbers, so fitting favours neither.
     fitted : Scored
-        The model with the law, and without what only refines it.
+        The model with the law, without its refinements.
     term : Term
         The law, one of the terms of the model.
     joint : int
         1-based.
     error : float
-        Part of its size by which any law may be wrong.
+        Possible error of any law, as a part of its size.
     turning : bool
-        Whether what acts where the joint turns round counts.
+        Whether torque at reversals counts.
 
     Returns
     -------
     float
-        Standard deviations over blocks of time, by the observer that sees the law best; below 0 a
-        neighbour predicts better, by more than any law may be wrong, and no more stays beside the
-        law than it is itself. Infinite where the law is no function of the state, has no neighbours
-        that differ by more, or hardly acts where it counts.
+        Standard deviations over blocks of time, by the observer that sees the law best. Below 0 a
+        neighbour predicts better, by more than a law's possible error, and the unexplained torque
+        is smaller than the law. Infinite where the law is no function of the state, has no
+        neighbours different enough, or hardly acts where it counts.
     """
     slopes = [_slopes(rec[joint - 1], fitted.model, term) for rec in data.records]
     rms = float(np.sqrt(np.mean(np.concatenate([law[0] for law in slopes]) ** 2)))
@@ -115,7 +115,7 @@ def _ahead(
     error: float,
     turning: bool,
 ) -> tuple[float, float]:
-    """How well one observer sees a law, and how far that is ahead of its neighbours, in standard
+    """How well one observer sees a law, and how far the law is ahead of its neighbours, in standard
     deviations.
     """
     data, joint = law.data, law.joint
@@ -133,8 +133,8 @@ def _ahead(
     left, _ = _left_by(own, others, wanted, use)
 
     def behind(shapes: Sequence[Array]) -> tuple[float, float, float]:
-        """How much more than the law some shapes leave: standard deviations, and the energy; and
-        how often the first of them is needed.
+        """The torque that some shapes leave beyond the law's: in standard deviations, and its
+        energy; and the factor needed on the first shape.
         """
         other, times = _left_by(shapes, others, wanted, use)
         more = [b - a for a, b in zip(left, other, strict=True)]
@@ -147,25 +147,25 @@ def _ahead(
     for k in range(len(law.bent[0])):
         bent = seen([s * by[k] for s, by in zip(law.slopes, law.bent, strict=True)])
         z, more, times = behind(bent)
-        same = abs(more) < error**2 * energy  # along these recordings it is the law itself
-        # one that has to be larger is next to another number of the model, and no bent law
+        same = abs(more) < error**2 * energy  # on these recordings it equals the law
+        # a neighbour that needs a larger factor imitates another number of the model
         if not same and times < LARGER:
             worst = min(worst, z)
     if sum(float(each.sum()) for each in left) > energy:
-        worst = max(worst, 0.0)  # more stays than the law is: a neighbour takes up some of that
+        worst = max(worst, 0.0)  # a neighbour may absorb some of what stays
     return behind([made[:0] for made in own])[0], worst
 
 
 def _used(record: JointRecord, band: float, turning: bool) -> npt.NDArray[np.bool_]:
-    """Samples that count, (n,)."""
+    """The samples that count, (n,)."""
     use = np.zeros(record.n, bool)
     use[kept(record, band)] = True
     return use & counted(record, band, turning)
 
 
 def _slopes(record: JointRecord, model: Model, term: Term) -> Array:
-    """Torque of a law along the measured motion, and how it changes with each of its free numbers,
-    (1 + numbers, n).
+    """The torque of a law along the measured motion, and its derivative by each of its free
+    numbers, (1 + numbers, n).
     """
     floor = TURNS_ROUND * float(np.abs(record.motion.states[1]).max())
     law = -trace(record, model, (term,), floor)
@@ -180,9 +180,9 @@ def _slopes(record: JointRecord, model: Model, term: Term) -> Array:
 
 
 def _bent(record: JointRecord, law: Array, ranges: Ranges, common: bool) -> list[Array]:
-    """Factors, (n,) each, by which neighbours differ from a law of RMS 1: it grows faster or slower
-    than by the law; along the travel; with speed. The last four of a law that every machine has are
-    laws themselves.
+    """Factors, (n,) each, of the neighbours of a law of RMS 1: it grows faster or slower than by
+    the law; along the travel; with speed. For a law that every machine has the last four are laws
+    themselves.
     """
     size = np.abs(law)
     power = [np.sqrt(size), 1.0 / np.sqrt(np.maximum(size, 1e-3))]
@@ -198,7 +198,9 @@ def _bent(record: JointRecord, law: Array, ranges: Ranges, common: bool) -> list
 def _others(
     law: _Law, handles: Sequence[Handle], sizes: Array, band: float, lacks: Sequence[Array]
 ) -> list[Array]:
-    """How what lacks changes with every other free number, (numbers, n) a recording."""
+    """The derivative of the missing torque by every other free number, (numbers, n) for each
+    recording.
+    """
     x = get_values(law.model, handles)
     columns: list[list[Array]] = [[] for _ in lacks]
     for k, size in enumerate(sizes):
@@ -218,8 +220,9 @@ def _left_by(
     wanted: Sequence[Array],
     use: Sequence[npt.NDArray[np.bool_]],
 ) -> tuple[list[Array], float]:
-    """Squares, (n,) a recording, of what stays of the ``wanted`` torque once ``shapes`` and all
-    other numbers are fitted to it, 0 where it does not count; and how often the first is needed.
+    """Squares, (n,) for each recording, of the remainder of the ``wanted`` torque after a fit of
+    ``shapes`` and all other numbers, 0 where it does not count; and the factor needed on the first
+    shape.
     """
     rows = [np.concatenate(pair) for pair in zip(shapes, others, strict=True)]
     count = len(rows[0])

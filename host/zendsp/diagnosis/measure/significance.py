@@ -1,4 +1,4 @@
-"""What a fit says of one term of its model: its numbers, and whether they differ from nothing."""
+"""The numbers of one term in a fit, and whether they differ from zero."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from zendsp.physics.calibration.fit import Fit
 from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Term
 
-SIGNIFICANT = 3.0  # standard deviations: a score of hypotheses is tried in every round
-# of a number, rad for angles: what any two simulators' equations do differently
+SIGNIFICANT = 3.0  # standard deviations: every round tries some twenty hypotheses
+# of a number, rad for angles: difference between any two simulators
 INTEGRATION_ERROR = 2e-3
 
 
 def essence_of(effect: str) -> tuple[str, ...]:
-    """Parameters without which an effect is none, as the torque of Coulomb friction."""
+    """The parameters without which an effect vanishes, such as the level of Coulomb friction."""
     entry = get_effect(effect)
     return entry.essence or (entry.linear if len(entry.linear) == 1 and not entry.replaces else ())
 
 
 def counterpart(terms: Sequence[Term], term: Term) -> Term:
-    """The same term in another fit of the model, where its fitted numbers have moved.
+    """The same term in another fit of the model, with other fitted numbers.
 
-    A joint may have several terms of one effect. They are told apart first by what no fit moves: a
-    coupling's law and its joint. Then by how often they repeat: a ripple's order, the period of a
-    friction that varies with position.
+    A joint may have several terms of one effect. They are distinguished first by numbers that no
+    fit moves (a coupling's law and joint), then by how often they repeat (a ripple's order, the
+    period of a friction over position).
 
     Raises
     ------
@@ -48,8 +48,8 @@ def counterpart(terms: Sequence[Term], term: Term) -> Term:
 
 
 def vanishes(fitted: Fit, term: Term) -> bool:
-    """Whether a number that makes an effect what it is cannot be told from zero or infinity, or
-    lies at the bound of what can be seen.
+    """Whether an essential number of an effect cannot be told from zero or infinity, or lies at the
+    bound of what can be seen.
     """
     own = _numbers_of(fitted, term)
     return any(
@@ -61,8 +61,9 @@ def vanishes(fitted: Fit, term: Term) -> bool:
 
 
 def essential_deviation(fitted: Fit, term: Term, key: str) -> float:
-    """Standard deviation of a number that makes an effect what it is, its shape known: without any
-    size there is no shape, and a weight may hide behind the model's own but for a part.
+    """Standard deviation of an essential number with the effect's shape held fixed: at size zero
+    the shape is undefined. Other correlations stay: a weight may hide partly behind the model's
+    own.
     """
     own = _numbers_of(fitted, term)
     i, shape = own[key], own.get(get_effect(term.effect).shape)
@@ -79,7 +80,7 @@ def deviation(fitted: Fit, term: Term, key: str) -> float:
 
 
 def _numbers_of(fitted: Fit, term: Term) -> dict[str, int]:
-    """Where a term's free numbers stand in a fit."""
+    """The indices of a term's free numbers in a fit."""
     same = counterpart(fitted.model.terms, term)
     return {
         handle.key: i
@@ -89,8 +90,9 @@ def _numbers_of(fitted: Fit, term: Term) -> dict[str, int]:
 
 
 def whole(name: str, value: float, travel: float) -> float:
-    """What a relative error refers to; of how often a pattern repeats, a phase that drifts by it
-    over the ``travel``: the positions themselves are measured.
+    """The scale of a relative error of a number. For the order or period of a pattern: the change
+    that shifts its phase over the ``travel`` by one radian, since positions themselves are
+    measured.
     """
     if name == "order":
         return 1.0 / travel

@@ -1,4 +1,6 @@
-"""What a lacking torque depends on: how much of it a mechanism's own variables predict."""
+"""The variables on which a missing torque depends: how much of it a mechanism's own variables
+predict.
+"""
 
 from __future__ import annotations
 
@@ -31,15 +33,15 @@ Array = npt.NDArray[np.float64]
 Floats = npt.NDArray[np.float32]
 
 ROWS = 8000  # rows of a regression
-# pieces of a function of state, as multiples: broad shapes, and narrow ones
+# multiples of the pieces of a function of the state: broad shapes, and narrow ones
 DETAILS = (1, 3)
-MEMORY = "memory"  # not a mechanism: any of them may remember
-# nor this: what the numbers of almost any model may have taken up of a torque when they were fitted
+MEMORY = "memory"  # not a mechanism: any mechanism may have memory
+# nor this: shapes that the fitted numbers of almost any model may have absorbed
 TAKEN = "taken"
 SWINGING = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0)  # Hz
 DAMPING = 0.15  # damping ratio: neighbours among these overlap
-SHIFTED = 0.5  # s: a torque that is moved by more comes at another time
-SLOWER = 0.1  # of the sampling: a swing that the recording shows
+SHIFTED = 0.5  # s: least shift that brings a torque to another time
+SLOWER = 0.1  # of the sampling rate: fastest swing that the recording shows
 
 
 def _splines(u: Array, count: int) -> Array:
@@ -48,7 +50,7 @@ def _splines(u: Array, count: int) -> Array:
     """
     x = np.clip(u, 0.0, 1.0 - 1e-9)
     knots = np.r_[0.0, 0.0, np.linspace(0, 1, count - 1), 1.0, 1.0]
-    piece = np.searchsorted(knots, x, side="right") - 3  # three of them are not 0 there
+    piece = np.searchsorted(knots, x, side="right") - 3  # three splines are not 0 there
     before, left, right, after = (knots[piece + k] for k in (1, 2, 3, 4))
     falls, rises = (right - x) / (right - left), (x - left) / (right - left)
     lower, upper = falls / (right - before), rises / (after - left)
@@ -65,9 +67,7 @@ def _products(a: Array, b: Array) -> Array:
 
 @dataclass(frozen=True)
 class Ranges:
-    """Where a joint's variables lie: limits of position, of speed and of command, and of the other
-    joints' positions.
-    """
+    """Ranges of a joint's variables: position, speed, command, and the other joints' positions."""
 
     position: tuple[float, float]
     speed: float
@@ -76,7 +76,7 @@ class Ranges:
 
 
 def ranges_of(data: Data, joint: int) -> Ranges:
-    """Ranges over all recordings."""
+    """The ranges over all recordings."""
     records = [rec[joint - 1] for rec in data.records]
     q = np.concatenate([r.motion.states[0] for r in records])
     v = np.concatenate([np.abs(r.motion.states[1]) for r in records])
@@ -95,15 +95,15 @@ def ranges_of(data: Data, joint: int) -> Ranges:
 
 
 def unit(x: Array, limits: tuple[float, float]) -> Array:
-    """Values over their limits: 0 at the lower, 1 at the upper."""
+    """Values scaled to their limits: 0 at the lower, 1 at the upper."""
     return np.asarray((x - limits[0]) / max(limits[1] - limits[0], 1e-300))
 
 
 def shapes(
     rec: Sequence[JointRecord], joint: int, mechanism: str, ranges: Ranges, detail: int = 1
 ) -> Array:
-    """Torques over time, (columns, n), whose sums are all that a mechanism may do, whatever its
-    law: functions of its own variables, with ``detail`` times as many pieces along each.
+    """Torques over time, (columns, n), whose sums are all torques of a mechanism, whatever its law:
+    functions of its own variables, with ``detail`` times as many pieces along each.
     """
     record = rec[joint - 1]
     q, v, _ = record.motion.states
@@ -141,9 +141,9 @@ def shapes(
 
 
 def _swung(record: JointRecord) -> Array:
-    """What hangs on the joint and swings: position and speed of damped masses on springs of several
-    frequencies, carried along, (columns, n); zero where the samples are too rare for one. Any
-    linear law with a memory is near a sum of them.
+    """The swing of hanging loads: position and speed of damped masses on springs of several
+    frequencies, carried along, (columns, n); zero where the sampling is too slow for one. Any
+    linear law with memory is nearly a sum of them.
     """
     a, h = record.motion.states[2], record.sample_time
     columns = np.zeros((len(SWINGING), 2, record.n))
@@ -161,13 +161,13 @@ STRUCTURED = ("position_torque", "dry_friction", "fluid_friction", "actuator")
 
 @dataclass(frozen=True)
 class Structure:
-    """What a mechanism's own variables predict of the torque that a model lacks, on recordings that
-    the prediction was not fitted to.
+    """The missing torque that a mechanism's own variables predict, on recordings to which the
+    prediction was not fitted.
 
-    ``size`` is its RMS as a part of the RMS torque. ``share`` is its part of the lacking energy
-    beyond the noise. ``z`` is its evidence in standard deviations over blocks of time: how evenly
-    it is gained. ``apart`` is the same beside what the prediction would gain by chance, had the
-    torque come at another time: a torque that acts seldom gains seldom, and yet not by chance.
+    ``size``: its RMS as a part of the RMS torque. ``share``: its part of the missing energy beyond
+    the noise. ``z``: its evidence in standard deviations over blocks of time, large where the gain
+    is even. ``apart``: the evidence against the gain by chance with the torque shifted in time; a
+    torque that acts seldom gains in few blocks, but not by chance.
     """
 
     size: float
@@ -183,12 +183,12 @@ def structure(
     mechanisms: Sequence[str],
     turning: bool = True,
 ) -> Structure:
-    """How much of what a model lacks is a function of the own variables of some mechanisms.
+    """The part of the missing torque that is a function of the own variables of some mechanisms.
 
     Parameters
     ----------
     parts : sequence of Data
-        Each part is predicted by a function that was fitted to all the others (cross-fitting).
+        Each part is predicted by a function fitted to all the others (cross-fitting).
     joint : int
         1-based.
     mechanisms : sequence of str
@@ -208,7 +208,7 @@ def structure(
 def _structure(
     parts: Sequence[Data], model: Model, joint: int, mechanisms: Sequence[str], turning: bool
 ) -> Structure:
-    """As ``structure``, worked out."""
+    """The result of ``structure``, computed."""
     best = Structure(0.0, 0.0, 0.0)
     whole = replace(parts[0], records=tuple(r for part in parts for r in part.records))
     scale = mean_square(whole, joint)
@@ -257,9 +257,9 @@ def _predicted(
     joint: int,
     band: float,
 ) -> list[list[tuple[Array, Array]]] | None:
-    """What the function that was fitted to all other parts predicts, as the observer sees it, and
-    what lacks, (n,) each, one pair a recording of each part; None where there is nothing to fit, or
-    nothing to fit it to.
+    """The prediction of each part by the function fitted to all others, as the observer sees it,
+    and the missing torque, (n,) each, one pair for each recording; None where there is nothing to
+    fit, or no data to fit it to.
     """
     if not drawn[0][0].shape[0]:
         return None
@@ -273,12 +273,12 @@ def _predicted(
         others = [n for i, n in enumerate(normals) if i != k]
         square = np.sum([n[0] for n in others], axis=0)
         level = float(np.trace(square)) / len(square)
-        if not level > 0.0:  # nothing of the others counts: a joint that only turns round
+        if not level > 0.0:  # no sample of the others counts: the joint only reverses
             return None
         theta = np.linalg.solve(
             square + 1e-3 * level * np.eye(len(square)), np.sum([n[1] for n in others], axis=0)
         ).astype(np.float32)
-        # an observer is linear: it sees the sum of what is drawn as the sum of what it sees
+        # an observer is linear: it sees a sum of torques as the sum of what it sees of each
         out.append(
             [
                 (as_seen(rec[joint - 1], model, band, theta @ raw)[0], lack)
@@ -295,9 +295,8 @@ def _apart(
     joint: int,
     band: float,
 ) -> float:
-    """How far what a prediction gains is from what it would gain by chance, in standard
-    deviations: the lacking torque is moved round in time by all that is longer than the observer
-    remembers.
+    """The gain of a prediction against its gain by chance, in standard deviations. Chance is
+    measured with the missing torque shifted in time by more than the observer's memory.
     """
     total = variance = 0.0
     for part, guess, use in zip(parts, guesses, used, strict=True):
@@ -328,8 +327,8 @@ def _normal(
     band: float,
     stride: int,
 ) -> tuple[Array, Array]:
-    """Normal equations of a part, thinned: squares (m, m), products (m,), of what the observer sees
-    of what was ``drawn``.
+    """Normal equations of a part, thinned: squares (m, m) and products (m,) of the shapes
+    ``drawn``, as the observer sees them.
     """
     m = drawn[0].shape[0]
     square, product = np.zeros((m, m)), np.zeros(m)
@@ -345,6 +344,7 @@ def _normal(
 def _drawn(
     rec: Sequence[JointRecord], joint: int, mechanisms: Sequence[str], ranges: Ranges, detail: int
 ) -> Floats:
-    """The shapes of all mechanisms, (m, n), single: it takes longest to read them."""
+    """The shapes of all mechanisms, (m, n), in single precision, since reading them takes longest.
+    """
     made = [shapes(rec, joint, m, ranges, detail) for m in mechanisms]
     return np.concatenate(made, dtype=np.float32)

@@ -1,11 +1,11 @@
 """Where the mismatch lives: in time, and in the space of velocity, position, acceleration and
 command.
 
-The torque that a model lacks is what corrects an observer that keeps the model on the motion
-(discrepancy.py). One correction says little of it: on a plateau of the encoder there is none, at
-the next change of the code a large one. So the torque of a sample is the one that fits the
-corrections around it best; the less a torque changes these, the less sure it is. Its energy above
-that of the sensor's noise is the mismatch.
+The missing torque is the correction of an observer that keeps the model on the motion
+(discrepancy.py). A single correction says little: on a plateau of the encoder there is none, at the
+next change of the count a large one. So the torque of a sample is the one that fits the corrections
+around it best. The less a torque changes these, the less certain it is. Its energy above that of
+the sensor's noise is the mismatch.
 """
 
 from __future__ import annotations
@@ -33,22 +33,22 @@ from zendsp.physics.model import Model, per_joint
 Array = npt.NDArray[np.float64]
 
 VARIABLES = ("velocity", "position", "acceleration", "command")
-SAMPLES = 20  # fewer have no intervals
-EDGES = 5  # different ones: a variable with fewer is as good as constant
-CONCENTRATED = 3.0  # times the mean of the energy: there the mismatch concentrates
-# times its part of the time: an interval with less says nothing of where; chosen for what a reader
-# wants (91 % of a mismatch in 85 % of the time stood there), and decides no finding
+SAMPLES = 20  # least number for intervals
+EDGES = 5  # least different edges of bins: a variable with fewer is nearly constant
+CONCENTRATED = 3.0  # times the mean energy: the mismatch is concentrated there
+# least share of an interval over its part of the time, to be reported; chosen for readers (91 % of
+# a mismatch in 85 % of the time had been reported), and decides no finding
 MORE = 1.2
-STANDS_OUT = 3.0  # standard deviations of what an interval holds beyond its part of the time
-AROUND = 2.0  # times an observer's memory, within which a torque is taken as constant
-PROBE = 1e-3  # of a joint's torque: a torque whose trace shows what would be seen
-UNSHOWN = 1e-6  # of the mean of what is seen of a torque: less is rounding
+STANDS_OUT = 3.0  # standard deviations by which an interval holds more than its part of the time
+AROUND = 2.0  # times an observer's memory: span in which a torque is taken as constant
+PROBE = 1e-3  # of a joint's torque: a small torque whose trace shows what would be seen
+UNSHOWN = 1e-6  # of the mean trace of a torque: less is rounding
 
 
 @dataclass(frozen=True)
 class Region:
-    """An interval of one variable at one joint that holds ``share`` of the mismatch in
-    ``time_share`` of the time.
+    """An interval of one variable at one joint, with ``share`` of the mismatch in ``time_share`` of
+    the time.
     """
 
     joint: int
@@ -65,8 +65,8 @@ class Region:
 
 @dataclass(frozen=True)
 class Missing:
-    """The torque that a model lacks along a recording, (n,), N m or N, and the standard deviation
-    of the estimate: infinite where the recording shows nothing of it.
+    """The missing torque along a recording, (n,), N m or N, and its standard deviation, infinite
+    where the recording shows nothing of it.
     """
 
     time: Array
@@ -79,7 +79,7 @@ class Missing:
 
     @property
     def weight(self) -> Array:
-        """Inverse variance of each sample, (n,); all alike where the estimate has none."""
+        """Inverse variance of each sample, (n,); equal where there are no variances."""
         if not self.std.any():
             return np.ones(len(self.std))
         value: Array = 1.0 / np.maximum(self.std, 1e-150) ** 2
@@ -87,8 +87,7 @@ class Missing:
 
 
 def mismatch(data: Data, model: Model, joint: int, band: float = BANDS[0]) -> list[Missing]:
-    """Torque that a model lacks at one joint, along each recording: how an observer that keeps it
-    on the motion corrects it.
+    """The missing torque of one joint along each recording, from the corrections of an observer.
 
     Parameters
     ----------
@@ -115,11 +114,11 @@ def mismatch(data: Data, model: Model, joint: int, band: float = BANDS[0]) -> li
 
 
 def _seen(record: JointRecord, model: Model, band: float, inner: int) -> tuple[Array, Array]:
-    """Torque that a model lacks and its standard deviation, (n,) each: least squares over the
-    innovations around each sample, by what a torque of ``PROBE`` does to them. It does nothing
-    where dry friction holds the joint, or where the position stays on a plateau of the encoder.
-    Where the torque found makes the innovations larger (it tears off what friction holds), it is
-    no better than none, and as much less certain.
+    """The missing torque and its standard deviation, (n,) each, by least squares over the
+    innovations around each sample, from their response to a torque of ``PROBE``. There is no
+    response where dry friction holds the joint, or on a plateau of the encoder. Where the torque
+    found makes the innovations larger (it breaks a stuck joint loose), it is taken as uncertain by
+    its own size.
     """
     probe = PROBE * max(record.scale.torque, 1e-300)
     plain = np.clip(run(record, model, band, inner=inner).innovations, -1e6, 1e6)
@@ -129,7 +128,7 @@ def _seen(record: JointRecord, model: Model, band: float, inner: int) -> tuple[A
     lag = min(record.n, round(np.sqrt(2) / band / record.sample_time))
 
     def around(product: Array) -> Array:
-        """Its sum around each sample, the observer's own delay taken out."""
+        """The sum of a series around each sample, without the observer's delay."""
         value: Array = np.r_[moving_mean(product, width)[lag:], np.zeros(lag)] * width
         return value
 
@@ -137,7 +136,7 @@ def _seen(record: JointRecord, model: Model, band: float, inner: int) -> tuple[A
     clear = seen > UNSHOWN * float(np.mean(seen))
     per = np.divide(1.0, seen, out=np.zeros(record.n), where=clear)
     torque = -around(plain * shown) * per
-    # the innovations of a sensor's noise are not white: how much more its torque varies
+    # innovations from sensor noise are not white: the factor on the variance of the torque
     draws = np.random.default_rng(0).standard_normal((2, NOISE_DRAWS, record.n))
     inertia, damping = effective_inertia(record, model), damping_along(record, model)
     noise = draws[0] * np.sqrt(np.maximum(record.measurement.variance, 0.0))
@@ -153,7 +152,7 @@ def _seen(record: JointRecord, model: Model, band: float, inner: int) -> tuple[A
 
 
 def units(model: Model, joint: int) -> dict[str, str]:
-    """Return the unit of each variable at one joint."""
+    """The unit of each variable at one joint."""
     length = "m" if model.joint_kind(joint) == "linear" else "rad"
     plain = abs(per_joint(model.actuator.gain, joint, 1.0)) == 1.0 and not model.actuator.matrix
     command = model.actuator.command_unit or (model.torque_unit(joint) if plain else "")
@@ -167,7 +166,7 @@ def units(model: Model, joint: int) -> dict[str, str]:
 
 def energy(missing: Missing) -> tuple[Array, Array]:
     """Square of the missing torque less the variance of its estimate, on average 0 where nothing is
-    missing; and how much each sample counts, at most 1: less where it is less certain than usual.
+    missing; and the weight of each sample, at most 1, lower where it is less certain than usual.
     Shapes (n,).
     """
     weight = missing.weight
@@ -178,8 +177,8 @@ def energy(missing: Missing) -> tuple[Array, Array]:
 
 
 def shares(e: Array, counts: Array, bins: npt.NDArray[np.int_], count: int) -> Array:
-    """Part of the mismatch that each bin holds, (count,): the mean energy of what is seen there,
-    for as long as it lasts; zeros where there is none.
+    """The part of the mismatch in each bin, (count,): the mean energy seen there times the time
+    spent; zeros where there is none.
 
     Parameters
     ----------
@@ -195,8 +194,8 @@ def shares(e: Array, counts: Array, bins: npt.NDArray[np.int_], count: int) -> A
 
 
 def regions(missing: Sequence[Missing], joint: int) -> list[Region]:
-    """For each variable, the interval in which the mismatch of all recordings is most concentrated,
-    most telling first; none where it might be chance.
+    """For each variable the interval in which the mismatch of all recordings is most concentrated,
+    the most concentrated first; none where it may be chance.
     """
     found = []
     if not missing:
@@ -242,8 +241,8 @@ def regions(missing: Sequence[Missing], joint: int) -> list[Region]:
 
 
 def _stands_out(missing: Sequence[Missing], excess: Array) -> bool:
-    """Whether an interval holds more of the mismatch than its part of the time, beyond chance:
-    ``excess`` is that of each sample of all recordings.
+    """Whether an interval holds more of the mismatch than its part of the time, beyond chance.
+    ``excess``: that of each sample of all recordings.
     """
     sums: list[float] = []
     parts = np.split(excess, np.cumsum([len(m.time) for m in missing])[:-1])
@@ -255,14 +254,15 @@ def _stands_out(missing: Sequence[Missing], excess: Array) -> bool:
 
 
 Times = tuple[tuple[float, float], ...]
-MOST = 6  # regions and times that are told
+MOST = 6  # reported regions and times
+MOST_TIMES = 5  # times of one recording
 
 
 def located(
     missing: Mapping[int, Sequence[Missing]],
 ) -> tuple[tuple[Region, ...], Times, tuple[str, ...]]:
-    """Where what each joint lacks lies: regions of its state, times (s), and the recordings that
-    they are times of; those that hold most of it.
+    """Where the missing torque of each joint lies: regions of its state, times (s), and the
+    recordings of these times; those with most of it.
     """
     places = [r for joint, parts in missing.items() for r in regions(parts, joint)[:2]]
     spans = sorted(
@@ -270,7 +270,7 @@ def located(
     )
     apart: list[tuple[str, float, float, float]] = []
     for name, begin, end, share in spans:
-        if apart and apart[-1][0] == name and begin <= apart[-1][2]:  # of another joint
+        if apart and apart[-1][0] == name and begin <= apart[-1][2]:  # of another joint too
             _, first, last, most = apart.pop()
             apart.append((name, first, max(last, end), max(most, share)))
         else:
@@ -283,8 +283,9 @@ def located(
     )
 
 
-def intervals(missing: Missing, most: int = 5) -> list[tuple[float, float, float]]:
-    """Time intervals where the mismatch concentrates: (start s, end s, share), largest share first.
+def intervals(missing: Missing) -> list[tuple[float, float, float]]:
+    """Time intervals in which the mismatch is concentrated: (start s, end s, share), largest share
+    first.
     """
     e, counts = energy(missing)
     e = counts * e
@@ -311,4 +312,4 @@ def intervals(missing: Missing, most: int = 5) -> list[tuple[float, float, float
         )
         for a, b in spans
     ]
-    return sorted(out, key=lambda s: -s[2])[:most]
+    return sorted(out, key=lambda s: -s[2])[:MOST_TIMES]

@@ -1,9 +1,9 @@
-"""The fit that a person can read: position error of short free simulations, given, calibrated and
-improved.
+"""The position error of short free simulations, for people to read: of the given, calibrated and
+improved model.
 
-Each window restarts from the smoothed motion; what its unknown initial position and velocity
-explain (a straight line) is removed, for all models alike. A perfect model leaves the sensor's own
-noise: the noise floor.
+Each window restarts from the smoothed motion. A straight line, for the unknown initial position and
+velocity, is removed alike for all models. A perfect model leaves the sensor's own noise: the noise
+floor.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ AWAY = 100.0  # rad or m: no joint goes that far within a window
 
 
 def window_error(data: Data, model: Model, joint: int) -> Array:
-    """Position error within windows, all recordings one after the other, rad or m; of a simulation
-    that ran away, the joint's travel.
+    """The position error within windows, all recordings one after the other, rad or m; where a
+    simulation diverged, the joint's travel.
     """
     parts = []
     for rec in data.records:
@@ -48,8 +48,8 @@ def window_error(data: Data, model: Model, joint: int) -> Array:
 
 
 def _free(record: JointRecord, model: Model, bandwidth: float, inner: int, size: int) -> Array:
-    """Innovations of free windows; with shorter steps where the simulation runs away: viscous
-    friction on next to no inertia is faster than the usual ones.
+    """Innovations of free windows, with shorter steps where the simulation diverges: viscous
+    friction on hardly any inertia is too fast for the usual steps.
     """
     while True:
         r = run(record, model, bandwidth, inner=inner, free_every=size).innovations
@@ -59,8 +59,8 @@ def _free(record: JointRecord, model: Model, bandwidth: float, inner: int, size:
 
 
 def standing_out(data: Data, errors: Array, others: Array, joint: int) -> float:
-    """By how many standard deviations of chance the squares of some errors, as ``window_error``
-    gives them, are expected to exceed those of others that are noise.
+    """The expected excess of the squares of some errors of ``window_error`` over those of others
+    that are noise, in standard deviations.
     """
     size = max(16, round(WINDOW / data.records[0][joint - 1].sample_time))
     change = errors - others
@@ -69,20 +69,20 @@ def standing_out(data: Data, errors: Array, others: Array, joint: int) -> float:
 
 
 def rms(values: Array) -> float:
-    """Root mean square; infinite where the simulation ran away."""
+    """Root mean square; infinite where the simulation diverged."""
     value = float(np.sqrt(np.mean(np.minimum(values**2, 1e12))))
     return value if np.isfinite(value) else float("inf")
 
 
 def model_error(data: Data, model: Model, joints: Sequence[int] = ()) -> float:
-    """RMS over all recordings and over some joints, or all of them, rad or m."""
+    """RMS position error over all recordings and some or all joints, rad or m."""
     some = joints or range(1, data.joints + 1)
     return rms(np.concatenate([window_error(data, model, j) for j in some]))
 
 
 def noise_floor(data: Data, *joints: int) -> float:
-    """What the sensor alone leaves in such windows: quantisation and noise, rad or m (RMS); of some
-    joints, or of all.
+    """The RMS error in windows from the sensor alone (quantisation and noise), rad or m; over some
+    joints, or all.
     """
     squares, count = 0.0, 0
     for rec in data.records:

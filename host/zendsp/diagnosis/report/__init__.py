@@ -1,1 +1,1 @@
-"""What a reader gets: the page, its figures and the files."""
+"""The report of a diagnosis: its page, figures and files."""

@@ -1,5 +1,4 @@
-"""What a figure of a report shows, as numbers: drawn as a picture in the page, and as braille in
-the terminal.
+"""The figures of a report as numbers, drawn as pictures in the page and as braille in the terminal.
 """
 
 from __future__ import annotations
@@ -55,7 +54,7 @@ class Panel:
     title: str = ""
     log: bool = False  # of y
     limits: tuple[float, float] | None = None  # of y
-    level: tuple[float, str] | None = None  # a broken line across, and what it is
+    level: tuple[float, str] | None = None  # a broken line across, with its label
     band: tuple[float, float] | None = None  # of y, shaded
     spans: tuple[tuple[float, float], ...] = ()  # of x, shaded
     mesh: Mesh | None = None
@@ -72,16 +71,16 @@ class Chart:
     panels: tuple[Panel, ...]
     title: str = ""
     beside: bool = False  # panels stand side by side, else over one another
-    same: bool = False  # panels have the same axes; of those over one another, x is the same anyway
+    same: bool = False  # panels share both axes; panels over one another always share x
     ratio: tuple[float, ...] = ()  # of the panels' heights or widths
     size: tuple[float, float] = (7.2, 3.0)  # inch
-    finding: int = -1  # index of the finding that it shows, -1: of none
+    finding: int = -1  # index of the finding that it shows, or -1
     joint: int = 0
     note: str = ""  # a sentence below it
 
 
 def save_chart(chart: Chart, folder: Path) -> Path:
-    """Write the numbers of a chart as JSON beside its picture."""
+    """Write the numbers of a chart as JSON, beside its picture."""
     path = folder / f"{chart.name}{SUFFIX}"
     path.write_text(json.dumps(_plain(chart), ensure_ascii=False), encoding="utf-8")
     return path

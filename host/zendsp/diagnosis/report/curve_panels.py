@@ -1,4 +1,4 @@
-"""Panels of a torque over what it depends on: samples, means with their errors, and the law."""
+"""Panels of a torque over its variable: samples, means with their errors, and the law."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from zendsp.diagnosis.report.sides import torque_label, units_at
 
 Array = npt.NDArray[np.float64]
 DOTS = 4000  # of a panel
-CONTRADICTS = 4.0  # standard errors: means that are further from the law contradict it
-LITTLE = 0.1  # of a law: what lies beside it and is less is told of no law
-BRIDGED = 3.5  # widths of a bin that a line crosses at most: two empty ones, and rounding
+CONTRADICTS = 4.0  # standard errors: means further from the law contradict it
+LITTLE = 0.1  # of a law: a smaller difference from it is not mentioned
+BRIDGED = 3.5  # widths of a bin that a line may cross: two empty bins, and rounding
 
 
 def law_name(finding: Finding, index: int) -> str:
-    """Name of the files of a law's figure; ``index`` is the finding's, from 0."""
+    """The file name of a law's figure; ``index`` is that of the finding, from 0."""
     return f"law_{index + 1}_{finding.effect}_joint{finding.joint}"
 
 
@@ -35,12 +35,13 @@ def two_panels(
     titles: tuple[str, str],
     unit: str = "",
 ) -> Chart:
-    """The chart of three curves, without a title: the law, what lacks without it, and with it.
+    """The chart of three curves, without a title: the law, the missing torque without it, and with
+    it.
 
     Parameters
     ----------
     unit : str
-        Of what is drawn; that of the joint's torque where empty.
+        Unit of the curves; that of the joint's torque where empty.
     """
     joint, law = finding.joint, curves[0]
     line = Series("line", "law", *broken(law.at, law.mean), f"{finding.effect}, as found")
@@ -67,14 +68,14 @@ def two_panels(
 
 
 def broken(at: Array, mean: Array) -> tuple[Array, Array]:
-    """A line over bins, with NaN where it would cross more than two in which nothing was seen."""
+    """A line over bins, with NaN where it would cross more than two empty bins."""
     apart = np.diff(at)
     gaps = np.flatnonzero(apart > BRIDGED * np.min(apart, initial=np.inf)) + 1
     return np.insert(at, gaps, at[gaps - 1]), np.insert(mean, gaps, np.nan)
 
 
 def beside_the_law(law: Curve, after: Curve, xlabel: str, unit: str) -> str:
-    """Whether the means lie on the law, in a sentence: bars are their standard errors."""
+    """A sentence on whether the means lie on the law; bars are their standard errors."""
     size = np.sqrt(np.mean(law.mean**2)) if len(law.mean) else 0.0
     apart = np.abs(after.mean) / np.maximum(after.spread, 1e-300)
     beside = (apart > CONTRADICTS) & (np.abs(after.mean) > LITTLE * size)
@@ -95,7 +96,7 @@ def beside_the_law(law: Curve, after: Curve, xlabel: str, unit: str) -> str:
 def curve_panel(
     d: Diagnosis, joint: int, curve: Curve, role: str, title: str, *lines: Series
 ) -> Panel:
-    """Samples and means of a curve."""
+    """The panel of a curve: samples and means."""
     units = units_at(d, joint)
     label = torque_label(units["torque"])
     dots = _as_they_count(curve.samples)
@@ -113,7 +114,7 @@ def curve_panel(
 
 
 def _as_they_count(samples: Samples) -> Samples:
-    """Some samples of all, the more of them the more they say."""
+    """A selection of the samples, in proportion to their weight."""
     order = np.cumsum(samples.weight)
     at = np.linspace(0.0, order[-1], DOTS, endpoint=False)
     some = np.unique(np.searchsorted(order, at, side="right"))
@@ -123,8 +124,8 @@ def _as_they_count(samples: Samples) -> Samples:
 
 
 def common_limits(panels: Sequence[Panel]) -> tuple[float, float]:
-    """Of panels with the same axes: all means with bars of the usual length, all of the law, and
-    the dots but for a few.
+    """Limits for panels with the same axes: they hold all means with usual error bars, the whole
+    law, and all but a few dots.
     """
     shown: list[npt.NDArray[np.floating[Any]]] = []
     for panel in panels:

@@ -23,7 +23,7 @@ COLOURS = {  # apart for colour-blind readers, and in grey
     "floor": "#3a7d44",
     "law": "black",
 }
-NUMBERS = 7  # for as many there is room along an axis
+NUMBERS = 7  # along an axis
 SPAN, SPANS = "#e8c39e", "where more of it lies than elsewhere"
 STYLE: Any = {
     "font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "figure.dpi": 110,
@@ -51,8 +51,8 @@ def draw(chart: Chart) -> Figure:
         for k, (axis, panel) in enumerate(zip(axes, chart.panels, strict=True)):
             _fill(figure, axis, panel, inner=chart.same and k > 0)
             if not chart.beside and k < n - 1:
-                axis.set_xlabel("")  # that of the last one
-        if any(panel.mesh for panel in chart.panels):  # the bar's label is none of the next axis
+                axis.set_xlabel("")  # the last panel has it
+        if any(panel.mesh for panel in chart.panels):  # room for the bar's label
             figure.get_layout_engine().set(wspace=0.08)  # type: ignore[union-attr, call-arg]
         if chart.title:
             figure.suptitle(chart.title, fontsize=10)
@@ -85,14 +85,14 @@ def _fill(figure: Figure, axis: Axes, panel: Panel, *, inner: bool) -> None:
 
 
 def places(low: float, high: float) -> list[float]:
-    """Where a logarithmic axis has numbers, some six of them: at powers of 10, or closer."""
+    """The places of numbers on a logarithmic axis, about six: at powers of 10, or closer."""
     powers = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1)
     found: list[float] = []
     for steps in ((1,), (1, 2, 5), range(1, 10), np.arange(10, 100) / 10):
         found = [float(p * s) for p in powers for s in steps if low <= p * s <= high]
         if len(found) > 2:
             break
-    apart = (high / low) ** (1 / NUMBERS)  # 0.0009 and 0.001 would touch one another
+    apart = (high / low) ** (1 / NUMBERS)  # else 0.0009 and 0.001 would touch
     kept = found[-1:]
     for place in found[-2::-1]:
         if kept[-1] >= apart * place:
@@ -104,7 +104,7 @@ def _series(axis: Axes, s: Series) -> None:
     colour, label = COLOURS[s.role], s.label or None
     if s.kind == "line":
         thin = 0.7 if len(s.x) > 300 else 1.2
-        thin *= 3.0 if s.role == "before" else 1.0  # seen beneath one that is equal
+        thin *= 3.0 if s.role == "before" else 1.0  # visible beneath an equal line
         axis.plot(s.x, s.y, color=colour, lw=thin, label=label)
     elif s.kind == "dots":
         axis.plot(s.x, s.y, ".", color=colour, ms=1.5, alpha=0.35, rasterized=True, label=label)
@@ -118,7 +118,7 @@ def _series(axis: Axes, s: Series) -> None:
 
 
 def _legend(figure: Figure, axes: Sequence[Axes]) -> None:
-    """Below the figure, where it covers no data."""
+    """Put the legend below the figure, where it covers no data."""
     entries = {
         label: handle
         for axis in axes

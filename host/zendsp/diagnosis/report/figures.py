@@ -31,31 +31,30 @@ from zendsp.physics.model import Model
 from zendsp.physics.term_numbers import kernel_model
 
 Array = npt.NDArray[np.float64]
-MOST_JOINTS = 7  # that get figures of their own
+MOST_POINTS = 6000  # of a line
+MOST_JOINTS = 7  # joints with figures of their own
 JOINED = "time [s], one recording after the other"
 TIME = "of the time"
-SENSOR_ONLY = 1.5  # times the noise floor: a model that errs less leaves little but the sensor's
+SENSOR_ONLY = 1.5  # times the noise floor: a smaller error is hardly more than the sensor's
 SENSOR_LEFT = (
     " So near the noise floor they may be the sensor's own: a rounded position errs alike from one"
     " sample to the next."
 )
-FLOOR_DRAWN = 0.3  # of the noise floor: a window that errs less is drawn there
+FLOOR_DRAWN = 0.3  # of the noise floor: windows with smaller errors are drawn there
 
 
-def _thin(count: int, most: int = 6000) -> slice:
-    return slice(None, None, max(1, count // most))
+def _thin(count: int) -> slice:
+    return slice(None, None, max(1, count // MOST_POINTS))
 
 
 def _models(two: Sides) -> tuple[tuple[Model, str, str], ...]:
-    """Model, role and label of each line; one where nothing was found."""
+    """Model, role and label of each line; one line where nothing was found."""
     before = (two.before, "before", two.was)
     return (before,) if two.before is two.after else (before, (two.after, "after", two.now))
 
 
 def error_chart(d: Diagnosis, w: Workings, joint: int) -> Chart:
-    """Does the improved model predict what it has not seen better, and how close is it to the
-    noise?
-    """
+    """Does the improved model predict untouched data better, and how close is it to the noise?"""
     unit = units_at(d, joint)["position"]
     records = [rec[joint - 1] for rec in w.test.records]
     sizes = [max(16, round(WINDOW / r.sample_time)) for r in records]
@@ -111,8 +110,8 @@ def error_chart(d: Diagnosis, w: Workings, joint: int) -> Chart:
 
 
 def one_after_the_other(parts: list[tuple[float, float]]) -> list[float]:
-    """Where recordings of so many seconds begin on a common axis, s: the first by its own clock (of
-    several: without a calendar's whole seconds), each of the others where the one before ends.
+    """The begin of each recording on a common axis, s: the first by its own clock (of several:
+    without the whole seconds of a calendar), the others where the one before ends.
     """
     begin = parts[0][0] - (whole_second(parts[0][0]) if len(parts) > 1 else 0.0)
     return [begin + s for s in np.cumsum([0.0, *(seconds for _, seconds in parts[:-1])]).tolist()]
@@ -130,17 +129,16 @@ def torque_chart(d: Diagnosis, two: Sides, joint: int) -> Chart:
             cut = _thin(len(m.time))
             at = m.time - m.time[0] + start
             series.append(Series("line", role, at[cut], torque[cut], "" if k else label))
-    name = {"calibrated": "calibrated model", "as given": "model as given"}[two.was]
     return Chart(
         "where",
-        f"Joint {joint}: the torque that the {name} lacks, over time",
+        f"Joint {joint}: the torque that the {two.lacking} lacks, over time",
         f"torque_joint{joint}",
         (
             Panel(
                 "time [s]" if len(times) == 1 else JOINED,
                 torque_label(units_at(d, joint)["torque"]),
                 tuple(series),
-                f"Joint {joint}: torque that the {name} lacks along the {_shown_on(d)}",
+                f"Joint {joint}: torque that the {two.lacking} lacks along the {_shown_on(d)}",
                 spans=d.times[:4] if len(times) == 1 else (),  # of one recording's clock
                 clock=len(times) == 1,
             ),
@@ -151,16 +149,17 @@ def torque_chart(d: Diagnosis, two: Sides, joint: int) -> Chart:
 
 
 def _shown_on(d: Diagnosis) -> str:
-    """In which recordings what lacks is shown: those of the fit, unless only others have it."""
+    """The recordings that show the missing torque, in words: those of the fit, unless only others
+    have it.
+    """
     w = d.workings
     held = isinstance(w, Workings) and w.train is w.test
     return "held-out recordings" if held else "recordings of the fit"
 
 
 def map_chart(d: Diagnosis, joint: int) -> Chart | None:
-    """Where does the mismatch live: over the variable on which the first finding depends, or where
-    an interval of the position or of the velocity alone is told, over that? None where it is no
-    state.
+    """Where does the mismatch live? Over the variable of the first finding, or over the position or
+    velocity where only an interval of that is reported. None where the variable is no state.
     """
     over = _told_over(d, joint)
     if over is None or over.variable not in VARIABLES:
@@ -213,7 +212,7 @@ def map_chart(d: Diagnosis, joint: int) -> Chart | None:
 
 
 def _told_over(d: Diagnosis, joint: int) -> Axis | None:
-    """What a joint's words speak of; None where they speak of nothing of it."""
+    """The axis of which the text about a joint speaks; None where there is none."""
     told = [Axis(r.variable) for r in d.regions if r.joint == joint]
     moving = [a for a in told if a.variable in ("position", "velocity")]
     for finding in d.findings:
@@ -225,7 +224,7 @@ def _told_over(d: Diagnosis, joint: int) -> Axis | None:
 
 
 def finding_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Chart:
-    """What does a finding look like in the recordings, and what stays when it is there?"""
+    """What does a finding look like in the recordings, and what stays with it in the model?"""
     if finding.effect == "unknown" and (chart := unknown_chart(d, w, finding, index)) is not None:
         return chart
     if measured(finding) and (chart := torsion_chart(d, w, finding, index)) is not None:
@@ -239,7 +238,7 @@ def finding_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Ch
 
 
 def white_chart(d: Diagnosis, w: Workings, two: Sides, joint: int) -> Chart:
-    """Is anything predictable left in what the improved model does not predict?"""
+    """Are the improved model's one-step errors white?"""
     record = w.test.records[0][joint - 1]
     bound = float(1.96 / np.sqrt(record.n))
     series, outside, left = [], [], ""
@@ -301,7 +300,7 @@ def simulator_charts(d: Diagnosis, errors: SimulatorErrors) -> list[Chart]:
 
 
 def from_a_whole_second(panel: Panel) -> Panel:
-    """The same panel, where its axis is a calendar's time from the whole second of its begin."""
+    """The panel, with calendar times counted from the whole second of their begin."""
     if not (panel.clock and panel.series):
         return panel
     begin = whole_second(float(panel.series[0].x[0]))
@@ -324,7 +323,7 @@ def _charts(d: Diagnosis) -> list[Chart]:
     w = d.workings
     if w is None:
         return []
-    if not isinstance(w, Workings):  # of a simulator that can only be called
+    if not isinstance(w, Workings):  # of a black-box simulator
         return simulator_charts(d, w)
     laws = [finding_chart(d, w, f, k) for k, f in enumerate(d.findings)]
     told = {c.joint for c in laws} or {x.joint for x in w.decisions if x.kind != "complete"}

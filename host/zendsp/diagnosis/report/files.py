@@ -51,7 +51,7 @@ def write_report(
     (folder / "model.toml").write_text(_improved_text(d.improved, folder), encoding="utf-8")
     (folder / "calibrated.toml").write_text(model_text(d.calibrated), encoding="utf-8")
     _compensation(d, folder)
-    if d.next_recording is not None and d.next_recording.reference is not None:  # see no_reference
+    if d.next_recording is not None and d.next_recording.reference is not None:  # no_reference
         from zendsp.reference import Reference, save_reference
 
         q, period = d.next_recording.reference
@@ -75,7 +75,7 @@ def write_report(
 
 
 def no_reference(d: Diagnosis) -> str:
-    """Why no next_reference.mat is written; empty where one is."""
+    """The reason that no next_reference.mat is written; empty where one is."""
     if d.stopped:
         return "it was not asked for after Ctrl-C"
     if d.next_recording is None and not d.doubted:
@@ -88,7 +88,7 @@ def no_reference(d: Diagnosis) -> str:
 
 
 def _clear(folder: Path) -> None:
-    """Take away what an earlier diagnosis wrote into the folder and this one may not write."""
+    """Remove files of an earlier diagnosis that this one may not overwrite."""
     for chart in folder.glob(f"*{SUFFIX}"):
         chart.with_name(chart.name.removesuffix(SUFFIX) + ".png").unlink(missing_ok=True)
         chart.unlink()
@@ -97,7 +97,7 @@ def _clear(folder: Path) -> None:
 
 
 def left_out(model: Model) -> list[str]:
-    """A note of what ``model.mjcf`` does not hold; none where the model is no MJCF."""
+    """A note on what ``model.mjcf`` does not hold; none where the model is no MJCF."""
     if model.kind != "mjcf":
         return []
     if model.robot.take != "all":
@@ -118,7 +118,9 @@ def left_out(model: Model) -> list[str]:
 
 
 def _improved_text(model: Model, folder: Path) -> str:
-    """The improved model; of an MJCF with a model.mjcf of its own, where that can be written."""
+    """The text of the improved model's file. An MJCF gets a model.mjcf of its own, where that can
+    be written.
+    """
     if model.kind != "mjcf":
         return model_text(model)
     from zendsp.physics.robots.mjcf_write import write_mjcf
@@ -128,7 +130,7 @@ def _improved_text(model: Model, folder: Path) -> str:
 
 
 def report_text(d: Diagnosis) -> str:
-    """report.json of the contract."""
+    """The text of report.json."""
     return json.dumps(finite(d.report()), indent=1, ensure_ascii=False, allow_nan=False)
 
 
@@ -164,18 +166,18 @@ def _compensation(d: Diagnosis, folder: Path) -> None:
 
 
 def _without_law(report: Report) -> set[tuple[int, str]]:
-    """Joint and mechanism of what was found without a law."""
+    """Joint and mechanism of findings without a law."""
     return {(f["joint"], f["mechanism"]) for f in report["findings"] if f["effect"] == "unknown"}
 
 
 def stands_for(report: Report) -> set[tuple[str, int]]:
-    """Effect and joint of the terms of the improved model that stand for what was found: of a
-    torque over position without a law, its laws among the refinements, where all of them repeat
-    along the position. What only refines a fit may be bent to anything: of friction it could drive
-    the joint, and beside what was recorded a spring grows without end.
+    """Effect and joint of the terms of the improved model that may be compensated: those of
+    findings, and ripples among the refinements that describe a torque over position without a law.
+    Other refinements may be bent to anything: a friction could drive the joint, and a spring grows
+    without limit outside the recorded range.
     """
     stand = {(f["effect"], f["joint"]) for f in report["findings"]}
-    # the weight of an inertia that was found is told with it
+    # the weight of a found inertia belongs to it
     weighs = (f["joint"] for f in report["findings"] if "weight" in f.get("details", {}))
     stand |= {("gravity", joint) for joint in weighs}
     for joint, mechanism in _without_law(report):
@@ -190,7 +192,7 @@ def stands_for(report: Report) -> set[tuple[str, int]]:
 
 
 def finite(value: Any) -> Any:
-    """Infinities and NaN have no place in JSON: they become null."""
+    """The value with infinities and NaN as null, since JSON has neither."""
     if isinstance(value, dict):
         return {k: finite(v) for k, v in value.items()}
     if isinstance(value, list | tuple):

@@ -14,7 +14,7 @@ from zendsp.diagnosis.decide.result import Diagnosis, Errors, Finding, number
 from zendsp.diagnosis.report.chart import Chart
 from zendsp.diagnosis.report.summary import SMALLER, before, unnamed
 
-SAID = 4  # findings on the first sheet, the most telling first
+SAID = 4  # findings on the first sheet
 SHARE = (
     "Share: what comes back when the law is taken away and all else is fitted anew, its mean square"
     " as a part of that of all the torque that the calibrated model lacks. It is what nothing else"
@@ -39,14 +39,14 @@ td.n,th.n{text-align:right;font-variant-numeric:tabular-nums}img{max-width:100%;
 """  # noqa: E501
 
 def page(d: Diagnosis, figures: list[tuple[Chart, Path]]) -> str:
-    """HTML of the whole report, pictures inside: first what matters on one sheet, then everything
-    else.
+    """The HTML of the whole report with its pictures: first a sheet with the essentials, then the
+    details.
 
     Parameters
     ----------
     figures : list of (chart, path of its picture)
     """
-    shows = "fit" if d.verdict == "complete" else "where"  # in the order of their pictures
+    shows = "fit" if d.verdict == "complete" else "where"  # of the first picture
     order = [f for section in ("law", shows, "fit") for f in figures if f[0].section == section]
     first = next(iter(order), None)
     rest = [f for f in figures if f is not first]
@@ -125,7 +125,7 @@ def _left(d: Diagnosis) -> str:
 
 
 def _could_not(d: Diagnosis) -> str:
-    """Per joint, the smallest size of each effect that these recordings would have shown."""
+    """A table for each joint of the smallest sizes that these recordings would have shown."""
     joints = sorted({x.joint for x in d.detectable})
     rows = []
     for joint in joints:
@@ -165,7 +165,7 @@ def _fit_of(e: Errors) -> str:
 
 
 def _colour(d: Diagnosis) -> str:
-    """The style of the verdict: of what was not seen, that of what cannot be told."""
+    """The style of the verdict; a complete model with unseen joints gets that of "cannot tell"."""
     unseen = dark((x.joint, x.interval) for x in d.discrepancy)
     return "unexplained" if d.verdict == "complete" and unseen else d.verdict
 
@@ -226,7 +226,7 @@ def _rejected(d: Diagnosis) -> str:
 def _pictures(
     figures: list[tuple[Chart, Path]], section: str, *, named: bool = False
 ) -> str:
-    """``named``: each law with its sentence above it."""
+    """The pictures in HTML; ``named``: each law with its sentence above it."""
     out = []
     for chart, path in figures:
         if chart.section == section:

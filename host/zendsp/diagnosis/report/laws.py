@@ -32,6 +32,7 @@ from zendsp.diagnosis.report.curve_panels import (
 )
 from zendsp.diagnosis.report.sides import (
     Sides,
+    as_given,
     between,
     clearest,
     torque_label,
@@ -44,22 +45,22 @@ from zendsp.physics.model import Term
 from zendsp.physics.term_numbers import kernel_model
 
 Array = npt.NDArray[np.float64]
-FAST_PATTERN = 40  # repetitions over the travel: a pattern with more is seen by a faster observer
-FOLDED = 6  # repetitions over the travel: a pattern with more is drawn over one of them
-# of the observer's bandwidth: a pattern that passes faster is flatter in what it says
+FAST_PATTERN = 40  # periods over the travel: a pattern with more is drawn by a faster observer
+FOLDED = 6  # periods over the travel: a pattern with more is drawn over one period
+# of the observer's bandwidth: a pattern that passes faster is flattened
 FLATTENED = 0.5
-MAY_STICK = 0.2  # of that speed: slower, dry friction may hold the joint
+MAY_STICK = 0.2  # of that speed: below, dry friction may hold the joint
 CURVE_SAMPLES = 300  # samples of a curve
-IN_A_WAVE = 8  # bins of one wave at least: with fewer a wave looks like another one, or noise
+IN_A_WAVE = 8  # least bins of a wave: with fewer it looks like another wave, or noise
 MOST_BINS = 400
-SHOWN = 0.5  # of a law's energy that its curve must explain, or it is drawn over time
-SHOWN_S = 2.0  # of such a figure
-UNCHANGED = 1e-9  # of a number: it is the same
-LARGEST_BAR = 0.99  # quantile that stands for it
+SHOWN = 0.5  # of a law's energy: if its curve explains less, the law is drawn over time
+SHOWN_S = 2.0  # span of such a figure
+UNCHANGED = 1e-9  # relative change of a number that counts as none
+LARGEST_BAR = 0.99  # quantile used as the largest
 
 
 def axis_of(finding: Finding) -> Axis:
-    """The axis over which a finding is best seen: of a coupling, the other joint's motion.
+    """The axis over which a finding is best seen; for a coupling the other joint's motion.
 
     Examples
     --------
@@ -79,21 +80,21 @@ def axis_of(finding: Finding) -> Axis:
 
 
 def law_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Chart:
-    """What does the law that was found look like over the data, and what stays when it is there?
-    Of a given number that calibration moves: what lacks with the given one.
+    """What does the found law look like over the data, and what stays with it in the model? For a
+    given number that calibration moved: the missing torque with the given one.
     """
     whole = w.whole
     terms = _told_of(d, w, finding)
     replaced = [t for t in whole.calibrated.at(finding.joint) if t.effect in finding.replaces]
     kept = [t for t in whole.improved.terms if t not in terms]
     less, more = f"without {finding.effect}", f"with {finding.effect}"
-    two = Sides(kernel_model(d.given), whole.improved, "as given", "calibrated")
-    if "recordings" in finding.numbers:  # a load that others have not
+    two = as_given(kernel_model(d.given), whole.improved)
+    if "recordings" in finding.numbers:  # a load of some recordings only
         two = Sides(whole.calibrated, whole.improved, less, more, by_law=True)
     elif terms:
         bare = whole.improved.with_terms((*kept, *replaced))
         two = Sides(bare, whole.improved, less, more, by_law=True)
-    if get_effect(finding.effect).site == "body":  # it acts by the motion of all joints
+    if get_effect(finding.effect).site == "body":  # it depends on the motion of all joints
         force = d.given.torque_unit
         alike = [j for j in range(1, d.given.joints + 1) if force(j) == force(finding.joint)]
         return _over_time(d, finding, index, two, *where_most(w.train, two, alike))
@@ -113,7 +114,7 @@ def law_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Chart:
     if period and float(np.ptp(law.samples.x)) > FOLDED * period:
         law, *curves = (_folded(curve, period) for curve in (law, *curves))
         along = _within(period, unit)
-    if law.explained < SHOWN and not period:  # a pattern that passes fast is one all the same
+    if law.explained < SHOWN and not period:  # a fast pattern is drawn over the position anyway
         return _over_time(d, finding, index, two, joint, before, after)
     chart = two_panels(d, finding, index, [law, *curves], (two.was, two.now))
     panels = tuple(replace(p, xlabel=along or p.xlabel) for p in chart.panels)
@@ -123,23 +124,23 @@ def law_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Chart:
 
 
 def _title(finding: Finding, joint: int, two: Sides, unit: str) -> str:
-    """What a law's figure shows: the law's own torque, which is not what a model lacks that is
-    fitted without it; of a number that was given wrong, what lacked with it.
+    """The title of a law's figure: the law's own torque (a model fitted without it would lack
+    less); or, for a wrong given number, the missing torque with it.
     """
     if two.by_law:
         what = f"{torque_word(unit)} of {finding.effect}: the improved model without it and with it"
         return f"Joint {joint}: {what}"
-    return f"Joint {joint}: {torque_word(unit)} that the model {two.was} lacks, by {finding.effect}"
+    return f"Joint {joint}: {torque_word(unit)} that the {two.lacking} lacks, by {finding.effect}"
 
 
 def _told_of(d: Diagnosis, w: Workings, finding: Finding) -> list[Term]:
-    """The terms that a finding's sentence speaks of: its own, what refines it where the sentence
-    counts that in, and the level on which a number of it stands (of a Stribeck curve, Coulomb
-    friction), where that is neither given nor a finding.
+    """The terms that the sentence of a finding includes: its own; refinements, where the sentence
+    counts them in; and the Coulomb level under a Stribeck curve, where that is neither given nor a
+    finding.
     """
     here, known = w.whole.improved.at(finding.joint), w.whole.calibrated.at(finding.joint)
     own = [t for t in here if t.effect == finding.effect]
-    if any(as_stated(d, t) != t for t in own):  # its refinements hold a part of what it says
+    if any(as_stated(d, t) != t for t in own):  # its refinements hold a part of its numbers
         own += [t for t in here if (t.effect, t.joint) in _refining(d, finding)]
     below = {p.above for p in get_effect(finding.effect).parameters}
     below -= {f.effect for f in d.findings if f.joint == finding.joint}
@@ -148,8 +149,8 @@ def _told_of(d: Diagnosis, w: Workings, finding: Finding) -> list[Term]:
 
 
 def as_stated(d: Diagnosis, term: Term) -> Term:
-    """A term of the improved model with the numbers of its sentence: a law is stated as it is
-    without what only refines its mechanism, which has taken a part of its numbers.
+    """A term of the improved model with the numbers of its sentence, which are those without
+    refinements: these absorb a part of a law's numbers.
     """
     said = [f for f in d.findings if (f.effect, f.joint) == (term.effect, term.joint)]
     if len(said) != 1 or not _refining(d, said[0]):
@@ -166,7 +167,7 @@ def as_stated(d: Diagnosis, term: Term) -> Term:
 
 
 def _refining(d: Diagnosis, finding: Finding) -> set[tuple[str, int]]:
-    """Effect and joint of what only refines a finding's mechanism."""
+    """Effect and joint of the refinements of a finding's mechanism."""
     key = (finding.mechanism or mechanism_of(finding.effect), finding.joint)
     return {(r.effect, r.joint) for r in d.refinements if (r.mechanism, r.joint) == key}
 
@@ -180,7 +181,8 @@ def _over_time(
     before: Sequence[Missing],
     after: Sequence[Missing],
 ) -> Chart:
-    """A law that is no function of one variable, in the seconds in which it acts most."""
+    """The chart of a law that is no function of one variable, in the seconds in which it acts most.
+    """
     law = between(before, after)
     k, cut = _most(law)
     lines = [
@@ -205,7 +207,7 @@ def _over_time(
 
 
 def _most(law: Sequence[Missing]) -> tuple[int, slice]:
-    """The recording with the seconds in which a torque acts most, and its samples of them."""
+    """The recording and its samples in which a torque acts most."""
     size = [max(1, round(SHOWN_S / float(m.time[1] - m.time[0]))) for m in law]
     sums = [
         np.convolve(m.weight * m.torque**2, np.ones(min(n, len(m.time))), "valid")
@@ -219,7 +221,8 @@ def _most(law: Sequence[Missing]) -> tuple[int, slice]:
 def where_most(
     data: Data, two: Sides, joints: Sequence[int]
 ) -> tuple[int, list[Missing], list[Missing]]:
-    """The joint with the largest torque between two models, and what each of them lacks there."""
+    """The joint with the largest torque between two models, and the missing torque of each there.
+    """
     best = -1.0
     for joint in joints:
         _, before, after = clearest(data, two, joint)
@@ -233,7 +236,7 @@ def where_most(
 
 
 def drawn(lacks: Sequence[Missing]) -> list[Array]:
-    """Torques for lines over time, NaN where they are known to no better than the largest is
+    """Torques for lines over time, NaN where they are less certain than the largest torque is
     large.
     """
     known = np.concatenate([np.abs(m.torque[np.isfinite(m.std)]) for m in lacks])
@@ -245,12 +248,12 @@ def drawn(lacks: Sequence[Missing]) -> list[Array]:
 
 
 def _period(finding: Finding) -> float:
-    """Of what a law repeats along the position, rad or m; 0 where it does not."""
+    """The period of a law along the position, rad or m; 0 where it has none."""
     return _repeats({name: e.value for name, e in finding.parameters.items()})
 
 
 def _period_of(term: Term) -> float:
-    """The same of a term."""
+    """The period of a term along the position, rad or m; 0 where it has none."""
     return _repeats({name: q.value for name, q in term.parameters.items()})
 
 
@@ -261,8 +264,8 @@ def _repeats(numbers: Mapping[str, float]) -> float:
 
 
 def _passing_slowly(lacks: list[Missing], period: float, band: float) -> list[Missing]:
-    """The samples in which a pattern passes so slowly that what is lacking shows it in full, and
-    not in dry friction's stead; all, where these are few.
+    """The samples in which a pattern passes slowly enough to be seen in full, yet too fast for dry
+    friction to hold the joint; all samples where these are few.
     """
     fastest = FLATTENED * band * period / (2 * np.pi) or np.inf
     speeds = [np.abs(m.variables["velocity"]) for m in lacks]
@@ -275,26 +278,26 @@ def _passing_slowly(lacks: list[Missing], period: float, band: float) -> list[Mi
 
 
 def _folded(curve: Curve, period: float) -> Curve:
-    """A curve over the position, all its periods laid over one another."""
+    """A curve over the position with all periods laid over one another."""
     s = replace(curve.samples, x=np.mod(curve.samples.x, period))
     return Curve(curve.axis, s, *binned(s), curve.against)
 
 
 def unknown_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Chart | None:
-    """What does the torque look like that no law describes?"""
+    """What does a torque without a law look like?"""
     joint, whole = finding.joint, w.whole
     named = {f.effect for f in d.findings if f.joint == joint}
     beside = beside_unknown(whole.calibrated, whole.improved, joint, finding.mechanism, named)
     periods = [_period_of(t) for t in whole.improved.at(joint) if t not in beside.at(joint)]
     lacks = mismatch(w.train, beside, joint)
-    if any(periods):  # waves pass faster than a slow observer sees
+    if any(periods):  # waves may pass faster than a slow observer can follow
         band, lacks, _ = clearest(w.train, Sides(beside, whole.improved, "", ""), joint)
         band = band_of(w.train.records[0][joint - 1], band)
         lacks = _passing_slowly(lacks, max(periods), band)
     said = finding.numbers.get("curve")
     if said is None:
         return None
-    # over what its sentence says, whatever the recordings of the fit would say
+    # over the variable of its sentence, whatever the recordings of the fit suggest
     curve = curve_over(lacks, Axis(said["variable"]), finding.mechanism)
     curve, period = in_waves(curve, [p for p in periods if p])
     chart = _without_a_law(d, joint, curve)
@@ -307,13 +310,13 @@ def unknown_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Ch
 
 
 def _within(period: float, unit: str) -> str:
-    """Label of an axis along which all periods are laid over one another."""
+    """The label of an axis with all periods laid over one another."""
     return f"position within a period of {period:.4g} {unit} [{unit}]"
 
 
 def in_waves(curve: Curve, periods: Sequence[float]) -> tuple[Curve, float]:
-    """A curve over the position in bins of which each wave has several, and 0; where these were too
-    many, all periods of the longest wave are laid over one another, and that period.
+    """A curve over the position with several bins for each wave, and 0. Where these would be too
+    many: the curve with all periods of the longest wave laid over one another, and that period.
     """
     if not periods or curve.axis.variable != "position":
         return curve, 0.0
@@ -327,8 +330,8 @@ def in_waves(curve: Curve, periods: Sequence[float]) -> tuple[Curve, float]:
 
 
 def unclaimed_chart(d: Diagnosis, joint: int) -> Chart | None:
-    """What does a torque look like that is not claimed? None where it is no curve over one
-    variable of the joint's state.
+    """What does an unclaimed torque look like? None where it is no curve over one variable of the
+    joint's state.
     """
     ways = [(Axis(v), "") for v in VARIABLES] + [(Axis("position"), "dry_friction")]
     curves = [curve_over(d.missing[joint], *way) for way in ways]
@@ -355,8 +358,8 @@ def _without_a_law(d: Diagnosis, joint: int, curve: Curve) -> Chart:
 
 
 def _too_fine(train: Data, finding: Finding) -> bool:
-    """Whether a pattern repeats so often over the travel that it passes faster than the observer of
-    the other figures sees.
+    """Whether a pattern has so many periods over the travel that the observer of the other figures
+    cannot follow it.
     """
     order = finding.parameters.get("order")
     travel = max(rec[finding.joint - 1].scale.position for rec in train.records)

@@ -1,6 +1,4 @@
-"""What a figure compares: the model before and after, and the observer under which the two differ
-most clearly.
-"""
+"""The two models that a figure compares, and the observer under which they differ most clearly."""
 
 from __future__ import annotations
 
@@ -23,20 +21,29 @@ from zendsp.physics.model import Model
 @dataclass(frozen=True)
 class Sides:
     """Two models of a joint that a figure compares, in kernel form; the same where nothing was
-    found. ``was`` and ``now`` are their labels; where ``by_law``, ``before`` is ``after`` without
-    one law.
+    found.
+
+    Attributes
+    ----------
+    was, now : str
+        Labels of their lines.
+    lacking : str
+        What a title calls ``before``, the model that lacks something.
+    by_law : bool
+        Whether ``before`` is ``after`` without one law.
     """
 
     before: Model
     after: Model
     was: str
     now: str
+    lacking: str = "calibrated model"
     by_law: bool = False
 
 
 def sides(findings: Sequence[Finding], given: Model, whole: Assembled, joint: int) -> Sides:
-    """The calibrated and the improved model; of a joint at which only given numbers were wrong, the
-    given and the calibrated one; where no physics is claimed, the calibrated one.
+    """The calibrated and the improved model; the given and the calibrated one, for a joint at which
+    only given numbers were wrong; the calibrated one alone, where no physics is claimed.
 
     Parameters
     ----------
@@ -47,14 +54,19 @@ def sides(findings: Sequence[Finding], given: Model, whole: Assembled, joint: in
         return Sides(whole.calibrated, whole.calibrated, "calibrated", "calibrated")
     here = [f for f in findings if f.joint == joint]
     if here and all(_absorbed(whole.improved, f) for f in here):
-        return Sides(given, whole.improved, "as given", "calibrated")
+        return as_given(given, whole.improved)
     return Sides(whole.calibrated, whole.improved, "calibrated", "improved")
 
 
+def as_given(given: Model, improved: Model) -> Sides:
+    """The model with its given numbers, and with those that calibration found."""
+    return Sides(given, improved, "as given", "calibrated", lacking="model as given")
+
+
 def _absorbed(improved: Model, finding: Finding) -> bool:
-    """Whether calibration took a finding up: it has a law, and no term of it stands in the improved
-    model. Not so of what two sensors on a transmission show, which moves no torque, nor of a load
-    that only the held-out recordings have.
+    """Whether calibration absorbed a finding: it has a law but no term in the improved model. False
+    for findings by two sensors on a transmission, which have no torque, and for a load of the
+    held-out recordings only.
     """
     terms = [t for t in improved.at(finding.joint) if t.effect == finding.effect]
     elsewhere = measured(finding) or "recordings" in finding.numbers
@@ -76,18 +88,19 @@ def units_at(d: Diagnosis, joint: int) -> dict[str, str]:
 
 
 def torque_word(unit: str) -> str:
-    """What it is called: a force where it is in N."""
+    """The word for a torque: "force" where it is in N."""
     return "force" if unit == "N" else "torque"
 
 
 def torque_label(unit: str) -> str:
-    """Of an axis."""
+    """The label of an axis for torques."""
     return f"{torque_word(unit)} [{unit}]"
 
 
 def clearest(data: Data, two: Sides, joint: int) -> tuple[float, list[Missing], list[Missing]]:
-    """The fastest observer to which what parts two models (of one: what it lacks) stands out of the
-    noise, or the one to which it stands out most: its band, rad/s, and what each of the two lacks.
+    """The fastest observer for which the difference of two models (or what a single one lacks)
+    exceeds the noise, or else the one for which it is clearest: its band, rad/s, and what each
+    model lacks.
     """
     best = -math.inf
     for band in BANDS:
@@ -105,7 +118,7 @@ def clearest(data: Data, two: Sides, joint: int) -> tuple[float, list[Missing], 
 
 
 def between(before: Sequence[Missing], after: Sequence[Missing]) -> list[Missing]:
-    """The torque between two models, and by how much both are uncertain."""
+    """The torque between two models with the uncertainty of both."""
     return [
         replace(a, torque=a.torque - b.torque, std=np.hypot(a.std, b.std))
         for a, b in zip(before, after, strict=True)

@@ -1,4 +1,4 @@
-"""The outcome in ten seconds, for a terminal."""
+"""The outcome for a terminal, readable in ten seconds."""
 
 from __future__ import annotations
 
@@ -13,12 +13,14 @@ if TYPE_CHECKING:
     from zendsp.diagnosis.decide.result import Detectable, Diagnosis
 
 REFINEMENTS = 6  # that a summary names
-MISSED = 3  # of what may have been missed that a summary names
-SMALLER = 1.05  # times: a smaller fall of the error is not told as one
+MISSED = 3  # undetectable effects that a summary names
+SMALLER = 1.05  # times: a smaller improvement of the error is not mentioned
 
 
 def summary(d: Diagnosis) -> str:
-    """Text of at most a screen: verdict, findings, fit, what could not be seen, what next."""
+    """At most a screen of text: verdict, findings, fit, what could not be seen, and what to do
+    next.
+    """
     lines = [d.headline, ""]
     for k, f in enumerate(d.findings, 1):
         lines.append(f"{k}. {f.effect}, joint {f.joint} (confidence {100 * f.confidence:.0f} %)")
@@ -66,7 +68,9 @@ def summary(d: Diagnosis) -> str:
 
 
 def _missed(detectable: Sequence[Detectable]) -> str:
-    """The largest that the recordings could hide, as parts of the torque, and how many more."""
+    """The largest effects that the recordings could hide, as parts of the torque, and the count of
+    others.
+    """
     largest = sorted(detectable, key=lambda x: -x.share)[:MISSED]
     named = ", ".join(f"{x.effect} below {_sized(x)} (joint {x.joint})" for x in largest)
     more = len(detectable) - len(largest)
@@ -74,11 +78,11 @@ def _missed(detectable: Sequence[Detectable]) -> str:
 
 
 def _sized(x: Detectable) -> str:
-    return f"{x.size:.2g} {x.unit}".removesuffix(" 1")  # a pure number has no unit to be read
+    return f"{x.size:.2g} {x.unit}".removesuffix(" 1")  # a pure number has no unit
 
 
 def unnamed(share: float, high: float) -> str:
-    """What of a joint's torque nothing named explains, and at most where that says anything."""
+    """The unexplained part of a joint's torque, with its upper limit where that is informative."""
     if share < SMALLEST_SHARE < high:
         return f"at most {percent(high)} of its torque, and perhaps nothing"
     most = f" (at most {percent(high)})" if SMALLEST_SHARE < high < 1.0 else ""
@@ -86,8 +90,8 @@ def unnamed(share: float, high: float) -> str:
 
 
 def before(given: float, calibrated: float, improved: float) -> tuple[str, float]:
-    """The model with which the improved one is compared, and its error: the calibrated one, or the
-    given one where all that was wrong were given numbers.
+    """The model to compare the improved one with, and its error: the calibrated one; the given one
+    where only given numbers were wrong.
 
     Examples
     --------

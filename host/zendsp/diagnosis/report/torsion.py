@@ -1,5 +1,5 @@
-"""The figure of what two sensors on the sides of a transmission show: its torsion over the torque,
-the position or the speed, without the law and with it.
+"""The figure of a transmission measured by two sensors: its torsion over torque, position or speed,
+without the law and with it.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from zendsp.diagnosis.transmission.torsion import (
 )
 
 Array = npt.NDArray[np.float64]
-TERMS = {  # of each law: what of the torsion it explains
+TERMS = {  # the part of the torsion that each law explains
     "elasticity": ("spring",),
     "stiffening": ("spring", "cubic"),
     "backlash": ("gap",),
@@ -40,15 +40,15 @@ TERMS = {  # of each law: what of the torsion it explains
 
 
 def torsion_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Chart | None:
-    """What does the torsion look like, and what stays of it? None where no recording of the fit
-    shows it.
+    """What does the torsion look like, and what stays unexplained? None where no recording of the
+    fit shows it.
     """
     joint, model = finding.joint, w.whole.calibrated
     if any("position_load" not in rec[joint - 1].columns for rec in w.train.records):
         return None
     period = 2 * np.pi / _order(finding) if finding.effect == "transmission_error" else 0.0
     parts = twists(w.train, model, joint)
-    if not period:  # which passes faster than a load follows its motor stiffly
+    if not period:  # which may pass too fast for the load to follow its motor stiffly
         parts = [lowpass(t, OF_BODIES if has_bodies(model) else OF_MOTOR) for t in parts]
     columns_there = w.train.records[0][joint - 1].columns
     if not period and not has_bodies(model) and "torque_measured" not in columns_there:
@@ -99,7 +99,7 @@ def _order(finding: Finding) -> float:
 
 
 def _late(finding: Finding) -> bool:
-    """Whether a hysteresis yields with the torque, not with the direction of the motion."""
+    """Whether a hysteresis follows the torque, not the direction of motion."""
     return "torque" in finding.numbers.get("details", {})
 
 
@@ -112,5 +112,5 @@ def _columns(t: Twist, finding: Finding, scale: float) -> Array:
 
 
 def _over(t: Twist, variable: str) -> Array:
-    """The rows of a variable that tell something."""
+    """The informative rows of a variable."""
     return {"torque": t.torque, "position": t.q, "velocity": t.qd}[variable][t.kept]

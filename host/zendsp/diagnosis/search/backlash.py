@@ -1,11 +1,12 @@
-"""A gap's narrow optimum: contacts that begin and end at other instants make a rough cost with a
-deep valley of a few percent's width.
+"""The narrow optimum of a gap.
 
-A fit from afar ends in a ripple of that cost. Three moves lead on from there by turns; each sees
-past what stops the others:
+Contacts that begin and end at other instants make a rough cost with a deep valley a few percent
+wide. A fit from afar ends in a local minimum. Three moves, in turn, lead on from there; each
+overcomes what stops the others:
 
-* A contact that loses much: one that bounces for ever, or sticks, has no gradient to follow.
-* Ever slower observers: a fast one corrects the load at every sample and hides when a contact
+* A contact with much damping: one that bounces for ever, or sticks, gives no gradient.
+* Ever slower observers: a fast one corrects the load at every sample and hides the instants when a
+contact
   begins.
 * A coarse grid of gaps and stiffnesses around what was found.
 """
@@ -30,17 +31,16 @@ from zendsp.physics.kernel.threads import threads
 from zendsp.physics.model import Model
 
 LOSSY = 0.2  # of critical damping
-DAMPED = (0.05, 0.5)  # of critical damping: a contact outside begins again at LOSSY
-CLOSED = 1e-4  # of the travel: from a gap of less no move leads to an open one
+DAMPED = (0.05, 0.5)  # of critical damping: a contact outside this range starts again at LOSSY
+CLOSED = 1e-4  # of the travel: from a smaller gap no move leads to an open one
 GAP_ROUNDS = 3
-PROGRESS = 50.0  # deviance below which a round has led nowhere
+PROGRESS = 50.0  # deviance: a round that gains less has led nowhere
 GAPS = (0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15, 1.2)
 STIFFNESSES = (0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0)
-LOSSES = (0.15, 1.0)  # a contact of metal on metal loses a fiftieth of critical
-# slower observers one after the other that lead to nothing better: so did all after them, in the
-# cases looked at
+LOSSES = (0.15, 1.0)  # of critical damping; metal on metal has a fiftieth
+# slower observers in a row without a gain, after which none gained in the cases examined
 IDLE = 2
-TRIED = 3  # points of the grid that are fitted
+TRIED = 3  # grid points that are fitted
 
 
 def refine(scored: Scored, joint: int, before: float, worth: float, jobs: int) -> Scored:
@@ -55,7 +55,7 @@ def refine(scored: Scored, joint: int, before: float, worth: float, jobs: int) -
     before : float
         Deviance of the model without it.
     worth : float
-        Gain over that below which one round is enough.
+        Gain over ``before`` below which one round is enough.
     jobs : int
         Threads.
     """
@@ -76,7 +76,7 @@ def refine(scored: Scored, joint: int, before: float, worth: float, jobs: int) -
 
 
 def lossy(scored: Scored, joint: int, jobs: int) -> Scored:
-    """Refit from a contact that loses a fifth of critical; the same where it loses about so much
+    """A fit from a contact with a fifth of critical damping; unchanged where it has about that
     already.
     """
     values = _values(scored.model, joint)
@@ -88,7 +88,7 @@ def lossy(scored: Scored, joint: int, jobs: int) -> Scored:
 
 
 def descend(scored: Scored, joint: int, jobs: int) -> Scored:
-    """Refit with ever slower observers, then with central differences where that was likeliest."""
+    """Fits with ever slower observers, then with central differences at the likeliest."""
     best, model, idle = scored, scored.model, 0
     bandwidth = scored.data.bandwidth[joint - 1]
     while bandwidth / 2 >= SLOWEST and idle < IDLE:
@@ -140,7 +140,7 @@ def around(scored: Scored, joint: int, jobs: int) -> list[Scored]:
 
 
 def _moderate(values: Mapping[str, float]) -> float:
-    """A contact's damping: as found, or a fifth of critical where it is next to none or next to
+    """A contact's damping: as found, or a fifth of critical where it is almost zero or almost
     critical.
     """
     critical, damping = math.sqrt(values["stiffness"] * values["load_inertia"]), values.get(

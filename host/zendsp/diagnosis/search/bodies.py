@@ -1,14 +1,13 @@
-"""Hypotheses about the whole robot: a payload, a wrong link, a tilted base, and what must be told
-from them.
+"""Hypotheses about the whole robot: a payload, a wrong link, a tilted base, and their rivals.
 
-Joint by joint a wrong body looks like a gain, a coupling, a gravity. Here all joints decide
-together. To first order, the torque that a body adds along the measured motion leaves its response
-in the observers' innovations (``response`` of ``physics/calibration/predict.py``). That torque is
-linear in ten numbers of each link (``physics/robots/bodies.py``). Beside them, every joint has
-nuisance columns of its own: offset, viscous and dry friction, drag, rotor inertia. So friction that
-the model lacks does not pass for a body, nor a body for friction. All that a hypothesis needs is in
-the blocks' Gram matrices: estimate, evidence on other recordings and rivals cost next to nothing.
-What wins is estimated again around itself, so that what a body does to the inertia is exact.
+At a single joint a wrong body looks like a gain, a coupling or a gravity. Here all joints decide
+together. To first order, the torque that a body adds along the measured motion appears in the
+observers' innovations (``response`` of ``physics/calibration/predict.py``). That torque is linear
+in ten numbers of each link (``physics/robots/bodies.py``). Beside them, every joint has nuisance
+columns of its own: offset, viscous and dry friction, drag, rotor inertia. So missing friction is
+not mistaken for a body, nor a body for friction. A hypothesis needs only the blocks' Gram matrices,
+so that estimates, evidence on other recordings and rivals cost almost nothing. The winner is
+estimated again around its own numbers, so that its effect on the inertia is exact.
 """
 
 from __future__ import annotations
@@ -39,13 +38,13 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class FoundBody:
-    """What all joints together say of one body, or of gravity.
+    """A body, or an error of gravity, found by all joints together.
 
     Attributes
     ----------
     term : Term
-        To be added to a model; its numbers bear their standard deviations and are held in fits of
-        single joints.
+        To be added to a model; its numbers have standard deviations and are held in fits of single
+        joints.
     body : str
         Name of the link; empty for gravity.
     explained : Explained
@@ -57,7 +56,7 @@ class FoundBody:
     aside : frozenset of int
         Joints (1-based) with a fault of their own that is larger.
     bandwidth : float
-        rad/s of the observers that hear it.
+        rad/s, of the observers that see it.
     """
 
     term: Term
@@ -71,12 +70,12 @@ class FoundBody:
 
 @dataclass(frozen=True)
 class BodySearch:
-    """What is wrong with the bodies of a machine.
+    """The proposed bodies of a machine.
 
-    ``model`` is the given one with it; ``tried`` are all explanations of the last round, ``aside``
-    the joints that had been set aside by then for a fault of their own; ``instead`` the body that
-    explains as much as the first of these faults, and that joint; ``small`` the body that explains
-    best, where it is too small a part of what the joints leave to be proposed.
+    ``model``: the given one with them. ``tried``: all explanations of the last round. ``aside``:
+    joints set aside for a fault of their own. ``instead``: the body that explains as much as the
+    first of these faults, and that joint. ``small``: the best body, where it is too small a part of
+    what the joints leave to be proposed.
     """
 
     model: Model
@@ -87,7 +86,7 @@ class BodySearch:
     small: FoundBody | None = None
 
     def taken(self, body: FoundBody) -> BodySearch:
-        """The search with a body that had not been proposed."""
+        """The search with a body added that had not been proposed."""
         model = self.model.with_terms((*self.model.terms, body.term))
         return replace(self, model=model, found=(body,))
 
@@ -101,7 +100,7 @@ def find_bodies(
     limits: BodyLimits = LIMITS,
     beside: Sequence[Term] = (),
 ) -> BodySearch:
-    """Look for wrong bodies: payloads, links, gravity.
+    """The wrong bodies of a machine: payloads, links, gravity.
 
     Parameters
     ----------
@@ -114,15 +113,15 @@ def find_bodies(
     tell : callable
         Receives a sentence at each stage.
     beside : sequence of Term
-        What the joints have of their own, while bodies are looked for.
+        Terms of the joints to include during the search.
 
     Returns
     -------
     BodySearch
-        Proposals: whether they are claimed is decided on recordings that were not touched here.
+        Proposals. Whether they are claimed is decided on recordings not used here.
     """
     links = fit.records[0][0].links
-    # a single joint's payload is its inertia and its gravity
+    # at a single joint a payload is an inertia and a gravity
     if links is None or all(b.parent < 0 for b in links.bodies):
         return BodySearch(model)
     first = search = _searched(fit, choose, model, jobs, tell, limits, beside)
@@ -138,9 +137,9 @@ def find_bodies(
 def _drowned(
     choose: Data, layout: Layout, tried: Sequence[Explained], limits: BodyLimits
 ) -> bool:
-    """Whether a body that is worth finding predicts better than none for sure, and is little of
-    what such fast observers leave: counts that a controller answers to, a friction that sticks and
-    slips. Slower ones hear less of that, and as much of what moves with the arm.
+    """Whether a sizeable body surely predicts better than none, but is a small part of what fast
+    observers leave (a controller that reacts to encoder counts, stick-slip friction). Slower
+    observers see less of these and as much of the body.
     """
     by_chance = 2.0 * float(np.log(len(tried) / limits.chance))
     return any(
@@ -204,14 +203,14 @@ def _searched(
             fit, choose, layout, own_mass(best, tried, links, limits), limits, jobs, aside
         )
         own = own_mass(best, [e for e in tried if tied(e, tried[0], limits)], links, limits)
-        if own is not best:  # what is known of its place is known by now
+        if own is not best:  # its place is as well known as it can be
             best = refined(fit, choose, layout, own, limits, jobs, aside)
-        # what recordings do not agree on is no body, and hides those that are
+        # a body on which recordings disagree is none, and hides real ones
         if weight_of(choose, layout, best) < limits.least or unsure(best, limits):
             break
         tell(Step.CALIBRATING.says(f"bodies: {best.hypothesis.name}"))
         found.append(_stated(layout, best, tried, limits, aside))
-        if "calibration" in found[-1].indistinguishable:  # it is not to be calibrated away
+        if "calibration" in found[-1].indistinguishable:  # so that calibration cannot absorb it
             held = {
                 key: tuple(replace(q, free=False) for q in items)
                 for key, items in begun.mechanism.items()
@@ -229,7 +228,7 @@ def _stated(
     limits: BodyLimits,
     aside: frozenset[int],
 ) -> FoundBody:
-    """A body with its numbers, beside what predicts as well as the first of all that was tried."""
+    """A body with its numbers, and the tried explanations that predict as well as the first."""
     h = best.hypothesis
     alike = [
         e.hypothesis
@@ -243,21 +242,21 @@ def _stated(
 
 
 def _is_body(one: Explained, best: Explained, limits: BodyLimits) -> bool:
-    """Whether an explanation is a body that is seen, and predicts as well as the best."""
+    """Whether an explanation is a body that is clearly seen and predicts as well as the best."""
     h = one.hypothesis
     return h.effect in ("body", "payload") and seen(one, limits) and tied(one, best, limits)
 
 
 def _carried(one: Explained, limits: BodyLimits) -> bool:
-    """Whether an explanation is a body that predicts better than none, however little it is."""
+    """Whether an explanation is a body that predicts better than none, however small."""
     return one.hypothesis.effect in ("body", "payload") and one.z > limits.sure
 
 
 def _round(
     fit: Sums, choose: Sums, layout: Layout, limits: BodyLimits
 ) -> tuple[list[Explained], frozenset[int], list[Explained]]:
-    """All explanations, the best first; joints with a larger fault of their own are set aside. And
-    those of the first that was, where a body is among the best of them.
+    """All explanations, the best first, with joints set aside that have a larger fault of their
+    own; and the explanations before the first joint was set aside, where a body was among the best.
     """
     everything = hypotheses(layout.model, layout.links)
     aside: set[int] = set()
@@ -278,8 +277,8 @@ def _round(
 def own_mass(
     best: Explained, tried: Sequence[Explained], links: Links, limits: BodyLimits
 ) -> Explained:
-    """The wrong mass of a link in place of a body that sits at its centre of mass, as far as its
-    place is known, and its wrong centre in place of both where the mass may be right.
+    """A wrong mass of the link in place of a body at its centre of mass, within the uncertainty of
+    the place; or a wrong centre of mass in place of both, where the mass may be right.
     """
     h = best.hypothesis
     if "mass" not in h.free or h.free == ("mass",):
@@ -316,14 +315,13 @@ def refined(
     jobs: int = 1,
     aside: Collection[int] = (),
 ) -> Explained:
-    """An explanation estimated again around itself, until its numbers stand; a mass with an inertia
-    of its own where that shows.
+    """An explanation estimated again around its own numbers until they converge; a mass gets an
+    inertia of its own where that shows.
 
-    What a recording leaves unexplained pulls at the numbers by more than its blocks show, since it
-    comes back with the poses. Another recording has other poses: standard deviations grow by what
-    its blocks move the numbers beyond what they may. They hold also where all actuators give a
-    little more or less than stated, which looks much like mass, as far as these recordings tell
-    one from the other.
+    Unexplained torque recurs with the poses and so biases the numbers by more than the blocks of
+    one recording show. Another recording has other poses; the standard deviations grow by how far
+    it moves the numbers beyond their uncertainty. They include a common gain error of all
+    actuators, which resembles a mass.
     """
     return _refined(fit, choose, layout, first, limits, jobs, aside)[0]
 
@@ -337,8 +335,8 @@ def agreed(
     jobs: int = 1,
     aside: Collection[int] = (),
 ) -> Explained:
-    """The same with the numbers that the recordings of the fit and those that chose agree on: what
-    is decided needs no choice any more, and poses of both tell mass from friction and rotors.
+    """The same explanation, estimated on the recordings of the fit and those to choose by. The
+    choice is made by now, and the poses of both separate mass from friction and rotors.
     """
     return _refined(fit, choose, layout, first, limits, jobs, aside)[1]
 
@@ -352,7 +350,7 @@ def _refined(
     jobs: int,
     aside: Collection[int],
 ) -> tuple[Explained, Explained]:
-    """An explanation by the recordings of the fit, and by those that choose as well."""
+    """An explanation estimated on the recordings of the fit and on those to choose by."""
     h, values = _standing(fit, layout, first, limits, jobs, aside)
     here = layout.model.with_terms((*layout.model.terms, layout.term(h, values)))
     sums = [Sums(data, here, limits, jobs) for data in (fit, choose)]
@@ -362,7 +360,7 @@ def _refined(
     )
     together = both.estimate(h, values)
     std, known = one.std(h, values), both.std(h, together)
-    # of a variance, further recordings take off as much as they have of all samples
+    # further recordings reduce the variance by their share of all samples
     more = 1.0 - one.counts.sum() / both.counts.sum()
     may = np.maximum(more * std**2, 1e-300)
     apart = max(1.0, float(np.sqrt(np.mean((together - values) ** 2 / may))))
@@ -383,7 +381,9 @@ def _standing(
     jobs: int,
     aside: Collection[int],
 ) -> tuple[Hypothesis, Array]:
-    """Numbers estimated around themselves until they stand; with an inertia where that shows."""
+    """Numbers estimated again around themselves until they converge, with an inertia where that
+    shows.
+    """
     h, values = first.hypothesis, first.values
     wider = (
         replace(h, free=(*h.free, "inertia")) if "mass" in h.free and "inertia" not in h.free else h
@@ -413,20 +413,20 @@ def _standing(
 
 
 def _by_gain(solver: Solver, h: Hypothesis, values: Array, apart: float) -> Array:
-    """By how much the numbers move where all actuators give more or less than stated by one
-    standard deviation: what the model states of its gains, else that of the constants of makers,
-    and of what the recordings say.
+    """The change of the numbers when all actuators give one standard deviation more or less than
+    stated. That deviation is the model's for its gains, or else that of makers' torque constants,
+    combined with what the recordings show.
     """
     limits = solver.limits
     constant = solver.layout.model.actuator.gain_known or limits.constant
     both, stated = replace(h, free=(*h.free, "gain")), np.append(values, 0.0)
     off, spread = solver.step(both, stated)[-1], solver.std(both, stated)[-1]
-    # a command holds what the loop does against all that no model knows: for that, a regression is
-    # off to the gain that explains it, and the gain is known no better than it is off
+    # in a loop the command balances all unknown torques, which biases a regression for the gain;
+    # the gain is known no better than that bias
     seen = max(abs(float(off)), apart * float(spread))
     by = float(np.copysign(seen * constant / np.hypot(seen, constant), off))
     shift = solver.beside_gain(by).estimate(h, values) - values
-    for _ in range(limits.halvings):  # no torque constant makes a body's inertia negative
+    for _ in range(limits.halvings):  # the gain must not make a body's inertia negative
         if solver.plausible(h, values + shift):
             break
         shift /= 2.0
@@ -434,8 +434,8 @@ def _by_gain(solver: Solver, h: Hypothesis, values: Array, apart: float) -> Arra
 
 
 def unsure(explained: Explained, limits: BodyLimits = LIMITS) -> bool:
-    """Whether every number of a body, the free ones of its hypothesis, lies within two standard
-    deviations of nothing; where there is a mass, its place within three.
+    """Whether every free number of a body lies within two standard deviations of zero; beside a
+    mass, its centre within three.
     """
     many = np.full(len(explained.values), limits.shown)
     if "mass" in explained.hypothesis.free:
@@ -444,7 +444,7 @@ def unsure(explained: Explained, limits: BodyLimits = LIMITS) -> bool:
 
 
 def stated(layout: Layout, e: Explained) -> Term:
-    """The term of an explanation, with its standard deviations; held in fits of single joints."""
+    """The term of an explanation with its standard deviations, held in fits of single joints."""
     term = layout.term(e.hypothesis, e.values)
     spread = dict(zip(e.hypothesis.free, e.std.tolist(), strict=True))
     numbers = {
@@ -454,8 +454,8 @@ def stated(layout: Layout, e: Explained) -> Term:
 
 
 def weight_of(data: Data, layout: Layout, e: Explained) -> float:
-    """RMS torque of an explanation at the joint where it is largest, as a part of that joint's RMS
-    torque.
+    """RMS torque of an explanation at the joint where it is the largest part of the joint's RMS
+    torque, as that part.
     """
     term = layout.term(e.hypothesis, e.values)
     most = 0.0

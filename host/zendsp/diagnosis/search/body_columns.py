@@ -1,5 +1,5 @@
 """The torques that bodies add along the measured motion, as columns: their Gram matrices per joint
-and block, and where the numbers of a hypothesis stand among them.
+and block, and the columns of each hypothesis.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from zendsp.physics.model import Model, Quantity, Term, per_joint
 from zendsp.physics.robots.bodies import Links, change_of, turned_gravity
 
 Array = npt.NDArray[np.float64]
-NUISANCE = 6  # columns that every joint has for itself
+NUISANCE = 6  # columns of each joint's own
 
 
-# standard deviations of the sensor's noise: an observer that is so far off has left the track
+# standard deviations of the sensor's noise: an observer with a larger error has lost the track
 LOST = 1e6
 
 
@@ -45,7 +45,7 @@ class Sums:
     ) -> None:
         seconds = sum(rec[0].n * rec[0].sample_time for rec in data.records)
         block = min(limits.block, seconds / limits.blocks)
-        # blocks beside each other that are alike
+        # count of neighbouring blocks that are correlated
         self.alike = max(1, round(limits.block / block))
         grams: list[Array] = []
         counts: list[Array] = []
@@ -60,7 +60,7 @@ class Sums:
         self.counts = np.concatenate(counts, axis=1)  # (joints, blocks)
 
     def with_more(self, other: Sums) -> Sums:
-        """The blocks of both."""
+        """The sums with the blocks of both."""
         out = copy(self)
         out.grams = np.concatenate([self.grams, other.grams], axis=1)
         out.counts = np.concatenate([self.counts, other.counts], axis=1)
@@ -102,7 +102,7 @@ def _columns(
     damping = damping_along(record, model)
     inertia = effective_inertia(record, model)
     all_torques = np.stack(torques)
-    acts = np.any(all_torques != 0.0, axis=1)  # of the links, only those that the joint moves
+    acts = np.any(all_torques != 0.0, axis=1)  # only of links that the joint moves
     seen = np.zeros_like(all_torques)
     seen[acts] = response(record, bandwidth, inertia, damping, all_torques[acts])
     left = run(record, model, bandwidth).innovations
@@ -114,12 +114,12 @@ def _columns(
         moving[at[at < record.n]] = False
     moving[: round(0.5 / record.sample_time)] = False  # the observer settles
     if np.max(np.abs(left), initial=0.0) > LOST:
-        moving[:] = False  # it has left the track: this joint tells nothing of bodies
+        moving[:] = False  # it has lost the track: this joint says nothing about bodies
     return np.concatenate([seen, left[None]]), moving
 
 
 def fastest_of(record: JointRecord) -> float:
-    """Fastest observer that a record's sample time allows, rad/s."""
+    """The fastest observer that a record's sample time allows, rad/s."""
     return 0.5 / record.sample_time
 
 
@@ -147,7 +147,7 @@ def _shared(links: Links, joint: int, model: Model, record: JointRecord) -> list
 
 
 class Layout:
-    """Where the numbers of a hypothesis stand among the columns."""
+    """The map from the numbers of a hypothesis to coefficients of the columns."""
 
     def __init__(self, model: Model, links: Links) -> None:
         self.model, self.links, self.keys = model, links, calibrated(model)
@@ -174,8 +174,8 @@ class Layout:
         )
 
     def place(self, h: Hypothesis, values: Array) -> Array:
-        """Coefficients of the columns, (joints, width); a last number ``gain`` is the error of all
-        joints' actuators beside it.
+        """Coefficients of the columns, (joints, width). A last number ``gain`` is a common error of
+        all actuators.
         """
         if h.free and h.free[-1] == "gain":
             x = self.place(replace(h, free=h.free[:-1]), values[:-1])

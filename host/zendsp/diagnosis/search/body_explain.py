@@ -1,6 +1,4 @@
-"""Hypotheses after their fits, in order: which explains what all joints leave, and what is as
-good.
-"""
+"""Fitted hypotheses in order: which explains best what all joints leave, and which are as good."""
 
 from __future__ import annotations
 
@@ -24,9 +22,9 @@ class Explained:
     ----------
     hypothesis : Hypothesis
     values : ndarray, shape (p,)
-        Of ``hypothesis.free``.
+        Numbers of ``hypothesis.free``.
     std : ndarray, shape (p,)
-        Over the blocks.
+        Standard deviations, from the scatter of the blocks.
     gain : float
         Deviance over ``nothing`` on the recordings that choose.
     z : float
@@ -36,7 +34,7 @@ class Explained:
     joints : ndarray, shape (joints,)
         The gain by joints.
     share : ndarray, shape (joints,)
-        Of the squared innovations that ``nothing`` leaves at a joint, how much goes.
+        The part of the squared innovations left by ``nothing`` that it removes at each joint.
     """
 
     hypothesis: Hypothesis
@@ -62,10 +60,10 @@ class Explained:
 def explain(solver: Solver, tried: Sequence[Hypothesis], rigid: Solver) -> list[Explained]:
     """All hypotheses after their linear fits, the best first.
 
-    Those that predict as well as the best one that is seen are ordered by what they cost, a rotor
-    that they need as well and by how little they fall behind included, in units of log-likelihood,
-    then by what they explain with the model's rotors (``rigid``): a weight at one joint with a
-    rotor of its own is any body there. All others are ordered by gain.
+    Those that predict as well as the best are ordered by their cost, in log-likelihood; it includes
+    a rotor that they also need and how far they fall behind. Ties are ordered by what they explain
+    with the model's rotors (``rigid``): a weight at one joint with a rotor of its own imitates any
+    body there. All others are ordered by gain.
     """
     nothing = solver.at(Hypothesis("nothing"), np.zeros(0))
     none, before = solver.points(nothing), solver.squares(nothing)
@@ -101,7 +99,7 @@ def explain(solver: Solver, tried: Sequence[Hypothesis], rigid: Solver) -> list[
         )
         for e in out
     ]
-    # what is not surely better than nothing does not predict as well as what is
+    # one not surely better than nothing does not tie with one that is
     ties = [
         e
         for e in out
@@ -109,7 +107,7 @@ def explain(solver: Solver, tried: Sequence[Hypothesis], rigid: Solver) -> list[
     ]
     stiff = {id(e): float(none.sum()) - deviance_of(e.hypothesis, rigid) for e in ties}
     short = {id(e): stiff[id(e)] < (1.0 - solver.limits.share) * e.gain for e in ties}
-    most = solver.limits.tie  # farther behind, and as good by its gain
+    most = solver.limits.tie  # farther behind, though as good by its gain
     cost = {
         id(e): price_of(e, solver) + short[id(e)] + 0.5 * min(e.behind, most) ** 2 for e in ties
     }
@@ -121,13 +119,13 @@ def explain(solver: Solver, tried: Sequence[Hypothesis], rigid: Solver) -> list[
 
 
 def deviance_of(h: Hypothesis, solver: Solver) -> float:
-    """Of the recordings that choose, with the most likely numbers of a hypothesis."""
+    """The deviance of the recordings to choose by, with the most likely numbers of a hypothesis."""
     return float(solver.points(solver.at(h, solver.estimate(h))).sum())
 
 
 def first_of(ties: Sequence[Explained], limits: BodyLimits) -> Explained:
-    """The first of some ties, or one with other numbers of the same link that predicts better, if
-    any of them is known.
+    """The first of some ties; or one with other numbers of the same link that predicts better, if
+    any of its numbers is determined.
     """
     first = ties[0].hypothesis
     near = (
@@ -142,21 +140,23 @@ def first_of(ties: Sequence[Explained], limits: BodyLimits) -> Explained:
 
 
 def seen(e: Explained, limits: BodyLimits = LIMITS) -> bool:
-    """Whether an explanation holds on the recordings that choose, and is a large part of what some
+    """Whether an explanation holds on the recordings to choose by, and is a large part of what some
     joint leaves there.
     """
     return e.z > limits.sure and float(e.share.max()) > limits.part
 
 
 def clear(e: Explained, limits: BodyLimits = LIMITS) -> bool:
-    """Whether an explanation that is a small part of what the joints leave is so sure that it is
-    worth a decision.
+    """Whether an explanation that is a small part of what the joints leave is sure enough to be
+    proposed.
     """
     return e.z > limits.clear and float(e.share.max()) > limits.little
 
 
 def price_of(e: Explained, solver: Solver) -> float:
-    """What an explanation costs; nothing where free parameters of the model need little for it."""
+    """The cost of an explanation, in log-likelihood; 0 where free parameters of the model explain
+    it by a small change.
+    """
     if e.hypothesis.effect == "calibration":
         layout, limits = solver.layout, solver.limits
         usual = np.maximum(limits.calibrated * np.abs(layout.given), limits.far * layout.given_std)
@@ -166,8 +166,8 @@ def price_of(e: Explained, solver: Solver) -> float:
 
 
 def tied(other: Explained, top: Explained, limits: BodyLimits = LIMITS) -> bool:
-    """Whether an explanation predicts as well as the best one. A gain of all joints is the command
-    itself, a body's torque what the motion shows: as much less sharply as that is known.
+    """Whether an explanation predicts as well as the best one. A common gain follows the command
+    exactly, a body's torque only the measured motion, so a body may fall behind a gain by more.
     """
     h = top.hypothesis
     everywhere = h.effect == "torque_gain" and not h.joint

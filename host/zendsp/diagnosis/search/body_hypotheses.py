@@ -1,5 +1,5 @@
-"""What may be wrong with the bodies of a machine, and what looks like it: each as a hypothesis with
-its numbers and its cost.
+"""The possible errors of a machine's bodies and their look-alikes, each a hypothesis with numbers
+and a cost.
 """
 
 from __future__ import annotations
@@ -14,63 +14,63 @@ from zendsp.physics.robots.bodies import Links
 
 @dataclass(frozen=True)
 class BodyLimits:
-    """What the search for bodies takes for granted."""
+    """The limits and thresholds of the search for bodies."""
 
     # rad/s of the observers: fast, since much is missing when bodies are looked for
     bandwidth: float = 64.0
-    slowest: float = 8.0  # where fast ones hear more of something else than of a body
-    chance: float = 0.05  # with which one of all explanations gains by nothing what that asks for
-    block: float = 1.0  # s: what an observer remembers, and a swing of an arm, lie within
-    blocks: int = 16  # at least so many, or they are shorter
-    # of the RMS speed: slower, a joint may stick, and says nothing of what pulls it
+    slowest: float = 8.0  # where fast ones see more of something else than of a body
+    chance: float = 0.05  # probability that any of all explanations gains enough by chance
+    block: float = 1.0  # s: longer than an observer's memory and a swing of an arm
+    blocks: int = 16  # least number of blocks; shorter ones otherwise
+    # of the RMS speed: a slower joint may stick and says nothing about its load
     still: float = 0.05
     memory: float = 0.1  # s for which an observer remembers that a joint stuck
     # standard deviations over the blocks within which two explanations are as good
     tie: float = 2.5
-    # the same for two sets of numbers of one link: too few make faults of single joints
+    # the same for two sets of numbers of one link: too few numbers lead to faults of single joints
     same_link: float = 1.5
-    share: float = 0.03  # of the best one's gain: nearer, two explanations are as good
-    # the same of a body against a gain of all joints: payloads of 0.2 and 1.2 kg in the plane,
-    # where nothing but inertia shows them, gained 4 and 5 % less than the gain did
+    share: float = 0.03  # of the best gain: nearer ones are as good
+    # the same for a body against a common gain: payloads of 0.2 and 1.2 kg on a planar arm, seen by
+    # their inertia alone, gained 4 and 5 % less than the gain
     blunt: float = 0.1
-    sure: float = 3.0  # standard deviations over the blocks from which an explanation is one
-    part: float = 0.2  # of what some joint leaves has to go on the recordings that choose
-    # standard deviations from which less of it will do: friction that is a little off leaves more
+    sure: float = 3.0  # standard deviations over the blocks: least of an explanation
+    part: float = 0.2  # least part to be removed of what some joint leaves
+    # standard deviations from which a smaller part suffices, since slightly wrong friction leaves
+    # more
     clear: float = 3.5
     little: float = 0.03
-    least: float = 0.01  # of some joint's RMS torque: less is no body that anybody would look for
-    bodies: int = 3  # at most so many wrong bodies
-    same: float = 0.02  # m from a link's centre of mass: what it carries there is its own
-    own_mass: float = 0.5  # of a link's mass: by less it may be wrong itself, by more it carries
-    shown: float = 2.0  # standard deviations from which a mass has an inertia of its own
+    least: float = 0.01  # of some joint's RMS torque: smaller bodies are not looked for
+    bodies: int = 3  # most wrong bodies of a machine
+    same: float = 0.02  # m from a link's centre of mass: a nearer body is the link's own mass
+    own_mass: float = 0.5  # of a link's mass: a larger error is a payload
+    shown: float = 2.0  # standard deviations: a mass gets a surer inertia of its own
     spread: float = 0.3  # m: no payload's radius of gyration is larger
-    reach: float = 1.0  # m: farther from its link's centre of mass nothing is carried
-    gain: float = 0.5  # no actuator gives half as much again, or half
+    reach: float = 1.0  # m from its link's centre of mass: farthest centre of a payload
+    gain: float = 0.5  # largest error of an actuator's gain
     constant: float = 0.05  # relative standard deviation of the torque constants that makers state
-    gains: float = 0.2  # not all of them are off by more at once: four of these
-    halvings: int = 6  # of what that does to a body, until the body is one
+    gains: float = 0.2  # largest common error of all gains: four times that
+    halvings: int = 6  # of that error, until the body's inertia is possible
     step: float = 1e-6  # relative, of numerical derivatives
-    # a free parameter of the mechanism farther off than so much of itself is no calibration
+    # of a free parameter of the mechanism: a larger change is no calibration
     calibrated: float = 0.15
-    far: float = 3.0  # of the standard deviations that the model states
-    rounds: int = 3  # estimates around the one before
-    moves: float = 0.3  # standard deviations: an estimate that moves by less stands
-    # with an inertia of its own beside it, a mass is known still if its standard deviation is less
-    # than so many of that without, or so much of it
+    far: float = 3.0  # standard deviations that the model states, likewise
+    rounds: int = 3  # of estimating again around the estimate before
+    moves: float = 0.3  # standard deviations: an estimate that moves less has converged
+    # a mass with an inertia of its own is still determined if its standard deviation is below this
+    # many of that without it, or below this part of the mass
     blurred: float = 3.0
     of_mass: float = 0.01
-    settled: float = 1e-3  # deviance: a step of the fit that gains less is the last
-    damped: float = 1e6  # at which no step is left
-    # m from the link's origin, of a payload's centre to begin with
+    settled: float = 1e-3  # deviance: a fit ends with a step that gains less
+    damped: float = 1e6  # damping at which a fit gives up
+    # m from the link's origin: start values of a payload's centre
     starts: tuple[float, ...] = (0.05, 0.15, 0.4)
 
 
 LIMITS = BodyLimits()
-# further columns of one joint, its rivals to a body: gain, sin q, cos q, q, sin 2q, cos 2q
+# further columns of one joint, as rivals of a body: gain, sin q, cos q, q, sin 2q, cos 2q
 OWN_COLUMNS = 6
 COM = ("com_x", "com_y", "com_z")
-# what an explanation costs where several are as good: the fewest numbers, and the most frequent
-# cause first
+# cost of an explanation where several are as good: fewest numbers and most frequent cause first
 COST = {
     "payload": 4.0,
     "body": 1.0,
@@ -81,8 +81,8 @@ COST = {
     "unknown": 8.0,
 }
 TOOL = 2.0  # of a payload at the end of a chain
-RARE = 4.0  # of causes that act on the whole machine: its gravity
-RAREST = 6.0  # of all its gains by one factor, of its own numbers beyond their tolerance
+RARE = 4.0  # of causes that act on the whole machine, as its gravity
+RAREST = 6.0  # of one factor for all gains, and of the machine's own numbers beyond their tolerance
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class Hypothesis:
     joint : int
         1-based; the last joint that moves the body. 0: all joints.
     body : str
-        Name of the link, empty where it is of none.
+        Name of the link, empty where it is about none.
     free : tuple of str
         Names of its numbers.
     """
@@ -116,7 +116,7 @@ class Hypothesis:
 
     @property
     def name(self) -> str:
-        """Name for a list of what cannot be told apart."""
+        """Name for a list of indistinguishable effects."""
         if self.effect == "torque_gain":
             return (
                 f"torque_gain of joint {self.joint}" if self.joint else "torque_gain of all joints"
@@ -127,20 +127,20 @@ class Hypothesis:
 
 
 def calibrated(model: Model) -> tuple[str, ...]:
-    """Mechanism parameters of a model that may be calibrated."""
+    """The mechanism parameters of a model that may be calibrated."""
     return tuple(
         key for key, items in model.mechanism.items() if any(i.free and i.value for i in items)
     )
 
 
-# of the ten numbers of a link (``NUMBERS``), those that each coordinate of its centre is in
+# for each coordinate of a link's centre, those of its ten ``NUMBERS`` that contain it
 _HOLDS = {"com_x": (1, 5, 6, 7, 8), "com_y": (2, 4, 6, 7, 9), "com_z": (3, 4, 5, 8, 9)}
 UNFELT = 1e-9  # of the largest column of a link: rounding is 1e-16 of it
 
 
 def felt(links: Links, link: int) -> tuple[str, ...]:
-    """Coordinates of a link's centre that any joint feels: along parallel axes, a place in their
-    direction is nothing to any of them.
+    """The coordinates of a link's centre that some joint feels. With parallel axes, a shift along
+    them acts on no joint.
     """
     sizes = np.zeros(10)
     for joint in range(len(links.bodies)):
@@ -157,7 +157,7 @@ UNTURNED = 0.01
 
 
 def turned(links: Links) -> tuple[str, ...]:
-    """Axes of the base about which a tilt is felt by any joint."""
+    """The axes of the base about which some joint feels a tilt."""
     sizes = {}
     for key in ("angle_x", "angle_y"):
         tilt = [Term("base_tilt", 1, {key: Quantity(TILT)})]
@@ -167,10 +167,10 @@ def turned(links: Links) -> tuple[str, ...]:
 
 
 def hypotheses(model: Model, links: Links) -> list[Hypothesis]:
-    """All that is tried."""
+    """All hypotheses that are tried."""
     out: list[Hypothesis] = []
     ends = {k for k in range(len(links.bodies)) if all(b.parent != k for b in links.bodies)}
-    # its parameters know nothing of what lies beside the links' lines
+    # its parameters have no centres beside the links' lines
     flat = model.kind == "planar2r"
     for k, b in enumerate(links.bodies):
         com = ("com_x",) if flat else felt(links, k)

@@ -16,12 +16,12 @@ Array = npt.NDArray[np.float64]
 
 
 class Solver:
-    """Linear fits of hypotheses to the recordings that fit, and their evidence on those that
-    choose.
+    """Linear fits of hypotheses to the recordings of the fit, and their evidence on those to choose
+    by.
 
-    ``origin`` are the coefficients of what the model behind the sums has already of the hypothesis;
-    ``aside`` are the joints (1-based) whose own gain and functions of position are nuisance too,
-    since they have a fault of their own; without ``rotors`` each motor's inertia is the model's.
+    ``origin``: coefficients of the part of a hypothesis that the model behind the sums has already.
+    ``aside``: joints (1-based) with a fault of their own, whose gain and functions of position are
+    nuisance too. Without ``rotors`` each motor's inertia is the model's.
     """
 
     def __init__(
@@ -38,7 +38,7 @@ class Solver:
         self.origin = np.zeros((layout.joints, layout.width)) if origin is None else origin
         self.aside, self.rotors = aside, rotors
         whole, n = fit.whole, NUISANCE
-        free = list(range(n) if rotors else range(n - 1))  # the last is the rotor's
+        free = list(range(n) if rotors else range(n - 1))  # the last column is the rotor's
         own = list(range(layout.own, layout.width))
         # (x, 1) with the best nuisance
         self.complete = np.zeros((layout.joints, layout.width + 1, layout.width + 1 - n))
@@ -52,7 +52,7 @@ class Solver:
         self.counts = fit.counts.sum(axis=1)
 
     def beside_gain(self, by: float) -> Solver:
-        """The same where all actuators give so much more than stated, as a part."""
+        """The solver for actuators that all give a part ``by`` more than stated."""
         origin = self.origin.copy()
         origin[:, self.layout.own] -= by
         return Solver(
@@ -67,13 +67,13 @@ class Solver:
         return np.asarray(np.einsum("jab,jb->ja", self.complete, tail))
 
     def _left(self, x: Array) -> Array:
-        """Sum of squares that the fit leaves, per joint."""
+        """The sum of squares that the fit leaves, per joint."""
         tail = np.concatenate([x[:, NUISANCE:], np.ones((len(x), 1))], axis=1)
         left = np.einsum("ja,jab,jb->j", tail, self.rest, tail)
         return np.asarray(np.maximum(left, 1e-9 * self.rest[:, -1, -1]))  # less is rounding
 
     def deviance(self, x: Array) -> float:
-        """Of the fit, with the noise of each joint profiled out."""
+        """The deviance of the fit, with the noise of each joint profiled out."""
         used = self.counts > NUISANCE
         return float(
             np.sum(
@@ -87,7 +87,7 @@ class Solver:
         return self.layout.place(h, values) - self.origin
 
     def estimate(self, h: Hypothesis, start: Array | None = None) -> Array:
-        """Numbers that make the innovations of all joints most likely, (p,): those of a machine,
+        """The numbers that make the innovations of all joints most likely, (p,); plausible ones,
         where any start leads to such.
         """
         begins = self._starts(h) if start is None else [start]
@@ -95,7 +95,7 @@ class Solver:
         return min(ends, key=lambda end: (not self.plausible(h, end[0]), end[1]))[0]
 
     def _descend(self, h: Hypothesis, values: Array) -> tuple[Array, float]:
-        """Levenberg-Marquardt from some numbers: where it ends, and its deviance."""
+        """The result of Levenberg-Marquardt from some numbers, and its deviance."""
         best = self.deviance(self.at(h, values))
         damping = 1e-6
         for _ in range(30):
@@ -118,7 +118,7 @@ class Solver:
         """Normal matrix (p, p) and slope (p,) of the deviance."""
         x, jac = self._linear(h, values)
         left = self._left(x)
-        # a joint that stands still tells nothing
+        # a joint that stands still says nothing
         told = left > 1e-12 * float(np.max(left, initial=0.0))
         weight = np.where(told, self.counts / np.where(told, left, 1.0), 0.0)
         tail = np.concatenate([x[:, NUISANCE:], np.ones((len(x), 1))], axis=1)
@@ -128,7 +128,7 @@ class Solver:
         return normal, np.einsum("j,jap,ja->p", weight, jac, left_over)
 
     def step(self, h: Hypothesis, values: Array) -> Array:
-        """By how much the most likely numbers differ from these, to first order, (p,)."""
+        """The difference of the most likely numbers from these, to first order, (p,)."""
         return -solve(*self._normal(h, values))
 
     def _linear(self, h: Hypothesis, values: Array) -> tuple[Array, Array]:
@@ -141,8 +141,8 @@ class Solver:
         return x, np.stack(jac, axis=2)[:, NUISANCE:]
 
     def _starts(self, h: Hypothesis) -> list[Array]:
-        """Numbers to begin with: all zero, but for a payload, whose centre nobody can see without
-        its mass: what its moment says, and a tenth of the link's mass in its centre.
+        """Start values: all zero, except for a payload, whose centre has no meaning without a mass:
+        those of its first moment, and a tenth of the link's mass in the link's centre.
         """
         if h.effect != "payload":
             return [np.zeros(len(h.free))]
@@ -161,20 +161,20 @@ class Solver:
         return [np.array(s) for s in (*starts, [inside.get(key, 0.0) for key in h.free])]
 
     def plausible(self, h: Hypothesis, values: Array) -> bool:
-        """Whether numbers are those of a machine."""
+        """Whether numbers are possible for a machine."""
         known = dict(zip(h.free, values.tolist(), strict=True))
         bodies = self.layout.links.bodies
         if h.effect == "payload":
             robot = sum(b.mass for b in bodies) or np.inf
             centre = dict(zip(COM, bodies[h.joint - 1].com.tolist(), strict=True))
-            # of what slides only, no centre is known
+            # a body that only slides shows no centre
             far = max((abs(known[key] - centre[key]) for key in COM if key in known), default=0.0)
             wide = 0.0 <= known.get("inertia", 0.0) < known["mass"] * self.limits.spread**2
             return bool(0.0 < known["mass"] < robot and far < self.limits.reach and wide)
         if h.effect == "body":
             far = max(abs(known.get(key, 0.0)) for key in COM)
             link, mass = bodies[h.joint - 1], abs(known.get("mass", 0.0))
-            # as a link of another density has, and thrice that
+            # up to three times the inertia of a link of that mass by density
             most = 3.0 * float(np.max(link.inertia)) * mass / link.mass
             return bool(
                 mass < link.mass
@@ -187,7 +187,7 @@ class Solver:
         return True
 
     def std(self, h: Hypothesis, values: Array) -> Array:
-        """Standard deviations from what the blocks disagree, (p,)."""
+        """Standard deviations from the scatter of the blocks, (p,)."""
         if not len(values):
             return np.zeros(0)
         x, jac = self._linear(h, values)
@@ -198,17 +198,17 @@ class Solver:
         normal = np.einsum("j,jap,jab,jbq->pq", weight, jac, self.rest[:, :-1, :-1], jac)
         inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
         paired = scores[:-1].T @ scores[1:]
-        # neighbours are alike (Newey and West 1987)
+        # neighbours are correlated (Newey and West 1987)
         spread = scores.T @ scores + 0.5 * (paired + paired.T)
         return np.asarray(np.sqrt(np.maximum(np.diag(inverse @ spread @ inverse), 0.0)))
 
     def squares(self, x: Array) -> Array:
-        """Squared innovations on the recordings that choose, per joint."""
+        """Squared innovations on the recordings to choose by, per joint."""
         full = self._full(x)
         return np.asarray(np.einsum("ja,jkab,jb->j", full, self.choose.grams, full))
 
     def points(self, x: Array) -> Array:
-        """Deviance of the blocks that choose, (joints, blocks)."""
+        """Deviance of the blocks to choose by, (joints, blocks)."""
         full = self._full(x)
         left = np.maximum(np.einsum("ja,jkab,jb->jk", full, self.choose.grams, full), 0.0)
         counts = self.choose.counts
@@ -221,13 +221,13 @@ class Solver:
         )
 
     def better(self, x: Array, other: Array) -> float:
-        """Standard deviations by which x predicts the recordings that choose better than another.
+        """Standard deviations by which x predicts the recordings to choose by better than another.
 
-        Two ways to count them, and the surer one: the mean gain of a block over its spread, which
-        stays small where blocks differ in motion; and what mix of the two predicts best (0: x
-        alone, 1: the other), over what the blocks disagree about it, which stays small where both
-        lack something. At a mix of a half they are as good. Where few blocks tell the two apart,
-        their spread is hardly known, and the ratio is Student's.
+        The larger of two measures. First, the mean gain of a block over its spread; it stays small
+        where blocks differ in motion. Second, the best mix of both predictions (0: x alone, 1: the
+        other; at a half they are as good), over the blocks' disagreement about it; it stays small
+        where both lack something. With few informative blocks the spread is poorly known, and the
+        ratio is Student's.
         """
         full = self._full(x)
         apart = self._full(other) - full
@@ -248,8 +248,8 @@ class Solver:
 
 
 def normal(t: float, blocks: float) -> float:
-    """A ratio of Student's, to the spread of so many blocks, in standard deviations of a normal
-    one (at most 37, of 1e-300).
+    """A Student ratio from this many blocks, converted to standard deviations of a normal one (at
+    most 37, a probability of 1e-300).
     """
     from scipy.special import ndtri, stdtr  # takes a third of a second
 
@@ -258,8 +258,8 @@ def normal(t: float, blocks: float) -> float:
 
 
 def spread(scores: Array, alike: int) -> float:
-    """Standard deviation of a sum over blocks whose neighbours are alike (Newey and West 1987);
-    infinite of fewer than four.
+    """Standard deviation of a sum over blocks with correlated neighbours (Newey and West 1987);
+    infinite for fewer than four.
     """
     n, lags = len(scores), min(alike, len(scores) - 1)
     if n < 4:
@@ -271,12 +271,12 @@ def spread(scores: Array, alike: int) -> float:
 
 
 def solve(a: Array, b: Array) -> Array:
-    """Solution of a symmetric system in units of its diagonal; what nothing determines is 0."""
+    """Solution of a symmetric system, scaled by its diagonal; undetermined components are 0."""
     unit = np.sqrt(np.maximum(np.diag(a), 0.0))
     unit = np.where(unit > 0, unit, 1.0)
     scaled = (b.T / unit).T
     if not (np.isfinite(a).all() and np.isfinite(scaled).all()):
-        return np.zeros(b.shape)  # beyond numbers: nowhere to go from here
+        return np.zeros(b.shape)  # not finite: no step
     return np.asarray(
         (np.linalg.lstsq(a / np.outer(unit, unit), scaled, rcond=1e-10)[0].T / unit).T
     )

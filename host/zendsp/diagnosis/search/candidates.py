@@ -1,5 +1,5 @@
-"""The hypotheses for one joint: what a screen can rank, and what only a simulation with its own
-states can judge.
+"""The hypotheses for one joint: those that a screen can rank, and those that need a simulation with
+states of their own.
 """
 
 from __future__ import annotations
@@ -19,9 +19,10 @@ from zendsp.physics.effects import Effect, get_effect, is_supported, library
 from zendsp.physics.kernel.threads import threads
 from zendsp.physics.model import Model, Term
 
-LIVELY = 6.0  # s of a recording, or a quarter of it: enough to choose where a transmission begins
-SLOWEST = 8.0  # rad/s: no screen looks through a slower observer
-SAME_INERTIA = 0.05  # change, as a logarithm, that is within the basin of a gap
+LIVELY = 6.0  # s, or a quarter of a recording: enough for start values of a transmission
+SLOWEST = 8.0  # rad/s: slowest observer of a screen
+STARTS = 2  # start values of an effect that are fitted
+SAME_INERTIA = 0.05  # change, as a logarithm, within which a fit of a gap still converges
 
 
 def screened(
@@ -29,7 +30,7 @@ def screened(
 ) -> list[tuple[float, Candidate]]:
     """Candidates with the share of the cost that each promises to remove, best first.
 
-    Screened with a slower observer than that of the data: it sees what a fast one follows.
+    The screen has a slower observer than the data, which sees what a fast one follows.
 
     Parameters
     ----------
@@ -68,13 +69,13 @@ def screened(
 
 
 def _absorbed(effect: str, model: Model, joint: int) -> bool:
-    """Whether a free parameter of the given model is the same thing."""
+    """Whether a free parameter of the given model has the same effect."""
     items = [model.mechanism.get(key, ()) for key in get_effect(effect).same_as]
     return any(values[min(joint, len(values)) - 1].free for values in items if values)
 
 
 def starts_of(candidate: Candidate, data: Data) -> list[Candidate]:
-    """A screened hypothesis, and the same from another start where its effect knows one."""
+    """A screened hypothesis, and the same from another start where its effect defines one."""
     effect = get_effect(candidate.effect)
     if effect.restart is None or len(candidate.terms) != 1:
         return [candidate]
@@ -87,9 +88,10 @@ def starts_of(candidate: Candidate, data: Data) -> list[Candidate]:
 def loosened(
     model: Model, joint: int, only: frozenset[str] = frozenset()
 ) -> list[list[Candidate]]:
-    """What the model holds fixed, with its numbers free: its law may be right, a number wrong.
+    """Hypotheses that free the numbers of the model's fixed terms: a law may be right and its
+    number wrong.
 
-    Numbers with a deviation are those that an earlier diagnosis holds.
+    Numbers with a standard deviation, held by an earlier diagnosis, stay.
     """
     terms = model.at(joint)
     names = [t.effect for t in terms]
@@ -119,8 +121,8 @@ def simulated(
 ) -> list[list[Candidate]]:
     """Hypotheses that no column can screen, each with its start values; ``jobs`` threads.
 
-    What makes the cost rough, a gap, is also begun from the numbers of the ``given`` model:
-    calibrated without it, an inertia takes a good part of the gap upon itself.
+    A gap, which makes the cost rough, also starts from the numbers of the ``given`` model:
+    calibrated without it, an inertia absorbs a good part of the gap.
     """
     record = max((rec[joint - 1] for rec in data.records), key=lambda r: r.n)
     present = {t.effect for t in model.at(joint)}
@@ -138,7 +140,7 @@ def simulated(
             if get_effect(name).sole and get_effect(name).family == effect.family
         }
         had = {t.effect for t in given.at(joint)} if given is not None else set()
-        if effect.sole and kin - set(effect.replaces) - had:  # what was found already stays
+        if effect.sole and kin - set(effect.replaces) - had:  # an effect found already stays
             continue
         beneath = [model]
         if effect.family == "transmission" and given is not None:
@@ -163,7 +165,7 @@ def simulated(
 
 
 def as_given(model: Model, given: Model) -> Model:
-    """The model with the numbers that the given model had, where it had them."""
+    """The model with the numbers of the given model, for the terms of that."""
     left = list(given.terms)
     terms = []
     for term in model.terms:
@@ -175,8 +177,8 @@ def as_given(model: Model, given: Model) -> Model:
 
 
 def first_look(data: Data, model: Model, joint: int) -> Data:
-    """The recordings for a first look at a model: thinned where no resonance of a transmission
-    needs every sample.
+    """The recordings for a first fit of a model, thinned where no resonance of a transmission needs
+    every sample.
     """
     fast = any(get_effect(t.effect).family == "transmission" for t in model.at(joint))
     return data if fast else data.thinned()
@@ -188,12 +190,11 @@ def scan(
     joint: int,
     effect: Effect,
     gone: tuple[str, ...],
-    keep: int = 2,
     jobs: int = 1,
 ) -> list[tuple[Term, Model, float]]:
-    """The most likely of an effect's start values, one simulation each, beneath them any of some
-    models as they stand, without the effects that are ``gone`` for it; and the largest decrease of
-    the deviance of a sample that any of a transmission's promises, nan for others.
+    """The most likely of an effect's start values, one simulation each, upon each of some models
+    without the effects that are ``gone`` for it. Also, for a transmission, the largest promised
+    decrease of the deviance per sample; nan for others.
     """
     assert effect.scan is not None
     record = max((rec[joint - 1] for rec in data.records), key=lambda r: r.n)
@@ -227,4 +228,4 @@ def scan(
         (*listed[i], gain)
         for i in order
         if unlike.get(listed[i][0].value(effect.apart, float(i))) == i
-    ][:keep]
+    ][:STARTS]

@@ -1,8 +1,8 @@
-"""The search: one joint, the calibrated model, and the hypotheses that explain what it leaves.
+"""The forward selection at one joint: hypotheses that explain what the calibrated model leaves.
 
 Each round screens the library, fits the promising hypotheses with all calibrated parameters free,
-and keeps the most likely. Rounds follow until nothing passes; alternatives to the first step guard
-against one effect standing in for two; then every found term and every term of the given model has
+and keeps the most likely. Rounds follow until no step passes. Alternatives to the first step guard
+against one effect that imitates two. Finally every found term and every term of the given model has
 to justify itself.
 """
 
@@ -34,27 +34,26 @@ from zendsp.physics.effects import get_effect
 from zendsp.physics.effects.column_shift import least_shift
 from zendsp.physics.model import Model, Quantity, Term
 
-CREEP = (0.01, 0.1)  # of the fast speed: where the search for a friction that creeps begins
-RUNNERS = 4  # hypotheses that are held against the held-out recordings in each round
+CREEP = (0.01, 0.1)  # of the fast speed: start values of a creeping friction
+RUNNERS = 4  # hypotheses per round that are tested on the recordings to choose by
 WHITE = 1.2  # slow variation of the innovations, over that of white noise
-# gain a sample, a tenth of the innovations' energy, below which no second effect is looked for
+# gain per sample, a tenth of the innovations' energy: below it no second effect is looked for
 # behind a first
 LOOK_AHEAD = 0.1
+LONGEST_CHAIN = 6  # most effects of a chain
 WAITING = 3  # steps that may wait for another at the same time
-FIRST = 0.4  # of the best gain: a runner-up with less is not tried as the first step
-# of the samples whose code changes: with fewer, slow quantised motion, no test of whiteness
+FIRST = 0.4  # of the best gain: least gain of a runner-up to be tried as the first step
+# of the samples with a change of the count: with fewer (slow motion), whiteness is not tested
 CODES = 0.5
-# times the inertia of a joint's bodies: a rotor from which the search begins with it. Without its
-# rotors a TX40 shows 5.8 and more at joints 4 to 6, where that is needed, and 0.4 to 1.0 at the
-# others, where the search finds them in any case
+# times the inertia of a joint's bodies: the search begins with a rotor larger than this. Without
+# its rotors a TX40 shows 5.8 and more at joints 4 to 6, where that is needed, and 0.4 to 1.0 at the
+# others, where the search finds them anyway
 HOLLOW = 2.0
 LARGEST_BLOCK = 4.5  # standard deviations: a block of white innovations is not larger
 
 
 class Searcher:
-    """Searches one joint; ``accept`` decides whether a step counts (held-out evidence is its
-    business).
-    """
+    """Searches one joint; ``accept`` decides whether a step counts, by held-out evidence."""
 
     def __init__(
         self,
@@ -69,8 +68,8 @@ class Searcher:
         self.joint, self.accept, self.jobs = joint, accept, jobs
 
     def search(self, base: Scored) -> JointSearch:
-        """Explain what a calibrated model leaves: the likeliest chain of effects, unless one effect
-        alone does as well.
+        """The likeliest chain of effects that explains what a calibrated model leaves, or one
+        effect alone where that does as well.
 
         Parameters
         ----------
@@ -98,9 +97,9 @@ class Searcher:
         return self._chain(base, alone)
 
     def _rotor(self, base: Scored) -> Rival | None:
-        """The step to begin with where the bodies of a file have next to none of the inertia that
-        the recordings show, as without its rotors: no observer can follow such a joint, and what
-        else it lacks cannot be seen. None elsewhere.
+        """A rotor as first step, where the bodies of a file have hardly any of the inertia that the
+        recordings show, as in a file without rotors. No observer can follow such a joint, so
+        nothing else could be seen. None elsewhere.
         """
         data, model, joint = self.rounds.data, base.model, self.joint
         shown = data.ranges.get((f"inertia {joint}", 0))
@@ -118,7 +117,7 @@ class Searcher:
         return Rival("inertia", joint, scored, price(terms, self.rounds.n), terms, ())
 
     def goes_on(self, current: Scored) -> bool:
-        """Whether a search would go on with one more effect upon a model."""
+        """Whether a search would add one more effect to a model."""
         if is_white(current, self.joint):
             return False
         if self.rounds.glance(current, frozenset()) >= current.deviance - WAIT:
@@ -131,12 +130,12 @@ class Searcher:
         )
 
     def _may_wait(self, current: Scored, rival: Rival) -> bool:
-        """Whether a step that does not hold by itself may wait for the next one."""
+        """Whether a step that does not pass by itself may wait for the next one."""
         return _gain(current, rival) > max(WORTH, LOOK_AHEAD * self.rounds.n)
 
     def softened(self, base: Scored) -> Scored | None:
-        """The calibrated model with a dry friction that creeps in place of holding; None where it
-        has none, or that does not pay.
+        """The calibrated model with a dry friction that creeps instead of holding; None where it
+        has no dry friction, or creep does not pay.
         """
         had = base.model.at(self.joint)
         holds = any(get_effect(t.effect).site == "dry" for t in had)
@@ -148,9 +147,9 @@ class Searcher:
         return best if self.accept(base, creep) else None
 
     def late_log(self, base: Scored) -> Scored | None:
-        """The calibrated model with a command column that is late by less than is claimed; None
-        where it is not. No machine answers a command of the future: that is the log, whatever law
-        resembles it.
+        """The calibrated model with a command column that is late by less than a claimed shift;
+        None where it is not. No machine responds before its command, so such a lead is in the log,
+        whatever law resembles it.
         """
         had = base.model.at(self.joint)
         if not math.isfinite(base.deviance) or any(t.effect == "column_shift" for t in had):
@@ -166,8 +165,8 @@ class Searcher:
         return best if pays and 0.0 < terms[0].value("time") < most else None
 
     def creeping(self, base: Scored, *known: float) -> Scored:
-        """A model with its dry friction creeping, the likeliest of some fits; ``known``: speeds to
-        begin from, rad/s or m/s, and no others where that makes it likelier.
+        """A model with creeping dry friction, the likeliest of some fits. ``known``: a creep speed
+        to start from, rad/s or m/s; others are tried only where it makes the model no likelier.
         """
         fast = max(rec[self.joint - 1].scale.speed for rec in self.rounds.data.records)
         tried = []
@@ -180,18 +179,17 @@ class Searcher:
                 break
         return min(tried, key=lambda scored: scored.deviance)
 
-    def _chain(self, base: Scored, begin: Rival | None = None, most: int = 6) -> JointSearch:
-        """Add effects to a calibrated model until nothing passes, the first of them ``begin`` where
-        given.
+    def _chain(self, base: Scored, begin: Rival | None = None) -> JointSearch:
+        """The search that adds effects to a calibrated model until none passes, the first of them
+        ``begin`` where given.
 
-        A step that is likely but does not hold on the held-out recordings may stand on the
-        shoulders of an effect still hidden: it waits for the next one, and both are judged
-        together.
+        A likely step that fails on the recordings to choose by may need another effect that is
+        still hidden: it waits for the next one, and both are judged together.
         """
         found = JointSearch(self.joint, base)
-        current = held = base  # held: what all steps but those that wait came to
+        current = held = base  # held: the model of all accepted steps
         waiting: list[Step] = []
-        while len(found.steps) + len(waiting) < most:
+        while len(found.steps) + len(waiting) < LONGEST_CHAIN:
             if is_white(current, self.joint) and not (current is base and self._shows(base)):
                 break
             rivals = self.rounds.round(current)
@@ -231,15 +229,15 @@ class Searcher:
         return found
 
     def _shows(self, base: Scored) -> bool:
-        """Whether white innovations hide an effect: under a slower observer one promises a step. So
-        does what is small everywhere, such as a delay of a tenth of a row.
+        """Whether white innovations hide an effect: under a slower observer some effect promises a
+        step. A small delay, such as a tenth of a row, may too.
         """
         n = self.rounds.n
         best = self.rounds.options(base)[:1]
         return any(share * n > WAIT + price(option.terms, n) for share, option in best)
 
     def _in_gap(self, current: Scored, chosen: Rival) -> Rival:
-        """A step beside a gap found before, with the gap found again: its optimum is so narrow that
+        """A step beside an earlier gap, with the gap searched again: its optimum is so narrow that
         the step moved it out of reach.
         """
         beside = [t for t in chosen.scored.model.at(self.joint) if t.effect != chosen.effect]
@@ -250,8 +248,8 @@ class Searcher:
         )
 
     def _best_first(self, current: Scored, rivals: list[Rival]) -> list[Rival]:
-        """Where two effects act, the first of the best pair need not be the best single: try the
-        runners-up as first steps too.
+        """The best search among those that start with a runner-up. Where two effects act, the first
+        of the best pair need not be the best single one.
         """
         gain = current.deviance - rivals[0].value
         if (
@@ -277,8 +275,8 @@ class Searcher:
 
 
 def is_white(scored: Scored, joint: int) -> bool:
-    """Whether a slow observer's innovations leave nothing to explain: no more slow variation than
-    white noise, and no block that stands out.
+    """Whether the innovations of a slow observer are white: no more slow variation than white
+    noise, and no block that stands out.
     """
     bandwidth = scored.data.bandwidth[joint - 1]
     if bandwidth > SETTLED:
@@ -301,7 +299,7 @@ def is_white(scored: Scored, joint: int) -> bool:
 
 
 def _gain(before: Scored, rival: Rival) -> float:
-    """Gain of a hypothesis under its own observer or under the slower one of ``Rounds.order``,
+    """The gain of a hypothesis under its own observer or the slower one of ``Rounds.order``,
     whichever is larger.
     """
     own = before.deviance - rival.value
@@ -309,8 +307,8 @@ def _gain(before: Scored, rival: Rival) -> float:
 
 
 def _freedom(rival: Rival) -> float:
-    """Fitted parameters, with one more for a hidden state, and for another joint that was chosen
-    among several.
+    """The count of fitted parameters, plus one for a hidden state, and one for a joint chosen among
+    several.
     """
     count = 0.0
     for term in rival.terms:
@@ -321,8 +319,8 @@ def _freedom(rival: Rival) -> float:
 
 
 def _simplest_sufficient(rivals: list[Rival], before: Scored) -> list[Rival]:
-    """Of the hypotheses that bring nearly all of the best gain, the simplest first: what it leaves,
-    a later step can add.
+    """The hypotheses with nearly all of the best gain, the simplest first. A later step can add
+    what it leaves.
     """
     gain = rivals[0].rank
     enough = [r for r in rivals if r.rank >= SUFFICIENT * gain and before.deviance - r.value > WAIT]

@@ -1,4 +1,4 @@
-"""Hypotheses of a search and what becomes of them: rivals, steps, and their price."""
+"""The data of a search: rivals, steps, and the price of their parameters."""
 
 from __future__ import annotations
 
@@ -11,42 +11,40 @@ from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model, Term
 
 UNSETTLED = 24.0  # rad/s: a model that needs a faster observer still lacks something
-SUFFICIENT = 0.8  # share of the best gain with which a simpler hypothesis goes first
+SUFFICIENT = 0.8  # share of the best gain from which a simpler hypothesis goes first
 
 
 @dataclass(frozen=True)
 class Rival:
-    """A hypothesis that was fitted: what it adds to the model before it, and how likely it made the
-    recording.
-    """
+    """A fitted hypothesis: the terms that it adds to the model before it, and its likelihood."""
 
     effect: str
     joint: int
     scored: Scored
-    price: float  # deviance that its free parameters and the size of the search cost
+    price: float  # in deviance, of its free parameters and the size of the search
     terms: tuple[Term, ...]
     replaces: tuple[str, ...]
     rank: float = math.nan  # gain by which hypotheses are ordered, see Searcher.order
 
     @property
     def value(self) -> float:
-        """Deviance with the price, the lower the better."""
+        """The deviance plus the price; lower is better."""
         return self.scored.deviance + self.price
 
 
 @dataclass(frozen=True)
 class Step:
-    """One accepted effect, with the hypotheses that stood beside it."""
+    """One accepted effect, with the rival hypotheses of its round."""
 
     chosen: Rival
     rivals: tuple[Rival, ...]
     before: Scored
-    alone: bool = True  # it passed by itself, not only together with what came after it
+    alone: bool = True  # it passed by itself, not only together with the next step
 
 
 @dataclass
 class JointSearch:
-    """What the search found at one joint."""
+    """The result of the search at one joint."""
 
     joint: int
     base: Scored
@@ -62,8 +60,8 @@ class JointSearch:
 
 
 def price(terms: Sequence[Term], n: int, replacing: Sequence[str] = ()) -> float:
-    """What the free parameters of some terms cost in deviance: BIC, and a grid searched counts as a
-    parameter more.
+    """The price of the free parameters of some terms in deviance: BIC, where a searched grid counts
+    as one more parameter.
     """
     count = 0.0
     for term in terms:

@@ -1,7 +1,7 @@
-"""Hypotheses at one joint, fitted on top of a model.
+"""Hypotheses at one joint, fitted upon a model.
 
-The library is screened, what promises something is fitted shortly with all calibrated parameters
-free (``short_fits.py``), and the best of these to the end.
+The library is screened, promising effects get a short fit with all calibrated parameters free
+(``short_fits.py``), and the best of these a full one.
 """
 
 from __future__ import annotations
@@ -42,30 +42,30 @@ from zendsp.physics.term_numbers import added_inertia
 
 PROMISING = 0.002  # share of the cost that a screen must promise
 SHORTLIST = 9
-LISTED = 3  # hypotheses of a round that are fitted at least, whatever the screen promises
+LISTED = 3  # least number of hypotheses fitted in a round, whatever the screen promises
 FINALISTS = 4
-# more of them, where those found nothing: a drag of 0.5 % was among the first two, whose gain was
-# lost in what thinned recordings say of the other numbers
+# more of them where those found nothing: a drag of 0.5 % was among the first two, but thinned
+# recordings misled the other numbers and hid its gain
 PROMISED = 2
 GLANCE = 4  # hypotheses of a round that is only looked at
-# of a step that may wait for another, and of a gap whose narrow optimum is searched
+# deviance of a step that may wait for another, and of a gap whose narrow optimum is searched
 WORTH = 10 * WAIT
-# of the best gain: hypotheses with less are not ordered anew; nor is a transmission fitted that
-# promises less. A true one gained 1.4 to 10 times what it promised, a gap up to 5 times
+# of the best gain: hypotheses with less are not reordered, and a transmission that promises less is
+# not fitted. A true one gained 1.4 to 10 times its promise, a gap up to 5 times
 REACH = 0.1
-# of the least gain that counts: nothing is fitted that promises less on all samples. What counted
-# gained up to 9.4 times what it promised there (a voltage limit), elsewhere up to 5.5 times
+# of the least gain that counts: an effect that promises less on all samples is not fitted. Effects
+# that counted gained up to 9.4 times their promise (a voltage limit), others up to 5.5 times
 PROMISED_ON_ALL = 0.1
 
 
 def _promise(group: Sequence[Candidate]) -> float:
-    """Decrease of the deviance of a sample that a transmission promises; nan for others."""
+    """The decrease of the deviance per sample that a transmission promises; nan for others."""
     slow = get_effect(group[0].effect).family == "transmission"
     return group[0].gain if slow else math.nan
 
 
 class Rounds:
-    """The hypotheses at one joint, a round of them for each model.
+    """The hypotheses at one joint, in a round for each model.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ class Rounds:
     def options(
         self, current: Scored, only: frozenset[str] = frozenset()
     ) -> list[tuple[float, Candidate]]:
-        """What a screen promises upon a model: see ``screened``."""
+        """The promises of a screen upon a model, see ``screened``."""
         key = id(current), only
         if key not in self._options:
             data, model = current.data, current.model
@@ -102,7 +102,7 @@ class Rounds:
         return self._options[key][1]
 
     def round(self, current: Scored) -> list[Rival]:
-        """Fit the promising hypotheses on top of a model, the most likely first; one entry an
+        """The promising hypotheses, fitted upon a model, the most likely first; one entry per
         effect.
         """
         if id(current) not in self._rounds:
@@ -110,14 +110,14 @@ class Rounds:
         return self._rounds[id(current)][1]
 
     def stand_ins(self, current: Scored, effects: frozenset[str]) -> list[Rival]:
-        """Only the named effects, fitted on top of a model, the most likely first."""
+        """The named effects only, fitted upon a model, the most likely first."""
         return self._round(current, effects)
 
     def glance(self, current: Scored, seen: frozenset[str]) -> float:
-        """About the least deviance with its price that one more effect would leave: the most
-        promising ones, fitted shortly.
+        """An estimate of the least deviance plus price with one more effect, from short fits of the
+        most promising ones.
 
-        Of the effects with states of their own only those in ``seen``, which did well elsewhere in
+        Of effects with hidden states only those in ``seen`` are tried, which did well elsewhere in
         this search.
         """
         listed = [starts_of(c, current.data) for _, c in self.options(current)[:GLANCE]]
@@ -132,11 +132,11 @@ class Rounds:
         return min((r.value for r in found if r is not None), default=math.inf)
 
     def order(self, current: Scored, rivals: list[Rival]) -> list[Rival]:
-        """Order hypotheses by what they gain.
+        """The hypotheses in the order of their gains.
 
         Where even the best of them needs a fast observer, much is still missing, and a fast
-        observer forgives what acts slowly: the order is then that of the gains under an observer
-        four times slower.
+        observer follows slow errors. The order is then that of the gains under an observer four
+        times slower.
         """
         ranked = [replace(r, rank=current.deviance - r.value) for r in rivals]
         if len(ranked) < 2 or ranked[0].scored.data.bandwidth[self.joint - 1] <= UNSETTLED:
@@ -225,8 +225,8 @@ class Rounds:
     def _looked_at(
         self, current: Scored, listed: list[list[Candidate]], each: Each, *, all_of_them: bool
     ) -> list[Rival]:
-        """What short fits of hypotheses come to; of transmissions, which take far longer, only
-        where they promise something beside the others, or ``all_of_them``.
+        """Short fits of hypotheses. Transmissions take far longer and are fitted only where they
+        promise something beside the others, or with ``all_of_them``.
         """
 
         def short(groups: list[list[Candidate]]) -> list[Rival]:
@@ -246,8 +246,8 @@ class Rounds:
         quick: list[Rival],
         each: Each,
     ) -> list[Rival]:
-        """What was not listed, where it promises more than anything listed has kept: with a fast
-        observer a screen promises many effects much, and the true one no more than others.
+        """Short fits of unlisted hypotheses that promise more than any listed one gained. With a
+        fast observer a screen promises much for many effects, and no more for the true one.
         """
         best = max((current.deviance - r.value for r in quick), default=0.0)
         seen = {c.effect for group in listed for c in group}
@@ -265,10 +265,10 @@ class Rounds:
         return -self.n * math.log1p(-min(share, 1.0 - 1e-9))
 
     def _is_idle(self, current: Scored, group: list[Candidate]) -> bool:
-        """Whether a screened hypothesis promises so little that no fit makes a step of it: on all
-        samples, under the model's own observer, and where that is fast under a settled one too. A
-        screen that thins may promise much that all samples deny. Not asked where a state of its own
-        is in the model, which no screen sees, nor of what replaces another or hides from screens.
+        """Whether a screened hypothesis promises too little for a step on all samples, under the
+        model's own observer, and under a slow one too where that is fast. (A screen on thinned
+        samples may promise more.) False where the model has hidden states, which no screen sees,
+        and for hypotheses that replace a term or that a screen cannot see.
         """
         terms = current.model.at(self.joint)
         unseen = get_effect(group[0].effect).hides or group[0].replaces
@@ -284,7 +284,8 @@ class Rounds:
         return self._promised(slow, group) < PROMISED_ON_ALL * (least + behind)
 
     def _promised(self, current: Scored, group: list[Candidate]) -> float:
-        """Decrease of the deviance that a hypothesis promises on all samples, to first order."""
+        """The decrease of the deviance that a hypothesis promises on all samples, to first order.
+        """
         if id(current) not in self._screens:
             joints, handles = (self.joint,), current.fit.handles
             data, model = current.data, current.model
@@ -299,8 +300,9 @@ class Rounds:
         return price(group[0].terms, self.n)
 
     def _bare(self, rivals: list[Rival]) -> list[Rival]:
-        """The simpler effect to which the likeliest hypothesis has shrunk: the search for a gap or
-        a stiffening spring may end at a plain spring that no start of a spring leads to.
+        """The simpler effect to which the likeliest hypothesis has shrunk, fitted. The search for a
+        gap or a stiffening spring may end at a plain spring that no start value of a spring leads
+        to.
         """
         best = min(rivals, key=lambda r: r.value, default=None)
         bare = get_effect(best.effect).bare if best else ""
@@ -316,8 +318,9 @@ class Rounds:
         return [Rival(bare, self.joint, scored, price((term,), self.n), (term,), ())]
 
     def _promising(self, current: Scored, rivals: list[Rival]) -> list[Rival]:
-        """Before nothing is found: hypotheses that gain most on the thinned recordings that they
-        were fitted to. On all samples their other numbers, fitted to these, may cost more.
+        """The hypotheses with the largest gain on the thinned recordings that they were fitted to,
+        tried before the search ends with nothing. On all samples their other numbers, fitted to the
+        thinned ones, may have cost more than the gain.
         """
         if self.short.misleads(current):
             return []
@@ -326,7 +329,7 @@ class Rounds:
         return [rivals[i] for gain, i in best if gain > WAIT]
 
     def _too_small(self, rival: Rival, term: Term) -> bool:
-        """Whether a term is below what its effect says that a recording can show of it."""
+        """Whether a term is below the least size that its effect says a recording can show."""
         least = get_effect(term.effect).least
         if least is None:
             return False
@@ -335,8 +338,8 @@ class Rounds:
         return any(abs(fitted.value(name)) < size for name, size in least(facts(record)).items())
 
     def _possible(self, rival: Rival) -> bool:
-        """Whether a machine can have the numbers of all terms that were found so far: no body, and
-        so no joint, has less inertia than none.
+        """Whether the numbers of all terms found so far are possible for a machine: no joint has a
+        negative inertia.
         """
         model = rival.scored.model
         bare = model.with_terms(own_terms(model.terms))

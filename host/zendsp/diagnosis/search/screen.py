@@ -1,8 +1,8 @@
-"""Every effect of the library, tried to first order for the price of one least squares.
+"""Every effect of the library, tried to first order at the cost of one least squares.
 
 The torque of an effect along the measured motion, passed through the observer's error dynamics, is
-what the effect would leave in the innovations. What the calibrated parameters can imitate is
-projected out first: the baseline of every claim is the refitted model.
+its trace in the innovations. What the calibrated parameters can imitate is projected out first: the
+baseline of every claim is the refitted model.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from zendsp.physics.model import Model, Term, per_joint
 Array = npt.NDArray[np.float64]
 
 TOGETHER = 8  # grid points whose columns are computed at once
-# where an effect acts whose torque is the same beside others
+# sites of effects whose torque does not depend on other terms
 ADDED = ("torque", "load", "viscous", "dry", "sensor")
 SCALES = ("scale", "dry_scale")
-# of a column's energy: less is left where the calibrated parameters imitate it but for rounding
+# of a column's energy: less is rounding, where calibrated parameters imitate the column
 IMITATED = 1e-8
 REMEMBERED = 3e7  # bytes of traces of a recording at most
-FIRST_ORDER = 0.05  # s: a shift in time is told to first order; no fit begins beyond
+FIRST_ORDER = 0.05  # s: largest shift in time that is nearly of first order; no fit starts beyond
 
 
 @dataclass(frozen=True)
@@ -45,10 +45,10 @@ class Candidate:
     joint: int
     terms: tuple[Term, ...]
     replaces: tuple[str, ...]
-    # decrease of the cost that the screen promises, of the deviance of a sample that a transmission
-    # does; nan where only a fit can tell
+    # promised decrease of the cost; for a transmission, of the deviance per sample; nan where only
+    # a fit can show it
     gain: float
-    beneath: Model | None = None  # numbers to begin from in place of the calibrated ones
+    beneath: Model | None = None  # numbers to start from instead of the calibrated ones
 
     @property
     def key(self) -> tuple[str, int]:
@@ -57,21 +57,19 @@ class Candidate:
 
 
 def phase_of(effect: Effect) -> str:
-    """Name of the parameter that is a phase of a sine with a linear amplitude, empty where there is
-    none.
-    """
+    """The name of the phase of a sine with a linear amplitude, empty where there is none."""
     return next((n for n in effect.names if n in ("phase", "angle")), "") if effect.linear else ""
 
 
 def _neutral_of(effect: Effect, point: dict[str, float]) -> bool:
-    """Whether an effect is a spring whose neutral point is not in the grid: with it, a constant
-    torque.
+    """Whether an effect is a spring whose neutral point is not in the grid, but a constant torque
+    beside it.
     """
     return "neutral" in effect.names and "neutral" not in point
 
 
 def _first_order(value: float, parameter: Parameter) -> float:
-    """A time within what a column of first order can tell; other numbers as they are."""
+    """A time limited to the range of first order; other numbers unchanged."""
     return float(np.clip(value, -FIRST_ORDER, FIRST_ORDER)) if parameter.size == "time" else value
 
 
@@ -119,8 +117,8 @@ class Screen:
         )
 
     def _free(self, record: JointRecord, floor: float) -> Array:
-        """1 where the joint may follow an added torque, (n,); less where it all but stands, and
-        the model's dry friction bears what is added.
+        """Per sample, 1 where the joint can follow an added torque, (n,); less where it almost
+        stands and the model's dry friction balances the torque.
         """
         if not any(get_effect(t.effect).site == "dry" for t in self.model.at(self.joint)):
             return np.ones(record.n)
@@ -131,7 +129,7 @@ class Screen:
         """Weighted responses to the torques of some added terms, a row a column, (columns, n of all
         recordings).
 
-        ``alone``: as if the model had no other terms, for one that would replace some of them.
+        ``alone``: without the model's other terms, for a term that replaces some of them.
         """
         on_sensor = get_effect(columns[0][0].effect).at_sensor
         parts = []
@@ -142,8 +140,8 @@ class Screen:
         return np.concatenate(parts, axis=1)
 
     def _torque(self, i: int, terms: tuple[Term, ...], alone: bool) -> Array:
-        """What some added terms resist along the measured motion, (n,); of what acts on the sensor,
-        what it shifts.
+        """The torque with which added terms resist along the measured motion, (n,); for effects on
+        the sensor, the position that they add.
         """
         effect, rec, floor = get_effect(terms[0].effect), self.records[i], self.floors[i]
         if effect.column is not None:
@@ -158,7 +156,9 @@ class Screen:
         return np.asarray(trace(rec, self.model, together, floor) - self.base[i])
 
     def _alone(self, rec: JointRecord, terms: tuple[Term, ...], floor: float) -> Array:
-        """Their trace, worked out once a recording: nothing else of the model enters."""
+        """The trace of added terms, computed once per recording, since nothing else of the model
+        enters.
+        """
         gain = per_joint(self.model.actuator.gain, self.joint, 1.0)
         key = (floor, gain, *((t.effect, *t.parameters.items()) for t in terms))
         found = rec.traces.get(key)
@@ -180,7 +180,7 @@ class Screen:
         )
 
     def groups(self, columns: Array, each: int) -> Iterator[tuple[float, Array]]:
-        """Decrease of the cost by every ``each`` columns, a row each, and their coefficients."""
+        """The decrease of the cost by each group of ``each`` columns, and their coefficients."""
         known = columns @ self.q
         gram, moment = columns @ columns.T, columns @ self.left
         whole = np.diag(gram).copy()
@@ -188,12 +188,12 @@ class Screen:
         for begin in range(0, len(columns), each):
             some = slice(begin, begin + each)
             inner, outer = gram[some, some], moment[some]
-            if np.any(np.diag(inner) < IMITATED * whole[some]):  # a difference of equals
+            if np.any(np.diag(inner) < IMITATED * whole[some]):  # almost equal numbers
                 b = columns[some] - known[some] @ self.q.T
                 inner, outer = b @ b.T, b @ self.left
             norm = np.sqrt(np.diag(inner))
             norm[norm == 0] = 1.0
-            if not np.isfinite(norm).all():  # numbers at which the effect is none
+            if not np.isfinite(norm).all():  # numbers at which the effect vanishes
                 yield 0.0, np.zeros(len(norm))
                 continue
             outer = outer / norm
@@ -201,7 +201,7 @@ class Screen:
             yield float(-theta @ outer), theta / norm
 
     def candidates(self, only: frozenset[str] = frozenset(), jobs: int = 1) -> list[Candidate]:
-        """Each effect of the library (or some) at its best grid point, best first."""
+        """The effects of the library (or some of them) at their best grid points, best first."""
         present = {t.effect for t in self.model.at(self.joint)}
         effects = [
             e
@@ -214,7 +214,7 @@ class Screen:
 
     def _applies(self, effect: Effect, present: set[str]) -> bool:
         """Whether an effect can be screened here at all."""
-        if effect.site == "body":  # all joints decide: see bodies.py
+        if effect.site == "body":  # decided by all joints: see bodies.py
             return False
         if effect.site == "setup" and effect.column is None:
             return False
@@ -223,12 +223,12 @@ class Screen:
         return is_supported(effect, present) and usable(effect, self.records)
 
     def best_of(self, name: str, points: Sequence[dict[str, float]]) -> Candidate:
-        """An effect at the best of some points of its grid."""
+        """The candidate of an effect at the best of some points of its grid."""
         effect = get_effect(name)
         return self._candidate(effect, *max(self._at(effect, points), key=lambda found: found[0]))
 
     def gain_of(self, candidate: Candidate) -> float:
-        """Decrease of the cost that a candidate of one term promises where its grid point is."""
+        """The decrease of the cost that a candidate of one term promises at its grid point."""
         effect = get_effect(candidate.effect)
         free = {*effect.linear, phase_of(effect), "neutral"}
         numbers = candidate.terms[0].parameters.items()
@@ -236,8 +236,8 @@ class Screen:
         return max(gain for gain, _ in self._at(effect, [point]))
 
     def _best(self, effect: Effect) -> list[Candidate]:
-        """An effect at its best grid point; one for each choice of the numbers that no fit moves (a
-        coupling's law).
+        """The candidates of an effect at its best grid point, one for each choice of the numbers
+        that no fit moves (a coupling's law).
         """
         chosen = [p.name for p in effect.parameters if not p.fitted]
         points: dict[tuple[float | None, ...], list[dict[str, float]]] = {}
@@ -251,7 +251,7 @@ class Screen:
     def _at(
         self, effect: Effect, points: Sequence[dict[str, float]]
     ) -> Iterator[tuple[float, dict[str, float]]]:
-        """At each grid point, the decrease of the cost and all values."""
+        """The decrease of the cost and all values, at each grid point."""
         wanted = [
             [(make_term(effect, self.joint, values),) for values in self._directions(effect, point)]
             for point in points
@@ -266,7 +266,7 @@ class Screen:
                 yield self._judge(effect, point, *found)
 
     def _directions(self, effect: Effect, point: dict[str, float]) -> list[dict[str, float]]:
-        """The values whose torques, together, are all that the effect can be at a grid point."""
+        """The values whose torques span all that the effect can be at a grid point."""
         if _neutral_of(effect, point):
             s = facts(self.records[0])
             return [
@@ -280,8 +280,8 @@ class Screen:
         return [_unit_values(effect, point, name) for name in effect.linear] or [point]
 
     def mixed(self, effect: Effect, point: dict[str, float], theta: Array) -> dict[str, float]:
-        """The values of an effect whose torque is so much of each of its directions: those of an
-        effect with a phase or a neutral position.
+        """The values of an effect with a phase or a neutral position, from the coefficients of its
+        directions.
         """
         phase = phase_of(effect)
         if phase:
@@ -297,8 +297,8 @@ class Screen:
     def least_seen(
         self, effect: Effect, point: dict[str, float], trace: Callable[[Term], Array]
     ) -> tuple[dict[str, float], Array]:
-        """The values at a grid point that leave the smallest trace for their size, and it: the
-        worst phase of what has one, the worst neutral position within the travel.
+        """The values at a grid point with the smallest trace for their size, and the trace: the
+        worst phase, or the worst neutral position within the travel.
         """
         listed = self._directions(effect, point)
         one = trace(make_term(effect, self.joint, listed[0]))
@@ -336,7 +336,7 @@ class Screen:
         }
 
     def _least(self, effect: Effect, name: str) -> float:
-        """A number so small that it hardly acts."""
+        """The value of an effect so small that it hardly acts."""
         size, known = effect.parameter(name).size, facts(self.records[0])
         return known.sample_time if size == "time" else 1e-3 * known.scale.of(size)
 
@@ -356,9 +356,9 @@ class Screen:
 
 
 def _imitable(fit: Fit, jac: Array) -> Array:
-    """Orthonormal columns of all that the calibrated numbers can imitate, (rows, up to p)."""
-    # the sensor's zero is held within a count by its prior: it must not absorb what only a larger
-    # shift could
+    """Orthonormal columns that span all that the calibrated numbers can imitate, (rows, up to p).
+    """
+    # a prior holds the sensor's zero within a count: it must not absorb more than that
     jac = jac[:, [h.place != "offset" for h in fit.handles]]
     norms = np.linalg.norm(jac, axis=0)
     jac = jac[:, norms > 0] / norms[norms > 0]
@@ -366,8 +366,8 @@ def _imitable(fit: Fit, jac: Array) -> Array:
 
 
 def promised(base: Fit, others: Array) -> float:
-    """Largest decrease of the deviance of a sample on the way from a fit to any of some other
-    innovations, (m, n): to first order, with the calibrated numbers fitted again.
+    """The largest decrease of the deviance per sample between a fit and any of some other
+    innovations, (m, n), to first order, with the calibrated numbers fitted again.
     """
     n = others.shape[1]
     r, q = base.residual[:n], _imitable(base, base.jacobian[:n])
@@ -380,7 +380,7 @@ def promised(base: Fit, others: Array) -> float:
 
 
 def _least_squares(gram: Array, moment: Array) -> Array:
-    """Coefficients of one or two columns of length 1, or of any."""
+    """Least-squares coefficients of a few columns of length 1."""
     beside = float(gram[0, -1])
     if len(gram) == 1 and beside == 1.0:
         return moment
@@ -390,7 +390,7 @@ def _least_squares(gram: Array, moment: Array) -> Array:
 
 
 def with_candidate(model: Model, candidate: Candidate) -> Model:
-    """The model with the candidate's terms added and what they replace removed."""
+    """The model with the candidate's terms added and the replaced terms removed."""
     model = candidate.beneath or model
     kept = tuple(
         t
@@ -401,6 +401,6 @@ def with_candidate(model: Model, candidate: Candidate) -> Model:
 
 
 def touched(handles: tuple[Handle, ...], model: Model, joint: int) -> tuple[int, ...]:
-    """Joints whose innovations depend on parameters shared with this joint (1-based)."""
+    """The joints whose innovations depend on parameters shared with this joint (1-based)."""
     shared = any(h.place == "mechanism" for h in handles) and model.joints > 1
     return tuple(range(1, model.joints + 1)) if shared else (joint,)

@@ -17,12 +17,12 @@ from zendsp.physics.calibration.handles import Handle
 from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model
 
-# relative gain of a step below which a first look ends: in a narrow valley the first step gains
+# relative gain of a step below which a first fit ends: in a narrow valley the first step gains
 # little, and 1 % is a deviance of 200
 QUICK = 1e-4
-UPON = 2  # iterations on all samples of a hypothesis that lost on thinned ones
+UPON = 2  # iterations on all samples for a hypothesis that lost on thinned ones
 SETTLED = 16.0  # rad/s: an observer this slow follows little of what is missing
-WAIT = 40.0  # deviance beyond its price below which a step is not worth a look
+WAIT = 40.0  # deviance beyond its price below which a step is not examined
 
 
 class ShortFits:
@@ -33,9 +33,9 @@ class ShortFits:
     joint : int
         1-based.
     jobs : int
-        Threads, of what is fitted for all hypotheses once.
+        Threads, for fits that all hypotheses share.
     count : int
-        Samples that count.
+        Number of samples that count.
     """
 
     def __init__(self, joint: int, jobs: int, count: int) -> None:
@@ -44,23 +44,24 @@ class ShortFits:
         self._under_others: dict[int, tuple[Scored, Scored]] = {}
 
     def quick(self, current: Scored, group: list[Candidate]) -> Rival | None:
-        """A short fit from each start; the best is followed to slower observers. Where it gains
-        nothing, under a slow observer from the beginning: a fast one follows what is missing.
+        """The best short fit from some starts, followed to slower observers. Where it gains
+        nothing, the fits begin again under a slow observer, since a fast one follows the missing
+        torque.
         """
         data, slow = current.data, get_effect(group[0].effect).slow
         settled = data
         if data.bandwidth[self.joint - 1] > SETTLED:
             settled = data.at_bandwidth(self.joint, SETTLED)
         best = self._short_fits(current, group, settled if slow else data)
-        begun = slow or get_effect(group[0].effect).scan is not None  # by simulations, not a screen
+        begun = slow or get_effect(group[0].effect).scan is not None  # begun by simulations
         if settled is data or begun or (best and best.value < current.deviance - WAIT):
             return best
         other = self._short_fits(current, group, settled)
         return other if other and not (best and best.value <= other.value) else best
 
     def _short_fits(self, current: Scored, group: list[Candidate], data: Data) -> Rival | None:
-        """The best of a short fit from each start, at some observer's bandwidth: to thinned
-        recordings, or to all samples where those mislead.
+        """The best short fit from some starts, at one observer's bandwidth: to thinned recordings,
+        or to all samples where those mislead.
         """
         screened_for = get_effect(group[0].effect).scan is None
         whole = screened_for and self.misleads(current)
@@ -68,7 +69,8 @@ class ShortFits:
         candidate, result, value = self._from_starts(current, group, begin, whole)
         if not math.isfinite(value):
             return None
-        # worse than the model that it contains, or a look, which is but a part, gained more
+        # worse than the model that it contains, or the fit to thinned recordings, only a part,
+        # gained more
         worse = screened_for and value > current.deviance + WAIT
         if worse and whole:
             candidate, result, value = self._from_starts(current, group, begin, False)
@@ -85,8 +87,8 @@ class ShortFits:
     def _from_starts(
         self, current: Scored, group: list[Candidate], begin: Scored, whole: bool
     ) -> tuple[Candidate, Fit, float]:
-        """The best of a short fit from each start, upon the numbers and under the observer to begin
-        with, to all samples or to thinned recordings; and its deviance under the model's own.
+        """The best short fit from some starts, from given numbers and observer, to all samples or
+        to thinned recordings; and its deviance under the model's own observer.
         """
         tried: list[tuple[float, Candidate, Fit]] = []
         data = begin.data
@@ -110,9 +112,9 @@ class ShortFits:
     def _upon_its_numbers(
         self, current: Scored, candidate: Candidate, result: Fit, value: float
     ) -> tuple[Fit, float]:
-        """A hypothesis as a first look found it, or upon the other numbers that the model had, from
-        there or from where it began, whichever is likeliest: on thinned recordings a joint turns
-        round in another way, and what describes that may be moved far off.
+        """The likeliest of three fits of a hypothesis: as fitted to thinned recordings; upon the
+        model's other numbers from there; and from its start values. On thinned recordings reversals
+        look different, which may move numbers of dry friction far off.
         """
         best = result, value
         for terms in (result.model.terms[-len(candidate.terms) :], candidate.terms):
@@ -124,7 +126,7 @@ class ShortFits:
         return best
 
     def under(self, current: Scored, data: Data) -> Scored:
-        """A model with the numbers that another observer wants, to begin with there."""
+        """A model with its numbers fitted under another observer, as a start there."""
         if id(current) not in self._under_others:
             handles, joints = current.fit.handles, (self.joint,)
             found = self._short(data, current.model, handles, 6, self.jobs)
@@ -133,25 +135,25 @@ class ShortFits:
         return self._under_others[id(current)][1]
 
     def misleads(self, current: Scored) -> bool:
-        """Whether a model's numbers are others on thinned recordings, where a joint turns round in
-        another way. What is fitted to these then begins with a loss, whatever it gains.
+        """Whether thinned recordings, on which reversals look different, give a model other
+        numbers. A fit to these then begins with a loss, whatever it gains.
 
-        Of a model that needs a fast observer much is missing: its numbers are off anyhow, and a
-        look says well enough which hypothesis brings most.
+        A model that needs a fast observer lacks much: its numbers are off anyway, and thinned
+        recordings show well enough which hypothesis gains most.
         """
         if current.data.bandwidth[self.joint - 1] > SETTLED:
             return False
         return self._looked_through(current)[1] > current.deviance + WAIT
 
     def gain_of_look(self, current: Scored, model: Model) -> float:
-        """Deviance that a model gains upon another on the thinned recordings of a first look, to
-        which that one is fitted too.
+        """The deviance that a model gains over another on the thinned recordings of a first fit;
+        the other is fitted to them too.
         """
         look = first_look(current.data, current.model, self.joint)
         return self._looked_through(current)[0] - deviance(look, model, (self.joint,))
 
     def _looked_through(self, current: Scored) -> tuple[float, float]:
-        """Of a model fitted to its thinned recordings: its deviance there, and on all samples."""
+        """The deviance of a model fitted to its thinned recordings: there, and on all samples."""
         if id(current) not in self._levels:
             joints = (self.joint,)
             look = first_look(current.data, current.model, self.joint)

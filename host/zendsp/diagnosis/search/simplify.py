@@ -1,5 +1,5 @@
-"""What a search found, in its simplest words: special cases by their own names, and nothing that
-the recording does not need.
+"""Simplifies the model of a search: special cases get their own names, and terms that the recording
+does not need are dropped.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from zendsp.physics.calibration.terms import make_term
 from zendsp.physics.effects import get_effect, is_supported, library
 from zendsp.physics.model import Model, Term
 
-# deviance a sample, a tenth of the innovations' energy: a term whose absence costs so much is not
-# fitted away any more
+# deviance per sample, a tenth of the innovations' energy: a term that costs this much to drop stays
+# without a longer fit
 SIMPLER_COST = 0.1
 NO_WORSE = 10.0  # deviance that a simpler law may cost
-# share of what two laws gain together that one in their place has to gain; a true spring of a
-# pendulum gained 98 % with a coarse encoder (seed 144, case 28), and did better on untouched data
+# share of the common gain of two laws that one in their place must have; a true spring of a
+# pendulum with a coarse encoder had 98 % (seed 144, case 28), and did better on untouched data
 AS_MUCH = 0.95
-BENDS = 0.02  # of the travel: hysteresis that slides after less has a soft onset only
-STRAIGHT = 2.0  # times the torque that a hysteresis would reach unbent: of more it is a spring
-HALVINGS = 2  # of the integration's step at most, in the last fit of a joint
+BENDS = 0.02  # of the travel: hysteresis that slides after less is dry friction with a soft onset
+STRAIGHT = 2.0  # force of a hysteresis over its spring's largest torque: above, it is a spring
+HALVINGS = 2  # most halvings of the integration step, in the last fit of a joint
 
 
 def _refitted(data: Data, model: Model, joint: int, jobs: int, rounds: int) -> Scored:
@@ -44,8 +44,8 @@ def _refitted(data: Data, model: Model, joint: int, jobs: int, rounds: int) -> S
 
 
 def split_asymmetry(found: JointSearch, current: Scored, jobs: int) -> Scored:
-    """Asymmetric Coulomb friction is Coulomb friction and an offset: where the model had no such
-    friction, they stand for themselves. An offset that the model holds is then another.
+    """The model with an asymmetric Coulomb friction split into Coulomb friction and an offset,
+    where the model had no such friction. An offset that the model holds changes accordingly.
     """
     had = {t.effect for t in found.base.model.at(found.joint)}
     here = {t.effect: t for t in current.model.at(found.joint)}
@@ -67,9 +67,9 @@ def split_asymmetry(found: JointSearch, current: Scored, jobs: int) -> Scored:
 
 
 def straightened(found: JointSearch, current: Scored, jobs: int) -> Scored:
-    """Hysteresis of a force that the motion is far from reaching is a spring: name it so where that
-    explains as much. It was found for a spring and dry friction together, as long as one of them
-    was missing.
+    """The model with a hysteresis replaced by a spring, where its force is far from being reached
+    and the spring explains as much. The hysteresis was found for a spring and a dry friction
+    together, when both were missing.
     """
     had = {t.effect for t in found.base.model.at(found.joint)}
     here = current.model.at(found.joint)
@@ -79,7 +79,7 @@ def straightened(found: JointSearch, current: Scored, jobs: int) -> Scored:
     record = max((rec[found.joint - 1] for rec in current.data.records), key=lambda r: r.n)
     if term.value("force") < STRAIGHT * term.value("stiffness") * facts(record).scale.position:
         return current
-    begin = float(record.motion.states[0][0])  # where its bristle is straight
+    begin = float(record.motion.states[0][0])  # where its bristle is unbent
     numbers = {"coefficient": term.value("stiffness"), "neutral": begin}
     spring = make_term(get_effect("stiffness"), found.joint, numbers)
     others = (t for t in current.model.terms if t is not term)
@@ -90,13 +90,13 @@ def straightened(found: JointSearch, current: Scored, jobs: int) -> Scored:
 
 
 def _resolved(best: Scored, joint: int, jobs: int) -> Scored:
-    """The same model refitted at ever smaller steps, until halving them moves its numbers less than
-    the recording leaves open, or any two simulators.
+    """The model refitted at ever smaller steps, until halving them moves its numbers less than
+    their uncertainty, or than two simulators differ.
 
-    Otherwise an effect may be found that is only what the integration gets wrong.
+    Otherwise a finding might only be an integration error.
     """
     if len(best.fit.residual) != len(residual(best.data, best.model, (joint,))):
-        # what only a first look fitted, on thinned recordings
+        # numbers so far fitted only to thinned recordings
         best = _refitted(best.data, best.model, joint, jobs, 1)
     travel = max(rec[joint - 1].scale.position for rec in best.data.records)
     for _ in range(HALVINGS):
@@ -114,8 +114,8 @@ def _resolved(best: Scored, joint: int, jobs: int) -> Scored:
 
 
 def _as_coulomb(best: Scored, joint: int, jobs: int) -> Scored:
-    """Hysteresis that slides after a small part of the travel is Coulomb friction with a soft
-    onset: name it so where that explains as much.
+    """The model with a hysteresis that slides after a small part of the travel replaced by Coulomb
+    friction, where that explains as much.
     """
     term = next((t for t in best.model.at(joint) if t.effect == "hysteresis"), None)
     record = best.data.records[0][joint - 1]
@@ -137,8 +137,8 @@ def _as_coulomb(best: Scored, joint: int, jobs: int) -> Scored:
 
 
 def _as_bristles(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored:
-    """Hysteresis where the model had no dry friction is Coulomb friction and the bristles that it
-    acts through, where that is surely likelier. No search sees the two one by one: in motion that
+    """The model with a hysteresis replaced by Coulomb friction and bristles, where the model had no
+    dry friction and that is surely likelier. No search finds the two one by one: in motion that
     never slides for long Coulomb friction alone is worse than nothing, and bristles need it.
     """
     new = best.model.at(found.joint)
@@ -160,8 +160,8 @@ def _as_bristles(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored:
 
 
 def _as_symmetric(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored:
-    """An asymmetry that was found whose two directions are as good as equal is the symmetric effect
-    in whose place it stands.
+    """The model with a found asymmetry replaced by the symmetric effect, where both directions are
+    nearly equal.
     """
     for name, effect in library().items():
         if not effect.symmetric:
@@ -180,8 +180,8 @@ def _as_symmetric(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored
 
 
 def _as_payload(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored:
-    """More inertia and a weaker actuator together are a payload, which adds inertia and gravity:
-    name it so where that explains as much, and the actuator alone does not.
+    """The model with more inertia and a weaker actuator replaced by a payload (inertia and
+    gravity), where that explains as much and the actuator alone does not.
     """
     had = {t.effect for t in found.base.model.at(found.joint)}
     new = {t.effect: t for t in best.model.at(found.joint) if t.effect not in had}
@@ -202,11 +202,11 @@ def _as_payload(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored:
 
 
 def _as_spring(found: JointSearch, best: Scored, jobs: int) -> Scored:
-    """A hardening spring and a constant torque together imitate a linear spring off its neutral
-    point: name it so where that explains as much.
+    """The model with a hardening spring and a constant torque replaced by a linear spring with a
+    neutral point, where that explains as much.
 
-    On a pendulum the weight that is calibrated takes the linear part, k q = k sin q + k q³ / 6 + …:
-    it is given back.
+    On a pendulum the calibrated weight has absorbed the linear part, k q = k sin q + k q³ / 6 + …,
+    and returns it.
     """
     had = {t.effect for t in found.base.model.at(found.joint)}
     new = {t.effect: t for t in best.model.at(found.joint) if t.effect not in had}
@@ -239,8 +239,8 @@ def _as_spring(found: JointSearch, best: Scored, jobs: int) -> Scored:
 
 
 def _as_two_times(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored:
-    """A delay that was found with the lag that it hides, or a lag with the delay: to first order
-    they are one, so that no search beside the first sees the second.
+    """The model with a found delay joined by a lag, or a lag by a delay. To first order they are
+    equal, so no search finds the second beside the first.
     """
     had = {t.effect for t in found.base.model.at(found.joint)}
     new = {t.effect: t for t in best.model.at(found.joint) if t.effect not in had}
@@ -259,8 +259,8 @@ def _as_two_times(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored
 
 
 def _as_delay(found: JointSearch, best: Scored, jobs: int) -> Scored:
-    """A filtered position that a late command explains as well is one: every loop has some delay,
-    and to first order the two are the same.
+    """The model with a filter of the position replaced by a late command, where that explains as
+    much. Every loop has some delay, and to first order the two are equal.
     """
     had = {t.effect for t in found.base.model.at(found.joint)}
     here = {t.effect: t for t in best.model.at(found.joint)}
@@ -274,7 +274,7 @@ def _as_delay(found: JointSearch, best: Scored, jobs: int) -> Scored:
 
 
 def simplify(found: JointSearch, n: int, jobs: int) -> tuple[Scored, tuple[str, ...]]:
-    """Drop every term, given or found, that the recording does not need any more."""
+    """The search without terms, given or found, that the recording no longer needs."""
     best = _resolved(straightened(found, found.final, jobs), found.joint, jobs)
     best = _as_bristles(found, _as_coulomb(best, found.joint, jobs), n, jobs)
     best = _as_spring(found, _as_payload(found, best, n, jobs), jobs)
@@ -285,8 +285,8 @@ def simplify(found: JointSearch, n: int, jobs: int) -> tuple[Scored, tuple[str, 
     while True:
         certain = with_step_error(best.data, best.fit, (found.joint,))
         for i, term in enumerate(best.model.terms):
-            of_all = get_effect(term.effect).site == "body"  # every joint that moves it feels it
-            known = not any(q.free for q in term.parameters.values())  # whoever holds it knows it
+            of_all = get_effect(term.effect).site == "body"  # all joints that carry it feel it
+            known = not any(q.free for q in term.parameters.values())  # held, and so known
             if term.joint != found.joint or of_all or known or _needed_by(best.model, term):
                 continue
             model = best.model.with_terms(
@@ -308,8 +308,8 @@ def simplify(found: JointSearch, n: int, jobs: int) -> tuple[Scored, tuple[str, 
 
 
 def _released(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored:
-    """The same with numbers fitted that the search only chose among, a curve's exponent, where the
-    recording tells them: the others are as uncertain as these make them.
+    """The model with numbers fitted that the search only chose from a list (an exponent), where the
+    recording determines them. They add to the uncertainty of the others.
     """
     had = {t.effect for t in found.base.model.at(found.joint)}
     free = {
@@ -345,8 +345,8 @@ def _released(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored:
 
 
 def upon(first: JointSearch, base: Scored, jobs: int, both: Scored | None = None) -> JointSearch:
-    """What a search found, upon a base that has terms of another source by now: fitted again, where
-    ``both`` are not yet, and without what is not needed any more.
+    """A search upon a base that has terms of another source by now: fitted again, unless ``both``
+    are given together, and without terms that are no longer needed.
     """
     joint, found = first.joint, first.final
     more = base.model.terms[len(first.base.model.terms) :]
@@ -358,8 +358,8 @@ def upon(first: JointSearch, base: Scored, jobs: int, both: Scored | None = None
 
 
 def hopeless(best: Scored, model: Model, joint: int, jobs: int) -> Scored | None:
-    """A model after a short fit, where that leaves it so much less likely that a long one would not
-    make up for it.
+    """A model after a short fit, where its loss is so large that a long fit would not make up for
+    it; else None.
     """
     handles = joint_handles(best.data, model, joint)
     short = fit(

@@ -1,1 +1,1 @@
-"""What two sensors on the two sides of a transmission, or a torque sensor in it, show of it."""
+"""Transmissions measured by sensors on both sides, or by a torque sensor within."""

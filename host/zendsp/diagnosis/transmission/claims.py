@@ -1,4 +1,6 @@
-"""Which of the chosen terms the untouched recordings need, and what they would have shown."""
+"""The chosen terms that the untouched recordings need, and the compliance that these would have
+shown.
+"""
 
 from __future__ import annotations
 
@@ -32,11 +34,11 @@ from zendsp.diagnosis.transmission.torsion import (
 )
 from zendsp.physics.model import Model
 
-POWER = 1.28  # standard deviations: nine in ten
+POWER = 1.28  # standard deviations: for a chance of nine in ten
 AS_EFFECT = {"spring": "elasticity", "gap": "backlash"}
-# terms that are nothing without another: they bend it
+# terms that only modify another one, and vanish with it
 BEND = {"spring": ("cubic", "loop")}
-ENOUGH = 1.0  # of what stays unexplained: what is less is no finding
+ENOUGH = 1.0  # of what stays unexplained: a smaller term is no finding
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,7 @@ class Claim:
 
 
 def unexplained(residual: Sequence[Array], twists: Sequence[Twist]) -> float:
-    """RMS torsion that is left beside the sensors' noise, rad."""
+    """RMS torsion left beyond the sensors' noise, rad."""
     noise = max(t.noise for t in twists)
     return math.sqrt(max(rms(judged(twists, residual)) ** 2 - noise**2, 0.0))
 
@@ -69,11 +71,12 @@ def apart(twists: Sequence[Twist], one: Sequence[Array], other: Sequence[Array])
 
 
 def claims_of(slow: Sets, chosen: Chosen, scale: float, model: Model) -> list[Claim]:
-    """The chosen terms, each taken away and judged on the untouched recordings. One that they do
-    not need is taken out and the rest fitted without it: a false spring makes a gap too narrow.
+    """The claims among the chosen terms: each is taken away and judged on the untouched recordings.
+    An unneeded one is removed and the rest fitted again, since a false spring makes a gap too
+    narrow.
 
-    A disc off centre may explain a short piece as well as a spring does: the spring is judged with
-    it and without. Where the recordings of the fit do not tell them apart, that is said.
+    An eccentric encoder disc may explain a short piece as well as a spring, so a spring is judged
+    with and without it. Where the recordings of the fit cannot separate them, the claim says so.
     """
     found = _judged_each(slow, chosen, scale, model)
     idle = [t for t in chosen.terms if t not in {claim.name for claim in found}]
@@ -87,7 +90,7 @@ def claims_of(slow: Sets, chosen: Chosen, scale: float, model: Model) -> list[Cl
 
 
 def _without(terms: Sequence[str], term: str) -> tuple[str, ...]:
-    """Terms without one, and without those that are nothing without it."""
+    """The terms without one, and without those that only modify it."""
     gone = (term, *BEND.get(term, ()))
     return tuple(t for t in terms if t not in gone)
 
@@ -121,14 +124,14 @@ def _judged(slow: Sets, chosen: Chosen, term: str, scale: float, model: Model) -
     sure = log_e > needed(model.joints) and found.z > PLAIN and abs(value) > SURE * spread
     if not sure or size <= ENOUGH * left:
         return None
-    if term == "gap" and "spring" not in chosen.terms:  # a contact that yields is in its width
+    if term == "gap" and "spring" not in chosen.terms:  # the contact's yielding is in its width
         both = fitted(slow.fit, ("spring", "gap"), chosen.off_centre, scale)
         if physical(("spring", "gap"), both, scale):
             spread = math.hypot(spread, numbers_of(("spring", "gap"), both, scale)[term][0] - value)
     damping = (0.0, 0.0)
     if term == "spring":
-        # its damping comes second: a spring is the first term of every choice that has one. A
-        # torque that is a row late looks like damping; of a gap, the rows that would say it cross
+        # its damping comes second, as a spring is the first term of any choice. A torque late by a
+        # row looks like damping; for a gap the rows that would show it are crossings
         std = math.hypot(math.sqrt(float(chosen.fit.covariance[1, 1])), slow.test[0].row)
         std = math.inf if "gap" in chosen.terms else std / abs(value)
         damping = float(chosen.fit.x[1]) / value, std
@@ -136,7 +139,7 @@ def _judged(slow: Sets, chosen: Chosen, term: str, scale: float, model: Model) -
 
 
 def _like_a_disc(slow: Sets, scale: float, model: Model) -> bool:
-    """Whether a disc off centre explains the fit recordings as well as a spring beside it does."""
+    """Whether an eccentric disc alone explains the fit recordings as well as a spring beside it."""
     if not may_be_off(slow):
         return False
     disc, both = (fitted(slow.fit, terms, True, scale) for terms in ((), ("spring",)))

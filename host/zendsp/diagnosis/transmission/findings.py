@@ -1,4 +1,4 @@
-"""Claims about a transmission as findings, and as the terms that go into the model."""
+"""The findings and model terms of claims about a transmission."""
 
 from __future__ import annotations
 
@@ -20,28 +20,29 @@ from zendsp.diagnosis.transmission.torsion import Motor, has_bodies, joint_inert
 from zendsp.physics.effects import get_effect, unit_of
 from zendsp.physics.model import Model, Quantity, Term
 
-SENSORS = "both sides"  # of a transmission: where the sensors are that showed it
+SENSORS = "both sides"  # the sensors that showed a transmission
 OF_A_GAP = 0.01  # of its width: simulated ones of 12 mrad came out 0.3 to 0.6 % too narrow
 
-# where the fit of a term to the motor's position begins: the load, as a part of the joint's
-# inertia, at most, where it is loosely known; Hz of a contact whose stiffness was not measured;
-# what a spring and a contact lose, of critical, times two
+# start values of a fit to the motor's position: largest load, as a part of the joint's inertia,
+# where loosely known; Hz of a contact of unmeasured stiffness; twice the damping ratios of a spring
+# and a contact
 MOST_LOAD, CONTACT = 0.9, 35.0
 OF_A_SPRING, OF_A_CONTACT = 0.1, 0.8
-# of a number: less well known it is fitted to the motor's position too. Held at 300 +- 30 N m/rad a
-# spring predicted half as well as with it free; at 100 of 120 a contact made a torque gain of -17 %
+# of a number: one less certain is fitted to the motor's position too. A spring held at 300 +- 30 N
+# m/rad predicted half as well as a free one; a contact held at 100 instead of 120 caused a torque
+# gain of -17 %
 LOOSE = 0.02
 
-# of a stiffness and of a wave's amplitude: of four simulated joints with a sensor on either side
-# they were 0.04 to 0.7 % off, and 0.002 to 0.06 % were stated
+# of a stiffness and of a wave's amplitude: at four simulated joints with both sensors they were
+# 0.04 to 0.7 % off, with stated 0.002 to 0.06 %
 MEASURED = 0.005
 OF_AN_ORDER = 5e-4  # simulated ones of 6 came out at 6.0012 over 1.2 periods, 5.9969 over five
-OF_A_CONTACT_K = 0.05  # of a contact's stiffness: one of 10 000 N m/rad came out at 9 350
+OF_A_CONTACT_K = 0.05  # of a contact's stiffness: 10 000 N m/rad came out as 9 350
 
 
 def load_behind(model: Model, inertia: float, motor: Motor) -> tuple[float, float]:
-    """Inertia behind the transmission, with its standard deviation; 0 where the bodies say it. The
-    joint's whole inertia is a given figure.
+    """The inertia behind the transmission with its standard deviation; 0 where the model's bodies
+    give it. The joint's whole inertia is a given number.
     """
     if has_bodies(model):
         return 0.0, 0.0
@@ -62,7 +63,7 @@ def findings_of(
     waves: Sequence[Claim],
     load: tuple[float, float],
 ) -> tuple[tuple[Finding, ...], tuple[Term, ...]]:
-    """Findings with the contract's names, and the terms that go into the model."""
+    """The findings with the contract's names, and the terms for the model."""
     by = {c.name: c for c in claims}
     made: list[tuple[str, Claim, dict[str, tuple[float, float]], DetailsReport]] = []
     spring = by.get("spring")
@@ -119,8 +120,8 @@ def findings_of(
 
 
 def _gap(claim: Claim, pressed: float = 0.0) -> tuple[float, float]:
-    """Full width, and its standard deviation; ``pressed``: that of how far both contacts yield
-    under the RMS torque, which is taken from what is seen.
+    """The full width of a gap and its standard deviation. The yielding of both contacts under the
+    RMS torque is subtracted; ``pressed`` is its standard deviation.
     """
     width = -2.0 * claim.value
     return width, math.hypot(2.0 * claim.std, OF_A_GAP * width, pressed)
@@ -129,13 +130,12 @@ def _gap(claim: Claim, pressed: float = 0.0) -> tuple[float, float]:
 def _term(
     model: Model, parts: Parts, name: str, joint: int, numbers: dict[str, tuple[float, float]]
 ) -> Term | None:
-    """A term: what is well known by the two sensors is held, the motor's position says less of it;
-    what is known to no better than ``LOOSE`` is fitted to that. None where the kernel has no such
-    law.
+    """The term for the model: numbers that the two sensors know well are held; those known no
+    better than ``LOOSE`` are fitted to the motor's position. None where the kernel has no such law.
 
-    What was not measured: all that the bodies are is the load, and the transmission loses a
-    twentieth of critical, to begin with: how a load rings the motor's position does say. A contact
-    begins with more: one that bounces for ever has no gradient to follow.
+    Of what was not measured, all bodies are the load, and damping starts at a twentieth of
+    critical, since the motor's position shows how a load rings. A contact starts with more: one
+    that bounces for ever gives no gradient.
     """
     if name == "hysteresis":
         return None
@@ -144,7 +144,7 @@ def _term(
     if name != "transmission_error":
         inertia = joint_inertia(parts.fit, model, joint)
         load, std = known.setdefault("load_inertia", (_bodies(parts, model, joint), 0.0))
-        if "load_inertia" in loose:  # a motor without inertia would follow anything
+        if "load_inertia" in loose:  # a motor without inertia would follow any motion
             load = min(load, MOST_LOAD * inertia)
             known["load_inertia"] = load, std
         known.setdefault("stiffness", ((2 * math.pi * CONTACT) ** 2 * min(load, inertia), 0.0))
@@ -164,7 +164,7 @@ def _term(
 
 
 def _bodies(parts: Parts, model: Model, joint: int) -> float:
-    """Mean inertia of the bodies behind a joint, kg m² or kg."""
+    """The mean inertia of the bodies behind a joint, kg m² or kg."""
     inertia, _ = parts.fit.records[0][joint - 1].inertia_and_bias(model)
     return float(np.mean(inertia))
 
@@ -231,6 +231,6 @@ def helpful(
 
 
 def measured(finding: Finding) -> bool:
-    """Whether a finding is one of the sensors on both sides of a transmission."""
+    """Whether a finding comes from the sensors on both sides of a transmission."""
     details = finding.numbers.get("details")
     return details is not None and details.get("sensors") == SENSORS

@@ -1,5 +1,5 @@
-"""Where a transmission, or what a sensor does, stands between a link and its recorded position: the
-other joints feel the link.
+"""Links whose recorded position differs from their own, by a transmission or a sensor error: other
+joints feel the link.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ Records = tuple[JointRecord, ...]
 
 
 def divided(model: Model) -> frozenset[int]:
-    """Joints (1-based) of a model whose links the recorded positions do not show: behind a
-    transmission, or behind what their sensor makes of them.
+    """The joints (1-based) whose recorded positions do not show their links: behind a transmission
+    or a sensor error.
     """
     if model.joints == 1:
         return frozenset()
@@ -36,15 +36,15 @@ def divided(model: Model) -> frozenset[int]:
 
 
 def with_links(parts: Parts, model: Model, joints: Collection[int]) -> Parts:
-    """The same recordings, in which every joint feels the links of some others, not what their
-    sensors say.
+    """The recordings, in which every joint feels the links of some others instead of their recorded
+    positions.
 
-    A link moves as the observer of its joint says, by what ``model`` has there.
+    A link moves as the observer of its joint estimates with ``model``.
 
     Parameters
     ----------
     parts : Parts
-        As they were read: all joints feel what was measured.
+        The recordings as read, in which all joints feel the recorded positions.
     model : Model
         In kernel form.
     joints : collection of int
@@ -61,7 +61,7 @@ def _with_links(data: Data, model: Model, joints: Collection[int]) -> Data:
 
 
 def _felt(rec: Records, data: Data, model: Model, joints: Collection[int]) -> Records:
-    """One recording; a joint's own motor stays what it was."""
+    """One recording with such links; a joint's own motor stays as recorded."""
     links = rec[0].others.copy()
     side: Literal["seen", "beyond"] = "seen" if model.sensor.side == "load" else "beyond"
     for joint in joints:

@@ -1,9 +1,9 @@
-"""What two sensors on the two sides of a transmission show of it: spring, gap, error over the
-angle, a step with direction.
+"""A transmission measured by sensors on both sides: spring, gap, error over the angle, a step with
+direction.
 
-The terms are chosen by the recordings to fit to and to choose by, and judged as every finding is:
-each is taken away, the rest is fitted again, and what that costs on recordings that nothing has
-touched decides (``decide.py``). The search guesses no transmission where one is measured.
+The terms are chosen on the recordings to fit to and to choose by, and judged as every finding: each
+is taken away, the rest is fitted again, and the cost on untouched recordings decides
+(``decide.py``). The search guesses no transmission where one is measured.
 """
 
 from __future__ import annotations
@@ -38,16 +38,14 @@ from zendsp.diagnosis.transmission.waves import waves_of
 from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model, Term
 
-PASSES = 2  # of the lag and the errors over the angle by turns
-LATE = 0.1  # of a row: a column that is later than this is moved
-MOVING = 100  # samples of a set in motion: of fewer a transmission tells nothing
+PASSES = 2  # alternating estimates of the lag and of the errors over the angle
+LATE = 0.1  # of a row: a column later than this is shifted
+MOVING = 100  # least samples in motion of a set
 
 
 @dataclass(frozen=True)
 class Measured:
-    """A transmission as two sensors show it: findings, the terms that the model gets, what could
-    have been seen, notes.
-    """
+    """A measured transmission: findings, terms for the model, what could have been seen, notes."""
 
     joint: int
     findings: tuple[Finding, ...] = ()
@@ -57,12 +55,12 @@ class Measured:
 
 
 def measured_transmissions(parts: Parts, model: Model, jobs: int) -> list[Measured]:
-    """What is found at each joint that has a second sensor behind its transmission.
+    """The measured transmissions of all joints with a second sensor behind.
 
     Parameters
     ----------
     model : Model
-        What is behind the transmissions, found bodies included.
+        The model behind the transmissions, with found bodies.
     jobs : int
         Threads.
     """
@@ -77,7 +75,9 @@ def measured_transmissions(parts: Parts, model: Model, jobs: int) -> list[Measur
 def without_guesses(
     findings: tuple[Finding, ...], found: Sequence[Measured]
 ) -> tuple[tuple[Finding, ...], tuple[Finding, ...]]:
-    """Findings but for a transmission that was only guessed where one is measured; and these."""
+    """The findings without transmissions that were only guessed where one is measured; and the
+    removed ones.
+    """
     joints = {m.joint for m in found if m.findings}
     guessed = [f for f in findings if f.mechanism == "transmission" and f.joint in joints]
     return tuple(f for f in findings if f not in guessed), tuple(guessed)
@@ -125,8 +125,7 @@ def _measured(parts: Parts, model: Model, joint: int, jobs: int) -> Measured:
 
 def _in_time(raw: Sets, model: Model, band: float) -> tuple[float, list[Claim], Sets]:
     """The lag of the second sensor's column, s, 0 where it is small; errors over the angle; the
-    torsion without either. An error over the angle may look like a lag, and a lag moves the error:
-    what it does not explain is asked again.
+    torsion without either. Each may look like the other, so they are estimated in turn.
     """
     lag, waves, straight = 0.0, list[Claim](), raw
     for _ in range(PASSES):
@@ -141,8 +140,8 @@ def _in_time(raw: Sets, model: Model, band: float) -> tuple[float, list[Claim], 
 
 
 def _in_words(model: Model, joint: int, lag: float, springs: list[float]) -> str:
-    """A sentence on a lag; ``springs``: compliances where the torque is the motor's, less what
-    friction takes of it. Such a friction looks like a column that is early.
+    """A sentence on a lag. ``springs``: compliances measured with the motor's torque, of which
+    friction takes a part; such friction looks like an early column.
     """
     late = f"{1e3 * abs(lag):.3g} ms {'late' if lag > 0 else 'early'} against position"
     if lag < 0 and springs:
@@ -153,7 +152,7 @@ def _in_words(model: Model, joint: int, lag: float, springs: list[float]) -> str
 
 
 def _spread(claim: Claim, motor: Motor) -> Claim:
-    """A spring with what it owes to a motor's inertia that is not better known."""
+    """A spring with the uncertainty from the motor's inertia added."""
     if claim.name != "spring":
         return claim
     return replace(claim, std=math.hypot(claim.std, motor.compliance * claim.value))

@@ -1,4 +1,4 @@
-"""What the motor's sensor alone could not have shown of a transmission."""
+"""The compliance of a transmission that the motor's sensor alone could not have shown."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ def by_one_sensor(
     """The smallest compliance that the motor's sensor alone would have shown, at each joint of a
     model with bodies that has no other.
 
-    A load that lags behind its motor by c T lacks the torque of its inertia times c T̈; what stays
-    unexplained hides as much.
+    A load that lags behind its motor by c T changes the torque by its inertia times c T̈; the
+    unexplained torque can hide as much.
     """
     if not has_bodies(model):
         return ()
@@ -47,20 +47,20 @@ def by_one_sensor(
             edge = max(2, round(0.5 * fs))
             squares += float(np.sum(bend[edge:-edge] ** 2))
             count += len(bend[edge:-edge])
-        if squares <= 0.0:  # too short, or at rest: no compliance would have shown
+        if squares <= 0.0:  # too short, or at rest: shows no compliance
             continue
         hidden = max(decision.after.value, finest("elasticity")) * decision.scale
         least = hidden / math.sqrt(squares / count)
         if least * decision.scale > max(r.scale.position for r in records):
-            continue  # a spring that its load bends by more than the travel is no figure
+            continue  # a spring bent by more than the travel is no useful figure
         unit = compliance_unit(model, joint)
         out.append(Detectable(joint, "transmission", "elasticity", least, unit, 0.0))
     return tuple(out)
 
 
 def shown(parts: Parts, model: Model, decisions: Sequence[Decision]) -> list[Decision]:
-    """Decisions without the springs that are stiffer than these recordings can show by what bends
-    slowly: what swings there is something else, unless nearly all that lacks swings with it.
+    """The decisions without springs stiffer than these recordings can show by slow bending. An
+    oscillation there has another cause, unless nearly all of the missing torque oscillates with it.
     """
     least = {d.joint: d.size for d in by_one_sensor(parts, model, decisions)}
 
@@ -84,13 +84,13 @@ def shown(parts: Parts, model: Model, decisions: Sequence[Decision]) -> list[Dec
 
 
 def _swings(claim: Claim, decision: Decision) -> bool:
-    """Whether a spring is seen by how its load swings: with it next to nothing is left of more than
-    follows from the motion before in a complete machine.
+    """Whether a spring is seen by how its load oscillates: it explains nearly all of a missing
+    torque that follows earlier motion by more than in a complete machine.
     """
     lacks = decision.before.value
     return (
         beyond(claim.size, decision.known.all) > LAWFUL
-        and claim.size > (1.0 - LEFT_BY_A_LAW) * lacks  # not of what something else explains
+        and claim.size > (1.0 - LEFT_BY_A_LAW) * lacks  # not explained by something else
         and decision.after.value < LEFT_BY_A_LAW * lacks
     )
 
@@ -98,13 +98,15 @@ def _swings(claim: Claim, decision: Decision) -> bool:
 def unseen(
     parts: Parts, model: Model, decisions: Sequence[Decision]
 ) -> tuple[Detectable, ...]:
-    """The smallest compliance that would have shown, at joints where none is found."""
+    """The smallest compliance that would have been seen, at joints where none is found."""
     sprung = {d.joint for d in decisions for c in d.claims if c.is_transmission}
     return tuple(d for d in by_one_sensor(parts, model, decisions) if d.joint not in sprung)
 
 
 def said(unshown: Sequence[Detectable]) -> list[str]:
-    """The note on what one sensor a joint could not have shown; none where there is nothing."""
+    """The note on compliance that a single sensor per joint could not have shown; empty where there
+    is none.
+    """
     if not unshown:
         return []
     listed = ", ".join(f"joint {d.joint} {d.size:.2g} {d.unit}" for d in unshown)

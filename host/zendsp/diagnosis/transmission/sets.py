@@ -14,15 +14,15 @@ from zendsp.diagnosis.decide.thresholds import SURE
 from zendsp.diagnosis.transmission.torsion import Twist, gap_shape, joined, lowpass, rms, twists
 from zendsp.physics.model import Model
 
-# of the RMS torque: below, a gap may be open. By the motor's torque alone, a simulated one of 12
-# mrad came out at 9.5 of all rows above 0.3, at 11.0 of those above 0.6
+# of the RMS torque: below, a gap may be open. With the motor's torque alone, a simulated gap of 12
+# mrad came out at 9.5 from rows above 0.3, and at 11.0 from those above 0.6
 OPEN = 0.6
-# of the RMS torque, and periods of the low-pass around a row: what has to press on one side of a
-# gap. Nearer to a crossing the row is a mean over both sides, and under less torque a contact
-# bounces: two simulated gaps of 12 mrad came out at 11.5 and 10.8 of all rows, and a contact of
-# 10 000 N m/rad at 9 200 of those above 0.6, at 9 920 of those above 1
+# of the RMS torque, and periods of the low-pass around a row: least torque that presses on one side
+# of a gap. Nearer to a crossing a row averages both sides, and under less torque a contact bounces:
+# two simulated gaps of 12 mrad came out at 11.5 and 10.8 from all rows; a contact of 10 000 N m/rad
+# at 9 200 from rows above 0.6, at 9 920 from those above 1
 PRESSING, PRESSED = 1.0, 1.0
-# of the rows that a gap may not be open at: fewer would say less than all of them do
+# of the rows at which a gap is surely closed: fewer would be worse than all of them
 ENOUGH_PRESSED = 0.2
 
 
@@ -35,12 +35,12 @@ class Sets:
     test: list[Twist]
 
     def each(self, change: Callable[[Twist], Twist]) -> Sets:
-        """The same with every recording changed."""
+        """The sets with every recording changed."""
         return Sets(*([change(t) for t in part] for part in (self.fit, self.choose, self.test)))
 
 
 def sets_of(parts: Parts, model: Model, joint: int) -> Sets:
-    """Raw torsion; halves of one recording share their sensors' zeros."""
+    """The sets of raw torsion; halves of one recording share their sensors' zeros."""
     fit = twists(parts.fit, model, joint)
     choose = twists(parts.choose, model, joint)
     if parts.choose is parts.test:
@@ -59,13 +59,15 @@ def _follows(parts: Parts, joint: int) -> bool:
 
 
 def loaded(twist: Twist) -> Twist:
-    """Without the rows at which a gap may be open: no law says on which side of it the load is."""
+    """The twist without rows at which a gap may be open: no law says on which side the load is
+    then.
+    """
     size = rms([twist.torque[twist.kept]])
     return replace(twist, kept=twist.kept & (np.abs(twist.torque) > OPEN * size))
 
 
 def _pressed(twist: Twist) -> Twist:
-    """The loaded rows around which the torque presses on the same side as at them."""
+    """The mask of loaded rows around which the torque presses on the same side."""
     from scipy.ndimage import maximum_filter1d, minimum_filter1d  # takes half a second
 
     size = rms([twist.torque[twist.kept]])
@@ -76,8 +78,8 @@ def _pressed(twist: Twist) -> Twist:
 
 
 def clear_of_a_gap(slow: Sets) -> Sets:
-    """The rows that say on which side of a gap the load is, whatever the low-pass smears; all that
-    are loaded where these are few.
+    """The twist with rows that show the side of a gap in spite of the low-pass; all loaded rows
+    where these are few.
     """
     under, pressed = slow.each(loaded), slow.each(_pressed)
 
@@ -89,8 +91,8 @@ def clear_of_a_gap(slow: Sets) -> Sets:
 
 
 def lag_of(raw: Sets, band: float) -> float:
-    """Time by which the second sensor's column is late, s: torsion that goes with speed beside all
-    that a transmission may do; 0 where it is not surely another.
+    """The lag of the second sensor's column, s: the torsion proportional to speed, beside all that
+    a transmission may do; 0 where it is not sure.
     """
     slow = clear_of_a_gap(raw.each(lambda t: lowpass(t, band))).fit
     columns, y = [], []
@@ -110,15 +112,17 @@ def lag_of(raw: Sets, band: float) -> float:
 
 
 def torque_scale(twists: Sequence[Twist]) -> float:
-    """RMS torque through the transmission, N m: no number of a fit depends on its unit."""
+    """RMS torque through the transmission, N m, as the scale of a fit that makes it independent of
+    units.
+    """
     return max(rms([t.torque[t.kept] for t in twists]), 1e-300)
 
 
 def torque_unit(model: Model, joint: int) -> str:
-    """N m, or N of a linear joint."""
+    """The unit of torque: N m, or N for a linear joint."""
     return "N" if model.joint_kind(joint) == "linear" else "N m"
 
 
 def compliance_unit(model: Model, joint: int) -> str:
-    """rad/(N m), or m/N of a linear joint."""
+    """The unit of compliance: rad/(N m), or m/N for a linear joint."""
     return "m/N" if model.joint_kind(joint) == "linear" else "rad/(N m)"

@@ -1,4 +1,4 @@
-"""Which terms describe a transmission: spring, gap, step, a disc off centre."""
+"""Chooses the terms that describe a transmission: spring, gap, step, eccentric disc."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from zendsp.diagnosis.transmission.torsion import (
     with_motor_torque,
 )
 
-# of deviance: an encoder's disc off centre that gains less is not assumed. Beside it a spring's
-# torque, which goes much as the angle does, is hardly determined. Nor is a gap, where a spring
-# does: any transmission yields
+# deviance: an eccentric encoder disc that gains less is not assumed, since beside it a spring's
+# torque, which follows the angle closely, is hardly determined. Nor is a gap assumed that gains
+# less over a spring: any transmission yields
 CLEARLY = 10.0
-# whether some of the torsion yields late: the motor's torque is then another
+# whether some of the torsion yields late, which changes the motor's torque
 HYSTERESIS = (False, True)
-# the simpler first; a spring may stand beside an encoder disc that is off centre
+# simpler ones first; a spring may stand beside an eccentric encoder disc
 CHOICES: tuple[tuple[str, ...], ...] = (
     (),
     ("step",),
@@ -44,8 +44,8 @@ INSTEAD = {"spring": "gap", "gap": "spring"}
 
 @dataclass(frozen=True)
 class Chosen:
-    """The terms of a transmission and whether a disc off centre stands beside them; ``unsure``:
-    terms in whose place their ``INSTEAD`` may stand.
+    """The terms of a transmission, and whether an eccentric disc stands beside them. ``unsure``:
+    terms that their ``INSTEAD`` may replace.
     """
 
     terms: tuple[str, ...]
@@ -56,12 +56,12 @@ class Chosen:
 
 
 def may_be_off(slow: Sets) -> bool:
-    """Whether an encoder's disc off centre is a slow error here: a full turn shows what it is."""
+    """Whether an eccentric encoder disc is a slow error here; over a full turn it is recognised."""
     return all(float(np.ptp(t.q[t.kept])) < 2 * math.pi for t in slow.fit if t.kept.any())
 
 
 def fitted(twists: Sequence[Twist], terms: Sequence[str], off: bool, scale: float) -> Linear:
-    """The torsion regressed on some terms, and on a disc off centre where ``off``; ``scale`` is
+    """The torsion regressed on some terms, and on an eccentric disc where ``off``; ``scale`` is
     `torque_scale`.
     """
     return regress(twists, [columns_of(t, terms, scale) for t in twists], off)
@@ -70,13 +70,13 @@ def fitted(twists: Sequence[Twist], terms: Sequence[str], off: bool, scale: floa
 def applied(
     twists: Sequence[Twist], terms: Sequence[str], off: bool, scale: float, x: Array
 ) -> list[Array]:
-    """What coefficients ``x`` of such a fit leave of the torsion, rad, one array a twist."""
+    """The torsion that coefficients ``x`` of such a fit leave, rad, one array for each twist."""
     return regress(twists, [columns_of(t, terms, scale) for t in twists], off, x).residual
 
 
 def physical(terms: Sequence[str], fit: Linear, scale: float) -> bool:
-    """Whether a spring gives way, a gap opens, a step goes against the motion, and what yields
-    late yields with the torque.
+    """Whether the coefficients are physical: a spring yields, a gap opens, a step opposes the
+    motion, and what yields late yields with the torque.
     """
     values = {term: value for term, (value, _) in numbers_of(terms, fit, scale).items()}
     return all(value > 0 if term == "cubic" else value < 0 for term, value in values.items())
@@ -84,8 +84,8 @@ def physical(terms: Sequence[str], fit: Linear, scale: float) -> bool:
 
 def choose(slow: Sets, inertia: float, known: Motor | None) -> tuple[Chosen, Sets, Motor]:
     """The terms that describe the fit recordings best for their number and hold on those to choose
-    by; with the transmitted torque that goes with them. Where the motor is not ``known``, neither
-    is that torque. Where there is no gap, all rows count that are under load.
+    by, with the transmitted torque that belongs to them, which is unknown where the motor is not
+    ``known``. Without a gap all loaded rows count.
     """
     ways = []
     discs = (False, True) if may_be_off(slow) else (False,)
@@ -109,7 +109,7 @@ def choose(slow: Sets, inertia: float, known: Motor | None) -> tuple[Chosen, Set
 
 @dataclass(frozen=True)
 class _Way:
-    """A torque that may be transmitted: with or without a disc off centre and what yields late."""
+    """A possible transmitted torque: with or without an eccentric disc and late yielding."""
 
     off: bool
     late: bool

@@ -1,5 +1,5 @@
-"""What a joint torque sensor tells apart: friction before and after it, and an actuator's gain from
-a load.
+"""Separates, by a joint torque sensor, friction before and after it, and an actuator's gain from a
+load.
 
 Before the sensor the drive's torque accelerates the motor and overcomes its friction; after it the
 sensed torque moves the load and overcomes the load's.
@@ -24,16 +24,16 @@ from zendsp.diagnosis.transmission.torsion import STILL as STANDING
 from zendsp.physics.calibration.joint import JointRecord
 from zendsp.physics.model import Model
 
-ONE_SIDE = 0.2  # of the other side's: less is not said to be there
-GAIN = 0.05  # standard deviation of a gain beyond which nothing is said of it
+ONE_SIDE = 0.2  # of the other side's friction: less is not reported
+GAIN = 0.05  # largest standard deviation of a gain that is used
 
 Number = tuple[float, float]
 
 
 @dataclass(frozen=True)
 class Sides:
-    """Dry and viscous friction before and after a torque sensor, what the actuator gives of what it
-    is told, and the inertia before the sensor; each with its standard deviation.
+    """Dry and viscous friction before and after a torque sensor, the actuator's gain, and the
+    inertia before the sensor; each with its standard deviation.
     """
 
     dry: tuple[Number, Number]
@@ -43,12 +43,12 @@ class Sides:
 
     @property
     def side(self) -> str:
-        """Of the dry friction; of the viscous one where there is no dry."""
+        """The side of the dry friction; of the viscous one where there is no dry."""
         return side_of(self.dry) or side_of(self.viscous)
 
 
 def side_of(friction: tuple[Number, Number]) -> str:
-    """``"before"``, ``"after"`` or ``"both"``; empty where there is surely none."""
+    """``"before"``, ``"after"`` or ``"both"``; empty where no friction is sure."""
     (before, b), (after, a) = friction
     sure = before > SURE * b, after > SURE * a
     if not any(sure):
@@ -65,7 +65,7 @@ class Rows:
     sample_time: float
     drive: Array  # torque of the actuator
     sensed: Array
-    bodies: Array  # what the model's bodies need; 0 where it has none
+    bodies: Array  # torque of the model's bodies; 0 where it has none
     qd: Array
     qdd: Array
     s: Array  # direction
@@ -74,12 +74,12 @@ class Rows:
 
     @property
     def free(self) -> list[Array]:
-        """Columns of a load that the model does not know: inertia and gravity."""
+        """Columns of an unknown load: inertia and gravity."""
         return [self.qdd, self.sin, self.cos]
 
 
 def sides_of(parts: Parts, model: Model, joint: int) -> Sides | None:
-    """Friction on the two sides of a joint's torque sensor; None where it has none."""
+    """The friction on both sides of a joint's torque sensor; None where it has no such sensor."""
     records = [rec[joint - 1] for rec in parts.fit.records]
     if any("torque_measured" not in r.columns for r in records):
         return None
@@ -135,7 +135,7 @@ def _fit(parts: Sequence[tuple[Array, list[Array], Rows]]) -> list[Number]:
 
 
 def sided(findings: Sequence[Finding], parts: Parts, model: Model) -> tuple[Finding, ...]:
-    """The findings, with the side of the torque sensor that friction acts on, and without rivals
+    """The findings, with the side of the torque sensor on which a friction acts, and without rivals
     that the sensor excludes.
     """
     known: dict[int, Sides | None] = {}
@@ -153,7 +153,7 @@ def sided(findings: Sequence[Finding], parts: Parts, model: Model) -> tuple[Find
 
 def _with_sides(f: Finding, sides: Sides, unit: str) -> Finding:
     own, name = (sides.viscous, "viscous") if f.mechanism == FLUID else (sides.dry, "dry")
-    rubs = f.mechanism in FRICTION and not measured(f)  # which is between the two sides
+    rubs = f.mechanism in FRICTION and not measured(f)  # that friction is between the sides
     side = (side_of(own) or sides.side) if rubs else ""
     if side:
         words = {

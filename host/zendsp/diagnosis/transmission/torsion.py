@@ -1,12 +1,12 @@
 """Torsion: the difference of two sensors on the two sides of a transmission, and its causes.
 
 torsion = load - motor = zero - lag q̇ - c T - …: a compliance c times the torque T that is
-transmitted, a step with direction, a gap, an error over the angle. What the pair of sensors may do
-by itself is taken out of each recording: its zero, a time by which one column is late, and, where a
-turn was not completed, a disc that is off centre.
+transmitted, a step with direction, a gap, an error over the angle. Errors of the sensor pair are
+removed from each recording: its zero, a lag of one column, and, where a turn was not completed, an
+eccentric disc.
 
-The transmitted torque is what a joint torque sensor says. Where there is none it is that of the
-rigid bodies behind the transmission, if the model has bodies; otherwise the actuator's less what
+The transmitted torque is that of a joint torque sensor. Without one it is that of the rigid bodies
+behind the transmission, if the model has bodies; otherwise the actuator's minus that which
 accelerates the motor (whose inertia is fitted too).
 """
 
@@ -33,16 +33,16 @@ Array = npt.NDArray[np.float64]
 
 # Hz, of the low-pass that torsion and regressors share: a load follows its motor stiffly below
 OF_BODIES = 10.0
-OF_MOTOR = 32.0  # the same, where the motor's own torque is taken and no stiffness is assumed
-STILL = 0.02  # of the highest speed: slower, friction and the side of a gap are not determined
-GAP_CROSSED = 0.1  # of the RMS torque: over so much of it a gap is crossed
+OF_MOTOR = 32.0  # the same with the motor's own torque, where no stiffness is assumed
+STILL = 0.02  # of the highest speed: below, friction and the side of a gap are not determined
+GAP_CROSSED = 0.1  # of the RMS torque: range over which a gap is crossed
 RATE = 8.0  # rows kept for each period of the low-pass
-ORDERS = 4000  # of an error over the angle, at most so many are tried
-FRICTION_ROUNDS = 2  # of the motor's own inertia and its dry friction by turns
-SHARE_STEP = 0.1  # of the joint's inertia: first tries of what is the motor's
-# of the RMS torque: in so many steps what a transmission's friction holds yields (Prandtl's model)
+ORDERS = 4000  # most orders of an error over the angle that are tried
+FRICTION_ROUNDS = 2  # alternating estimates of the motor's inertia and its dry friction
+SHARE_STEP = 0.1  # of the joint's inertia: step of first tries of the motor's part
+# of the RMS torque: levels at which parts held by a transmission's friction yield (Prandtl's model)
 YIELDS = (0.15, 0.4, 1.0)
-# columns of a term, and how its number is made of their coefficients
+# columns of a term, and its number from their coefficients
 TERMS: dict[str, tuple[float, ...]] = {
     "spring": (1.0, 0.0),
     "cubic": (1.0,),
@@ -55,10 +55,11 @@ SHARES = tuple(SHARE_STEP * (i + 0.5) for i in range(10))
 
 @dataclass(frozen=True)
 class Twist:
-    """Torsion of one joint along one recording, (n,), rad or m; lowpass at ``band`` Hz where not 0.
+    """Torsion of one joint along one recording, (n,), rad or m; low-passed at ``band`` Hz where not
+    0.
 
-    ``torque`` is what is transmitted, as far as it is known; ``noise`` the standard deviation of
-    the two sensors' own noise within the band.
+    ``torque``: the transmitted torque, as far as known. ``noise``: standard deviation of both
+    sensors' own noise within the band.
     """
 
     torsion: Array
@@ -71,20 +72,20 @@ class Twist:
     noise: float
     band: float
     kept: npt.NDArray[np.bool_]
-    judging: npt.NDArray[np.bool_]  # rows that are evidence; the others only give zeros
+    judging: npt.NDArray[np.bool_]  # rows that are evidence; the others only determine zeros
     blur: float  # standard deviation of qdd
     row: float  # sample time of the recording, s
     extra: dict[str, Array] = field(default_factory=dict)
 
 
 def has_bodies(model: Model) -> bool:
-    """Whether the model says what is behind the transmissions: links, not a joint's whole inertia.
+    """Whether the model has the links behind the transmissions, not only a joint's whole inertia.
     """
     return model.kind not in ("rotary", "linear", "python")
 
 
 def white(y: Array) -> float:
-    """Standard deviation of a position sensor's noise, quantisation included."""
+    """Standard deviation of a position sensor's noise, including quantisation."""
     step = find_resolution(y)
     return float(np.hypot(step / np.sqrt(12), noise_beside_quantisation(y, step)))
 
@@ -115,8 +116,8 @@ def twists(data: Data, model: Model, joint: int) -> list[Twist]:
 
 
 def held_drive(record: JointRecord, model: Model, joint: int) -> Array:
-    """Torque of the drive at each row, (n,), as late and as limited as the model says: the command
-    is held from row to row, so the mean of before and after.
+    """Torque of the drive at each row, (n,), with the model's delay and limit: the mean of the
+    commands held before and after the row.
     """
     command, dt = record.command, record.sample_time
     limit = per_joint(model.actuator.limit, joint, 0.0)
@@ -132,20 +133,20 @@ def held_drive(record: JointRecord, model: Model, joint: int) -> Array:
 
 
 def retimed(effect: str, command: Array, sample_time: float, numbers: Numbers) -> Array:
-    """A command as late as an effect makes it, (n,)."""
+    """A command delayed by an effect, (n,)."""
     moved = get_effect(effect).retime
     return command if moved is None else moved(command, sample_time, numbers)
 
 
 def of_bodies(record: JointRecord, model: Model) -> Array:
-    """Torque that the bodies behind a transmission take, (n,), N m or N."""
+    """Torque of the bodies behind a transmission, (n,), N m or N."""
     inertia, bias = record.inertia_and_bias(model)
     _, _, qdd = record.motion.states
     return np.asarray(inertia * qdd + bias)
 
 
 def moved(twist: Twist, lag: float) -> Twist:
-    """The same with the second sensor's column earlier by ``lag`` s."""
+    """The twist with the second sensor's column earlier by ``lag`` s."""
     from scipy.interpolate import CubicSpline  # takes half a second
 
     t = np.arange(len(twist.q)) * twist.sample_time
@@ -156,7 +157,7 @@ def moved(twist: Twist, lag: float) -> Twist:
 
 
 def lowpass(twist: Twist, band: float) -> Twist:
-    """The same below ``band`` Hz, thinned out, without phase."""
+    """The twist below ``band`` Hz, thinned, without phase shift."""
     from scipy.signal import butter, sosfiltfilt  # takes half a second
 
     fs = 1.0 / twist.sample_time
@@ -189,8 +190,8 @@ def lowpass(twist: Twist, band: float) -> Twist:
 
 
 def joined(first: Twist, second: Twist, judging: int) -> Twist:
-    """Two parts of one recording, whose sensors have one zero; ``judging``: the part (0 or 1) that
-    counts as evidence.
+    """Two parts of one recording, with a common zero of their sensors; ``judging``: the part (0 or
+    1) that counts as evidence.
     """
 
     def both(one: Array, other: Array) -> Array:
@@ -222,7 +223,7 @@ def judged(twists: Sequence[Twist], residual: Sequence[Array]) -> list[Array]:
 
 
 def nuisance(twist: Twist, off_centre: bool) -> Array:
-    """What the two sensors may do by themselves, (n, columns) of the kept rows, orthonormal."""
+    """Columns of the sensors' own errors, (n, columns) of the kept rows, orthonormal."""
     columns = [np.ones_like(twist.q), twist.qd]
     if off_centre:
         columns += [np.sin(twist.q), np.cos(twist.q)]
@@ -232,7 +233,7 @@ def nuisance(twist: Twist, off_centre: bool) -> Array:
 
 
 def gap_shape(torque: Array) -> Array:
-    """-1 … 1: the side on which a gap is closed."""
+    """The side on which a gap is closed, -1 … 1."""
     size = float(np.sqrt(np.mean(torque**2)))
     return np.asarray(np.tanh(torque / (GAP_CROSSED * max(size, 1e-300))))
 
@@ -257,9 +258,9 @@ def columns_of(twist: Twist, terms: Sequence[str], scale: float) -> Array:
 
 
 def play(torque: Array, yields: float) -> Array:
-    """What follows a torque only once it has turned by twice ``yields``, (n,)."""
+    """A play operator of the torque: it follows a reversal only beyond twice ``yields``, (n,)."""
     out, at = [], 0.0
-    for here in torque.tolist():  # numbers of Python: five times faster
+    for here in torque.tolist():  # Python floats are five times faster
         at = max(here - yields, min(here + yields, at))
         out.append(at)
     return np.array(out)
@@ -282,8 +283,8 @@ class Linear:
 
 
 def numbers_of(terms: Sequence[str], fit: Linear, scale: float) -> dict[str, tuple[float, float]]:
-    """What the coefficients of some terms say, with standard deviations: compliance at large
-    torques, half a gap, half the width of a hysteresis at zero torque.
+    """The numbers of some terms with standard deviations: compliance at large torques, half a gap,
+    half the width of a hysteresis at zero torque.
     """
     at = np.cumsum([0, *(len(TERMS[t]) for t in terms)])
     out = {}
@@ -292,7 +293,7 @@ def numbers_of(terms: Sequence[str], fit: Linear, scale: float) -> dict[str, tup
         weights[begin : begin + len(TERMS[term])] = np.array(TERMS[term]) * (
             scale if term == "loop" else 1.0
         )
-        if term == "spring" and "loop" in terms:  # all of it has yielded
+        if term == "spring" and "loop" in terms:  # where all of it has yielded
             weights[at[terms.index("loop")] :][: len(YIELDS)] = 1.0
         spread = math.sqrt(max(float(weights @ fit.covariance @ weights), 0.0))
         out[term] = float(weights @ fit.x), spread
@@ -302,8 +303,8 @@ def numbers_of(terms: Sequence[str], fit: Linear, scale: float) -> dict[str, tup
 def regress(
     twists: Sequence[Twist], columns: Sequence[Array], off_centre: bool, known: Array | None = None
 ) -> Linear:
-    """Fit torsion to columns, what the sensors do by themselves taken out of each recording;
-    ``known`` coefficients are only applied.
+    """A least-squares fit of torsion to columns, with the sensors' own errors removed from each
+    recording; ``known`` coefficients are only applied.
     """
     left, right = [], []
     for twist, matrix in zip(twists, columns, strict=True):
@@ -329,8 +330,8 @@ def regress(
 def evidence(
     before: Sequence[Array], after: Sequence[Array], twists: Sequence[Twist]
 ) -> tuple[Evidence, float]:
-    """Gain in log density of one set of residuals over another, and the logarithm of the e-value:
-    see ``measure/evidence.py``, whose rule this is.
+    """The gain in log density of one set of residuals over another, and the logarithm of the
+    e-value, by the rule of ``measure/evidence.py``.
     """
     points = []
     before, after = judged(twists, before), judged(twists, after)
@@ -362,8 +363,8 @@ def rms(parts: Sequence[Array]) -> float:
 
 @dataclass(frozen=True)
 class Motor:
-    """Inertia before the transmission, its standard deviation, and that of the compliance for want
-    of a better known one, as a part of it.
+    """The inertia before the transmission, its standard deviation, and the relative one of the
+    compliance that follows from it.
     """
 
     inertia: float = 0.0
@@ -378,8 +379,8 @@ def with_motor_torque(
     off_centre: bool,
     late: bool = False,
 ) -> tuple[list[Twist], list[list[Twist]], Motor]:
-    """The transmitted torque from the motor's side: the drive's less what accelerates the motor and
-    its dry friction, both fitted with the spring (``late``: and with what yields late).
+    """The transmitted torque from the motor's side: the drive's minus acceleration and dry friction
+    of the motor, both fitted with the spring (``late``: and with late yielding).
 
     Returns
     -------
@@ -425,7 +426,7 @@ def with_motor_torque(
             for t in ts
         ]
 
-    # of a load that is all inertia only the ratio to the compliance is known: any share may be its
+    # for a pure inertia load only the ratio to the compliance is known: any share may be the load's
     guessed = _blurred(fit, apart, off_centre) / np.sqrt(12.0)
     motor = Motor(
         best * inertia,
@@ -436,8 +437,8 @@ def with_motor_torque(
 
 
 def _blurred(fit: Sequence[Twist], columns: Sequence[Array], off_centre: bool) -> float:
-    """How much of what tells the acceleration (column 1) from the other columns is its own noise,
-    as a part of its variance, 0 to 1.
+    """The part of noise, 0 to 1, in the variance of the acceleration (column 1) that the other
+    columns do not explain.
     """
     own = [replace(t, torsion=np.where(t.kept, t.qdd, 0.0)) for t in fit]
     rest = [np.delete(c, 1, axis=1) for c in columns]
@@ -446,7 +447,7 @@ def _blurred(fit: Sequence[Twist], columns: Sequence[Array], off_centre: bool) -
 
 
 def joint_inertia(data: Data, model: Model, joint: int) -> float:
-    """Inertia of a joint with all that the model has on it, kg m² or kg."""
+    """The inertia of a joint with all that the model has on it, kg m² or kg."""
     return float(np.mean(effective_inertia(data.records[0][joint - 1], model)))
 
 
@@ -454,10 +455,10 @@ def joint_inertia(data: Data, model: Model, joint: int) -> float:
 
 
 def strongest_order(twists: Sequence[Twist], residual: Sequence[Array]) -> float:
-    """The order over the angle that a residual repeats with most, at least one period within the
-    recordings; 0 where none can be told.
+    """The strongest order of a residual over the angle, with at least one period within the
+    recordings; 0 where there is none.
 
-    Rows are summed into places of the angle and transformed at once.
+    Rows are summed into bins of the angle and transformed at once.
     """
     q = np.concatenate([t.q[t.kept] for t in twists])
     r = np.concatenate(residual)

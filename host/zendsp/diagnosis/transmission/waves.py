@@ -26,16 +26,16 @@ from zendsp.diagnosis.transmission.torsion import (
 from zendsp.physics.model import Model
 
 WAVES = 2  # errors over the angle, at most
-STRIDES = 8  # of an order that is looked for around what the places of the angle say
-AT_BOUND = 0.9  # of half a period in all the travel: the least lies beyond what was looked at
+STRIDES = 8  # grid steps of an order around the estimate from bins of the angle
+AT_BOUND = 0.9  # of half a period over the travel: a minimum there lies outside the searched range
 
 
 def waves_of(raw: Sets, model: Model) -> tuple[list[Claim], Sets]:
-    """Errors over the angle, up to the recordings' own rate, and the torsion without them.
+    """The errors over the angle, up to the recordings' own rate, and the torsion without them.
 
-    Beside them stands all that is slow: torque, acceleration, direction, a disc off centre. A gear
-    need not mesh with the same teeth after another homing: a recording may choose the phase anew,
-    and only the phase.
+    They are fitted beside everything slow: torque, acceleration, direction, an eccentric disc.
+    After another homing a gear may mesh with other teeth, so each recording may have a phase of its
+    own.
     """
     out: list[Claim] = []
     while len(out) < WAVES:
@@ -50,7 +50,7 @@ def waves_of(raw: Sets, model: Model) -> tuple[list[Claim], Sets]:
 
 
 def _beneath(twists: Sequence[Twist], order: float = 0.0, known: Array | None = None) -> Linear:
-    """Torsion regressed on all that is slow and, where it is not 0, on one order."""
+    """Torsion regressed on everything slow and, if not 0, on one order."""
     columns = []
     for t in twists:
         slow = np.stack([t.torque, t.drive, t.qdd, np.sign(t.qd)], axis=1)[t.kept]
@@ -61,14 +61,14 @@ def _beneath(twists: Sequence[Twist], order: float = 0.0, known: Array | None = 
 def _own_phase(twist: Twist, order: float, slow: Array) -> float:
     """The phase of an order in one recording."""
     (residual,) = _beneath([twist], known=slow).residual
-    columns, own = wave(twist, order), nuisance(twist, True)  # without which the residual is
+    columns, own = wave(twist, order), nuisance(twist, True)  # which the residual is without
     seen = columns - own @ (own.T @ columns)
     sine, cosine = np.linalg.lstsq(seen, residual, rcond=None)[0]
     return math.atan2(cosine, sine)
 
 
 def _straight(twist: Twist, claim: Claim, x: Array) -> Twist:
-    """The torsion without an error over the angle, of the phase that it has in this recording."""
+    """The torsion without an error over the angle, with its phase in this recording."""
     phase = _own_phase(twist, claim.order, x[:-2])
     error = claim.value * np.sin(claim.order * twist.q + phase)
     return replace(twist, torsion=twist.torsion - error)
@@ -99,7 +99,7 @@ def _wave(raw: Sets, model: Model, order: float) -> Claim | None:
         with_it += _beneath([twist], order, known).residual
         without += _beneath([twist], known=again.x).residual
     held, log_e = evidence(without, with_it, raw.test)
-    log_e -= 0.5 * len(raw.test) * math.log(sum(len(r) for r in with_it))  # of the phases
+    log_e -= 0.5 * len(raw.test) * math.log(sum(len(r) for r in with_it))  # price of the phases
     size, left = apart(raw.test, without, with_it), unexplained(with_it, raw.test)
     sure = log_e > needed(model.joints) and held.z > PLAIN and amplitude > SURE * std
     if not sure or size <= ENOUGH * left:

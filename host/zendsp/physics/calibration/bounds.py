@@ -1,6 +1,4 @@
-"""How far a parameter may sensibly go in a given recording: physics outside these bounds cannot be
-seen in it.
-"""
+"""Bounds of a parameter in a given recording, which cannot show physics outside them."""
 
 from __future__ import annotations
 
@@ -9,8 +7,8 @@ from zendsp.physics.effects import get_effect
 
 
 def parameter_bounds(effect_name: str, name: str, record: JointRecord) -> tuple[float, float]:
-    """Lower and upper bound of a parameter, SI, from its definition and from what the recording can
-    show.
+    """The lower and upper bound of a parameter, SI, from its definition and from what the recording
+    can show.
 
     Parameters
     ----------

@@ -1,4 +1,5 @@
-"""Whether a fit depends on the step of its integration: what halving the step does to every number.
+"""The dependence of a fit on its integration step: the change of every number when the step is
+halved.
 """
 
 from __future__ import annotations
@@ -13,18 +14,18 @@ from zendsp.physics.calibration.fit import Data, Fit, residual
 
 Array = npt.NDArray[np.float64]
 
-SECOND_ORDER = 4.0 / 3.0  # the change from one step to its half, extrapolated to none
-UNFELT = 1e-30  # of what the most felt number does to the innovations: less is nothing
+SECOND_ORDER = 4.0 / 3.0  # the change from one step to its half, extrapolated to step zero
+UNFELT = 1e-30  # of the largest influence of any number on the innovations: less counts as none
 
 
 def step_error(data: Data, fitted: Fit, joints: Sequence[int]) -> Array:
-    """Error of each fitted number by the integration's step, to first order: one Gauss-Newton step
-    at half the step.
+    """The error of each fitted number from the integration step, to first order, by one
+    Gauss-Newton step at half the step.
 
     Parameters
     ----------
     data : Data
-        What was fitted to.
+        The recordings of the fit.
     fitted : Fit
         With its Jacobian and residual.
     joints : sequence of int
@@ -33,12 +34,12 @@ def step_error(data: Data, fitted: Fit, joints: Sequence[int]) -> Array:
     Returns
     -------
     ndarray, shape (p,)
-        Units of the numbers; zero where it cannot be told.
+        In units of the numbers; zero where undetermined.
     """
     if not len(fitted.handles):
         return np.zeros(0)
     finer = residual(replace(data, inner=2 * data.inner), fitted.model, tuple(joints))
-    rows = len(finer)  # those that follow are of what is known of numbers without any recording
+    rows = len(finer)  # the rows after these are those of the prior
     change = np.zeros(len(fitted.residual))
     change[:rows] = finer - fitted.residual[:rows]
     jacobian = fitted.jacobian.copy()
@@ -46,7 +47,7 @@ def step_error(data: Data, fitted: Fit, joints: Sequence[int]) -> Array:
     if not np.all(np.isfinite(change)):
         return np.zeros(len(fitted.handles))
     unit = np.sqrt(np.sum(jacobian**2, axis=0))
-    felt = unit > UNFELT * unit.max()  # not the phase of a ripple of no size
+    felt = unit > UNFELT * unit.max()  # not, for example, the phase of a ripple of amplitude zero
     step = np.zeros(len(unit))
     step[felt] = np.linalg.lstsq(jacobian[:, felt] / unit[felt], -change, rcond=1e-8)[0]
     step[felt] /= unit[felt]
@@ -54,6 +55,6 @@ def step_error(data: Data, fitted: Fit, joints: Sequence[int]) -> Array:
 
 
 def with_step_error(data: Data, fitted: Fit, joints: Sequence[int]) -> Fit:
-    """The fit with what the integration's step does in its covariance."""
+    """The fit with the error of the integration step added to its covariance."""
     error = step_error(data, fitted, joints)
     return replace(fitted, covariance=fitted.covariance + np.outer(error, error))

@@ -1,4 +1,4 @@
-"""How uncertain the numbers of a fit are where its residuals are not white."""
+"""The covariance of a fit whose residuals are not white."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from zendsp.physics.calibration.predict import ran_away
 
 Array = npt.NDArray[np.float64]
 
-FEW_BLOCKS = 20  # as many blocks as the classical variance counts for
-UNKNOWN = 1e30  # variance of a number of which nothing is known
+FEW_BLOCKS = 20  # weight of the classical variance, in blocks
+UNKNOWN = 1e30  # variance of an undetermined number
 
 
 def robust_covariance(jac: Array, r: Array, block: int, prior: Array | None = None) -> Array:
@@ -18,11 +18,11 @@ def robust_covariance(jac: Array, r: Array, block: int, prior: Array | None = No
     (sandwich), (p, p).
 
     Where the blocks vary more than white innovations would, their variance counts. They may vary
-    less: what a fast observer gets wrong in one sample it makes good in the next. Then their
-    variance counts as much as there are blocks, beside the classical one.
+    less, since a fast observer corrects an error in the next sample. Then their variance is
+    averaged with the classical one, with the number of blocks as its weight.
 
-    ``prior``: 1 over the standard deviation that a number has without any recording, 0 where it has
-    none, (p,). What a model lacks makes residuals larger, but not a sensor's zero more uncertain.
+    ``prior``: 1 over the standard deviation of a number known without any recording, 0 where
+    unknown, (p,). Missing physics makes residuals larger, but not a sensor's zero less certain.
     """
     n, p = jac.shape
     if not p:
@@ -33,7 +33,7 @@ def robust_covariance(jac: Array, r: Array, block: int, prior: Array | None = No
     if not np.all(np.isfinite(jac)) or ran_away(r):
         return np.diag(np.full(p, UNKNOWN))  # the prediction has diverged
     strength = np.diag(normal)
-    idle = strength <= float(r @ r) / UNKNOWN  # numbers that nothing depends on
+    idle = strength <= float(r @ r) / UNKNOWN  # numbers without influence
     scale = np.where(idle, 1.0, np.sqrt(strength))
     inverse = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-13) / np.outer(scale, scale)
     classic = inverse * noise

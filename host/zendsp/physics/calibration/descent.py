@@ -19,14 +19,15 @@ from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
 
-TRIES = 8  # ever shorter steps before a fit ends
-# of the tolerance: what a step has to promise, to first order, to be tried; of a look, and of a fit
-# whose numbers are stated
+TRIES = 8  # ever shorter steps that are tried before a fit ends
+# of the tolerance: least first-order gain of a step to be tried; in a brief fit, and in one whose
+# numbers are reported
 WORTH_A_STEP = 0.1, 1e-3
 
 
 class Descent:
-    """What is minimised: the residuals of some joints over some numbers, within their bounds.
+    """The least-squares problem of a fit: residuals of some joints over some numbers, within
+    bounds.
 
     Parameters
     ----------
@@ -68,17 +69,16 @@ class Descent:
         self.held = np.flatnonzero(self.prior)
         self.pairs = pairs_of(model, handles)
         self.centre = get_values(model, handles)
-        # arrays written to again and again: the system takes long to give new ones
+        # reused arrays, since new ones take the system long
         self._columns: dict[int, Array] = {}
         self._spare: list[Array] = []
-        # impacts make the cost rough on a fine scale: differences over a tenth of a percent look
-        # past it
+        # impacts make the cost rough on a fine scale, which differences over 0.1 % smooth
         self.rough = any(get_effect(t.effect).rough for t in model.terms)
         self.coarse = 2e-3 if self.rough else 1e-4
 
     def evaluate(self, points: Sequence[Array]) -> Array:
-        """Residuals at some points, the prior's included, (N, points); to be copied, since the next
-        ones are written to the same place.
+        """Residuals at some points, including the prior's, (N, points). Copy them: the next ones
+        are written to the same place.
         """
         groups = [points[i : i + LANES] for i in range(0, len(points), LANES)]
         out = [self._place(i, len(group)) for i, group in enumerate(groups)]
@@ -96,12 +96,12 @@ class Descent:
         return columns[0] if len(columns) == 1 else np.concatenate(columns, axis=1)
 
     def remember(self, model: Model, residual: Array) -> None:
-        """Keep the predictions that a fit ended with: they are asked for again."""
+        """Keep the final predictions of a fit for later use."""
         for work, rows in zip(self.works, self.rows, strict=True):
             work.remember(model, residual[rows])
 
     def _place(self, group: int, points: int) -> Array:
-        """Where the residuals of a group of points are written, a row each."""
+        """The buffer for the residuals of a group of points, a row each."""
         rows = self.rows[-1].stop + len(self.held)
         if points == 1:
             return np.empty((rows, 1))
@@ -110,8 +110,8 @@ class Descent:
         return self._columns[group]
 
     def jacobian(self, at: Array, base: Array | None = None) -> tuple[Array, Array]:
-        """Residual and Jacobian at a point; without ``base``, its residual, one pass of the
-        kernel takes the point beside its neighbours.
+        """Residual and Jacobian at a point. Without ``base`` (its residual), the point is evaluated
+        together with its neighbours.
         """
         step = self.coarse * np.maximum(np.abs(at), self.size)
         step = np.where(at + step > self.high, -step, step)
@@ -140,8 +140,8 @@ class Descent:
     def ways(
         self, x: Array, r: Array, jac: Array
     ) -> tuple[Callable[[Sequence[float]], list[Array]], float]:
-        """Where Levenberg-Marquardt goes from a point, by its damping; and by how much the cost
-        would fall without any, were the residual linear.
+        """The Levenberg-Marquardt steps from a point for each damping; and the decrease of the cost
+        by an undamped step, if the residual were linear.
         """
         # of each number: a gap in mm and a stiffness in MN/m meet in one matrix
         unit = np.maximum(np.abs(x), self.size)
@@ -167,19 +167,18 @@ class Descent:
     def better(
         self, x: Array, r: Array, jac: Array, damping: float, last: bool, least: float
     ) -> tuple[float, Array, Array, Array | None] | None:
-        """A point whose cost is smaller: damping, point, residual, and its Jacobian where that came
-        with it, as it does but for the ``last`` step. None where no step helps, or none promises
-        so much as the ``least`` part of the cost.
+        """A point with a smaller cost: damping, point, residual, and its Jacobian (except for the
+        ``last`` step). None where no step helps, or none promises the ``least`` part of the cost.
         """
         cost = float(r @ r)
         shorter = [max(damping, 1e-6 / 6.0) * 6.0**i for i in range(1, TRIES)]
         ways, promised = self.ways(x, r, jac)
         if promised < least * cost and not self.rough:
             return None
-        for dampings in ([damping], shorter):  # then shorter steps, all of them at once
+        for dampings in ([damping], shorter):  # then all shorter steps at once
             trials = ways(dampings)
             slope: Array | None = None
-            if len(trials) == 1 and not last:  # most first steps are taken, idle lanes cost nothing
+            if len(trials) == 1 and not last:  # most first steps are accepted
                 first, slope = self.jacobian(trials[0])
                 rows = first[None]
             else:
@@ -194,7 +193,7 @@ class Descent:
     def descend(
         self, x: Array, iterations: int, tolerance: float, brief: bool
     ) -> tuple[Array, Array, Array]:
-        """From a point to a minimum: where it is, and residual and Jacobian there."""
+        """The minimum reached from a point, with residual and Jacobian there."""
         x = np.clip(x, self.low, self.high)
         r, jac = self.jacobian(x)
         cost, damping, done, count = float(r @ r), 1e-3, not len(x), 0

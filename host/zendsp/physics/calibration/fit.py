@@ -1,8 +1,8 @@
 """Calibration: the parameters that minimise the observer's innovations (prediction error method,
 Ljung 1999, ch. 7).
 
-``Descent`` finds them. The covariance is block-wise robust, so that innovations that are not
-white do not pretend to know more than they do.
+``Descent`` finds them. The covariance is block-wise robust, so that correlated innovations do not
+give too small uncertainties.
 """
 
 from __future__ import annotations
@@ -28,19 +28,18 @@ from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
 
-# factor within which an inertial figure is calibrated where the recordings give no range of their
-# own
+# factor within which inertial numbers are calibrated where the recordings give no range
 TOO_FAR = 3.0
 BLOCK_S = 0.25
-NEAR = 0.02  # of a bound, and a number counts as lying at it
-# rad: no position sensor's zero is set better; prior standard deviation 0.3 of it
+NEAR = 0.02  # of a bound: a number this near counts as at it
+# rad: best setting of a position sensor's zero; the prior standard deviation is 0.3 of it
 ZERO_ERROR = 2e-3
-# s between the samples of a first look: sixteen a radian at the fastest observer that is tried
+# s between the samples of a first fit: sixteen per radian of the fastest observer
 FIRST_LOOK = 4e-3
-# s: no longer integration step where a sample is taken in one; where that is too long, a fit's
-# step error says so (convergence.py), and the search halves it
+# s: longest integration step where a sample is one step. Where it is too long, the step error of a
+# fit says so (convergence.py), and the search halves it
 INNER_STEP = 2e-3
-REMEMBERED = 32  # fits of a recording: a search asks for some of them again
+REMEMBERED = 32  # fits kept for a recording, since a search repeats some
 
 
 def joint_handles(data: Data, model: Model, joint: int) -> tuple[Handle, ...]:
@@ -65,8 +64,8 @@ def inner_steps(records: Sequence[Sequence[JointRecord]]) -> int:
 
 @dataclass(frozen=True)
 class Data:
-    """Recordings ready to be fitted: ``records[r][j]`` is joint j + 1 of recording r;
-    ``bandwidth[j]`` of its observer, rad/s.
+    """Recordings ready to be fitted. ``records[r][j]``: joint j + 1 of recording r.
+    ``bandwidth[j]``: that of its observer, rad/s.
     """
 
     records: tuple[tuple[JointRecord, ...], ...]
@@ -82,7 +81,7 @@ class Data:
         return len(self.records[0])
 
     def thinned(self) -> Data:
-        """The same recordings with samples as rare as a first look at a hypothesis needs them."""
+        """The same recordings, thinned for a first fit of a hypothesis."""
         records = tuple(
             tuple(r.thinned(int(FIRST_LOOK / r.sample_time + 1e-6)) for r in rec)
             for rec in self.records
@@ -90,8 +89,8 @@ class Data:
         return replace(self, records=records, inner=inner_steps(records))
 
     def liveliest(self, joint: int, seconds: float) -> Data:
-        """The same recordings with the part of each in which a joint (1-based) is accelerated most:
-        so long, or a quarter.
+        """The recordings reduced to the part in which a joint (1-based) is accelerated most: this
+        long, or a quarter.
         """
         records = [list(rec) for rec in self.records]
         for rec in records:
@@ -101,8 +100,8 @@ class Data:
         return replace(self, records=tuple(map(tuple, records)))
 
     def within_limits_of(self, other: Data) -> Data:
-        """The same recordings, with the limits that a number has in others: a shorter travel shows
-        no wave of few turns, which a fit would bend to one of many.
+        """The recordings with the limits of numbers from other recordings. A shorter travel does
+        not show a wave with few periods, which a fit would then bend to one with many.
         """
         known = other.records[0]
         records = tuple(
@@ -159,13 +158,13 @@ def residuals(
     joints: Sequence[int],
     each: Each = map,
 ) -> Array:
-    """As ``residual`` for models that differ in numbers only, (N, models)."""
+    """``residual`` for models that differ in numbers only, (N, models)."""
     works = [
         partial(run_many, rec[j - 1], bandwidth=data.bandwidth[j - 1], inner=data.inner)
         for rec in data.records
         for j in joints
     ]
-    # as many models at a time as the kernel takes
+    # in groups of as many models as the kernel takes
     groups = [models[i : i + LANES] for i in range(0, len(models), LANES)]
     tasks = [(work, group) for work in works for group in groups]
     done = list((map if len(tasks) == 1 else each)(lambda task: task[0](task[1]), tasks))
@@ -182,7 +181,7 @@ def bounds_and_steps(
         if h.place == "term":
             term = model.terms[h.index]
             parameter = get_effect(term.effect).parameter(h.key)
-            # parts of the data that were prepared apart say each its own
+            # parts of the data prepared apart have ranges of their own
             records = {id(facts(r)): r for r in (rec[term.joint - 1] for rec in data.records)}
             s = max(facts(r).scale.of(parameter.size) for r in records.values())
             pairs = [parameter_bounds(term.effect, h.key, r) for r in records.values()]
@@ -208,7 +207,7 @@ def bounds_and_steps(
             value = float(get_values(model, [h])[0])
             signed = h.place == "mechanism" and h.key in ("p3", "gravity")
             wide = (value / TOO_FAR, value * TOO_FAR)
-            # Data.ranges takes the command for what accelerates
+            # Data.ranges assumes that the command accelerates the joint
             free = any(get_effect(t.effect).loosens_inertia for t in model.terms)
             known = wide if free else data.ranges.get((h.key, h.index), wide)
             lower, upper = (-np.inf, np.inf) if signed else known
@@ -247,7 +246,7 @@ def fit(
     joints : sequence of int
         Joints whose innovations count (1-based); all where empty.
     iterations : int
-        At most so many Levenberg-Marquardt steps.
+        Most Levenberg-Marquardt steps.
     tolerance : float
         Stop when the relative decrease of the cost falls below.
     jobs : int
@@ -255,10 +254,10 @@ def fit(
     start : ndarray or None, shape (p,)
         Other start values.
     central : bool
-        Central differences in place of one-sided ones: twice the work, for the last steps of a
-        rough cost.
+        Central instead of one-sided differences: twice the work, for the last steps on a rough
+        cost.
     brief : bool
-        A step on the way: the Jacobian, and with it the covariance, may be that of the step before.
+        An intermediate fit: the Jacobian, and so the covariance, may be that of the step before.
     """
     handles = tuple(handles)
     wanted = tuple(joints or range(1, data.joints + 1))
@@ -269,7 +268,7 @@ def fit(
         (_content(model), handles, wanted, iterations, tolerance, begin, central, brief),
     )
     known = data.records[0][wanted[0] - 1].fits
-    if key in known:  # the terms are the caller's own, as if it had been fitted again
+    if key in known:  # with the caller's own terms, as after a new fit
         found: Fit = known[key][0]
         return replace(found, model=set_values(model, handles, found.x))
     with threads(jobs) as each:
@@ -294,7 +293,7 @@ def fit(
 
 
 def _content(model: Model) -> tuple[object, ...]:
-    """All of a model that a fit depends on, to compare."""
+    """The content of a model on which a fit depends, for comparison."""
     return (
         tuple(model.mechanism.items()),
         tuple((t.effect, t.joint, tuple(t.parameters.items())) for t in model.terms),

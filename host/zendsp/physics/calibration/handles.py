@@ -1,4 +1,4 @@
-"""The free numbers of a model, as a vector: what a fit moves."""
+"""The free numbers of a model as a vector, which a fit moves."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ def free_handles(
 ) -> tuple[Handle, ...]:
     """The numbers of a model that may be calibrated.
 
-    A mechanism parameter of value 0 is physics that the model does not have; it is not calibrated.
-    Numbers of bodies are free only where all joints decide.
+    A mechanism parameter of value 0 is absent physics and is not calibrated. Numbers of bodies are
+    free only where all joints decide.
 
     Parameters
     ----------
@@ -88,8 +88,8 @@ def get_values(model: Model, handles: Sequence[Handle]) -> Array:
 
 
 def set_values(model: Model, handles: Sequence[Handle], x: Array) -> Model:
-    """A copy of the model with the numbers behind the handles replaced; of the new ones no standard
-    deviation is known.
+    """A copy of the model with the numbers behind the handles replaced, without standard
+    deviations.
     """
     used = {h.place for h in handles}
     mechanism = {key: list(items) for key, items in model.mechanism.items()}
@@ -123,8 +123,8 @@ def set_values(model: Model, handles: Sequence[Handle], x: Array) -> Model:
 
 
 def pairs_of(model: Model, handles: Sequence[Handle]) -> list[tuple[int, int, str]]:
-    """Which two numbers of a term make a torque together, by their places among the handles: a size
-    and a "phase", or a size and a "neutral" position.
+    """The pairs of numbers of a term that act together, by their places among the handles: a size
+    with a "phase" or a "neutral" position.
     """
     place = {(h.index, h.key): i for i, h in enumerate(handles) if h.place == "term"}
     found = []
@@ -138,11 +138,11 @@ def pairs_of(model: Model, handles: Sequence[Handle]) -> list[tuple[int, int, st
 
 
 def straight(x: Array, step: Array, pairs: Sequence[tuple[int, int, str]]) -> Array:
-    """Where a step leads in the numbers that a torque is linear in: the sine and the cosine of a
-    wave, stiffness and torque of a spring.
+    """The end of a step taken in numbers in which a torque is linear: sine and cosine of a wave,
+    stiffness and torque of a spring.
 
-    In amplitude and phase, stiffness and neutral position the same way is bent, and a long step
-    leaves it.
+    In amplitude and phase, or stiffness and neutral position, the same path is curved, and a long
+    step departs from it.
     """
     moved = x + step
     for size, other, kind in pairs:

@@ -1,4 +1,4 @@
-"""One joint of one recording, ready for the kernel, and what a model says of it."""
+"""One joint of one recording, ready for the kernel, with a model's inertia and torques along it."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from zendsp.physics.robots.rigid import Basis, bias_slope
 from zendsp.physics.term_numbers import added_inertia
 
 Array = npt.NDArray[np.float64]
-RIGID = 16  # models of which what the rigid body does is kept
+RIGID = 16  # models whose rigid-body torques are kept
 BEGIN = 2.0  # rad a row: as fast as the rows allow
-FADE = 0.05  # s, or a 250th of the recording: in which the square of the bandwidth fades
+FADE = 0.05  # s, or a 250th of the recording: decay of the squared bandwidth
 
 
 @dataclass
@@ -46,24 +46,24 @@ class JointRecord:
     columns: Mapping[str, Array] = field(default_factory=dict)
     recording: str = ""  # its name
     origin: float = 0.0  # s, of ``t0``'s clock: where the time of effects begins
-    between: float = 0.0  # N m or N, RMS: what a command does until the next row that no row says
-    every: int = 1  # samples of the recording that one stands for, see ``thinned``
+    between: float = 0.0  # N m or N, RMS: torque of commands between rows
+    every: int = 1  # samples of the recording in one of these, see ``thinned``
     first: int = 0  # sample of the recording with which it begins, see ``liveliest``
     _gains: dict[float, tuple[Array, Array, Array]] = field(default_factory=dict)
     _integral: Array | None = None
     _facts: Facts | None = None
     _thinned: JointRecord | None = None
     _slope: Array | None = None
-    # fits to it, by all that they depend on: the latest, see ``fit``
+    # latest fits to it by their inputs, see ``fit``
     fits: dict[Any, Any] = field(default_factory=dict)
-    # predictions of it, by all that they depend on: the latest, see ``run``
+    # latest predictions of it by their inputs, see ``run``
     runs: dict[Any, Any] = field(default_factory=dict)
     # torques of single terms along it, see ``Screen``
     traces: dict[Any, Array] = field(default_factory=dict)
     _log_weights: dict[float, float] = field(default_factory=dict, init=False, repr=False)
-    # what the kernel is given of it, by the bandwidth of the observer, see ``fill``
+    # kernel inputs by the bandwidth of the observer, see ``fill``
     filled: dict[float, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
-    # what the rigid body does along it in the latest models, see ``inertia_and_bias``
+    # rigid-body inertia and torque of the latest models, see ``inertia_and_bias``
     rigid: dict[Any, tuple[Array, Array]] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
@@ -71,7 +71,7 @@ class JointRecord:
     waves: dict[float, tuple[Array, Array]] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
-    # what resists a torque along it in the latest models, by their id, see ``resisting``
+    # inertia and damping of the latest models by their id, see ``resisting``
     resists: dict[int, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
     _liveliest: JointRecord | None = field(default=None, init=False, repr=False, compare=False)
 
@@ -101,15 +101,15 @@ class JointRecord:
 
     @property
     def counted(self) -> npt.NDArray[np.bool_]:
-        """Samples that count in a likelihood, (n,): on a plateau of the quantiser only the code
-        change does.
+        """Samples that count in a likelihood, (n,); on a plateau of the quantiser only the change
+        of the count.
         """
         mask: npt.NDArray[np.bool_] = self.measurement.half == 0
         return mask
 
     def gains(self, bandwidth: float) -> tuple[Array, Array, Array]:
-        """Observer gains k1, k2 and weights of a bandwidth in rad/s, which stands for white process
-        noise of that strength.
+        """Observer gains k1, k2 and weights for a bandwidth in rad/s, which expresses the strength
+        of white process noise.
         """
         key = round(bandwidth, 6)
         if key not in self._gains:
@@ -143,8 +143,8 @@ class JointRecord:
     def _unrest(self, bandwidth: float) -> Array:
         """Squares of the bandwidth along the recording, (n,) (rad/s)².
 
-        What acted before a recording began is not known: a drive that lags, a spring that is bent,
-        a load that rings. The observer follows it at first.
+        Effects from before a recording are unknown (a lagging drive, a bent spring, a ringing
+        load). The observer follows them at first.
         """
         fade = min(FADE, 0.004 * self.n * self.sample_time)
         first = (BEGIN / self.sample_time) ** 2
@@ -153,11 +153,11 @@ class JointRecord:
         )
 
     def thinned(self, every: int) -> JointRecord:
-        """The record with one sample in place of so many, for a first look at a hypothesis.
+        """The record with one sample in place of several, for a first fit of a hypothesis.
 
-        A measurement is the weighted mean of what its samples say, brought to the time of the
-        first along the smoothed motion: no information of the sensor is lost. Commands and motion
-        are means over the time for which they are held.
+        A measurement is the weighted mean of its samples, shifted to the time of the first along
+        the smoothed motion, so that no information is lost. Commands and motion are means over the
+        time for which they are held.
         """
         if every < 2:
             return self
@@ -165,7 +165,7 @@ class JointRecord:
             facts(self)  # those of the whole recording hold
             some = slice(0, self.n // every * every, every)
             states = means(self.motion.states, every)
-            states[:, 0] = self.motion.states[:, 0]  # where a prediction begins
+            states[:, 0] = self.motion.states[:, 0]  # start of a prediction
             self._thinned = replace(
                 self,
                 sample_time=every * self.sample_time,
@@ -189,8 +189,8 @@ class JointRecord:
         return self._thinned
 
     def liveliest(self, seconds: float) -> JointRecord:
-        """The part of the record, so long, in which the joint is accelerated most, for a first look
-        at a hypothesis; all of it where it is no longer.
+        """The part of the record, of this length, in which the joint is accelerated most, for a
+        first fit of a hypothesis; the whole record where it is not longer.
         """
         count = round(seconds / self.sample_time)
         if count >= self.n or self.every > 1:
@@ -226,7 +226,7 @@ class JointRecord:
         return self._liveliest
 
     def __getstate__(self) -> dict[str, Any]:
-        """To another process goes what the rest follows from."""
+        """Pickle only what the rest can be computed from."""
         kept: dict[str, Any] = {key: {} for key in ("filled", "rigid", "waves", "resists")}
         return {**self.__dict__, **_nothing_known(), **kept, "_liveliest": None}
 
@@ -254,7 +254,7 @@ class JointRecord:
     def _inertia_and_bias(
         self, values: Sequence[float], terms: Sequence[Term]
     ) -> tuple[Array, Array]:
-        """As ``inertia_and_bias``, worked out."""
+        """The result of ``inertia_and_bias``, computed."""
         inertias, biases = [], []
         for value, basis in zip(values, self.basis.values(), strict=True):
             if basis.acts[0]:
@@ -270,8 +270,8 @@ class JointRecord:
         return np.maximum(inertia, 1e-9 * self.scale.inertia), bias
 
     def bias_slope(self, model: Model) -> Array:
-        """Change of the known torque with the joint's own position, (n,) N m/rad or N/m: what
-        gravity and the other joints do at a load that is not where its motor is.
+        """Derivative of the known torque by the joint's own position, (n,) N m/rad or N/m, for a
+        load whose position differs from its motor's.
         """
         if self._slope is None:
             values = {key: mechanism_value(model, key, self.joint) for key in self.basis}
@@ -280,8 +280,8 @@ class JointRecord:
         return self._slope
 
     def reference_inertia(self, model: Model, inertia: Array) -> float:
-        """Inertia that motor and load share, kg m^2 or kg: what is the same at every pose, or the
-        mean where a URDF tells no more.
+        """Inertia that motor and load share, kg m^2 or kg: the part common to all poses, or the
+        mean for a URDF.
         """
         constant = [key for key in self.basis if key not in ("fixed", "p3")]
         if not constant:
@@ -295,7 +295,7 @@ class JointRecord:
 
 
 def _nothing_known() -> dict[str, Any]:
-    """What is worked out anew of another record, or of a part of one."""
+    """Empty caches, for another record or a part of one."""
     once = dict.fromkeys(("_integral", "_thinned", "_slope"))
     return {**once, **{key: {} for key in ("_gains", "fits", "runs", "traces")}}
 
@@ -312,8 +312,8 @@ def _sum(parts: list[Array], n: int) -> Array:
 def facts(
     record: JointRecord, model: Model | None = None, replaced: Mapping[str, float] | None = None
 ) -> Facts:
-    """What a recording, with the others of its joint (``share_facts``), and, where given, a model
-    say to the effects of a joint.
+    """The facts of a recording, shared with the others of its joint (``share_facts``), and of a
+    model, for the effects of a joint.
 
     Parameters
     ----------
@@ -325,7 +325,7 @@ def facts(
     if record._facts is None:
         q, qd = record.motion.states[:2]
         command = np.abs(record.command)
-        # what rests most of the time moves as fast as its mean square says
+        # for a joint that mostly rests, the RMS is its speed
         fast, fastest = (
             max(float(x), record.scale.speed) for x in np.quantile(np.abs(qd), (0.95, 0.99))
         )
@@ -364,8 +364,8 @@ def facts(
 
 
 def share_facts(records: Sequence[Sequence[JointRecord]]) -> None:
-    """Let all recordings of a joint say the same to its effects: how far, how fast and how hard any
-    of them goes. ``records`` are a sequence of joints for each recording.
+    """Give all recordings of a joint common facts: the range, speed and command over all of them.
+    ``records``: a sequence of joints for each recording.
     """
     for joint in zip(*records, strict=True):
         each = [facts(record) for record in joint]
@@ -426,7 +426,7 @@ def mechanism_value(model: Model, key: str, joint: int) -> float:
 
 
 def own_terms(terms: tuple[Term, ...]) -> tuple[Term, ...]:
-    """The terms that the kernel evaluates at a joint: bodies have entered its inertia and bias
-    instead.
+    """The terms that the kernel evaluates at a joint, without bodies, which are in its inertia and
+    bias.
     """
     return tuple(term for term in terms if get_effect(term.effect).site != "body")

@@ -1,5 +1,5 @@
-"""One joint in a simulated closed loop, with every effect of the library: what a recording would
-look like if a hypothesis were true.
+"""Simulates one joint in a closed loop, with every effect of the library: the recording to expect
+if a hypothesis is true.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def simulate_joint_loop(
     inner: int = 4,
     temperature: float = ROOM,
 ) -> Looped:
-    """Simulate command = kp (reference − position) − kd velocity on one joint.
+    """The simulated loop command = kp (reference − position) − kd velocity on one joint.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def simulate_joint_loop(
     command = np.diff(cumulative) / sample_time
     for term in model.at(joint):
         effect = get_effect(term.effect)
-        # what is recorded of what acted
+        # the recorded part of what acted
         if effect.mechanism == "measurement" and effect.retime is not None:
             command = effect.retime(
                 command, sample_time, {name: -q.value for name, q in term.parameters.items()}

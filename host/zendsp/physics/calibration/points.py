@@ -1,4 +1,5 @@
-"""One joint of a recording under a model whose free numbers move: what a fit evaluates.
+"""The innovations of one joint of a recording while the free numbers of a model move, as a fit
+evaluates them.
 
 Everything that the numbers do not change is filled in for the kernel once, not at every point.
 """
@@ -96,8 +97,8 @@ class Points:
                 self._cells.append((i, row, column, less))
 
     def innovations(self, points: Sequence[Array], out: Array) -> None:
-        """Weighted innovations at one point, ``out`` (n,), or at up to eight, the first columns of
-        ``out`` (n, 8); what is the same for this joint is run once.
+        """Weighted innovations at one point, ``out`` (n,), or at up to eight points, the first
+        columns of ``out`` (n, 8). Points that are equal for this joint are run once.
         """
         places: dict[tuple[float, ...], int] = {}
         place = [
@@ -132,7 +133,7 @@ class Points:
             tables[:, row, column] = at[:, i] - less
         m = lib.ffi.new("zk_model[]", LANES)
         p = lib.doubles(tables)
-        known: dict[tuple[float, ...], list[Any]] = {}  # with the lane that has them
+        known: dict[tuple[float, ...], list[Any]] = {}  # the lane of each
         for lane in range(count):
             m[lane] = self._base[0]
             m[lane].p = p + lane * table.size
@@ -156,7 +157,7 @@ class Points:
     def _fill_rigid(
         self, m: Any, lane: int, at: Array, known: dict[tuple[float, ...], list[Any]]
     ) -> None:
-        """Inertia and known torque at a point, worked out once for each of their values."""
+        """Fill in inertia and known torque at a point, computed once for each of their values."""
         values = tuple(float(at[i]) for i in self._rigid)
         if values in known:
             first = m[known[values][0]]

@@ -1,4 +1,6 @@
-"""What the kernel makes of a model along one joint's recording: observed, free, to first order."""
+"""Predictions of a model along one joint's recording by the kernel: with an observer, free, and to
+first order.
+"""
 
 from __future__ import annotations
 
@@ -21,17 +23,17 @@ Array = npt.NDArray[np.float64]
 
 MAX_PARAMETERS = 6
 _NOTHING = np.zeros(0)
-# what the kernel writes from where a prediction leaves the track: 1000 rad or m off, or at 1e5
-# rad/s or m/s
+# value that the kernel writes from where a prediction diverges: 1000 rad or m off, or at 1e5 rad/s
+# or m/s
 RAN_AWAY = 1e9
-LONGEST = 1.5  # of an integration step, times inertia over damping
+LONGEST = 1.5  # longest integration step, times inertia over damping
 MOST_STEPS = 8  # a sample
-REMEMBERED = 32  # predictions of a recording: a decision asks for some of them again
+REMEMBERED = 32  # predictions kept for a recording, since a decision repeats some
 AT_FIRST = 0.03  # s, over which the acceleration at the beginning is measured
 
 
 def pack(terms: tuple[Term, ...]) -> tuple[npt.NDArray[np.int32], Array]:
-    """Effects as the kernel takes them: indices and a table of parameters.
+    """The effects in the kernel's form: indices and a table of parameters.
 
     The Stribeck parameter is the excess over the Coulomb level of the same joint (model files give
     the breakaway).
@@ -64,7 +66,7 @@ class Run:
 
 
 def ran_away(innovations: Array) -> bool:
-    """Whether a prediction has diverged: then its innovations say nothing."""
+    """Whether a prediction has diverged, so that its innovations say nothing."""
     return not float(np.max(np.abs(innovations), initial=0.0)) < RAN_AWAY
 
 
@@ -89,11 +91,11 @@ def run(
     inner : int
         Integration steps per sample.
     states : str
-        Which states to return too, with the torque: those of the side of a transmission that the
-        sensor sees, or of the side beyond it.
+        States to return too, with the torque: of the side of a transmission that the sensor sees,
+        or of the side beyond.
     free_every : int
-        Restart from the smoothed motion every so many samples and simulate freely between; 0:
-        observer. A load behind a spring, which nobody sees, restarts where an observer has it.
+        Samples between restarts from the smoothed motion, with free simulation between; 0:
+        observer. An unmeasured load behind a spring restarts from an observer's estimate.
     extra : ndarray or None, shape (n,)
         Resisting torque added from outside, N m or N.
     """
@@ -131,8 +133,8 @@ def run(
 def remember(
     record: JointRecord, model: Model, bandwidth: float, inner: int, innovations: Array
 ) -> None:
-    """Let ``run`` answer with what a fit has predicted already: the weighted innovations of a model
-    (n,), not to be written to.
+    """Store a fit's predictions for ``run``: the weighted innovations of a model (n,), which must
+    not be changed.
     """
     packed = pack(model.at(record.joint))
     innovations.setflags(write=False)
@@ -149,8 +151,8 @@ def _keep(record: JointRecord, key: tuple[object, ...], done: Run) -> None:
 def _unseen(
     record: JointRecord, model: Model, bandwidth: float, inner: int
 ) -> tuple[Array, Array] | None:
-    """By how much the side of a transmission that the sensor does not see is ahead, as an observer
-    has it: position and speed, (n,) each; None where motor and load are one.
+    """The lead of the unmeasured side of a transmission by an observer's estimate: position and
+    speed, (n,) each; None where motor and load are one.
     """
     if not any(get_effect(t.effect).family == "transmission" for t in model.at(record.joint)):
         return None
@@ -210,7 +212,7 @@ def run_many(
 
 
 def _numbers(record: JointRecord, model: Model, table: Array) -> bytes:
-    """All numbers of a model that one joint's prediction depends on; ``table``: of its effects."""
+    """The numbers of a model on which one joint's prediction depends; ``table``: of its effects."""
     j = record.joint
     numbers = [mechanism_value(model, key, j) for key in record.basis]
     numbers += [
@@ -231,7 +233,7 @@ def _key(
     inner: int,
     free_every: int,
 ) -> tuple[object, ...]:
-    """All that one joint's prediction depends on; ``packed``: its effects."""
+    """The key of one joint's prediction: all that it depends on. ``packed``: its effects."""
     kinds, table = packed
     bodies = tuple((t.effect, t.joint) for t in body_terms(model))
     numbers = _numbers(record, model, table)
@@ -284,7 +286,7 @@ def fill(
 
 
 def _of_record(record: JointRecord, bandwidth: float) -> Any:
-    """A zk_model with all that no model changes; the record keeps what it points to."""
+    """A zk_model with all that is independent of the model; the record keeps what it points to."""
     lib = native()
     p, m = lib.doubles, lib.ffi.new("zk_model *")
     rq, rqd = record.motion.states[0], record.motion.states[1]
@@ -298,8 +300,8 @@ def _of_record(record: JointRecord, bandwidth: float) -> Any:
 
 
 def _first_acceleration(record: JointRecord) -> float:
-    """That of the motion which is going on when a recording begins, rad/s²; none from rest: where
-    most of the first speed is yet to come, nothing has bent a spring.
+    """The acceleration of a motion already under way when a recording begins, rad/s²; 0 from rest,
+    where nothing has bent a spring yet.
     """
     soon = min(record.n - 1, max(1, round(AT_FIRST / record.sample_time)))
     speed = record.motion.states[1]
@@ -308,9 +310,9 @@ def _first_acceleration(record: JointRecord) -> float:
 
 
 def steps(record: JointRecord, model: Model, inertia: Array, inner: int) -> tuple[int, bool]:
-    """Integration steps per sample, and whether they are too few for what damps the joint:
-    ``inner``, or as many more as follow it. A small inertia behind much viscous friction comes to
-    rest in less than a step, and an explicit step that is longer than twice that time runs away.
+    """Integration steps per sample, ``inner`` or more, and whether even these are too few for the
+    joint's damping. A small inertia with much viscous friction stops in less than a step, and an
+    explicit step longer than twice that time diverges.
     """
     damping = sum(
         max([0.0, *(term.value(p.name) for p in effect.parameters if p.size == "torque/speed")])
@@ -325,7 +327,7 @@ def steps(record: JointRecord, model: Model, inertia: Array, inner: int) -> tupl
 
 
 def fill_rigid(m: Any, record: JointRecord, model: Model, inertia: Array, bias: Array) -> None:
-    """Fill in what the rigid body does; the arrays must outlive the call."""
+    """Fill in inertia and torque of the rigid body; the arrays must outlive the call."""
     p = native().doubles
     m.inertia, m.bias, m.reference = p(inertia), p(bias), record.reference_inertia(model, inertia)
     loose = len(record.others) > 1 and any(
@@ -336,7 +338,7 @@ def fill_rigid(m: Any, record: JointRecord, model: Model, inertia: Array, bias: 
 
 
 def fill_shift(m: Any, record: JointRecord, offset: float) -> None:
-    """Fill in the sensor's zero, and with it where the prediction begins."""
+    """Fill in the sensor's zero, and with it the start of the prediction."""
     m.shift = offset - record.base_offset
     m.q0 = float(record.motion.states[0][0] + m.shift)
 
@@ -363,8 +365,8 @@ def trace(record: JointRecord, model: Model, terms: tuple[Term, ...], speed_floo
 
 
 def damping_along(record: JointRecord, model: Model) -> Array:
-    """Viscous torque for a unit of speed along the measured motion, (n,) N m s/rad or N s/m; each
-    direction has its own.
+    """Viscous torque per unit of speed along the measured motion, (n,) N m s/rad or N s/m, for each
+    sample's direction.
     """
     viscous = tuple(
         t
@@ -405,8 +407,8 @@ def _felt(record: JointRecord, terms: tuple[Term, ...]) -> Array:
 
 
 def sensed(record: JointRecord, terms: tuple[Term, ...], position: Array | None = None) -> Array:
-    """What the position sensor adds to a motion, (n,) rad or m; the measured one where no
-    ``position`` is given.
+    """The error that the position sensor adds to a motion, (n,) rad or m; to the measured motion
+    where no ``position`` is given.
     """
     lib = native()
     p, ffi = lib.doubles, lib.ffi
@@ -432,10 +434,10 @@ def response(
     then: tuple[Array, int] | None = None,
     rows: npt.NDArray[np.int32] | None = None,
 ) -> Array:
-    """What torque columns (m, n), doubles or floats, do to the weighted innovations, to first order
-    (m, n); ``on_sensor``: position columns. ``then``: what each sample is multiplied by, (n,), and
-    the samples by which the result is earlier, its end 0. ``rows``: the samples that are wanted,
-    ascending, before that end, where not all.
+    """The first-order response of the weighted innovations to torque columns (m, n), doubles or
+    floats. ``on_sensor``: position columns instead. ``then``: a factor for each sample, (n,), and
+    the samples by which the result is shifted earlier, with zeros at its end. ``rows``: the wanted
+    samples, ascending, before that end; all by default.
     """
     lib, n = native(), record.n
     p, ffi = lib.doubles, lib.ffi

@@ -1,4 +1,4 @@
-"""Terms of effects to try on a recording: whether it can show them, and where to begin."""
+"""Terms of effects to try on a recording: whether it can show them, and their start values."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def make_term(effect: Effect, joint: int, values: dict[str, float]) -> Term:
 
 
 def grid_of(effect: Effect, record: JointRecord, model: Model) -> list[dict[str, float]]:
-    """Nonlinear parameter values to screen for one effect, phases left out (they are screened as
+    """Values of the nonlinear parameters of an effect to screen; phases are left out (screened as
     sine and cosine).
     """
     known = facts(record, model)
@@ -33,8 +33,8 @@ def grid_of(effect: Effect, record: JointRecord, model: Model) -> list[dict[str,
 
 
 def usable(effect: Effect, records: Sequence[JointRecord]) -> bool:
-    """Whether every recording has the optional columns that an effect reads, none that shows the
-    effect directly, and a joint of which it can be an effect.
+    """Whether an effect can be tried: every recording has the optional columns that it reads, none
+    shows it directly, and it suits the joint.
     """
     return all(
         all(column in record.columns for column in effect.reads)

@@ -1,4 +1,4 @@
-"""What several effects say alike of a recording: values to screen, bounds, starts. All SI."""
+"""Grids, bounds and start values that several effects share. All SI."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 from zendsp.physics.effects.base import Along, Array, Facts, Numbers
 
 HARMONICS = 60
-# damping ratio of a load: rubber has 0.1, MuJoCo's constraints 1; a fit that needs more stands in
-# for something else
+# damping ratio of a load: rubber has 0.1, MuJoCo's constraints 1; a fit that needs more imitates
+# something else
 OVERDAMPED = 2.0
-OFF_CENTRE = 0.06  # of the radius, a disc of lines
+OFF_CENTRE = 0.06  # of the radius of an encoder disc
 DAMPING = 0.3  # of √(stiffness load): a damping ratio of 0.15 of the load on its spring
 SLOWEST, FASTEST = 0.5, 200.0  # Hz: a resonance beyond is not seen in a recording
 
@@ -65,11 +65,12 @@ def neutral_limits(facts: Facts) -> tuple[float, float]:
 
 
 def near(power: int) -> Callable[[Facts, Numbers], Numbers]:
-    """Another start of a spring: neutral in the middle of the motion, or at its edge.
+    """Another start of a spring: neutral in the middle of the motion, or at its edge if the neutral
+    point was far outside.
 
-    At the edge where the neutral point was far outside. What screens as a weak spring with a
-    distant neutral point may be a strong one with a near one: a constant torque and a stiffness lie
-    in one narrow valley, along which a fit hardly moves. ``power``: of the deflection in torque.
+    What screens as a weak spring with a distant neutral point may be a strong one with a near one:
+    a constant torque and a stiffness lie in one narrow valley, along which a fit hardly moves.
+    ``power``: exponent of the deflection in the torque.
     """
 
     def other(facts: Facts, values: Numbers) -> Numbers:
@@ -86,21 +87,23 @@ def near(power: int) -> Callable[[Facts, Numbers], Numbers]:
 
 
 def slow_limits(facts: Facts) -> tuple[float, float]:
-    """Time constants that a recording of this length can tell, s.
+    """Limits of time constants that a recording of this length can show, s.
 
-    What takes less than a twentieth of it acts in a seventh of it at most: that is how a recording
-    begins (a robot's brakes: 0.34 s of 10 s in those of a KUKA), no drift.
+    A time constant below a twentieth of it acts in at most a seventh of it: that is the start of a
+    recording (robot brakes: 0.34 s of 10 s for a KUKA), not a drift.
     """
     return 0.05 * facts.scale.seconds, 5.0 * facts.scale.seconds
 
 
 def resonance(facts: Facts, hertz: float, share: float) -> float:
-    """Stiffness before a load of that share of the inertia that rings so fast, N m/rad or N/m."""
+    """The stiffness with which a load of this share of the inertia rings at a frequency, N m/rad or
+    N/m.
+    """
     return (2 * math.pi * hertz) ** 2 * facts.inertia * share * (1 - share)
 
 
 def _fastest(facts: Facts) -> float:
-    """The fastest swing that rows at their distance can show, rad/s."""
+    """The fastest oscillation that the row spacing can show, rad/s."""
     return min(2 * math.pi * FASTEST, math.pi / facts.sample_time)
 
 
@@ -116,19 +119,19 @@ def stiffening_limits(facts: Facts) -> tuple[float, float]:
 
 
 def viscous_limits(facts: Facts) -> tuple[float, float]:
-    """At most what takes the typical torque at a hundredth of the typical speed: a joint that is
-    damped more hardly moves.
+    """Limits of viscous friction: at most the typical torque at a hundredth of the typical speed,
+    above which a joint hardly moves.
     """
     return 0.0, 100.0 * facts.scale.torque / facts.scale.speed
 
 
 def transmission_damping_limits(facts: Facts) -> tuple[float, float]:
-    """From none to a transmission that does not oscillate."""
+    """Limits of a transmission's damping, from zero to one that does not oscillate."""
     return 0.0, 0.4 * facts.scale.inertia * _fastest(facts)
 
 
 def swings(p: Numbers) -> bool:
-    """Whether a load hangs on a spring, not on a dashpot: damped at most twice critically, and no
+    """Whether a load is on a spring rather than a dashpot: damped at most twice critically, and no
     slower than a recording can show.
     """
     critical = 2.0 * math.sqrt(p["stiffness"] * p["load_inertia"])
@@ -137,14 +140,15 @@ def swings(p: Numbers) -> bool:
 
 
 def load_limits(facts: Facts) -> tuple[float, float]:
-    """A load is a part of the whole inertia, which may itself be found to be up to thrice as large;
-    the kernel leaves the motor a fiftieth of it.
+    """Limits of a load: a part of the whole inertia, which may itself be found up to three times as
+    large; the kernel leaves the motor a fiftieth.
     """
     return 0.02 * facts.scale.inertia, 3.0 * facts.scale.inertia
 
 
 def bristle_limits(facts: Facts) -> tuple[float, float]:
-    """From a spring as soft as the motion is wide to next to rigid."""
+    """Limits of a bristle's stiffness, from a spring as soft as the motion is wide to almost rigid.
+    """
     return (
         0.05 * facts.scale.torque / facts.scale.position,
         1e5 * facts.scale.torque / facts.scale.position,
@@ -152,7 +156,7 @@ def bristle_limits(facts: Facts) -> tuple[float, float]:
 
 
 def off_centre(_facts: Facts) -> tuple[float, float]:
-    """3.4 degrees at most: no encoder disc is further off."""
+    """Limits of an eccentricity error: at most 3.4 degrees, as no encoder disc has more."""
     return 0.0, OFF_CENTRE
 
 
@@ -162,6 +166,8 @@ def even(p: Numbers) -> bool:
 
 
 def late(along: Along, p: Numbers) -> Array:
-    """What a delay takes from the command, to first order, N m or N; ``p`` has the time only."""
+    """The torque that a delay removes from the command, to first order, N m or N; ``p`` has the
+    time only.
+    """
     (time,) = p.values()
     return np.diff(along.torque, prepend=along.torque[0]) * (time / along.sample_time)

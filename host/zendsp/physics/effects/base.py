@@ -1,4 +1,4 @@
-"""What a physical effect is: defined once, used by simulator, screen, fit, report and C."""
+"""The definition of a physical effect, used alike by simulator, screen, fit, report and C code."""
 
 from __future__ import annotations
 
@@ -23,7 +23,9 @@ MECHANISMS = (
 
 @dataclass(frozen=True)
 class Scale:
-    """Typical sizes along a recording, SI: steps, starts and bounds of parameters follow."""
+    """Typical sizes along a recording, SI, from which steps, starts and bounds of parameters
+    follow.
+    """
 
     torque: float
     speed: float
@@ -55,7 +57,8 @@ class Scale:
 
 @dataclass(frozen=True)
 class Facts:
-    """What one joint's recording and model say to an effect, SI: grids, starts and bounds follow.
+    """Facts of one joint's recording and model, SI, from which an effect's grids, starts and bounds
+    follow.
 
     Attributes
     ----------
@@ -70,7 +73,7 @@ class Facts:
     sample_time : float
         s.
     slides : bool
-        A linear joint: its positions know no whole turn.
+        A linear joint, whose positions have no whole turn.
     joint, joints : int
         Number of the joint (1-based), and of joints.
     gain : float
@@ -168,14 +171,14 @@ class Parameter:
     fitted : bool
         False for numbers that are chosen, not estimated (a joint index).
     meaning : str
-        Its symbol in the equation, and what that does not say: for docs/effects.md.
+        Its symbol in the equation, and further explanation, for docs/effects.md.
     limits : callable or None
         Bounds in a given recording: physics outside them cannot be seen in it. None: ``lower`` and
         ``upper``.
     choices : tuple of str
         Words of a model file for 0, 1, …: a law, not a number.
     sizes : tuple of str
-        Of a coefficient: what it measures under each choice of the parameter ``law``.
+        For a coefficient: what it measures under each choice of the parameter ``law``.
     above : str
         Effect whose size a model file's number includes; the C function takes the excess.
     """
@@ -269,74 +272,74 @@ class Effect:
         position. ``setup``: a state of the kernel itself (springs, gaps, bristles, delays).
         ``body``: bodies or gravity of the whole machine (``physics/robots/bodies.py``), without C.
     mechanism : str
-        What of the machine it is a law of: one of ``MECHANISMS``; empty: one by itself, under its
-        own name.
+        The mechanism of which it is a law: one of ``MECHANISMS``; empty: a mechanism of its own,
+        under its own name.
     c : str
         Body of the C function; ``p`` are the parameters in order, ``s`` the state (see
         kernel/effects.c), ``dir`` the direction for ``dry``.
     over : str
-        What it is best drawn over: velocity, position, acceleration, command or time.
+        Variable over which it is best drawn: velocity, position, acceleration, command or time.
     linear : tuple of str
         Parameters in which the torque is linear: screened by one least squares.
     grid : mapping
         For each nonlinear parameter, values to screen: in units of its scale, or a function of the
-        recording's facts. Parameters that are not fitted tell hypotheses apart.
+        recording's facts. Parameters that are not fitted distinguish hypotheses.
     column : callable or None
-        What resists along the measured motion, N m or N, where the C function cannot say
+        Resisting torque along the measured motion, N m or N, where no C function gives it
         (``setup``).
     on_position : bool
-        ``column`` is what is lacking in the measured position, rad or m, instead.
+        ``column`` is a missing part of the measured position, rad or m, instead.
     retime : callable or None
-        Of what acts on the command's timing: the command that acts in each sample, from the column,
+        For effects on the command's timing: the command that acts in each sample, from the column,
         the sample time and the numbers.
     scan : callable or None
         Start values for the fit of effects that no column can screen, each tried by one simulation.
     apart : str
-        Of the starts with the same value of this parameter only the likeliest is fitted.
+        Among starts with the same value of this parameter only the likeliest is fitted.
     restart : callable or None
         A second start value, from the first.
     tries : tuple of mapping
         Numbers that a full fit tries too: other starts, or numbers that are chosen while laws
         compete. In the end these are fitted, where the recording tells them.
     hidden : bool
-        Has a state, or acts on the timing: counts as a parameter more.
+        Has a state, or acts on the timing, and counts as one more parameter.
     essence : tuple of str
-        Parameters without which, at zero or at a bound, it is not itself; the one that it is linear
-        in where empty.
+        Essential parameters: with one at zero or at a bound the effect vanishes. Where empty: the
+        one in which it is linear.
     shape : str
-        Parameter that is judged as known when the essence is: without any size there is no shape.
+        Parameter held fixed when the essential ones are judged, as it is undefined at size zero.
     least : callable or None
-        Sizes below which it is not itself, but the way in which a recording was sampled.
+        Sizes below which it may only come from the sampling of a recording.
     possible : callable or None
-        Whether a machine can have these numbers, where their limits depend on each other.
+        Whether these numbers are possible, where their limits depend on each other.
     odds : float
-        Of hypotheses that explain a recording alike the commoner goes first: what this one counts
-        less (or, below 0, more), in parameters.
+        Penalty (below 0: bonus) in parameters, so that among hypotheses that explain a recording
+        alike the commoner goes first.
     common : bool
         Every machine has some of it: it is tried whatever a screen promises, and the evidence for
         its mechanism is enough to name it.
     hides : bool
-        A first order along the measured motion hardly shows it, where a joint all but stands or the
-        sensor's zero takes it upon itself: it is tried whatever a screen promises.
+        A first-order screen hardly shows it, because a joint almost stands or the sensor's zero
+        absorbs it: it is tried whatever a screen promises.
     sized : bool
-        Reports say the smallest size of it that the recordings would have shown.
+        Reports state its smallest detectable size.
     slow : bool
         A fast observer follows it: it is fitted under a slow one.
     rough : bool
         Impacts make the cost rough on a fine scale.
     loosens_inertia : bool
-        With it, the command is not what accelerates the whole inertia.
+        With it, the command does not accelerate the whole inertia.
     same_as : tuple of str
-        Free parameters of the mechanism that are the same thing.
+        Free parameters of the mechanism with the same effect.
     sole : bool
         At most one effect of its family at a joint.
     reads : tuple of str
         Optional columns of a recording without which it cannot be used.
     shown_by : tuple of str
-        Optional columns that show it directly: where a joint has one, it is measured or excluded
-        there and the search does not guess it.
+        Optional columns that show it directly. A joint that has one gets it measured or excluded,
+        not guessed by the search.
     turns : bool
-        Of a joint's angle, once a turn: no effect of a joint that slides.
+        Depends on a joint's angle, once a turn; not for joints that slide.
     replaces : tuple of str
         Terms of a given model that this effect contains as a special case.
     needs : tuple of str
@@ -345,9 +348,9 @@ class Effect:
     aliases : tuple of str
         Effects that can be exactly the same to any recording: no fit tells them apart.
     symmetric : str
-        The effect that it is where both directions are alike.
+        The effect that it becomes where both directions are equal.
     bare : str
-        The effect that it is without its essence.
+        The effect that remains without its essence.
     sums : tuple of str
         Effects that together are this one, by algebra.
     family : str
@@ -366,7 +369,7 @@ class Effect:
         C expression of what to send so that the torque ``wanted`` comes out (``gain``: torque per
         unit of command).
     why_not : str
-        Why no torque can compensate it.
+        The reason that no torque can compensate it.
     """
 
     name: str
@@ -425,7 +428,7 @@ class Effect:
 
     @property
     def coupled(self) -> bool:
-        """Whether another joint's motion makes it: a parameter says whose."""
+        """Whether it depends on another joint's motion, which a parameter names."""
         return any(p.size == "joint" for p in self.parameters)
 
     def __post_init__(self) -> None:
@@ -449,5 +452,5 @@ class Effect:
 
     @property
     def at_sensor(self) -> bool:
-        """Whether it acts on what the position sensor says, not on the joint."""
+        """Whether it acts on the reading of the position sensor, not on the joint."""
         return self.site == "sensor" or self.on_position

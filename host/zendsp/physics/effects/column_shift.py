@@ -12,16 +12,17 @@ import numpy as np
 from zendsp.physics.effects.axes import late
 from zendsp.physics.effects.base import Along, Array, Effect, Facts, Numbers, Parameter
 
-# of a row: integrators of first order, and a command that is logged as it is in that instant, are
-# half of a row off; at six joints that was found as 0.49 to 0.53
+# of a row: first-order integrators, and commands logged at an instant, are half a row off; at six
+# joints this came out as 0.49 to 0.53
 ROW = 0.6
-# the same, where lines stand between the rows of a faster loop: of 14 joints of four simulated arms
-# whose log was 3 to 14 ms late, a shift was found as 8 to 20 ms, 2.0 rows at most, 0.6 too much
+# the same with lines between the rows of a faster loop: at 14 joints of four simulated arms with
+# logs 3 to 14 ms late, shifts came out as 8 to 20 ms, at most 2.0 rows, 0.6 too much
 LINES = 2.1
 
 
 def least_shift(sample_time: float, lines: bool) -> float:
-    """Below, s, a command is late in any recording that is not of each step of the loop."""
+    """The shift, s, below which a command is late in any recording without every step of the loop.
+    """
     return (LINES if lines else ROW) * sample_time
 
 
@@ -30,7 +31,7 @@ def _early(along: Along, p: Numbers) -> Array:
 
 
 def _limits(facts: Facts) -> tuple[float, float]:
-    """A few rows: what is further off is seen by eye."""
+    """Limits of a few rows; larger shifts are visible by eye."""
     most = max(0.05, 5 * facts.sample_time)
     return -most, most
 

@@ -1,5 +1,4 @@
-"""A first model file from a recording: what its columns say, and questions where they say nothing.
-"""
+"""Drafts a model file from a recording, with questions where its columns do not say enough."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the columns of a recording are, and what they say of a joint at first sight."""
+"""Recognises the columns of a recording, and estimates first numbers of a joint."""
 
 from __future__ import annotations
 

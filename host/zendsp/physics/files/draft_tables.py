@@ -1,4 +1,4 @@
-"""The tables of a first model file that tell how the machine is driven and measured."""
+"""The tables of a drafted model file on drives, sensors and columns."""
 
 from __future__ import annotations
 

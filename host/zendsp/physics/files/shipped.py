@@ -1,4 +1,4 @@
-"""Where the model files are that come with zendsp."""
+"""Finds the model files that come with zendsp."""
 
 from __future__ import annotations
 

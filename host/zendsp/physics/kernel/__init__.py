@@ -1,1 +1,1 @@
-"""What is compiled for the estimators, and the filters built on it."""
+"""The compiled kernel of the estimators, and the filters built on it."""

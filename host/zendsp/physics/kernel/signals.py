@@ -1,5 +1,5 @@
-"""What a position sensor really says: quantiser edges, noise variance per sample, and the smoothed
-motion behind them.
+"""The information in a position sensor: quantiser edges, noise variance per sample, and the
+smoothed motion.
 
 While a joint crosses less than half a count per sample, a constant code says only that the position
 lies in an interval. The moment at which the code changes says where it is to a fraction of a count.
@@ -89,7 +89,7 @@ class Motion:
 
 
 def find_resolution(y: Array) -> float:
-    """Smallest step of a quantised signal, 0 where it is not on a lattice.
+    """The smallest step of a quantised signal, 0 where it is not on a lattice.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def find_resolution(y: Array) -> float:
 
 
 def measure(y: Array, sample_time: float, resolution: float, noise: float = 0.0) -> Measurement:
-    """Turn quantised samples into measurements with a variance each.
+    """The measurements of quantised samples, each with a variance.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def means(series: Array, every: int) -> Array:
 
 
 def thin_measurement(measurement: Measurement, q: Array, every: int) -> Measurement:
-    """One measurement in place of so many: their weighted mean, at the time of the first.
+    """One measurement in place of several: their weighted mean, at the time of the first.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ def thin_measurement(measurement: Measurement, q: Array, every: int) -> Measurem
     Returns
     -------
     Measurement
-        Where none of them says more than an interval, the first as it stands.
+        The first one unchanged, where none says more than an interval.
     """
     count = len(q) // every
     value, half, variance, path = (
@@ -203,10 +203,10 @@ def thin_measurement(measurement: Measurement, q: Array, every: int) -> Measurem
 
 
 def smooth(measurement: Measurement, sample_time: float, known: Array | None = None) -> Motion:
-    """The motion behind the measurements, given what its acceleration is thought to be made of.
+    """The smoothed motion behind the measurements, given assumed parts of its acceleration.
 
-    As much of each part is taken as makes the measurements likeliest: a model's inertia may be far
-    off. The rest of the acceleration is a random walk, whose strength maximises the likelihood too.
+    Each part is scaled to make the measurements likeliest, since a model's inertia may be far off.
+    The rest of the acceleration is a random walk, whose strength maximises the likelihood too.
 
     Parameters
     ----------
@@ -257,8 +257,8 @@ def smooth(measurement: Measurement, sample_time: float, known: Array | None = N
         return error
 
     def likeliest(strength: float) -> tuple[float, float, Array]:
-        """Minus twice the log likelihood of a strength, the strength, and what is known of the
-        acceleration then: the errors of one step are linear in the share of a part.
+        """Minus twice the log likelihood of a strength, the strength, and the scaled parts of the
+        acceleration; the one-step errors are linear in these scales.
         """
         alone = errors(strength, np.zeros(n))
         less = [alone - errors(strength, part) for part in parts.T]
@@ -307,8 +307,8 @@ def noise_beside_quantisation(y: Array, resolution: float) -> float:
 
 
 def _to_and_fro(y: Array, resolution: float) -> float | None:
-    """Noise in counts, at most ``NOISIEST``, that makes the codes of a slow motion go back and
-    forth; None where there is too little of it to tell.
+    """Noise in counts, at most ``NOISIEST``, from how often the counts of a slow motion go back and
+    forth; None where there is too little of such motion.
 
     Between samples v counts apart, with a noise of s counts, a code changes by |v + sqrt(2) s z| in
     the mean, z normal: more than v, the more so the slower the motion.
@@ -364,7 +364,7 @@ def _usual_variance(fourth: Array) -> float:
 
 
 def _coloured(y: Array) -> float:
-    """Noise of a signal without a lattice, with what a filter left of it at lower frequencies.
+    """Noise of a signal without a lattice, including what a filter left at lower frequencies.
 
     Differences over 2, 4, 8 samples see noise that a filter took out of neighbouring ones: they
     grow, ever less, to what there was before the filter. White noise stays the same; a smooth
@@ -383,8 +383,8 @@ def _coloured(y: Array) -> float:
 
 
 def _dither(steps: Array, still: npt.NDArray[np.bool_]) -> float:
-    """Noise in counts that makes the codes of a joint that hardly moves go back and forth; 0 where
-    they do not.
+    """Noise in counts from how often the counts of an almost resting joint go back and forth; 0
+    where they do not.
 
     Parameters
     ----------

@@ -1,5 +1,5 @@
-"""What bodies do to the joints: torque is linear in ten numbers of each link (Atkeson, An,
-Hollerbach 1986).
+"""The torques of bodies at the joints, linear in ten numbers of each link (Atkeson, An, Hollerbach
+1986).
 
 The numbers of a link are its mass m, first moment h = m c and inertia I about the link's origin,
 all in the link's frame. With the spin w, its rate wd and the acceleration a of the origin less
@@ -56,9 +56,9 @@ def turned_gravity(gravity: Array, terms: Sequence[Term]) -> Array:
 
 
 def change_of(term: Term, body: Body) -> Array:
-    """What a ``payload`` or a wrong ``body`` adds to the ten numbers of its link, (10,).
+    """The change of a link's ten numbers by a ``payload`` or a wrong ``body``, (10,).
 
-    A wrong mass is that of another density: the inertia is more in proportion.
+    A wrong mass means another density, so the inertia changes in proportion.
     """
     com = np.array([term.value("com_x"), term.value("com_y"), term.value("com_z")])
     mass, spread = term.value("mass"), term.value("inertia") * np.eye(3)
@@ -70,12 +70,12 @@ def change_of(term: Term, body: Body) -> Array:
 
 
 def changed(bodies: Sequence[Body], terms: Sequence[Term]) -> list[Body]:
-    """The links with their payloads and with what is wrong in them.
+    """The links with their payloads and errors applied.
 
     Raises
     ------
     ModelError
-        Where a link would have no mass left.
+        A link would have no mass left.
     """
     out = list(bodies)
     for term in terms:
@@ -129,9 +129,7 @@ def _values(model: Model, key: str) -> list[float]:
 
 @dataclass(frozen=True)
 class Change:
-    """What the body terms of a model add to one joint along a record: inertia and known torque,
-    each (n,).
-    """
+    """The inertia and known torque that body terms add to one joint along a record, each (n,)."""
 
     inertia: Array
     bias: Array
@@ -190,8 +188,7 @@ class Links:
         return (joint, link) in self._screws
 
     def columns(self, joint: int, link: int) -> tuple[Array, Array]:
-        """Inertia that the joint feels and torque that it bears, for each of a link's ten numbers:
-        (10, n) each.
+        """Inertia and torque at the joint per unit of each of a link's ten numbers, (10, n) each.
         """
         key = (joint, link)
         if key not in self._columns:
@@ -244,7 +241,7 @@ class Links:
         return self._weights[joint]
 
     def change(self, terms: Sequence[Term], joint: int) -> Change:
-        """What body terms add to a joint; ``bias`` is their torque without what they add to the
+        """The change of a joint by body terms; ``bias`` is their torque without the part of the
         joint's own inertia.
         """
         n = self.motion.shape[2]

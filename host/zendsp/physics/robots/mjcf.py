@@ -26,7 +26,7 @@ log = logging.getLogger(__name__)
 Array = npt.NDArray[np.float64]
 
 STATES = 8  # random states at which the tree is held against MuJoCo
-AGREES = 1e-6  # of the largest torque among them: rounding is 1e-12, a force left out is not
+AGREES = 1e-6  # of the largest torque among them: rounding is 1e-12, a missing force is far more
 REACH = (1.2, 0.3)  # rad and m, how far from the reference position these states are
 
 
@@ -276,7 +276,7 @@ def _tree(
 
 
 def _refuse_loops(taken: Mjcf, path: str) -> None:
-    """Refuse what ties links to one another besides their joints."""
+    """Refuse parts that connect links other than by joints."""
     mj, m = library(), taken.model
 
     def link(body: int) -> int:
@@ -339,7 +339,7 @@ def _pulls(m: Any, tendon: int) -> bool:
 
 
 def stated_terms(taken: Mjcf) -> list[Term]:
-    """What the joints state as effects: armature, damping, frictionloss, stiffness."""
+    """The effects that the joints state: armature, damping, frictionloss, stiffness."""
     m, out = taken.model, []
     for j, k in enumerate(taken.joints):
         d = taken.dof(j)

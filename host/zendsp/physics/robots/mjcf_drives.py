@@ -1,5 +1,4 @@
-"""What a recorded command means where MuJoCo's actuators say it: torque, or the set value of a
-servo.
+"""The meaning of a recorded command by MuJoCo's actuators: a torque, or the set value of a servo.
 """
 
 from __future__ import annotations

@@ -28,8 +28,7 @@ SAME = 1e-4  # of the largest: MuJoCo writes six digits
 
 @dataclass
 class Split:
-    """What of a model goes where: attributes of the XML's elements by their names, and the terms
-    for which MuJoCo has no words.
+    """A model divided into attributes of the XML's elements, and terms that MuJoCo cannot express.
     """
 
     joints: dict[str, Attributes] = field(default_factory=lambda: defaultdict(dict))
@@ -100,7 +99,7 @@ def _close(x: Sequence[float], y: Sequence[float]) -> bool:
 
 
 def _picture(model: Model) -> dict[tuple[str, int], Array]:
-    """All that a model says, in numbers that do not depend on how it says it."""
+    """The content of a model in numbers that do not depend on its notation."""
     bodies, gravity = robot_tree(model)
     out: dict[tuple[str, int], Array] = {("gravity", 0): turned_gravity(gravity, model.terms)}
     for k, b in enumerate(changed(bodies, [t for t in model.terms if _site(t) == "body"])):

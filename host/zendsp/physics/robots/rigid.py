@@ -1,5 +1,5 @@
-"""Each joint as a scalar system: its inertia and the torques that the measured motion of all joints
-makes known.
+"""Each joint as a scalar system: its inertia, and torques computed from the measured motion of all
+joints.
 
 For joint i of M(q) q̈ + C q̇ + g = tau the terms in the other joints' accelerations, velocities and
 positions are computed from the measured motion; what is left is inertia_i(t) q̈_i + bias_i(t) =

@@ -75,7 +75,7 @@ def joint_kinds(model: Model) -> tuple[str, ...]:
 
 
 def stated(model: Model, robot: Robot) -> tuple[tuple[Term, ...], Actuator, Robot]:
-    """What an MJCF says beside its bodies: effects, the actuators, and the joints' servos.
+    """The content of an MJCF beside its bodies: effects, actuators, and the joints' servos.
 
     Parameters
     ----------

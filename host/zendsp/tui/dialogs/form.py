@@ -57,7 +57,7 @@ class Line(Input):
 
 
 class Label(Static):
-    """What stands before or behind an input; a click on it is for the input."""
+    """The label or unit of an input; a click on it focuses the input."""
 
     def on_click(self) -> None:
         """Give the input in the same line the focus."""

@@ -1,4 +1,4 @@
-"""What is to become of a machine that moves, before the terminal is left."""
+"""The question, before the terminal is left, what is to become of a machine that moves."""
 
 from __future__ import annotations
 

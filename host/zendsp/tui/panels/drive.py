@@ -1,4 +1,4 @@
-"""Where the drives are in the safe sequence, what the next step needs, and the signals of the
+"""The state of the drives in the safe sequence, the needs of the next step, and the signals of the
 machine.
 """
 

@@ -1,4 +1,4 @@
-"""What a diagnosis says, as lines to choose from: each has a figure or words behind it."""
+"""The lines of a diagnosis to choose from: each has a figure or a text behind it."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ def _where(r: Report) -> str:
 
 
 def _left(r: Report, charts: Sequence[Chart]) -> list[Entry]:
-    """What nothing named explains."""
+    """The line of the unexplained torque."""
     made = []
     white = {c.joint: c for c in _of("white", charts)}
     refined = [f"{f['sentence']} (improves the fit, not claimed)" for f in r["refinements"]]

@@ -1,4 +1,4 @@
-"""What the scope shows, as a file."""
+"""Writes what the scope shows to a file."""
 
 from __future__ import annotations
 

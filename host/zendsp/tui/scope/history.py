@@ -1,4 +1,4 @@
-"""What the scope has seen: a ring of bounded size that a thread fills and the screen reads."""
+"""The rows of the scope: a ring of bounded size that a thread fills and the screen reads."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What lies between two cursors, in numbers and in the two lines below the picture."""
+"""Statistics between two cursors, as numbers and as the two lines below the picture."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The curves of the scope over something else than time."""
+"""The curves of the scope over another curve, or over frequency."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a rolling picture shows, made anew only where rows have come since the last one."""
+"""A rolling picture, computed only where rows have come since the last one."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""What a runner and its user code write to standard error, on the way to whoever sees the target.
-"""
+"""Passes on what a runner and its user code write to standard error."""
 
 from __future__ import annotations
 

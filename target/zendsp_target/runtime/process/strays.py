@@ -81,8 +81,8 @@ def _beneath(number: int) -> set[Process]:
 
 
 def _paths(root: str, pattern: str) -> list[Path]:
-    """What there is; nothing while no file is left to look with: a runner that died is made safe
-    all the same.
+    """The processes there are; none while no file is left to look with: a runner that died is made
+    safe all the same.
     """
     try:
         return list(Path(root).glob(pattern))

@@ -1,5 +1,5 @@
-"""Work made ready for names that come again and again: a host that tunes or watches asks for the
-same ones thousands of times.
+"""Prepared work for repeated names: a host that tunes or watches asks for the same ones thousands
+of times.
 
 A plan holds what does not change while a program is loaded: where each value stands, its limits,
 the bytes around it. Every update goes through one; a reading that no plan fits goes the long way
