@@ -317,6 +317,9 @@ def test_a_constant_torque_within_the_uncertainty_of_a_bodys_centre_belongs_to_t
     body: Any = SimpleNamespace(sizes={1: 0.03}, found=found)
     (beside,) = beside_bodies([body], [decision], test)
     assert (beside.claims == (claim,)) is stands
+    nameless = replace(claim, effect="unknown")
+    (beside,) = beside_bodies([body], [replace(decision, claims=(nameless,))], test)
+    assert beside.refinements == (() if stands else (claim,)), "a refinement is a law"
 
 
 @pytest.mark.parametrize("same", ["calibration", "torque_gain"])

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from zendsp.diagnosis.data.signals import Parts
-from zendsp.diagnosis.decide.claims import Decision, needed
+from zendsp.diagnosis.decide.claims import Claim, Decision, needed
 from zendsp.diagnosis.decide.confidence import SUREST
 from zendsp.diagnosis.decide.contract import Further, Rejected
 from zendsp.diagnosis.decide.pieces import log_e_value
@@ -207,10 +207,17 @@ def beside_bodies(
         keep = tuple(c for c in decision.claims if not any(c is w for w in weight))
         if weight:
             kind = decision.kind if keep else "complete"
-            more = (*decision.refinements, *weight)
+            # a refinement is a law of the improved model, whatever was claimed of it
+            laws = [_as_law(c) for c in weight if c.term.effect != "unknown"]
+            more = (*decision.refinements, *laws)
             decision = replace(decision, kind=kind, claims=keep, refinements=more)
         out.append(decision)
     return out
+
+
+def _as_law(claim: Claim) -> Claim:
+    name = claim.term.effect
+    return claim if claim.effect == name else replace(claim, effect=name)
 
 
 def _wrong_by(term: Term, joint: int, test: Data) -> float:
