@@ -91,6 +91,8 @@ def test_a_body_stands_where_the_joints_need_more_findings_and_predict_no_better
     machines: list[Any] = [([], [], SimpleNamespace(improved=name)) for name in findings]
     monkeypatch.setattr(joints, "findings_at", lambda _test, _given, e: findings[e[2].improved])
     monkeypatch.setattr(joints, "model_error", lambda _test, model: errors[model])
+    sensor = [1e-5]
+    monkeypatch.setattr(joints, "noise_floor", lambda _test: sensor[0])
 
     def stands() -> bool:
         return joints.plainer(None, None, *machines, -1)  # type: ignore[arg-type]
@@ -100,6 +102,8 @@ def test_a_body_stands_where_the_joints_need_more_findings_and_predict_no_better
     assert not stands(), "a body is a finding, too"
     findings["joints"], errors["body"] = 3, 3.6e-4
     assert not stands(), "it predicts worse"
+    sensor[0] = 2.9e-4
+    assert stands(), "as far as anyone can see"
 
 
 def test_no_body_is_considered_where_the_joints_need_only_one_finding(
@@ -364,7 +368,8 @@ def test_a_body_that_explains_as_much_as_a_joints_own_fault_is_remembered(
     [
         ("position_torque", "gravity", True),
         ("actuator", "torque_offset", True),
-        ("actuator", "torque_gain", False),
+        ("actuator", "torque_gain", True),
+        ("actuator", "delay", False),
         ("dry_friction", "coulomb", False),
     ],
 )

@@ -23,6 +23,7 @@ from zendsp.diagnosis.decide.absorbed import bodies_wrong, shifted
 from zendsp.diagnosis.decide.across import all_late, pushed_alone, same_timing
 from zendsp.diagnosis.decide.assemble import Assembled, assemble
 from zendsp.diagnosis.decide.claims import Decision, unclaimed
+from zendsp.diagnosis.decide.contract import BEYOND
 from zendsp.diagnosis.decide.decide import decide
 from zendsp.diagnosis.decide.notes import MADE_WORSE
 from zendsp.diagnosis.decide.pieces import rms_torque
@@ -75,11 +76,11 @@ class Acceptance:
 
 
 def plainer(test: Data, given: Model, one: Explained, other: Explained, bodies: int) -> bool:
-    """Whether one explanation claims less than another and predicts as well. ``bodies``: the count
-    of the other's bodies minus that of the one's.
+    """Whether one explanation claims less than another and predicts as well, or as well as the
+    sensor lets anyone judge. ``bodies``: the count of the other's bodies minus that of the one's.
     """
     errors = [model_error(test, whole.improved) for _, _, whole in (one, other)]
-    if errors[0] > errors[1]:
+    if errors[0] > max(errors[1], BEYOND * noise_floor(test)):
         return False
     claims = [findings_at(test, given, explained) for explained in (one, other)]
     return claims[0] < claims[1] + bodies

@@ -54,6 +54,7 @@ from zendsp.diagnosis.transmission.links import divided, with_links
 from zendsp.diagnosis.transmission.measured import Measured, measured_transmissions
 from zendsp.diagnosis.transmission.one_sensor import shown
 from zendsp.physics.calibration.fit import Data
+from zendsp.physics.effects import library
 from zendsp.physics.model import Model, Term
 
 # where joints claim what a body could explain, a small one is considered too
@@ -214,8 +215,10 @@ def _for_the_joints(bodies: BodySearch, found: Found) -> FoundBody | None:
 
 def _weighs(decision: Decision) -> bool:
     """Whether all claims of a joint may be the torque of a body."""
+    like = {r for e in library().values() if e.site == "body" for r in e.rivals}
     return bool(decision.claims) and all(
-        c.mechanism in ("position_torque", "inertia") or c.is_constant for c in decision.claims
+        c.mechanism in ("position_torque", "inertia") or c.is_constant or c.term.effect in like
+        for c in decision.claims
     )
 
 

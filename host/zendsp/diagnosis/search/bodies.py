@@ -75,7 +75,7 @@ class BodySearch:
     ``model``: the given one with them. ``tried``: all explanations of the last round. ``aside``:
     joints set aside for a fault of their own. ``instead``: the body that explains as much as the
     first of these faults, and that joint. ``small``: the best body, where it is too small a part of
-    what the joints leave to be proposed.
+    what the joints leave to be proposed, or as uncertain as the gains of all drives.
     """
 
     model: Model
@@ -206,7 +206,10 @@ def _searched(
         if own is not best:  # its place is as well known as it can be
             best = refined(fit, choose, layout, own, limits, jobs, aside)
         # a body on which recordings disagree is none, and hides real ones
-        if weight_of(choose, layout, best) < limits.least or unsure(best, limits):
+        if weight_of(choose, layout, best) < limits.least:
+            break
+        if unsure(best, limits):
+            small = small if found else _stated(layout, best, tried, limits, aside)
             break
         tell(Step.CALIBRATING.says(f"bodies: {best.hypothesis.name}"))
         found.append(_stated(layout, best, tried, limits, aside))

@@ -81,8 +81,9 @@ COST = {
     "unknown": 8.0,
 }
 TOOL = 2.0  # of a payload at the end of a chain
-RARE = 4.0  # of causes that act on the whole machine, as its gravity
-RAREST = 6.0  # of one factor for all gains, and of the machine's own numbers beyond their tolerance
+# of causes that act on the whole machine: another gravity, one factor for all gains, and the
+# machine's own numbers beyond their tolerance
+RARE = 6.0
 
 
 @dataclass(frozen=True)
@@ -189,8 +190,8 @@ def hypotheses(model: Model, links: Links) -> list[Hypothesis]:
         out += [Hypothesis("base_tilt", free=axes, cost=cost)] if axes else []
         out.append(Hypothesis("gravity_scale", free=("ratio",), cost=RARE))
     if keys := calibrated(model):
-        out.append(Hypothesis("calibration", free=keys, cost=RAREST))
-    out.append(Hypothesis("torque_gain", free=("ratio",), cost=RAREST))
+        out.append(Hypothesis("calibration", free=keys, cost=RARE))
+    out.append(Hypothesis("torque_gain", free=("ratio",), cost=RARE))
     for j in range(1, len(links.bodies) + 1):
         for effect, free in (
             ("torque_gain", ("ratio",)),
