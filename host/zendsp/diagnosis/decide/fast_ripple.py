@@ -9,13 +9,15 @@ so only ripple is looked for. The position's zero need not return from one recor
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from zendsp.diagnosis.decide.findings import estimates, sentence
-from zendsp.diagnosis.decide.result import Finding
+from zendsp.diagnosis.decide.result import Estimate, Finding
 from zendsp.diagnosis.decide.thresholds import SURE
 from zendsp.diagnosis.measure.discrepancy import difference, kept, lacking
 from zendsp.diagnosis.measure.evidence import compare
@@ -98,7 +100,7 @@ def fine_ripples(
         # a transmission error with as many periods a turn makes such a torque
         if displaced is not None and compare(displaced, turned, test, joint).gain <= 0.0:
             break
-        found.append(_reported(search, current, after, kind))
+        found.append(_reported(search, current, after, kind, _one_by_one(after, joint, jobs)))
         current = after
     return found
 
@@ -175,7 +177,43 @@ def _rephased(after: Scored, held: Data, joint: int, index: int, jobs: int) -> S
     return replace(after, fit=best[1])
 
 
-def _reported(search: JointSearch, before: Scored, after: Scored, kind: str) -> FineRipple:
+def _one_by_one(after: Scored, joint: int, jobs: int) -> list[Fit]:
+    """Fits of amplitude and phase of the last term to each recording by itself, if its phase differs
+    between them; empty if it does not.
+    """
+    last = len(after.model.terms) - 1
+    alone = []
+    for records in after.data.records:
+        data = replace(after.data, records=(records,))
+        turned = _rephased(after, data, joint, last, jobs).model
+        handles = tuple(Handle("term", last, key) for key in ("amplitude", "phase"))
+        alone.append(fit(data, turned, handles, joints=(joint,), iterations=4, jobs=jobs))
+    phases = [(float(f.x[1]), float(f.std[1])) for f in alone]
+    apart = any(
+        abs(math.remainder(a - b, 2.0 * math.pi)) > SURE * math.hypot(s, t)
+        for (a, s), (b, t) in itertools.combinations(phases, 2)
+    )
+    return alone if apart else []
+
+
+def _of_each(alone: Sequence[Fit], joint_fit: Estimate, unit: str) -> tuple[Estimate, str]:
+    """The mean amplitude of the recordings by themselves, and a sentence on it. One phase for all of
+    them gives less: a mean of vectors that differ in direction.
+    """
+    sizes = np.array([abs(float(f.x[0])) for f in alone])
+    std = math.hypot(float(np.mean([f.std[0] for f in alone])), float(np.ptp(sizes)) / 2.0)
+    size = Estimate(float(sizes.mean()), std, joint_fit.unit)
+    listed = ", ".join(f"{x:#.3g}" for x in sizes)
+    return size, (
+        f" Its phase differs between the recordings, which have {listed} {unit} each: one phase for"
+        f" all would give {joint_fit.value:.3g}, as the improved model has it."
+    )
+
+
+def _reported(
+    search: JointSearch, before: Scored, after: Scored, kind: str, alone: Sequence[Fit]
+) -> FineRipple:
+    """The ripple with its finding; ``alone``: see ``_one_by_one``."""
     term = after.model.terms[-1]
     values = estimates(after.fit, term, kind, "")
     noted = {
@@ -193,11 +231,11 @@ def _reported(search: JointSearch, before: Scored, after: Scored, kind: str) -> 
         if search.steps
         else 0.0
     )
-    text = (
-        sentence(term, values)
-        + " It passes faster than the other effects; its phase holds for the position zero of these"
-        " recordings."
-    )
+    more = " Its phase holds for the position zero of these recordings."
+    if alone:
+        size = values["amplitude"]
+        values["amplitude"], more = _of_each(alone, size, size.unit)
+    text = f"{sentence(term, values)} It passes faster than the other effects.{more}"
     finding = Finding(
         "ripple",
         search.joint,
