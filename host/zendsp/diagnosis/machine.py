@@ -23,6 +23,8 @@ from zendsp.diagnosis.decide.decide_bodies import (
     BodyClaim,
     beside_bodies,
     decide_bodies,
+    like_bodies,
+    or_bodies,
     plainest,
     settled,
 )
@@ -54,7 +56,6 @@ from zendsp.diagnosis.transmission.links import divided, with_links
 from zendsp.diagnosis.transmission.measured import Measured, measured_transmissions
 from zendsp.diagnosis.transmission.one_sensor import shown
 from zendsp.physics.calibration.fit import Data
-from zendsp.physics.effects import library
 from zendsp.physics.model import Model, Term
 
 # where joints claim what a body could explain, a small one is considered too
@@ -215,9 +216,10 @@ def _for_the_joints(bodies: BodySearch, found: Found) -> FoundBody | None:
 
 def _weighs(decision: Decision) -> bool:
     """Whether all claims of a joint may be the torque of a body."""
-    like = {r for e in library().values() if e.site == "body" for r in e.rivals}
     return bool(decision.claims) and all(
-        c.mechanism in ("position_torque", "inertia") or c.is_constant or c.term.effect in like
+        c.mechanism in ("position_torque", "inertia")
+        or c.is_constant
+        or c.term.effect in like_bodies()
         for c in decision.claims
     )
 
@@ -334,6 +336,8 @@ def _finished(found: Found, given: Model, jobs: int, tell: Progress) -> Found:
             improved = _calibrated_beside(parts.fit, given, improved, jobs)
         whole = replace(whole, improved=improved)
         decisions = beside_bodies(claims, decisions, parts.test)
+    else:
+        decisions = or_bodies(found.bodies, decisions)
     if claims or any(m.terms for m in found.measured):  # these are findings, not calibration
         bases = [
             calibrate_joint(bare.fit, given, joint, jobs) for joint in range(1, given.joints + 1)

@@ -29,8 +29,10 @@ from zendsp.diagnosis.measure.significance import INTEGRATION_ERROR
 from zendsp.diagnosis.measure.windows import model_error
 from zendsp.diagnosis.search.bodies import BodySearch, FoundBody, agreed, refined, stated, unsure
 from zendsp.diagnosis.search.body_columns import Layout
+from zendsp.diagnosis.search.body_explain import seen, tied
 from zendsp.diagnosis.search.body_hypotheses import COM, LIMITS
 from zendsp.physics.calibration.fit import Data, joint_handles
+from zendsp.physics.effects import library
 from zendsp.physics.model import Model, Term
 from zendsp.physics.robots.bodies import Links
 
@@ -178,7 +180,7 @@ def _claim(found: FoundBody, heard: dict[int, Heard], gain: float, ratio: float)
     """The claim of a body; ``ratio`` says how much larger it is than what stays unexplained."""
     sure = ratio**1.5 / (0.5 + ratio**1.5)
     if found.indistinguishable:
-        sure *= 0.5 + 0.5 / (1 + len(found.indistinguishable))
+        sure *= _shared(len(found.indistinguishable))
     sizes = {joint: h.size for joint, h in heard.items()}
     return BodyClaim(found, sizes, gain, float(min(SUREST, max(0.05, sure))))
 
@@ -213,6 +215,36 @@ def beside_bodies(
             decision = replace(decision, kind=kind, claims=keep, refinements=more)
         out.append(decision)
     return out
+
+
+def like_bodies() -> frozenset[str]:
+    """The effects of single joints that a body may be mistaken for: its ``rivals``."""
+    return frozenset(r for e in library().values() if e.site == "body" for r in e.rivals)
+
+
+def or_bodies(search: BodySearch, decisions: Sequence[Decision]) -> list[Decision]:
+    """The decisions where no body is claimed. What a joint claims that resembles a body is the less
+    sure where a body explains all joints together as well as that does at one or at all of them.
+    """
+
+    def told(c: Claim, joint: int) -> Claim:
+        if c.effect == "unknown" or c.effect not in like_bodies():
+            return c
+        own = [h for h in search.tried if h.hypothesis.effect == c.effect]
+        own = [e for e in own if e.hypothesis.joint in (0, joint)]
+        bodies = (e for e in search.tried if e.hypothesis.of_bodies and seen(e))
+        names = dict.fromkeys(
+            e.hypothesis.effect for e in bodies if own and all(tied(e, o) for o in own)
+        )
+        most = min(c.most, _shared(len(names)))
+        return replace(c, same=tuple(dict.fromkeys((*c.same, *names))), most=most)
+
+    return [replace(d, claims=tuple(told(c, d.joint) for c in d.claims)) for d in decisions]
+
+
+def _shared(others: int) -> float:
+    """The part of its confidence that is left beside so many explanations that do as well."""
+    return 0.5 + 0.5 / (1 + others)
 
 
 def _as_law(claim: Claim) -> Claim:

@@ -178,8 +178,8 @@ def _rephased(after: Scored, held: Data, joint: int, index: int, jobs: int) -> S
 
 
 def _one_by_one(after: Scored, joint: int, jobs: int) -> list[Fit]:
-    """Fits of amplitude and phase of the last term to each recording by itself, if its phase differs
-    between them; empty if it does not.
+    """Fits of amplitude and phase of the last term to each recording by itself, if its phase
+    differs between them; empty if it does not.
     """
     last = len(after.model.terms) - 1
     alone = []
@@ -197,8 +197,8 @@ def _one_by_one(after: Scored, joint: int, jobs: int) -> list[Fit]:
 
 
 def _of_each(alone: Sequence[Fit], joint_fit: Estimate, unit: str) -> tuple[Estimate, str]:
-    """The mean amplitude of the recordings by themselves, and a sentence on it. One phase for all of
-    them gives less: a mean of vectors that differ in direction.
+    """The mean amplitude of the recordings by themselves, and a sentence on it. One phase for all
+    of them gives less: a mean of vectors that differ in direction.
     """
     sizes = np.array([abs(float(f.x[0])) for f in alone])
     std = math.hypot(float(np.mean([f.std[0] for f in alone])), float(np.ptp(sizes)) / 2.0)
