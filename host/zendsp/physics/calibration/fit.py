@@ -38,7 +38,7 @@ ZERO_ERROR = 2e-3
 FIRST_LOOK = 4e-3
 # s: longest integration step where a sample is one step. Where it is too long, the step error of a
 # fit says so (convergence.py), and the search halves it
-INNER_STEP = 1e-3
+INNER_STEP = 2e-3
 REMEMBERED = 32  # fits kept for a recording, since a search repeats some
 
 

@@ -312,8 +312,11 @@ def _first_acceleration(record: JointRecord) -> float:
 def steps(record: JointRecord, model: Model, inertia: Array, inner: int) -> tuple[int, bool]:
     """Integration steps per sample, ``inner`` or more, and whether even these are too few for the
     joint's damping. A small inertia with much viscous friction stops in less than a step, and an
-    explicit step longer than twice that time diverges.
+    explicit step longer than twice that time diverges. A load behind a spring has two steps at
+    least, since it swings faster than a rigid joint moves.
     """
+    if any(get_effect(t.effect).family == "transmission" for t in model.at(record.joint)):
+        inner = max(inner, 2)
     damping = sum(
         max([0.0, *(term.value(p.name) for p in effect.parameters if p.size == "torque/speed")])
         for term in model.at(record.joint)
