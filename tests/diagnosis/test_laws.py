@@ -501,7 +501,7 @@ def test_the_uncertainty_of_an_inertia_is_at_least_the_difference_between_simula
     monkeypatch.setattr(absorbed, "_size", lambda *_: 0.1)
     given = parse_model({"mechanism": {"kind": "rotary", "parameters": {"inertia": 0.020}}})
     whole: Any = SimpleNamespace(improved=replace(given, mechanism={"inertia": (known,)}))
-    search: Any = SimpleNamespace(joint=1, final=SimpleNamespace(model=given))
+    search: Any = SimpleNamespace(joint=1, alone=SimpleNamespace(model=given))
     nothing: Any = SimpleNamespace(records=())
     ((_, size, finding),) = absorbed.shifted(given, search, whole, (), nothing)
     assert size == 0.1

@@ -28,6 +28,7 @@ _NOTHING = np.zeros(0)
 RAN_AWAY = 1e9
 LONGEST = 1.5  # longest integration step, times inertia over damping
 MOST_STEPS = 8  # a sample
+SWIFT = ("transmission", "presliding")  # families of effects with states that move within a sample
 REMEMBERED = 32  # predictions kept for a recording, since a decision repeats some
 AT_FIRST = 0.03  # s, over which the acceleration at the beginning is measured
 
@@ -312,10 +313,10 @@ def _first_acceleration(record: JointRecord) -> float:
 def steps(record: JointRecord, model: Model, inertia: Array, inner: int) -> tuple[int, bool]:
     """Integration steps per sample, ``inner`` or more, and whether even these are too few for the
     joint's damping. A small inertia with much viscous friction stops in less than a step, and an
-    explicit step longer than twice that time diverges. A load behind a spring has two steps at
-    least, since it swings faster than a rigid joint moves.
+    explicit step longer than twice that time diverges. A load behind a spring, and friction that
+    creeps or bends, have two steps at least: they move faster than a rigid joint does.
     """
-    if any(get_effect(t.effect).family == "transmission" for t in model.at(record.joint)):
+    if any(get_effect(t.effect).family in SWIFT for t in model.at(record.joint)):
         inner = max(inner, 2)
     damping = sum(
         max([0.0, *(term.value(p.name) for p in effect.parameters if p.size == "torque/speed")])
