@@ -310,14 +310,20 @@ def _first_acceleration(record: JointRecord) -> float:
     return 0.0 if abs(speed[0]) < abs(gained) else gained / (soon * record.sample_time)
 
 
+def at_least(inner: int, model: Model, joint: int) -> int:
+    """Integration steps per sample of a joint (1-based), ``inner`` or more: two at least for a load
+    behind a spring, and for friction that creeps or bends, which move faster than a rigid joint.
+    """
+    swift = any(get_effect(t.effect).family in SWIFT for t in model.at(joint))
+    return max(inner, 2) if swift else inner
+
+
 def steps(record: JointRecord, model: Model, inertia: Array, inner: int) -> tuple[int, bool]:
     """Integration steps per sample, ``inner`` or more, and whether even these are too few for the
     joint's damping. A small inertia with much viscous friction stops in less than a step, and an
-    explicit step longer than twice that time diverges. A load behind a spring, and friction that
-    creeps or bends, have two steps at least: they move faster than a rigid joint does.
+    explicit step longer than twice that time diverges.
     """
-    if any(get_effect(t.effect).family in SWIFT for t in model.at(record.joint)):
-        inner = max(inner, 2)
+    inner = at_least(inner, model, record.joint)
     damping = sum(
         max([0.0, *(term.value(p.name) for p in effect.parameters if p.size == "torque/speed")])
         for term in model.at(record.joint)
