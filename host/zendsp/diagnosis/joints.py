@@ -60,6 +60,10 @@ class SearchStopped(KeyboardInterrupt):
         self.done = done
 
 
+class Outnumbered(Exception):
+    """The joints claim as many laws as the explanation to which they are compared."""
+
+
 class Acceptance:
     """Decides whether the search goes on with a step: it must pay for its parameters, also on the
     recordings to choose by. It claims nothing.
@@ -160,11 +164,17 @@ def explain(
     jobs: int,
     tell: Progress,
     done: Done = MappingProxyType({}),
+    most: float = math.inf,
 ) -> Explained:
     """The searches and decisions of all joints, and the assembled machine. ``beneath``: the given
     model with what is known so far. ``done``: joints that are searched already.
+
+    Raises
+    ------
+    Outnumbered
+        The joints claim ``most`` laws or more; the rest of them are not searched.
     """
-    searches, decisions = _search(parts, given, beneath, jobs, tell, done)
+    searches, decisions = _search(parts, given, beneath, jobs, tell, done, most)
     decisions = all_late(parts, beneath, searches, decisions, jobs)
     decisions = pushed_alone(same_timing(parts, decisions, jobs))
     tell(Step.ASSEMBLING.says("fitting the improved model"))
@@ -213,6 +223,7 @@ def _search(
     jobs: int,
     tell: Progress,
     known: Done,
+    most: float = math.inf,
 ) -> tuple[list[JointSearch], list[Decision]]:
     joints = [joint for joint in range(1, given.joints + 1) if joint not in known]
     done = dict(known)
@@ -220,6 +231,7 @@ def _search(
         try:
             for joint in joints:
                 done[joint] = _search_joint(parts, beneath, joint, jobs, tell)
+                _count(done, most)
         except KeyboardInterrupt as stop:
             raise (SearchStopped(done) if done else stop) from None
         return _in_order(done)
@@ -236,16 +248,23 @@ def _search(
                 _, waiting = wait(waiting, LOOK_S, FIRST_COMPLETED)
                 while not stages.empty():
                     tell(stages.get())
+                ready = {j: s.result() for j, s in searches.items() if s.done()}
+                _count({**done, **ready}, most)
             done |= {joint: search.result() for joint, search in searches.items()}
         except BaseException as stop:  # an interrupt: what is pending is cancelled
             for process in list(pool._processes.values()):
                 process.terminate()
-            ready = {j: s for j, s in searches.items() if s.done() and not s.exception()}
-            done |= {joint: search.result() for joint, search in ready.items()}
+            ended = {j: s for j, s in searches.items() if s.done() and not s.exception()}
+            done |= {joint: search.result() for joint, search in ended.items()}
             if isinstance(stop, KeyboardInterrupt) and done:
                 raise SearchStopped(done) from None
             raise
     return _in_order(done)
+
+
+def _count(done: Done, most: float) -> None:
+    if sum(len(decision.claims) for _, decision in done.values()) >= most:
+        raise Outnumbered
 
 
 def not_searched(

@@ -4,6 +4,7 @@ rest of the recordings, where something pushes or another load is carried.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -32,9 +33,11 @@ from zendsp.diagnosis.decide.fast_ripple import FineRipple, fine_ripples
 from zendsp.diagnosis.decide.other_load import other_load
 from zendsp.diagnosis.decide.pushes import unpushed
 from zendsp.diagnosis.decide.result import Finding
+from zendsp.diagnosis.decide.thresholds import OWN_SHARE
 from zendsp.diagnosis.joints import (
     Done,
     Explained,
+    Outnumbered,
     SearchStopped,
     decided_again,
     explain,
@@ -274,14 +277,26 @@ def _claimed_of(
         explained = explain(parts, given, beneath, jobs, tell)
         found = replace(found, parts=parts, beneath=beneath).explained_by(explained)
         return found if claims else _one_body(found, with_all, given, jobs, tell)
-    if claims and any(c.mechanism == "inertia" for d in found.decisions for c in d.claims):
+    if any(_is_corrected(claims, d) for d in found.decisions):
         # a body that the joints have to correct may be none: the simpler explanation wins
         plain = given.with_terms((*given.terms, *known))
         parts = with_bodies(bare, plain)
-        other = explain(parts, given, plain, jobs, tell)
+        most = findings_at(bare.test, given, found.explained) + len(claims)
+        try:
+            other = explain(parts, given, plain, jobs, tell, most=most)
+        except Outnumbered:
+            return found
         if plainer(bare.test, given, other, found.explained, len(claims)):
             found = replace(found, parts=parts, beneath=plain, claims=()).explained_by(other)
     return found
+
+
+def _is_corrected(claims: Sequence[BodyClaim], decision: Decision) -> bool:
+    """Whether a joint claims an inertia that is no small part of what the bodies do there."""
+    felt = max((c.sizes.get(decision.joint, 0.0) for c in claims), default=math.inf)
+    return any(
+        c.mechanism == "inertia" and c.size**2 >= OWN_SHARE * felt**2 for c in decision.claims
+    )
 
 
 def _one_body(
