@@ -153,7 +153,10 @@ REFUSED = {
         ARM.replace("<actuator>", TIED + "<actuator>"),
         "'tie' closes a loop at .*leaves the joints of a loop out",
     ),
-    "a tendon": (ARM.replace("<actuator>", ROPE + "<actuator>"), "tendon 'rope' pulls at joint"),
+    "a tendon": (
+        ARM.replace("<actuator>", ROPE + "<actuator>"),
+        r"tendon 'rope' pulls at joint.*; name a copy of the file without it as \[mechanism\] file",
+    ),
     "an include that is not there": (
         ARM.replace("<worldbody>", '<include file="gone.xml"/><worldbody>'),
         "gone.xml",

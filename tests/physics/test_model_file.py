@@ -209,6 +209,17 @@ def test_an_endlessly_nested_file_is_refused_as_toml(tmp_path: Path) -> None:
         load_model(tmp_path / "deep.toml")
 
 
+@pytest.mark.parametrize(
+    ("name", "kind"), [("arm.xml", "mjcf"), ("arm.urdf", "urdf"), ("arm.fmu", "fmu")]
+)
+def test_a_robots_own_file_in_place_of_a_model_file_is_told_where_it_belongs(
+    tmp_path: Path, name: str, kind: str
+) -> None:
+    (tmp_path / name).write_bytes(b"PK\x03\x04\xff" if kind == "fmu" else b"<robot/>")
+    with pytest.raises(ModelError, match=f'not TOML.*kind = "{kind}", file = "{name}"'):
+        load_model(tmp_path / name)
+
+
 def test_a_shipped_model_is_found_by_its_name_from_any_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -54,6 +54,7 @@ KEYS = {  # of each table, whether this version uses the value or only knows it
     "discrepancy": ("torque", "state"),
 }
 NEEDED = {"urdf": "file", "mjcf": "file", "fmu": "file", "python": "entry"}
+NAMED = {".xml": "mjcf", ".mjcf": "mjcf", ".urdf": "urdf", ".fmu": "fmu"}  # by their suffix
 TAKE = ("all", "bodies", "servos")  # of an MJCF
 QUANTITY = ("value", "free", "unit", "std")
 
@@ -157,11 +158,24 @@ def load_model(path: str | Path) -> Model:
     path = find_model(path)
     try:
         data = written.toml(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
+        raise ModelError(f"{path}: is not TOML: {error}{_named_in_one(path)}") from error
+    except OSError as error:
         raise ModelError(f"{path}: cannot be read: {error}") from error
     except tomllib.TOMLDecodeError as error:
-        raise ModelError(f"{path}: is not TOML: {error}") from error
+        raise ModelError(f"{path}: is not TOML: {error}{_named_in_one(path)}") from error
     return parse_model(data, str(path))
+
+
+def _named_in_one(path: Path) -> str:
+    """What to do with a file that a model file names."""
+    kind = NAMED.get(path.suffix.lower())
+    if kind is None:
+        return ""
+    return (
+        f'; a model file names it: [mechanism] kind = "{kind}", file = "{path.name}"'
+        " ('zendsp model new RECORDING' begins one)"
+    )
 
 
 def parse_model(data: Mapping[str, Any], path: str = "model") -> Model:

@@ -313,7 +313,8 @@ def _refuse_loops(taken: Mjcf, path: str) -> None:
         if where and _pulls(m, t):
             raise ModelError(
                 f"{path}: {name_of(m, 'tendon', t)} pulls at {where}: tendons with a force of their"
-                " own cannot be taken over"
+                " own cannot be taken over; name a copy of the file without it as [mechanism] file,"
+                " and a diagnosis finds what it does"
             )
 
 
