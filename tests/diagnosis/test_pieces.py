@@ -21,6 +21,7 @@ from zendsp.diagnosis.decide.notes import left_over
 from zendsp.diagnosis.measure.discrepancy import Size, difference
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.structure import Structure
+from zendsp.diagnosis.measure.where import Missing
 from zendsp.physics.calibration.terms import make_term
 from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.model import Model, Quantity, Term
@@ -431,6 +432,32 @@ def test_a_mechanism_without_a_law_names_the_one_that_it_is_most_like() -> None:
     drawn = replace(claim, term=Term("ripple", 1, {}), why="the travel shows no whole period of it")
     said = naming._nearest(drawn, plain)
     assert "most like ripple, with which 1 %" in said and said.endswith("no whole period of it")
+
+
+@pytest.mark.parametrize(
+    ("other", "joints", "said"),
+    [
+        (0.0, 3, "position of joint 3 is"),
+        (3.0, 3, "position of joint 3, or of joints beside it, is"),
+        (3.0, 1, "position of joint 3 is"),
+    ],
+)
+def test_torque_over_the_places_of_several_joints_is_not_put_down_to_its_own_alone(
+    monkeypatch: pytest.MonkeyPatch, other: float, joints: int, said: str
+) -> None:
+    """A hose from the wall to a gantry's head pulled at the yaw by where the slides stood."""
+    time = np.arange(8000) * 2e-3
+    q, beside = np.sin(time), np.sin(1.7 * time)
+    rows = Missing(time, q + other * beside, np.ones(8000), {"position": q})
+    monkeypatch.setattr(naming, "confidence", lambda *_: 0.5)
+    monkeypatch.setattr(naming, "_nearest", lambda *_: "no law")
+    given: Any = SimpleNamespace(joints=joints, terms=(), torque_unit=lambda _: "N m")
+    monkeypatch.setattr(naming, "units", lambda *_: {"position": "rad"})
+    monkeypatch.setattr(naming, "_replaced", lambda *_: ())
+    term, evidence = Term("unknown", 3, {}), Evidence(9, 9, np.ones(2))
+    claim = Claim("unknown", "position_torque", term, 0.3, evidence, 9, {}, (), (), ())
+    decision: Any = SimpleNamespace(joint=3, scale=1.0)
+    assert said in naming._unknown(given, decision, claim, 0.5, [rows]).sentence
 
 
 @pytest.mark.parametrize(("kind", "said"), [("planar2r", True), ("rotary", False)])

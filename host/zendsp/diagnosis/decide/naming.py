@@ -115,13 +115,16 @@ def _unknown(
     joint = decision.joint
     found = curve_of(lacks, claim.mechanism)
     numbers: Further = {}
-    what = "state"
+    what, besides = "state", ""
     if found is not None:
         what = "speed" if found.axis.variable == "velocity" else found.axis.variable
         if claim.mechanism == DRY:
             what = f"direction of motion and {what}"
         elif claim.mechanism == FLUID and found.against:
             what = f"speed and {what}"
+        place = claim.mechanism == "position_torque"
+        if place and given.joints > 1 and found.explained < PREDICTED:
+            besides = ", or of joints beside it,"  # whose places ``structure`` counts in
         numbers["curve"] = {
             "variable": found.axis.variable,
             "unit": units(given, joint)[found.axis.variable],
@@ -141,7 +144,7 @@ def _unknown(
         share,
         (),
         _replaced(given, claim, joint),
-        f"A torque that depends on the {what} of joint {joint} is missing,"
+        f"A torque that depends on the {what} of joint {joint}{besides} is missing,"
         f" {percent(claim.size)} % of its torque; {_nearest(claim, decision)}.",
         numbers,
         claim.mechanism,
