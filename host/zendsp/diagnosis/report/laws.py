@@ -301,7 +301,8 @@ def unknown_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Ch
     curve = curve_over(lacks, Axis(said["variable"]), finding.mechanism)
     curve, period = in_waves(curve, [p for p in periods if p])
     chart = _without_a_law(d, joint, curve)
-    what = "torque without a law, which the model lacks beside what is named"
+    word = torque_word(units_at(d, joint)["torque"])
+    what = f"{word} without a law, which the model lacks beside what is named"
     chart = replace(chart, title=f"Joint {joint}: {what}")
     if period:
         along = _within(period, units_at(d, joint)["position"])
