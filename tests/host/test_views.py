@@ -16,7 +16,7 @@ from zendsp.experiment.result import Result
 from zendsp.link import Target, local
 from zendsp.physics import parse_model
 from zendsp.recording import Recording, Table
-from zendsp.reference import load_machine
+from zendsp.reference import Limits, load_machine, make_limited
 from zendsp.tui.scope import ticks
 from zendsp_protocol.views import short
 
@@ -54,7 +54,11 @@ def test_a_notebook_shows_findings_values_and_limits() -> None:
     result = Result("x", "Friction", "arm", {"level": Measured(8.4, 0.1, "N m")}, warnings=["hot"])
     assert "<td>8.40 ± 0.10 N m</td>" in result._repr_html_()
     assert "careful: hot" in result._repr_html_()
-    assert "<td>245</td>" in load_machine("imi_planar")._repr_html_()
+    shown = load_machine("imi_planar")._repr_html_()
+    assert "<td>245</td>" in shown and "speed [rad/s]" in shown and "torque [N m]" in shown
+    gantry = make_limited("g", 0.001, [0.0], Limits([-1.0], [1.0], [2.0], [3.0], [5.0]), "m")
+    shown = gantry._repr_html_()
+    assert "position [m]" in shown and "acceleration [m/s²]" in shown and "torque [N]" in shown
 
 
 def test_a_recording_is_drawn_with_its_spikes_and_gaps() -> None:

@@ -92,7 +92,11 @@ class Machine:
                 )
             )
         ]
-        units = ("position [rad]", "speed [rad/s]", "acceleration [rad/s²]", "torque [N m]")
+        at = self.unit.split(" or ")
+        speed, acceleration = (" or ".join(u + per for u in at) for per in ("/s", "/s²"))
+        torque = " or ".join("N m" if u == "rad" else "N" for u in at)
+        units = (f"position [{self.unit}]", f"speed [{speed}]", f"acceleration [{acceleration}]",
+                 f"torque [{torque}]")  # fmt: skip
         return sentence(repr(self)[1:-1]) + html_table(("joint", *units), rows)
 
     @property
